@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.bench import Bench
+from hil.bench.tilt import APART_RAD, sees_the_tilt, tilt_rad
 from hil.config.bench import BenchConfig
 from hil.config.encoders import EncodersConfig
 from hil.procedure import Context, Measurement, PlannedStep, procedure
@@ -31,16 +32,24 @@ from hil.procedures.parts.bring_up_jogs import (
     jog_steering,
     reversed_names,
 )
-from hil.procedures.parts.bring_up_report import draw_clocks, draw_directions, draw_streams, stream_table
+from hil.procedures.parts.bring_up_report import (
+    draw_clocks,
+    draw_directions,
+    draw_streams,
+    note_exchanged,
+    stream_table,
+)
 from hil.procedures.parts.bring_up_streams import Stream, judge_stream
 from hil.procedures.parts.latency_fit import integrated
 from hil.ring.motion import Motion
 from hil.robot.trajectories import Trajectory, line
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import KINDS, WHEELS
+from hil.vocabulary.signals import KINDS, WHEELS, Status
 
 _DEG = float(np.degrees(1.0))
+_PUSHES = 0.5
+"""Least cosine between where a drive pushes and where it should."""
 
 
 class Parameters(BaseModel):
@@ -119,7 +128,16 @@ def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
                 rationale="device clock against bench clock, positive is fast; drivers follow up to 100",
             )  # fmt: skip
             yield Measurement(f"{name}.clock_drift_uncertainty", "ppm", rationale="half of the 95 % interval")
+    if _tilt_is_seen(p, config):
+        yield Measurement(
+            "imu.tilt_apart", "deg", high=APART_RAD * _DEG,
+            rationale="tilt by gravity from environment.tilt_rad; beyond it nothing is moved",
+        )  # fmt: skip
     yield from _of_directions(p)
+
+
+def _tilt_is_seen(p: Parameters, config: BenchConfig) -> bool:
+    return "imu" in p.devices and sees_the_tilt(config)
 
 
 def _of_directions(p: Parameters) -> Iterator[Measurement]:
@@ -134,7 +152,7 @@ def _of_directions(p: Parameters) -> Iterator[Measurement]:
             )  # fmt: skip
         for way in ("straight", "across"):
             yield Measurement(
-                f"drive_{wheel}.{way}", "1", low=0.5, marginal=0.1,
+                f"drive_{wheel}.{way}", "1", low=_PUSHES, marginal=0.1,
                 rationale="cosine of push and expected push; -1: reversed, near 0: another wheel",
             )  # fmt: skip
     yield Measurement("steering.crosstalk", "1", high=0.1, rationale="turn of an axis that was not commanded")
@@ -181,7 +199,13 @@ def run(ctx: Context) -> None:
     with ctx.step("identity"):
         identify(ctx, bench)
     with ctx.step("streams", timeout_s=p.watch_s + 30.0):
-        watch(ctx, bench)
+        stands_as_told = watch(ctx, bench)
+    if not stands_as_told:
+        ctx.note(
+            "Nothing was moved: by the IMU the robot is tilted otherwise than environment.tilt_rad says. "
+            "Correct that, or the mount of the IMU (imu.mount_rotation_wxyz); `hil doctor` shows both angles."
+        )
+        return
     with ctx.step("steering", timeout_s=60.0):
         steer = jog_steering(bench, p.steer_deg / _DEG)
         _measure_steering(ctx, steer)
@@ -229,8 +253,8 @@ def identify(ctx: Context, bench: Bench) -> None:
     )  # fmt: skip
 
 
-def watch(ctx: Context, bench: Bench) -> None:
-    """Rest, and look at the streams of all devices."""
+def watch(ctx: Context, bench: Bench) -> bool:
+    """Rest, and look at the streams of all devices; whether the robot is tilted as the bench file says."""
     p: Parameters = ctx.parameters
     stand(bench)
     motion = bench.observe(p.watch_s, feedback="odometry")
@@ -244,6 +268,19 @@ def watch(ctx: Context, bench: Bench) -> None:
     stream_table(ctx, streams)
     draw_streams(ctx, streams)
     draw_clocks(ctx, streams)
+    return _measure_tilt(ctx, motion)
+
+
+def _measure_tilt(ctx: Context, motion: Motion) -> bool:
+    """Gravity by the IMU beside `environment.tilt_rad`; False where they contradict each other."""
+    p: Parameters = ctx.parameters
+    config = ctx.source.config
+    if not _tilt_is_seen(p, config):
+        return True
+    good = [s for r in motion.records for s in r.inputs.imu if s.status is Status.OK]
+    apart_rad = abs(tilt_rad(config, good) - config.environment.tilt_rad)
+    ctx.measure("imu.tilt_apart", apart_rad * _DEG)
+    return not apart_rad > APART_RAD
 
 
 def _measure_punctuality(ctx: Context, motion: Motion) -> None:
@@ -287,6 +324,7 @@ def _measure_drives(ctx: Context, straight: DriveJogs, across: DriveJogs, steer:
             ctx.measure(f"drive_{wheel}.{way}", cosine)
     draw_directions(ctx, (straight, across))
     signs, config = find_signs(straight, across, steer), ctx.source.config
+    named = note_exchanged(ctx, straight, across, steer)
     told = reversed_names(signs.drive, "drive") + reversed_names(signs.steer, "steering")
     values: dict[str, dict[str, Any]] = {
         "alignment": {
@@ -298,7 +336,10 @@ def _measure_drives(ctx: Context, straight: DriveJogs, across: DriveJogs, steer:
     if "encoders" in ctx.parameters.devices and encoders is not None:
         told += reversed_names(signs.encoder, "encoder")
         values["encoders"] = {"sign": _turned(encoders.sign, signs.encoder)}
-    ctx.note("Directions: " + (", ".join(told) if told else "all as configured") + ".")
+    told = [name for name in told if name.split()[1] not in named]
+    others = "all others" if named else "all"
+    if told or named or min(straight.agreement().min(), across.agreement().min()) >= _PUSHES:
+        ctx.note("Directions: " + (", ".join(told) if told else f"{others} as configured") + ".")
     write_fragment(ctx, values, "Signs as found by small motions; unclear ones are left as they were.")
 
 

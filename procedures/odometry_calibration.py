@@ -26,6 +26,7 @@ from hil.calibration.validation import score
 from hil.calibration.versions import made_for, shelve
 from hil.config.bench import BenchConfig
 from hil.config.record import Figure
+from hil.config.record.overlay import identity
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.learning import leave_part
 from hil.procedure.odometry_motions import MOTIONS, MotionName, Repetition, Sizes, followed
@@ -280,9 +281,11 @@ def _install(ctx: Context, result: Calibration) -> None:
     """The transaction: a file that others use changes only when every limit holds."""
     p: Parameters = ctx.parameters
     verdict, config = ctx.verdict().value, ctx.source.config
+    robot = identity(config, ctx.source.seed)
     file = calibration_file(
-        result, created=ctx.started, software=versions(), verdict=verdict, made_for=made_for(config)
-    )
+        result, created=ctx.started, software=versions(), verdict=verdict, made_for=made_for(config),
+        robot=robot,
+    )  # fmt: skip
     path = ctx.folder / "calibration.toml"
     save_calibration(path, file)
     ctx.attach("calibration", path)
@@ -290,7 +293,9 @@ def _install(ctx: Context, result: Calibration) -> None:
     if not p.install:
         return
     target = Path(p.install)
-    kept = shelve(target, result, created=ctx.started, software=versions(), verdict=verdict, config=config)
+    kept = shelve(
+        target, result, created=ctx.started, software=versions(), verdict=verdict, config=config, robot=robot
+    )
     ctx.note(
         f"{target} is now version {kept.file.version}; `hil calibration rollback {target}` takes it back."
         if kept.in_place

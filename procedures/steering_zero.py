@@ -17,6 +17,7 @@ from hil.bench import Bench
 from hil.bench.settings import load_shares
 from hil.config.bench import BenchConfig
 from hil.config.record import Figure
+from hil.config.record.plausible import ZERO_LIMIT_RAD
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.fragment import write_fragment
 from hil.procedure.learning import leave_part
@@ -56,7 +57,7 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
     """One set per axis, then what the motion says."""
     for w in WHEELS:
         yield Measurement(
-            f"steer_{w}.zero", "deg", low=-6.0, high=6.0, marginal=1.0,
+            f"steer_{w}.zero", "deg", low=-ZERO_LIMIT_RAD * _DEG, high=ZERO_LIMIT_RAD * _DEG, marginal=1.0,
             rationale="servo angle at which the wheel points ahead; a tooth of the horn is 15 deg",
         )  # fmt: skip
         yield Measurement(

@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from hil.config.bench import BenchConfig
 from hil.config.device import TrackerConfig
 from hil.config.record import Figure, Spread
+from hil.config.record.plausible import SCALE_LIMITS
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.fragment import write_fragment
 from hil.procedure.learning import leave_part
@@ -98,8 +99,8 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
     yield Measurement(
         "scale",
         "1",
-        low=0.97,
-        high=1.03,
+        low=SCALE_LIMITS[0],
+        high=SCALE_LIMITS[1],
         marginal=0.01,
         rationale="distance by the camera over true distance; 0.5 % is usual",
     )

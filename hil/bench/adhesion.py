@@ -11,9 +11,9 @@ import numpy as np
 
 from hil.bench.drivers import make_rig
 from hil.bench.settings import force_wanted_n
+from hil.bench.tilt import tilt_rad
 from hil.config.adhesion import AdhesionConfig, MotorConfig
 from hil.config.bench import BenchConfig
-from hil.config.device import ImuConfig
 from hil.config.kept_motor import KeptMotorConfig
 from hil.drivers.adhesion.keeper import client
 from hil.drivers.adhesion.keeper.client import Status
@@ -21,7 +21,6 @@ from hil.drivers.adhesion.keeper.door import keepers
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.clock import MonotonicClock, nanoseconds
 from hil.vocabulary.errors import ConfigError, DeviceError, UsageError
-from hil.vocabulary.geometry import rotated
 from hil.vocabulary.signals import Status as SampleStatus
 from hil.vocabulary.signals import worst
 
@@ -214,12 +213,12 @@ def seen_off_the_wall(config: BenchConfig) -> str:
             seen[name] = _watched(device, clock)
         finally:
             device.close()
-    tilt_rad = _tilt(config, seen["imu"])
+    tilted_rad = tilt_rad(config, seen["imu"])
     blows_n = max((table.force_at_n(s.speed_rpm) for s in seen[DEVICE]), default=math.nan)
     limit_n = max(_NO_FORCE * blows_n, _CELLS_REST_N)
     force_n = max((float(np.sum(s.force_n)) for s in seen["load_cells"]), default=math.nan)
-    told = f"tilted by {math.degrees(tilt_rad):.0f} deg, load cells {force_n:.1f} N"
-    if not (tilt_rad <= _LEVEL_RAD and abs(force_n) <= limit_n):
+    told = f"tilted by {math.degrees(tilted_rad):.0f} deg, load cells {force_n:.1f} N"
+    if not (tilted_rad <= _LEVEL_RAD and abs(force_n) <= limit_n):
         raise UsageError(
             f"the robot may hang by its fan: {told}",
             expected=f"at most {math.degrees(_LEVEL_RAD):.0f} deg and {limit_n:.1f} N", remedy=_TETHERED,
@@ -235,15 +234,6 @@ def _watched(device: Any, clock: MonotonicClock) -> list[Any]:
         samples += device.read()
         clock.sleep_until_ns(clock.now_ns() + _STEP_NS)
     return [s for s in samples if worst(s) is SampleStatus.OK]
-
-
-def _tilt(config: BenchConfig, samples: list[Any]) -> float:
-    """Angle between the body's up axis and gravity's, by the IMU; NaN where it says nothing."""
-    if not samples:
-        return math.nan
-    mount = config.of(ImuConfig) or ImuConfig()
-    up = rotated(mount.mount_rotation_wxyz, np.mean([s.gravity_m_s2 for s in samples], axis=0).tolist())
-    return math.acos(max(-1.0, min(1.0, up[2] / math.hypot(*up))))
 
 
 def described(status: Mapping[str, Any]) -> str:

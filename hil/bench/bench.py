@@ -41,6 +41,7 @@ _RECORDED = ("t_ns", "pose_body_in_wall", "steering_true_rad", "normal_load_n", 
 """Of an emulated robot's truth, what its recordings keep (`PlantState`)."""
 
 OnCycle = Callable[[CycleRecord], None]
+Until = Callable[[CycleRecord], bool]
 
 
 class Bench(HeldRig):
@@ -239,9 +240,7 @@ class Bench(HeldRig):
         self.run(brain, start, until)
         return Motion(tuple(records))
 
-    def run(
-        self, brain: Brain, start: RunStart, until: Callable[[CycleRecord], bool], *, drop_old: bool = True
-    ) -> None:
+    def run(self, brain: Brain, start: RunStart, until: Until, *, drop_old: bool = True) -> None:
         """Run a brain from a known state until `until(record)` says so; the robot is stopped at the end.
 
         Everything is compiled and loaded before the first cycle.
@@ -251,9 +250,14 @@ class Bench(HeldRig):
             start: what `brain` was made of, and where the robot stands.
             until: whether this record was the last.
             drop_old: let go of what the devices have piled up meanwhile.
+
+        Raises:
+            ConfigError: the robot is to move, and the IMU shows another tilt than `environment.tilt_rad`.
         """
         if start.trajectory is not None:
             self._warn_of_blind_sensors()
+            self._tilt.must_agree()
+            until = self._until_tilted(until)
         warm_up(brain, start.state)
         with ExitStack() as stack:
             stack.enter_context(without_collector() if self.real_time is None else self.real_time)
@@ -268,6 +272,20 @@ class Bench(HeldRig):
                 self._hold.stopped(brain.supervisor.doubted, brain.supervisor.agreed)
                 if start.trajectory is not None:
                     self._left = self._hold.last_state
+
+    def _until_tilted(self, until: Until) -> Until:
+        """The same, which judges the tilt once more, as soon as the IMU has told enough of it in this run."""
+        self._tilt.forget()
+        judged = False
+
+        def watched(record: CycleRecord) -> bool:
+            nonlocal judged
+            if not judged and self._tilt.known:
+                judged = True
+                self._tilt.must_agree()
+            return until(record)
+
+        return watched
 
     def _warn_of_blind_sensors(self) -> None:
         """Tell once, before the robot moves, that sensors will not see that."""

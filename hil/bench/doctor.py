@@ -17,6 +17,7 @@ from hil.bench.force_findings import unexplained_force
 from hil.bench.host import Host, host_findings
 from hil.bench.promises import broken_promises
 from hil.bench.settings import wheel_model
+from hil.bench.tilt import tilt_finding
 from hil.devices.looks import Watched, samples_look
 from hil.drivers.serial_url import latency_timer
 from hil.vocabulary.blame import OURS, asked
@@ -52,6 +53,7 @@ def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> I
         yield from _calibration(bench)
         for kind in dict.fromkeys((*bench.rig.sensors, *bench.config.devices())):
             yield from _examine_one(bench, kind, watch_s, host, seen)
+        yield from tilt_finding(bench.config, seen)
         yield from unexplained_force(bench.config, seen)
     finally:
         bench.close()

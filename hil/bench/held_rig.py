@@ -19,6 +19,7 @@ from hil.bench.not_begun import not_begun
 from hil.bench.pressing import press_watch
 from hil.bench.replug import replugged
 from hil.bench.settings import can_fall
+from hil.bench.tilt import TiltWatch
 from hil.bench.wheel_feed import wheel_feed
 from hil.config.bench import BenchConfig
 from hil.fakes.faults import Fault
@@ -72,10 +73,12 @@ class HeldRig(Blueprint):
         self._begun_ns: int | None = None
         self._closed_ns: int | None = None
         self.pressed = ""
+        self._tilt = TiltWatch(config)
         self._hold = HoldWatch(
             rig,
             clock,
             press_watch(config, rig),
+            self._tilt,
             radius_m=float(np.mean(geometry.radius_m)),
             on_wall=self.on_wall,
             can_fall=can_fall(config),
@@ -123,7 +126,7 @@ class HeldRig(Blueprint):
                 self.held = self._hold.unseen("ended before anybody had looked")
                 self.rig.servos.stop()
                 self.held = self._hold.look(self.config.exit.look_after_s)
-                if self.config.exit.policy == "release":
+                if self.config.exit.policy == "release" and not self._steeper():
                     self.rig.servos.release()
                     self.held = self._hold.released()
                 self._note(self.clock.now_ns(), HELD, self.held.to_json())
@@ -192,6 +195,10 @@ class HeldRig(Blueprint):
         """Whether the bench has a device of this kind."""
         return self.rig.get(name) is not None
 
+    def _steeper(self) -> str:
+        """What speaks against letting go of a robot without a tether that the bench file has on a floor."""
+        return "" if self.config.safety.tethered else self._tilt.steeper()
+
     @property
     def on_wall(self) -> bool:
         """Whether gravity pulls along the surface: the robot has to be held."""
@@ -209,8 +216,14 @@ class HeldRig(Blueprint):
         """Drop torque: on a wall the robot slides.
 
         Raises:
-            UsageError: the robot hangs on a wall by its fan, and no tether is said to hold it.
+            UsageError: the robot hangs on a wall by its fan, and no tether is said to hold it; or the IMU
+                shows a wall where the bench file has none.
         """
+        if steeper := self._steeper():
+            raise UsageError(
+                f"torque is not released: {steeper}", expected="a robot off the wall, or on a tether",
+                remedy="correct environment.tilt_rad, or secure the robot and set safety.tethered = true",
+            )  # fmt: skip
         if can_fall(self.config) and self.has("adhesion"):
             raise UsageError(
                 "torque is not released: the robot hangs on a wall",

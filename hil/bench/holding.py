@@ -20,6 +20,7 @@ from hil.bench.held import Held, State, lacking_in_words, on_the_floor
 from hil.bench.leaps import Leaps
 from hil.bench.pressing import PressWatch
 from hil.bench.sighting import JOINTS, WINDOW_NS, Trail, Travel
+from hil.bench.tilt import TiltWatch
 from hil.ring.rig import Rig
 from hil.robot.holding import GRAVITY_M_S2
 from hil.vocabulary.clock import Clock, nanoseconds
@@ -58,6 +59,7 @@ class HoldWatch(Sink):
         rig: devices of the bench.
         clock: the bench clock.
         press: of what presses it on its wall.
+        tilt: of how steep it stands: "on the floor" is believed only where it does not say otherwise.
         radius_m: of the wheels, to turn their angles into a way.
         on_wall: whether the robot has to be held at all.
         can_fall: whether nothing else holds it there: somebody then has to see that it does not slide.
@@ -73,6 +75,7 @@ class HoldWatch(Sink):
         rig: Rig,
         clock: Clock,
         press: PressWatch,
+        tilt: TiltWatch,
         *,
         radius_m: float,
         on_wall: bool,
@@ -80,7 +83,7 @@ class HoldWatch(Sink):
         lightest_m_s2: float,
         elsewhere: Collection[str] = (),
     ) -> None:
-        self._press = press
+        self._press, self._tilt = press, tilt
         self._lightest_m_s2 = lightest_m_s2
         self._felt_m_s2: deque[float] = deque(maxlen=_FELT)
         self._rig, self._clock = rig, clock
@@ -103,12 +106,14 @@ class HoldWatch(Sink):
         if math.isfinite(heading_rad):  # the last cycle before a stop has no estimate
             self._press.heading_rad = heading_rad
             self.last_state, estimated = record.state, pose[:2]
+        self._tilt.saw(inputs.imu)
         for name, sample, place in self._sightings(inputs):
             self._leapt(name, sample, place, estimated)
             self._travel.passed(name, inputs.t_ns, place)
 
     def passed_over(self, inputs: Inputs) -> None:
         """Take what has piled up before a run and goes to nobody else."""
+        self._tilt.saw(inputs.imu)
         for name, sample, place in self._sightings(inputs):
             self._leapt(name, sample, place)
 
@@ -168,10 +173,12 @@ class HoldWatch(Sink):
             seen = [name for name, trail in trails.items() if trail.full(hold.t_ns)]
             places = self._places(seen)
             unpressed = self._press.doubt(self._clock.now_ns(), sees_slide=bool(places))
-            doubt = self._doubt(hold, trails, seen, places) or unpressed
-            if hold.t_ns - began_ns < _ALL_NS and any(trail.fills(hold.t_ns) for trail in trails.values()):
+            doubt = self._doubt(hold, trails, seen, places) or unpressed or self._doubt_of_floor()
+            early = hold.t_ns - began_ns < _ALL_NS
+            unsure = early and not self._on_wall and not self._tilt.known
+            if unsure or (early and any(trail.fills(hold.t_ns) for trail in trails.values())):
                 doubt = doubt or "not all that see the robot have seen it for long enough"
-            if not hold.wanted:
+            if not hold.wanted and not unsure:
                 return self._verdict("NOT HELD", "torque was never switched on", seen, wanted=False)
             late = "".join(f"; {name} ({text})" for name, text in hold.late.items())
             if not doubt:
@@ -203,8 +210,11 @@ class HoldWatch(Sink):
             moved_m = last_m if last_m is not None and last_m > _MOVED_M else None
         if state == "HELD" and moved_m is None:
             why += "; how far it has moved since the stop was not measured"
+        no_floor = self._doubt_of_floor()
+        if no_floor and no_floor not in why:
+            why += f"; {no_floor}"
         held = Held(state, moved_m, why, wanted)
-        return held if self._on_wall else on_the_floor(held)
+        return held if self._on_wall or no_floor else on_the_floor(held)
 
     def released(self) -> Held:
         """The robot has been let go of on purpose."""
@@ -240,6 +250,7 @@ class HoldWatch(Sink):
         for sample in samples:
             if isinstance(sample, ImuSample) and sample.status is Status.OK:
                 self._felt_m_s2.append(_felt_m_s2(sample))
+                self._tilt.saw((sample,))
             if name in self._travel.names and worst(sample) is Status.RESET:
                 self._travel.begins_anew(name)
                 self._leaps.begins_anew(name)
@@ -292,6 +303,11 @@ class HoldWatch(Sink):
                 f"the accelerometer feels {np.mean(felt):.1f} m/s^2 in place of 9.8: the robot is speeding up"
             )
         return ""
+
+    def _doubt_of_floor(self) -> str:
+        """What the IMU says against the floor, or against a tilt for which what must hold it is reckoned."""
+        steeper = self._tilt.steeper()
+        return f"{steeper}: secure the robot, and correct environment.tilt_rad" if steeper else ""
 
     def _nobody_sees_a_slide(self, seen: Collection[str]) -> str:
         """Wheels and IMU do not: somebody has to who sees places, or measures the force."""

@@ -26,6 +26,7 @@ from hil.calibration.parameters import (
     impossible_tyres,
     impossible_wheels,
 )
+from hil.config.record.parts import Identity
 from hil.robot.kinematics import ForwardModel, WheelGeometry
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.files import put_whole
@@ -63,6 +64,7 @@ class CalibrationFile(BaseModel):
     Attributes:
         verdict: of the validation run on the bench; empty for a calibration that had none.
         made_for: servos that it was made with, None for recordings of unknown origin.
+        robot: whose it is; None where the bench is not known, and in files of earlier versions.
         tyres: for `creep`, and for `dry-friction`; without, wheels are loaded alike.
         driven_m: how far its recordings drove in each direction (`hil.calibration.driven`), empty in files
             of earlier versions.
@@ -90,6 +92,7 @@ class CalibrationFile(BaseModel):
     previous: dict[str, str] = {}
     verdict: Literal["", "PASS", "MARGINAL", "FAIL"] = ""
     made_for: MadeFor | None = None
+    robot: Identity | None = None
     tyres: Tyres | None = None
     driven_m: dict[str, float] = {}
 
@@ -176,6 +179,7 @@ def calibration_file(
     previous: Mapping[str, str] | None = None,
     verdict: str = "",
     made_for: MadeFor | None = None,
+    robot: Identity | None = None,
 ) -> CalibrationFile:
     """A calibration as the content of a file.
 
@@ -187,6 +191,7 @@ def calibration_file(
         previous: name and SHA-256 of the one before it.
         verdict: of its validation run, empty without one.
         made_for: servos that it belongs to.
+        robot: whose it is.
     """
     described: Any = result.to_json()
     tree: dict[str, Any] = {
@@ -209,6 +214,7 @@ def calibration_file(
         "previous": dict(previous or {}),
         "verdict": verdict,
         "made_for": made_for,
+        "robot": robot,
         "driven_m": result.driven.to_json(),
     }
     if result.setting.model in ("creep", "dry-friction"):
@@ -232,7 +238,7 @@ def save_calibration(path: Path, file: CalibrationFile) -> None:
 
 def write_calibration(
     path: Path, result: Calibration, *, created: str, software: Mapping[str, str],
-    made_for: MadeFor | None = None,
+    made_for: MadeFor | None = None, robot: Identity | None = None,
 ) -> CalibrationFile:  # fmt: skip
     """Write a calibration; an older file of that name is kept under its version number.
 
@@ -242,11 +248,13 @@ def write_calibration(
         created: date and time, ISO 8601.
         software: versions that it was made with.
         made_for: servos that it belongs to, where the bench is known.
+        robot: whose it is, where the bench is known.
     """
     previous, version = _keep_previous(path)
     file = calibration_file(
-        result, created=created, software=software, version=version, previous=previous, made_for=made_for
-    )
+        result, created=created, software=software, version=version, previous=previous, made_for=made_for,
+        robot=robot,
+    )  # fmt: skip
     save_calibration(path, file)
     return file
 

@@ -25,6 +25,7 @@ from hil.calibration.artefact import (
     save_calibration,
 )
 from hil.config.bench import BenchConfig
+from hil.config.record.parts import Identity
 from hil.config.servos import ServosConfig
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import ConfigError
@@ -153,7 +154,7 @@ class Shelf:
 
 def shelve(
     path: Path, result: Calibration, *, created: str, software: dict[str, str], verdict: str,
-    config: BenchConfig,
+    config: BenchConfig, robot: Identity,
 ) -> KeptVersion:  # fmt: skip
     """Put a calibration beside `path`, and in place if its validation passed.
 
@@ -164,13 +165,15 @@ def shelve(
         software: package name to version.
         verdict: of its validation run.
         config: bench that it was made on.
+        robot: whose it is.
     """
     shelf = Shelf(path)
     kept = shelf.add(
         calibration_file(
-            result, created=created, software=software, verdict=verdict, made_for=made_for(config)
+            result, created=created, software=software, verdict=verdict, made_for=made_for(config),
+            robot=robot,
         )
-    )
+    )  # fmt: skip
     return shelf.apply(kept.file.version, config) if verdict in PASSED else kept
 
 

@@ -96,7 +96,7 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
 @_BENCH
 @_JSON
 def show_status(bench: str, as_json: bool) -> int:
-    """How fan and propellers run, and who keeps them; ends with 3 where nobody keeps the fan.
+    """How fan and propellers run, and who keeps them; ends with 3 where nobody keeps one of them.
 
     Example: hil adhesion status --bench my.toml
     """
@@ -109,7 +109,15 @@ def show_status(bench: str, as_json: bool) -> int:
     else:
         for kind, spec in specs.items():
             _show(spec, found[kind])
-    return EXIT_DEVICE if next(iter(found.values())) is None else EXIT_PASS
+    return _all_kept(found)
+
+
+def _all_kept(found: Mapping[str, Status | None]) -> int:
+    """Exit code: whether everything that holds the robot has a keeper; what has none is named on stderr."""
+    for kind, status in found.items():
+        if status is None:
+            click.echo(f"hil: {kind} has no keeper: nobody commands it once its bench has ended", err=True)
+    return EXIT_DEVICE if None in found.values() else EXIT_PASS
 
 
 def _told(specs: Mapping[str, Spec], found: Mapping[str, Status | None]) -> dict[str, object]:
@@ -149,13 +157,13 @@ def watch(bench: str, every_s: float, duration_s: float | None) -> int:
     specs = adhesion.kept_specs(_config(bench))
     end_s = None if duration_s is None else time.monotonic() + duration_s
     while True:
-        found = [adhesion.keeper_status(spec) for spec in specs.values()]
-        for kind, status in zip(specs, found, strict=True):
+        found = {kind: adhesion.keeper_status(spec) for kind, spec in specs.items()}
+        for kind, status in found.items():
             which = f"{kind}: " if len(specs) > 1 else ""
             told = "no keeper" if status is None else adhesion.described(status)
             click.echo(f"{time.strftime('%H:%M:%S')} {which}{told}")
         if end_s is not None and time.monotonic() + every_s > end_s:
-            return EXIT_DEVICE if found[0] is None else EXIT_PASS
+            return _all_kept(found)
         time.sleep(every_s)
 
 

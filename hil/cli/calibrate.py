@@ -101,11 +101,13 @@ def _write(out: Path, result: Calibration, config: BenchConfig | None) -> None:
     from hil import __version__
     from hil.calibration.artefact import write_calibration
     from hil.calibration.versions import made_for
+    from hil.config.record.overlay import identity
 
     created = datetime.now(timezone.utc).isoformat(timespec="seconds")
     file = write_calibration(
         out, result, created=created, software={"hil": __version__, "numpy": np.__version__},
         made_for=None if config is None else made_for(config),
+        robot=None if config is None else identity(config),
     )  # fmt: skip
     click.echo(f"wrote {out} (version {file.version})", err=True)
 

@@ -118,9 +118,16 @@ def _two(record: Path, first: int | None, second: int | None) -> tuple[RecordFil
     help="Take parts from part_NAME.toml, calibration.toml, bench_fragment.toml or another record.",
 )  # fmt: skip
 @click.option("--bench", help="Bench file or profile of the robot; needed with --from.")
+@click.option("--of-this-robot", is_flag=True,
+              help="You know that a file is of this robot which does not say of which it is.")  # fmt: skip
 @_JSON
-def apply(record: Path, version: int | None, source: Path | None, bench: str | None, as_json: bool) -> int:
+def apply(
+    record: Path, version: int | None, source: Path | None, bench: str | None, of_this_robot: bool,
+    as_json: bool,
+) -> int:  # fmt: skip
     """Put a version in place, or take parts from older files as a new version.
+
+    What another robot, or a run that did not pass, has left is refused.
 
     Example: hil robot apply robot --from calibration.toml --bench my.toml
     """
@@ -139,7 +146,7 @@ def apply(record: Path, version: int | None, source: Path | None, bench: str | N
     assert source is not None
     config = load_bench(bench)
     now = datetime.now().astimezone().isoformat(timespec="seconds")
-    absorb(found, source, config, now)
+    absorb(found, source, config, now, of_this_robot=of_this_robot)
     return _done(found.find(found.read().version), as_json)
 
 

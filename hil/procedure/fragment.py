@@ -8,7 +8,9 @@ from typing import Any
 
 import tomli_w
 
-from hil.procedure import Context
+from hil.config.record.origin import comment, with_verdict
+from hil.config.record.overlay import identity
+from hil.procedure.context import Context
 from hil.vocabulary.files import write_text
 
 NAME = "bench_fragment.toml"
@@ -23,5 +25,14 @@ def write_fragment(ctx: Context, values: Mapping[str, Mapping[str, Any]], why: s
         why: what they are, for the first line of the file.
     """
     path = ctx.folder / NAME
-    head = f"# {why}\n# From {ctx.source.config.name}, {ctx.started}: copy into the bench file.\n"
+    config, seed = ctx.source.config, ctx.source.seed
+    head = f"# {why}\n# From {config.name}, {ctx.started}: copy into the bench file.\n"
+    head += comment(identity(config, seed))
     return ctx.attach("bench.toml fragment", write_text(path, head + tomli_w.dumps(dict(values))))
+
+
+def seal_fragment(folder: Path, verdict: str) -> None:
+    """Write into the piece that a run has left, if any, how the run ended; raises `DataError`."""
+    path = folder / NAME
+    if path.is_file():
+        write_text(path, with_verdict(path.read_text(encoding="utf-8"), verdict))

@@ -1,7 +1,8 @@
 """What a procedure found out about the robot: a part of its record, kept there once the run has passed.
 
-Each part is also left as a file of its own, `part_NAME.toml`, so that a bench without a record can take it
-later (`hil robot apply RECORD --from part_camera.toml`).
+Each part is also left as a file of its own, `part_NAME.toml`, once the run has ended, so that a bench
+without a record can take it later (`hil robot apply RECORD --from part_camera.toml`). It says of which robot
+it is and how the run ended, and so does `bench_fragment.toml`.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from hil.config.bench import BenchConfig
 from hil.config.record import Figure, NewPart, Part, RobotRecord, Spread
 from hil.config.record.overlay import identity
 from hil.procedure.context import Context
+from hil.procedure.fragment import seal_fragment
 from hil.procedure.measurements import Verdict
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.files import write_text
@@ -36,7 +38,7 @@ def leave_part(
     covariance: Spread | None = None,
     surface: str = "",
 ) -> None:
-    """Leave a part of the robot's record; it gets there when the run passes.
+    """Leave a part of the robot's record; it gets there when the run passes. Values must be finite.
 
     Args:
         ctx: of the run.
@@ -54,9 +56,15 @@ def leave_part(
         figures=dict(figures or {}), covariance=covariance,
     )  # fmt: skip
     ctx.findings.learned[name] = NewPart(part, dict(files or {}))
-    tree = part.model_dump(mode="json", exclude_none=True, exclude={"files", "made_with"})
-    tree["values"] |= {key: str(path.relative_to(ctx.folder)) for key, path in (files or {}).items()}
-    text = f"# For `hil robot apply RECORD --from` this file.\n{tomli_w.dumps({'part': name, **tree})}"
+
+
+def _write_part(ctx: Context, name: str, one: NewPart, verdict: Verdict) -> None:
+    """The part as a file of its own."""
+    tree = one.part.model_dump(mode="json", exclude_none=True, exclude={"files", "made_with"})
+    tree["values"] |= {key: str(path.relative_to(ctx.folder)) for key, path in one.files.items()}
+    robot = identity(ctx.source.config, ctx.source.seed).model_dump(mode="json", exclude_none=True)
+    tree |= {"part": name, "verdict": verdict.value, "robot": robot}
+    text = f"# For `hil robot apply RECORD --from` this file.\n{tomli_w.dumps(tree)}"
     ctx.attach(f"part {name} of the record", write_text(ctx.folder / f"part_{name}.toml", text))
 
 
@@ -73,7 +81,7 @@ def known_parts(config: BenchConfig) -> dict[str, Part]:
 
 
 def keep_parts(ctx: Context, verdict: Verdict) -> tuple[dict[str, Any] | None, HilError | None]:
-    """Put what a run has left into the record of its bench, if it passed.
+    """Put what a run has left into the record of its bench, if it passed, and into files of its folder.
 
     Returns:
         For `result.json`: folder, version and names of the parts that are new, and of those that went because
@@ -81,6 +89,13 @@ def keep_parts(ctx: Context, verdict: Verdict) -> tuple[dict[str, Any] | None, H
         the record does not take it: the version that was in place stays.
     """
     config, learned = ctx.source.config, ctx.findings.learned
+    ended = verdict in (*PASSED, Verdict.FAIL)
+    try:
+        seal_fragment(ctx.folder, verdict.value)
+        for name, one in learned.items() if ended else ():
+            _write_part(ctx, name, one, verdict)
+    except HilError as error:
+        return None, error if ended else None
     if config.record.folder is None or not learned:
         return None, None
     if verdict not in PASSED:

@@ -21,6 +21,8 @@ from hil.vocabulary.signals import WHEELS
 
 _OUT_S, _REST_S, _LOOK_S = 0.4, 0.45, 0.3
 _SETTLE_S = 1.5
+_LIKE = 0.5
+"""Cosine of pushes, and share of a turn, from which on two joints do the same."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,11 @@ class DriveJogs:
 
     def agreement(self) -> Array:
         """(4,) cosine between found and expected: 1 as it should be, -1 the other way round."""
-        return np.asarray(np.sum(self.expected * self.found, axis=1), dtype=np.float64)
+        return np.asarray(np.diag(self.agreements()), dtype=np.float64)
+
+    def agreements(self) -> Array:
+        """(4, 4) cosine `[found, expected]`: between the push of one wheel and that which one should give."""
+        return np.asarray(self.found @ self.expected.T, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -146,6 +152,26 @@ def find_signs(straight: DriveJogs, across: DriveJogs, steer: SteerJogs) -> Sign
     first, second = _sign(straight.agreement()), _sign(across.agreement())
     turned = _sign(np.diag(steer.encoder))
     return Signs(first, first * second, first * second * turned)
+
+
+def exchanged_drives(straight: DriveJogs, across: DriveJogs) -> list[tuple[int, int]]:
+    """Pairs of drives of which each pushes where the other one should, and not where it should itself."""
+    return _exchanged(np.minimum(straight.agreements(), across.agreements()))
+
+
+def exchanged_axes(steer: SteerJogs) -> list[tuple[int, int]]:
+    """Pairs of steering axes of which each turns, by the encoders, when the other one is commanded."""
+    return _exchanged(np.nan_to_num(steer.encoder))
+
+
+def _exchanged(alike: Array) -> list[tuple[int, int]]:
+    """Pairs that are each other's by a matrix (4, 4) in which 1 stands for alike."""
+    return [
+        (a, b)
+        for a in range(4)
+        for b in range(a + 1, 4)
+        if max(alike[a, a], alike[b, b]) < _LIKE < min(alike[a, b], alike[b, a])
+    ]
 
 
 def _sign(cosine: Array) -> Array:

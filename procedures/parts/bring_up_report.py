@@ -1,4 +1,4 @@
-"""Tables and figures of a bring-up: sample streams, clocks, and which way each wheel pushes."""
+"""What a bring-up tells: sample streams, clocks, which way each wheel pushes, and which two are exchanged."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hil.config.servos import ServosConfig
 from hil.procedure import Context
-from hil.procedures.parts.bring_up_jogs import DriveJogs
+from hil.procedures.parts.bring_up_jogs import DriveJogs, SteerJogs, exchanged_axes, exchanged_drives
 from hil.procedures.parts.bring_up_streams import Stream
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
 from hil.vocabulary.geometry import Array
@@ -36,6 +37,25 @@ def stream_table(ctx: Context, streams: Mapping[str, Stream]) -> None:
         "age 99 %",
     ]
     ctx.table("Sample streams at rest", head, rows, "ms; age is the time from measurement to arrival.")
+
+
+def note_exchanged(ctx: Context, straight: DriveJogs, across: DriveJogs, steer: SteerJogs) -> set[str]:
+    """Name servos that do each other's work, and what to exchange; returns their wheels."""
+    servos, named = ctx.source.config.of(ServosConfig), set()
+    assert servos is not None
+    for what, pairs, ids, seen, beside in (
+        ("drive", exchanged_drives(straight, across), servos.drive_ids, "push", ""),
+        ("steer", exchanged_axes(steer), servos.steer_ids, "turn, by the encoders,",
+         ", or the two encoders, if the wheels turn where they are told to"),
+    ):  # fmt: skip
+        for a, b in pairs:
+            named |= {WHEELS[a], WHEELS[b]}
+            ctx.note(
+                f"{what}_{WHEELS[a]} and {what}_{WHEELS[b]} {seen} where the other one should: probably they "
+                f"are exchanged. Exchange {ids[a]} and {ids[b]} in servos.{what}_ids{beside}; then run this "
+                "again."
+            )
+    return named
 
 
 def draw_streams(ctx: Context, streams: Mapping[str, Stream]) -> None:

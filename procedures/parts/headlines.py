@@ -7,6 +7,8 @@ from collections.abc import Mapping
 _FILTERS = {"ekf": "the EKF", "ukf": "the UKF"}
 _LINES = (("x_line", "Up the wall", "short", "shortfall"), ("y_line", "Across it", "too low", "sag"))
 _WHEELS = ("FL", "BL", "BR", "FR")
+_CLEAR = 0.5
+"""Of what a bring-up measures: below it something else moved, or hardly anything."""
 
 
 def wall_tracking(v: Mapping[str, float]) -> str:
@@ -33,8 +35,14 @@ def grid_scan(v: Mapping[str, float]) -> str:
 def bring_up(v: Mapping[str, float]) -> str:
     """How many devices answered, and whether they go the right way."""
     told = ("_response", ".straight", ".across")
-    turned = sum(name.endswith(told) and value < 0 for name, value in v.items())
-    way = f"{turned} of their directions are reversed" if turned else "whatever moved went the right way"
+    ways = {name: value for name, value in v.items() if name.endswith(told)}
+    turned = sum(value <= -_CLEAR for value in ways.values())
+    unclear = sum(abs(value) < _CLEAR for value in ways.values())
+    way = "whatever moved went the right way" if ways else "nothing was moved"
+    if turned or unclear:
+        both = ((turned, "reversed"), (unclear, "not as expected"))
+        found = " and ".join(f"{count} {how}" for count, how in both if count)
+        way = found.replace(" ", " of their directions are ", 1)
     return f"{v['devices']:.0f} kinds of device answered, and {way}."
 
 

@@ -112,8 +112,11 @@ def test_on_status_watch_and_off_at_an_emulated_vesc(served, hil):
     told = json.loads(out)
     assert told["force_n"] == pytest.approx(40.0, rel=0.06)
     assert told["keeper"]["state"] == "keeping"
-    code, out, _ = hil("adhesion", "watch", "--bench", served, "--duration", "0.1")
-    assert (code, "keeping at duty" in out) == (0, True)
+    for words in (("status",), ("watch", "--duration", "0.1")):
+        code, out, err = hil("adhesion", *words, "--bench", served)
+        assert (code, "keeping at duty" in out) == (3, True), "the propellers have no keeper yet"
+        assert "thrust has no keeper" in err
+        assert "adhesion has no keeper" not in err
     code, _, err = hil("adhesion", "off", "--bench", served)
     assert (code, "--tethered" in err) == (2, True)
     assert (
@@ -140,8 +143,10 @@ def test_propellers_on_vescs_are_kept_told_of_and_stopped_too(served, hil):
         assert newest[0].throttle > 0.95 * math.sqrt(10.0 / 39.7)
     finally:
         propellers.close()
-    told = json.loads(hil("adhesion", "status", "--bench", served, "--json")[1])["thrust"]
+    code, out, _ = hil("adhesion", "status", "--bench", served, "--json")
+    told = json.loads(out)["thrust"]
     assert (told["name"], told["keeper"]["state"]) == (spec.name, "keeping")
+    assert code == (0 if json.loads(out)["keeper"] else 3), "the fan may have been switched on before"
     code, out, err = hil("adhesion", "off", "--bench", served, "--tethered")
     assert (code, f"{spec.name}: off (the operator" in out) == (0, True), err
     told = json.loads(hil("adhesion", "status", "--bench", served, "--json")[1])["thrust"]

@@ -1,5 +1,6 @@
 """Bring-up finds signs and clocks as they were hidden, and names what is wrong."""
 
+import itertools
 import sys
 
 import numpy as np
@@ -17,6 +18,13 @@ else:
 from hil.config.loading import load_bench
 from hil.procedure.tracking import stand
 from hil.procedures.bring_up import Parameters, measurements
+from hil.procedures.parts.bring_up_jogs import (
+    DriveJogs,
+    SteerJogs,
+    exchanged_axes,
+    exchanged_drives,
+    expected_push,
+)
 from hil.procedures.parts.bring_up_streams import judge_stream
 from hil.ring.loop import ControlLoop
 from hil.vocabulary.clock import nanoseconds
@@ -153,7 +161,62 @@ def test_two_swapped_drives_are_not_taken_for_each_other(tmp_path):
     assert done.result.exit_code == 1
     assert {"drive_FL.across", "drive_BL.across"} <= set(done.failed)
     assert not {"drive_BR.across", "drive_FR.across"} & set(done.failed)
+    notes = " ".join(done.result.facts["notes"])
+    assert "drive_FL and drive_BL push where the other one should" in notes
+    assert "Exchange 1 and 2 in servos.drive_ids" in notes
+    assert "went the right way" not in done.result.to_json()["said"]
     done.assert_held()
+
+
+def jogs(angle_rad, order, signs=(1, 1, 1, 1)):
+    """Drives in this order, of a robot whose every push is as it should be, but for some noise."""
+    config = load_bench("emulated")
+    reach_m = float(np.hypot(config.robot.wheel_x_m[0], config.robot.wheel_y_m[0]))
+    expected = expected_push(config, angle_rad, reach_m)
+    noise = np.random.default_rng(3).normal(scale=0.05, size=(4, 3))
+    found = (expected * np.array(signs)[:, None])[list(order)] + noise
+    return DriveJogs(angle_rad, expected, found / np.linalg.norm(found, axis=1)[:, None], np.ones(4))
+
+
+@pytest.mark.parametrize(("a", "b"), list(itertools.combinations(range(4), 2)))
+def test_any_two_exchanged_drives_and_axes_are_named(a, b):
+    order = [b if k == a else a if k == b else k for k in range(4)]
+    assert exchanged_drives(jogs(0.0, order), jogs(np.pi / 2.0, order)) == [(a, b)]
+    turned = np.eye(4)[order]
+    assert exchanged_axes(SteerJogs(np.eye(4), turned)) == [(a, b)]
+
+
+@pytest.mark.parametrize("signs", list(itertools.product((1, -1), repeat=4)))
+def test_reversed_drives_are_not_taken_for_exchanged_ones(signs):
+    rounds = [jogs(angle_rad, range(4), signs) for angle_rad in (0.0, np.pi / 2.0)]
+    assert exchanged_drives(*rounds) == []
+    assert exchanged_axes(SteerJogs(np.eye(4), np.diag(signs))) == []
+    assert exchanged_axes(SteerJogs(np.eye(4), np.full((4, 4), np.nan))) == []
+
+
+STANDS_UP = {"emulation.imu": {"mount_rotation_wxyz": [0.5**0.5, 0.0, 0.5**0.5, 0.0]}}
+
+
+@pytest.mark.parametrize(("profile", "verdict"), [("emulated", "FAIL"), ("emulated_floor", "ERROR")])
+def test_a_robot_that_stands_otherwise_than_the_bench_file_says_fails_unmoved(tmp_path, profile, verdict):
+    """As its IMU shows it: level on a wall, or upright on a floor, where nobody knows what must hold it."""
+    parameters = BRIEF | {"devices": "servos,imu,mocap"}
+    done = run("bring_up", tmp_path / "run", parameters, bench=profile, overrides=STANDS_UP)
+    assert (done.result.verdict.value, done.result.error) == (verdict, None)
+    assert "imu.tilt_apart" in done.failed
+    assert ["tilted by 90 deg" in e.message for e in done.result.teardown_errors] == [True] * (
+        verdict == "ERROR"
+    )
+    assert done.values["imu.tilt_apart"] == pytest.approx(90.0, abs=3.0)
+    assert [s["title"] for s in done.result.facts["steps"]] == ["identity", "streams"]
+    assert "nothing was moved" in done.result.to_json()["said"]
+
+
+def test_an_imu_that_is_turned_about_the_vertical_stands_as_the_bench_file_says(tmp_path):
+    turned = {"emulation.imu": {"mount_rotation_wxyz": [0.5**0.5, 0.0, 0.0, 0.5**0.5]}}
+    done = run("bring_up", tmp_path / "run", BRIEF | {"devices": "servos,imu,mocap"}, overrides=turned)
+    assert done.values["imu.tilt_apart"] < 3.0
+    assert "imu.gyro_response" in done.values, "the body was moved"
 
 
 @pytest.mark.long

@@ -137,6 +137,29 @@ def test_an_eeprom_that_does_not_fit_is_told_and_left_alone(servo_bench, joint, 
         servo_bench(eeprom={joint: {register: raw}})
 
 
+@pytest.mark.parametrize(
+    ("modes", "first"),
+    [
+        ({0: 3, 4: 1}, "drive_FL (ID 1) and steer_FL (ID 5) have each other's operating mode"),
+        ({2: 3, 4: 1}, "drive_BR (ID 3) and steer_FL (ID 5) have"),
+        ({0: 3, 1: 3, 4: 1, 5: 1}, "drive_FL (ID 1), drive_BL (ID 2) and steer_FL (ID 5), steer_BL (ID 6)"),
+        ({0: 3}, "nothing is written"), ({4: 1}, "nothing is written"),
+        ({0: 3, 1: 3, 4: 1}, "nothing is written"), ({0: 4, 4: 1}, "nothing is written"),
+    ],
+)  # fmt: skip
+def test_exchanged_ids_are_named_before_any_register(servo_bench, modes, first):
+    """Written into the EEPROM, the mode of a drive would let a steering axis turn without end."""
+    with pytest.raises(DeviceError) as caught:
+        servo_bench(eeprom={joint: {"operating_mode": mode} for joint, mode in modes.items()})
+    remedy = caught.value.remedy
+    assert remedy.startswith(first)
+    exchanged = not first.startswith("nothing")
+    assert ("if the IDs in the bench file are right, write them" in remedy) is exchanged
+    if len(modes) == 2 and exchanged:
+        drive, steer = (str(joint + 1) for joint in modes)
+        assert f"first exchange {drive} in servos.drive_ids and {steer} in servos.steer_ids" in remedy
+
+
 def test_the_commands_that_are_printed_set_the_servos_up(servo_bench):
     bench = servo_bench(
         eeprom={0: {"operating_mode": 3}, 6: {"homing_offset": 100, "drive_mode": 1}}, open_driver=False

@@ -244,12 +244,27 @@ class RobotRecord:
 
 def check_robot(file: RecordFile, robot: Identity, path: Path) -> None:
     """Refuse the record of another robot; raises `ConfigError` with everything that differs."""
-    problems = tuple(file.robot.differences(robot))
+    check_robot_is(
+        file.robot, robot, f"{path}: the record of another robot; nothing of it is applied",
+        "name this robot's record in [record], or another folder (--set bench.record.folder=DIR)",
+    )  # fmt: skip
+
+
+def check_robot_is(
+    there: Identity, here: Identity, message: str, remedy: str, place: str = "in the record"
+) -> None:
+    """Refuse what is of another robot; raises `ConfigError` with everything that differs.
+
+    Args:
+        there: whose it is.
+        here: the robot that is to have it.
+        message: of the error.
+        remedy: of the error.
+        place: where it says whose it is.
+    """
+    problems = tuple(there.differences(here, place))
     if problems:
-        raise ConfigError(
-            f"{path}: the record of another robot; nothing of it is applied", problems=problems,
-            remedy="name this robot's record in [record], or another folder (--set bench.record.folder=DIR)",
-        )  # fmt: skip
+        raise ConfigError(message, problems=problems, remedy=remedy)
 
 
 def read_version(path: Path, remedy: str) -> RecordFile:

@@ -16,9 +16,13 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from hil.config.record.plausible import not_plain
+
 Four = tuple[float, float, float, float]
 FourNumbers = tuple[int, int, int, int]
 _SAME_M = 1e-6
+NOT_VERIFIED = "not verified"
+"""Verdict of a part that was taken from a file which does not say how its run ended."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ class Part(_Model):
     """What one procedure found.
 
     Attributes:
-        procedure, verdict: who found it, and how that run ended.
+        procedure, verdict: who found it, and how that run ended; `not verified` of a file that does not say.
         measured: date and time, ISO 8601.
         bench: name of the bench.
         surface: of the environment that it holds for; empty for everywhere.
@@ -129,7 +133,7 @@ class Part(_Model):
     """
 
     procedure: str
-    verdict: Literal["PASS", "MARGINAL"]
+    verdict: Literal["PASS", "MARGINAL", "not verified"]
     measured: str
     bench: str
     surface: str = ""
@@ -140,6 +144,13 @@ class Part(_Model):
     figures: dict[str, Figure] = {}
     covariance: Spread | None = None
     made_with: dict[str, str] = {}
+
+    @field_validator("values")
+    @classmethod
+    def _plain(cls, value: dict[str, Any]) -> dict[str, Any]:
+        if problems := [f"{key}: {text}" for key, one in value.items() for text in not_plain(one)]:
+            raise ValueError("; ".join(dict.fromkeys(problems)))
+        return value
 
     @field_validator("until")
     @classmethod
@@ -172,8 +183,8 @@ class Identity(_Model):
     wheel_y_m: Four
     wheel_radius_m: Four
 
-    def differences(self, other: Identity) -> Iterator[str]:
-        """What another robot has otherwise: `key: value here, value there`; unknown counts as alike."""
+    def differences(self, other: Identity, place: str = "in the record") -> Iterator[str]:
+        """What another robot has otherwise: `key: value PLACE, value here`; unknown counts as alike."""
         for key in Identity.model_fields:
             mine, theirs = getattr(self, key), getattr(other, key)
             if mine is None or theirs is None or mine == theirs:
@@ -182,7 +193,7 @@ class Identity(_Model):
                 abs(a - b) < _SAME_M for a, b in zip(mine, theirs, strict=True)
             ):
                 continue
-            yield f"{_KEYS[key]}: {_shown(mine)} in the record, {_shown(theirs)} here"
+            yield f"{_KEYS[key]}: {_shown(mine)} {place}, {_shown(theirs)} here"
 
 
 _KEYS = {

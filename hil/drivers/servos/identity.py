@@ -168,13 +168,35 @@ def check_setup(config: ServosConfig, registers: RegisterMap, blocks: list[bytes
             change = " ".join(f"--register {setting}" for _, setting in wrong)
             commands.append(setup_command(config, config.ids[joint], change))
     if problems:
+        exchanged = _exchanged_ids(config, [registers.from_block(b, "operating_mode") for b in blocks])
+        unless = "if the IDs in the bench file are right, " if exchanged else ""
         raise DeviceError(
             device,
             "servos are not set up for this bench\n  " + "\n  ".join(problems) + "\n ",
             port=config.port,
             expected="these registers in the EEPROM",
-            remedy="nothing is written by itself; write them with\n  " + "\n  ".join(commands),
+            remedy=f"{exchanged}nothing is written by itself; {unless}write them with\n  "
+            + "\n  ".join(commands),
         )
+
+
+def _exchanged_ids(config: ServosConfig, modes: list[int]) -> str:
+    """What to do first where drives have the mode of steering servos and as many of these that of drives.
+
+    Such servos are set up well, and named the wrong way round. Written into the EEPROM, the modes would let a
+    steering axis turn without end.
+    """
+    steering = STEER_MODES[config.steer_mode]
+    drives = [k for k in range(4) if modes[k] == steering]
+    axes = [k for k in range(4, 8) if modes[k] == VELOCITY]
+    if not drives or len(drives) != len(axes):
+        return ""
+    named = [", ".join(f"{SERVOS[k]} (ID {config.ids[k]})" for k in some) for some in (drives, axes)]
+    ids = [", ".join(str(config.ids[k]) for k in some) for some in (drives, axes)]
+    return (
+        f"{named[0]} and {named[1]} have each other's operating mode: probably their IDs are exchanged in "
+        f"the bench file; first exchange {ids[0]} in servos.drive_ids and {ids[1]} in servos.steer_ids; "
+    )
 
 
 def _setup_problems(

@@ -1,0 +1,46 @@
+"""Which values a part of a record may hold: plain and finite, and what its procedure would have let pass."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+ZERO_LIMIT_RAD = math.radians(6.0)
+"""A steering axis that is further off has its horn on another tooth."""
+SCALE_LIMITS = (0.97, 1.03)
+"""Of a tracking camera: distance that it reports over the true one."""
+_LIMITS: Mapping[str, tuple[float, float, str, str]] = {
+    "alignment.steer_zero_rad": (-ZERO_LIMIT_RAD, ZERO_LIMIT_RAD, "rad", "steering_zero"),
+    "tracker.scale": (*SCALE_LIMITS, "times the true distance", "tracker_extrinsics"),
+}
+"""Limits of procedures that are narrower than those of the bench file, by key: low, high, unit, procedure."""
+
+
+def not_plain(value: object) -> Iterator[str]:
+    """What of a value is no number, text, list or table, or is not finite; in words."""
+    if isinstance(value, Mapping):
+        value = list(value.values())
+    if isinstance(value, (list, tuple)):
+        for one in value:
+            yield from not_plain(one)
+    elif isinstance(value, float) and not math.isfinite(value):
+        yield f"{value} is no finite number"
+    elif not isinstance(value, (str, bool, int, float)):
+        yield f"a {type(value).__name__} is no number, text, list or table"
+
+
+def implausible(values: Mapping[str, Any]) -> Iterator[str]:
+    """What no procedure would have let pass among values by their keys: `key: what is wrong`."""
+    for key, value in values.items():
+        yield from (f"{key}: {text}" for text in dict.fromkeys(not_plain(value)))
+        if key not in _LIMITS:
+            continue
+        low, high, unit, procedure = _LIMITS[key]
+        numbers = [v for v in (value if isinstance(value, (list, tuple)) else [value]) if _is_finite(v)]
+        if beyond := ", ".join(f"{v:g}" for v in numbers if not low <= v <= high):
+            yield f"{key}: {beyond}: {procedure} lets {low:.3g} to {high:.3g} {unit} pass"
+
+
+def _is_finite(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
