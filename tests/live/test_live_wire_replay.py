@@ -127,8 +127,8 @@ def test_what_cannot_be_repeated_is_named(tmp_path):
     short = turn_and_go(duration_s=0.5, rest_s=0.1)
     with pytest.raises(DataError, match="too short"):
         RecordedRobot(short, tilt_rad=0.0, after_s=0.0)
-    for name in ("turn_1.csv", "turn_2.csv"):
-        write_plain(tmp_path / name, turn_and_go())
+    for number, rest_s in ((1, 0.6), (2, 0.7)):
+        write_plain(tmp_path / f"turn_{number}.csv", turn_and_go(rest_s=rest_s))
     with pytest.raises(ConfigError, match="2 recordings"):
         hil.open_bench("emulated_floor", overrides={"emulation.replay": str(tmp_path)})
     with pytest.raises(DataError, match="does not exist"):
