@@ -357,6 +357,20 @@ def test_a_resumed_one_repeats_what_the_record_no_longer_holds_and_what_shows_it
     assert set(RobotRecord(folder / "robot").read().parts) == {"zeros", "backlash", "camera"}
 
 
+def test_a_procedure_is_given_those_faults_that_its_devices_can_have(tmp_path, monkeypatch):
+    given, facts = {}, {"data": {}, "record": None, "duration_s": 1.0, "held": None}
+
+    def run(proc, source, options):
+        given[proc.name] = tuple(source.faults)
+        source.check_faults()
+        return Result(proc.name, Verdict.PASS, options.folder, [], facts)
+
+    monkeypatch.setattr(running, "run_procedure", run)
+    faults = ("load_cells:wrong@0", "imu:stuck@1000")
+    assert commission(asked(tmp_path / "out", source=replace(SOURCE, faults=faults)))[1] == 0
+    assert given == {"tracker_extrinsics": ("imu:stuck@1000",), "wall_ablation": faults}
+
+
 def test_what_was_left_out_is_run_once_the_bench_has_the_device(tmp_path, passing):
     path, folder = tmp_path / "my.toml", tmp_path / "out"
     text = (PROFILES / "emulated_delivered.toml").read_text()

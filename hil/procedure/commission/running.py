@@ -227,7 +227,8 @@ class _Running:
 
     def _run(self, stage: Stage, number: int, overrides: dict[str, object]) -> Result:
         asked = self._asked
-        source = asked.source.changed(overrides={**placed(stage, number, self._config), **overrides})
+        overrides = {**placed(stage, number, self._config), **overrides}
+        source = asked.source.changed(overrides=overrides).with_its_faults()
         folder, resume = self._folder(stage, number, source.config)
         options = RunOptions(
             folder=folder, clock=asked.clock, started=asked.now(),
