@@ -14,7 +14,7 @@ import click
 
 from hil.cli.options import FILE, OUT
 from hil.cli.progress import reporting
-from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, ConfigError, DataError, UsageError
+from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, ConfigError, DataError, UsageError
 from hil.vocabulary.files import check_ending, check_file, put_whole, refused
 
 if TYPE_CHECKING:
@@ -56,7 +56,8 @@ def command(
     """Fit the estimator's noise by the likelihood of the true pose in RECORDINGS.
 
     Figures about which they say nothing, as the gyro's in recordings of wheels alone, are left out. With
-    --check the exit code is 1 where the new figures do worse on what was not fitted.
+    --check the exit code is 1 where the new figures do worse on what was not fitted. A damaged recording is
+    used as far as it can be read, and the exit code is 2.
 
     Example: hil tune out/wall_tracking/first
     """
@@ -69,8 +70,9 @@ def command(
         raise UsageError(
             f"{min(twice)}: is fitted and held out at once", expected="other recordings for --check"
         )
-    config, runs = _read(_once(recordings, fitted), bench, calibration)
-    held = _read(_once(check, held_out), bench, calibration)[1] if check else []
+    problems: list[str] = []
+    config, runs = _read(_once(recordings, fitted), bench, calibration, problems)
+    held = _read(_once(check, held_out), bench, calibration, problems)[1] if check else []
     start = _start(config.estimator, runs)
     pair: tuple[Score, Score] | None = None
     with reporting(quiet=as_json) as report:
@@ -89,13 +91,15 @@ def command(
         result["held_out"] = {"before": asdict(pair[0]), "after": asdict(pair[1])}
         lost = worse(*pair)
     result["verdict"] = None if pair is None else "FAIL" if lost else "PASS"
-    result["warnings"] = [_do_not_use(check, lost, out)] if lost else []
+    result["problems"] = problems
+    result["warnings"] = [f"{what}; what was readable is used" for what in problems]
+    result["warnings"] += [_do_not_use(check, lost, out)] if lost else []
     for line in result["warnings"]:
         click.echo(f"warning: {line}", err=True)
     if out is not None:
         _write(out, bench, found)
     click.echo(json.dumps(result) if as_json else _text(found, pair, result["verdict"]))
-    return EXIT_LIMIT_FAILED if lost else EXIT_PASS
+    return EXIT_LIMIT_FAILED if lost else EXIT_USAGE if problems else EXIT_PASS
 
 
 def _check_out(out: Path, bench: str | None) -> None:
@@ -142,7 +146,7 @@ def _once(paths: Sequence[Path], found: Sequence[Sequence[Job]]) -> list[Job]:
 
 
 def _read(
-    jobs: Sequence[Job], bench: str | None, calibration: Path | None
+    jobs: Sequence[Job], bench: str | None, calibration: Path | None, problems: list[str]
 ) -> tuple[BenchConfig, list[TruthRun]]:
     from hil.estimator.tuning import TruthRun
     from hil.replay.recordings import open_recording
@@ -163,6 +167,7 @@ def _read(
                     opened.bench.config.environment.kind,
                 )
             )  # fmt: skip
+        problems += [f"{path}: {what}" for what in opened.problems]
         usable = [run for run in found if run.can_be_checked()]
         if not usable:
             raise UsageError(f"{path}: has no ground truth to tune on", expected="motion capture in it")

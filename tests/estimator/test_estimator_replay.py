@@ -69,6 +69,17 @@ def test_what_is_fitted_is_not_held_out(recording, capsys):
     assert "is fitted and held out at once; expected other recordings" in capsys.readouterr().err
 
 
+def test_what_is_left_of_a_damaged_recording_is_fitted_and_the_damage_named(recording, tmp_path, capsys):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(recording.read_bytes()[: 3 * recording.stat().st_size // 5])
+    assert main(["tune", str(cut), "--evaluations", "2", "--json"]) == 2
+    out, err = capsys.readouterr()
+    told = json.loads(out)
+    assert str(cut) in told["problems"][0]
+    assert f"warning: {told['problems'][0]}; what was readable is used" in err
+    assert told["fitted"]["after"]["rmse_position_m"] > 0.0
+
+
 def test_a_choice_of_estimators(recording, capsys):
     assert main(["replay", str(recording), "--estimator", "smoother", "--estimator", "odometry"]) == 0
     lines = capsys.readouterr().out.splitlines()
