@@ -10,14 +10,14 @@ from typing import Any
 from pydantic import ValidationError
 
 from hil.calibration.artefact import CalibrationFile, read_calibration
-from hil.calibration.versions import PASSED, check_made_for
+from hil.calibration.versions import check_made_for
 from hil.config.bench import BenchConfig
 from hil.config.loading import explained, load_bench
 from hil.config.record import PARTS, NewPart, Part, RobotRecord
 from hil.config.record.folder import check_robot
 from hil.config.record.origin import Origin, of_fragment, of_part
 from hil.config.record.overlay import identity
-from hil.config.record.parts import Identity, part_of
+from hil.config.record.parts import PASSED, Identity, part_of
 from hil.config.record.plausible import implausible
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.kinds import kinds

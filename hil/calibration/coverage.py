@@ -13,6 +13,7 @@ import numpy as np
 
 from hil.calibration.datasets import Recording
 from hil.calibration.nominal import Nominal, lever_m
+from hil.calibration.units import rolled_m
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array
 
@@ -122,9 +123,10 @@ def _furthest(ways_m: Array) -> float:
 
 def _rolled_m(recording: Recording, nominal: Nominal) -> tuple[float, float]:
     """Way of the wheels while there is ground truth, and in all, mean of the four, m."""
-    t_s, steps = recording.t_s, np.abs(np.diff(recording.wheel_angle_rad, axis=0)).mean(axis=1)
-    seen = (t_s[1:] >= recording.truth_t_s[0]) & (t_s[:-1] <= recording.truth_t_s[-1])
-    return nominal.radius_m * float(steps[seen].sum()), nominal.radius_m * float(steps.sum())
+    t_s, angle = recording.t_s, recording.wheel_angle_rad
+    first = max(int(np.searchsorted(t_s, recording.truth_t_s[0])) - 1, 0)
+    behind = int(np.searchsorted(t_s, recording.truth_t_s[-1], side="right")) + 1
+    return rolled_m(angle[first:behind], nominal.radius_m), rolled_m(angle, nominal.radius_m)
 
 
 def _refusal(recording: Recording, one: Unseen) -> DataError:

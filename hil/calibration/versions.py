@@ -25,7 +25,7 @@ from hil.calibration.artefact import (
     save_calibration,
 )
 from hil.config.bench import BenchConfig
-from hil.config.record.parts import Identity
+from hil.config.record.parts import PASSED, Identity
 from hil.config.servos import ServosConfig
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import ConfigError
@@ -35,7 +35,6 @@ from hil.vocabulary.reading import MOST_TOML_BYTES, read_bytes
 if TYPE_CHECKING:
     from hil.calibration.calibrate import Calibration
 
-PASSED = ("PASS", "MARGINAL")
 _SAME_M = 1e-6
 _SAME_RAD = 1e-6
 

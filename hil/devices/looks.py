@@ -14,6 +14,8 @@ from hil.vocabulary.kinds import DeviceKind
 from hil.vocabulary.signals import Status, worst
 
 LOSS_WARNING, LOSS_FAILURE = 0.02, 0.2
+SUPPLY = "check its supply and cable"
+"""What to do about a device that starts over."""
 MORE_WARNING, MORE_FAILURE = 0.05, 0.2
 """Share of samples beyond those that are due: data sheets let the rate of MEMS sensors be off by up to 3 %;
 clocks and their adjustment are off by less than 0.1 %."""
@@ -80,13 +82,17 @@ def losses(name: str, statuses: Iterable[Status], due: int, remedy: str) -> Find
     if more > MORE_WARNING:
         level: Level = "failure" if more > MORE_FAILURE else "warning"
         return Finding(name, "samples", level, f"{count} samples where {due} are due", _NO_MORE, _WHY_MORE)
-    if Status.RESET in seen:
-        found = f"{seen[Status.RESET]} of {count} samples say that it has restarted"
-        return Finding(name, "samples", "failure", found, "none", "check its supply and cable")
+    if again := restarted(seen[Status.RESET], count):
+        return Finding(name, "samples", "failure", again, "none", SUPPLY)
     loss = 1.0 - good / due if due else 1.0
     level = "failure" if loss > LOSS_FAILURE else "warning" if loss > LOSS_WARNING else "ok"
     told = ", ".join(f"{count} {status.value}" for status, count in seen.most_common()) or "no bad samples"
     return Finding(name, "samples", level, f"{good} of {due} good ({told})", "nearly all good", remedy)
+
+
+def restarted(again: int, count: int) -> str:
+    """What is to be said where samples (`again` of `count`) tell of a restart; empty where none does."""
+    return f"{again} of {count} samples say that it has restarted" if again else ""
 
 
 def samples_look(remedy: str) -> Callable[[Watched], Iterator[Finding]]:

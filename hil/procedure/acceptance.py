@@ -64,11 +64,13 @@ class Stage:
     why: str = "not begun"
     findings: list[Finding] = field(default_factory=list)
 
-    def end(self, verdict: Verdict | None = None, why: str = "") -> None:
-        """Judge it by its findings, unless a verdict is given."""
+    def end(self, verdict: Verdict | None = None, why: str = "", left_out: str = "") -> None:
+        """Judge it by its findings, unless a verdict is given; with something left out it has not passed."""
         failed = sum(f.level == "failure" for f in self.findings)
-        self.why = why or (f"{failed} of {len(self.findings)} checks failed" if failed else "")
-        self.verdict = (verdict or (Verdict.FAIL if failed else Verdict.PASS)).value
+        why = why or (f"{failed} of {len(self.findings)} checks failed" if failed else "")
+        self.why = "; ".join(filter(None, (why, left_out)))
+        whole = Verdict.ABORTED if left_out else Verdict.PASS
+        self.verdict = (verdict or (Verdict.FAIL if failed else whole)).value
 
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
@@ -236,9 +238,7 @@ class _Running:
         self._asked.report(CONTRACT, len(devices), max(len(devices), 1))
         left = f"not asked, because they do not open: {', '.join(sorted(closed))}" if closed else ""
         for stage in (self.current, late):
-            stage.end()
-            whole = not left or stage.verdict == Verdict.FAIL.value
-            stage.end(None if whole else Verdict.ABORTED, "; ".join(filter(None, (stage.why, left))))
+            stage.end(left_out=left)
 
     def _one(self, stage: Stage, device: str, promise: str, check: Callable[[], str]) -> None:
         """One check; a signal before it, or within, ends the acceptance."""

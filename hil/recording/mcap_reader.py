@@ -28,7 +28,7 @@ _CYCLE, _NOTE = "/hil/cycle", "/hil/notes"
 _RECORD, _CHANNEL_ID = struct.Struct("<BQ"), struct.Struct("<H")
 _MESSAGE_HEAD = 2 + 4 + 8 + 8
 _MAGIC_BYTES = 8
-_COPY = "copy it again from where it was recorded"
+COPY_AGAIN = "copy it again from where it was recorded"
 GO_ON = "give a list as `problems` to go on with what could be read"
 
 Cycle = TypeVar("Cycle", CycleRecord, StoredCycle)
@@ -85,7 +85,7 @@ class RecordingReader:
         if ours and not problems:
             problems.append(f"is damaged before byte {at}: what says how to read it is not there")
         if problems:
-            raise DataError(str(self.path), problems[0], remedy=_COPY)
+            raise DataError(str(self.path), problems[0], remedy=COPY_AGAIN)
         raise DataError(str(self.path), "holds no cycle records of this project", remedy=NEEDS_TOPICS)
 
     def _described(self, at: int, metadata: Mapping[str, str]) -> tuple[dict[str, Any], CycleDecoder]:
@@ -103,7 +103,7 @@ class RecordingReader:
             raise DataError(
                 str(self.path),
                 f"cannot be understood, or is damaged after byte {at} ({error})",
-                remedy=f"{_COPY}, or read it with the version that wrote it",
+                remedy=f"{COPY_AGAIN}, or read it with the version that wrote it",
             ) from None
 
     def items(self) -> Iterator[CycleRecord | Note]:
@@ -273,7 +273,7 @@ def _must_be_mcap(path: Path, reached: int, error: Exception | None) -> None:
     if error is None:
         return
     if reached == 0:
-        raise DataError(str(path), "is empty", expected="a recording (.mcap)", remedy=_COPY)
+        raise DataError(str(path), "is empty", expected="a recording (.mcap)", remedy=COPY_AGAIN)
     if isinstance(error, InvalidMagic) or reached < _MAGIC_BYTES:
         raise DataError(
             str(path), "is not an MCAP file", expected="a recording (.mcap)", remedy=_in_place_of(path)

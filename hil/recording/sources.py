@@ -14,7 +14,7 @@ from hil.calibration.datasets import Recording
 from hil.calibration.nominal import Nominal
 from hil.calibration.signs import check_signs
 from hil.recording import export, plain_csv, public_csv, rosbag
-from hil.recording.mcap_reader import NEEDS_TOPICS
+from hil.recording.mcap_reader import COPY_AGAIN, NEEDS_TOPICS
 from hil.recording.names import named_apart
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.files import check_name
@@ -189,7 +189,7 @@ def _whole_or_not(path: Path, nominal: Nominal | None) -> Recording:
         why = error.message.removeprefix(f"{path}: ")
         raise DataError(
             str(path), f"{'; '.join(problems)}; what could be read does not do: {why}",
-            expected=error.expected, remedy="copy it again from where it was recorded",
+            expected=error.expected, remedy=COPY_AGAIN,
         ) from None  # fmt: skip
 
 

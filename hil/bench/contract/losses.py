@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from hil.bench.contract.delays import BUSY_SHARE, idle_for
 from hil.bench.contract.subject import SHARE, Broken, Subject, due, read_for
+from hil.devices.looks import SUPPLY, restarted
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import Status, worst
 
@@ -44,8 +45,7 @@ def _watched(subject: Subject) -> tuple[int, float]:
         read_for(subject.bench, device, _SETTLE_S)
         samples = read_for(subject.bench, device, _WATCH_S)
     states = [worst(s) for s in samples]
-    if again := states.count(Status.RESET):
-        found = f"{again} of {len(states)} samples say that it has restarted"
-        raise Broken(found, "none", "check its supply and cable")
+    if again := restarted(states.count(Status.RESET), len(states)):
+        raise Broken(again, "none", SUPPLY)
     wanted = due(subject.bench, subject.kind, samples, _WATCH_S)
     return states.count(Status.OK), max(_AT_THE_ENDS + 1.0, wanted)

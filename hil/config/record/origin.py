@@ -16,13 +16,12 @@ from typing import Any
 from pydantic import ValidationError
 
 from hil.config.record.folder import check_robot_is
-from hil.config.record.parts import NOT_VERIFIED, Identity
+from hil.config.record.parts import NOT_VERIFIED, PASSED, Identity
 from hil.vocabulary.errors import ConfigError, DataError
 from hil.vocabulary.reading import MOST_TOML_BYTES, json_value, read_json, read_text
 
 RESULT = "result.json"
 FROM_A_FILE = "taken from a file"
-_PASSED = ("PASS", "MARGINAL")
 _ROBOT = re.compile(r"^# robot = (\{.*\})$", re.MULTILINE)
 _VERDICT = re.compile(r'^# verdict = "(.*)"\n', re.MULTILINE)
 
@@ -43,7 +42,7 @@ class Origin:
 
     def must_have_passed(self, path: Path) -> None:
         """Refuse what a run has left that did not pass; raises `ConfigError` that names the file."""
-        if self.verdict not in (*_PASSED, NOT_VERIFIED):
+        if self.verdict not in (*PASSED, NOT_VERIFIED):
             raise ConfigError(
                 f"{path}: left by a run that ended in {self.verdict}; nothing of it was applied",
                 expected="a run that passed",

@@ -15,11 +15,12 @@ from typing import Any
 from hil.config.bench import BenchConfig
 from hil.config.encoders import EncodersConfig
 from hil.config.record import Part
+from hil.config.record.parts import PASSED as RAN_AND_PASSED
 from hil.config.recorded import changed_since
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.commission.resting import as_its_file_says, parts_in, rests_on, why_again
 from hil.procedure.commission.stages import PROMPTS, STAGES, Place, Stage, placed, stages
-from hil.procedure.commission.state import PASSED, RAN_AND_PASSED, State, state_of
+from hil.procedure.commission.state import PASSED, State, state_of
 from hil.procedure.commission.stopping import page_of, stopped_at, stopped_before
 from hil.procedure.fragment import NAME as FRAGMENT
 from hil.procedure.interrupts import Interrupts

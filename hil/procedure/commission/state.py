@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hil.config.record.parts import PASSED as RAN_AND_PASSED
 from hil.vocabulary.errors import ConfigError, DataError
 from hil.vocabulary.files import put_whole
 from hil.vocabulary.reading import read_json
 
 NAME = "commission.json"
-RAN_AND_PASSED = ("PASS", "MARGINAL")
 PASSED = (*RAN_AND_PASSED, "SKIPPED")
 
 
