@@ -17,11 +17,12 @@ from hil.config.record import PARTS, NewPart, Part, RobotRecord
 from hil.config.record.folder import check_robot
 from hil.config.record.origin import Origin, of_fragment, of_part
 from hil.config.record.overlay import identity
-from hil.config.record.parts import PASSED, Identity, part_of
+from hil.config.record.parts import Identity, part_of
 from hil.config.record.plausible import implausible
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.reading import dotted, read_toml
+from hil.vocabulary.result_files import PASSED
 
 _FILES = ("imu.calibration_file", "calibration")
 

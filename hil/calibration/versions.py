@@ -25,12 +25,13 @@ from hil.calibration.artefact import (
     save_calibration,
 )
 from hil.config.bench import BenchConfig
-from hil.config.record.parts import PASSED, Identity
+from hil.config.record.parts import Identity
 from hil.config.servos import ServosConfig
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.files import put_whole
 from hil.vocabulary.reading import MOST_TOML_BYTES, read_bytes
+from hil.vocabulary.result_files import PASSED
 
 if TYPE_CHECKING:
     from hil.calibration.calibrate import Calibration

@@ -12,6 +12,7 @@ import click
 from hil.cli.attended import answers_option, operator, watching
 from hil.cli.options import OUT, SEED, results_folder
 from hil.cli.progress import reporting
+from hil.vocabulary.result_files import ACCEPTANCE_TABLE
 
 
 @click.command()
@@ -40,13 +41,13 @@ def command(
     from hil.procedure.acceptance import Acceptance, accept
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.interrupts import Interrupts
-    from hil.report.acceptance_page import DATA, write_acceptance
+    from hil.report.acceptance_page import write_acceptance
     from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, HilError
     from hil.vocabulary.files import check_folder
 
     folder = results_folder("accept", out, None)
     check_folder(folder)
-    if (folder / DATA).exists():
+    if (folder / ACCEPTANCE_TABLE).exists():
         raise ConfigError(f"{folder}: holds an acceptance", remedy="choose another --out")
     interrupts = Interrupts(lambda text: click.echo(f"hil: {text}", err=True))
     source = BenchSource(

@@ -16,7 +16,7 @@ import click
 
 from hil.cli.campaign_check import check
 from hil.cli.campaign_files import files_of
-from hil.cli.campaign_plan import RUNS, SCHEMA, alone_in, keep_plan
+from hil.cli.campaign_plan import SCHEMA, alone_in, keep_plan
 from hil.cli.campaign_runs import (
     Delivery,
     Job,
@@ -32,13 +32,13 @@ from hil.cli.output import kept_for_json
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, DataError, UsageError
 from hil.vocabulary.files import check_name, write_text
+from hil.vocabulary.result_files import CAMPAIGN_CSV, CAMPAIGN_PAGE, CAMPAIGN_TABLE, ROWS, RUNS
 
 if TYPE_CHECKING:
     from hil.procedure.campaign import Case, Row
     from hil.procedure.declaration import Procedure
     from hil.procedure.outputs import Keep
 
-CSV, PAGE, ROWS = "campaign.csv", "campaign.html", "rows"
 _SHOWN = 5
 """So many broken runs are named on the terminal."""
 _LONGEST = 400
@@ -105,7 +105,7 @@ def command(
         click.echo(json.dumps(tree, allow_nan=False))
     else:
         click.echo(_text(tree))
-        click.echo(f"page: {out / PAGE}")
+        click.echo(f"page: {out / CAMPAIGN_PAGE}")
     return exit_code(rows)
 
 
@@ -189,7 +189,6 @@ def _write(
 ) -> dict[str, Any]:
     from hil.procedure.campaign import alike, summarise, write_campaign_page, write_csv
     from hil.procedure.campaign.table import count
-    from hil.report.result_file import CAMPAIGN_TABLE
 
     code = exit_code(rows)
     tree: dict[str, Any] = {
@@ -204,12 +203,12 @@ def _write(
         "groups": summarise(rows),
         "alike": alike(rows),
         "folder": str(out),
-        "page": str(out / PAGE),
+        "page": str(out / CAMPAIGN_PAGE),
         "rows": [{**row.to_json(), "command": setup.command(row.case)} for row in rows],
     }
     write_text(out / CAMPAIGN_TABLE, json.dumps(tree, indent=1, allow_nan=False) + "\n")
-    write_csv(out / CSV, rows)
-    write_campaign_page(out / PAGE, tree, rows)
+    write_csv(out / CAMPAIGN_CSV, rows)
+    write_campaign_page(out / CAMPAIGN_PAGE, tree, rows)
     return tree
 
 
@@ -236,7 +235,7 @@ def _text(tree: dict[str, Any]) -> str:
     broken = [row for row in tree["rows"] if row["verdict"] in ("ERROR", "LOST")]
     lines += [f"{row['verdict']} {row['case']}: {_line(row['error'])}" for row in broken[:_SHOWN]]
     if len(broken) > _SHOWN:
-        lines.append(f"{len(broken) - _SHOWN} more such runs are in {CSV}")
+        lines.append(f"{len(broken) - _SHOWN} more such runs are in {CAMPAIGN_CSV}")
     counted = ", ".join(f"{n} {verdict}" for verdict, n in tree["verdicts"].items())
     if untested := tree["cases"] - sum(group["tested"] for group in tree["groups"]):
         counted += f"; {untested} of them NOT TESTED: a fault never acted"

@@ -16,6 +16,7 @@ from hil.cli.campaign_runs import Setup
 from hil.vocabulary.errors import ConfigError, UsageError
 from hil.vocabulary.files import make_folder, put_whole
 from hil.vocabulary.reading import read_json
+from hil.vocabulary.result_files import PLAN, RUNS
 from hil.vocabulary.versions import make
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from hil.procedure.declaration import Procedure
 
 SCHEMA = 1
-PLAN, RUNS = "plan.json", "runs"
 _NOT_COMPARED = ("answers", "keep", "places")
 
 

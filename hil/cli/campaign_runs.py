@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, HilError, RecordingError
+from hil.vocabulary.result_files import JOURNAL
 
 if TYPE_CHECKING:
     from hil.procedure.bench_source import BenchSource
@@ -204,12 +205,12 @@ def _result(job: Job) -> dict[str, Any]:
 
 def _begun(folder: Path) -> bool:
     """Whether a run that can go on to the same end is there; another is put aside, and begins anew."""
-    from hil.procedure.journal import NAME, read_journal
+    from hil.procedure.journal import read_journal
 
     if not folder.exists() or not any(folder.iterdir()):
         return False
     try:
-        past = read_journal(folder / NAME)
+        past = read_journal(folder / JOURNAL)
     except ConfigError:
         past = None
     if past is None or past.left_behind:

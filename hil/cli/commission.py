@@ -14,6 +14,7 @@ from hil.cli import start
 from hil.cli.attended import answers_option, operator, watching
 from hil.cli.options import OUT, SEED, results_folder
 from hil.cli.progress import reporting
+from hil.vocabulary.result_files import COMMISSIONING_TABLE
 
 DEFAULT = "emulated_delivered"
 
@@ -46,7 +47,6 @@ def command(
     """
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.commission import Commission, commission
-    from hil.procedure.commission.state import NAME
     from hil.procedure.interrupts import Interrupts
     from hil.vocabulary.clock import MonotonicClock
 
@@ -56,7 +56,7 @@ def command(
     )  # fmt: skip
     source = source.changed(overrides=start.asked_start(source.config))
     interrupts = Interrupts(lambda text: click.echo(f"hil: {text}", err=True))
-    folder = results_folder("commission", out, NAME if resume else None)
+    folder = results_folder("commission", out, COMMISSIONING_TABLE if resume else None)
     with interrupts.installed(), interrupts.deferred(), reporting() as report:
         told, code = commission(
             Commission(

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from hil.cli.options import FILE, OUT
+from hil.vocabulary.result_files import COMPARISON
 
 
 @click.command()
@@ -33,7 +34,7 @@ def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:
         found = {"report": str(page), "procedure": tree["procedure"], "verdict": tree["verdict"]}
         click.echo(json.dumps(found) if as_json else printable(f"{tree['verdict']}: {page}"))
         return 0
-    page = out if out is not None else own_file(folders[0], "compare.html")
+    page = out if out is not None else own_file(folders[0], COMPARISON)
     if any(map(is_campaign, folders)):
         return _campaigns(folders, page, as_json)
     table = compare(folders)

@@ -12,6 +12,7 @@ import click
 
 from hil.cli.options import FILE, OUT, SuggestingGroup
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS
+from hil.vocabulary.result_files import TRENDS
 
 if TYPE_CHECKING:
     from hil.report.history.found import Kept
@@ -216,7 +217,7 @@ def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bo
     """
     from hil.report.history.choice import chosen
     from hil.report.history.found import find_results
-    from hil.report.history.page import PAGE, headline, write_trends_page
+    from hil.report.history.page import headline, write_trends_page
     from hil.report.history.series import ALARMS, groups
     from hil.report.result_file import own_file
     from hil.vocabulary.reading import printable
@@ -224,7 +225,7 @@ def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bo
     found = groups(chosen(find_results(where), procedure=procedure, bench=bench, within=True))
     page = None
     if found:
-        page = write_trends_page(own_file(where, PAGE) if out is None else out, found)
+        page = write_trends_page(own_file(where, TRENDS) if out is None else out, found)
     if as_json:
         told = {"page": str(page) if page else None, "groups": [_group_json(g) for g in found]}
         click.echo(json.dumps(told, allow_nan=False))

@@ -15,6 +15,7 @@ from hil.cli.options import FILE, OUT, SEED, results_folder
 from hil.cli.output import kept_for_json, tell
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import HilError
+from hil.vocabulary.result_files import JOURNAL
 
 if TYPE_CHECKING:
     from hil.procedure.declaration import Procedure
@@ -93,7 +94,6 @@ def command(
     """
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.interrupts import Interrupts
-    from hil.procedure.journal import NAME as JOURNAL
     from hil.procedure.parameters import split_settings
     from hil.procedure.scripts import load_procedure
 

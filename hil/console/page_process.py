@@ -26,6 +26,7 @@ from hil.report.history.opening import PAGES as RESULT_PAGES
 from hil.report.history.opening import page_of
 from hil.vocabulary.errors import DataError, HilError
 from hil.vocabulary.kinds import kinds
+from hil.vocabulary.result_files import TRENDS
 
 RESULTS, PAGES = "/results/", "/pages/"
 _MOST_RESULTS = 200
@@ -212,13 +213,13 @@ class PageProcess:
         return Reply(path.read_bytes(), _KINDS[path.suffix], headers=_SANDBOX)
 
     def _trends(self, request: Request) -> Reply:
-        from hil.report.history.page import PAGE, write_trends_page
+        from hil.report.history.page import write_trends_page
         from hil.report.history.series import groups
         from hil.report.result_file import own_file
 
         found = chosen(find_results(self._results), within=True)
-        write_trends_page(own_file(self._results, PAGE), groups(found))
-        return _elsewhere(PAGES + PAGE)
+        write_trends_page(own_file(self._results, TRENDS), groups(found))
+        return _elsewhere(PAGES + TRENDS)
 
 
 def _elsewhere(place: str) -> Reply:

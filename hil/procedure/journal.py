@@ -23,7 +23,6 @@ from hil.vocabulary.reading import json_object, read_bytes
 LOG = logging.getLogger(__name__)
 
 SCHEMA = 1
-NAME = "journal.jsonl"
 _KINDS = frozenset({"run", "resume", "step", "end_step", "checkpoint", "value", "measure", "attach", "table",
                     "figure", "data", "note", "recording", "answer", "held", "end"})  # fmt: skip
 

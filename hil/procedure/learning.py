@@ -23,8 +23,8 @@ from hil.procedure.fragment import seal_fragment
 from hil.procedure.measurements import Verdict
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.files import write_text
+from hil.vocabulary.result_files import PASSED
 
-PASSED = (Verdict.PASS, Verdict.MARGINAL)
 _PIECE = 1 << 20
 
 

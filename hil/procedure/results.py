@@ -16,10 +16,9 @@ from xml.etree import ElementTree
 from hil.procedure.measurements import Measurement, Verdict
 from hil.vocabulary.digits import digits_apart
 from hil.vocabulary.errors import EXIT_ABORTED, EXIT_LIMIT_FAILED, EXIT_PASS, DataError
+from hil.vocabulary.result_files import JUNIT, RESULT
 
 SCHEMA = 1
-RESULT = "result.json"
-JUNIT = "junit.xml"
 KEEPING = "keeping the results"
 """Step named by the error of a result that could not be written."""
 

@@ -19,19 +19,20 @@ from hil.procedure.conclusion import conclude, facts_of, failure, not_held
 from hil.procedure.context import Context
 from hil.procedure.declaration import Procedure
 from hil.procedure.interrupts import Interrupts, time_limit
-from hil.procedure.journal import NAME, SCHEMA, Entry, Journal, PastRun, drop_torn_line, read_journal
+from hil.procedure.journal import SCHEMA, Entry, Journal, PastRun, drop_torn_line, read_journal
 from hil.procedure.learning import keep_parts
 from hil.procedure.measurements import Measurement, Verdict
 from hil.procedure.operator import Operator, Terminal
 from hil.procedure.outputs import Keep
 from hil.procedure.parameters import as_dict, make_parameters
-from hil.procedure.results import KEEPING, RESULT, Failure, Result, write_result
+from hil.procedure.results import KEEPING, Failure, Result, write_result
 from hil.recording.mcap_writer import OnFailure
 from hil.vocabulary.clock import NS_PER_S, Clock
 from hil.vocabulary.collector import without_collector
 from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, DataError, RecordingError
 from hil.vocabulary.files import make_folder, where_else
 from hil.vocabulary.progress import Report, silent
+from hil.vocabulary.result_files import JOURNAL, RESULT
 
 _LEFT_OUT = "Recordings and figures were not kept; the same run without --keep results makes them."
 
@@ -95,7 +96,7 @@ def _recorded_run(
 ) -> Result:  # fmt: skip
     """The run itself, from its first word in the journal to the last in its folder."""
     interrupts = options.interrupts
-    journal = Journal(options.folder / NAME, options.on_recording_failure)
+    journal = Journal(options.folder / JOURNAL, options.on_recording_failure)
     try:
         if past is None:
             journal.add("run", {**header, "started": options.started})
@@ -158,7 +159,7 @@ def _header(proc: Procedure, parameters: Any, source: BenchSource) -> Entry:
 def _past(options: RunOptions, header: Entry, config: BenchConfig) -> PastRun | None:
     folder = options.folder
     if not options.resume:
-        if (folder / NAME).exists() or (folder / RESULT).exists():
+        if (folder / JOURNAL).exists() or (folder / RESULT).exists():
             raise ConfigError(
                 f"{folder}: holds the results of another run", remedy="choose another --out, or --resume"
             )
@@ -169,15 +170,15 @@ def _past(options: RunOptions, header: Entry, config: BenchConfig) -> PastRun | 
                 f"{folder}: cannot be created ({error.strerror})", remedy=where_else(error)
             ) from None
         return None
-    past = read_journal(folder / NAME)
+    past = read_journal(folder / JOURNAL)
     different = [k for k in header if k != "config" and past.header.get(k) != header[k]]
     different += [f"bench.{key}".rstrip(".") for key in changed_since(past.header.get("config"), config)]
     if different:
         raise ConfigError(
-            f"{folder / NAME}: the interrupted run differs in {', '.join(different)}",
+            f"{folder / JOURNAL}: the interrupted run differs in {', '.join(different)}",
             remedy="resume with the same options, or start anew",
         )
-    drop_torn_line(folder / NAME)
+    drop_torn_line(folder / JOURNAL)
     return past
 
 

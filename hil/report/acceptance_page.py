@@ -10,8 +10,7 @@ from typing import Any
 
 from hil.report.pages import environment
 from hil.vocabulary.files import staged
-
-PAGE, DATA = "accept.html", "accept.json"
+from hil.vocabulary.result_files import ACCEPTANCE_PAGE, ACCEPTANCE_TABLE
 
 
 def write_acceptance(folder: Path, told: Mapping[str, Any]) -> dict[str, Any]:
@@ -30,12 +29,17 @@ def write_acceptance(folder: Path, told: Mapping[str, Any]) -> dict[str, Any]:
     text = (json.dumps(told, indent=2, allow_nan=False) + "\n").encode()
     page = environment().get_template("acceptance.html").render(
         told=told, rows=[_counted(stage) for stage in told["stages"]],
-        digest=hashlib.sha256(text).hexdigest(), data=DATA, sentence=_sentence(told["stages"]),
+        digest=hashlib.sha256(text).hexdigest(), data=ACCEPTANCE_TABLE, sentence=_sentence(told["stages"]),
     )  # fmt: skip
     with staged(folder) as parts:
-        (parts / DATA).write_bytes(text)
-        (parts / PAGE).write_text(page, encoding="utf-8", errors="backslashreplace")
-    return {**told, "folder": str(folder), "page": str(folder / PAGE), "data": str(folder / DATA)}
+        (parts / ACCEPTANCE_TABLE).write_bytes(text)
+        (parts / ACCEPTANCE_PAGE).write_text(page, encoding="utf-8", errors="backslashreplace")
+    return {
+        **told,
+        "folder": str(folder),
+        "page": str(folder / ACCEPTANCE_PAGE),
+        "data": str(folder / ACCEPTANCE_TABLE),
+    }
 
 
 def _sentence(stages: Sequence[Mapping[str, Any]]) -> str:

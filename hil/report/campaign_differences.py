@@ -9,8 +9,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.reading import read_json
+from hil.vocabulary.result_files import PLAN
 
-PLAN = "plan.json"
 _NONE = "–"
 _DIGITS = 8
 

@@ -19,8 +19,9 @@ from hil.report.pages import duration, environment
 from hil.report.robot_table import part_rows
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.files import put_whole, refused, write_text
+from hil.vocabulary.result_files import COMMISSIONING_PAGE
 
-PAGE, FIGURE = "commission.html", "ablation.svg"
+FIGURE = "ablation.svg"
 
 
 def write_commission_page(folder: Path, told: Mapping[str, Any], bench: str, now: str, seed: int) -> Path:
@@ -43,10 +44,10 @@ def write_commission_page(folder: Path, told: Mapping[str, Any], bench: str, now
         stages=[s | {"took": duration(s.get("seconds"))} for s in told["stages"]],
     )  # fmt: skip
     try:
-        put_whole(folder / PAGE, page.encode("utf-8", "backslashreplace"))
+        put_whole(folder / COMMISSIONING_PAGE, page.encode("utf-8", "backslashreplace"))
     except OSError as error:
-        raise refused(folder / PAGE, error) from None
-    return folder / PAGE
+        raise refused(folder / COMMISSIONING_PAGE, error) from None
+    return folder / COMMISSIONING_PAGE
 
 
 def write_robot_page(path: Path, record: RobotRecord, today: date) -> Path:

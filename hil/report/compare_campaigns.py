@@ -16,14 +16,15 @@ from markupsafe import Markup
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy import stats
 
-from hil.report.campaign_differences import PLAN, differences
+from hil.report.campaign_differences import differences
 from hil.report.figures import drawn_image
 from hil.report.pages import environment, number
-from hil.report.result_file import CAMPAIGN_TABLE, GOOD, wrong_shape
+from hil.report.result_file import wrong_shape
 from hil.report.run_plots import PALETTE, new_figure, style
 from hil.vocabulary.errors import DataError, UsageError
 from hil.vocabulary.files import write_text
 from hil.vocabulary.reading import read_json
+from hil.vocabulary.result_files import CAMPAIGN_TABLE, PASSED, PLAN
 
 _SURE = 0.95
 
@@ -46,7 +47,7 @@ class _Row(_Part):
     @property
     def good(self) -> bool:
         """Whether it kept its limits."""
-        return self.verdict in GOOD
+        return self.verdict in PASSED
 
     def value(self, name: str) -> float | None:
         """Of a measurement; None where it has none."""

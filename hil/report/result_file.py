@@ -15,12 +15,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.mistaken import meant
 from hil.vocabulary.reading import read_json
+from hil.vocabulary.result_files import PASSED, RESULT
 
 SCHEMA = 1
-RESULT = "result.json"
-CAMPAIGN_TABLE = "campaign.json"
-GOOD = ("PASS", "MARGINAL")
-"""Verdicts of runs that kept their limits."""
 _SHOWN = 5
 
 _Number = Annotated[float, Field(strict=True)] | None
@@ -163,12 +160,12 @@ def contradiction(result: Mapping[str, Any]) -> str:
         beyond = value is not None and (
             (low is not None and value < low) or (high is not None and value > high)
         )
-        if beyond and row["outcome"] in GOOD:
+        if beyond and row["outcome"] in PASSED:
             return f"{row['name']} is {row['outcome']} with a value beyond its limit"
     failed = [row["name"] for row in rows if row["outcome"] == "FAIL"]
-    if verdict in GOOD and failed:
+    if verdict in PASSED and failed:
         return f"verdict {verdict}, but {failed[0]} is FAIL"
-    if verdict in GOOD and (result["error"] or result["teardown_errors"]):
+    if verdict in PASSED and (result["error"] or result["teardown_errors"]):
         return f"verdict {verdict}, but it ended in an error"
     if verdict == "PASS" and any(row["outcome"] == "MARGINAL" for row in rows):
         return "verdict PASS, but a measurement is MARGINAL"

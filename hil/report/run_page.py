@@ -16,13 +16,13 @@ from markupsafe import Markup
 
 from hil.report.figures import figure_image
 from hil.report.pages import digits_of, duration, environment, outcome_words
-from hil.report.result_file import RESULT, address, inside, own_file, read_result
+from hil.report.result_file import address, inside, own_file, read_result
 from hil.report.run_words import grouped, sentence
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.files import write_text
 from hil.vocabulary.reading import dotted
+from hil.vocabulary.result_files import REPORT, RESULT
 
-PAGE = "report.html"
 _BAR = 100.0
 
 
@@ -57,7 +57,7 @@ def write_run_page(folder: Path, out: Path | None = None) -> Path:
             driven=duration(tree["bench_duration_s"]),
         )
     )
-    return write_text(own_file(folder, PAGE) if out is None else out, page)
+    return write_text(own_file(folder, REPORT) if out is None else out, page)
 
 
 def _image(folder: Path, figure: Mapping[str, Any]) -> Markup:

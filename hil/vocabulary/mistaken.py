@@ -7,7 +7,8 @@ import shlex
 from contextlib import suppress
 from pathlib import Path
 
-_RESULT, _CAMPAIGN = "result.json", "campaign.json"
+from hil.vocabulary.result_files import CAMPAIGN_PAGE, CAMPAIGN_TABLE, RESULT
+
 _MOST_BYTES = 1 << 16
 _A_TEST = re.compile(r"^\s*(?:async )?def test_", re.M)
 
@@ -42,18 +43,18 @@ def _of_a_file(path: Path) -> str:
         return f"it is a recording: hil replay {name}"
     if path.suffix == ".toml":
         return "it is a TOML file: give a bench with --bench FILE, a calibration with --calibration FILE"
-    if (path.parent / _RESULT).is_file():
+    if (path.parent / RESULT).is_file():
         return f"it belongs to a run: hil report {shlex.quote(str(path.parent))}"
     return ""
 
 
 def _of_a_folder(path: Path) -> str:
     name = shlex.quote(str(path))
-    if (path / _RESULT).is_file():
+    if (path / RESULT).is_file():
         return f"it holds the results of a run: hil report {name}"
-    if (path / _CAMPAIGN).is_file():
-        return f"it holds a campaign: open {shlex.quote(str(path / 'campaign.html'))}"
-    below = [*path.glob(f"*/{_RESULT}"), *path.glob(f"*/*/{_RESULT}")]
+    if (path / CAMPAIGN_TABLE).is_file():
+        return f"it holds a campaign: open {shlex.quote(str(path / CAMPAIGN_PAGE))}"
+    below = [*path.glob(f"*/{RESULT}"), *path.glob(f"*/*/{RESULT}")]
     if below:
         latest = max(below, key=lambda found: (found.stat().st_mtime_ns, str(found))).parent
         return (

@@ -17,7 +17,7 @@ from hil.cli import main
 from hil.config.loading import load_bench
 from hil.drivers.imu.calibration import ImuCalibration
 from hil.fakes.timeline import read_faults
-from hil.procedure.journal import NAME, read_journal
+from hil.procedure.journal import read_journal
 from hil.procedure.operator import Answers
 from hil.procedure.parameters import split_settings
 from hil.recording.plain_csv import read_plain
@@ -28,6 +28,7 @@ from hil.report.run_page import write_run_page
 from hil.robot.waypoints import read_waypoints
 from hil.vocabulary.errors import DataError, HilError
 from hil.vocabulary.reading import json_value, read_json, toml_tables
+from hil.vocabulary.result_files import JOURNAL
 
 BOUNDED = settings(
     max_examples=20,
@@ -207,7 +208,7 @@ ENTRIES = st.fixed_dictionaries(
 @example(entries=[{"kind": "checkpoint", "title": "t"}, {"kind": "measure", "name": "n", "value": "x"}])
 @example(entries=[{"kind": {}}])
 def test_any_journal(tmp_path, entries):
-    path = tmp_path / NAME
+    path = tmp_path / JOURNAL
     lines = [{"kind": "run", "schema": 1}, *entries]
     path.write_text("".join(json.dumps(entry) + "\n" for entry in lines))
     reads(read_journal, path)

@@ -23,9 +23,7 @@ from hil.config.record.folder import read_version
 from hil.config.record.overlay import identity
 from hil.drivers.imu.calibration import ImuCalibration
 from hil.fakes.timeline import read_faults
-from hil.procedure.commission.state import NAME as COMMISSION
 from hil.procedure.commission.state import state_of
-from hil.procedure.journal import NAME as JOURNAL
 from hil.procedure.journal import read_journal
 from hil.procedure.operator import Answers
 from hil.recording.mcap_reader import RecordingReader, read_cycles
@@ -38,6 +36,7 @@ from hil.report.run_page import write_run_page
 from hil.robot.waypoints import read_waypoints
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import HilError
+from hil.vocabulary.result_files import COMMISSIONING_TABLE, JOURNAL
 
 TOPICS = b"""schema = 1
 [wheels]
@@ -153,7 +152,7 @@ _JOURNAL = b"\n".join(
         {"kind": "recording", "path": "a.mcap"},
     )
 )
-_COMMISSION = json.dumps({"options": {"seed": 1}, "done": {"bring_up": {"verdict": "PASS"}}}).encode()
+_COMMISSIONING = json.dumps({"options": {"seed": 1}, "done": {"bring_up": {"verdict": "PASS"}}}).encode()
 _OFFSETS = b"""accelerometer_offset = [1, 2, 3]
 magnetometer_offset = [1, 2, 3]
 gyroscope_offset = [1, 2, 3]
@@ -187,7 +186,7 @@ def files(folder: Path) -> list[FileFed]:
         FileFed("waypoints", _written(folder, "way.csv", b"x,y,theta\n0,0,0\n0.1,0.2,0.3\n"), read_waypoints),
         FileFed("answers", _written(folder, "answers.txt", b"# mine\nplace it: yes\n2\n"), Answers),
         FileFed("journal", _written(folder, JOURNAL, _JOURNAL), read_journal),
-        FileFed("commissioning", _written(folder, COMMISSION, _COMMISSION), _state),
+        FileFed("commissioning", _written(folder, COMMISSIONING_TABLE, _COMMISSIONING), _state),
         FileFed("offsets", _written(folder, "imu.toml", _OFFSETS), ImuCalibration.load),
         FileFed("record", _record(folder), lambda p: read_version(p, "")),
         FileFed("calibration", _calibration(folder, data), read_calibration),

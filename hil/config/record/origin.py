@@ -16,11 +16,11 @@ from typing import Any
 from pydantic import ValidationError
 
 from hil.config.record.folder import check_robot_is
-from hil.config.record.parts import NOT_VERIFIED, PASSED, Identity
+from hil.config.record.parts import NOT_VERIFIED, Identity
 from hil.vocabulary.errors import ConfigError, DataError
 from hil.vocabulary.reading import MOST_TOML_BYTES, json_value, read_json, read_text
+from hil.vocabulary.result_files import PASSED, RESULT
 
-RESULT = "result.json"
 FROM_A_FILE = "taken from a file"
 _ROBOT = re.compile(r"^# robot = (\{.*\})$", re.MULTILINE)
 _VERDICT = re.compile(r'^# verdict = "(.*)"\n', re.MULTILINE)

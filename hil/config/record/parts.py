@@ -21,8 +21,6 @@ from hil.config.record.plausible import not_plain
 Four = tuple[float, float, float, float]
 FourNumbers = tuple[int, int, int, int]
 _SAME_M = 1e-6
-PASSED = ("PASS", "MARGINAL")
-"""Verdicts of a run whose findings may be used."""
 NOT_VERIFIED = "not verified"
 """Verdict of a part that was taken from a file which does not say how its run ended."""
 

@@ -15,9 +15,9 @@ from hil.procedure.campaign.alike import in_a_sentence
 from hil.procedure.campaign.table import NEVER_SET, NOT_FINITE, Row, count, in_words, never_acted
 from hil.report.figures import drawn_image
 from hil.report.pages import environment
-from hil.report.run_page import PAGE
 from hil.report.run_plots import PALETTE, new_figure, style
 from hil.vocabulary.files import write_text
+from hil.vocabulary.result_files import REPORT, RUNS
 
 _ROWS_SHOWN = 500
 _NAMED = 3
@@ -86,7 +86,7 @@ def _most(missed: Counter[str]) -> str:
 def _report(row: Row) -> str:
     """Where the report of a run is, from the campaign's folder; empty where there is none."""
     folder = Path(row.folder)
-    return f"runs/{quote(folder.name)}/{PAGE}" if (folder / PAGE).exists() else ""
+    return f"{RUNS}/{quote(folder.name)}/{REPORT}" if (folder / REPORT).exists() else ""
 
 
 def _values(name: str, rows: Sequence[Row]) -> list[float]:

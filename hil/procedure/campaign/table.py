@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from hil.procedure.campaign.plan import Case
-from hil.report.result_file import GOOD
 from hil.report.run_words import was_set
 from hil.vocabulary.errors import DataError
+from hil.vocabulary.result_files import PASSED
 
 _Z95 = 1.959963984540054
 NOT_FINITE, NEVER_SET, ENDED_BEFORE = "no finite number", "never measured", "ended before"
@@ -51,7 +51,7 @@ class Row:
     @property
     def good(self) -> bool:
         """Whether it kept its limits under its faults; those that never acted were not withstood."""
-        return self.tested and self.verdict in GOOD
+        return self.tested and self.verdict in PASSED
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; the case as name, seed and settings."""

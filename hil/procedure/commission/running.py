@@ -15,20 +15,18 @@ from typing import Any
 from hil.config.bench import BenchConfig
 from hil.config.encoders import EncodersConfig
 from hil.config.record import Part
-from hil.config.record.parts import PASSED as RAN_AND_PASSED
 from hil.config.recorded import changed_since
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.commission.resting import as_its_file_says, parts_in, rests_on, why_again
 from hil.procedure.commission.stages import PROMPTS, STAGES, Place, Stage, placed, stages
-from hil.procedure.commission.state import PASSED, State, state_of
+from hil.procedure.commission.state import DONE, State, state_of
 from hil.procedure.commission.stopping import page_of, stopped_at, stopped_before
 from hil.procedure.fragment import NAME as FRAGMENT
 from hil.procedure.interrupts import Interrupts
-from hil.procedure.journal import NAME as JOURNAL
 from hil.procedure.journal import read_journal
 from hil.procedure.measurements import Verdict
 from hil.procedure.operator import Operator, Terminal, go_ahead
-from hil.procedure.results import RESULT, Result
+from hil.procedure.results import Result
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.report.commission_page import write_commission_page
 from hil.vocabulary.clock import Clock
@@ -36,6 +34,7 @@ from hil.vocabulary.errors import EXIT_ABORTED, Aborted, ConfigError, DataError,
 from hil.vocabulary.files import check_folder
 from hil.vocabulary.progress import WHOLE, Report, silent
 from hil.vocabulary.reading import dotted, read_json, read_toml
+from hil.vocabulary.result_files import JOURNAL, PASSED, RESULT
 
 RECORD = "robot"
 
@@ -118,7 +117,7 @@ def summary(state: State, record: Path, stopped: dict[str, Any] | None) -> dict[
     order = [v.value for v in Verdict]
     judged = [v for v in verdicts.values() if v in order]
     verdict = max(judged, key=order.index) if judged else Verdict.ABORTED.value
-    if stopped is not None and verdict in PASSED:
+    if stopped is not None and verdict in DONE:
         verdict = Verdict.ABORTED.value
     return {
         "verdict": verdict,
@@ -191,7 +190,7 @@ class _Running:
             self._state.keep(stage.name, verdict="SKIPPED", why=why)
         elif not self._holds(stage, parts_in(self._record)):
             result = self._one(stage, number)
-            if result.verdict.value not in PASSED:
+            if result.verdict.value not in DONE:
                 return result.exit_code, stopped_at(result, self._asked.folder)
         return None
 
@@ -209,13 +208,13 @@ class _Running:
             facts["wall"] = result.facts["data"]["wall"]
         if stage.name in self._again:
             facts["why"] = f"repeated: {self._again[stage.name]}"
-        if result.verdict.value in RAN_AND_PASSED:
+        if result.verdict.value in PASSED:
             found = parts_in(self._record)
             facts["rests_on"] = rests_on(self._as_its_file_says, found, result.facts["record"])
         try:
             self._state.keep(stage.name, **facts, seconds=result.facts["duration_s"])
         except DataError:
-            if result.verdict.value in PASSED:
+            if result.verdict.value in DONE:
                 raise
         return result
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hil.config.record.parts import PASSED as RAN_AND_PASSED
 from hil.vocabulary.errors import ConfigError, DataError
 from hil.vocabulary.files import put_whole
 from hil.vocabulary.reading import read_json
+from hil.vocabulary.result_files import COMMISSIONING_TABLE, PASSED
 
-NAME = "commission.json"
-PASSED = (*RAN_AND_PASSED, "SKIPPED")
+DONE = (*PASSED, "SKIPPED")
+"""Verdicts of a procedure after which the next one may begin."""
 
 
 @dataclass
@@ -34,7 +34,7 @@ class State:
 
     def passed(self, name: str) -> bool:
         """Whether a procedure was run and has passed; one that was left out may have to run by now."""
-        return self.done.get(name, {}).get("verdict") in RAN_AND_PASSED
+        return self.done.get(name, {}).get("verdict") in PASSED
 
     def forget(self, name: str) -> None:
         """That a procedure has passed: it no longer holds."""
@@ -56,7 +56,7 @@ class State:
         self.done[name] = facts
         if rests_on is not None:
             self.rests_on[name] = rests_on
-        path = self.folder / NAME
+        path = self.folder / COMMISSIONING_TABLE
         text = json.dumps({"options": self.options, "done": self.done, "rests_on": self.rests_on}, indent=1)
         try:
             put_whole(path, text.encode())
@@ -70,7 +70,7 @@ def state_of(folder: Path, options: dict[str, Any], *, resume: bool) -> State:
     Raises:
         ConfigError: the folder holds another one; or there is none to resume, or with other options.
     """
-    path = folder / NAME
+    path = folder / COMMISSIONING_TABLE
     if not path.exists():
         if resume:
             raise ConfigError(f"{folder}: no commissioning to resume there", remedy="leave --resume out")

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.procedure.commission.state import NAME
 from hil.procedure.measurements import Verdict
 from hil.procedure.results import KEEPING, Result
 from hil.report.run_page import write_run_page
 from hil.vocabulary.errors import HilError
+from hil.vocabulary.result_files import COMMISSIONING_TABLE
 
 
 def stopped_at(result: Result, folder: Path) -> dict[str, Any]:
@@ -46,8 +46,9 @@ def stopped_before(name: str, error: HilError, folder: Path) -> dict[str, Any]:
 
 def go_on(folder: Path) -> str:
     """How a commissioning goes on."""
-    if not (folder / NAME).is_file():
-        return f"start anew with another --out: {folder / NAME} is not there, so that it cannot be resumed"
+    if not (folder / COMMISSIONING_TABLE).is_file():
+        kept = folder / COMMISSIONING_TABLE
+        return f"start anew with another --out: {kept} is not there, so that it cannot be resumed"
     return (
         f"hil commission --resume --out {folder}, with the other options as before. "
         "What was found up to here is in the record and stays."

@@ -16,11 +16,19 @@ from html import unescape
 from pathlib import Path
 from typing import Any
 
-from hil.report.result_file import CAMPAIGN_TABLE, GOOD, RESULT, SCHEMA, read_result
+from hil.report.result_file import SCHEMA, read_result
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.reading import json_object, read_json
+from hil.vocabulary.result_files import (
+    ACCEPTANCE_TABLE,
+    CAMPAIGN_TABLE,
+    COMMISSIONING_TABLE,
+    JOURNAL,
+    PASSED,
+    PLAN,
+    RESULT,
+)
 
-JOURNAL = "journal.jsonl"
 RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE = "run", "campaign", "commissioning", "acceptance"
 UNFINISHED, FOREIGN = "unfinished", "foreign"
 OURS = (RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE, UNFINISHED)
@@ -157,14 +165,16 @@ def _campaign(folder: Path, name: str) -> Kept:
 
 
 def _commissioning(folder: Path, name: str) -> Kept:
-    tree, problem = _object(folder / "commission.json")
+    tree, problem = _object(folder / COMMISSIONING_TABLE)
     done, options = tree.get("done"), tree.get("options")
     if problem or not isinstance(done, dict):
-        return _foreign(folder, name, "commission.json", problem or "commission.json is of no commissioning")
+        return _foreign(
+            folder, name, COMMISSIONING_TABLE, problem or "commission.json is of no commissioning"
+        )
     verdicts = {k: str(v.get("verdict", "")) for k, v in done.items() if isinstance(v, dict)}
-    bad = next(((k, v) for k, v in verdicts.items() if v not in (*GOOD, "SKIPPED")), None)
+    bad = next(((k, v) for k, v in verdicts.items() if v not in (*PASSED, "SKIPPED")), None)
     return Kept(
-        folder, name, COMMISSIONING, "commissioning", _changed(folder / "commission.json"),
+        folder, name, COMMISSIONING, "commissioning", _changed(folder / COMMISSIONING_TABLE),
         bench=str(options.get("bench", "")) if isinstance(options, dict) else "",
         verdict=bad[1] if bad else "",
         why=f"{len(verdicts)} procedures" + (f", stopped at {bad[0]}" if bad else ""),
@@ -173,13 +183,13 @@ def _commissioning(folder: Path, name: str) -> Kept:
 
 def _acceptance(folder: Path, name: str) -> Kept:
     """What `hil accept` left: a page that is signed, and its data."""
-    tree, problem = _object(folder / "accept.json")
+    tree, problem = _object(folder / ACCEPTANCE_TABLE)
     verdict, stages, devices = tree.get("verdict"), tree.get("stages"), tree.get("devices")
     if problem or not (isinstance(verdict, str) and isinstance(stages, list) and isinstance(devices, dict)):
-        return _foreign(folder, name, "accept.json", problem or "accept.json is of no acceptance")
+        return _foreign(folder, name, ACCEPTANCE_TABLE, problem or "accept.json is of no acceptance")
     real = any(isinstance(d, dict) and d.get("backend") == "real" for d in devices.values())
     whys = [f"{s.get('name')}: {s['why']}" for s in stages if isinstance(s, dict) and s.get("why")]
-    when = _moment(tree.get("began")) or _changed(folder / "accept.json")
+    when = _moment(tree.get("began")) or _changed(folder / ACCEPTANCE_TABLE)
     return Kept(
         folder, name, ACCEPTANCE, "acceptance", when,
         bench=str(tree.get("bench", "")), where="hardware" if real else "emulated", verdict=verdict,
@@ -206,21 +216,21 @@ def _unfinished(folder: Path, name: str) -> Kept:
 
 
 def _unfinished_campaign(folder: Path, name: str) -> Kept | None:
-    tree, _ = _object(folder / "plan.json")
+    tree, _ = _object(folder / PLAN)
     what = tree.get("procedure")
     if not isinstance(what, str):
         return None
     why = "a campaign without its table; --resume continues it"
-    return Kept(folder, name, UNFINISHED, what, _changed(folder / "plan.json"), why=why)
+    return Kept(folder, name, UNFINISHED, what, _changed(folder / PLAN), why=why)
 
 
 _READERS: Mapping[str, Callable[[Path, str], Kept | None]] = {
     RESULT: _run,
     CAMPAIGN_TABLE: _campaign,
-    "commission.json": _commissioning,
-    "accept.json": _acceptance,
+    COMMISSIONING_TABLE: _commissioning,
+    ACCEPTANCE_TABLE: _acceptance,
     JOURNAL: _unfinished,
-    "plan.json": _unfinished_campaign,
+    PLAN: _unfinished_campaign,
 }
 """What a file of this name says of its folder, the strongest first."""
 

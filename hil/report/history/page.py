@@ -18,7 +18,6 @@ from hil.report.readings import Curve, Readings, Scale, as_json
 from hil.report.run_plots import MOST_POINTS
 from hil.vocabulary.files import write_text
 
-PAGE = "trends.html"
 _IN_WORDS = {
     MISSING: "without a value in the newest runs", DRIFTING: "drifting",
     OUTSIDE: "outside their control limits", STEADY: "steady", TOO_FEW: "with too few runs to judge",

@@ -17,14 +17,14 @@ from typing import Any
 from hil.report.history.chart import DRIFTING, OUTSIDE, STEADY, TOO_FEW, Chart, individuals_chart
 from hil.report.history.found import RUN, Kept
 from hil.report.pages import number
-from hil.report.result_file import GOOD
+from hil.vocabulary.result_files import PASSED
 
 MISSING = "missing"
 """State of a measurement of which the newest runs have no value."""
 ALARMS = (MISSING, DRIFTING, OUTSIDE)
 """States that somebody has to look at."""
 _URGENCY = (*ALARMS, STEADY, TOO_FEW)
-_COUNTED = (*GOOD, "FAIL")
+_COUNTED = (*PASSED, "FAIL")
 """Verdicts of runs that came to their end; what an aborted one measured is left out."""
 _EARLY = ("ERROR", "ABORTED")
 """Those of runs that ended early."""

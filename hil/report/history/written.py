@@ -13,12 +13,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hil.report.history.found import ACCEPTANCE, CAMPAIGN, COMMISSIONING, JOURNAL, RUN, Kept
-from hil.report.result_file import CAMPAIGN_TABLE, RESULT
+from hil.report.history.found import ACCEPTANCE, CAMPAIGN, COMMISSIONING, RUN, Kept
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.reading import json_object, read_json
+from hil.vocabulary.result_files import (
+    ACCEPTANCE_TABLE,
+    CAMPAIGN_TABLE,
+    COMMISSIONING_TABLE,
+    JOURNAL,
+    PLAN,
+    RESULT,
+)
 
-PLAN = "plan.json"
 FOLDERS = ("figures", "attachments", "recordings", "runs", "rows")
 """Folders that may have been made and left empty."""
 _MOTION = r"(line_[xy]|circle_c?cw|rotation_c?cw)"
@@ -55,7 +61,7 @@ def written(kept: Kept) -> list[str]:
     What makes the folder a result comes last: whoever is interrupted in the middle can delete it again.
     """
     folder, there = kept.folder, all_files(kept.folder)
-    marks = (RESULT, JOURNAL, CAMPAIGN_TABLE, PLAN, "commission.json", "accept.json")
+    marks = (RESULT, JOURNAL, CAMPAIGN_TABLE, PLAN, COMMISSIONING_TABLE, ACCEPTANCE_TABLE)
     own = [name for name in _own(kept, there) if not (folder / name).is_symlink()]
     own += [name for name in there if _BEGUN.fullmatch(name) and not (folder / name).is_symlink()]
     return sorted(own, key=lambda name: (name in marks, name))

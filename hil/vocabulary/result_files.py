@@ -1,0 +1,30 @@
+"""Names of the files that make a folder a result, and the verdicts that count as passed.
+
+Whoever writes such a folder, reads, shows or deletes it takes them from here.
+"""
+
+from __future__ import annotations
+
+RESULT, JOURNAL, REPORT, JUNIT = "result.json", "journal.jsonl", "report.html", "junit.xml"
+"""Of a run."""
+
+PLAN, CAMPAIGN_TABLE, CAMPAIGN_CSV, CAMPAIGN_PAGE = (
+    "plan.json",
+    "campaign.json",
+    "campaign.csv",
+    "campaign.html",
+)
+RUNS, ROWS = "runs", "rows"
+"""Of a campaign: files, and folders of its runs and of their rows."""
+
+COMMISSIONING_TABLE, COMMISSIONING_PAGE = "commission.json", "commission.html"
+"""Of a commissioning."""
+
+ACCEPTANCE_TABLE, ACCEPTANCE_PAGE = "accept.json", "accept.html"
+"""Of an acceptance."""
+
+COMPARISON, TRENDS = "compare.html", "trends.html"
+"""Pages over several of them."""
+
+PASSED = ("PASS", "MARGINAL")
+"""Verdicts of what kept its limits, so that its findings may be used."""
