@@ -27,7 +27,8 @@ from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler, PortHand
 from hil.config.robot import RobotConfig
 from hil.config.servos import ServosConfig
 from hil.drivers.servos import DynamixelServos
-from hil.fakes.faults import FaultPlan, parse_fault
+from hil.fakes.fault import parse_fault
+from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import make_plant
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty

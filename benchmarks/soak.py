@@ -39,7 +39,7 @@ import numpy as np
 from host import stolen_s
 
 from hil.bench import open_bench
-from hil.fakes.faults import parse_fault
+from hil.fakes.fault import parse_fault
 from hil.recording.mcap_writer import McapRecorder
 from hil.robot.trajectories import line
 from hil.vocabulary.clock import NS_PER_S

@@ -18,9 +18,9 @@ from hil.bench.held import Held
 from hil.bench.opening import open_bench, plan_bench
 from hil.bench.settings import alignment_parameters, safety_limits
 from hil.drivers.servos import set_up
-from hil.fakes.faults import Fault, make_fault
-from hil.fakes.faults import check_kind as check_fault_kind
-from hil.fakes.faults import describe as describe_fault
+from hil.fakes.fault import Fault, make_fault
+from hil.fakes.fault import check_kind as check_fault_kind
+from hil.fakes.fault import describe as describe_fault
 from hil.fakes.world import World
 
 __all__ = [

@@ -13,7 +13,7 @@ from hil.bench.beginning import blind_to_the_drive, must_begin_where_it_stands
 from hil.bench.held_rig import HeldRig
 from hil.bench.settings import real_time
 from hil.config.bench import BenchConfig
-from hil.fakes.faults import Fault
+from hil.fakes.fault import Fault
 from hil.fakes.plant_api import PlantState
 from hil.fakes.world import World
 from hil.recording.runs import RUN, RunStart

@@ -14,7 +14,8 @@ from hil.config.bench import BenchConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.config.servos import ServosConfig
 from hil.devices.emulated import EmulatedDevice, Face, Setting
-from hil.fakes.faults import Fault, FaultPlan, Supported, describe
+from hil.fakes.fault import Fault, Supported, describe
+from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import SteppedBody, make_plant
 from hil.fakes.plant_api import Plant
 from hil.fakes.server import EmulationServer

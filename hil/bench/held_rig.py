@@ -22,7 +22,7 @@ from hil.bench.settings import can_fall
 from hil.bench.tilt import TiltWatch
 from hil.bench.wheel_feed import wheel_feed
 from hil.config.bench import BenchConfig
-from hil.fakes.faults import Fault
+from hil.fakes.fault import Fault
 from hil.recording.clocks import ptp_offsets
 from hil.recording.frames import describe_clock
 from hil.recording.runs import HELD

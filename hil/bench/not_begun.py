@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from hil.fakes.faults import Fault, describe
+from hil.fakes.fault import Fault, describe
 from hil.vocabulary.clock import NS_PER_S
 
 

@@ -22,7 +22,7 @@ from hil.calibration.artefact import read_calibration
 from hil.calibration.versions import check_made_for
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
-from hil.fakes.faults import Fault, describe
+from hil.fakes.fault import Fault, describe
 from hil.fakes.world import VirtualClock
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError, UsageError

@@ -17,7 +17,7 @@ from typing import Any
 
 import can
 
-from hil.fakes.faults import STRIKES, Supported
+from hil.fakes.fault import STRIKES, Supported
 from hil.fakes.world import NEVER_NS, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import UsageError

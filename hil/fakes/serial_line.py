@@ -12,7 +12,7 @@ from collections import deque
 
 import serial
 
-from hil.fakes.faults import STRIKES, Supported
+from hil.fakes.fault import STRIKES, Supported
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, Scheduled, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds

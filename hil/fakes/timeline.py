@@ -17,7 +17,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from hil.fakes.faults import Fault, make_fault, parse_fault
+from hil.fakes.fault import Fault, make_fault, parse_fault
 from hil.vocabulary.errors import ConfigError, UsageError
 from hil.vocabulary.reading import read_toml
 

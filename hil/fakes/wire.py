@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import NamedTuple, Protocol
 
-from hil.fakes.faults import Supported
+from hil.fakes.fault import Supported
 from hil.fakes.world import NEVER_NS
 
 

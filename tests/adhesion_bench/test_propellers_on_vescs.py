@@ -25,7 +25,8 @@ from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.dialects import dialect
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.fakes.can_wire import CanChannel, WorldBus
-from hil.fakes.faults import FaultPlan, parse_fault
+from hil.fakes.fault import parse_fault
+from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import make_plant
 from hil.fakes.world import VirtualClock, World
 from hil.robot.trajectories import line

@@ -14,7 +14,8 @@ from hil.devices.adhesion.dronecan.driver import DroneCanFan
 from hil.devices.adhesion.dronecan.node import DroneCanNode, DroneCanTruthOptions
 from hil.devices.adhesion.in_world import KeptInWorld
 from hil.fakes.can_wire import CanChannel
-from hil.fakes.faults import FaultPlan, parse_fault
+from hil.fakes.fault import parse_fault
+from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import make_plant
 from hil.fakes.world import VirtualClock, World
 

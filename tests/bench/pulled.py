@@ -15,7 +15,7 @@ from hil.config.loading import load_bench
 from hil.devices.emulated import SerialWired
 from hil.devices.tracker.mavlink.computer import VisualInertialComputer
 from hil.devices.tracker.mavlink.serial import SerialComputer
-from hil.fakes.faults import parse_fault
+from hil.fakes.fault import parse_fault
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer, Face

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.fakes.faults import parse_fault
+from hil.fakes.fault import parse_fault
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import ConfigError, DeviceError, HilError, SafetyStop, UsageError
 from hil.vocabulary.signals import SERVOS

@@ -6,7 +6,7 @@ import pytest
 
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.fakes.faults import parse_fault
+from hil.fakes.fault import parse_fault
 from hil.procedure.scripts import load_procedure
 from hil.vocabulary.kinds import kinds
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import hil
-from hil.fakes.faults import Fault, FaultPlan
+from hil.fakes.fault import Fault
+from hil.fakes.faults import FaultPlan
 from hil.vocabulary.signals import ServoSetpoint
 from tests.to_the_bit import bits
 

@@ -9,7 +9,8 @@ from hil.config.encoders import EncodersConfig
 from hil.drivers.encoders import As5045Encoders
 from hil.fakes.can_wire import CanChannel
 from hil.fakes.encoders import EncoderNode, EncoderTruthOptions
-from hil.fakes.faults import FaultPlan, parse_fault
+from hil.fakes.fault import parse_fault
+from hil.fakes.faults import FaultPlan
 from hil.fakes.plant_api import Plant, PlantState
 from hil.fakes.world import VirtualClock, World
 

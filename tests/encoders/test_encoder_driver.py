@@ -9,7 +9,7 @@ import pytest
 from hil.config.encoders import EncodersConfig
 from hil.drivers.encoders import As5045Encoders
 from hil.fakes.encoders import EncoderTruthOptions
-from hil.fakes.faults import parse_fault
+from hil.fakes.fault import parse_fault
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.vocabulary.signals import Status
 

@@ -24,7 +24,7 @@ from hil.drivers.mocap.models import parse_models
 from hil.drivers.mocap.packets import MalformedPacket, parse_server_info, split
 from hil.drivers.servos.packets import GroupRead, find_statuses
 from hil.drivers.tracker.feed import FEED_INFO, FEED_MAGIC, INFO_RECORD, FeedDevice
-from hil.fakes.faults import parse_fault
+from hil.fakes.fault import parse_fault
 from hil.fakes.imu.uart import RequestParser
 from hil.fakes.servos import protocol
 from hil.live.commands import parse_command

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hil.drivers.imu import ImuCalibration
-from hil.fakes.faults import parse_fault
+from hil.fakes.fault import parse_fault
 from hil.fakes.wire import Reply
 from hil.vocabulary.errors import DataError, DeviceError, DeviceTimeoutError, HilError
 from hil.vocabulary.signals import Status

@@ -9,7 +9,8 @@ from hil.devices.imu.microstrain.chip import MicrostrainChip
 from hil.devices.imu.microstrain.config import MicrostrainConfig
 from hil.devices.imu.microstrain.driver import MicrostrainImu
 from hil.devices.imu.microstrain.sensing import MicrostrainTruthOptions
-from hil.fakes.faults import FaultPlan, parse_fault
+from hil.fakes.fault import parse_fault
+from hil.fakes.faults import FaultPlan
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.world import VirtualClock, World
 

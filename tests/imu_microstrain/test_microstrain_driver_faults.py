@@ -10,7 +10,7 @@ from hil.devices.imu.microstrain import fields as f
 from hil.devices.imu.microstrain.commands import Settings
 from hil.devices.imu.microstrain.faulty import SUPPORTED_FAULTS
 from hil.devices.imu.microstrain.packets import Field, cut, encode
-from hil.fakes.faults import parse_fault
+from hil.fakes.fault import parse_fault
 from hil.fakes.serial_line import LINE_FAULTS
 from hil.fakes.wire import Reply
 from hil.vocabulary.errors import DeviceTimeoutError, FaultNotSupportedError

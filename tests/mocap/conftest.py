@@ -9,7 +9,8 @@ import pytest
 
 from hil.config.mocap import MocapConfig
 from hil.drivers.mocap import NatNetMocap
-from hil.fakes.faults import FaultPlan, parse_fault
+from hil.fakes.fault import parse_fault
+from hil.fakes.faults import FaultPlan
 from hil.fakes.mocap import STILL, NatNetFace, NatNetServer
 from hil.fakes.plant_api import Plant, PlantState
 from hil.fakes.server import EmulationServer

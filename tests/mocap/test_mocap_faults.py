@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil.fakes.faults import parse_fault
+from hil.fakes.fault import parse_fault
 from hil.fakes.mocap import SUPPORTED_FAULTS, MocapTruthOptions
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.vocabulary.signals import Status

@@ -8,7 +8,8 @@ from mujoco_driving import WEIGHT_N, robot, truth, without_play
 from plant_driving import FLOOR, MS_NS, drive, play_back, release, settle, wait
 
 from hil.config.robot import RobotConfig
-from hil.fakes.faults import FaultPlan, make_fault
+from hil.fakes.fault import make_fault
+from hil.fakes.faults import FaultPlan
 from hil.fakes.mujoco_plant import CONTACTS, MujocoRobot
 from hil.fakes.mujoco_plant.model import build_model
 from hil.fakes.plant import Patch, Surface

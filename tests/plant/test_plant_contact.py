@@ -7,7 +7,8 @@ import pytest
 from plant_driving import FLOOR, MS_NS, X_LINE, build, drive, play_back, rebuilt, release, settle, wait
 
 from hil.config.robot import RobotConfig
-from hil.fakes.faults import FaultPlan, make_fault
+from hil.fakes.fault import make_fault
+from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import Patch, Surface, make_plant
 from hil.fakes.plant.robot import GRAVITY_M_S2
 from hil.fakes.plant_api import JointCommand, Plant

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from plant_driving import FLOOR, MS_NS, build, drive, release, settle, wait
 
-from hil.fakes.faults import FaultPlan, make_fault
+from hil.fakes.fault import make_fault
+from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import Patch
 from hil.fakes.plant_api import JointCommand
 from hil.vocabulary.errors import UsageError

@@ -6,7 +6,8 @@ from xml.etree import ElementTree
 import pytest
 
 from hil.bench.held import Held
-from hil.fakes.faults import FaultPlan, parse_fault
+from hil.fakes.fault import parse_fault
+from hil.fakes.faults import FaultPlan
 from hil.pytest_plugin import ending
 from hil.pytest_plugin.selection import how_to_repeat
 

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from hil.fakes.faults import FaultPlan, parse_fault
+from hil.fakes.fault import parse_fault
+from hil.fakes.faults import FaultPlan
 from hil.fakes.plant_api import JointCommand, Plant, PlantState
 from hil.fakes.servos import ServoBus, ServoBusOptions
 from hil.fakes.world import World

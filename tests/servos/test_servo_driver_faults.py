@@ -6,7 +6,7 @@ from servo_client import Client
 from servo_cycles import CYCLE_NS, ROLLING, SECOND, STILL, between, cycles, statuses
 from servo_wire import Wire
 
-from hil.fakes.faults import parse_fault
+from hil.fakes.fault import parse_fault
 from hil.fakes.serial_line import LINE_FAULTS
 from hil.fakes.servos import BUS_FAULTS, SERVO_FAULTS
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError

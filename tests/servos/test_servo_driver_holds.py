@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from servo_cycles import ROLLING, SECOND, STILL, cycles
 
-from hil.fakes.faults import parse_fault
+from hil.fakes.fault import parse_fault
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, UsageError
 from hil.vocabulary.signals import ServoSetpoint
 

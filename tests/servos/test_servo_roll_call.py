@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from servo_cycles import ROLLING, cycles
 
-from hil.fakes.faults import parse_fault
+from hil.fakes.fault import parse_fault
 from hil.vocabulary.signals import SERVOS, Status
 
 LONG = {"fail_after_s": 60.0}

@@ -8,7 +8,8 @@ import pytest
 
 from hil.config.tracker import T265Config
 from hil.drivers.tracker import T265Tracker
-from hil.fakes.faults import FaultPlan, parse_fault
+from hil.fakes.fault import parse_fault
+from hil.fakes.faults import FaultPlan
 from hil.fakes.plant_api import Plant, PlantState
 from hil.fakes.tracker import IDEAL, T265
 from hil.fakes.world import VirtualClock, World

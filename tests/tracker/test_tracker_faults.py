@@ -8,7 +8,7 @@ import pytest
 
 from hil.config.tracker import T265Config
 from hil.drivers.tracker import T265Tracker
-from hil.fakes.faults import parse_fault
+from hil.fakes.fault import parse_fault
 from hil.fakes.tracker import IDEAL, SUPPORTED_FAULTS, TrackerTruthOptions
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError

@@ -13,7 +13,8 @@ from hil.devices.tracker.mavlink.driver import MavlinkTracker
 from hil.devices.tracker.mavlink.network import ComputerLink
 from hil.devices.tracker.mavlink.options import IDEAL
 from hil.devices.tracker.mavlink.wire import Arrival, Link
-from hil.fakes.faults import FaultPlan, parse_fault
+from hil.fakes.fault import parse_fault
+from hil.fakes.faults import FaultPlan
 from hil.fakes.world import VirtualClock, World
 from hil.ring.alignment import Alignment, AlignmentParameters, Mount
 from hil.vocabulary.signals import Inputs

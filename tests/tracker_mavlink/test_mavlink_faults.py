@@ -10,7 +10,7 @@ from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
 from hil.devices.tracker.mavlink.driver import MavlinkTracker
 from hil.devices.tracker.mavlink.faulty import SUPPORTED_FAULTS
 from hil.devices.tracker.mavlink.options import IDEAL, ComputerTruthOptions
-from hil.fakes.faults import parse_fault
+from hil.fakes.fault import parse_fault
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import ConfigError, DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.vocabulary.signals import Status

@@ -15,7 +15,8 @@ from hil.fakes.adhesion.fan import Demand, Fan
 from hil.fakes.adhesion.load import Load
 from hil.fakes.adhesion.options import AdhesionTruthOptions
 from hil.fakes.can_wire import WIRE_FAULTS, CanChannel, CanFrame
-from hil.fakes.faults import PERIODIC, STRIKES, DeviceFaults, Supported
+from hil.fakes.fault import PERIODIC, STRIKES, Supported
+from hil.fakes.faults import DeviceFaults
 from hil.fakes.plant_api import HoldingForces
 from hil.fakes.tether import Start
 from hil.fakes.world import NEVER_NS, Scheduled, World

@@ -18,7 +18,8 @@ from hil.fakes.encoders.as5045 import (
     EncoderTruthOptions,
     with_parity,
 )
-from hil.fakes.faults import PERIODIC, STRIKES, Fault, Once, Supported
+from hil.fakes.fault import PERIODIC, STRIKES, Fault, Supported
+from hil.fakes.faults import Once
 from hil.fakes.world import Scheduled, World
 from hil.vocabulary.signals import WHEELS
 

@@ -6,7 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hil.fakes.faults import PERIODIC, DeviceFaults, FaultPlan, Supported
+from hil.fakes.fault import PERIODIC, Supported
+from hil.fakes.faults import DeviceFaults, FaultPlan
 from hil.fakes.imu import uart
 from hil.fakes.imu.output import EMPTY
 from hil.fakes.imu.sensors import Sensed

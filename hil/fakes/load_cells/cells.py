@@ -7,7 +7,8 @@ from typing import Annotated
 
 from hil.config.load_cells import LoadCellsConfig
 from hil.config.values import Within
-from hil.fakes.faults import PERIODIC, STRIKES, DeviceFaults, Supported
+from hil.fakes.fault import PERIODIC, STRIKES, Supported
+from hil.fakes.faults import DeviceFaults
 from hil.fakes.world import World
 from hil.vocabulary.clock import NS_PER_S
 

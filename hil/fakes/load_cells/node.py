@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hil.config.load_cells import CanCellsConfig, LineCellsConfig
 from hil.fakes.can_wire import WIRE_FAULTS, CanChannel
-from hil.fakes.faults import Supported
+from hil.fakes.fault import Supported
 from hil.fakes.load_cells.cells import CELL_FAULTS, DELAY_S, Cells
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import Scheduled, World

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.fakes.faults import PERIODIC, STRIKES, DeviceFaults, Fault, FaultPlan, Supported
+from hil.fakes.fault import PERIODIC, STRIKES, Fault, Supported
+from hil.fakes.faults import DeviceFaults, FaultPlan
 from hil.fakes.mocap.capture import SeenBody
 
 SUPPORTED_FAULTS: Supported = {

@@ -10,7 +10,8 @@ from itertools import chain
 import numpy as np
 
 from hil.config.servo_models import ServoModel
-from hil.fakes.faults import PERIODIC, STRIKES, Fault, FaultPlan, Once, Supported
+from hil.fakes.fault import PERIODIC, STRIKES, Fault, Supported
+from hil.fakes.faults import FaultPlan, Once
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.signals import SERVOS
 

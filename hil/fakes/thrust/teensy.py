@@ -11,7 +11,8 @@ import math
 import re
 
 from hil.config.thrust import TeensyConfig
-from hil.fakes.faults import PERIODIC, DeviceFaults, Supported
+from hil.fakes.fault import PERIODIC, Supported
+from hil.fakes.faults import DeviceFaults
 from hil.fakes.plant_api import HoldingForces
 from hil.fakes.tether import Start, Tether
 from hil.fakes.thrust.options import ThrustTruthOptions

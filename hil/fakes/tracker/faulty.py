@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from hil.fakes.faults import PERIODIC, STRIKES, DeviceFaults, Fault, FaultPlan, Supported
+from hil.fakes.fault import PERIODIC, STRIKES, Fault, Supported
+from hil.fakes.faults import DeviceFaults, FaultPlan
 from hil.fakes.tracker.frames import PoseFrame
 from hil.fakes.tracker.odometry import CameraPose, Quaternion, Vector
 

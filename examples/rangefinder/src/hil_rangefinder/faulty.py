@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.fakes.faults import PERIODIC, DeviceFaults, FaultPlan, Supported
+from hil.fakes.fault import PERIODIC, Supported
+from hil.fakes.faults import DeviceFaults, FaultPlan
 from hil_rangefinder.packets import Reading
 
 SUPPORTED_FAULTS: Supported = {

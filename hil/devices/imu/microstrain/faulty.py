@@ -7,7 +7,8 @@ import dataclasses
 import numpy as np
 
 from hil.devices.imu.microstrain.sensing import Fused
-from hil.fakes.faults import PERIODIC, FaultPlan, Supported
+from hil.fakes.fault import PERIODIC, Supported
+from hil.fakes.faults import FaultPlan
 from hil.fakes.imu.faulty import InertialFaults
 
 SUPPORTED_FAULTS: Supported = {

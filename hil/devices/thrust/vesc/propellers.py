@@ -10,7 +10,7 @@ from hil.fakes.adhesion.load import Load
 from hil.fakes.adhesion.motor import FAN_FAULTS
 from hil.fakes.adhesion.vesc import VescNode
 from hil.fakes.can_wire import CanChannel
-from hil.fakes.faults import Supported
+from hil.fakes.fault import Supported
 from hil.fakes.plant_api import HoldingForces
 from hil.fakes.world import World
 

@@ -8,7 +8,8 @@ import math
 import numpy as np
 
 from hil.devices.tracker.mavlink.odometry import Estimate
-from hil.fakes.faults import PERIODIC, STRIKES, DeviceFaults, Fault, FaultPlan, Supported
+from hil.fakes.fault import PERIODIC, STRIKES, Fault, Supported
+from hil.fakes.faults import DeviceFaults, FaultPlan
 from hil.fakes.tracker.faulty import seen_drift_m, seen_scale
 
 SUPPORTED_FAULTS: Supported = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hil.devices.tracker.mavlink.computer import Outlet, VisualInertialComputer
 from hil.devices.tracker.mavlink.faulty import SUPPORTED_FAULTS
-from hil.fakes.faults import Supported
+from hil.fakes.fault import Supported
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import NEVER_NS
 

@@ -1,0 +1,175 @@
+"""One fault of an emulated device: its kind, when it acts, its options, and how it is written.
+
+One vocabulary for every device. A fault spec is written
+`DEVICE:KIND[@START_S[+DURATION_S]][,key=value...]`, for example `imu:stuck@2+3`,
+`servo.drive_FL:off@5`, `servos:drop@1+10,probability=0.1`. Without `@` it is active from the start,
+without `+` until the end. A device declares what it supports and with which options; anything else is
+refused, and so is an option outside the range that `hil.fakes.fault_options` gives it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hil.fakes.fault_options import option_of
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.errors import UsageError, did_you_mean
+
+MEANINGS = {
+    "off": "no power, or no server: silence; what comes back has started anew",
+    "stuck": "the last value again and again, with fresh stamps and counters",
+    "garbage": "random content in well-formed answers or frames",
+    "wrong": "plausible values that are not true",
+    "slow": "output at a lower rate, or late answers",
+    "delayed": "values of some time ago",
+    "intermittent": "silence for a part of every period",
+    "drop": "messages that are lost, at random",
+    "corrupt": "messages with a damaged byte or bit, at random",
+    "truncate": "messages that end early, at random",
+    "duplicate": "messages that come twice, at random",
+    "baud_mismatch": "the line runs at another rate than the host",
+    "bus_off": "the CAN controller has left the bus",
+    "unplug": "cable or adapter gone; the port fails as a real one does; a T265 comes back only when it is "
+    "opened again",
+    "brownout": "supply below what the device needs; it starts anew afterwards",
+    "reset": "starts anew, once",
+    "jump": "a step, once: of a heading, an encoder or a pose; motion capture exchanges its two bodies",
+    "adhesion_loss": "the fan presses less",
+}
+"""Every kind of fault, and what happens."""
+VOCABULARY = tuple(MEANINGS)
+_LARGEST = 1e9
+Supported = Mapping[str, tuple[str, ...]]
+"""Faults that a device can produce, and the options that each takes."""
+
+STRIKES, PERIODIC = ("probability",), ("period_s", "duty")
+_SLOWNESS, _PERIOD_S, _DUTY, _PROBABILITY = 5.0, 0.5, 0.5, 0.1
+
+_SPEC = re.compile(
+    r"(?P<device>[\w.]+):(?P<kind>\w+)(?:@(?P<start>[\d.eE-]+)(?:\+(?P<duration>[\d.eE-]+))?)?"
+    r"(?P<options>(?:,\w+=[^,]+)*)"
+)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault on one device during [start_ns, end_ns) of bench time counted from the world's start.
+
+    Raises:
+        UsageError: an option outside its range (`hil.fakes.fault_options`).
+    """
+
+    device: str
+    kind: str
+    start_ns: int = 0
+    end_ns: int | None = None
+    options: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for key, value in self.options.items():
+            option = option_of(self.kind, key)
+            if not option.takes(value):
+                raise UsageError(
+                    f"fault {describe(self)}: {key} is {value:g}",
+                    expected=f"{option.told} ({option.meaning})",
+                )
+
+    def active(self, t_ns: int) -> bool:
+        """Whether the fault acts at `t_ns`."""
+        return self.start_ns <= t_ns and (self.end_ns is None or t_ns < self.end_ns)
+
+    def option(self, key: str, default: float) -> float:
+        """A numeric option of the fault, or its default."""
+        return self.options.get(key, default)
+
+    def interrupts(self, t_ns: int) -> bool:
+        """Whether an `intermittent` fault acts now: the last `duty` of every `period_s`."""
+        period_ns = nanoseconds(self.option("period_s", _PERIOD_S))
+        return (t_ns - self.start_ns) % period_ns >= (1.0 - self.option("duty", _DUTY)) * period_ns
+
+    def strikes(self, rng: np.random.Generator) -> bool:
+        """Whether it hits this packet, frame or reply, by its `probability`."""
+        return bool(rng.random() < self.option("probability", _PROBABILITY))
+
+    @property
+    def slowness(self) -> float:
+        """By which `factor` a period is longer."""
+        return self.option("factor", _SLOWNESS)
+
+    def faded(self, t_ns: int, left: float, over_s: float) -> float:
+        """Share that is left of something that goes down to `left` along a line within `over_s`."""
+        over_ns = nanoseconds(over_s)
+        passed = 1.0 if over_ns <= 0 else min((t_ns - self.start_ns) / over_ns, 1.0)
+        return 1.0 + (left - 1.0) * passed
+
+    def delay_ns(self, default_s: float = 0.1) -> int:
+        """`delay_s` of a `delayed` fault."""
+        return nanoseconds(self.option("delay_s", default_s))
+
+
+def check_kind(what: str, kind: str) -> None:
+    """Refuse a word that is no kind of fault on any device.
+
+    Args:
+        what: is said with it, for the message.
+        kind: the word.
+
+    Raises:
+        UsageError: naming the nearest kind.
+    """
+    if kind not in MEANINGS:
+        raise UsageError(
+            what, expected="one of " + ", ".join(VOCABULARY), remedy=did_you_mean(kind, VOCABULARY)
+        )
+
+
+def make_fault(
+    device: str, kind: str, /, *, at: float = 0.0, duration: float | None = None, **options: float
+) -> Fault:
+    """A fault from seconds; raises `UsageError` for an impossible time or option.
+
+    Whether there is such a device, and what it can produce, is what `FaultPlan.check` looks at.
+    """
+    if not 0 <= at <= _LARGEST or (duration is not None and not 0 < duration <= _LARGEST):
+        lasts = "" if duration is None else f" and duration {duration:g} s"
+        raise UsageError(
+            f"fault {device}:{kind} has start {at:g} s{lasts}",
+            expected=f"a start >= 0 and a duration > 0, both at most {_LARGEST:g} s",
+        )
+    start = nanoseconds(at)
+    return Fault(device, kind, start, None if duration is None else start + nanoseconds(duration), options)
+
+
+def parse_fault(spec: str) -> Fault:
+    """Parse one command-line spec; raises `UsageError` that shows the form."""
+    match = _SPEC.fullmatch(spec.strip())
+    try:
+        if match is None:
+            raise ValueError(spec)
+        pairs = [item.split("=", 1) for item in match["options"].split(",") if item]
+        return make_fault(
+            match["device"],
+            match["kind"],
+            at=float(match["start"] or 0.0),
+            duration=float(match["duration"]) if match["duration"] else None,
+            **{key: float(value) for key, value in pairs},
+        )
+    except UsageError:
+        raise
+    except (ValueError, TypeError):
+        raise UsageError(
+            f"fault {spec!r} cannot be read",
+            expected="DEVICE:KIND[@START_S[+DURATION_S]][,key=number...], for example imu:stuck@2+3",
+        ) from None
+
+
+def describe(fault: Fault) -> str:
+    """The spec form of a fault, which `parse_fault` reads back."""
+    text = f"{fault.device}:{fault.kind}@{fault.start_ns / NS_PER_S:g}"
+    if fault.end_ns is not None:
+        text += f"+{(fault.end_ns - fault.start_ns) / NS_PER_S:g}"
+    return text + "".join(f",{key}={value:g}" for key, value in fault.options.items())
