@@ -19,7 +19,7 @@ help:
 	@echo "make test-slowest  run it and list the twenty slowest tests"
 	@echo "make test-long  run the tests that take minutes, too"
 	@echo "make lint       ruff, mypy --strict, import-linter"
-	@echo "make docs       write docs/bench-file.md, docs/faults.md and the picture of the robot afresh"
+	@echo "make docs       write docs/bench-file.md, docs/faults.md and the pictures of rooms and robot afresh"
 	@echo "make site       build the documentation site in out/site, every warning an error"
 	@echo "make notebooks  run both notebooks of docs/notebooks"
 	@echo "make dist       build wheel and source archive in dist/ and check them"
@@ -89,6 +89,7 @@ bench: $(BIN)/.installed
 docs: $(BIN)/.installed
 	$(BIN)/python docs/make_bench_reference.py
 	$(BIN)/python docs/make_fault_reference.py
+	$(BIN)/python docs/make_architecture.py
 	$(BIN)/python docs/images/render_robot_on_wall.py
 
 site: $(BIN)/.installed

@@ -1,6 +1,6 @@
 """A bench ready to use: configuration, devices, clock and loop put together.
 
-The only package that knows drivers and fakes: what others need of them they have from here.
+Only it and `hil.devices` import drivers and fakes: what others need of them they have from here.
 `with open_bench("emulated") as bench:` gives a script the same devices, clock and loop as the command
 line and the procedures have.
 """

@@ -94,7 +94,7 @@ class Problem:
         tyres: geometry that brings loads and creep ratio; not fitted.
         lower, upper: (m,) box that every method keeps to; where the setting has none, ten prior standard
             deviations, which only senseless data reach.
-        weights: (R,) per recording, 1 until `reweigh`.
+        weights: (R,) per recording; 1, or those of `with_weights`.
     """
 
     def __init__(self, blocks: Blocks, setting: Setting, nominal: WheelGeometry) -> None:

@@ -1,5 +1,5 @@
-"""What the procedures are made of: driving, arrays from records, fits, tables and figures.
+"""What single procedures are made of: driving, fits, tables and figures.
 
-`samples`, `scripted`, `tracking`, `devices`, `fragment` and `workers` serve several procedures; the others
-begin with the first word of the one that they belong to. Nothing here knows a procedure.
+`headlines` serves all of them; the other modules begin with the first word of the procedure that they belong
+to. What any procedure can use is in `hil.procedure`. Nothing here imports a procedure.
 """

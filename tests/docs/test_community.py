@@ -33,9 +33,15 @@ def architecture():
 def test_the_picture_of_the_rooms_shows_the_imports_of_today(architecture):
     rooms = architecture.rooms_of()
     now, drawn = architecture.imports(rooms), architecture.drawn(architecture.PICTURE.read_text())
-    assert drawn == architecture.reduced(now), "run python docs/make_architecture.py"
+    assert drawn == architecture.reduced(now), "run make docs"
     assert architecture.PICTURE.read_text() == architecture.svg(rooms, drawn)
     assert len(now) > len(drawn) > 20
+
+
+def test_make_docs_writes_afresh_what_tests_compare_to_the_letter():
+    recipe = (ROOT / "Makefile").read_text(encoding="utf-8").split("\ndocs: ")[1].split("\n\n")[0]
+    scripts = set(re.findall(r"docs/(make_\w+\.py)", recipe))
+    assert scripts == {"make_bench_reference.py", "make_fault_reference.py", "make_architecture.py"}
 
 
 def test_what_follows_from_two_arrows_is_left_out(architecture):

@@ -173,6 +173,22 @@ def test_every_module_that_a_text_names_is_where_it_says():
     assert sorted((path, name) for name, path in named if not known.get(name, True)) == []
 
 
+def test_the_table_of_public_modules_names_what_is_in_each():
+    """Every name in backticks is in its row's module, on the context (`ctx.`), or a shipped procedure."""
+    text = (ROOT / "docs" / "procedures.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(hil\.[\w.]+)` \| (.+) \|$", text, re.MULTILINE)
+    shipped = {path.stem for path in (ROOT / "procedures").glob("[a-z]*.py")}
+    named = [(module, name) for module, said in rows for name in re.findall(r"`([\w.]+)`", said)]
+    assert len(rows) >= 7
+    assert len(named) > len(rows)
+    places = [
+        name.replace("ctx.", "hil.procedure.Context.") if name.startswith("ctx.") else f"{module}.{name}"
+        for module, name in named
+        if name not in shipped
+    ]
+    assert [place for place in places if not is_there(place)] == []
+
+
 def test_every_folder_that_a_page_names_is_there():
     missing = []
     for page in [*PAGES, *(ROOT / "docs" / "decisions").glob("*.md")]:
