@@ -13,17 +13,11 @@ from hil import __version__
 from hil.vocabulary.beside import beside, end_with_parent
 from hil.vocabulary.collector import seldom
 from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE, HilError
-from hil.vocabulary.extras import MODULES, how_to_install, lacks
+from hil.vocabulary.extras import MODULES, how_to_install, lacks, packages
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.versions import version_of
 
 _LOG = logging.getLogger(__name__)
-
-_PACKAGES = (
-    "numpy", "scipy", "numba", "pydantic", "click", "dynamixel-sdk", "pyserial", "python-can", "cantools",
-    "fastcrc", "filterpy", "mcap", "rosbags", "matplotlib", "rerun-sdk", "pyarrow", "pyrealsense2",
-    "mujoco",
-)  # fmt: skip
 
 
 def _compile() -> None:
@@ -86,7 +80,7 @@ def command(compiling: bool, as_json: bool) -> int:
         _LOG.warning("nothing to compile: numba is %s; %s", lacks("fast"), how_to_install("fast"))
     elif compiling:
         _compile()
-    packages = {name: version_of(name) for name in _PACKAGES}
+    found = {name: version_of(name) for name in packages()}
     missing = {name: lacks(name) for name in MODULES}
     host = platform.platform()
     devices, problem = dict[str, list[dict[str, str]]](), ""
@@ -96,14 +90,14 @@ def command(compiling: bool, as_json: bool) -> int:
         problem = str(error)
     code = EXIT_USAGE if problem else EXIT_PASS
     if as_json:
-        found = {"hil": __version__, "python": platform.python_version(), "platform": host}
+        ours = {"hil": __version__, "python": platform.python_version(), "platform": host}
         usable = {name: not why for name, why in missing.items()}
         lacking = {"extras_lack": {name: why for name, why in missing.items() if why}}
         told = {**lacking, "devices": devices, **({"problem": problem} if problem else {})}
-        click.echo(json.dumps({**found, "packages": packages, "extras": usable, **told}))
+        click.echo(json.dumps({**ours, "packages": found, "extras": usable, **told}))
         return code
     click.echo(f"hil {__version__}, Python {platform.python_version()}, {host}")
-    for name, version in packages.items():
+    for name, version in found.items():
         click.echo(f"  {name:16} {version}")
     click.echo("extras:")
     for name, why in missing.items():

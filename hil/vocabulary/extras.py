@@ -28,6 +28,15 @@ MODULES = {
 }
 
 
+def packages() -> tuple[str, ...]:
+    """Names of the packages that this one asks for in this Python, those of its extras for use included.
+
+    Empty where the metadata of this package is not installed.
+    """
+    asked = [r.name for r in _requirements() if any(_fits(r, extra) for extra in MODULES)]
+    return tuple(dict.fromkeys(asked))
+
+
 def is_installed(extra: str) -> bool:
     """Whether the module that an extra brings can be imported."""
     return util.find_spec(MODULES[extra]) is not None

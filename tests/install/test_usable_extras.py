@@ -6,6 +6,7 @@ from importlib import metadata, util
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 from hil.cli import main
 from hil.vocabulary import extras
@@ -66,3 +67,17 @@ def test_info_tells_it(capsys, monkeypatch):
     told = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["t265", "no:", "not", "today"] in told
     assert ["fast", "yes"] in told
+
+
+def test_info_names_every_package_that_this_python_takes_from_the_distribution(capsys):
+    """What only tests, lint or the pages need is left out, and so is what another Python needs."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extra = project["optional-dependencies"]
+    asked = map(Requirement, [*project["dependencies"], *(r for name in extras.MODULES for r in extra[name])])
+    wanted = {r.name for r in asked if r.marker is None or r.marker.evaluate()}
+    assert main(["info", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["packages"]
+    assert set(told) == wanted
+    assert {"rich", "jinja2", "msgpack", "packaging", "pymavlink", "dronecan", "dask"} <= wanted
+    assert "ruff" not in wanted
+    assert "absent" not in {told[name] for name in ("numpy", "rich", "msgpack")}
