@@ -4,9 +4,10 @@
 
 The bus is paced at 1 Mbit/s behind an adapter with 1 ms latency, in a process of its own, on a terminal.
 One cycle reads 10 bytes of each of eight servos and writes 4 bytes to each. Driver and SDK take turns, so
-that other work on the machine meets both; medians count. `ours_cpu` and `sdk_cpu` are the share of one core that
-the client's process takes, `ours_cpu_us_per_cycle` and `sdk_cpu_us_per_cycle` what a cycle costs. `cpu_ratio`
-compares the latter, because a client that polls without a pause takes less of a core that others want too.
+that other work on the machine meets both; medians count. `ours_cpu` and `sdk_cpu` are the share of one core
+that the client's process takes, `ours_cpu_us_per_cycle` and `sdk_cpu_us_per_cycle` what a cycle costs.
+`cpu_ratio` compares the latter, because a client that polls without a pause takes less of a core that others
+want too.
 """
 
 from __future__ import annotations

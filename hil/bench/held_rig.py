@@ -183,7 +183,7 @@ class HeldRig(Blueprint):
     def header(self) -> dict[str, object]:
         """As of a blueprint, and where its clock stands against the time of day, now."""
         wall = self.clock.wall_offset()
-        ptp = [] if wall is None else [one._asdict() for one in ptp_offsets()]
+        ptp = [] if wall is None else [one._asdict() for one in ptp_offsets(self.clock.now_ns)]
         return {**super().header(), "clock": describe_clock(wall, ptp)}
 
     def _note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:

@@ -56,15 +56,15 @@ class Shift(NamedTuple):
 
 
 def ptp_offsets(
+    now_ns: Callable[[], int],
     folder: Path = DEVICES,
-    now_ns: Callable[[], int] = time.monotonic_ns,
     read: Callable[[int], int] | None = None,
 ) -> tuple[PtpOffset, ...]:
     """Offsets of all hardware clocks that may be read; none where there are none.
 
     Args:
-        folder: where the kernel has them as `ptp0`, `ptp1`, ...
         now_ns: the bench clock.
+        folder: where the kernel has them as `ptp0`, `ptp1`, ...
         read: gives the time of an open hardware clock by its file descriptor.
     """
     found = []

@@ -115,11 +115,11 @@ def test_recordings_of_virtual_time_have_no_common_clock(tmp_path):
 
 
 def test_hardware_clocks_are_read_where_there_are_any(tmp_path):
-    assert ptp_offsets(tmp_path) == ()
+    assert ptp_offsets(time.monotonic_ns, tmp_path) == ()
     for name in ("ptp0", "ptp1", "ptp_kvm"):
         (tmp_path / name).touch()
     base_ns = EPOCH_NS + TAI_NS
-    found = ptp_offsets(tmp_path, read=lambda fd: base_ns + time.monotonic_ns())
+    found = ptp_offsets(time.monotonic_ns, tmp_path, read=lambda fd: base_ns + time.monotonic_ns())
     assert [one.device for one in found] == ["ptp0", "ptp1"]
     for one in found:
         assert abs(one.offset_ns - base_ns) <= one.uncertainty_ns < 5_000_000
@@ -127,8 +127,8 @@ def test_hardware_clocks_are_read_where_there_are_any(tmp_path):
     def refuses(fd):
         raise OSError("no clock behind it")
 
-    assert ptp_offsets(tmp_path, read=refuses) == ()
-    assert ptp_offsets(tmp_path) == ()  # an ordinary file is no clock
+    assert ptp_offsets(time.monotonic_ns, tmp_path, read=refuses) == ()
+    assert ptp_offsets(time.monotonic_ns, tmp_path) == ()  # an ordinary file is no clock
 
 
 def test_what_the_header_says_of_hardware_clocks_comes_back(tmp_path):
