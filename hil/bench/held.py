@@ -56,7 +56,7 @@ def seen_in_words(held: Held) -> str:
 
 def abandoned(why: str, *, on_wall: bool) -> Held:
     """Of a robot whose bench ended before anybody could look."""
-    held = Held("NOT HELD", None, f"nobody looked: {why}")
+    held = Held("NOT HELD", None, f"not checked: {why}")
     return held if on_wall else on_the_floor(held)
 
 

@@ -222,7 +222,7 @@ class HoldWatch(Sink):
 
     def unseen(self, why: str, *, wanted: bool = True) -> Held:
         """Nobody could look, or has not yet."""
-        return replace(self._verdict("NOT HELD", f"nobody looked: {why}", wanted=wanted), moved_m=None)
+        return replace(self._verdict("NOT HELD", f"not checked: {why}", wanted=wanted), moved_m=None)
 
     def _see(self, hold: ServoHold, trails: dict[str, Trail]) -> None:
         """Take what servos and sensors say now."""

@@ -101,7 +101,7 @@ def command(
 
 
 def _robot(calibration: Path | None, bench: str | None) -> tuple[CalibrationFile | None, Nominal]:
-    """The calibration, and the robot on paper: the calibration's own, else the bench's, else the CAD model.
+    """The calibration, and the nominal robot: the calibration's own, else the bench's, else the CAD model.
 
     Raises:
         ConfigError: the calibration was made for another robot than the bench's.
@@ -161,7 +161,7 @@ def _text(table: dict[str, Any], told: list[str]) -> str:
     lines = [
         f"{table['recordings']} recordings, model {table['model']}, signal {table['signal']}, "
         f"cost J = {table['cost']:.1f}",
-        f"robot on paper: {geometry['source']}",
+        f"nominal robot: {geometry['source']}",
         *told,
         f"{'motion':14}" + "".join(f"{c:>10}" for c in _COLUMNS) + f"{'RMSE mm':>10}{'RMSE deg':>10}",
     ]

@@ -107,7 +107,7 @@ def _of_the_camera(config: BenchConfig) -> Iterator[Problem]:
     if camera is not None and camera.wheel_odometry and config.of(ServosConfig) is None:
         yield (
             "tracker.wheel_odometry",
-            "the bench has no [servos] whose wheels could be told to the camera; add them, or leave it out",
+            "the bench has no [servos] that would give the camera wheel speeds; add them, or leave it out",
         )
 
 

@@ -114,5 +114,7 @@ class T265Config(TrackerConfig):
                 f"{' and '.join(of_the_map)} = true without a map: set mapping = true, or leave it out"
             )
         if self.wheel_sigma_m_s is not None and not self.wheel_odometry:
-            raise ValueError("wheel_sigma_m_s is told to nobody: set wheel_odometry = true, or leave it out")
+            raise ValueError(
+                "wheel_sigma_m_s needs wheel odometry: set wheel_odometry = true, or leave it out"
+            )
         return self

@@ -32,7 +32,7 @@ def only(ctx: Context, wanted: Sequence[str]) -> dict[str, object]:
     lacking = [name for name in wanted if name not in config.devices()]
     if lacking:
         raise ConfigError(
-            f"this run looks at {', '.join(lacking)}, which the bench {config.name!r} lacks",
+            f"this run uses {', '.join(lacking)}, which the bench {config.name!r} lacks",
             remedy="add the section(s) to the bench file, or say --set devices="
             + ",".join(name for name in wanted if name not in lacking),
         )

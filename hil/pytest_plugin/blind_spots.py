@@ -124,20 +124,20 @@ def _noticed(session: pytest.Session, items: Sequence[pytest.Item]) -> str:
 def summary(reporter: TerminalReporter, found: Sequence[Seen]) -> None:
     """The table: what was noticed by whom, and what by nobody."""
     blind = [seen for seen in found if not seen.by and seen.breakage.matters]
-    borne = [seen for seen in found if not seen.by and not seen.breakage.matters]
+    tolerated = [seen for seen in found if not seen.by and not seen.breakage.matters]
     reporter.section("blind spots")
     width = max(len(seen.breakage.name) for seen in found)
     for seen in found:
         if seen.by:
             reporter.write_line(f"{seen.breakage.name:{width}}  {seen.by}")
-    for seen in borne:
+    for seen in tolerated:
         reporter.write_line(
-            f"{seen.breakage.name:{width}}  by no test, and it is of a kind that a bench bears"
+            f"{seen.breakage.name:{width}}  by no test, and it is of a kind that a bench tolerates"
         )
     for seen in blind:
         reporter.write_line(f"{seen.breakage.name:{width}}  BLIND: no test notices it", red=True)
     reporter.write_line(
-        f"{len(found)} broken robots: {len(found) - len(blind) - len(borne)} noticed, {len(borne)} borne, "
-        f"{len(blind)} blind spots",
+        f"{len(found)} broken robots: {len(found) - len(blind) - len(tolerated)} noticed, "
+        f"{len(tolerated)} tolerated, {len(blind)} blind spots",
         red=bool(blind), green=not blind,
     )  # fmt: skip

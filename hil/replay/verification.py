@@ -22,6 +22,8 @@ from hil.vocabulary.signals import CycleRecord, Inputs, Reference, RobotState
 
 FIELDS = DECIDED
 ESTIMATION = ("measurements", "state", "reference", "events")
+_REWORDED = (" tells a step of ", " reports a step of ")
+"""What recordings up to version 0.1 say of a servo whose encoder slips, and what is said now."""
 
 
 @dataclass(frozen=True)
@@ -84,10 +86,9 @@ def verify_cycle(
         if [e.message for e in record.events] == [str(stop)]:
             return None
         return Mismatch(cycle.cycle, f"events: replay stopped the robot: {stop}")
-    if isinstance(cycle, StoredCycle):
-        if fields == FIELDS and cycle.holds(decision):
-            return None
-        cycle = cycle.record
+    if isinstance(cycle, StoredCycle) and fields == FIELDS and cycle.holds(decision):
+        return None
+    cycle = _read(cycle)
     if decision.observers and not cycle.observers:
         decision = _as_once(decision)
     recorded = {name: getattr(cycle, name) for name in fields}
@@ -109,7 +110,12 @@ def _as_once(decision: Decision) -> Decision:
 
 
 def _read(cycle: CycleRecord | StoredCycle) -> CycleRecord:
-    return cycle.record if isinstance(cycle, StoredCycle) else cycle
+    """A record, its events in the words of today."""
+    record = cycle.record if isinstance(cycle, StoredCycle) else cycle
+    if not any(_REWORDED[0] in event.message for event in record.events):
+        return record
+    events = tuple(replace(event, message=event.message.replace(*_REWORDED)) for event in record.events)
+    return replace(record, events=events)
 
 
 def _from_outside(record: CycleRecord) -> bool:

@@ -79,7 +79,7 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
         f"method {result.method}, setting {setting.name}, model {setting.model}, signal {setting.signal}",
         f"cost J {number(result.cost_before)} before, {number(result.cost_after)} after; without what was "
         f"rejected {number(result.kept_cost[0])} and {number(result.kept_cost[1])}",
-        f"robot on paper: {result.robot.in_words()}",
+        f"nominal robot: {result.robot.in_words()}",
     ]
     figures = [
         *_motion_figures(before, after),
@@ -208,7 +208,7 @@ def _parameters(result: Calibration) -> Drawn:
     axes.axhline(0.0, color=PALETTE["truth"], lw=0.6)
     legend(axes, columns=2, above=True)
     caption = (
-        "Change from the robot on paper: 1 is 1 % of a wheel's radius or of its offset from the centre, or "
+        "Change from the nominal robot: 1 is 1 % of a wheel's radius or of its offset from the centre, or "
         f"1 deg of a steering zero. Bars are 95 % intervals; grey is {_ALLOWED[bounded]}."
     )
     if any(map(len, cut)):

@@ -139,7 +139,7 @@ class ServoWatch:
     def _check_steps(
         self, sample: ServoSample, angles: list[float], outside: tuple[float, ...], events: list[Event]
     ) -> None:
-        """A servo that tells a step which no motor can make has an encoder that slips."""
+        """A servo that reports a step which no motor can make has an encoder that slips."""
         t_ns = sample.stamp.t_ns
         steps = [new - old for new, old in zip(angles, self._last_rad, strict=True)]
         if sample.status == _ALL_OK and not (max(steps) > STEP_RAD or min(steps) < -STEP_RAD):
@@ -156,7 +156,7 @@ class ServoWatch:
         self, j: int, step_rad: float, dt_s: float, t_ns: int, outside: tuple[float, ...], events: list[Event]
     ) -> None:
         """Tell of a leap, beside what the external encoder of a steering axis did since `outside`."""
-        said = f"{self._names[j]} tells a step of {step_rad:+.2f} rad in {1e3 * dt_s:.0f} ms"
+        said = f"{self._names[j]} reports a step of {step_rad:+.2f} rad in {1e3 * dt_s:.0f} ms"
         if j >= 4 and math.isfinite(turned := self._outside[j - 4] - outside[j - 4]):
             said += f"; the external encoder {WHEELS[j - 4]} turned by {abs(wrap(turned)):.2f} rad"
         events.append(Event(t_ns, "warning", "servos", said))

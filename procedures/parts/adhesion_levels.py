@@ -136,7 +136,7 @@ def _mean(motion: Motion, asked_n: float, thrust_n: float) -> Level:
     if len(fan) < 5 or len(cells) < 5:
         raise DataError(
             "adhesion_check", f"has {len(fan)} reports of the fan and {len(cells)} of the cells",
-            expected="5 of each at every level", remedy="`hil doctor` looks at both; or raise dwell_s",
+            expected="5 of each at every level", remedy="`hil doctor` checks both; or raise dwell_s",
         )  # fmt: skip
     first, second = np.mean(cells, axis=0).tolist()
     slow = [(s.input_a, s.input_v) for s in fan if math.isfinite(s.input_a) and math.isfinite(s.input_v)]

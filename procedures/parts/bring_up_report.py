@@ -46,7 +46,7 @@ def note_exchanged(ctx: Context, straight: DriveJogs, across: DriveJogs, steer: 
     for what, pairs, ids, seen, beside in (
         ("drive", exchanged_drives(straight, across), servos.drive_ids, "push", ""),
         ("steer", exchanged_axes(steer), servos.steer_ids, "turn, by the encoders,",
-         ", or the two encoders, if the wheels turn where they are told to"),
+         ", or the two encoders, if the wheels turn as commanded"),
     ):  # fmt: skip
         for a, b in pairs:
             named |= {WHEELS[a], WHEELS[b]}

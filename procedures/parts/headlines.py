@@ -81,9 +81,9 @@ def adhesion_check(v: Mapping[str, float]) -> str:
 
 
 def imu_calibration(v: Mapping[str, float]) -> str:
-    """What is left of the gyro's offset, and how well gravity tells the heading."""
+    """What is left of the gyro's offset, and how well gravity gives the heading."""
     return (
-        f"With its offset stored, the gyro drifts by {abs(v['restored_bias']):.3f} deg/s. Gravity tells the "
+        f"With its offset stored, the gyro drifts by {abs(v['restored_bias']):.3f} deg/s. Gravity gives the "
         f"heading within {abs(v['corrected_heading']):.2f} deg."
     )
 

@@ -4,7 +4,7 @@ from hil.cli.run import text_of
 from hil.procedure.measurements import Measurement, Verdict
 from hil.procedure.results import Failure, Result, judge
 
-HELD = {"state": "NOT HELD", "moved_m": None, "why": "nobody looked: the bench did not open"}
+HELD = {"state": "NOT HELD", "moved_m": None, "why": "not checked: the bench did not open"}
 
 
 def lines_of(tmp_path, values, error):
@@ -23,7 +23,7 @@ def test_the_reason_comes_first_and_what_was_not_measured_is_one_line(tmp_path):
     reason, missing, held, verdict, results = lines_of(tmp_path, {}, error)
     assert reason == "DeviceTimeoutError in 'start': adhesion: no VESC answers"
     assert missing == "NOT MEASURED 33 of 33: the run ended before them"
-    assert held.startswith("NOT HELD: nobody looked")
+    assert held.startswith("NOT HELD: not checked")
     assert verdict == "ERROR: bring_up. It ended early, in 'start'."
     assert results == f"results: {tmp_path}"
 

@@ -103,7 +103,7 @@ def test_a_leap_is_told_and_then_stops_the_robot(joint, step_rad):
     assert event.t_ns == 5 * PERIOD_NS
     watch = supervisor()
     assert all(watch.check(inputs) is not None for inputs in cycles[:11])  # told first, then stopped
-    assert f"(ID {IDS[joint]}) tells a step of {step_rad:+.2f} rad in 10 ms" in event.message
+    assert f"(ID {IDS[joint]}) reports a step of {step_rad:+.2f} rad in 10 ms" in event.message
     assert ("external encoder" in event.message) == (joint >= 4)
 
 
@@ -172,4 +172,4 @@ def test_a_leap_behind_a_short_silence_is_told_against_the_last_angle_known(join
     for k in (1, 2):
         assert watch.check(cycle(k, wrong={joint: Status.TIMEOUT})) == ()
     (event,) = watch.check(cycle(3, np.where(np.arange(8) == joint, 0.6, 0.0)))
-    assert f"(ID {IDS[joint]}) tells a step of +0.60 rad in 30 ms" in event.message
+    assert f"(ID {IDS[joint]}) reports a step of +0.60 rad in 30 ms" in event.message

@@ -49,7 +49,7 @@ def test_a_breakage_that_a_test_notices_is_none_and_the_test_is_named(searched):
 def test_a_breakage_that_no_test_notices_fails_the_session(searched):
     result = searched(LOOKS_AWAY, "imu:[sd]*")
     result.stdout.fnmatch_lines(["imu:stuck *BLIND: no test notices it"])
-    result.stdout.fnmatch_lines(["imu:duplicate *by no test, and it is of a kind that a bench bears"])
+    result.stdout.fnmatch_lines(["imu:duplicate *by no test, and it is of a kind that a bench tolerates"])
     assert result.ret == 1
 
 

@@ -148,8 +148,8 @@ def test_what_nobody_has_looked_at_has_not_moved_by_a_number(tmp_path):
     result = run_procedure(climb, source, RunOptions(tmp_path / "run", MonotonicClock(), "now", {}))
     tree = json.loads((result.folder / "result.json").read_text())
     assert (tree["held"]["state"], tree["held"]["moved_m"]) == ("NOT HELD", None)
-    assert held_in_words(tree["held"]).startswith("NOT HELD: nobody looked: the bench did not open")
-    assert "nobody looked" in write_run_page(tmp_path / "run").read_text()
+    assert held_in_words(tree["held"]).startswith("NOT HELD: not checked: the bench did not open")
+    assert "not checked" in write_run_page(tmp_path / "run").read_text()
 
 
 def test_where_no_device_was_opened_nobody_needs_to_be_held(tmp_path, capsys):

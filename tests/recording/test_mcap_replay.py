@@ -76,10 +76,10 @@ def brain(scale=1.0, reference=line, limits=None):
     )
 
 
-def run(cycles, the_brain):
+def run(cycles, the_brain, record_of=driving_record):
     the_brain.reset(START)
     for k in range(cycles):
-        source = driving_record(k)
+        source = record_of(k)
         try:
             decision = the_brain.decide(source.inputs)
         except SafetyStop as stop:
@@ -141,6 +141,33 @@ def test_a_recorded_stop_is_reproduced_and_an_unrecorded_one_named():
     found = verify(list(run(100, brain())), brain(limits=tight), START)
     assert found.cycle == len(stopped) - 1
     assert "stopped the robot" in found.field
+
+
+def slipping(k):
+    """Drives; the encoder of one servo slips in cycle 5."""
+    record = driving_record(k)
+    (servos,) = record.inputs.servos
+    slipped = servos.position_rad + (0.5 * (np.arange(8) == 1) if k >= 5 else 0.0)
+    inputs = dataclasses.replace(record.inputs, servos=(dataclasses.replace(servos, position_rad=slipped),))
+    return dataclasses.replace(record, inputs=inputs)
+
+
+def test_a_slip_and_its_stop_in_the_words_of_version_0_1_repeat(tmp_path):
+    now = list(run(100, brain(), slipping))
+    assert 6 < len(now) < 100
+    assert all("reports a step of" in now[k].events[0].message for k in (5, -1))
+    once = [
+        dataclasses.replace(record, events=tuple(
+            dataclasses.replace(event, message=event.message.replace("reports a step", "tells a step"))
+            for event in record.events
+        ))
+        for record in now
+    ]  # fmt: skip
+    assert verify(once, brain(), START) is None
+    right = brain()
+    right.reset(START)
+    stored = [cycle for _, _, cycle in read_stored_cycles(recorded(tmp_path / "r", once))]
+    assert [verify_cycle(cycle, right) for cycle in stored] == [None] * len(now)
 
 
 def test_runs_without_a_note_are_told_apart_by_their_cycle_numbers(tmp_path):

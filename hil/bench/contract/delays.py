@@ -62,8 +62,8 @@ def punctuality(config: BenchConfig) -> Finding:
         "bench", "this computer", "ok" if late <= BUSY_SHARE else "warning",
         f"{found.late} of {found.cycles} cycles of a loop that does nothing began late",
         f"at most {BUSY_SHARE:.0%}",
-        "" if late <= BUSY_SHARE else "end other programs, set loop.fifo_priority, then accept again: what "
-        "is said of samples and delays may be this computer's doing",
+        "" if late <= BUSY_SHARE else "end other programs, set loop.fifo_priority, then accept again: "
+        "this computer may be what delays samples",
     )  # fmt: skip
 
 

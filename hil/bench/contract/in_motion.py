@@ -157,7 +157,7 @@ def goals_beyond_limits_are_clipped(bench: Bench) -> str:
         return f"{fastest:.2f} of {limit:g} rad/s"
 
 
-def health_is_told(bench: Bench) -> str:
+def health_is_reported(bench: Bench) -> str:
     """Voltage and temperature come at their own slow rate."""
     found, servos = list[Any](), _servos(bench)
     for _ in range(round(100.0 * _HEALTH_S)):
@@ -248,7 +248,7 @@ _CHECKS: Mapping[str, Callable[[Bench], str]] = {
     "a forgotten wheel stops": a_forgotten_wheel_stops,
     "obeys after silence": obeys_after_silence,
     "goals beyond limits are clipped": goals_beyond_limits_are_clipped,
-    "health is told": health_is_told,
+    "health is reported": health_is_reported,
     "stop never raises": stop_never_raises,
 }
 IN_MOTION = {promise: without_restart(check) for promise, check in _CHECKS.items()}

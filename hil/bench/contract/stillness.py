@@ -17,7 +17,7 @@ def sees_no_motion(subject: Subject) -> str:
     """The position that a device tells of a robot at rest drifts by less than 5 mm/s."""
     witness = kinds()[subject.kind].witness
     if witness is None or not witness.is_place:
-        return "tells no place"
+        return "reports no position"
     with subject.opened() as device:
         samples = read_for(subject.bench, device, _WATCH_S)
     seen = [(s.stamp.t_ns, place) for s in samples if (place := witness.value(s)) is not None]

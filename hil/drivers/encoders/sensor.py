@@ -170,7 +170,7 @@ class As5045Encoders(Sensor[EncoderSample]):
                 samples.append(sample)
         self.floods += not self._bus_error
         if self.floods == 1:
-            _LOG.warning("%s: frames flood %s; a read looks at some only", self.name, self._port)
+            _LOG.warning("%s: frames flood %s; a read takes only some of them", self.name, self._port)
         return samples
 
     @property

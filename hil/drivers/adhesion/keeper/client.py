@@ -105,7 +105,7 @@ def understood(packet: bytes, spec: Spec) -> Status:
             error[key] for key in ("exit_code", "message", "expected", "remedy")
         )
         if not all(isinstance(text, str) for text in (message, expected, remedy)):
-            raise ValueError("an error is told in texts")
+            raise ValueError("an error consists of texts")
     except (ValueError, TypeError, KeyError):
         raise DeviceError(
             spec.device, f"{spec.whose} keeper answered what cannot be understood", port=spec.name,
