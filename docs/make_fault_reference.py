@@ -11,7 +11,16 @@ from pathlib import Path
 import hil
 from hil.bench.emulation import supported_faults
 from hil.config.loading import load_bench
-from hil.fakes.fault import MEANINGS, VOCABULARY, Supported
+from hil.fakes.fault import (
+    DELAY_S,
+    DUTY,
+    FACTOR,
+    MEANINGS,
+    PERIOD_S,
+    PROBABILITY,
+    VOCABULARY,
+    Supported,
+)
 from hil.fakes.fault_options import OPTIONS
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import KINDS as KINDS_HERE
@@ -56,7 +65,13 @@ began last counts.
 A fault that a device cannot produce, an unknown device or option is refused before anything opens. This page
 is written by `docs/make_fault_reference.py` from what the devices declare.
 """
-SHARED = {"period_s": "0.5", "duty": "0.5", "probability": "0.1", "factor": "5", "delay_s": "0.1"}
+SHARED = {
+    "period_s": f"{PERIOD_S:g}",
+    "duty": f"{DUTY:g}",
+    "probability": f"{PROBABILITY:g}",
+    "factor": f"{FACTOR:g}",
+    "delay_s": f"{DELAY_S:g}",
+}
 _INHERITED = re.compile(r"from (hil[\w.]+\.faulty|hil\.fakes\.adhesion\.(?:vesc|motor)) import")
 _ASKED = re.compile(r'find\(\s*(?:[\w.]+,\s*)*"(\w+)"|\.option\("(\w+)",\s*([\w.]+)\)|delay_ns\((_\w+)\)')
 

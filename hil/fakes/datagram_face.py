@@ -23,14 +23,17 @@ class DatagramFace(Face):
     """
 
     def __init__(self, host: str, port: int) -> None:
-        self._socket: socket.socket | None = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.bind((host, port))
+            self._bind(host, port)
         except OSError:
             self._socket.close()
             raise
         self._socket.setblocking(False)
         self.host, self.port = self._socket.getsockname()[:2]
+
+    def _bind(self, host: str, port: int) -> None:
+        self._socket.bind((host, port))
 
     def next_due_ns(self) -> int:
         """Nothing is planned here: what the device says is passed on as it comes."""
@@ -41,13 +44,12 @@ class DatagramFace(Face):
 
     def filenos(self) -> list[int]:
         """The socket, while open."""
-        return [] if self._socket is None else [self._socket.fileno()]
+        number = self._socket.fileno()
+        return [] if number < 0 else [number]
 
     def close(self) -> None:
         """Stop serving. Idempotent."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        self._socket.close()
 
     def receive(self, largest: int) -> tuple[bytes, tuple[str, int]] | None:
         """One datagram and who sent it; None when there is none, or the socket is closed.
@@ -55,8 +57,6 @@ class DatagramFace(Face):
         Args:
             largest: bytes of it that are taken.
         """
-        if self._socket is None:
-            return None
         try:
             data, (host, port) = self._socket.recvfrom(largest)
         except OSError:
@@ -64,7 +64,6 @@ class DatagramFace(Face):
         return data, (host, port)
 
     def transmit(self, data: bytes, client: tuple[str, int]) -> None:
-        """Send a datagram; what the network refuses is lost."""
-        if self._socket is not None:
-            with contextlib.suppress(OSError):
-                self._socket.sendto(data, client)
+        """Send a datagram; what the network refuses, or a closed socket, is lost."""
+        with contextlib.suppress(OSError):
+            self._socket.sendto(data, client)

@@ -47,7 +47,8 @@ Supported = Mapping[str, tuple[str, ...]]
 """Faults that a device can produce, and the options that each takes."""
 
 STRIKES, PERIODIC = ("probability",), ("period_s", "duty")
-_SLOWNESS, _PERIOD_S, _DUTY, _PROBABILITY = 5.0, 0.5, 0.5, 0.1
+FACTOR, PERIOD_S, DUTY, PROBABILITY, DELAY_S = 5.0, 0.5, 0.5, 0.1, 0.1
+"""Options that are not given; `docs/faults.md` names them."""
 
 _SPEC = re.compile(
     r"(?P<device>[\w.]+):(?P<kind>\w+)(?:@(?P<start>[\d.eE-]+)(?:\+(?P<duration>[\d.eE-]+))?)?"
@@ -88,17 +89,17 @@ class Fault:
 
     def interrupts(self, t_ns: int) -> bool:
         """Whether an `intermittent` fault acts now: the last `duty` of every `period_s`."""
-        period_ns = nanoseconds(self.option("period_s", _PERIOD_S))
-        return (t_ns - self.start_ns) % period_ns >= (1.0 - self.option("duty", _DUTY)) * period_ns
+        period_ns = nanoseconds(self.option("period_s", PERIOD_S))
+        return (t_ns - self.start_ns) % period_ns >= (1.0 - self.option("duty", DUTY)) * period_ns
 
     def strikes(self, rng: np.random.Generator) -> bool:
         """Whether it hits this packet, frame or reply, by its `probability`."""
-        return bool(rng.random() < self.option("probability", _PROBABILITY))
+        return bool(rng.random() < self.option("probability", PROBABILITY))
 
     @property
     def slowness(self) -> float:
         """By which `factor` a period is longer."""
-        return self.option("factor", _SLOWNESS)
+        return self.option("factor", FACTOR)
 
     def faded(self, t_ns: int, left: float, over_s: float) -> float:
         """Share that is left of something that goes down to `left` along a line within `over_s`."""
@@ -106,7 +107,7 @@ class Fault:
         passed = 1.0 if over_ns <= 0 else min((t_ns - self.start_ns) / over_ns, 1.0)
         return 1.0 + (left - 1.0) * passed
 
-    def delay_ns(self, default_s: float = 0.1) -> int:
+    def delay_ns(self, default_s: float = DELAY_S) -> int:
         """`delay_s` of a `delayed` fault."""
         return nanoseconds(self.option("delay_s", default_s))
 

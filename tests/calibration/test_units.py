@@ -75,7 +75,8 @@ def test_a_heading_in_radians_may_leap_at_half_a_turn_and_hold_damaged_rows(circ
     t_s, wheels, truth_t_s, pose = circle
     heading = np.angle(np.exp(1j * (pose[:, 2] + 3.0)))
     heading[[5, 500]] = 9999.0
-    build_recording("run", Log(t_s, wheels), Log(truth_t_s, np.c_[pose[:, :2], heading]))
+    found = build_recording("run", Log(t_s, wheels), Log(truth_t_s, np.c_[pose[:, :2], heading]))
+    assert found.repairs == {"ground-truth rows that leap away and back dropped": 2}
 
 
 @pytest.mark.parametrize(
@@ -121,13 +122,14 @@ def test_a_turn_of_a_mark_far_from_the_middle_is_no_other_unit(turn):
     """A turn on the spot, seen at a mark 1 m ahead: six times the way that the wheels roll."""
     t_s, wheels, truth_t_s, pose = turn
     mark = pose + np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2]), np.zeros(len(pose))])
-    build_recording("run", Log(t_s, wheels), Log(truth_t_s, mark))
+    assert not build_recording("run", Log(t_s, wheels), Log(truth_t_s, mark)).repairs
 
 
 @pytest.mark.parametrize("slip", [0.5, 1.4, 1.9])
 def test_wheels_that_roll_further_or_less_far_than_the_robot_goes_are_no_other_unit(circle, slip):
     t_s, wheels, truth_t_s, pose = circle
-    build_recording("run", Log(t_s, wheels * np.r_[np.full(4, slip), np.ones(4)]), Log(truth_t_s, pose))
+    wheels = wheels * np.r_[np.full(4, slip), np.ones(4)]
+    assert not build_recording("run", Log(t_s, wheels), Log(truth_t_s, pose)).repairs
 
 
 RATES = {

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from nobody import Nobody
 
 from hil.cli import main
 from hil.config import profiles
@@ -37,11 +38,6 @@ TINY = (
 )  # fmt: skip
 SOURCE = BenchSource("emulated_delivered", seed=1)
 PROFILES = Path(profiles.__file__).parent
-
-
-class Nobody:
-    def ask(self, question):
-        raise AssertionError(f"asked {question!r}")
 
 
 def asked(folder, **changes):

@@ -358,7 +358,7 @@ def test_the_guards_limits_are_where_they_are_said_to_be(pose, reason):
 
 
 def test_the_floor_has_no_heading_limit():
-    Supervisor(SafetyLimits(on_wall=False)).guard(state((0, 0, 3.0)), None)
+    Supervisor(SafetyLimits(on_wall=False)).guard(state((0, 0, 3.0)), None)  # no stop
 
 
 @pytest.mark.parametrize(("force", "lost"), [(4.99, True), (5.01, False)])

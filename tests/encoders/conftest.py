@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from still_plant import StillPlant
 
 from hil.config.encoders import EncodersConfig
 from hil.drivers.encoders import As5045Encoders
@@ -11,43 +12,21 @@ from hil.fakes.can_wire import CanChannel
 from hil.fakes.encoders import EncoderNode, EncoderTruthOptions
 from hil.fakes.fault import parse_fault
 from hil.fakes.faults import FaultPlan
-from hil.fakes.plant_api import Plant, PlantState
 from hil.fakes.world import VirtualClock, World
 
 
-class SteeringPlant:
+class SteeringPlant(StillPlant):
     """Only its steering angles matter: constant plus rate times time."""
 
-    body, steering_rad = Plant.body, Plant.steering_rad
-
     def __init__(self, steering_rad=(0.0, 0.0, 0.0, 0.0), rate_rad_s=0.0):
-        self.t_ns, self.start_rad, self.rate_rad_s = 0, np.array(steering_rad, float), rate_rad_s
-
-    def command(self, joint, command):
-        raise AssertionError("an encoder commands nothing")
-
-    def advance(self, t_ns):
-        self.t_ns = t_ns
-
-    def joints(self):
-        return np.zeros(8), np.zeros(8), np.zeros(8)
+        super().__init__()
+        self.start_rad, self.rate_rad_s = np.array(steering_rad, float), rate_rad_s
 
     def steering(self):
         return self.start_rad + self.rate_rad_s * self.t_ns * 1e-9
 
-    def truth(self):
-        return PlantState(
-            self.t_ns,
-            np.zeros(3),
-            np.zeros(3),
-            np.zeros(2),
-            *(np.zeros(8) for _ in range(3)),
-            self.steering(),
-            np.full(4, 8.0),
-            np.zeros((4, 2)),
-            0.0,
-            False,
-        )
+    def moves(self):
+        return {"steering_true_rad": self.steering()}
 
 
 @pytest.fixture

@@ -7,35 +7,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from still_plant import StillPlant
 
 from hil.config.encoders import EncodersConfig
 from hil.drivers.encoders import As5045Encoders
 from hil.fakes.can_wire import CanChannel
 from hil.fakes.encoders import EncoderNode
-from hil.fakes.plant_api import Plant, PlantState
 from hil.fakes.world import VirtualClock, World
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.signals import Status
 
 OURS = st.sampled_from([416, 417])
-
-
-class Parked:
-    """Steering straight ahead for ever."""
-
-    body, steering_rad = Plant.body, Plant.steering_rad
-
-    t_ns = 0
-
-    def advance(self, t_ns):
-        self.t_ns = t_ns
-
-    def truth(self):
-        eight, four = np.zeros(8), np.zeros(4)
-        return PlantState(
-            self.t_ns, np.zeros(3), np.zeros(3), np.zeros(2), eight, eight, eight, four, four,
-            np.zeros((4, 2)), 0.0, False,
-        )  # fmt: skip
 
 
 def frame(identifier, data, extended, remote, error):
@@ -62,7 +44,7 @@ FRAMES = st.builds(
 @settings(max_examples=60)
 @given(frames=st.lists(st.tuples(FRAMES, st.integers(0, 60_000_000)), max_size=30), with_node=st.booleans())
 def test_any_frames_give_samples_or_a_device_error(frames, with_node):
-    world = World(Parked(), seed=1)
+    world = World(StillPlant(), seed=1)
     channel = CanChannel(world, "fuzz").open()
     if with_node:
         EncoderNode(world, channel)
@@ -86,7 +68,7 @@ def test_any_frames_give_samples_or_a_device_error(frames, with_node):
 
 
 def test_frames_of_others_alone_are_no_encoders():
-    world = World(Parked(), seed=1)
+    world = World(StillPlant(), seed=1)
     channel = CanChannel(world, "fuzz").open()
 
     class Chatter:

@@ -5,9 +5,9 @@ import socket
 
 import numpy as np
 import pytest
+from still_plant import StillPlant
 
 import hil
-from hil.fakes.plant_api import Plant
 from hil.fakes.server import EmulationServer, Face
 from hil.fakes.world import NEVER_NS, World
 from hil.vocabulary.clock import MonotonicClock
@@ -16,22 +16,6 @@ from tests.patience import FANLESS
 pytestmark = pytest.mark.usefixtures("warm_commands")
 
 SECOND = 1_000_000_000
-
-
-class NoPlant(Plant):
-    t_ns = 0
-
-    def command(self, joint, command):
-        raise AssertionError("nothing is commanded here")
-
-    def advance(self, t_ns):
-        self.t_ns = t_ns
-
-    def joints(self):
-        return np.zeros(8), np.zeros(8), np.zeros(8)
-
-    def truth(self):
-        raise AssertionError("nobody looks here")
 
 
 class Deaf(Face):
@@ -63,7 +47,7 @@ class Deaf(Face):
 def test_world_time_waits_for_the_bench_and_ends_with_it():
     reads, writes = os.pipe()
     face, clock = Deaf(), MonotonicClock()
-    server = EmulationServer(World(NoPlant()), clock, {"deaf": face}, lifeline=reads, await_start=True)
+    server = EmulationServer(World(StillPlant()), clock, {"deaf": face}, lifeline=reads, await_start=True)
     begun_ns = server.world.now_ns
     face.far.send(b"?")
     server.step()

@@ -6,46 +6,32 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from following import follow
+from still_plant import StillPlant
 
 from hil.config.mocap import MocapConfig
 from hil.drivers.mocap import NatNetMocap
 from hil.fakes.fault import parse_fault
 from hil.fakes.faults import FaultPlan
 from hil.fakes.mocap import STILL, NatNetFace, NatNetServer
-from hil.fakes.plant_api import Plant, PlantState
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import VirtualClock, World
 from hil.vocabulary.clock import MonotonicClock
 
 
-class Climber:
+class Climber(StillPlant):
     """Moves with a constant velocity and turn rate in the wall frame."""
 
-    body, steering_rad = Plant.body, Plant.steering_rad
-
     def __init__(self, velocity=(0.05, -0.03), start=(0.3, -0.2, 0.5), rate=0.1):
-        self.t_ns, self.start = 0, np.array(start, float)
+        super().__init__(math.pi / 2)
+        self.start = np.array(start, float)
         self.velocity = np.array((*velocity, rate), float)
-
-    def command(self, joint, command):
-        raise AssertionError("cameras command nothing")
-
-    def advance(self, t_ns):
-        self.t_ns = t_ns
-
-    def joints(self):
-        return np.zeros(8), np.zeros(8), np.zeros(8)
 
     def pose(self, t_ns):
         return self.start + self.velocity * t_ns * 1e-9
 
-    def truth(self):
-        x, y, theta = self.pose(self.t_ns)
-        return PlantState(
-            self.t_ns, np.array([x, y, theta]), self.velocity.copy(), np.zeros(2),
-            *(np.zeros(8) for _ in range(3)), np.zeros(4), np.full(4, 8.0), np.zeros((4, 2)), math.pi / 2,
-            False,
-        )  # fmt: skip
+    def moves(self):
+        return {"pose_body_in_wall": self.pose(self.t_ns), "twist_body": self.velocity.copy()}
 
 
 @pytest.fixture
@@ -81,18 +67,7 @@ def mocap_bench():
 
 @pytest.fixture
 def watch():
-    """Reads the driver every 10 ms for some seconds of bench time."""
-
-    def collect(bench, duration_s):
-        samples, t_ns = [], bench.clock.now_ns()
-        end_ns = t_ns + round(duration_s * 1e9)
-        while t_ns < end_ns:
-            t_ns += 10_000_000
-            bench.clock.sleep_until_ns(t_ns)
-            samples += bench.driver.read()
-        return samples
-
-    return collect
+    return follow
 
 
 @pytest.fixture

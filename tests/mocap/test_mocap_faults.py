@@ -2,15 +2,12 @@
 
 import numpy as np
 import pytest
+from following import kinds
 
 from hil.fakes.fault import parse_fault
 from hil.fakes.mocap import SUPPORTED_FAULTS, MocapTruthOptions
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.vocabulary.signals import Status
-
-
-def kinds(samples):
-    return [s.status for s in samples]
 
 
 def test_all_faults_of_this_file_are_the_supported_ones():

@@ -3,11 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from hil.config.control import ControlConfig
 from hil.config.robot import RobotConfig
 from hil.controller import make_controller
+from hil.fakes.fault import make_fault
+from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import WallRobot, make_plant
+from hil.fakes.plant.robot import GRAVITY_M_S2
 from hil.fakes.plant_api import JointCommand
 from hil.robot.kinematics import WheelGeometry, forward, inverse
 from hil.robot.trajectories import line
@@ -111,3 +115,28 @@ def track(plant, trajectory, *, hold_s=2.0):
         rows.append((plant.truth().pose_body_in_wall - offset, pose, reference.pose_in_wall))
     truth, odometry, wanted = (np.array(column) for column in zip(*rows, strict=True))
     return truth, odometry, wanted
+
+
+def assert_falls_freely(make, *, gone_after_s):
+    """Without its fan a robot falls with g, and its joints live on.
+
+    Args:
+        make: a plant on a wall, of `faults`.
+        gone_after_s: how long after the fan it has left the wall.
+    """
+    faults = FaultPlan([make_fault("plant", "adhesion_loss", at=1.0)])
+    plant = make(faults=faults)
+    faults.check()
+    settle(plant, 0.0, 1.0)
+    assert not plant.truth().fallen
+    wait(plant, gone_after_s)
+    begin = plant.truth()
+    drive(plant, 2.0)
+    wait(plant, 0.5)
+    end = plant.truth()
+    assert begin.fallen
+    assert end.fallen
+    assert end.twist_body[0] - begin.twist_body[0] == pytest.approx(-0.5 * GRAVITY_M_S2, rel=0.02)
+    assert end.acceleration_body[0] == pytest.approx(-GRAVITY_M_S2, rel=0.02)
+    assert np.all(end.normal_load_n == 0.0)
+    np.testing.assert_allclose(end.joint_velocity_rad_s[:4], 2.0, rtol=1e-3)

@@ -5,11 +5,9 @@ import math
 import numpy as np
 import pytest
 from mujoco_driving import WEIGHT_N, robot, truth, without_play
-from plant_driving import FLOOR, MS_NS, drive, play_back, release, settle, wait
+from plant_driving import FLOOR, MS_NS, assert_falls_freely, drive, play_back, release, settle, wait
 
 from hil.config.robot import RobotConfig
-from hil.fakes.fault import make_fault
-from hil.fakes.faults import FaultPlan
 from hil.fakes.mujoco_plant import CONTACTS, MujocoRobot
 from hil.fakes.mujoco_plant.model import build_model
 from hil.fakes.plant import Patch, Surface
@@ -133,22 +131,7 @@ def test_across_the_wall_a_creeping_robot_sags():
 
 
 def test_a_robot_let_go_falls_freely_and_its_joints_live_on():
-    faults = FaultPlan([make_fault("plant", "adhesion_loss", at=1.0)])
-    plant = robot(faults=faults)
-    faults.check()
-    settle(plant, 0.0, 1.0)
-    assert not plant.truth().fallen
-    wait(plant, 0.3)
-    begin = plant.truth()
-    drive(plant, 2.0)
-    wait(plant, 0.5)
-    end = plant.truth()
-    assert begin.fallen
-    assert end.fallen
-    assert end.twist_body[0] - begin.twist_body[0] == pytest.approx(-0.5 * 9.81, rel=0.02)
-    assert end.acceleration_body[0] == pytest.approx(-9.81, rel=0.02)
-    assert np.all(end.normal_load_n == 0.0)
-    np.testing.assert_allclose(end.joint_velocity_rad_s[:4], 2.0, rtol=1e-3)
+    assert_falls_freely(robot, gone_after_s=0.3)
 
 
 def test_a_robot_that_tips_has_fallen():

@@ -4,7 +4,19 @@ import math
 
 import numpy as np
 import pytest
-from plant_driving import FLOOR, MS_NS, X_LINE, build, drive, play_back, rebuilt, release, settle, wait
+from plant_driving import (
+    FLOOR,
+    MS_NS,
+    X_LINE,
+    assert_falls_freely,
+    build,
+    drive,
+    play_back,
+    rebuilt,
+    release,
+    settle,
+    wait,
+)
 
 from hil.config.robot import RobotConfig
 from hil.fakes.fault import make_fault
@@ -66,21 +78,7 @@ def test_propellers_carry_what_friction_cannot():
 
 
 def test_a_fallen_robot_falls_freely_and_its_joints_live_on():
-    faults = FaultPlan([make_fault("plant", "adhesion_loss", at=1.0)])
-    plant = build(faults=faults)
-    faults.check()
-    settle(plant, 0.0, 1.0)
-    assert not plant.truth().fallen
-    wait(plant, 0.001)
-    begin = plant.truth()
-    drive(plant, 2.0)
-    wait(plant, 0.5)
-    end = plant.truth()
-    assert begin.fallen
-    assert end.fallen
-    assert end.twist_body[0] - begin.twist_body[0] == pytest.approx(-0.5 * GRAVITY_M_S2, rel=0.02)
-    assert np.all(end.normal_load_n == 0.0)
-    np.testing.assert_allclose(end.joint_velocity_rad_s[:4], 2.0, rtol=1e-3)
+    assert_falls_freely(build, gone_after_s=0.001)
 
 
 def test_weaker_adhesion_is_survived_and_cured_or_not():

@@ -2,11 +2,13 @@
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from nobody import Nobody
 
 from hil.bench import open_bench
 from hil.procedure.bench_source import BenchSource
@@ -18,13 +20,6 @@ from hil.replay.verification import verify_run
 from hil.vocabulary.clock import MonotonicClock, nanoseconds
 
 SAFE_HEADING_RAD = math.radians(15.0)
-
-
-class Nobody:
-    """An operator who must not be asked."""
-
-    def ask(self, question):
-        raise AssertionError(f"asked {question!r}")
 
 
 @dataclass(frozen=True)
@@ -106,6 +101,12 @@ def assert_covered(errors_over_uncertainty: list[float], *, few: bool):
     assert ratio.max() < (2.0 if few else 2.2), ratio.round(2)
     if not few:
         assert np.mean(ratio <= 1.0) >= 0.9, np.sort(ratio)[-10:].round(2)
+
+
+def assert_covered_over_twenty_seeds(recover: Callable[[int, Path], Any], folder: Path):
+    """As `assert_covered`, of what `recover(seed, folder)` returns first for each of twenty seeds."""
+    ratios = [r for seed in range(100, 120) for r in recover(seed, folder / str(seed))[0]]
+    assert_covered(ratios, few=False)
 
 
 def assert_verifies(path: Path):

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from procedure_runs import assert_covered, part, run, true_world
+from procedure_runs import assert_covered, assert_covered_over_twenty_seeds, part, run, true_world
 
 from hil.drivers.imu import ImuCalibration
 from hil.fakes.imu import Bno055Chip
@@ -71,8 +71,7 @@ def test_imu_offsets_noise_and_heading_come_back(tmp_path, seed):
 @pytest.mark.long
 @pytest.mark.timeout(3600)
 def test_imu_truth_lies_within_the_stated_intervals_over_twenty_seeds(tmp_path):
-    ratios = [r for seed in range(100, 120) for r in recover(seed, tmp_path / str(seed))[0]]
-    assert_covered(ratios, few=False)
+    assert_covered_over_twenty_seeds(recover, tmp_path)
 
 
 @pytest.mark.long

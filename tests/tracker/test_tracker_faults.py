@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from following import kinds
 
 from hil.config.tracker import T265Config
 from hil.drivers.tracker import T265Tracker
@@ -13,10 +14,6 @@ from hil.fakes.tracker import IDEAL, SUPPORTED_FAULTS, TrackerTruthOptions
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.vocabulary.signals import Status
-
-
-def kinds(samples):
-    return [s.status for s in samples]
 
 
 def test_a_jump_is_marked_until_the_new_place_is_consistent(tracker_bench, follow):

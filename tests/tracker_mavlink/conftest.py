@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from travelling_plant import TravellingPlant
 
 from hil.devices.tracker.mavlink.computer import VisualInertialComputer
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
@@ -16,9 +17,6 @@ from hil.devices.tracker.mavlink.wire import Arrival, Link
 from hil.fakes.fault import parse_fault
 from hil.fakes.faults import FaultPlan
 from hil.fakes.world import VirtualClock, World
-from hil.ring.alignment import Alignment, AlignmentParameters, Mount
-from hil.vocabulary.signals import Inputs
-from tests.tracker.conftest import TravellingPlant
 
 NAN = math.nan
 
@@ -54,31 +52,6 @@ def mavlink_bench():
     yield build
     for driver in drivers:
         driver.close()
-
-
-def follow(bench, duration_s, period_ns=10_000_000):
-    """Reads the driver every 10 ms for some seconds of bench time."""
-    samples, t_ns = [], bench.clock.now_ns()
-    end_ns = t_ns + round(duration_s * 1e9)
-    while t_ns < end_ns:
-        t_ns += period_ns
-        bench.clock.sleep_until_ns(t_ns)
-        samples += bench.driver.read()
-    return samples
-
-
-def until(bench, t_s):
-    """Reads until an instant of bench time."""
-    return follow(bench, t_s - bench.clock.now_ns() * 1e-9)
-
-
-def kinds(samples):
-    return [s.status for s in samples]
-
-
-def aligned(bench, samples):
-    mount = Mount(bench.config.mount_position_m, bench.config.mount_rotation_wxyz)
-    return Alignment(AlignmentParameters(tracker=mount)).measure(Inputs(0, 0, tracker=tuple(samples))).tracker
 
 
 class ScriptedLink(Link):

@@ -5,11 +5,11 @@ import math
 import re
 
 import pytest
+from following import follow
 
 from hil.devices.tracker.mavlink.messages import dialect
 from hil.devices.tracker.mavlink.network import WorldLink
 from hil.devices.tracker.mavlink.options import IDEAL
-from tests.tracker_mavlink.conftest import follow
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
 

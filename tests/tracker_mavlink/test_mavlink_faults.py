@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from following import follow, kinds, until
 
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
 from hil.devices.tracker.mavlink.driver import MavlinkTracker
@@ -14,7 +15,6 @@ from hil.fakes.fault import parse_fault
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import ConfigError, DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.vocabulary.signals import Status
-from tests.tracker_mavlink.conftest import follow, kinds, until
 
 
 @pytest.fixture(autouse=True)

@@ -6,18 +6,24 @@ import math
 
 import numpy as np
 import pytest
+from following import follow
 
 from hil.devices.tracker.mavlink import messages
 from hil.devices.tracker.mavlink.options import IDEAL, ComputerTruthOptions
+from hil.ring.alignment import Alignment, AlignmentParameters, Mount
 from hil.vocabulary.geometry import between, quat_from_rotvec, quat_rotate, yaw_of_quat
-from hil.vocabulary.signals import Status
-from tests.tracker_mavlink.conftest import aligned, follow
+from hil.vocabulary.signals import Inputs, Status
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
 
 TILTED = tuple(float(v) for v in quat_from_rotvec([0.05, -0.3, 0.2]))
 WALL, FLOOR = math.pi / 2, 0.0
 FRAMES = list(itertools.product(("LOCAL_FRD", "LOCAL_FLU", "LOCAL_NED", "LOCAL_ENU"), (True, False)))
+
+
+def aligned(bench, samples):
+    mount = Mount(bench.config.mount_position_m, bench.config.mount_rotation_wxyz)
+    return Alignment(AlignmentParameters(tracker=mount)).measure(Inputs(0, 0, tracker=tuple(samples))).tracker
 
 
 @pytest.mark.parametrize("tilt_rad", [FLOOR, WALL])

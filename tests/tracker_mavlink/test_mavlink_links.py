@@ -6,6 +6,7 @@ import threading
 
 import numpy as np
 import pytest
+from following import follow, kinds
 from pydantic import ValidationError
 
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
@@ -20,7 +21,6 @@ from hil.fakes.server import EmulationServer
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.signals import Status
-from tests.tracker_mavlink.conftest import follow, kinds
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
 

@@ -4,12 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from following import follow, kinds
 
 from hil.devices.tracker.mavlink.options import IDEAL
 from hil.devices.tracker.mavlink.timesync import TimeSync
 from hil.vocabulary.errors import DeviceTimeoutError
 from hil.vocabulary.signals import Status
-from tests.tracker_mavlink.conftest import follow, kinds
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
 

@@ -18,8 +18,9 @@ from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.kept import Keep, Kept
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.can_link import CanLink, remedy_of_silence
+from hil.drivers.patience import used_while_closed
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, UsageError
+from hil.vocabulary.errors import DeviceTimeoutError, UsageError
 from hil.vocabulary.interfaces import Holding
 
 C = TypeVar("C", bound=KeptMotorConfig)
@@ -33,14 +34,16 @@ class KeptMotor(Holding[S], Generic[C, S]):
         config: bus, ids, ratings.
         clock: the bench clock.
         keep: makes who keeps it running, of (spec, clock).
-        name: device name in errors.
+
+    Attributes:
         noun: what it is called in messages.
     """
 
-    def __init__(self, config: C, clock: Clock, keep: Keep, name: str, noun: str) -> None:
-        self.name, self._config, self._clock, self._keep = name, config, clock, keep
-        self._noun = noun
-        self._link = CanLink(name, config, clock)
+    noun: str
+
+    def __init__(self, config: C, clock: Clock, keep: Keep) -> None:
+        self._config, self._clock, self._keep = config, clock, keep
+        self._link = CanLink(self.name, config, clock)
         self._kept: Kept | None = None
         self._identity: dict[str, str] = {}
         self._fail_ns = nanoseconds(config.fail_after_s)
@@ -96,9 +99,7 @@ class KeptMotor(Holding[S], Generic[C, S]):
 
     def _must_be_open(self) -> Kept:
         if self._kept is None:
-            raise DeviceError(
-                self.name, "used while closed", port=self._link.port, remedy="call open() first"
-            )
+            raise used_while_closed(self.name, self._link.port)
         return self._kept
 
     def _duty(self, duty: float) -> SetPoint:
@@ -106,7 +107,7 @@ class KeptMotor(Holding[S], Generic[C, S]):
         if not (math.isfinite(duty) and 0.0 < duty <= 1.0):
             raise UsageError(
                 f"{self.name}: a duty of {duty:g}", expected="above 0, at most 1",
-                remedy=f"`hil adhesion off` lets {self._noun} come to rest",
+                remedy=f"`hil adhesion off` lets {self.noun} come to rest",
             )  # fmt: skip
         return SetPoint("duty", duty)
 

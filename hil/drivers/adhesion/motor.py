@@ -47,18 +47,14 @@ class MotorFan(KeptMotor[C, AdhesionSample]):
         config: bus, id, ratings.
         clock: the bench clock.
         keep: makes who keeps the fan running, of (spec, clock).
-        name: device name in errors.
     """
 
-    def __init__(
-        self,
-        config: C,
-        clock: Clock,
-        keep: Keep,
-        name: str = "adhesion",
-    ) -> None:
+    name = "adhesion"
+    noun = "the fan"
+
+    def __init__(self, config: C, clock: Clock, keep: Keep) -> None:
         self._fastest_rpm = _FASTEST * config.rated_rpm
-        super().__init__(config, clock, keep, name, "the fan")
+        super().__init__(config, clock, keep)
 
     def _forget(self) -> None:
         super()._forget()

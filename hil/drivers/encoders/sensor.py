@@ -16,6 +16,7 @@ from hil.drivers.encoders.as5045 import decode_words
 from hil.drivers.encoders.layout import FrameLayout, load_layout
 from hil.drivers.encoders.node_status import NodeStatus
 from hil.drivers.encoders.timeline import NodeTimeline
+from hil.drivers.patience import used_while_closed
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.interfaces import Sensor
@@ -40,7 +41,6 @@ class As5045Encoders(Sensor[EncoderSample]):
     Args:
         config: python-can interface, DBC, signals.
         clock: the bench clock.
-        name: device name in errors and logs.
 
     Attributes:
         malformed: frames of the right identifier and the wrong length since `open`.
@@ -51,8 +51,9 @@ class As5045Encoders(Sensor[EncoderSample]):
         node_status: what the node says of itself, known within about a second of `open`.
     """
 
-    def __init__(self, config: EncodersConfig, clock: Clock, name: str = "encoders") -> None:
-        self.name = name
+    name = "encoders"
+
+    def __init__(self, config: EncodersConfig, clock: Clock) -> None:
         self._config, self._clock = config, clock
         self._bus: can.BusABC | None = None
         self._bus_error = ""
@@ -137,7 +138,7 @@ class As5045Encoders(Sensor[EncoderSample]):
             DeviceTimeoutError: no sample set for `fail_after_s`.
         """
         if self._bus is None:
-            raise DeviceError(self.name, "used while closed", port=self._port, remedy="call open() first")
+            raise used_while_closed(self.name, self._port)
         now_ns = self._clock.now_ns()
         samples = self._received(self._bus, now_ns)
         if samples:

@@ -15,9 +15,10 @@ from hil.drivers.imu import burst
 from hil.drivers.imu.calibration import ImuCalibration
 from hil.drivers.imu.chip import MODES, OPR_MODE, REMEDY, Chip
 from hil.drivers.imu.link import ExchangeError, Link
+from hil.drivers.patience import used_while_closed
 from hil.drivers.stuck import StuckTest
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
+from hil.vocabulary.errors import DeviceTimeoutError
 from hil.vocabulary.interfaces import Sensor
 from hil.vocabulary.signals import ImuSample, Stamp, Status
 
@@ -39,11 +40,11 @@ class Bno055Imu(Sensor[ImuSample]):
     Args:
         config: port, mode, mount, budgets.
         clock: the bench clock; every wait and every stamp is on it.
-        name: device name in errors and logs.
     """
 
-    def __init__(self, config: Bno055Config, clock: Clock, name: str = "imu") -> None:
-        self.name = name
+    name = "imu"
+
+    def __init__(self, config: Bno055Config, clock: Clock) -> None:
         self._config, self._clock = config, clock
         self._link: Link | None = None
         self._identity: dict[str, str] = {}
@@ -164,9 +165,7 @@ class Bno055Imu(Sensor[ImuSample]):
 
     def _opened(self) -> Link:
         if self._link is None:
-            raise DeviceError(
-                self.name, "used while closed", port=self._config.port, remedy="call open() first"
-            )
+            raise used_while_closed(self.name, self._config.port)
         return self._link
 
     def _check(self, link: Link, now_ns: int) -> None:

@@ -10,6 +10,7 @@ from hil.config.load_cells import CanCellsConfig
 from hil.drivers.can_link import CanLink, remedy_of_silence
 from hil.drivers.dbc import load_database
 from hil.drivers.load_cells.judging import Judge
+from hil.drivers.patience import used_while_closed
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DataError, DeviceError, DeviceTimeoutError
 from hil.vocabulary.interfaces import Sensor
@@ -25,15 +26,16 @@ class CanCells(Sensor[LoadCellSample]):
     Args:
         config: bus, DBC, scales.
         clock: the bench clock.
-        name: device name in errors.
 
     Attributes:
         malformed: frames of the right identifier and the wrong length since `open`.
     """
 
-    def __init__(self, config: CanCellsConfig, clock: Clock, name: str = "load_cells") -> None:
-        self.name, self._config, self._clock = name, config, clock
-        self._link = CanLink(name, config, clock)
+    name = "load_cells"
+
+    def __init__(self, config: CanCellsConfig, clock: Clock) -> None:
+        self._config, self._clock = config, clock
+        self._link = CanLink(self.name, config, clock)
         self._identity: dict[str, str] = {}
         self._fail_ns = nanoseconds(config.fail_after_s)
         self._judge = Judge(config)
@@ -83,9 +85,7 @@ class CanCells(Sensor[LoadCellSample]):
             DeviceTimeoutError: none came for `fail_after_s`.
         """
         if not self._link.is_open:
-            raise DeviceError(
-                self.name, "used while closed", port=self._link.port, remedy="call open() first"
-            )
+            raise used_while_closed(self.name, self._link.port)
         samples: list[LoadCellSample] = self._link.heard()
         now_ns = self._clock.now_ns()
         if samples:

@@ -9,9 +9,10 @@ from typing import Any
 
 from hil.config.load_cells import LineCellsConfig
 from hil.drivers.load_cells.judging import Judge
+from hil.drivers.patience import used_while_closed
 from hil.drivers.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
+from hil.vocabulary.errors import DeviceTimeoutError
 from hil.vocabulary.interfaces import Sensor
 from hil.vocabulary.signals import LoadCellSample
 
@@ -27,14 +28,15 @@ class LineCells(Sensor[LoadCellSample]):
     Args:
         config: port, scales.
         clock: the bench clock.
-        name: device name in errors.
 
     Attributes:
         malformed: lines since `open` that are no conversion.
     """
 
-    def __init__(self, config: LineCellsConfig, clock: Clock, name: str = "load_cells") -> None:
-        self.name, self._config, self._clock = name, config, clock
+    name = "load_cells"
+
+    def __init__(self, config: LineCellsConfig, clock: Clock) -> None:
+        self._config, self._clock = config, clock
         self._port: Any = None
         self._identity: dict[str, str] = {}
         self._fail_ns = nanoseconds(config.fail_after_s)
@@ -83,9 +85,7 @@ class LineCells(Sensor[LoadCellSample]):
             DeviceTimeoutError: none came for `fail_after_s`.
         """
         if self._port is None:
-            raise DeviceError(
-                self.name, "used while closed", port=self._config.port, remedy="call open() first"
-            )
+            raise used_while_closed(self.name, self._config.port)
         now_ns = self._clock.now_ns()
         found = self._conversions()
         period_ns = round(NS_PER_S / self._config.rate_hz)

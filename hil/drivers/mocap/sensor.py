@@ -15,6 +15,7 @@ from hil.drivers.mocap.datagrams import DatagramFactory, udp_ports
 from hil.drivers.mocap.frames import BodyPose, Frame
 from hil.drivers.mocap.handshake import Handshake
 from hil.drivers.mocap.session import Session
+from hil.drivers.patience import USELESS, nothing_usable, used_while_closed
 from hil.drivers.stuck import StuckTest
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
@@ -27,7 +28,6 @@ _NORM_LOW, _NORM_HIGH = 0.98, 1.02
 _FARTHEST_M = 1000.0
 _LONGEST_UP_S, _LONGEST_LATENCY_S = 5_000_000_000, 10
 _NAN7 = (math.nan,) * 7
-_USELESS = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.STALE, Status.FROZEN)
 _REMEDY = (
     "check that Motive streams (rigid bodies on, the right interface, unicast or multicast as configured) "
     "and that no firewall closes UDP 1510 and 1511"
@@ -40,18 +40,17 @@ class NatNetMocap(Sensor[MocapSample]):
     Args:
         config: addresses, body, axes, limits.
         clock: the bench clock.
-        name: device name in errors and logs.
         datagrams: opens UDP ports; real ones by default.
     """
+
+    name = "mocap"
 
     def __init__(
         self,
         config: MocapConfig,
         clock: Clock,
-        name: str = "mocap",
         datagrams: DatagramFactory | None = None,
     ) -> None:
-        self.name = name
         self._config, self._clock = config, clock
         self._datagrams = datagrams
         self._session: Session | None = None
@@ -131,7 +130,7 @@ class NatNetMocap(Sensor[MocapSample]):
         """
         session = self._session
         if session is None:
-            raise DeviceError(self.name, "used while closed", port=self._port, remedy="call open() first")
+            raise used_while_closed(self.name, self._port)
         samples = tuple(self._sample(*found) for found in session.frames())
         now_ns = self._clock.now_ns()
         session.keep_alive(now_ns)
@@ -140,11 +139,10 @@ class NatNetMocap(Sensor[MocapSample]):
         elif now_ns - self._heard_ns > self._reconnect_ns:
             self._heard_ns = now_ns
             session.connect()
-        if any(sample.status not in _USELESS for sample in samples):
+        if any(sample.status not in USELESS for sample in samples):
             self._good_ns = now_ns
         elif now_ns - self._good_ns > self._fail_ns:
-            last = f" (last status {samples[-1].status.value})" if samples else ""
-            raise self._silent(f"no usable frame for {(now_ns - self._good_ns) / NS_PER_S:.1f} s{last}")
+            raise self._silent(nothing_usable("frame", now_ns - self._good_ns, samples))
         return samples
 
     @property

@@ -22,6 +22,7 @@ import numpy as np
 from hil.config.servo_models import ServoModel
 from hil.config.servo_models.codes import RETURN_DELAY_STEP_S
 from hil.config.servos import ServosConfig
+from hil.drivers.patience import used_while_closed
 from hil.drivers.servos import diagnosis
 from hil.drivers.servos import identity as ident
 from hil.drivers.servos.bus import Bus
@@ -54,14 +55,14 @@ class DynamixelServos(Actuators):
     Args:
         config: port, IDs, expectations, budgets.
         clock: the bench clock; every wait and every stamp is on it.
-        name: device name in errors and logs.
 
     Attributes:
         restarts: by name, how often servos were found to have started over, since this was made.
     """
 
-    def __init__(self, config: ServosConfig, clock: Clock, name: str = "servos") -> None:
-        self.name = name
+    name = "servos"
+
+    def __init__(self, config: ServosConfig, clock: Clock) -> None:
         self.restarts: Counter[str] = Counter()
         self._config, self._clock = config, clock
         self._bus: Bus | None = None
@@ -147,9 +148,7 @@ class DynamixelServos(Actuators):
 
     def _opened(self) -> Bus:
         if self._bus is None:
-            raise DeviceError(
-                self.name, "used while closed", port=self._config.port, remedy="call open() first"
-            )
+            raise used_while_closed(self.name, self._config.port)
         return self._bus
 
     def ask(self) -> None:

@@ -14,9 +14,10 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hil.config.thrust import TeensyConfig
+from hil.drivers.patience import used_while_closed
 from hil.drivers.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
 from hil.vocabulary.clock import Clock, nanoseconds
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, UsageError
+from hil.vocabulary.errors import DeviceTimeoutError, UsageError
 from hil.vocabulary.interfaces import Holding
 from hil.vocabulary.signals import Stamp, Status, ThrustSample
 
@@ -34,11 +35,12 @@ class TeensyThrust(Holding[ThrustSample]):
     Args:
         config: port and full force.
         clock: the bench clock.
-        name: device name in errors.
     """
 
-    def __init__(self, config: TeensyConfig, clock: Clock, name: str = "thrust") -> None:
-        self.name, self._config, self._clock = name, config, clock
+    name = "thrust"
+
+    def __init__(self, config: TeensyConfig, clock: Clock) -> None:
+        self._config, self._clock = config, clock
         self._port: Any = None
         self._identity: dict[str, str] = {}
         self._repeat_ns = nanoseconds(config.repeat_s)
@@ -158,6 +160,4 @@ class TeensyThrust(Holding[ThrustSample]):
 
     def _must_be_open(self) -> None:
         if self._port is None:
-            raise DeviceError(
-                self.name, "used while closed", port=self._config.port, remedy="call open() first"
-            )
+            raise used_while_closed(self.name, self._config.port)

@@ -19,6 +19,7 @@ import numpy as np
 from hil.config.tracker import T265Config
 from hil.drivers.device_clock import DeviceClock
 from hil.drivers.jumps import JumpTest
+from hil.drivers.patience import USELESS, nothing_usable, used_while_closed
 from hil.drivers.stuck import StuckTest
 from hil.drivers.tracker.feed import FeedPipeline
 from hil.drivers.tracker.library import (
@@ -46,7 +47,6 @@ _FARTHEST_M = 1000.0
 _FASTEST = 100.0
 _NORM_LOW, _NORM_HIGH = 0.98, 1.02
 _RESTART_FRAMES = 200
-_USELESS = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.STALE, Status.FROZEN)
 
 _Raw = tuple[float, ...]
 
@@ -57,7 +57,6 @@ class T265Tracker(Sensor[TrackerSample]):
     Args:
         config: which camera, and how its poses are judged.
         clock: the bench clock; the library's thread reads it too.
-        name: device name in errors and logs.
         pipeline: an object with the shape of `pyrealsense2.pipeline`; by default the configured
             feed of an emulated camera, else the library's own pipeline.
         library: the module that the pipeline belongs to, where that is librealsense.
@@ -68,15 +67,15 @@ class T265Tracker(Sensor[TrackerSample]):
         malformed: frames that carried no pose or could not be read.
     """
 
+    name = "tracker"
+
     def __init__(
         self,
         config: T265Config,
         clock: Clock,
-        name: str = "tracker",
         pipeline: Pipeline | None = None,
         library: Any = None,
     ) -> None:
-        self.name = name
         self._config, self._clock = config, clock
         self._given, self._library = pipeline, library
         self._running: Pipeline | None = None
@@ -145,7 +144,7 @@ class T265Tracker(Sensor[TrackerSample]):
             DeviceTimeoutError: no usable pose for `fail_after_s`.
         """
         if self._running is None:
-            raise DeviceError(self.name, "used while closed", port=self._port, remedy="call open() first")
+            raise used_while_closed(self.name, self._port)
         queue = self._queue
         samples: list[TrackerSample] = []
         useful = False
@@ -153,12 +152,12 @@ class T265Tracker(Sensor[TrackerSample]):
             sample = self._sample(queue.popleft())
             if sample is not None:
                 samples.append(sample)
-                useful = useful or sample.status not in _USELESS
+                useful = useful or sample.status not in USELESS
         now_ns = self._clock.now_ns()
         if useful:
             self._good_ns = now_ns
         elif now_ns - self._good_ns > self._fail_ns:
-            raise self._silent((now_ns - self._good_ns) / NS_PER_S, samples)
+            raise self._silent(now_ns - self._good_ns, samples)
         return tuple(samples)
 
     def take_wheel_velocity(self, v_x_m_s: float, v_y_m_s: float) -> None:
@@ -223,14 +222,13 @@ class T265Tracker(Sensor[TrackerSample]):
         while not self._queue:
             now_ns = self._clock.now_ns()
             if now_ns - start_ns > nanoseconds(self._config.open_timeout_s):
-                raise self._silent((now_ns - start_ns) / NS_PER_S, [])
+                raise self._silent(now_ns - start_ns, [])
             self._clock.sleep_until_ns(now_ns + _WAIT_NS)
 
-    def _silent(self, duration_s: float, samples: list[TrackerSample]) -> DeviceTimeoutError:
-        last = f" (last status {samples[-1].status.value})" if samples else ""
+    def _silent(self, silent_ns: int, samples: list[TrackerSample]) -> DeviceTimeoutError:
         return DeviceTimeoutError(
             self.name,
-            f"no usable pose for {duration_s:.1f} s{last}",
+            nothing_usable("pose", silent_ns, samples),
             port=self._port,
             expected="200 poses per second",
             remedy="check the USB 3 cable and power; close and open the tracker to start it again",

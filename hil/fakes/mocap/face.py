@@ -10,10 +10,10 @@ import socket
 import sys
 from pathlib import Path
 
+from hil.fakes.datagram_face import DatagramFace
 from hil.fakes.loopback import free_udp_port
-from hil.fakes.mocap.network import Address
-from hil.fakes.mocap.server import NatNetServer, Outlet
-from hil.fakes.server import Face
+from hil.fakes.mocap.network import Address, Outlet
+from hil.fakes.mocap.server import NatNetServer
 from hil.fakes.world import NEVER_NS
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.port_users import ending, named, programs_with_udp
@@ -43,7 +43,7 @@ def _cannot_serve(device: str, host: str, port: int, error: OSError) -> DeviceEr
     )
 
 
-class NatNetFace(Face, Outlet):
+class NatNetFace(DatagramFace, Outlet):
     """One server on one UDP socket.
 
     Args:
@@ -61,20 +61,19 @@ class NatNetFace(Face, Outlet):
         self._server = server
         self._coming: list[tuple[int, int, bytes, Address]] = []
         self._order = itertools.count()
-        self._socket: socket.socket | None = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.bind((host, command_port))
-            interface = socket.inet_aton(host)
-            self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
-            self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
-            self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
-            self._socket.setblocking(False)
+            super().__init__(host, command_port)
             server.data_port = data_port or free_udp_port(host)
         except OSError as error:
-            self._socket.close()
             raise _cannot_serve(server.name, host, command_port, error) from None
-        self._host, server.command_port = self._socket.getsockname()[:2]
+        server.command_port = self.port
         server.attach(self)
+
+    def _bind(self, host: str, port: int) -> None:
+        super()._bind(host, port)
+        self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(host))
+        self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+        self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
 
     def next_due_ns(self) -> int:
         """When the next packet leaves."""
@@ -84,9 +83,7 @@ class NatNetFace(Face, Outlet):
         """Send what is due; what the network refuses is lost."""
         while self._coming and self._coming[0][0] <= t_ns:
             _, _, data, destination = heapq.heappop(self._coming)
-            if self._socket is not None:
-                with contextlib.suppress(OSError):
-                    self._socket.sendto(data, destination)
+            self.transmit(data, destination)
 
     def joined(self, group: str) -> bool:
         """Whether a program of this host, where all clients are, listens to the group; False if unknown."""
@@ -99,21 +96,17 @@ class NatNetFace(Face, Outlet):
         """Plan one packet."""
         heapq.heappush(self._coming, (ready_ns, next(self._order), data, destination))
 
-    def filenos(self) -> list[int]:
-        """The socket, while open."""
-        return [] if self._socket is None else [self._socket.fileno()]
-
     def on_readable(self, fd: int, t_ns: int) -> None:
         """Take one request."""
-        if self._socket is not None:
-            with contextlib.suppress(OSError):
-                data, client = self._socket.recvfrom(_LARGEST)
-                self._server.receive(data, client, self, t_ns)
+        taken = self.receive(_LARGEST)
+        if taken is not None:
+            data, client = taken
+            self._server.receive(data, client, self, t_ns)
 
     def endpoint(self) -> dict[str, object]:
         """How a client reaches the server."""
         return {
-            "server": self._host,
+            "server": self.host,
             "command_port": self._server.command_port,
             "data_port": self._server.data_port,
             "multicast": self._server.multicast,
@@ -123,6 +116,4 @@ class NatNetFace(Face, Outlet):
         """Stop serving. Idempotent."""
         self._server.detach(self)
         self._coming.clear()
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        super().close()

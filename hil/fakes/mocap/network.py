@@ -6,13 +6,11 @@ It offers the datagram ports that the driver asks for (group or None, number or 
 from __future__ import annotations
 
 import errno
+from abc import abstractmethod
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
 from hil.fakes.world import World
-
-if TYPE_CHECKING:
-    from hil.fakes.mocap.server import NatNetServer
 
 Address = tuple[str, int]
 
@@ -26,6 +24,28 @@ class Arrival(NamedTuple):
     data: bytes
     sender: Address
     arrived_ns: int
+
+
+class Outlet(Protocol):
+    """A network that carries the server's packets."""
+
+    @abstractmethod
+    def joined(self, group: str) -> bool:
+        """Whether somebody on it listens to a multicast group."""
+
+    @abstractmethod
+    def deliver(self, ready_ns: int, data: bytes, destination: Address) -> None:
+        """Send one packet, not before `ready_ns`."""
+
+
+class Served(Protocol):
+    """A server as its network sees it, with the number of the port that takes requests."""
+
+    command_port: int
+
+    @abstractmethod
+    def receive(self, data: bytes, client: Address, outlet: Outlet, t_ns: int) -> None:
+        """Take one request that came from `client`, who is on `outlet`."""
 
 
 class WorldPort:
@@ -52,7 +72,7 @@ class WorldPort:
         self._network.forget(self)
 
 
-class WorldNetwork:
+class WorldNetwork(Outlet):
     """Ports of one client host and one server.
 
     Args:
@@ -60,7 +80,7 @@ class WorldNetwork:
         world: its time.
     """
 
-    def __init__(self, server: NatNetServer, world: World) -> None:
+    def __init__(self, server: Served, world: World) -> None:
         self._server, self._world = server, world
         self._ports: list[WorldPort] = []
         self._server_host = _HOST

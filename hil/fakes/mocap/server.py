@@ -8,20 +8,19 @@ Who has joined the group that is offered besides gets each frame once.
 from __future__ import annotations
 
 import struct
-from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 from hil.fakes.mocap import encode
 from hil.fakes.mocap.capture import CaptureVolume, SeenBody
 from hil.fakes.mocap.faulty import SUPPORTED_FAULTS, MocapFaults
-from hil.fakes.mocap.network import Address, WorldNetwork, WorldPort
+from hil.fakes.mocap.network import Address, Outlet, WorldNetwork, WorldPort
 from hil.fakes.mocap.options import MocapTruthOptions
 from hil.fakes.world import Scheduled, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import UsageError
 
-__all__ = ["SUPPORTED_FAULTS", "NatNetServer", "Outlet"]
+__all__ = ["SUPPORTED_FAULTS", "NatNetServer"]
 
 CLOCK_HZ = 10_000_000
 _FORGET_NS = nanoseconds(10.0)
@@ -31,18 +30,6 @@ _RECEIVED_SHARE = 0.4
 _HEAD = struct.Struct("<HH")
 _BITSTREAM = slice(265, 267)
 """Of a request to connect: the version that the client asks for, after its own description."""
-
-
-class Outlet(Protocol):
-    """A network that carries the server's packets."""
-
-    @abstractmethod
-    def joined(self, group: str) -> bool:
-        """Whether somebody on it listens to a multicast group."""
-
-    @abstractmethod
-    def deliver(self, ready_ns: int, data: bytes, destination: Address) -> None:
-        """Send one packet, not before `ready_ns`."""
 
 
 @dataclass

@@ -6,6 +6,7 @@ import math
 import struct
 from collections.abc import Mapping
 
+from hil.drivers.patience import used_while_closed
 from hil.drivers.stuck import StuckTest
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
@@ -29,11 +30,11 @@ class TfLuna(Sensor[RangeSample]):
     Args:
         config: port, settings and limits.
         clock: the bench clock; every wait and every stamp is on it.
-        name: device name in errors.
     """
 
-    def __init__(self, config: TfLunaConfig, clock: Clock, name: str = "rangefinder") -> None:
-        self.name = name
+    name = "rangefinder"
+
+    def __init__(self, config: TfLunaConfig, clock: Clock) -> None:
         self._config, self._clock = config, clock
         self._link: Link | None = None
         self._identity: dict[str, str] = {}
@@ -109,9 +110,7 @@ class TfLuna(Sensor[RangeSample]):
 
     def _opened(self) -> Link:
         if self._link is None:
-            raise DeviceError(
-                self.name, "used while closed", port=self._config.port, remedy="call open() first"
-            )
+            raise used_while_closed(self.name, self._config.port)
         return self._link
 
     def _identify(self, link: Link) -> dict[str, str]:

@@ -29,16 +29,10 @@ _PRIORITY = 30
 class DroneCanFan(MotorFan[DroneCanConfig]):
     """One fan; arguments as of any."""
 
-    def __init__(
-        self,
-        config: DroneCanConfig,
-        clock: Clock,
-        keep: Keep,
-        name: str = "adhesion",
-    ) -> None:
+    def __init__(self, config: DroneCanConfig, clock: Clock, keep: Keep) -> None:
         self._dronecan = library()
         self._told = ""
-        super().__init__(config, clock, keep, name)
+        super().__init__(config, clock, keep)
 
     def _forget(self) -> None:
         super()._forget()

@@ -18,6 +18,7 @@ from hil.devices.imu.microstrain.dialogue import Dialogue, RefusedError, SetUp, 
 from hil.devices.imu.microstrain.link import Link, LinkLostError
 from hil.devices.imu.microstrain.packets import BITS_PER_BYTE, LARGEST_BYTES, Packet, PacketParser
 from hil.drivers.device_clock import DeviceClock
+from hil.drivers.patience import used_while_closed
 from hil.drivers.stuck import StuckTest
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
@@ -42,17 +43,17 @@ class MicrostrainImu(Sensor[ImuSample]):
     Args:
         config: port, rate, budgets.
         clock: the bench clock; every wait and every stamp is on it.
-        name: device name in errors and logs.
 
     Attributes:
         latest: the last set of filter data, whatever it is worth; None before the first.
         rate_hz: samples per second that the sensor has been set to; NaN before it has been.
     """
 
-    def __init__(self, config: MicrostrainConfig, clock: Clock, name: str = "imu") -> None:
-        self.name = name
+    name = "imu"
+
+    def __init__(self, config: MicrostrainConfig, clock: Clock) -> None:
         self._config, self._clock = config, clock
-        self._link = Link(config, name)
+        self._link = Link(config, self.name)
         self._opened = False
         self._identity: dict[str, str] = {}
         self._dialogue: Dialogue | None = None
@@ -117,9 +118,7 @@ class MicrostrainImu(Sensor[ImuSample]):
             DeviceError: another device answers, or the sensor refuses to be set up again.
         """
         if not self._opened:
-            raise DeviceError(
-                self.name, "used while closed", port=self._config.port, remedy="call open() first"
-            )
+            raise used_while_closed(self.name, self._config.port)
         now_ns = self._clock.now_ns()
         samples: list[ImuSample] = []
         try:

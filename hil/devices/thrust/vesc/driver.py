@@ -37,13 +37,15 @@ class VescThrust(KeptMotor[VescThrustConfig, ThrustSample]):
         config: bus, controllers, full force.
         clock: the bench clock.
         keep: makes who keeps the propellers running, of (spec, clock).
-        name: device name in errors.
     """
 
-    def __init__(self, config: VescThrustConfig, clock: Clock, keep: Keep, name: str = "thrust") -> None:
+    name = "thrust"
+    noun = "the propellers"
+
+    def __init__(self, config: VescThrustConfig, clock: Clock, keep: Keep) -> None:
         self._reports = {address(Packet.STATUS, one) for one in config.controller_ids}
         self._known: dict[int, tuple[VescConfig, Seen, Answers]] = {}
-        super().__init__(config, clock, keep, name, "the propellers")
+        super().__init__(config, clock, keep)
 
     def _forget(self) -> None:
         super()._forget()

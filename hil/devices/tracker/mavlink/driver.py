@@ -22,9 +22,9 @@ from hil.devices.tracker.mavlink.session import Received, Session
 from hil.devices.tracker.mavlink.wire import LinkFactory
 from hil.drivers.device_clock import DeviceClock
 from hil.drivers.jumps import JumpTest
+from hil.drivers.patience import USELESS, nothing_usable, used_while_closed
 from hil.drivers.stuck import StuckTest
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
-from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.finding import Finding
 from hil.vocabulary.interfaces import Sensor
 from hil.vocabulary.signals import Stamp, Status, TrackerSample
@@ -39,7 +39,7 @@ _FARTHEST_M, _FASTEST = 1000.0, 100.0
 _NORM_LOW, _NORM_HIGH = 0.98, 1.02
 _USABLE_CONFIDENCE = 2
 _NAN7, _NAN6 = (math.nan,) * 7, (math.nan,) * 6
-_USELESS = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.STALE, Status.FROZEN, Status.PROTOCOL)
+_USELESS = (*USELESS, Status.PROTOCOL)
 _NO_POSE = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.NOT_TRACKED, Status.PROTOCOL)
 
 
@@ -49,18 +49,12 @@ class MavlinkTracker(Sensor[TrackerSample]):
     Args:
         config: where it is, who it is, and how its poses are judged.
         clock: the bench clock.
-        name: device name in errors and logs.
         link: opens the way to the sender; the configured one by default.
     """
 
-    def __init__(
-        self,
-        config: MavlinkTrackerConfig,
-        clock: Clock,
-        name: str = "tracker",
-        link: LinkFactory = open_link,
-    ) -> None:
-        self.name = name
+    name = "tracker"
+
+    def __init__(self, config: MavlinkTrackerConfig, clock: Clock, link: LinkFactory = open_link) -> None:
         self._config, self._clock, self._open_link = config, clock, link
         self._session: Session | None = None
         self._identity: dict[str, str] = {}
@@ -132,9 +126,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
         """
         session = self._session
         if session is None:
-            raise DeviceError(
-                self.name, "used while closed", port=self._config.port, remedy="call open() first"
-            )
+            raise used_while_closed(self.name, self._config.port)
         session.exchange()
         samples = []
         while session.odometry:
@@ -145,8 +137,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
         if any(sample.status not in _USELESS for sample in samples):
             self._good_ns = now_ns
         elif now_ns - self._good_ns > self._fail_ns:
-            last = f" (last status {samples[-1].status.value})" if samples else ""
-            what = f"no usable pose for {(now_ns - self._good_ns) / NS_PER_S:.1f} s{last}"
+            what = nothing_usable("pose", now_ns - self._good_ns, samples)
             if self._repeated:
                 what += f"; {self._repeated} poses were no newer than the one before"
             raise silent(session, self._config, self.name, what)
