@@ -43,6 +43,7 @@ from hil.procedures.parts.bring_up_streams import Stream, judge_stream
 from hil.procedures.parts.latency_fit import integrated
 from hil.ring.motion import Motion
 from hil.robot.trajectories import Trajectory, line
+from hil.vocabulary.finding import Finding
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import KINDS, WHEELS, Status
@@ -243,8 +244,7 @@ def identify(ctx: Context, bench: Bench) -> None:
         for name, facts in found.items()
     ]
     ctx.table("Devices", ["device", "model", "found"], rows)
-    servos: Any = bench.rig.actuators()
-    findings = servos.diagnose()
+    findings: tuple[Finding, ...] = getattr(bench.rig.actuators(), "diagnose", tuple)()
     ctx.measure("servos.failed_checks", sum(f.level == "failure" for f in findings))
     ctx.measure("servos.warnings", sum(f.level == "warning" for f in findings))
     ctx.table(

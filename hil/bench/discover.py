@@ -49,10 +49,10 @@ class Discovery:
         self.parts[model.kind] = (*self.parts.get(model.kind, ()), *found.parts)
         self.notes += found.notes
 
-    def to_toml(self, name: str = "my_bench") -> str:
+    def to_toml(self) -> str:
         """A bench file; what still needs a person's eye stands in its comments."""
         head = "".join(f"# {note}\n" for note in self.notes)
-        tree = {"schema": 1, "name": name, "environment": _WALL, **self.sections}
+        tree = {"schema": 1, "name": "my_bench", "environment": _WALL, **self.sections}
         return head + tomli_w.dumps(tree)
 
 

@@ -22,7 +22,7 @@ from hil.fakes.server import EmulationServer
 from hil.fakes.timeline import read_faults
 from hil.fakes.world import World, random_stream
 from hil.vocabulary.blame import OURS, PackageError, asked
-from hil.vocabulary.clock import Clock, MonotonicClock
+from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import ConfigError, FaultNotSupportedError, HilError, UsageError
 from hil.vocabulary.kinds import Connection, added, kinds
 
@@ -244,7 +244,6 @@ def open_emulation(
     only: Sequence[str] = (),
     seed: int = 0,
     faults: Sequence[str | Fault] = (),
-    clock: Clock | None = None,
     lifeline: int | None = None,
     await_start: bool = False,
     standard_ports: bool = False,
@@ -258,7 +257,6 @@ def open_emulation(
         only: names to restrict them to.
         seed: seed of the world.
         faults: specs or paths of TOML timelines, beside those of the configuration.
-        clock: what the world follows; the host's monotonic clock by default.
         lifeline: file descriptor of a pipe; the server ends when its other end is closed.
         await_start: world time stands still until a byte comes down the lifeline.
         standard_ports: motion capture at Motive's ports, CAN buses at python-can's own group and port.
@@ -285,6 +283,4 @@ def open_emulation(
         for face in faces.values():
             face.close()
         raise
-    return EmulationServer(
-        world, clock or MonotonicClock(), faces, lifeline=lifeline, await_start=await_start
-    )
+    return EmulationServer(world, MonotonicClock(), faces, lifeline=lifeline, await_start=await_start)

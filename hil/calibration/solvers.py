@@ -20,7 +20,9 @@ from hil.vocabulary.geometry import Array
 METHODS = ("lm", "interior-point", "ga", "pso")
 Progress = Callable[[int, int], None]
 
-_LM_LIMIT = 200
+_LM_LIMIT, _INTERIOR_POINT_LIMIT = 200, 80
+_POPULATION, _GENERATIONS = 40, 36
+_PARTICLES, _MOVES = 30, 48
 _RELATIVE_STEP = 1e-12
 _SEARCH_STD = 3.0
 
@@ -52,26 +54,23 @@ def solve(
     method: str = "lm",
     *,
     seed: int = 0,
-    start: Array | None = None,
     progress: Progress | None = None,
 ) -> Solution:
-    """Minimise a problem.
+    """Minimise a problem; the gradient methods start from its nominal parameters.
 
     Args:
         problem: what to minimise.
         method: `lm`, `interior-point`, `ga` or `pso`.
         seed: of the stochastic methods.
-        start: (m,), nominal by default.
         progress: called with (done, total) generations by the stochastic methods.
 
     Raises:
         UsageError: another method.
     """
-    z0 = problem.nominal if start is None else start
     if method == "lm":
-        return levenberg_marquardt(problem, z0)
+        return levenberg_marquardt(problem, problem.nominal)
     if method == "interior-point":
-        return interior_point(problem, z0)
+        return interior_point(problem, problem.nominal)
     if method in ("ga", "pso"):
         search = genetic if method == "ga" else particle_swarm
         return _stochastic(problem, search, np.random.default_rng(seed), progress)
@@ -143,13 +142,12 @@ def _box_step(
     return trial, float(-(2 * gradient @ moved + moved @ hessian @ moved))
 
 
-def interior_point(problem: Problem, z0: Array, limit: int = 80) -> Solution:
+def interior_point(problem: Problem, z0: Array) -> Solution:
     """Primal-dual interior point with the Gauss-Newton matrix (Nocedal and Wright, chapter 19).
 
     Args:
         problem: to solve.
         z0: (m,) start.
-        limit: of iterations.
     """
     lower, upper = problem.lower, problem.upper
     span = upper - lower
@@ -158,7 +156,7 @@ def interior_point(problem: Problem, z0: Array, limit: int = 80) -> Solution:
     barrier = 0.1 * max(value, 1e-9) / len(z)
     dual_low, dual_up = barrier / (z - lower), barrier / (upper - z)
     history, iterations, damping = [value], 0, 1e-9
-    while iterations < limit:
+    while iterations < _INTERIOR_POINT_LIMIT:
         iterations += 1
         low, up = z - lower, upper - z
         matrix = 2 * hessian + np.diag(dual_low / low + dual_up / up)
@@ -190,7 +188,8 @@ def interior_point(problem: Problem, z0: Array, limit: int = 80) -> Solution:
         if gap <= 1e-7 * max(value, 1e-12) and float(np.max(np.abs(step) / span)) < 1e-4:
             break
         barrier = min(barrier, 0.1 * gap / (2 * len(z)))
-    return Solution(z, value, iterations, iterations < limit, len(z), history=tuple(history))
+    converged = iterations < _INTERIOR_POINT_LIMIT
+    return Solution(z, value, iterations, converged, len(z), history=tuple(history))
 
 
 def _largest_step(values: Array, steps: Array) -> float:
@@ -247,7 +246,7 @@ def determined_directions(problem: Problem) -> Array:
 
 def genetic(
     objective: Callable[[Array], float], dimension: int, rng: np.random.Generator,
-    progress: Progress | None = None, population: int = 40, generations: int = 36,
+    progress: Progress | None = None,
 ) -> tuple[Array, int]:  # fmt: skip
     """Real-coded genetic algorithm: tournament, blend crossover, shrinking Gaussian mutation, elite.
 
@@ -256,23 +255,21 @@ def genetic(
         dimension: d.
         rng: source of all randomness.
         progress: told after each generation.
-        population: how many.
-        generations: how many.
 
     Returns:
         The best point (d,) and the count of generations.
     """
-    people = rng.uniform(-_SEARCH_STD, _SEARCH_STD, (population, dimension))
+    people = rng.uniform(-_SEARCH_STD, _SEARCH_STD, (_POPULATION, dimension))
     people[0] = 0.0
     cost = np.array([objective(p) for p in people])
-    for generation in range(generations):
-        rivals = rng.integers(population, size=(2, 2, population))
+    for generation in range(_GENERATIONS):
+        rivals = rng.integers(_POPULATION, size=(2, 2, _POPULATION))
         winners = np.where(cost[rivals[0]] < cost[rivals[1]], rivals[0], rivals[1])
-        mix = rng.uniform(-0.25, 1.25, (population, dimension))
+        mix = rng.uniform(-0.25, 1.25, (_POPULATION, dimension))
         children = mix * people[winners[0]] + (1 - mix) * people[winners[1]]
         spread = 0.5 * 0.88**generation
-        mutate = rng.random((population, dimension)) < 0.3
-        children += mutate * rng.normal(0.0, spread, (population, dimension))
+        mutate = rng.random((_POPULATION, dimension)) < 0.3
+        children += mutate * rng.normal(0.0, spread, (_POPULATION, dimension))
         elite = people[np.argsort(cost, kind="stable")[:2]]
         elite_cost = np.sort(cost)[:2]
         child_cost = np.array([objective(c) for c in children])
@@ -280,13 +277,13 @@ def genetic(
         children[worst], child_cost[worst] = elite, elite_cost
         people, cost = children, child_cost
         if progress is not None:
-            progress(generation + 1, generations)
-    return people[int(np.argmin(cost))], generations
+            progress(generation + 1, _GENERATIONS)
+    return people[int(np.argmin(cost))], _GENERATIONS
 
 
 def particle_swarm(
     objective: Callable[[Array], float], dimension: int, rng: np.random.Generator,
-    progress: Progress | None = None, particles: int = 30, generations: int = 48,
+    progress: Progress | None = None,
 ) -> tuple[Array, int]:  # fmt: skip
     """Particle swarm with constriction (Clerc and Kennedy 2002): inertia 0.7298, pulls 1.49618.
 
@@ -295,24 +292,22 @@ def particle_swarm(
         dimension: d.
         rng: source of all randomness.
         progress: told after each generation.
-        particles: how many.
-        generations: how many.
 
     Returns:
         The best point (d,) and the count of generations.
     """
-    place = rng.uniform(-_SEARCH_STD, _SEARCH_STD, (particles, dimension))
+    place = rng.uniform(-_SEARCH_STD, _SEARCH_STD, (_PARTICLES, dimension))
     place[0] = 0.0
-    speed = rng.uniform(-1.0, 1.0, (particles, dimension))
+    speed = rng.uniform(-1.0, 1.0, (_PARTICLES, dimension))
     best, cost = place.copy(), np.array([objective(p) for p in place])
-    for generation in range(generations):
+    for generation in range(_MOVES):
         leader = best[int(np.argmin(cost))]
-        own, social = rng.random((2, particles, dimension))
+        own, social = rng.random((2, _PARTICLES, dimension))
         speed = 0.7298 * speed + 1.49618 * (own * (best - place) + social * (leader - place))
         place = place + speed
         now = np.array([objective(p) for p in place])
         better = now < cost
         best[better], cost[better] = place[better], now[better]
         if progress is not None:
-            progress(generation + 1, generations)
-    return best[int(np.argmin(cost))], generations
+            progress(generation + 1, _MOVES)
+    return best[int(np.argmin(cost))], _MOVES

@@ -68,30 +68,27 @@ class HiddenRobot:
         return np.asarray(pull @ u.T, dtype=np.float64)
 
 
-def hidden_robot(
-    seed: int, *, offsets_deg: float = 1.5, contact: str = "viscous", nominal: Nominal | None = None
-) -> HiddenRobot:
+def hidden_robot(seed: int, *, contact: str = "viscous", nominal: Nominal | None = None) -> HiddenRobot:
     """A robot with lengths 3 % and radii 2.5 % off at most, steering zeros of 1 to 2 deg, uneven loads.
 
     Its tyres are as stiff sideways as lengthwise, or down to 0.4 times that.
 
     Args:
         seed: of what is drawn.
-        offsets_deg: middle of the range of the steering zeros; 0 for none.
         contact: `viscous`, `coulomb` or `elastic`.
         nominal: the robot on paper, the CAD model by default; loads vary about its own.
     """
     rng = np.random.default_rng([seed, 1])
     paper = nominal if nominal is not None else Nominal()
     cad = paper.geometry
-    zero = rng.uniform(offsets_deg - 0.5, offsets_deg + 0.5, 4) * rng.choice([-1.0, 1.0], 4)
+    zero = rng.uniform(1.0, 2.0, 4) * rng.choice([-1.0, 1.0], 4)
     zero -= zero.mean()
     return HiddenRobot(
         WheelGeometry(
             cad.x_m * (1 + rng.uniform(-0.03, 0.03, 4)),
             cad.y_m * (1 + rng.uniform(-0.03, 0.03, 4)),
             cad.radius_m * (1 + rng.uniform(-0.025, 0.025, 4)),
-            np.radians(zero) if offsets_deg > 0 else np.zeros(4),
+            np.radians(zero),
         ),
         cad.load * rng.uniform(0.85, 1.15, 4),
         contact,

@@ -30,7 +30,6 @@ class EncodersConfig(CanConfig):
             is reported, too.
         yellow_mode: MagINC and MagDEC both set is then no fault (MagCompEn, datasheet).
         horn_slip_threshold_rad: lasting encoder minus servo difference that counts as horn slip.
-        backlash_limit_rad: largest direction-dependent part of that difference.
         startup_discard: sample sets dropped after open and after a node reset.
         fail_after_s: uninterrupted silence that raises.
     """
@@ -46,7 +45,6 @@ class EncodersConfig(CanConfig):
     zero_rad: tuple[Angle, Angle, Angle, Angle] | None = None
     yellow_mode: Switch = False
     horn_slip_threshold_rad: Annotated[float, Within(0.001, 0.5, "a horn that slips further is off")] = 0.03
-    backlash_limit_rad: Annotated[float, Within(0.001, 0.2, "a gear with more backlash is broken")] = 0.01
     startup_discard: int = Field(1, ge=0, le=1000)
     fail_after_s: Patience = 1.0
 

@@ -166,13 +166,12 @@ class GateConfig(_Strict):
 
     Attributes:
         on: whether outliers are rejected at all.
-        one_dof, two_dof, three_dof: thresholds.
+        one_dof, three_dof: thresholds.
         reanchor_after: consecutive rejections before a sensor is re-anchored.
     """
 
     on: Switch = True
     one_dof: Threshold = 10.83
-    two_dof: Threshold = 13.82
     three_dof: Threshold = 16.27
     reanchor_after: int = Field(40, ge=2)
 

@@ -1,4 +1,8 @@
-"""Keys of older bench files (0.1): told where they belong now, and lifted in what was recorded with them."""
+"""Keys of older bench files (0.1): told where they belong now, and lifted in what was recorded with them.
+
+Keys that are gone are refused in a bench file, so that nobody believes in them, and left out of what was
+recorded.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +19,20 @@ _MOVED = {
     "emulation.start_pose": "it is environment.start_pose now",
 }
 
+_GONE = {
+    "estimator.gates.two_dof": "no gate ever used it: remove it",
+    "encoders.backlash_limit_rad": "nothing ever watched it: remove it; `steering_zero` judges backlash",
+}
+
 
 def told_where_now(tree: Mapping[str, Any]) -> Iterator[str]:
-    """Of every old key in a parsed bench file, where its value goes now."""
+    """Of every old key in a parsed bench file, where its value goes now, or that it is gone."""
+    yield from _told_of_moved(tree)
+    for dotted, value in _gone(tree):
+        yield f"{dotted}: {_GONE[dotted]} (found {value!r})"
+
+
+def _told_of_moved(tree: Mapping[str, Any]) -> Iterator[str]:
     for dotted, where in _MOVED.items():
         table, _, key = dotted.rpartition(".")
         values = tree.get(table) if table else tree
@@ -49,14 +64,35 @@ def _area_lifted(tree: Mapping[str, Any]) -> dict[str, Any]:
     return {**tree, "safety": rest, "environment": {**area, **environment}}
 
 
+def _gone(tree: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Dotted keys that nothing reads any more, each with its value; keys of other models are theirs."""
+    for dotted in _GONE:
+        *tables, key = dotted.split(".")
+        table: Any = tree
+        for name in tables:
+            table = table.get(name) if isinstance(table, Mapping) else None
+        if isinstance(table, Mapping) and key in table and table.get("model", "as5045") == "as5045":
+            yield dotted, table[key]
+
+
+def _without(tree: Mapping[str, Any], dotted: str) -> dict[str, Any]:
+    key, _, below = dotted.partition(".")
+    if below:
+        return {**tree, key: _without(tree[key], below)}
+    return {name: value for name, value in tree.items() if name != key}
+
+
 def lifted(tree: Mapping[str, Any]) -> dict[str, Any]:
     """A configuration with its old keys where they belong now; what is there already stays.
 
-    Where the old keys contradict each other, what the robot was guarded by counts: the top-level `surface`.
+    Keys that are gone are left out. Where the old keys contradict each other, what the robot was guarded by
+    counts: the top-level `surface`.
     """
+    for dotted, _ in list(_gone(tree)):
+        tree = _without(tree, dotted)
     tree = _area_lifted(tree)
     emulation, environment = tree.get("emulation", {}), tree.get("environment", {})
-    if not any(True for _ in told_where_now(tree)) or not isinstance(environment, Mapping):
+    if not any(True for _ in _told_of_moved(tree)) or not isinstance(environment, Mapping):
         return dict(tree)
     rest = {key: value for key, value in tree.items() if key != "surface"}
     old: dict[str, Any] = {}

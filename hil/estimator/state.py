@@ -21,7 +21,6 @@ STATES = 20
 
 POSE = slice(X, THETA + 1)
 TWIST = slice(V_X, OMEGA + 1)
-SIGHT = slice(SIGHT_X, SIGHT_THETA + 1)
 CLONE = slice(CLONE_X, CLONE_THETA + 1)
 MOTION = OMEGA + 1
 """How many states, the leading ones, are pose and twist: those that others are told."""

@@ -56,9 +56,9 @@ class FaultPlan:
         self._check_one(fault)
         self._keep([*self._faults, fault])
 
-    def clear(self, device: str | None = None) -> None:
-        """Remove all faults (of one device)."""
-        self._keep([f for f in self._faults if device is not None and f.device != device])
+    def clear(self) -> None:
+        """Remove all faults."""
+        self._keep([])
 
     def _keep(self, faults: list[Fault]) -> None:
         self._faults = faults

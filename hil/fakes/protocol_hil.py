@@ -17,6 +17,9 @@ from hil.fakes.serial_line import SerialLine, Unplugged, find_line, line_names
 from hil.fakes.world import NEVER_NS
 from hil.vocabulary.clock import nanoseconds
 
+_LOOK_NS = 50_000
+"""World time that a client's look at an empty port takes."""
+
 
 class Serial(SerialBase):
     """A pyserial port whose far end is an emulated chip."""
@@ -65,14 +68,14 @@ class Serial(SerialBase):
         line = self._opened()
         count = line.waiting()
         if not count:
-            line.world.advance_to(line.world.now_ns + line.client_cost_ns)
+            line.world.advance_to(line.world.now_ns + _LOOK_NS)
             count = line.waiting()
         return count
 
     def read(self, size: int = 1, /) -> bytes:
         """Wait for `size` bytes, at most `timeout`; raises `SerialException` when unplugged."""
         line = self._opened()
-        world, cost_ns = line.world, line.client_cost_ns
+        world = line.world
         out = line.take(size)
         if len(out) >= size:
             return out
@@ -80,7 +83,7 @@ class Serial(SerialBase):
             deadline_ns = NEVER_NS
         else:
             wait_ns = nanoseconds(self.timeout)
-            deadline_ns = world.now_ns + (wait_ns if wait_ns > cost_ns else cost_ns)
+            deadline_ns = world.now_ns + (wait_ns if wait_ns > _LOOK_NS else _LOOK_NS)
         while len(out) < size and world.now_ns < deadline_ns:
             step_ns = min(line.next_event_ns(size - len(out)), deadline_ns)
             if step_ns >= NEVER_NS:

@@ -51,7 +51,6 @@ class SerialLine(Scheduled):
         chip: what is at the far end.
         name: name for `hil://NAME`; the chip's name by default.
         latency_s: the adapter's latency timer; 0 hands every byte over as it arrives.
-        client_cost_ns: world time that a client's look at an empty port takes.
     """
 
     def __init__(
@@ -61,11 +60,9 @@ class SerialLine(Scheduled):
         *,
         name: str = "",
         latency_s: float = 0.001,
-        client_cost_ns: int = 50_000,
     ) -> None:
         self.world, self.chip, self.name = world, chip, name or chip.name
         self.faults = world.faults.of(chip.name)
-        self.client_cost_ns = client_cost_ns
         self._latency_ns = nanoseconds(latency_s)
         self._rng = world.rng(f"line.{chip.name}")
         self._out: deque[tuple[int, bytes, int]] = deque()

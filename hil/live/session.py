@@ -5,7 +5,6 @@ Whatever ends it, the robot is stopped, and the summary says whether it is held.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -32,8 +31,6 @@ from hil.vocabulary.errors import Aborted, HilError
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.signals import CycleRecord
 from hil.vocabulary.stop_signals import StopRequest
-
-LOG = logging.getLogger(__name__)
 
 _SETTLE_S = 0.5
 _HOLD_S = 2.0

@@ -9,12 +9,12 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
+from hil.vocabulary.clock import NS_PER_S, Clock
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import CycleRecord, Status, worst
 
-EVERY_S = 0.5
+_EVERY_NS = NS_PER_S // 2
 _MOST_EVENTS = 20
 _HELD = "held"
 
@@ -27,11 +27,10 @@ class StatusStream(Sink):
     Args:
         tell: receives `("live", figures)`, and `("held", how)` when a bench is closed.
         clock: the host's.
-        every_s: host time between two, s.
     """
 
-    def __init__(self, tell: Tell, clock: Clock, every_s: float = EVERY_S) -> None:
-        self._tell, self._clock, self._every_ns = tell, clock, nanoseconds(every_s)
+    def __init__(self, tell: Tell, clock: Clock) -> None:
+        self._tell, self._clock = tell, clock
         self._next_ns = 0
         self._begun_ns: int | None = None
         self._counts: dict[str, int] = {}
@@ -51,7 +50,7 @@ class StatusStream(Sink):
             self._events.append(f"{event.source}: {event.message}")
         now_ns = self._clock.now_ns()
         if now_ns >= self._next_ns:
-            self._next_ns = now_ns + self._every_ns
+            self._next_ns = now_ns + _EVERY_NS
             self._tell("live", self._figures(record))
             self._counts, self._events = dict.fromkeys(self._counts, 0), []
 

@@ -83,11 +83,6 @@ class CdrWriter:
         if len(values):
             self.doubles(np.ascontiguousarray(values, dtype="<f8").tobytes())
 
-    def octets(self, raw: bytes) -> None:
-        """`uint8[]`."""
-        self.u32(len(raw))
-        self.raw(raw)
-
     def raw(self, raw: bytes) -> None:
         """Bytes as they are."""
         self._out += raw

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -123,11 +123,11 @@ def _from_outside(record: CycleRecord) -> bool:
     return [e.source for e in record.events] == [OUTSIDE]
 
 
-def rebuild(bench: Blueprint, start: RunStart, records: Sequence[CycleRecord] = ()) -> Brain:
+def rebuild(bench: Blueprint, start: RunStart) -> Brain:
     """The brain of a recorded run.
 
-    References that came from outside (velocity commands) are taken from the records; all others are
-    computed again from the trajectory.
+    References are computed again from the trajectory; those that came from outside (velocity commands) wait
+    in an empty `RecordedReferences` for the records.
 
     Raises:
         UsageError: the note on how the run began describes no brain of this version.
@@ -141,7 +141,7 @@ def rebuild(bench: Blueprint, start: RunStart, records: Sequence[CycleRecord] = 
         trajectory, controller=start.controller, feedback=start.feedback, observers=start.observers
     )
     if start.trajectory is not None and start.trajectory.get("references") == "recorded":
-        brain.reference_at = RecordedReferences(records)
+        brain.reference_at = RecordedReferences()
     return brain
 
 

@@ -6,7 +6,7 @@ the same SVG reads well alone on white and in a dark report.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -136,24 +136,3 @@ def kept_rows(*columns: Array, most: int = MOST_POINTS) -> NDArray[np.intp]:
         found = [a + np.argmin(v[a:b]) for v in lowest for a, b in pairwise(edges)]
         kept = np.append(kept, found)
     return np.unique(kept)
-
-
-def bars(names: Sequence[str], values: Sequence[float], y: str, limit: float | None = None) -> Figure:
-    """One bar per name, with a line at the limit.
-
-    Args:
-        names: one per bar.
-        values: one per bar.
-        y: label with unit.
-        limit: of the absolute value; None for none.
-    """
-    figure = new_figure(max(3.4, 1.0 + 0.6 * len(names)), 2.6)
-    axes = style(figure.add_subplot(), "", y)
-    over = [limit is not None and abs(v) > limit for v in values]
-    axes.bar(
-        range(len(names)), values, color=[PALETTE["c5"] if o else PALETTE["c1"] for o in over], width=0.65
-    )
-    axes.set_xticks(range(len(names)), names, fontsize=8, rotation=30 if max(map(len, names)) > 6 else 0)
-    if limit is not None:
-        axes.axhline(limit, color=PALETTE["c5"], lw=1.0, ls="--")
-    return figure

@@ -1,8 +1,8 @@
 """External encoder against the servo's own angle: what the servo cannot see of its horn and gears.
 
 The servo measures before gear play and horn, the external encoder behind them. Their lasting
-difference moves when the horn slips, or the servo's own encoder; the part that follows the direction of
-motion is backlash. Only settled axes are compared, because the two are not sampled at the same instant.
+difference moves when the horn slips, or the servo's own encoder. Only settled axes are compared, because
+the two are not sampled at the same instant.
 """
 
 from __future__ import annotations
@@ -17,9 +17,8 @@ from hil.vocabulary.interfaces import Blame
 from hil.vocabulary.signals import WHEELS, Event, Inputs, Measurements
 
 _SETTLED_RAD = 0.016
-_MOVED_RAD = 0.01
 _LEARN, _ASTRAY_RAD = 5, 0.15
-_MEMORY, _PLAY_MEMORY = 0.2, 0.1
+_MEMORY = 0.2
 _NAN = math.nan
 _EVERY_NS, _TOLD_NS, _FAR = 48_000_000, 50_000_000, 2.0
 
@@ -32,16 +31,12 @@ class CrossCheckResult:
         difference_rad: encoder minus servo, relative to what was learnt at the start, smoothed; NaN if
             unknown.
         now_rad: the same of the newest settled pair, not smoothed.
-        backlash_rad: difference after forward motion minus after backward motion; NaN until both are known.
         horn_slip: the lasting difference exceeds the threshold.
-        backlash_excessive: the play exceeds its limit.
     """
 
     difference_rad: tuple[float, ...]
     now_rad: tuple[float, ...]
-    backlash_rad: tuple[float, ...]
     horn_slip: tuple[bool, ...]
-    backlash_excessive: tuple[bool, ...]
 
 
 class _Axis:
@@ -54,8 +49,7 @@ class _Axis:
     def __init__(self, known: bool) -> None:
         self._known = known
         self.count, self.reference, self.lasting, self.latest = 0, 0.0, _NAN, _NAN
-        self.by_direction = [_NAN, _NAN]
-        self.direction, self.turned_at, self.last_servo = -1, _NAN, _NAN
+        self.last_servo = _NAN
 
     @property
     def difference_rad(self) -> float:
@@ -67,25 +61,12 @@ class _Axis:
         """The newest difference from what was learnt."""
         return wrap(self.latest - self.reference)
 
-    @property
-    def backlash_rad(self) -> float:
-        """Difference of the two directions."""
-        return self.by_direction[0] - self.by_direction[1]
-
     def update(self, raw_rad: float, servo_rad: float) -> None:
         """Take encoder minus servo, whole turns or not, and the servo's angle."""
         settled = abs(servo_rad - self.last_servo) < _SETTLED_RAD
         self.last_servo = servo_rad
-        self._follow_direction(servo_rad)
         if settled and math.isfinite(raw_rad):
             self._learn(raw_rad)
-
-    def _follow_direction(self, servo_rad: float) -> None:
-        if math.isnan(self.turned_at):
-            self.turned_at = servo_rad
-        moved = servo_rad - self.turned_at
-        if abs(moved) > _MOVED_RAD:
-            self.direction, self.turned_at = int(moved < 0.0), servo_rad
 
     def _learn(self, raw_rad: float) -> None:
         count, self.count, self.latest = self.count, self.count + 1, raw_rad
@@ -96,12 +77,6 @@ class _Axis:
                 self.reference = 0.0
             return
         self.lasting = wrap(self.lasting + _MEMORY * wrap(raw_rad - self.lasting))
-        if self.direction < 0:
-            return
-        relative = wrap(raw_rad - self.reference)
-        known = self.by_direction[self.direction]
-        step = relative if math.isnan(known) else known + _PLAY_MEMORY * (relative - known)
-        self.by_direction[self.direction] = step
 
 
 class CrossCheck:
@@ -133,13 +108,10 @@ class CrossCheck:
         ):
             axis.update(sign * (encoder - zero) - servo, servo)
         difference = tuple([axis.difference_rad for axis in self._axes])
-        backlash = tuple([axis.backlash_rad for axis in self._axes])
         return CrossCheckResult(
             difference_rad=difference,
             now_rad=tuple([axis.now_rad for axis in self._axes]),
-            backlash_rad=backlash,
             horn_slip=tuple([abs(x) > config.horn_slip_threshold_rad for x in difference]),
-            backlash_excessive=tuple([abs(x) > config.backlash_limit_rad for x in backlash]),
         )
 
 

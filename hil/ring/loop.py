@@ -204,8 +204,11 @@ class ControlLoop:
         rate_hz: cycles per second.
         late_after_s: a start later than this after its deadline counts as late.
         sinks: receive every cycle.
-        idle: called with the next deadline when a cycle is done; may use the time until then.
         truth: what an emulated robot really does, for the records only: nothing that decides sees it.
+
+    Attributes:
+        idle: called with the next deadline (ns) when a cycle is done; may use the time until then. None at
+            first: a bench in real time sets it for its runs.
     """
 
     def __init__(
@@ -217,13 +220,13 @@ class ControlLoop:
         rate_hz: float = 100.0,
         late_after_s: float = 0.001,
         sinks: tuple[Sink, ...] = (),
-        idle: Callable[[int], None] | None = None,
         truth: Callable[[], Mapping[str, Any] | None] = lambda: None,
     ) -> None:
         self.rig, self.clock, self.brain, self._truth = rig, clock, brain, truth
         self.period_ns = round(NS_PER_S / rate_hz)
         self.late_ns = round(late_after_s * NS_PER_S)
-        self.sinks, self.idle = sinks, idle
+        self.sinks = sinks
+        self.idle: Callable[[int], None] | None = None
         self.statistics = LoopStatistics()
         self._cycle = self._sinks_ns = 0
 

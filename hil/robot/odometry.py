@@ -1,7 +1,8 @@
 """Odometry: integrating body motion to a pose, and the paper's state-space model with derivatives.
 
 The paper's model has 11 states (x, y, theta, phi_1..4, delta_1..4) and 8 inputs (v_1..4, steering
-rates 1..4), arXiv 2509.04016. SI units; poses in the frame of the start pose.
+rates 1..4), arXiv 2509.04016. The bench does not use it: it is for those who hold an estimator or a
+controller of their own against the paper. SI units; poses in the frame of the start pose.
 """
 
 from __future__ import annotations

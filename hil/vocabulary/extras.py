@@ -62,14 +62,9 @@ def lacks(extra: str) -> str:
     return ""
 
 
-def how_to_install(extra: str, *, only: str = "") -> str:
-    """The shell line that adds an extra to this Python, or what the extra needs where it cannot.
-
-    Args:
-        extra: its name.
-        only: the one package of it that is wanted; all when empty.
-    """
-    wanted = [r for r in _behind(extra) if only in ("", r.name)]
+def how_to_install(extra: str) -> str:
+    """The shell line that adds an extra to this Python, or what the extra needs where it cannot."""
+    wanted = _behind(extra)
     if not wanted:
         return f"install the extra {extra} of {DISTRIBUTION}"
     fitting = [r for r in wanted if _fits(r, extra)]

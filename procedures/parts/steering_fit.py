@@ -25,7 +25,6 @@ from hil.vocabulary.geometry import Array, rotation2, wrap_array
 
 _MAGNET_SIGMA_RAD = math.radians(0.5)
 _TURNING_RAD_S = 0.05
-_GRAVITY_M_S2 = 9.81
 
 
 @dataclass(frozen=True)

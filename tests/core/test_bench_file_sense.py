@@ -20,7 +20,7 @@ NUMBERS = (
     "servos.watchdog_s", "servos.velocity_limit_rad_s", "servos.steer_limit_rad", "servos.fail_after_s",
     "servos.dead_poll_s", "servos.health_period_s", "imu.fail_after_s", "imu.stuck_after_s",
     "encoders.fail_after_s", "tracker.stale_after_s", "tracker.max_speed_m_s", "mocap.stale_after_s",
-    "estimator.process.acceleration_m_s2_sqrt_hz", "estimator.gates.one_dof", "estimator.gates.two_dof",
+    "estimator.process.acceleration_m_s2_sqrt_hz", "estimator.gates.one_dof",
     "estimator.gates.three_dof", "estimator.tracker.position_m", "estimator.tracker.jump_m",
     "estimator.wheels.longest_gap_s", "estimator.time.future_s", "estimator.wall.slip_m_s",
     "robot.mass_kg", "robot.yaw_inertia_kg_m2", "robot.propeller_y_m", "adhesion.timeout_s",

@@ -8,6 +8,8 @@ import hil
 from hil.bench.settings import motion_limits, safety_limits
 from hil.config.environment import SURFACES
 from hil.config.loading import load_bench, validate
+from hil.config.older import lifted, told_where_now
+from hil.config.recorded import recorded_bench
 from hil.fakes.plant import surfaces
 from hil.vocabulary.errors import ConfigError
 
@@ -57,6 +59,8 @@ def test_a_real_robot_may_stand_on_anything(tmp_path):
         ('[emulation]\nsurface = "patchy"\n', "emulation.surface", "environment.surface now"),
         ("[emulation]\ntilt_rad = 0.0\n", "emulation.tilt_rad", "environment.tilt_rad now"),
         ("[emulation]\nstart_pose = [1, 2, 0]\n", "emulation.start_pose", "environment.start_pose now"),
+        ("[estimator.gates]\ntwo_dof = 9.0\n", "estimator.gates.two_dof", "remove it (found 9.0)"),
+        ("[encoders]\nbacklash_limit_rad = 0.02\n", "encoders.backlash_limit_rad", "`steering_zero` judges"),
     ],
 )
 def test_an_old_key_is_told_where_it_belongs_now(refused, text, key, where):
@@ -85,6 +89,19 @@ def test_an_override_of_an_old_key_is_refused_too():
 def test_the_usable_area_is_read_where_it_belongs_and_where_it_was(table):
     tree = {"schema": 1, "name": "lab", table: {"x_range_m": [-1.0, 2.0]}}
     assert validate(tree, "b").environment.x_range_m == (-1.0, 2.0)
+
+
+def test_keys_that_are_gone_are_left_out_of_what_was_recorded_and_those_of_other_models_stay():
+    tree = {
+        "schema": 1, "name": "lab", "estimator": {"gates": {"two_dof": 13.82, "one_dof": 9.0}},
+        "encoders": {"backlash_limit_rad": 0.01, "rate_hz": 100.0},
+    }  # fmt: skip
+    config = recorded_bench(tree, "r.mcap")
+    assert config.estimator.gates.one_dof == 9.0
+    assert config.encoders.rate_hz == 100.0
+    of_another_model = {"encoders": {"model": "mine", "backlash_limit_rad": 0.01}}
+    assert lifted(of_another_model) == of_another_model
+    assert list(told_where_now(of_another_model)) == []
 
 
 def test_an_area_given_twice_is_refused():

@@ -2,6 +2,7 @@
 
 import itertools
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ else:
     import tomli as tomllib
 from hil.config.loading import load_bench
 from hil.procedure.tracking import stand
-from hil.procedures.bring_up import Parameters, measurements
+from hil.procedures.bring_up import Parameters, identify, measurements
 from hil.procedures.parts.bring_up_jogs import (
     DriveJogs,
     SteerJogs,
@@ -138,6 +139,14 @@ def test_what_was_asked_for_ahead_is_a_cycle_old(rate_hz):
     found = ages_ms({"loop.rate_hz": rate_hz, "servos.prefetch": True})
     assert {name: age for name, (age, limit) in found.items() if not 0.0 <= age <= limit} == {}
     assert (found["servos"][0] > 5.0) is (rate_hz < 200.0)
+
+
+def test_servos_of_another_package_need_not_tell_of_their_registers():
+    told, servos = {}, object()
+    rig = SimpleNamespace(devices=tuple, actuators=lambda: servos)
+    ctx = SimpleNamespace(measure=told.__setitem__, table=lambda *_: None)
+    identify(ctx, SimpleNamespace(rig=rig))
+    assert told == {"devices": 0, "servos.failed_checks": 0, "servos.warnings": 0}
 
 
 def test_servos_that_answer_late_are_too_old():

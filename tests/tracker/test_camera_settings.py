@@ -22,12 +22,12 @@ from hil.drivers.tracker import T265Tracker
 from hil.drivers.tracker.settings import wheel_calibration
 from hil.fakes.server import EmulationServer
 from hil.fakes.tracker import IDEAL, T265, TrackerFace, TrackerTruthOptions
-from hil.fakes.tracker.software_device import SoftwareT265
 from hil.fakes.tracker.wheel_input import WheelInput
 from hil.fakes.world import World
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import ConfigError, DeviceError
 from hil.vocabulary.geometry import quat_from_rotvec
+from tests.tracker.software_device import SoftwareT265
 
 KEYS = ("mapping", "relocalisation", "pose_jumping", "map_preservation")
 MAP = ("enable_mapping", "enable_relocalization", "enable_pose_jumping", "enable_map_preservation")
@@ -241,23 +241,22 @@ def test_settings_and_velocities_cross_the_feed(travelling_plant):
 
 
 def test_librealsenses_own_software_device_takes_the_settings(travelling_plant):
-    pytest.importorskip("pyrealsense2", exc_type=ImportError)  # also where there is no libusb
+    library = pytest.importorskip("pyrealsense2", exc_type=ImportError)  # also where there is no libusb
     world = World(travelling_plant(), seed=1)
-    software = SoftwareT265(T265(world))
+    software = SoftwareT265(T265(world), library)
     server = EmulationServer(world, MonotonicClock(), {})
     thread = threading.Thread(target=server.run)
     thread.start()
     driver = T265Tracker(
-        T265Config(mapping=True), MonotonicClock(), pipeline=software.pipeline(), library=software.library
+        T265Config(mapping=True), MonotonicClock(), pipeline=software.pipeline(), library=library
     )
     try:
         driver.open()
         assert tuple(software.option(name) for name in MAP) == (1, 0, 0, 0)
         driver.close()
         asking = T265Tracker(
-            T265Config(wheel_odometry=True), MonotonicClock(), pipeline=software.pipeline(),
-            library=software.library,
-        )  # fmt: skip
+            T265Config(wheel_odometry=True), MonotonicClock(), pipeline=software.pipeline(), library=library
+        )
         with pytest.raises(DeviceError, match="takes no wheel odometry"):
             asking.open()
     finally:

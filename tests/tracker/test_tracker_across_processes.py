@@ -15,6 +15,7 @@ from hil.fakes.tracker import TrackerFace
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.signals import Status
+from tests.tracker.software_device import SoftwareT265
 
 
 @contextlib.contextmanager
@@ -172,10 +173,8 @@ def realsense():
 
 
 def test_the_same_driver_runs_on_librealsenses_software_device(tracker_bench, realsense):
-    from hil.fakes.tracker.software_device import SoftwareT265
-
     bench = tracker_bench()
-    device = SoftwareT265(bench.camera)
+    device = SoftwareT265(bench.camera, realsense)
     clock = MonotonicClock()
     driver = T265Tracker(T265Config(), clock, pipeline=device.pipeline(), library=realsense)
     with serving(bench.world, {}):
@@ -196,13 +195,3 @@ def test_the_same_driver_runs_on_librealsenses_software_device(tracker_bench, re
 def test_without_a_camera_the_library_says_so(realsense):
     with pytest.raises(DeviceError, match=r"2\.53\.1"):
         T265Tracker(T265Config(connect_timeout_s=0.5), MonotonicClock()).open()
-
-
-def test_without_the_extra_the_software_device_names_it(tracker_bench, monkeypatch):
-    import sys
-
-    from hil.fakes.tracker.software_device import SoftwareT265
-
-    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    with pytest.raises(DeviceError, match="-m pip install 'pyrealsense2"):
-        SoftwareT265(tracker_bench().camera)

@@ -21,7 +21,6 @@ class UsbDevice:
         serial: its serial number; empty where it has none.
         name: as it calls itself.
         speed_mbit: of its link; 0 if unknown.
-        asks_ma: the current that it may take.
     """
 
     folder: Path
@@ -30,7 +29,6 @@ class UsbDevice:
     serial: str
     name: str
     speed_mbit: float
-    asks_ma: int
 
     @property
     def place(self) -> str:
@@ -80,7 +78,7 @@ def read(folder: Path) -> UsbDevice:
     vendor, product, serial, name, speed = (
         text_of(folder / key) for key in ("idVendor", "idProduct", "serial", "product", "speed")
     )
-    return UsbDevice(folder, vendor, product, serial, name, float(_number(speed, 10)), _asks_ma(folder))
+    return UsbDevice(folder, vendor, product, serial, name, float(_number(speed, 10)))
 
 
 def text_of(path: Path) -> str:

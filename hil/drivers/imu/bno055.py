@@ -49,7 +49,6 @@ class Bno055Imu(Sensor[ImuSample]):
         self._link: Link | None = None
         self._identity: dict[str, str] = {}
         self._mode = MODES[config.fusion_mode]
-        self._calibration: ImuCalibration | None = None
         self._retry_ns = nanoseconds(config.retry_budget_s)
         self._patience_ns = nanoseconds(config.reply_timeout_s)
         self._age_ns = nanoseconds(config.sample_age_s - _REQUEST_BITS / config.baud)
@@ -67,10 +66,10 @@ class Bno055Imu(Sensor[ImuSample]):
             DataError: the calibration file cannot be used.
         """
         self.close()
-        if self._config.calibration_file is not None:
-            self._calibration = ImuCalibration.load(self._config.calibration_file)
+        path = self._config.calibration_file
+        calibration = None if path is None else ImuCalibration.load(path)
         self._link = link = Link(self._config, self._clock, self.name)
-        self._chip = Chip(link, self._config, self._clock, self.name, self._calibration)
+        self._chip = Chip(link, self._config, self._clock, self.name, calibration)
         deadline_ns = self._clock.now_ns() + nanoseconds(self._config.open_timeout_s)
         try:
             with link.patient():
@@ -152,16 +151,6 @@ class Bno055Imu(Sensor[ImuSample]):
         """
         self._opened()
         return self._chip.read_offsets()
-
-    def write_calibration(self, calibration: ImuCalibration) -> None:
-        """Have the chip use these offsets now and after every reset it may have while open.
-
-        Raises:
-            DeviceError: the chip did not answer as it should.
-        """
-        self._calibration = calibration
-        self._opened()
-        self._chip.write_offsets(calibration)
 
     def _opened(self) -> Link:
         if self._link is None:

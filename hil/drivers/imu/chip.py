@@ -122,14 +122,6 @@ class Chip:
             raise self._failure(error, "the calibration cannot be read") from None
         return found
 
-    def write_offsets(self, calibration: ImuCalibration) -> None:
-        """Write offsets, now and in every set-up from now on; raises `DeviceError`."""
-        self._calibration = calibration
-        try:
-            self._set_up(self._clock.now_ns() + _SETUP_BUDGET_NS)
-        except ExchangeError as error:
-            raise self._failure(error, "the calibration cannot be written") from None
-
     def _leave_fusion(self, deadline_ns: int) -> None:
         self._link.write(_PAGE, b"\x00", deadline_ns)
         self._link.write(OPR_MODE, b"\x00", deadline_ns)

@@ -27,7 +27,7 @@ STATUS_TEXT = {
     0x09: "shortest length undercut",
     0x0A: "receive character time-out",
 }
-_WRITTEN, _OVERRUN = 0x01, 0x07
+_WRITTEN = 0x01
 _MAX_ATTEMPTS = 10
 _PATIENCE_S = 0.04
 

@@ -24,7 +24,6 @@ _POLL_S = 0.1
 _QUEUE = 1024
 _WINDOW_NS = 5_000_000
 _MOST_PER_WINDOW = 128
-_TIME_TO_LIVE = 1
 
 
 class Datagram(NamedTuple):

@@ -39,7 +39,7 @@ class RegisterMap:
 
     Attributes:
         model: whose table it is.
-        torque, return_level, hardware_error, watchdog, goal_velocity, goal_position: of these registers.
+        torque, hardware_error, watchdog, goal_velocity, goal_position: of these registers.
         cycle_address, cycle_length: current, velocity and position, one range.
         indirect_address: of the first; what they point at stands at `goal_data` and on.
         audit_data, direct_audit, direct_audit_length: of an audit, through the indirect data and without.
@@ -50,7 +50,6 @@ class RegisterMap:
         self.model = model
         table = self._table = model.table
         self.torque = table["torque_enable"].address
-        self.return_level = table["status_return_level"].address
         self.hardware_error = table["hardware_error_status"].address
         self.watchdog = table["bus_watchdog"].address
         self.goal_velocity = table["goal_velocity"].address

@@ -143,11 +143,6 @@ class MavlinkTracker(Sensor[TrackerSample]):
             raise silent(session, self._config, self.name, what)
         return tuple(samples)
 
-    @property
-    def last_message(self) -> Any:
-        """The newest odometry message as it was sent, for what no sample carries: covariances, estimator."""
-        return None if self._session is None else self._session.last
-
     def findings(self, samples: Sequence[TrackerSample] = (), watched_s: float = 0.0) -> tuple[Finding, ...]:
         """What can be said about the sender, the link, and samples read during `watched_s`."""
         if self._session is None:

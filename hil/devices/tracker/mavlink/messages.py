@@ -112,12 +112,6 @@ def pose_covariance(message: Any, axes: Axes) -> Array | None:
     return _turned(message.pose_covariance, np.diag([1.0, down, down]))
 
 
-def twist_covariance(message: Any, axes: Axes, quaternion_wxyz: Sequence[float]) -> Array | None:
-    """(6, 6) of velocity (m/s) and rates (rad/s), in the axes of the start frame; None if unknown."""
-    turn = np.array([_to_start(axis, axes, quaternion_wxyz) for axis in np.eye(3).tolist()]).T
-    return _turned(message.velocity_covariance, turn)
-
-
 def _to_start(vector: Sequence[float], axes: Axes, quaternion_wxyz: Sequence[float]) -> Three:
     """A vector of the twist in the axes of the start frame."""
     x, y, z = vector

@@ -15,7 +15,6 @@ from typing import NamedTuple
 from hil.vocabulary.errors import UsageError
 
 NODE_STATUS, RAW_COMMAND, RPM_COMMAND, STATUS = 341, 1030, 1031, 1034
-HIGHEST_NODE = 127
 FULL_RAW = 8191
 _STATUS_SEED = 0x1591
 """CRC of the data type signature of `uavcan.equipment.esc.Status`."""

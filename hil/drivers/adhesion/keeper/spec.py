@@ -11,7 +11,6 @@ from typing import Any
 from hil.vocabulary.emulated_bus import bus_name
 from hil.vocabulary.errors import ConfigError
 
-QUANTITIES = ("duty", "current_a", "erpm")
 _HIGHEST = {"duty": 0.95, "current_a": 60.0, "erpm": 150_000.0}
 _PERIODS = 10
 """At least so many commands fit into the controller's time-out."""

@@ -6,13 +6,10 @@ its frame objects, its profile. Real time only: the library delivers when its ow
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
 
 from hil.fakes.tracker.frames import PoseFrame
 from hil.fakes.tracker.t265 import RATE_HZ, SETTINGS, T265
-from hil.vocabulary.errors import DeviceError
-from hil.vocabulary.extras import how_to_install
 
 _STREAM_UID = 1
 
@@ -22,24 +19,11 @@ class SoftwareT265:
 
     Args:
         camera: the emulated camera; it streams from now on.
-
-    Attributes:
         library: the module pyrealsense2.
-
-    Raises:
-        DeviceError: pyrealsense2 is not installed.
     """
 
-    def __init__(self, camera: T265) -> None:
-        try:
-            self.library: Any = importlib.import_module("pyrealsense2")
-        except ImportError as error:
-            raise DeviceError(
-                camera.name,
-                f"pyrealsense2 cannot be imported ({error})",
-                remedy=f"{how_to_install('test', only='pyrealsense2')}; and the system package libusb-1.0-0",
-            ) from None
-        rs = self.library
+    def __init__(self, camera: T265, library: Any) -> None:
+        rs = self.library = library
         self._camera = camera
         self._device = rs.software_device()
         for key, text in (
@@ -58,7 +42,7 @@ class SoftwareT265:
         for name in SETTINGS:
             self._sensor.add_option(getattr(rs.option, name), switch, True)
         self._context = rs.context()
-        self._announced: list[Any] = []
+        self._announced: list[Any] = []  # held: a device vanishes from the context with its last reference
         self._context.set_devices_changed_callback(
             lambda info: self._announced.append(info.get_new_devices())
         )
@@ -76,10 +60,6 @@ class SoftwareT265:
     def close(self) -> None:
         """Stop feeding the library. Idempotent."""
         self._camera.stop_stream(self._inject)
-
-    def _keep(self, info: Any) -> None:
-        """Hold the announced device: it vanishes from the context with its last reference."""
-        self._announced.append(info.get_new_devices())
 
     def _inject(self, frame: PoseFrame) -> None:
         rs, pose = self.library, frame.pose
