@@ -14,7 +14,7 @@ from hil.cli import start
 from hil.cli.attended import watching
 from hil.cli.options import FILE, SEED, FiniteRange, rerun_option, tell_view
 from hil.cli.output import Answered, unreadable
-from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, HilError, UsageError
+from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, HilError, UsageError, reason_of
 from hil.vocabulary.files import check_new_file
 
 if TYPE_CHECKING:
@@ -210,7 +210,7 @@ def _recorder(bench: Bench, path: Path, on_failure: OnFailure) -> McapRecorder:
     except OSError as error:
         raise DataError(
             str(path.parent),
-            f"cannot be created ({error.strerror})",
+            f"cannot be created ({reason_of(error)})",
             remedy="give --record FILE or --no-record",
         ) from None
     recorder = McapRecorder(path, bench.header(), lossless=False, on_failure=on_failure)

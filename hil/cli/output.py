@@ -22,7 +22,7 @@ from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from typing import Any
 
-from hil.vocabulary.errors import Aborted, HilError
+from hil.vocabulary.errors import Aborted, HilError, reason_of
 
 _STDOUT, _STDERR = 1, 2
 
@@ -79,7 +79,7 @@ class _Raw(io.FileIO):
         try:
             return super().write(data)
         except OSError as error:
-            first, self.lost = not self.lost, error.strerror or str(error)
+            first, self.lost = not self.lost, reason_of(error)
             self.reader_gone = error.errno == errno.EPIPE
             _to_nowhere(self.fileno())
             if first:

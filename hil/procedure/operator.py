@@ -12,8 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-from hil.vocabulary.errors import Aborted, ConfigError
-from hil.vocabulary.files import reason
+from hil.vocabulary.errors import Aborted, ConfigError, reason_of
 from hil.vocabulary.reading import read_text
 
 _MOST_BYTES = 1 << 20
@@ -79,7 +78,7 @@ class Answers(Operator):
             lines = read_text(path, _MOST_BYTES).splitlines()
         except (OSError, ValueError) as error:
             raise ConfigError(
-                f"{path}: cannot be read ({reason(error)})", remedy="name a file of answers by --answers"
+                f"{path}: cannot be read ({reason_of(error)})", remedy="name a file of answers by --answers"
             ) from None
         self._lines = [line.strip() for line in lines if line.strip() and not line.startswith("#")]
 

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 from hil.procedure.measurements import Measurement, Verdict
 from hil.vocabulary.digits import digits_apart
-from hil.vocabulary.errors import EXIT_ABORTED, EXIT_LIMIT_FAILED, EXIT_PASS, DataError
+from hil.vocabulary.errors import EXIT_ABORTED, EXIT_LIMIT_FAILED, EXIT_PASS, DataError, reason_of
 from hil.vocabulary.result_files import JUNIT, RESULT
 
 SCHEMA = 1
@@ -135,7 +135,7 @@ def write_result(result: Result) -> Path:
         _replace(path, json.dumps(tree, indent=1, allow_nan=False) + "\n")
         _replace(result.folder / JUNIT, junit(tree))
     except OSError as error:
-        raise DataError(str(path), f"cannot be written ({error.strerror or error})") from None
+        raise DataError(str(path), f"cannot be written ({reason_of(error)})") from None
     return path
 
 

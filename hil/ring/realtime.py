@@ -20,7 +20,7 @@ import numpy as np
 from hil.ring.loop import Brain
 from hil.ring.loop_timing import LoopStatistics
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds, sleep_punctually
-from hil.vocabulary.errors import SafetyStop
+from hil.vocabulary.errors import SafetyStop, reason_of
 from hil.vocabulary.signals import (
     ImuSample,
     Inputs,
@@ -127,7 +127,7 @@ class RealTime:
             os.sched_setaffinity(0, {self._cpu})
         except OSError as error:
             self._refused(
-                f"loop.cpu = {self._cpu} was refused ({error.strerror}); "
+                f"loop.cpu = {self._cpu} was refused ({reason_of(error)}); "
                 f"this process may use {', '.join(map(str, sorted(before)))}"
             )
             return
@@ -150,7 +150,7 @@ class RealTime:
             )
         except OSError as error:
             self._refused(
-                f"loop.fifo_priority = {self._fifo_priority} was refused ({error.strerror}); allow it with "
+                f"loop.fifo_priority = {self._fifo_priority} was refused ({reason_of(error)}); allow it with "
                 f"`ulimit -r {self._fifo_priority}` or an rtprio line in /etc/security/limits.conf"
             )
             return

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.report.result_file import SCHEMA, read_result
-from hil.vocabulary.errors import DataError
+from hil.vocabulary.errors import DataError, reason_of
 from hil.vocabulary.reading import json_object, read_json
 from hil.vocabulary.result_files import (
     ACCEPTANCE_TABLE,
@@ -101,7 +101,7 @@ def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
 
     def refused(error: OSError) -> None:
         if Path(error.filename or "") == root:
-            raise DataError(str(root), f"cannot be read ({error.strerror or error})")
+            raise DataError(str(root), f"cannot be read ({reason_of(error)})")
 
     for place, folders, files in os.walk(root, onerror=refused):
         depth = len(Path(place).relative_to(root).parts)
