@@ -15,6 +15,7 @@ from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
 from hil.robot.kinematics import MODELS
 from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE
+from hil.vocabulary.signals import WHEELS
 
 if TYPE_CHECKING:
     from hil.calibration.calibrate import Calibration
@@ -142,10 +143,10 @@ def _text(result: Calibration) -> str:
         *_kept(result),
         f"{'wheel':8}{'x_w mm':>10}{'y_w mm':>10}{'r mm':>10}{'delta0 deg':>12}   (effective values)",
     ]
-    for i, wheel in enumerate(("FL", "BL", "BR", "FR")):
+    for i, wheel in enumerate(WHEELS):
         lines.append(
             f"{wheel:8}{z.x_m[i] * 1e3:10.2f}{z.y_m[i] * 1e3:10.2f}{z.radius_m[i] * 1e3:10.3f}"
-            f"{z.steering_zero_rad[i] * 57.29578:12.3f}"
+            f"{math.degrees(z.steering_zero_rad[i]):12.3f}"
         )
     lines.append(_spread(result))
     lines.append("singular values: " + " ".join(f"{v:.3g}" for v in spectrum.singular_values))
@@ -160,7 +161,7 @@ def _text(result: Calibration) -> str:
         ))  # fmt: skip
     for name, table in result.validation.items():
         cells = "".join(
-            f"{1e3 * row['rmse_position_m']:>8.1f} /{57.29578 * row['rmse_theta_rad']:5.2f}"
+            f"{1e3 * row['rmse_position_m']:>8.1f} /{math.degrees(row['rmse_theta_rad']):5.2f}"
             for row in table.values()
         )
         lines.append(f"{name.replace('_', ' '):36}{cells}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -169,8 +170,10 @@ def _text(table: dict[str, Any], told: list[str]) -> str:
     for name, row in motions.items():
         lines.append(
             f"{name:14}" + "".join(f"{row[c]:10.4f}" for c in _COLUMNS)
-            + f"{row['rmse_position_m'] * 1e3:10.2f}{row['rmse_theta_rad'] * 57.29578:10.2f}"
+            + f"{row['rmse_position_m'] * 1e3:10.2f}{math.degrees(row['rmse_theta_rad']):10.2f}"
         )  # fmt: skip
     mean: dict[str, float] = table["mean"]
-    lines.append(f"{'mean':74}{mean['rmse_position_m'] * 1e3:10.2f}{mean['rmse_theta_rad'] * 57.29578:10.2f}")
+    lines.append(
+        f"{'mean':74}{mean['rmse_position_m'] * 1e3:10.2f}{math.degrees(mean['rmse_theta_rad']):10.2f}"
+    )
     return "\n".join(lines)

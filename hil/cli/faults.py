@@ -18,7 +18,7 @@ from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, did_
 from hil.vocabulary.files import check_file
 
 if TYPE_CHECKING:
-    from hil.procedure.faults import Cell, KeptVerdicts, Verdict
+    from hil.procedure.faults import Cell, CellVerdict, KeptVerdicts
 
 PAGE = "reliability.md"
 DEFAULTS = {"moments": "open,motion,stop,second", "plants": "own", "bench": "emulated"}
@@ -84,15 +84,17 @@ def command(
     return EXIT_LIMIT_FAILED if failed else EXIT_PASS
 
 
-def _judged(cells: Sequence[Cell], bench: str, workers: int, kept: KeptVerdicts) -> Mapping[Cell, Verdict]:
+def _judged(
+    cells: Sequence[Cell], bench: str, workers: int, kept: KeptVerdicts
+) -> Mapping[Cell, CellVerdict]:
     """Run these cells, tell how it goes, and keep every verdict as it comes."""
     from hil.procedure.campaign import spread
     from hil.procedure.faults import lost, run_cell
 
-    verdicts: dict[Cell, Verdict] = {}
+    verdicts: dict[Cell, CellVerdict] = {}
     with reporting() as report:
 
-        def done(verdict: Verdict) -> None:
+        def done(verdict: CellVerdict) -> None:
             verdicts[verdict.cell] = verdict
             kept.add(verdict)
             if verdict.why:
@@ -152,7 +154,7 @@ def _shown(asked: Asked) -> str:
     return " ".join([*parts, *([f"--random {asked.count}"] if asked.count is not None else [])])
 
 
-def _json(verdicts: Sequence[Verdict], page: Path) -> dict[str, object]:
+def _json(verdicts: Sequence[CellVerdict], page: Path) -> dict[str, object]:
     return {
         "cells": len(verdicts),
         "failed": [

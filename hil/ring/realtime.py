@@ -19,6 +19,7 @@ import numpy as np
 
 from hil.ring.loop import Brain
 from hil.ring.loop_timing import LoopStatistics
+from hil.robot.holding import GRAVITY_M_S2
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds, sleep_punctually
 from hil.vocabulary.errors import SafetyStop, reason_of
 from hil.vocabulary.signals import (
@@ -206,7 +207,7 @@ def _at_rest(cycle: int, start: RobotState) -> Inputs:
     stamp, upright, still = Stamp(t_ns, t_ns, cycle), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
     place = np.array([start.pose_body_in_wall[0], start.pose_body_in_wall[1], 0.0])
     servos = ServoSample(stamp, np.zeros(8), np.zeros(8), np.zeros(8), (Status.OK,) * 8)
-    inertial = ImuSample(stamp, upright, still, still, np.array([9.81, 0.0, 0.0]), ())
+    inertial = ImuSample(stamp, upright, still, still, np.array([GRAVITY_M_S2, 0.0, 0.0]), ())
     camera = TrackerSample(stamp, still, upright, still, still, 3)
     capture = MocapSample(stamp, place, upright, True, 0.0, 0.0)
     return Inputs(cycle, t_ns, (servos,), (), (), (inertial,), (camera,), (capture,))
