@@ -33,10 +33,10 @@ from hil.procedure.tracking import (
 from hil.procedure.workers import Workers
 from hil.procedures.parts import headlines
 from hil.robot.trajectories import Trajectory, line, scan
+from hil.vocabulary.choices import ESTIMATORS, EstimatorName
 from hil.vocabulary.geometry import ArrayLike
 
 Case = Literal["x_line", "y_line", "scan"]
-Feedback = Literal["odometry", "ekf", "ukf"]
 _SEEDS_FOR_MEANS = 5
 _RESOLVED_MM = 0.1
 _NAMES = {"x_line": "X line", "y_line": "Y line", "scan": "Scan"}
@@ -49,8 +49,8 @@ class Parameters(BaseModel):
     cases: tuple[Case, ...] = Field(
         ("x_line", "y_line"), description="Paths that are driven: x_line up the wall, y_line across it, scan."
     )
-    feedbacks: tuple[Feedback, ...] = Field(
-        ("odometry", "ekf", "ukf"),
+    feedbacks: tuple[EstimatorName, ...] = Field(
+        ESTIMATORS,
         description="Estimators whose pose the controller follows, one drive each.",
     )
     optimal: bool = Field(True, description="Drive the line across the wall with the optimal law as well.")

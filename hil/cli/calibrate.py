@@ -14,6 +14,7 @@ from hil.cli.options import FILE, OUT, SEED, FiniteRange
 from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
 from hil.robot.kinematics import MODELS
+from hil.vocabulary.choices import METHODS
 from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE
 from hil.vocabulary.signals import WHEELS
 
@@ -21,12 +22,10 @@ if TYPE_CHECKING:
     from hil.calibration.calibrate import Calibration
     from hil.config.bench import BenchConfig
 
-_METHODS = ("lm", "interior-point", "ga", "pso")
-
 
 @click.command()
 @click.argument("data", nargs=-1, required=True)
-@click.option("--method", type=click.Choice(_METHODS), default="lm", show_default=True)
+@click.option("--method", type=click.Choice(METHODS), default="lm", show_default=True)
 @click.option(
     "--setting", type=click.Choice(["recommended", "paper"]), default="recommended", show_default=True
 )

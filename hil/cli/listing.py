@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
-from typing import Any, get_args
+from typing import Any
 
 import click
 
+from hil.vocabulary.choices import ESTIMATORS
 from hil.vocabulary.errors import EXIT_PASS
 
-ESTIMATORS = {
+_ESTIMATORS_IN_WORDS = {
     "odometry": "wheels alone, no filter",
     "ekf": "extended Kalman filter over wheels, IMU and camera",
     "ukf": "unscented Kalman filter over the same",
@@ -45,9 +46,7 @@ def _faults(bench: str) -> dict[str, dict[str, list[str]]]:
 
 
 def _estimators() -> dict[str, str]:
-    from hil.config.estimator import EstimatorConfig
-
-    return {name: ESTIMATORS[name] for name in get_args(EstimatorConfig.model_fields["kind"].annotation)}
+    return {name: _ESTIMATORS_IN_WORDS[name] for name in ESTIMATORS}
 
 
 WHAT = ("procedures", "profiles", "devices", "faults", "estimators")

@@ -14,6 +14,7 @@ from hil.cli import start
 from hil.cli.attended import watching
 from hil.cli.options import FILE, SEED, FiniteRange, rerun_option, tell_view
 from hil.cli.output import Answered, unreadable
+from hil.vocabulary.choices import ESTIMATORS, LAWS
 from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, HilError, UsageError, reason_of
 from hil.vocabulary.files import check_new_file
 
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from hil.monitor import RerunMonitor
     from hil.recording.mcap_writer import McapRecorder, OnFailure
     from hil.vocabulary.stop_signals import StopRequest
-
-_KINDS = ("odometry", "ekf", "ukf")
 
 
 @click.command()
@@ -59,16 +58,20 @@ _KINDS = ("odometry", "ekf", "ukf")
     help="Seconds [default: until the trajectory or a signal ends it].",
 )
 @click.option(
-    "--feedback", type=click.Choice(_KINDS), default="ekf", show_default=True, help="Estimator in the loop."
+    "--feedback",
+    type=click.Choice(ESTIMATORS),
+    default="ekf",
+    show_default=True,
+    help="Estimator in the loop.",
 )
 @click.option(
     "--observe",
     "observers",
-    type=click.Choice(_KINDS),
+    type=click.Choice(ESTIMATORS),
     multiple=True,
     help="Estimators beside it (repeatable).",
 )
-@click.option("--controller", type=click.Choice(["nonlinear", "optimal"]), help="Control law.")
+@click.option("--controller", type=click.Choice(LAWS), help="Control law.")
 @rerun_option("spawn, connect, serve, a URL or a .rrd file; several with commas.")
 @click.option("--record", type=FILE, help="Recording to write, a new file [default: out/live/TIME.mcap].")
 @click.option("--no-record", "unrecorded", is_flag=True, help="Write no recording.")

@@ -11,6 +11,7 @@ import click
 import numpy as np
 
 from hil.cli.options import FILE, rerun_option, tell_view
+from hil.vocabulary.choices import COMPARED
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, UsageError
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from hil.ring.motion import Motion
 
 _PATH_POINTS = 400
-_KINDS = ("odometry", "ekf", "ukf", "smoother")
 _COLUMNS = (
     ("rmse_position_m", "rmse mm", 1e3),
     ("rmse_theta_rad", "rmse deg", math.degrees(1.0)),
@@ -39,7 +39,7 @@ _COLUMNS = (
 @click.option(
     "--estimator",
     "estimators",
-    type=click.Choice(_KINDS),
+    type=click.Choice(COMPARED),
     multiple=True,
     help="Estimator to run on the recorded measurements (repeatable) [default: all four].",
 )
@@ -94,7 +94,7 @@ def command(
         result["warnings"] = opened.doubts()
         for line in result["warnings"]:
             click.echo(f"warning: {line}", err=True)
-        motions, result["estimators"] = _compared(opened, run, estimators or _KINDS)
+        motions, result["estimators"] = _compared(opened, run, estimators or COMPARED)
         _show(opened.bench, run, motions, view)
         if page is not None:
             from hil.report.replay_page import write_replay_page
