@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options import FILE, OUT, SEED, FiniteRange
+from hil.cli.options import FILE, JSON, OUT, SEED, FiniteRange
 from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
 from hil.robot.kinematics import MODELS
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 @click.option("--out", type=OUT, help="Write calibration.toml here.")
 @click.option("--topics", type=FILE, help="Topic mapping of another robot's bags.")
 @click.option("--plots", type=FILE, help="Folder for figures and an HTML page.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     data: tuple[str, ...], method: str, setting: str, model: str | None, signal: str | None,
     bounds: float | None, seed: int, no_validation: bool, bench: str | None, out: Path | None,

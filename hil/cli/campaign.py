@@ -27,7 +27,7 @@ from hil.cli.campaign_runs import (
     run_case,
     run_case_elsewhere,
 )
-from hil.cli.options import FILE, OUT
+from hil.cli.options import FILE, JSON, OUT
 from hil.cli.output import kept_for_json
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, DataError, UsageError
@@ -63,7 +63,7 @@ _LONGEST = 400
 @click.option("--keep", type=click.Choice(["all", "results"]), default="all", show_default=True,
               help="Of each run; `results` leaves out recordings and figures, for many runs.")  # fmt: skip
 @click.option("--resume", is_flag=True, help="Run what is missing in --out; seeds and values may be added.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     script: str, seeds: str, axes: tuple[str, ...], bench: str | None, emulate: str | None,
     settings: tuple[str, ...], faults: tuple[str, ...], calibration: Path | None, answers: Path | None,

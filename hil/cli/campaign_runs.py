@@ -8,10 +8,10 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hil.vocabulary.clock import local_time
 from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, HilError, RecordingError
 from hil.vocabulary.result_files import JOURNAL
 
@@ -195,7 +195,7 @@ def _result(job: Job) -> dict[str, Any]:
     operator = Terminal() if setup.answers is None else Answers(Path(setup.at(setup.answers)))
     options = RunOptions(
         folder=folder, clock=MonotonicClock(), parameters=parameters, operator=operator,
-        started=datetime.now().astimezone().isoformat(timespec="seconds"),
+        started=local_time(),
         resume=_begun(folder), keep=setup.keep, interrupts=Interrupts(tell),
     )  # fmt: skip
     result = run_procedure(proc, source, options)

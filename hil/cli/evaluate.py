@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import FILE
+from hil.cli.options import FILE, JSON
 from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
 from hil.robot.kinematics import MODELS
@@ -42,7 +42,7 @@ _COLUMNS = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
 @BENCH
 @click.option("--topics", type=FILE, help="Topic mapping of another robot's bags.")
 @click.option("--plots", type=FILE, help="Folder for figures and an HTML page.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     data: tuple[str, ...], calibration: Path | None, model: str | None, signal: str | None,
     deploy: str, bench: str | None, topics: Path | None, plots: Path | None, as_json: bool,

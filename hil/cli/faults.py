@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options import OUT
+from hil.cli.options import JSON, OUT
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, did_you_mean
 from hil.vocabulary.files import check_file
@@ -55,7 +55,7 @@ class Asked:
 @click.option("--out", type=OUT, default=Path("out/faults"), show_default=True,
               help="Folder of the matrix.")  # fmt: skip
 @click.option("--resume", is_flag=True, help="Go on with the cells that are missing in --out.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     quick: bool, seeds: str, only: tuple[str, ...], moments: str, plants: str, count: int | None, bench: str,
     workers: int, out: Path, resume: bool, as_json: bool,

@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from hil.cli.options import JSON
 from hil.vocabulary.choices import ESTIMATORS
 from hil.vocabulary.errors import EXIT_PASS
 
@@ -57,7 +58,7 @@ WHAT = ("procedures", "profiles", "devices", "faults", "estimators")
 @click.option(
     "--bench", default="emulated", help="Whose devices and faults, if all were emulated [default: emulated]."
 )
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(what: str | None, bench: str, as_json: bool) -> int:
     """List what there is: procedures, profiles, devices, faults, estimators; all of it without WHAT.
 

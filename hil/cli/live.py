@@ -12,7 +12,7 @@ import click
 
 from hil.cli import start
 from hil.cli.attended import watching
-from hil.cli.options import FILE, SEED, FiniteRange, rerun_option, tell_view
+from hil.cli.options import FILE, JSON, SEED, FiniteRange, rerun_option, tell_view
 from hil.cli.output import Answered, unreadable
 from hil.vocabulary.choices import ESTIMATORS, LAWS
 from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, HilError, UsageError, reason_of
@@ -93,7 +93,7 @@ if TYPE_CHECKING:
     help="Recording whose motion the emulated robot repeats, at the wire.",
 )
 @click.option("--fault", "faults", multiple=True, help="Fault, for example imu:stuck@2+3 (repeatable).")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     bench: str, emulate: str | None, source: Path | None, commands: str, dead_man_s: float,
     duration_s: float | None, feedback: str, observers: tuple[str, ...], controller: str | None,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from hil.cli.options import FILE, rerun_option, tell_view
+from hil.cli.options import FILE, JSON, rerun_option, tell_view
 from hil.vocabulary.choices import COMPARED
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, UsageError
 
@@ -59,7 +59,7 @@ _COLUMNS = (
 @click.option("--topics", type=FILE, help="Topic mapping of another robot's bag.")
 @click.option("--page", type=FILE, help="HTML page with figures.")
 @rerun_option("Show it: spawn, connect, serve, a URL or a .rrd file.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     recording: Path, estimators: tuple[str, ...], verify: bool, number: int | None, bench: str | None,
     calibration: Path | None, topics: Path | None, page: Path | None, view: str | None, as_json: bool,
