@@ -41,6 +41,7 @@ def command(
     from hil.procedure.acceptance import Acceptance, accept
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.interrupts import Interrupts
+    from hil.procedure.operator import tell
     from hil.report.acceptance_page import write_acceptance
     from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, HilError
     from hil.vocabulary.files import check_folder
@@ -49,7 +50,7 @@ def command(
     check_folder(folder)
     if (folder / ACCEPTANCE_TABLE).exists():
         raise ConfigError(f"{folder}: holds an acceptance", remedy="choose another --out")
-    interrupts = Interrupts(lambda text: click.echo(f"hil: {text}", err=True))
+    interrupts = Interrupts(tell)
     source = BenchSource(
         bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults, watch=watching()
     )  # fmt: skip

@@ -48,6 +48,7 @@ def command(
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.commission import Commission, commission
     from hil.procedure.interrupts import Interrupts
+    from hil.procedure.operator import tell
     from hil.vocabulary.clock import MonotonicClock
 
     source = BenchSource(
@@ -55,7 +56,7 @@ def command(
         overrides={**_overrides(settings), **start.start_override(start_pose)}, watch=watching(),
     )  # fmt: skip
     source = source.changed(overrides=start.asked_start(source.config))
-    interrupts = Interrupts(lambda text: click.echo(f"hil: {text}", err=True))
+    interrupts = Interrupts(tell)
     folder = results_folder("commission", out, COMMISSIONING_TABLE if resume else None)
     with interrupts.installed(), interrupts.deferred(), reporting() as report:
         told, code = commission(

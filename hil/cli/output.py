@@ -44,11 +44,6 @@ def error_as_json(error: HilError) -> dict[str, Any]:
     }
 
 
-def tell(text: str) -> None:
-    """A line for the operator, beside the results on stdout."""
-    print(f"hil: {text}", file=sys.stderr, flush=True)
-
-
 @contextmanager
 def kept_for_json(wanted: bool) -> Iterator[None]:
     """Where one JSON object is wanted, what is printed meanwhile, by processes too, goes to stderr."""

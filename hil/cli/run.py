@@ -11,7 +11,7 @@ import click
 from hil.cli import start
 from hil.cli.attended import answers_option, operator, watching
 from hil.cli.options import FILE, JSON, OUT, SEED, results_folder
-from hil.cli.output import kept_for_json, tell
+from hil.cli.output import kept_for_json
 from hil.cli.progress import reporting
 from hil.vocabulary.clock import local_time
 from hil.vocabulary.errors import HilError
@@ -94,6 +94,7 @@ def command(
     """
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.interrupts import Interrupts
+    from hil.procedure.operator import tell
     from hil.procedure.parameters import split_settings
     from hil.procedure.scripts import load_procedure
 

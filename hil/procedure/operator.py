@@ -20,6 +20,11 @@ _YES, _NO = ("", "y", "yes", "ok"), ("n", "no", "stop", "abort", "cancel", "quit
 _EXPECTED = "Enter (an empty line), y, yes or ok to go on; no or stop to end it"
 
 
+def tell(text: str) -> None:
+    """A line for the operator, beside the results on stdout."""
+    print(f"hil: {text}", file=sys.stderr, flush=True)
+
+
 class Operator(Protocol):
     """Whoever answers."""
 

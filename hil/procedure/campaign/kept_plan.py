@@ -9,19 +9,17 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from hil.cli.campaign_files import contents_of
-from hil.cli.campaign_runs import Setup
+from hil.procedure.campaign.files import contents_of
+from hil.procedure.campaign.plan import Case
+from hil.procedure.campaign.running import Setup
+from hil.procedure.declaration import Procedure
 from hil.vocabulary.errors import ConfigError, UsageError, reason_of
 from hil.vocabulary.files import make_folder, put_whole
 from hil.vocabulary.reading import read_json
 from hil.vocabulary.result_files import PLAN, RUNS
 from hil.vocabulary.versions import make
-
-if TYPE_CHECKING:
-    from hil.procedure.campaign import Case
-    from hil.procedure.declaration import Procedure
 
 SCHEMA = 1
 _NOT_COMPARED = ("answers", "keep", "places")
