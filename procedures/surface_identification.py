@@ -25,10 +25,10 @@ from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.elsewhere import Errand
 from hil.procedure.fragment import write_fragment
 from hil.procedure.learning import leave_part
-from hil.procedure.tracking import stand
+from hil.procedure.tracking import STAGGER_S, stand
 from hil.procedure.workers import Workers
 from hil.procedures.parts import headlines
-from hil.procedures.parts.surface_hold import hold_angle
+from hil.procedures.parts.surface_hold import WITHOUT, hold_angle
 from hil.procedures.parts.surface_slip import downhill, draw, next_lines, rate, slip_of
 from hil.robot.trajectories import Trajectory, line
 from hil.vocabulary.errors import ConfigError
@@ -37,11 +37,9 @@ from hil.vocabulary.geometry import Array
 DIRECTIONS = ("up", "down", "left", "right")
 _ALONE = (DIRECTIONS[:2], DIRECTIONS[2:])
 """What a process drives of a repetition: there and back."""
-_WITHOUT = {"encoders": None, "tracker": None}
 _FOR_A_FILTER = ("imu", "tracker")
 _SYSTEMATIC = 0.05  # starts, stops, and the grip that turning while slipping takes from slip
 _MARGIN_DEG = 5.0
-_STAGGER_S = 0.13
 _LEAST_SIGMA = 5e-4
 _WANDERING = 0.5  # of what is left of slip, per square root of a metre
 
@@ -160,7 +158,7 @@ Slips = dict[str, list[float]]
 
 
 def _driven(ctx: Context, p: Parameters, numbers: Sequence[int]) -> Generator[Slips, None, None]:
-    overrides = {"encoders": None} if _filtered(ctx.source.config) else _WITHOUT
+    overrides = {"encoders": None} if _filtered(ctx.source.config) else WITHOUT
     if p.processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(overrides=overrides)
         jobs = [Errand(source, partial(_alone, p=p, number=k, ways=ways)) for k in numbers for ways in _ALONE]
@@ -206,7 +204,7 @@ def repetition(
     """
     filtered = _filtered(bench.config)
     feedback, observers = ("ekf", ("odometry",)) if filtered else ("odometry", ())
-    stand(bench, 0.5 + _STAGGER_S * (number + DIRECTIONS.index(ways[0]) / len(DIRECTIONS)))
+    stand(bench, 0.5 + STAGGER_S * (number + DIRECTIONS.index(ways[0]) / len(DIRECTIONS)))
     found = {}
     for k, direction in enumerate(ways, start=1):
         pose = stand(bench)

@@ -20,7 +20,7 @@ from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.ablation import Setting, Table, settings_of
 from hil.procedure.elsewhere import Errand
 from hil.procedure.learning import known_parts
-from hil.procedure.tracking import refuse_what_cannot_be_followed, stand, tracking_errors, unseen
+from hil.procedure.tracking import REFERENCE_M, refuse_what_cannot_be_followed, stand, tracking_errors, unseen
 from hil.procedure.workers import Workers
 from hil.procedures.parts import headlines
 from hil.report.ablation_figure import EVERYTHING, NOTHING, ablation_figure
@@ -28,7 +28,6 @@ from hil.robot.trajectories import Trajectory, line
 from hil.vocabulary.geometry import ArrayLike
 
 Case = Literal["x_line", "y_line"]
-_REFERENCE_M = 1.5
 
 
 class Parameters(BaseModel):
@@ -51,7 +50,7 @@ class Parameters(BaseModel):
 
 def measurements(p: Parameters) -> Iterator[Measurement]:
     """Limits with everything known, for 1.5 m; they grow with the way."""
-    share = max(p.length_m / _REFERENCE_M, 0.3)
+    share = max(p.length_m / REFERENCE_M, 0.3)
     for case in p.cases:
         yield Measurement(
             f"{case}.nothing_known.end", "mm", rationale="distance from the goal, for comparison"

@@ -20,6 +20,7 @@ from hil.config.bench import BenchConfig
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.elsewhere import Errand
 from hil.procedure.tracking import (
+    REFERENCE_M,
     belief_figure,
     error_figure,
     path_figure,
@@ -32,11 +33,10 @@ from hil.procedure.tracking import (
 from hil.procedure.workers import Workers
 from hil.procedures.parts import headlines
 from hil.robot.trajectories import Trajectory, line, scan
+from hil.vocabulary.choices import ESTIMATORS, EstimatorName
 from hil.vocabulary.geometry import ArrayLike
 
 Case = Literal["x_line", "y_line", "scan"]
-Feedback = Literal["odometry", "ekf", "ukf"]
-_REFERENCE_M = 1.5
 _SEEDS_FOR_MEANS = 5
 _RESOLVED_MM = 0.1
 _NAMES = {"x_line": "X line", "y_line": "Y line", "scan": "Scan"}
@@ -49,8 +49,8 @@ class Parameters(BaseModel):
     cases: tuple[Case, ...] = Field(
         ("x_line", "y_line"), description="Paths that are driven: x_line up the wall, y_line across it, scan."
     )
-    feedbacks: tuple[Feedback, ...] = Field(
-        ("odometry", "ekf", "ukf"),
+    feedbacks: tuple[EstimatorName, ...] = Field(
+        ESTIMATORS,
         description="Estimators whose pose the controller follows, one drive each.",
     )
     optimal: bool = Field(True, description="Drive the line across the wall with the optimal law as well.")
@@ -127,7 +127,7 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
 
 def _of_odometry(case: str, p: Parameters) -> Iterator[Measurement]:
     why = "odometry must fail as in the paper, or slip and sag are not being tested; mean over the seeds"
-    name, share = f"{case}.odometry", p.length_m / _REFERENCE_M
+    name, share = f"{case}.odometry", p.length_m / REFERENCE_M
     if case == "scan":
         yield Measurement(f"{name}.rmse_worse_axis", "mm", low=50.0, rationale=why)
         return

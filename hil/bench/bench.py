@@ -16,7 +16,7 @@ from hil.config.bench import BenchConfig
 from hil.fakes.fault import Fault
 from hil.fakes.plant_api import PlantState
 from hil.fakes.world import World
-from hil.recording.runs import RUN, RunStart
+from hil.recording.runs import START_COVARIANCE, RunStart
 from hil.ring.loop import Brain, ControlLoop, LoopStatistics
 from hil.ring.motion import Motion
 from hil.ring.own_parts import own_name
@@ -28,7 +28,7 @@ from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.collector import without_collector
 from hil.vocabulary.errors import ConfigError, check_number
 from hil.vocabulary.geometry import Array, ArrayLike
-from hil.vocabulary.interfaces import Sink
+from hil.vocabulary.interfaces import RUN_NOTE, Sink
 from hil.vocabulary.signals import CycleRecord, RobotState
 
 LOG = logging.getLogger(__name__)
@@ -36,7 +36,6 @@ LOG = logging.getLogger(__name__)
 _SETTLE_S = 0.5
 _FRAME_MOVED_M = 0.005
 """Motion capture whose frame has moved further does not tell where the robot stands."""
-_START_COVARIANCE = np.diag([1e-8, 1e-8, 1e-7, 1e-6, 1e-6, 1e-6])
 _RECORDED = ("t_ns", "pose_body_in_wall", "steering_true_rad", "normal_load_n", "slip_m_s", "fallen")
 """Of an emulated robot's truth, what its recordings keep (`PlantState`)."""
 
@@ -225,7 +224,7 @@ class Bench(HeldRig):
     def start_state(self, pose: ArrayLike | None = None) -> RobotState:
         """State to start a run from: at rest at a pose (3,), by default the configured one."""
         known = np.array(self.config.environment.start_pose if pose is None else pose, dtype=np.float64)
-        return RobotState(self.clock.now_ns(), known, np.zeros(3), _START_COVARIANCE)
+        return RobotState(self.clock.now_ns(), known, np.zeros(3), START_COVARIANCE)
 
     def _run(self, brain: Brain, start: RunStart, duration_s: float, on_cycle: OnCycle | None) -> Motion:
         records: list[CycleRecord] = []
@@ -306,7 +305,7 @@ class Bench(HeldRig):
         """
         begun = replace(_as_decided(start, brain), state=replace(start.state, t_ns=self.clock.now_ns()))
         brain.reset(begun.state)
-        self._note(begun.state.t_ns, RUN, begun.note())
+        self._note(begun.state.t_ns, RUN_NOTE, begun.note())
         config = self.config.loop
         loop = ControlLoop(
             self.rig,

@@ -26,12 +26,10 @@ from hil.ring.supervisor import Supervisor
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import check
 from hil.robot.trajectories import Trajectory
+from hil.vocabulary.choices import ESTIMATORS, LAWS
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.interfaces import Controller, Estimator
 from hil.vocabulary.versions import versions
-
-FEEDBACK = ("odometry", "ekf", "ukf")
-LAWS = ("nonlinear", "optimal")
 
 
 class Blueprint:
@@ -122,8 +120,8 @@ class Blueprint:
         Raises:
             UsageError: unknown kind.
         """
-        if kind not in FEEDBACK:
-            raise UsageError(f"feedback {kind!r} is unknown", expected="one of " + ", ".join(FEEDBACK))
+        if kind not in ESTIMATORS:
+            raise UsageError(f"feedback {kind!r} is unknown", expected="one of " + ", ".join(ESTIMATORS))
         config = self.config.estimator.model_copy(update={"kind": kind})
         return make_estimator(
             config, self.geometry, surface=self.config.environment.kind, diagnostics=diagnostics

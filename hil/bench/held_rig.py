@@ -25,12 +25,11 @@ from hil.config.bench import BenchConfig
 from hil.fakes.fault import Fault
 from hil.recording.clocks import ptp_offsets
 from hil.recording.frames import describe_clock
-from hil.recording.runs import HELD
 from hil.ring.rig import Rig
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.errors import UsageError
-from hil.vocabulary.interfaces import Sink
+from hil.vocabulary.interfaces import HELD_NOTE, Sink
 
 LOG = logging.getLogger(__name__)
 Opened = TypeVar("Opened", bound="HeldRig")
@@ -129,7 +128,7 @@ class HeldRig(Blueprint):
                 if self.config.exit.policy == "release" and not self._steeper():
                     self.rig.servos.release()
                     self.held = self._hold.released()
-                self._note(self.clock.now_ns(), HELD, self.held.to_json())
+                self._note(self.clock.now_ns(), HELD_NOTE, self.held.to_json())
                 if self.tells_held and self.held.lost:
                     LOG.warning("bench %s: the robot is left %s", self.config.name, self.held)
         finally:

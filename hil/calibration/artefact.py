@@ -28,7 +28,7 @@ from hil.calibration.parameters import (
 )
 from hil.config.record.parts import Identity
 from hil.robot.kinematics import ForwardModel, WheelGeometry
-from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.errors import ConfigError, reason_of
 from hil.vocabulary.files import put_whole
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.reading import read_toml
@@ -233,7 +233,7 @@ def save_calibration(path: Path, file: CalibrationFile) -> None:
     try:
         put_whole(path, text.encode())
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from None
+        raise ConfigError(f"{path}: cannot be written ({reason_of(error)})") from None
 
 
 def write_calibration(
@@ -294,7 +294,7 @@ def keep(path: Path) -> dict[str, str]:
             kept.write_bytes(content)
         except OSError as error:
             kept.unlink(missing_ok=True)
-            raise ConfigError(f"{kept}: cannot be written ({error.strerror or error})") from None
+            raise ConfigError(f"{kept}: cannot be written ({reason_of(error)})") from None
     elif kept.read_bytes() != content:
         raise ConfigError(
             f"{kept}: exists and differs from version {old.version} in {path}",

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hil.calibration.problem import Problem
+from hil.vocabulary.choices import METHODS
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.geometry import Array
 
-METHODS = ("lm", "interior-point", "ga", "pso")
 Progress = Callable[[int, int], None]
 
 _LM_LIMIT, _INTERIOR_POINT_LIMIT = 200, 80

@@ -28,7 +28,7 @@ from hil.config.bench import BenchConfig
 from hil.config.record.parts import Identity
 from hil.config.servos import ServosConfig
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.errors import ConfigError, reason_of
 from hil.vocabulary.files import put_whole
 from hil.vocabulary.reading import MOST_TOML_BYTES, read_bytes
 from hil.vocabulary.result_files import PASSED
@@ -65,7 +65,7 @@ class Shelf:
         try:
             current = read_bytes(self.path, MOST_TOML_BYTES) if self.path.exists() else None
         except (OSError, ValueError) as error:
-            why = getattr(error, "strerror", None) or error
+            why = reason_of(error)
             raise ConfigError(f"{self.path}: cannot be read ({why})") from None
         found = [
             KeptVersion(p, read_calibration(p), p.read_bytes() == current)
@@ -148,7 +148,7 @@ class Shelf:
         try:
             put_whole(self.path, chosen.path.read_bytes())
         except OSError as error:
-            raise ConfigError(f"{self.path}: cannot be written ({error.strerror or error})") from None
+            raise ConfigError(f"{self.path}: cannot be written ({reason_of(error)})") from None
         return KeptVersion(chosen.path, chosen.file, in_place=True)
 
 

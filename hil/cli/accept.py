@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import click
 
 from hil.cli.attended import answers_option, operator, watching
-from hil.cli.options import OUT, SEED, results_folder
+from hil.cli.options import JSON, OUT, SEED, results_folder
 from hil.cli.progress import reporting
+from hil.vocabulary.clock import local_time
 from hil.vocabulary.result_files import ACCEPTANCE_TABLE
 
 
@@ -24,7 +24,7 @@ from hil.vocabulary.result_files import ACCEPTANCE_TABLE
 @click.option("--fault", "faults", multiple=True, metavar="SPEC", help="As for `hil run`.")
 @answers_option
 @click.option("--out", type=OUT, help="Results folder [default: out/accept/TIME].")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     bench: str, on_stand: bool, emulate: str | None, realtime: bool, seed: int, faults: tuple[str, ...],
     answers: Path | None, out: Path | None, as_json: bool,
@@ -41,6 +41,7 @@ def command(
     from hil.procedure.acceptance import Acceptance, accept
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.interrupts import Interrupts
+    from hil.procedure.operator import tell
     from hil.report.acceptance_page import write_acceptance
     from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, HilError
     from hil.vocabulary.files import check_folder
@@ -49,7 +50,7 @@ def command(
     check_folder(folder)
     if (folder / ACCEPTANCE_TABLE).exists():
         raise ConfigError(f"{folder}: holds an acceptance", remedy="choose another --out")
-    interrupts = Interrupts(lambda text: click.echo(f"hil: {text}", err=True))
+    interrupts = Interrupts(tell)
     source = BenchSource(
         bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults, watch=watching()
     )  # fmt: skip
@@ -57,7 +58,7 @@ def command(
         with reporting() as report:
             told, code = accept(
                 Acceptance(
-                    source, _now, on_stand=on_stand,
+                    source, local_time, on_stand=on_stand,
                     operator=operator(answers), report=report,
                     interrupts=interrupts,
                 )
@@ -69,10 +70,6 @@ def command(
             told, code = {**told, "folder": str(folder), "page": None, "data": None}, code or EXIT_ABORTED
         click.echo(json.dumps(told, allow_nan=False) if as_json else _text(told))
     return code
-
-
-def _now() -> str:
-    return datetime.now().astimezone().isoformat(timespec="seconds")
 
 
 def _text(told: dict[str, Any]) -> str:

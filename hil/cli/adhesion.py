@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options import FiniteRange, SuggestingGroup
+from hil.cli.options import JSON, FiniteRange, SuggestingGroup
 from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS, DeviceError, UsageError
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
 
 _BENCH = click.option("--bench", required=True, help="Bench file of the robot.")
-_JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 
 
 @click.group(cls=SuggestingGroup)
@@ -39,7 +38,7 @@ def command() -> None:
 @click.option("--duty", type=FiniteRange(0.0, 1.0, min_open=True), help="Share of the voltage, not a force.")
 @click.option("--wait", "wait_s", type=FiniteRange(0.0, 120.0), default=15.0, show_default=True,
               help="Seconds that it may take to get there.")  # fmt: skip
-@_JSON
+@JSON
 def switch_on(bench: str, force_n: float | None, duty: float | None, wait_s: float, as_json: bool) -> int:
     """Start the fan, or give a running one another set-point, along a ramp; it stays on.
 
@@ -63,7 +62,7 @@ def switch_on(bench: str, force_n: float | None, duty: float | None, wait_s: flo
 @command.command("off")
 @_BENCH
 @click.option("--tethered", is_flag=True, help="The robot is tethered, or off the wall: you have looked.")
-@_JSON
+@JSON
 def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
     """Let the fan, and propellers that have a keeper, come to rest along a ramp.
 
@@ -94,7 +93,7 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
 
 @command.command("status")
 @_BENCH
-@_JSON
+@JSON
 def show_status(bench: str, as_json: bool) -> int:
     """How fan and propellers run, and who keeps them; ends with 3 where nobody keeps one of them.
 

@@ -10,22 +10,22 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options import FILE, OUT, SEED, FiniteRange
+from hil.cli.options import FILE, JSON, OUT, SEED, FiniteRange
 from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
 from hil.robot.kinematics import MODELS
+from hil.vocabulary.choices import METHODS
 from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE
+from hil.vocabulary.signals import WHEELS
 
 if TYPE_CHECKING:
     from hil.calibration.calibrate import Calibration
     from hil.config.bench import BenchConfig
 
-_METHODS = ("lm", "interior-point", "ga", "pso")
-
 
 @click.command()
 @click.argument("data", nargs=-1, required=True)
-@click.option("--method", type=click.Choice(_METHODS), default="lm", show_default=True)
+@click.option("--method", type=click.Choice(METHODS), default="lm", show_default=True)
 @click.option(
     "--setting", type=click.Choice(["recommended", "paper"]), default="recommended", show_default=True
 )
@@ -44,7 +44,7 @@ _METHODS = ("lm", "interior-point", "ga", "pso")
 @click.option("--out", type=OUT, help="Write calibration.toml here.")
 @click.option("--topics", type=FILE, help="Topic mapping of another robot's bags.")
 @click.option("--plots", type=FILE, help="Folder for figures and an HTML page.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     data: tuple[str, ...], method: str, setting: str, model: str | None, signal: str | None,
     bounds: float | None, seed: int, no_validation: bool, bench: str | None, out: Path | None,
@@ -142,10 +142,10 @@ def _text(result: Calibration) -> str:
         *_kept(result),
         f"{'wheel':8}{'x_w mm':>10}{'y_w mm':>10}{'r mm':>10}{'delta0 deg':>12}   (effective values)",
     ]
-    for i, wheel in enumerate(("FL", "BL", "BR", "FR")):
+    for i, wheel in enumerate(WHEELS):
         lines.append(
             f"{wheel:8}{z.x_m[i] * 1e3:10.2f}{z.y_m[i] * 1e3:10.2f}{z.radius_m[i] * 1e3:10.3f}"
-            f"{z.steering_zero_rad[i] * 57.29578:12.3f}"
+            f"{math.degrees(z.steering_zero_rad[i]):12.3f}"
         )
     lines.append(_spread(result))
     lines.append("singular values: " + " ".join(f"{v:.3g}" for v in spectrum.singular_values))
@@ -160,7 +160,7 @@ def _text(result: Calibration) -> str:
         ))  # fmt: skip
     for name, table in result.validation.items():
         cells = "".join(
-            f"{1e3 * row['rmse_position_m']:>8.1f} /{57.29578 * row['rmse_theta_rad']:5.2f}"
+            f"{1e3 * row['rmse_position_m']:>8.1f} /{math.degrees(row['rmse_theta_rad']):5.2f}"
             for row in table.values()
         )
         lines.append(f"{name.replace('_', ' '):36}{cells}")

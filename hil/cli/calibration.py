@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import FILE, SuggestingGroup
+from hil.cli.options import FILE, JSON, SuggestingGroup
+from hil.cli.robots import configured
 
 if TYPE_CHECKING:
     from hil.calibration.versions import KeptVersion
-    from hil.config.bench import BenchConfig
 
 _FILE = click.argument("file", type=FILE)
 _BENCH = click.option("--bench", help="Bench file or profile that uses it: another robot's is refused.")
-_JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 
 _HELD_OUT = ("fresh_run", "leave_one_repetition_out")
 """Tables of `CalibrationFile.validation` on recordings that the fit did not see, the better one first."""
@@ -29,7 +28,7 @@ def command() -> None:
 
 @command.command("list")
 @_FILE
-@_JSON
+@JSON
 def list_versions(file: Path, as_json: bool) -> int:
     """Every version kept beside FILE, and which one is in place.
 
@@ -59,7 +58,7 @@ def list_versions(file: Path, as_json: bool) -> int:
 @click.option("--version", type=int, help="Version kept beside FILE.")
 @click.option("--from", "source", type=FILE, help="A calibration from elsewhere.")
 @_BENCH
-@_JSON
+@JSON
 def apply_version(
     file: Path, version: int | None, source: Path | None, bench: str | None, as_json: bool
 ) -> int:
@@ -73,7 +72,7 @@ def apply_version(
 
     if (version is None) == (source is None):
         raise UsageError("which calibration?", expected="either --version N or --from FILE")
-    shelf, config = Shelf(file), _config(bench)
+    shelf, config = Shelf(file), configured(bench)
     if source is not None:
         return _done(shelf.adopt(read_calibration(source), str(source), config), file, as_json)
     assert version is not None
@@ -84,7 +83,7 @@ def apply_version(
 @_FILE
 @click.option("--version", type=int, help="Version to go back to [default: the one before].")
 @_BENCH
-@_JSON
+@JSON
 def rollback(file: Path, version: int | None, bench: str | None, as_json: bool) -> int:
     """Put an earlier version back in place as FILE.
 
@@ -92,13 +91,7 @@ def rollback(file: Path, version: int | None, bench: str | None, as_json: bool) 
     """
     from hil.calibration.versions import Shelf
 
-    return _done(Shelf(file).rollback(version, _config(bench)), file, as_json)
-
-
-def _config(bench: str | None) -> BenchConfig | None:
-    from hil.config.loading import load_bench
-
-    return None if bench is None else load_bench(bench)
+    return _done(Shelf(file).rollback(version, configured(bench)), file, as_json)
 
 
 def _done(kept: KeptVersion, file: Path, as_json: bool) -> int:

@@ -14,20 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.campaign_check import check
-from hil.cli.campaign_files import files_of
-from hil.cli.campaign_plan import SCHEMA, alone_in, keep_plan
-from hil.cli.campaign_runs import (
-    Delivery,
-    Job,
-    Setup,
-    arrived,
-    finished,
-    lost,
-    run_case,
-    run_case_elsewhere,
-)
-from hil.cli.options import FILE, OUT
+from hil.cli.options import FILE, JSON, OUT
 from hil.cli.output import kept_for_json
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, DataError, UsageError
@@ -36,6 +23,7 @@ from hil.vocabulary.result_files import CAMPAIGN_CSV, CAMPAIGN_PAGE, CAMPAIGN_TA
 
 if TYPE_CHECKING:
     from hil.procedure.campaign import Case, Row
+    from hil.procedure.campaign.running import Setup
     from hil.procedure.declaration import Procedure
     from hil.procedure.outputs import Keep
 
@@ -63,7 +51,7 @@ _LONGEST = 400
 @click.option("--keep", type=click.Choice(["all", "results"]), default="all", show_default=True,
               help="Of each run; `results` leaves out recordings and figures, for many runs.")  # fmt: skip
 @click.option("--resume", is_flag=True, help="Run what is missing in --out; seeds and values may be added.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     script: str, seeds: str, axes: tuple[str, ...], bench: str | None, emulate: str | None,
     settings: tuple[str, ...], faults: tuple[str, ...], calibration: Path | None, answers: Path | None,
@@ -74,6 +62,9 @@ def command(
     Example: hil campaign wall_tracking --seeds 0:20 --vary fault=imu:off@5,tracker:off@5
     """
     from hil.procedure.campaign import check_dask, expand, parse_axis, parse_seeds
+    from hil.procedure.campaign.checking import check
+    from hil.procedure.campaign.kept_plan import alone_in, keep_plan
+    from hil.procedure.campaign.running import Setup
     from hil.procedure.scripts import load_procedure
 
     if scheduler == "":
@@ -131,6 +122,16 @@ def _run(
 ) -> list[Row]:
     """Run what is not finished; rows in the order of the cases."""
     from hil.procedure.campaign import spread, write_rows
+    from hil.procedure.campaign.files import files_of
+    from hil.procedure.campaign.running import (
+        Delivery,
+        Job,
+        arrived,
+        finished,
+        lost,
+        run_case,
+        run_case_elsewhere,
+    )
 
     jobs = [Job(setup, case, str(out / RUNS / case.name)) for case in cases]
     rows = {job.case: row for job in jobs if (row := finished(job)) is not None}
@@ -188,6 +189,7 @@ def _write(
     out: Path, proc: Procedure, setup: Setup, cases: Sequence[Case], rows: Sequence[Row]
 ) -> dict[str, Any]:
     from hil.procedure.campaign import alike, summarise, write_campaign_page, write_csv
+    from hil.procedure.campaign.kept_plan import SCHEMA
     from hil.procedure.campaign.table import count
 
     code = exit_code(rows)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,9 @@ import click
 
 from hil.cli import start
 from hil.cli.attended import answers_option, operator, watching
-from hil.cli.options import OUT, SEED, results_folder
+from hil.cli.options import JSON, OUT, SEED, results_folder
 from hil.cli.progress import reporting
+from hil.vocabulary.clock import local_time
 from hil.vocabulary.result_files import COMMISSIONING_TABLE
 
 DEFAULT = "emulated_delivered"
@@ -35,7 +35,7 @@ DEFAULT = "emulated_delivered"
 @click.option("--fault", "faults", multiple=True, metavar="SPEC", help="As for `hil run`.")
 @start.option
 @answers_option
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     bench: str, quick: bool, seed: int, out: Path | None, resume: bool, emulate: str | None, realtime: bool,
     settings: tuple[str, ...], faults: tuple[str, ...], start_pose: str | None, answers: Path | None,
@@ -48,6 +48,7 @@ def command(
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.commission import Commission, commission
     from hil.procedure.interrupts import Interrupts
+    from hil.procedure.operator import tell
     from hil.vocabulary.clock import MonotonicClock
 
     source = BenchSource(
@@ -55,12 +56,12 @@ def command(
         overrides={**_overrides(settings), **start.start_override(start_pose)}, watch=watching(),
     )  # fmt: skip
     source = source.changed(overrides=start.asked_start(source.config))
-    interrupts = Interrupts(lambda text: click.echo(f"hil: {text}", err=True))
+    interrupts = Interrupts(tell)
     folder = results_folder("commission", out, COMMISSIONING_TABLE if resume else None)
     with interrupts.installed(), interrupts.deferred(), reporting() as report:
         told, code = commission(
             Commission(
-                source, folder, MonotonicClock(), _now, quick=quick, resume=resume,
+                source, folder, MonotonicClock(), local_time, quick=quick, resume=resume,
                 operator=operator(answers), report=report,
                 interrupts=interrupts,
             )
@@ -80,10 +81,6 @@ def _overrides(settings: tuple[str, ...]) -> dict[str, object]:
             expected="bench.KEY=VALUE, a key of the bench file",
         )
     return overrides
-
-
-def _now() -> str:
-    return datetime.now().astimezone().isoformat(timespec="seconds")
 
 
 def _text(told: dict[str, Any]) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import FILE
+from hil.cli.options import FILE, JSON
 from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS, DataError, UsageError
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _START_S, _POLL_S, _STOP_S = 10.0, 0.05, 60.0
               help="Folder of results.")  # fmt: skip
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the page [default: a free one].")
 @click.option("--stop", "stopping", is_flag=True, help="Stop what the console of this folder runs.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(bench: str | None, where: Path, port: int, stopping: bool, as_json: bool) -> int:
     """The bench in a browser of this computer: devices, procedures, live figures, STOP, history.
 

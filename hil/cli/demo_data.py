@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from hil.cli.options import FILE, SEED
+from hil.cli.options import FILE, JSON, SEED
 from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
 
@@ -40,7 +40,7 @@ _RECORDINGS = (".csv", ".csv.gz", ".mcap", ".db3")
 @click.option("--corrupt", help="Name of one recording to spoil, e.g. circle_cw_2 (formulas only).")
 @click.option("--fault", "faults", multiple=True, help="Fault, e.g. mocap:drop@9+2 (--plant; repeatable).")
 @BENCH
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     folder: Path, seed: int, repetitions: int, plant: str | None, motions: str | None, contact: str | None,
     corrupt: str | None, faults: tuple[str, ...], bench: str | None, as_json: bool,

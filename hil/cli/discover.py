@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import OUT
+from hil.cli.options import JSON, OUT
 from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     help="Where a device is, by a key of its table (repeatable); serial ports then need --port.",
 )  # fmt: skip
 @click.option("--out", type=OUT, help="Write the bench file here; never overwrites.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     ports: tuple[str, ...], buses: tuple[str, ...], mocap: str | None, places: tuple[str, ...],
     out: Path | None, as_json: bool,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.options import OUT, SEED, FiniteRange
+from hil.cli.options import JSON, OUT, SEED, FiniteRange
 from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "failure": ("FAIL", "red")}
@@ -32,7 +32,7 @@ _LEAST_WATCH_S = 0.1
 )
 @click.option("--fix", is_flag=True, help="Print udev rules for the bench's adapters instead.")
 @click.option("--out", type=OUT, help="With --fix: file to write them to.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     bench: str, emulate: str | None, realtime: bool, seed: int, faults: tuple[str, ...], watch_s: float,
     fix: bool, out: Path | None, as_json: bool,

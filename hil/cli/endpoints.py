@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import IO
 
-from hil.vocabulary.errors import DataError, DeviceTimeoutError, UsageError
+from hil.vocabulary.errors import DataError, DeviceTimeoutError, UsageError, reason_of
 from hil.vocabulary.reading import json_value, read_text
 
 _MOST_BYTES = 1 << 20
@@ -49,7 +49,7 @@ class EndpointsFile:
             self._partial().unlink()
         except OSError as error:
             raise UsageError(
-                f"--out {path}: cannot be written ({error.strerror or error})",
+                f"--out {path}: cannot be written ({reason_of(error)})",
                 expected="a file name in a folder that exists", remedy="choose another place",
             ) from None  # fmt: skip
 
@@ -81,7 +81,7 @@ class EndpointsFile:
         except OSError as error:
             partial.unlink(missing_ok=True)
             raise DataError(
-                str(self._path), f"cannot be written ({error.strerror or error})",
+                str(self._path), f"cannot be written ({reason_of(error)})",
                 remedy="choose a place with room for --out",
             ) from None  # fmt: skip
         self._text = text + "\n"

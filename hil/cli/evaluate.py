@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import FILE
+from hil.cli.options import FILE, JSON
 from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
 from hil.robot.kinematics import MODELS
@@ -41,7 +42,7 @@ _COLUMNS = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
 @BENCH
 @click.option("--topics", type=FILE, help="Topic mapping of another robot's bags.")
 @click.option("--plots", type=FILE, help="Folder for figures and an HTML page.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     data: tuple[str, ...], calibration: Path | None, model: str | None, signal: str | None,
     deploy: str, bench: str | None, topics: Path | None, plots: Path | None, as_json: bool,
@@ -169,8 +170,10 @@ def _text(table: dict[str, Any], told: list[str]) -> str:
     for name, row in motions.items():
         lines.append(
             f"{name:14}" + "".join(f"{row[c]:10.4f}" for c in _COLUMNS)
-            + f"{row['rmse_position_m'] * 1e3:10.2f}{row['rmse_theta_rad'] * 57.29578:10.2f}"
+            + f"{row['rmse_position_m'] * 1e3:10.2f}{math.degrees(row['rmse_theta_rad']):10.2f}"
         )  # fmt: skip
     mean: dict[str, float] = table["mean"]
-    lines.append(f"{'mean':74}{mean['rmse_position_m'] * 1e3:10.2f}{mean['rmse_theta_rad'] * 57.29578:10.2f}")
+    lines.append(
+        f"{'mean':74}{mean['rmse_position_m'] * 1e3:10.2f}{math.degrees(mean['rmse_theta_rad']):10.2f}"
+    )
     return "\n".join(lines)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.options import FILE, OUT
+from hil.cli.options import FILE, JSON, OUT
 from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE
 
 
@@ -16,7 +16,7 @@ from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE
 @click.option("--format", "kind", type=click.Choice(["csv", "parquet"]), help="Default: by --out, else csv.")
 @click.option("--out", type=OUT, help="File to write [default: beside RECORDING].")
 @click.option("--topics", type=FILE, help="Topic mapping of another robot's bag.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     recording: Path, kind: str | None, out: Path | None, topics: Path | None, as_json: bool
 ) -> int:  # fmt: skip

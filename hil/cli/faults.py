@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options import OUT
+from hil.cli.options import JSON, OUT
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, did_you_mean
 from hil.vocabulary.files import check_file
 
 if TYPE_CHECKING:
-    from hil.procedure.faults import Cell, KeptVerdicts, Verdict
+    from hil.procedure.faults import Cell, CellVerdict, KeptVerdicts
 
 PAGE = "reliability.md"
 DEFAULTS = {"moments": "open,motion,stop,second", "plants": "own", "bench": "emulated"}
@@ -55,7 +55,7 @@ class Asked:
 @click.option("--out", type=OUT, default=Path("out/faults"), show_default=True,
               help="Folder of the matrix.")  # fmt: skip
 @click.option("--resume", is_flag=True, help="Go on with the cells that are missing in --out.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     quick: bool, seeds: str, only: tuple[str, ...], moments: str, plants: str, count: int | None, bench: str,
     workers: int, out: Path, resume: bool, as_json: bool,
@@ -84,15 +84,17 @@ def command(
     return EXIT_LIMIT_FAILED if failed else EXIT_PASS
 
 
-def _judged(cells: Sequence[Cell], bench: str, workers: int, kept: KeptVerdicts) -> Mapping[Cell, Verdict]:
+def _judged(
+    cells: Sequence[Cell], bench: str, workers: int, kept: KeptVerdicts
+) -> Mapping[Cell, CellVerdict]:
     """Run these cells, tell how it goes, and keep every verdict as it comes."""
     from hil.procedure.campaign import spread
     from hil.procedure.faults import lost, run_cell
 
-    verdicts: dict[Cell, Verdict] = {}
+    verdicts: dict[Cell, CellVerdict] = {}
     with reporting() as report:
 
-        def done(verdict: Verdict) -> None:
+        def done(verdict: CellVerdict) -> None:
             verdicts[verdict.cell] = verdict
             kept.add(verdict)
             if verdict.why:
@@ -152,7 +154,7 @@ def _shown(asked: Asked) -> str:
     return " ".join([*parts, *([f"--random {asked.count}"] if asked.count is not None else [])])
 
 
-def _json(verdicts: Sequence[Verdict], page: Path) -> dict[str, object]:
+def _json(verdicts: Sequence[CellVerdict], page: Path) -> dict[str, object]:
     return {
         "cells": len(verdicts),
         "failed": [

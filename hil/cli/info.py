@@ -10,6 +10,7 @@ import subprocess
 import click
 
 from hil import __version__
+from hil.cli.options import JSON
 from hil.vocabulary.beside import beside, end_with_parent
 from hil.vocabulary.collector import seldom
 from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE, HilError
@@ -65,7 +66,7 @@ def _devices() -> dict[str, list[dict[str, str]]]:
 
 @click.command()
 @click.option("--compile", "compiling", is_flag=True, help="First compile all numerical kernels.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(compiling: bool, as_json: bool) -> int:
     """Print the versions that matter for a bug report, and the devices that a bench file may name.
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
-from typing import Any, get_args
+from typing import Any
 
 import click
 
+from hil.cli.options import JSON
+from hil.vocabulary.choices import ESTIMATORS
 from hil.vocabulary.errors import EXIT_PASS
 
-ESTIMATORS = {
+_ESTIMATORS_IN_WORDS = {
     "odometry": "wheels alone, no filter",
     "ekf": "extended Kalman filter over wheels, IMU and camera",
     "ukf": "unscented Kalman filter over the same",
@@ -45,9 +47,7 @@ def _faults(bench: str) -> dict[str, dict[str, list[str]]]:
 
 
 def _estimators() -> dict[str, str]:
-    from hil.config.estimator import EstimatorConfig
-
-    return {name: ESTIMATORS[name] for name in get_args(EstimatorConfig.model_fields["kind"].annotation)}
+    return {name: _ESTIMATORS_IN_WORDS[name] for name in ESTIMATORS}
 
 
 WHAT = ("procedures", "profiles", "devices", "faults", "estimators")
@@ -58,7 +58,7 @@ WHAT = ("procedures", "profiles", "devices", "faults", "estimators")
 @click.option(
     "--bench", default="emulated", help="Whose devices and faults, if all were emulated [default: emulated]."
 )
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(what: str | None, bench: str, as_json: bool) -> int:
     """List what there is: procedures, profiles, devices, faults, estimators; all of it without WHAT.
 

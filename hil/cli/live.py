@@ -12,9 +12,10 @@ import click
 
 from hil.cli import start
 from hil.cli.attended import watching
-from hil.cli.options import FILE, SEED, FiniteRange, rerun_option, tell_view
+from hil.cli.options import FILE, JSON, SEED, FiniteRange, rerun_option, tell_view
 from hil.cli.output import Answered, unreadable
-from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, HilError, UsageError
+from hil.vocabulary.choices import ESTIMATORS, LAWS
+from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, HilError, UsageError, reason_of
 from hil.vocabulary.files import check_new_file
 
 if TYPE_CHECKING:
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from hil.monitor import RerunMonitor
     from hil.recording.mcap_writer import McapRecorder, OnFailure
     from hil.vocabulary.stop_signals import StopRequest
-
-_KINDS = ("odometry", "ekf", "ukf")
 
 
 @click.command()
@@ -59,16 +58,20 @@ _KINDS = ("odometry", "ekf", "ukf")
     help="Seconds [default: until the trajectory or a signal ends it].",
 )
 @click.option(
-    "--feedback", type=click.Choice(_KINDS), default="ekf", show_default=True, help="Estimator in the loop."
+    "--feedback",
+    type=click.Choice(ESTIMATORS),
+    default="ekf",
+    show_default=True,
+    help="Estimator in the loop.",
 )
 @click.option(
     "--observe",
     "observers",
-    type=click.Choice(_KINDS),
+    type=click.Choice(ESTIMATORS),
     multiple=True,
     help="Estimators beside it (repeatable).",
 )
-@click.option("--controller", type=click.Choice(["nonlinear", "optimal"]), help="Control law.")
+@click.option("--controller", type=click.Choice(LAWS), help="Control law.")
 @rerun_option("spawn, connect, serve, a URL or a .rrd file; several with commas.")
 @click.option("--record", type=FILE, help="Recording to write, a new file [default: out/live/TIME.mcap].")
 @click.option("--no-record", "unrecorded", is_flag=True, help="Write no recording.")
@@ -90,7 +93,7 @@ _KINDS = ("odometry", "ekf", "ukf")
     help="Recording whose motion the emulated robot repeats, at the wire.",
 )
 @click.option("--fault", "faults", multiple=True, help="Fault, for example imu:stuck@2+3 (repeatable).")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     bench: str, emulate: str | None, source: Path | None, commands: str, dead_man_s: float,
     duration_s: float | None, feedback: str, observers: tuple[str, ...], controller: str | None,
@@ -210,7 +213,7 @@ def _recorder(bench: Bench, path: Path, on_failure: OnFailure) -> McapRecorder:
     except OSError as error:
         raise DataError(
             str(path.parent),
-            f"cannot be created ({error.strerror})",
+            f"cannot be created ({reason_of(error)})",
             remedy="give --record FILE or --no-record",
         ) from None
     recorder = McapRecorder(path, bench.header(), lossless=False, on_failure=on_failure)

@@ -17,6 +17,7 @@ from hil.vocabulary.errors import UsageError
 from hil.vocabulary.files import check_name
 
 SEED = click.IntRange(min=0)
+JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 PROGRESS = ("auto", "json")
 """Who reads progress, questions and figures on stderr: a person, or a program."""
 

@@ -22,7 +22,7 @@ from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from typing import Any
 
-from hil.vocabulary.errors import Aborted, HilError
+from hil.vocabulary.errors import Aborted, HilError, reason_of
 
 _STDOUT, _STDERR = 1, 2
 
@@ -42,11 +42,6 @@ def error_as_json(error: HilError) -> dict[str, Any]:
         "remedy": error.remedy,
         "exit_code": error.exit_code,
     }
-
-
-def tell(text: str) -> None:
-    """A line for the operator, beside the results on stdout."""
-    print(f"hil: {text}", file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -79,7 +74,7 @@ class _Raw(io.FileIO):
         try:
             return super().write(data)
         except OSError as error:
-            first, self.lost = not self.lost, error.strerror or str(error)
+            first, self.lost = not self.lost, reason_of(error)
             self.reader_gone = error.errno == errno.EPIPE
             _to_nowhere(self.fileno())
             if first:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.config.bench import BenchConfig
+from hil.vocabulary.errors import reason_of
 from hil.vocabulary.kinds import kinds
 
 _OF_HARDWARE = Path("/dev")
@@ -57,7 +58,7 @@ class PortLinks:
         except FileExistsError:
             return "is there already and is left alone"
         except OSError as error:
-            return f"cannot be made ({error.strerror})"
+            return f"cannot be made ({reason_of(error)})"
         self._made[path] = served
         return ""
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from hil.cli.options import FILE, rerun_option, tell_view
+from hil.cli.options import FILE, JSON, rerun_option, tell_view
+from hil.vocabulary.choices import COMPARED
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, UsageError
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from hil.ring.motion import Motion
 
 _PATH_POINTS = 400
-_KINDS = ("odometry", "ekf", "ukf", "smoother")
 _COLUMNS = (
     ("rmse_position_m", "rmse mm", 1e3),
     ("rmse_theta_rad", "rmse deg", math.degrees(1.0)),
@@ -39,7 +39,7 @@ _COLUMNS = (
 @click.option(
     "--estimator",
     "estimators",
-    type=click.Choice(_KINDS),
+    type=click.Choice(COMPARED),
     multiple=True,
     help="Estimator to run on the recorded measurements (repeatable) [default: all four].",
 )
@@ -59,7 +59,7 @@ _COLUMNS = (
 @click.option("--topics", type=FILE, help="Topic mapping of another robot's bag.")
 @click.option("--page", type=FILE, help="HTML page with figures.")
 @rerun_option("Show it: spawn, connect, serve, a URL or a .rrd file.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     recording: Path, estimators: tuple[str, ...], verify: bool, number: int | None, bench: str | None,
     calibration: Path | None, topics: Path | None, page: Path | None, view: str | None, as_json: bool,
@@ -94,7 +94,7 @@ def command(
         result["warnings"] = opened.doubts()
         for line in result["warnings"]:
             click.echo(f"warning: {line}", err=True)
-        motions, result["estimators"] = _compared(opened, run, estimators or _KINDS)
+        motions, result["estimators"] = _compared(opened, run, estimators or COMPARED)
         _show(opened.bench, run, motions, view)
         if page is not None:
             from hil.report.replay_page import write_replay_page

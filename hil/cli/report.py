@@ -7,14 +7,14 @@ from pathlib import Path
 
 import click
 
-from hil.cli.options import FILE, OUT
+from hil.cli.options import FILE, JSON, OUT
 from hil.vocabulary.result_files import COMPARISON
 
 
 @click.command()
 @click.argument("folders", nargs=-1, required=True, type=FILE)
 @click.option("--out", type=OUT, help="Where to write the page [default: in the folder].")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:
     """Write the report of a results folder; with several folders, compare their runs.
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import FILE, OUT, SuggestingGroup
+from hil.cli.options import FILE, JSON, OUT, SuggestingGroup
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS
 from hil.vocabulary.result_files import TRENDS
 
@@ -26,7 +26,6 @@ _IN = click.option(
 )  # fmt: skip
 _PROCEDURE = click.option("--procedure", default="", help="Only runs of this procedure.")
 _BENCH = click.option("--bench", default="", help="Only runs on the bench of this name.")
-_JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 
 
 def _verdict(ctx: click.Context, parameter: click.Parameter, value: str) -> str:
@@ -69,7 +68,7 @@ def command() -> None:
 @command.command("list")
 @_IN
 @_filters
-@_JSON
+@JSON
 def list_results(where: Path, as_json: bool, **asked: Any) -> int:
     """What ran, when, on which bench, with which verdict; the latest first.
 
@@ -82,7 +81,7 @@ def list_results(where: Path, as_json: bool, **asked: Any) -> int:
 @click.argument("words", nargs=-1, required=True)
 @_IN
 @_filters
-@_JSON
+@JSON
 def search(words: tuple[str, ...], where: Path, as_json: bool, **asked: Any) -> int:
     """As list, but only what holds all WORDS: names, errors, notes, faults, seed and parameters as KEY=VALUE.
 
@@ -175,7 +174,7 @@ def _key_rows(kept: Kept) -> list[str]:
 @click.option(
     "--browser/--no-browser", default=None, help="Show the page [default: where there is a screen]."
 )
-@_JSON
+@JSON
 def open_result(run: str, where: Path, browser: bool | None, as_json: bool) -> int:
     """Print the page of RUN, and show it. RUN is a name from the list, a part of one, or `last`.
 
@@ -209,7 +208,7 @@ def open_result(run: str, where: Path, browser: bool | None, as_json: bool) -> i
 @click.option(
     "--strict", is_flag=True, help="Exit with 1 when a measurement drifts, is outside or is missing."
 )
-@_JSON
+@JSON
 def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bool, as_json: bool) -> int:
     """Each measurement over all runs of a bench: is it steady, does it drift, when does it meet its limit?
 
@@ -260,7 +259,7 @@ def _group_json(group: Any) -> dict[str, Any]:
 @click.argument("runs", nargs=-1, required=True)
 @_IN
 @click.option("--yes", is_flag=True, help="Do not ask. RUNS must then be whole names.")
-@_JSON
+@JSON
 def delete(runs: tuple[str, ...], where: Path, yes: bool, as_json: bool) -> int:
     """Delete results for good. Says what would be lost, and asks.
 

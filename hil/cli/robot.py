@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import json
-from datetime import date, datetime
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import FILE, OUT, SuggestingGroup
+from hil.cli.options import FILE, JSON, OUT, SuggestingGroup
+from hil.vocabulary.clock import local_time
 
 if TYPE_CHECKING:
     from hil.config.record import KeptVersion, RecordFile
 
 _RECORD = click.argument("record", type=FILE)
-_JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 
 
 @click.group(cls=SuggestingGroup)
@@ -27,7 +27,7 @@ def command() -> None:
 @_RECORD
 @click.option("--version", type=int, help="Another version than the one in place.")
 @click.option("--page", type=FILE, help="Write an HTML page, too.")
-@_JSON
+@JSON
 def show(record: Path, version: int | None, page: Path | None, as_json: bool) -> int:
     """What is known of the robot, how well, since when, and what is out of date.
 
@@ -76,7 +76,7 @@ def _line(row: dict[str, Any]) -> str:
 @_RECORD
 @click.argument("first", type=int, required=False)
 @click.argument("second", type=int, required=False)
-@_JSON
+@JSON
 def diff(record: Path, first: int | None, second: int | None, as_json: bool) -> int:
     """What two versions know differently [default: the one in place and the one before it].
 
@@ -120,7 +120,7 @@ def _two(record: Path, first: int | None, second: int | None) -> tuple[RecordFil
 @click.option("--bench", help="Bench file or profile of the robot; needed with --from.")
 @click.option("--of-this-robot", is_flag=True,
               help="You know that a file is of this robot which does not say of which it is.")  # fmt: skip
-@_JSON
+@JSON
 def apply(
     record: Path, version: int | None, source: Path | None, bench: str | None, of_this_robot: bool,
     as_json: bool,
@@ -145,15 +145,14 @@ def apply(
         raise UsageError("whose parts are these?", expected="--bench FILE, the bench of the robot")
     assert source is not None
     config = load_bench(bench)
-    now = datetime.now().astimezone().isoformat(timespec="seconds")
-    absorb(found, source, config, now, of_this_robot=of_this_robot)
+    absorb(found, source, config, local_time(), of_this_robot=of_this_robot)
     return _done(found.find(found.read().version), as_json)
 
 
 @command.command()
 @_RECORD
 @click.option("--version", type=int, help="Version to go back to [default: the one before].")
-@_JSON
+@JSON
 def rollback(record: Path, version: int | None, as_json: bool) -> int:
     """Put an earlier version back in place, also when the one in place is damaged.
 

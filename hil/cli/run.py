@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,9 +10,10 @@ import click
 
 from hil.cli import start
 from hil.cli.attended import answers_option, operator, watching
-from hil.cli.options import FILE, OUT, SEED, results_folder
-from hil.cli.output import kept_for_json, tell
+from hil.cli.options import FILE, JSON, OUT, SEED, results_folder
+from hil.cli.output import kept_for_json
 from hil.cli.progress import reporting
+from hil.vocabulary.clock import local_time
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.result_files import JOURNAL
 
@@ -79,7 +79,7 @@ class _WithParameters(click.Command):
 @answers_option
 @click.option("--on-recording-failure", "on_failure", type=click.Choice(["stop", "go-on"]), default="stop",
               show_default=True, help="When the disk no longer takes recording or journal.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     script: str, bench: str | None, emulate: str | None, settings: tuple[str, ...], seed: int,
     start_pose: str | None, realtime: bool,
@@ -94,6 +94,7 @@ def command(
     """
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.interrupts import Interrupts
+    from hil.procedure.operator import tell
     from hil.procedure.parameters import split_settings
     from hil.procedure.scripts import load_procedure
 
@@ -140,7 +141,7 @@ def _run(
             proc, source,
             RunOptions(
                 folder=folder, clock=MonotonicClock(),
-                started=datetime.now().astimezone().isoformat(timespec="seconds"), parameters=parameters,
+                started=local_time(), parameters=parameters,
                 operator=operator(answers), report=report, resume=resume, on_recording_failure=on_failure,
                 interrupts=interrupts,
             ),

@@ -6,6 +6,7 @@ import json
 
 import click
 
+from hil.cli.options import JSON
 from hil.vocabulary.errors import EXIT_PASS, UsageError
 
 _ROLES = {"drive": {"operating_mode": 1}, "steer": {"operating_mode": 3}}
@@ -19,7 +20,7 @@ _ROLES = {"drive": {"operating_mode": 1}, "steer": {"operating_mode": 3}}
 @click.option("--new-baud", type=int, help="Baud rate that it gets.")
 @click.option("--role", type=click.Choice(sorted(_ROLES)), help="Operating mode for driving or steering.")
 @click.option("--register", "pairs", multiple=True, metavar="NAME=VALUE", help="Further EEPROM register.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     port: str, baud: int, servo_id: int, new_id: int | None, new_baud: int | None, role: str | None,
     pairs: tuple[str, ...], as_json: bool,

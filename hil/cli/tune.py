@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import FILE, OUT
+from hil.cli.options import FILE, JSON, OUT
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, ConfigError, DataError, UsageError
 from hil.vocabulary.files import check_ending, check_file, put_whole, refused
@@ -48,7 +48,7 @@ _DEFAULT = (
 @click.option("--bench", help="Bench file to start from; --out then is a copy of it with the new figures.")
 @click.option("--calibration", type=FILE, help="calibration.toml for the wheels.")
 @click.option("--out", type=OUT, help="Write the fitted [estimator] tables here.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@JSON
 def command(
     recordings: tuple[Path, ...], check: tuple[Path, ...], names: tuple[str, ...], evaluations: int,
     bench: str | None, calibration: Path | None, out: Path | None, as_json: bool,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from hil.config.values import HeadingLimit, Switch, WheelRate, Within
+from hil.vocabulary.choices import LawName
 
 Gain = Annotated[float, Within(0.0, 100.0, "1/s; beyond it a loop of 100 Hz overshoots in every cycle")]
 DeadZone = Annotated[float, Within(0.0, 0.05, "a robot that far off (m, rad) has to be corrected")]
@@ -38,7 +39,7 @@ class ControlConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    law: Literal["nonlinear", "optimal"] = "optimal"
+    law: LawName = "optimal"
     gains: tuple[Gain, Gain, Gain] = (4.0, 4.0, 3.0)
     dead_zone: tuple[DeadZone, DeadZone, DeadZone] = (1e-4, 1e-4, 5e-4)
     integral: Switch = True

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.config.values import Switch, Within
+from hil.vocabulary.choices import EstimatorName
 from hil.vocabulary.errors import ConfigError
 
 Share = Annotated[float, Within(-1.0, 1.0, "m or rad per rolled m")]
@@ -231,7 +232,7 @@ class EstimatorConfig(_Strict):
         initial_twist: standard deviation given to the twist where a start state brings none.
     """
 
-    kind: Literal["odometry", "ekf", "ukf"] = "ekf"
+    kind: EstimatorName = "ekf"
     engine: Literal["compiled", "filterpy"] = "compiled"
     preset: Literal["recommended", "paper"] = "recommended"
     alpha: float = Field(1e-3, gt=0, le=1)

@@ -13,11 +13,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from hil.config.environment import LEAST_FRICTION
 from hil.config.values import Within
 from hil.robot.holding import GRAVITY_M_S2, Statics
 from hil.vocabulary.geometry import Array
-
-_LEAST_FRICTION = 0.45
 
 Place = Annotated[float, Within(-5.0, 5.0, "m from the body's origin")]
 Radius = Annotated[float, Within(0.001, 0.5, "m, for example 0.0254")]
@@ -74,7 +73,7 @@ class RobotConfig(BaseModel):
         that holds at no heading.
         """
         weight = self.weight_n
-        thrust, friction = self.thrust_compensation * weight, _LEAST_FRICTION * self.edf_force_n
+        thrust, friction = self.thrust_compensation * weight, LEAST_FRICTION * self.edf_force_n
         if thrust <= 0.0:
             return math.pi / 2.0 if friction >= weight else None
         cosine = (weight**2 + thrust**2 - friction**2) / (2.0 * weight * thrust)
@@ -87,7 +86,7 @@ class RobotConfig(BaseModel):
             place_m = np.array([0.0, side * self.propeller_y_m, self.propeller_height_m])
             yield name, place_m, np.array([share * thrust_n, 0.0, 0.0])
 
-    def statics(self, tilt_rad: float, friction: float = _LEAST_FRICTION) -> Statics:
+    def statics(self, tilt_rad: float, friction: float = LEAST_FRICTION) -> Statics:
         """Weight, wheels and propellers on a surface of this tilt and friction."""
         return Statics(
             self.wheel_x_m,

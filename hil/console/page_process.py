@@ -24,7 +24,7 @@ from hil.report.history.choice import chosen, named
 from hil.report.history.found import find_results
 from hil.report.history.opening import PAGES as RESULT_PAGES
 from hil.report.history.opening import page_of
-from hil.vocabulary.errors import DataError, HilError
+from hil.vocabulary.errors import DataError, HilError, reason_of
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.result_files import TRENDS
 
@@ -237,6 +237,6 @@ def _told(route: Route) -> Route:
         except HilError as error:
             raise Refused(HTTPStatus.BAD_REQUEST, str(error)) from None
         except OSError as error:
-            raise Refused(HTTPStatus.INTERNAL_SERVER_ERROR, f"{error.filename}: {error.strerror}") from None
+            raise Refused(HTTPStatus.INTERNAL_SERVER_ERROR, f"{error.filename}: {reason_of(error)}") from None
 
     return answered

@@ -25,6 +25,7 @@ from hil.console.alarm import Alarm
 from hil.console.objects import put_private, read
 from hil.console.stopping import in_words, stop_all
 from hil.console.web import NAMES, Refused, Reply, Request, Route, Server, as_json
+from hil.vocabulary.errors import reason_of
 
 ASKED, STOP, PAGE = "asked.json", "stop.json", "page.json"
 IDENTITY = ("pid", "ticks", "boot")
@@ -100,7 +101,7 @@ class StopProcess:
             try:
                 self._alarm.secure(list(map(str, names)))
             except OSError as error:
-                text = f"{error.filename}: {error.strerror}: the alarm stays"
+                text = f"{error.filename or self._folder}: {reason_of(error)}: the alarm stays"
                 raise Refused(HTTPStatus.INTERNAL_SERVER_ERROR, text) from None
         return as_json({})
 
@@ -144,7 +145,7 @@ def main() -> None:
     try:
         server = Server(int(asked["port"]), asked["token"], asked["cookie"], process.routes(), POLICY)
     except (OSError, KeyError, ValueError) as error:
-        put_private(folder / STOP, {"error": getattr(error, "strerror", None) or str(error)})
+        put_private(folder / STOP, {"error": reason_of(error)})
         return
     told = jobs.identity(os.getpid()) | {
         "token": asked["token"],

@@ -10,7 +10,7 @@ import cantools
 from cantools.database import Error as CantoolsError
 from cantools.database import UnsupportedDatabaseFormatError
 
-from hil.vocabulary.errors import DataError
+from hil.vocabulary.errors import DataError, reason_of
 from hil.vocabulary.reading import read_bytes
 
 _MOST_BYTES = 4 << 20
@@ -26,7 +26,7 @@ def load_database(path: Path) -> Any:
     try:
         return _parsed(read_bytes(path, _MOST_BYTES).decode(_ENCODING, errors="replace"))
     except OSError as error:
-        raise DataError(str(path), f"the DBC cannot be read ({error.strerror})") from None
+        raise DataError(str(path), f"the DBC cannot be read ({reason_of(error)})") from None
     except (CantoolsError, UnsupportedDatabaseFormatError, ValueError) as error:
         raise DataError(str(path), f"not a usable DBC ({str(error).splitlines()[0]})") from None
 

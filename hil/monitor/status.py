@@ -10,13 +10,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from hil.vocabulary.clock import NS_PER_S, Clock
-from hil.vocabulary.interfaces import Sink
+from hil.vocabulary.interfaces import HELD_NOTE, Sink
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import CycleRecord, Status, worst
 
 _EVERY_NS = NS_PER_S // 2
 _MOST_EVENTS = 20
-_HELD = "held"
 
 Tell = Callable[[str, Mapping[str, Any]], None]
 
@@ -56,8 +55,8 @@ class StatusStream(Sink):
 
     def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
         """Pass on how the robot was left."""
-        if kind == _HELD:
-            self._tell(_HELD, data)
+        if kind == HELD_NOTE:
+            self._tell(HELD_NOTE, data)
 
     def close(self) -> None:
         """The next bench has a time axis of its own."""

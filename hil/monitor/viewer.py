@@ -17,6 +17,8 @@ import sys
 import time
 from pathlib import Path
 
+from hil.vocabulary.errors import reason_of
+
 HOST = "127.0.0.1"
 GRPC_PORT, WEB_PORT = 9876, 9090
 
@@ -75,7 +77,7 @@ def _start(options: list[str], *, outlives: bool) -> subprocess.Popen[bytes]:
             start_new_session=outlives, preexec_fn=None if outlives else _end_with_parent,
         )  # fmt: skip
     except OSError as error:
-        raise RuntimeError(f"{command[0]} cannot be started ({error.strerror})") from None
+        raise RuntimeError(f"{command[0]} cannot be started ({reason_of(error)})") from None
 
 
 def _program() -> str:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.recording.mcap_writer import OnFailure
-from hil.vocabulary.errors import ConfigError, RecordingError
+from hil.vocabulary.errors import ConfigError, RecordingError, reason_of
 from hil.vocabulary.reading import json_object, read_bytes
 
 LOG = logging.getLogger(__name__)
@@ -71,7 +71,7 @@ class Journal:
             self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
         except OSError as error:
             raise ConfigError(
-                f"{path}: cannot be written ({error.strerror})",
+                f"{path}: cannot be written ({reason_of(error)})",
                 remedy="choose a folder that exists and has room",
             ) from None
         with suppress(OSError):  # some file systems have no locks
@@ -95,7 +95,7 @@ class Journal:
         except OSError as error:
             with suppress(OSError):
                 os.ftruncate(self._fd, end)
-            self.failure = f"cannot be written ({error.strerror})"
+            self.failure = f"cannot be written ({reason_of(error)})"
             if self.on_failure == "go-on":
                 LOG.warning(
                     "%s: %s; the run goes on without it and cannot be resumed", self.path, self.failure
@@ -184,7 +184,7 @@ def _entries(path: Path) -> list[Entry]:
         raise ConfigError(f"{path}: cannot be read ({error})") from None
     except OSError as error:
         raise ConfigError(
-            f"{path}: no journal to resume from ({error.strerror})", remedy="run without --resume"
+            f"{path}: no journal to resume from ({reason_of(error)})", remedy="run without --resume"
         ) from None
     whole, _, _ = data.rpartition(b"\n")
     entries: list[Entry] = []

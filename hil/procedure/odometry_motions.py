@@ -16,7 +16,7 @@ from hil.calibration.datasets import Log, Recording, build_recording
 from hil.calibration.nominal import Nominal
 from hil.procedure.devices import leaving
 from hil.procedure.scripted import Stretch, play
-from hil.procedure.tracking import stand
+from hil.procedure.tracking import STAGGER_S, stand
 from hil.recording.plain_csv import write_plain
 from hil.ring.motion import Motion
 from hil.robot.kinematics import WheelGeometry, inverse
@@ -37,7 +37,6 @@ MOTIONS: tuple[MotionName, ...] = (
 )  # fmt: skip
 OTHER_MOTIONS = ("diagonal", "arc_ccw", "arc_cw")
 """Of use to see whether a calibration holds for what it was not made with."""
-_STAGGER_S = 0.13
 _SETTLE_S = 0.2
 _APPROACH_RAD = 0.1
 _FOLD_RAD = math.radians(5.0)
@@ -134,7 +133,7 @@ def drive_repetition(bench: Bench, repetition: Repetition) -> None:
     The first rest is a little longer in every repetition and part, so that two worlds of one seed do not
     repeat each other's noise.
     """
-    pose = stand(bench, 0.5 + _STAGGER_S * (repetition.number + 0.5 * repetition.part))
+    pose = stand(bench, 0.5 + STAGGER_S * (repetition.number + 0.5 * repetition.part))
     backwards = repetition.number % 2 == 0
     for name in repetition.motions:
         take_up_play(bench, reference(name, pose, repetition.sizes, backwards=backwards), pose)

@@ -12,13 +12,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-from hil.vocabulary.errors import Aborted, ConfigError
-from hil.vocabulary.files import reason
+from hil.vocabulary.errors import Aborted, ConfigError, reason_of
 from hil.vocabulary.reading import read_text
 
 _MOST_BYTES = 1 << 20
 _YES, _NO = ("", "y", "yes", "ok"), ("n", "no", "stop", "abort", "cancel", "quit", "exit", "q")
 _EXPECTED = "Enter (an empty line), y, yes or ok to go on; no or stop to end it"
+
+
+def tell(text: str) -> None:
+    """A line for the operator, beside the results on stdout."""
+    print(f"hil: {text}", file=sys.stderr, flush=True)
 
 
 class Operator(Protocol):
@@ -79,7 +83,7 @@ class Answers(Operator):
             lines = read_text(path, _MOST_BYTES).splitlines()
         except (OSError, ValueError) as error:
             raise ConfigError(
-                f"{path}: cannot be read ({reason(error)})", remedy="name a file of answers by --answers"
+                f"{path}: cannot be read ({reason_of(error)})", remedy="name a file of answers by --answers"
             ) from None
         self._lines = [line.strip() for line in lines if line.strip() and not line.startswith("#")]
 

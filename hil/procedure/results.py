@@ -15,10 +15,9 @@ from xml.etree import ElementTree
 
 from hil.procedure.measurements import Measurement, Verdict
 from hil.vocabulary.digits import digits_apart
-from hil.vocabulary.errors import EXIT_ABORTED, EXIT_LIMIT_FAILED, EXIT_PASS, DataError
-from hil.vocabulary.result_files import JUNIT, RESULT
+from hil.vocabulary.errors import EXIT_ABORTED, EXIT_LIMIT_FAILED, EXIT_PASS, DataError, reason_of
+from hil.vocabulary.result_files import JUNIT, RESULT, RESULT_SCHEMA
 
-SCHEMA = 1
 KEEPING = "keeping the results"
 """Step named by the error of a result that could not be written."""
 
@@ -84,7 +83,7 @@ class Result:
         from hil.report.run_words import sentence
 
         found: dict[str, Any] = {
-            "schema": SCHEMA,
+            "schema": RESULT_SCHEMA,
             "procedure": self.procedure,
             "verdict": self.verdict.value,
             "exit_code": self.exit_code,
@@ -135,7 +134,7 @@ def write_result(result: Result) -> Path:
         _replace(path, json.dumps(tree, indent=1, allow_nan=False) + "\n")
         _replace(result.folder / JUNIT, junit(tree))
     except OSError as error:
-        raise DataError(str(path), f"cannot be written ({error.strerror or error})") from None
+        raise DataError(str(path), f"cannot be written ({reason_of(error)})") from None
     return path
 
 

@@ -29,7 +29,7 @@ from hil.procedure.results import KEEPING, Failure, Result, write_result
 from hil.recording.mcap_writer import OnFailure
 from hil.vocabulary.clock import NS_PER_S, Clock
 from hil.vocabulary.collector import without_collector
-from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, DataError, RecordingError
+from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, DataError, RecordingError, reason_of
 from hil.vocabulary.files import make_folder, where_else
 from hil.vocabulary.progress import Report, silent
 from hil.vocabulary.result_files import JOURNAL, RESULT
@@ -167,7 +167,7 @@ def _past(options: RunOptions, header: Entry, config: BenchConfig) -> PastRun | 
             make_folder(folder)
         except OSError as error:
             raise ConfigError(
-                f"{folder}: cannot be created ({error.strerror})", remedy=where_else(error)
+                f"{folder}: cannot be created ({reason_of(error)})", remedy=where_else(error)
             ) from None
         return None
     past = read_journal(folder / JOURNAL)

@@ -30,6 +30,10 @@ if TYPE_CHECKING:
 
     from hil.bench import Bench
 
+REFERENCE_M = 1.5
+"""Length of the lines on the wall that limits of accuracy are given for."""
+STAGGER_S = 0.13
+"""How much longer each repetition rests at first, so that worlds of one seed do not repeat their noise."""
 _END_S = 0.3
 _LEAST_SEEN = 0.9
 COLOURS = dict(zip(("odometry", "ekf", "ukf", "optimal"), SERIES, strict=False))

@@ -27,6 +27,7 @@ from hil.procedure.bench_source import BenchSource
 from hil.pytest_plugin.selection import plainly, properties, source_of
 from hil.ring.loop_timing import LoopStatistics
 from hil.ring.motion import Motion
+from hil.robot.holding import GRAVITY_M_S2
 from hil.vocabulary.geometry import rotated
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import SERVOS, Status, worst
@@ -52,7 +53,7 @@ GOOD_SHARE, RATE_SHARE = 0.98, 0.85
 REST_RAD, REST_M, REST_HEADING_RAD = 0.02, 0.01, 0.02
 SUPPLY_V, HOT_C = (10.0, 16.8), 70.0
 UPRIGHT_RAD = 0.15
-GRAVITY_M_S2, GRAVITY_TOLERANCE_M_S2, REST_RAD_S = 9.81, 0.5, 0.05
+GRAVITY_TOLERANCE_M_S2, REST_RAD_S = 0.5, 0.05
 LATE_SHARE, IDLE_SHARE = 0.01, 1.0 / 3.0
 HORN_RAD = 0.1
 

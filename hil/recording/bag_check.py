@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 
 from hil.recording.mcap_reader import top_level
 from hil.recording.unpacking import Allowance, chunk_data, unpack_stream
-from hil.vocabulary.errors import DataError
+from hil.vocabulary.errors import DataError, reason_of
 from hil.vocabulary.reading import must_be_file
 
 _MCAP, _SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3\0"
@@ -34,7 +34,7 @@ def check_bag(path: Path) -> None:
             with file.open("rb") as stream:
                 _check(file, stream)
     except OSError as error:
-        raise DataError(str(path), f"cannot be read ({error.strerror or error})") from None
+        raise DataError(str(path), f"cannot be read ({reason_of(error)})") from None
 
 
 def _files(path: Path) -> Iterator[Path]:

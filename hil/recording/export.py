@@ -20,7 +20,7 @@ from hil.calibration.datasets import Log, Recording, build_recording
 from hil.calibration.nominal import Nominal
 from hil.recording.added_columns import added_columns
 from hil.recording.mcap_reader import read_cycles
-from hil.recording.plain_csv import RATE_COLUMNS, TRUTH_COLUMNS, WHEEL_COLUMNS
+from hil.recording.plain_csv import RATE_COLUMNS, TRUTH_COLUMNS, TRUTH_GAP_S, WHEEL_COLUMNS
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.extras import how_to_install
@@ -29,7 +29,6 @@ from hil.vocabulary.geometry import Array
 from hil.vocabulary.interpolation import between_samples
 from hil.vocabulary.signals import CycleRecord, WheelMeasurement
 
-_GAP_S = 0.1
 _POSE = ("x_m", "y_m", "theta_rad")
 COLUMNS = (
     "t", *WHEEL_COLUMNS, *TRUTH_COLUMNS, *RATE_COLUMNS, "cycle",
@@ -65,7 +64,7 @@ def tabulate(records: Sequence[CycleRecord]) -> Array:
             rows.append([*wheels.wheel_angle_rad, *wheels.steering_rad, *wheels.wheel_rate_rad_s, *tail])
     t_s = np.array(stamps)
     body = np.array(rows, dtype=np.float64).reshape(len(t_s), -1)
-    truth = between_samples(t_s, *_truth(records), longest=_GAP_S)
+    truth = between_samples(t_s, *_truth(records), longest=TRUTH_GAP_S)
     return (
         np.column_stack([t_s, body[:, :8], truth, body[:, 8:]]) if len(t_s) else np.empty((0, len(COLUMNS)))
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.calibration.datasets import Recording
 from hil.calibration.evaluation import rest_pose
-from hil.recording.runs import RecordedRun, RunStart
+from hil.recording.runs import START_COVARIANCE, RecordedRun, RunStart
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.signals import (
@@ -25,14 +25,13 @@ from hil.vocabulary.signals import (
     WheelSetpoint,
 )
 
-_START_COVARIANCE = np.diag([1e-8, 1e-8, 1e-7, 1e-6, 1e-6, 1e-6])
 _USABLE = (True,) * 4
 
 
 def to_run(recording: Recording) -> RecordedRun:
     """A recording as a run that starts at the ground truth averaged over its initial rest."""
     t_ns = [nanoseconds(t) for t in (recording.t_s - recording.t_s[0]).tolist()]
-    start = RobotState(t_ns[0], rest_pose(recording), np.zeros(3), _START_COVARIANCE)
+    start = RobotState(t_ns[0], rest_pose(recording), np.zeros(3), START_COVARIANCE)
     edges = np.searchsorted(recording.truth_t_s, recording.t_s, side="right")
     rates = _rates(recording)
     records = []

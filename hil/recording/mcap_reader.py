@@ -18,7 +18,7 @@ from hil.recording.cycle_layout import check_packages
 from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, LIBRARY, METADATA, PACKAGES
 from hil.recording.unpacking import Allowance, chunk_data
 from hil.vocabulary.clock import WallOffset
-from hil.vocabulary.errors import ConfigError, DataError
+from hil.vocabulary.errors import ConfigError, DataError, reason_of
 from hil.vocabulary.mistaken import meant
 from hil.vocabulary.reading import json_object, must_be_file
 from hil.vocabulary.signals import CycleRecord
@@ -251,7 +251,7 @@ def _records(path: Path, problems: list[str]) -> Iterator[tuple[int, Any]]:
                     return
                 yield at, record
     except OSError as error:
-        raise DataError(str(path), f"cannot be read ({error.strerror or error})") from None
+        raise DataError(str(path), f"cannot be read ({reason_of(error)})") from None
 
 
 def _in_place_of(path: Path) -> str:

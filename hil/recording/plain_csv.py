@@ -24,7 +24,7 @@ from hil.vocabulary.interpolation import between_samples
 WHEEL_COLUMNS = tuple(f"phi{i}" for i in range(1, 5)) + tuple(f"delta{i}" for i in range(1, 5))
 TRUTH_COLUMNS = ("x", "y", "theta")
 RATE_COLUMNS = tuple(f"w{i}" for i in range(1, 5))
-_GAP_S = 0.1
+TRUTH_GAP_S = 0.1
 """Longest time between two samples of ground truth across which the robot's way is known."""
 
 
@@ -127,7 +127,12 @@ def write_plain(path: Path, recording: Recording) -> None:
     Outside of it the first and the last pose count for as long as such a gap may be.
     """
     truth = between_samples(
-        recording.t_s, recording.truth_t_s, recording.truth_pose, longest=_GAP_S, before=_GAP_S, after=_GAP_S
+        recording.t_s,
+        recording.truth_t_s,
+        recording.truth_pose,
+        longest=TRUTH_GAP_S,
+        before=TRUTH_GAP_S,
+        after=TRUTH_GAP_S,
     )
     columns = [recording.t_s, *recording.wheel_angle_rad.T, *recording.steering_rad.T, *truth.T]
     names = ["t", *WHEEL_COLUMNS, *TRUTH_COLUMNS]

@@ -20,9 +20,9 @@ from hil.recording.numbers import numbers_at_once
 from hil.recording.unpacking import read_packed
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import WHEELS
 
-_WHEELS = ("FL", "BL", "BR", "FR")
-_NAMES = tuple(f"{w}_Wheel" for w in _WHEELS) + tuple(f"{w}_Position" for w in _WHEELS)
+_NAMES = tuple(f"{w}_Wheel" for w in WHEELS) + tuple(f"{w}_Position" for w in WHEELS)
 _ODOM_COLUMNS = ("time", ".header.stamp.secs", ".header.stamp.nsecs", ".name", ".position", ".velocity")
 _ABS_COLUMNS = (
     "time", ".header.stamp.secs", ".header.stamp.nsecs", ".pose.position.x", ".pose.position.y",

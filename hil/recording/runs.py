@@ -18,11 +18,11 @@ import numpy as np
 from hil.recording.cycle_decoder import StoredCycle
 from hil.recording.mcap_reader import GO_ON, Cycle, Note, RecordingReader
 from hil.vocabulary.errors import DataError
+from hil.vocabulary.interfaces import RUN_NOTE
 from hil.vocabulary.signals import CycleRecord, RobotState
 
-RUN = "run"
-HELD = "held"
-"""Kinds of notes: how a run begins, and how the bench left the robot."""
+START_COVARIANCE = np.diag([1e-8, 1e-8, 1e-7, 1e-6, 1e-6, 1e-6])
+"""How well the state is known that a run begins with, (6, 6): m, m, rad, m/s, m/s and rad/s, squared."""
 
 
 @dataclass(frozen=True)
@@ -130,13 +130,13 @@ def _of_runs(
     start: RunStart | None = None
     number, latest = 0, -1
     for item in items:
-        begins = item.kind == RUN if isinstance(item, Note) else item.cycle <= latest
+        begins = item.kind == RUN_NOTE if isinstance(item, Note) else item.cycle <= latest
         if begins and latest >= 0:
             start, number, latest = None, number + 1, -1
         if not isinstance(item, Note):
             latest = item.cycle
             yield number, start, item
-        elif item.kind == RUN:
+        elif item.kind == RUN_NOTE:
             try:
                 start = RunStart.from_note(item.data)
             except (KeyError, TypeError, ValueError, OverflowError) as error:

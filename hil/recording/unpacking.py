@@ -12,7 +12,7 @@ import zlib
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from hil.vocabulary.errors import DataError
+from hil.vocabulary.errors import DataError, reason_of
 from hil.vocabulary.reading import read_bytes
 
 MOST_BYTES = 256 << 20
@@ -66,7 +66,7 @@ def read_packed(path: Path) -> bytes:
             str(path), f"damaged gzip ({error})", expected="a whole file", remedy="copy it again"
         ) from None
     except (OSError, ValueError) as error:
-        raise DataError(str(path), f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
+        raise DataError(str(path), f"cannot be read ({reason_of(error)})") from None
     if len(data) > most:
         raise DataError(str(path), f"unpacks to more than {most >> 20} MiB", remedy=_REMEDY)
     return data

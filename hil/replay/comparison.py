@@ -19,12 +19,12 @@ from hil.estimator.consistency import autocorrelation, nees
 from hil.recording.runs import RecordedRun
 from hil.ring.motion import Motion
 from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.choices import COMPARED
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array, wrap_array
 from hil.vocabulary.interfaces import Estimator
 from hil.vocabulary.signals import CycleRecord, RobotState, heard
 
-KINDS = ("odometry", "ekf", "ukf", "smoother")
 SENSORS = {"wheels": "wheels", "gyro": "IMU", "tracker": "camera", "mocap": "motion capture"}
 """Names of sensors by their fields of `Measurements`."""
 
@@ -83,7 +83,7 @@ def smoothed(
 
 
 def compare_run(
-    run: RecordedRun, bench: Blueprint, kinds: Sequence[str] = KINDS, *, source: str = "the recording",
+    run: RecordedRun, bench: Blueprint, kinds: Sequence[str] = COMPARED, *, source: str = "the recording",
     recorded: bool = True,
 ) -> dict[str, Motion]:  # fmt: skip
     """A run as it was estimated then (`recorded`), and as estimators of some kinds see it, by kind.
@@ -93,7 +93,7 @@ def compare_run(
     Args:
         run: from its first cycle.
         bench: of its making; makes the filters and says what the smoother needs.
-        kinds: any of `KINDS`.
+        kinds: any of `COMPARED`.
         source: what to name where the run cannot be used.
         recorded: whether the recording has estimates of its own; a foreign one has not.
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from hil.bench.blueprint import FEEDBACK, LAWS, Blueprint
+from hil.bench.blueprint import Blueprint
 from hil.controller.joint_script import SCRIPT, JointScript
 from hil.recording.compare import first_difference
 from hil.recording.cycle_codec import DECIDED
@@ -16,6 +16,7 @@ from hil.recording.runs import RecordedRun, RunStart, read_stored_cycles
 from hil.replay.recordings import OpenedRecording
 from hil.ring.loop import OUTSIDE, Brain, Decision
 from hil.robot.trajectories import Trajectory
+from hil.vocabulary.choices import ESTIMATORS, LAWS
 from hil.vocabulary.collector import without_collector
 from hil.vocabulary.errors import SafetyStop, UsageError
 from hil.vocabulary.signals import CycleRecord, Inputs, Reference, RobotState
@@ -192,7 +193,7 @@ class RunCheck:
 def _foreign(start: RunStart) -> str:
     """Which parts of a run cannot be made again, because they are not of this package; empty for none."""
     laws = (start.controller,) if start.controller not in (None, SCRIPT, *LAWS) else ()
-    filters = [name for name in (start.feedback, *start.observers) if name not in FEEDBACK]
+    filters = [name for name in (start.feedback, *start.observers) if name not in ESTIMATORS]
     told = [*(f"controller {name}" for name in laws), *(f"estimator {name}" for name in filters)]
     if not told:
         return ""

@@ -20,8 +20,7 @@ from markupsafe import Markup
 
 from hil.report.readings import readings_of, taken_out
 from hil.report.run_plots import PALETTE
-from hil.vocabulary.errors import DataError
-from hil.vocabulary.files import reason
+from hil.vocabulary.errors import DataError, reason_of
 from hil.vocabulary.reading import read_text
 
 if TYPE_CHECKING:
@@ -126,7 +125,7 @@ def themed_svg(path: Path) -> str:
     try:
         text = read_text(path, _MOST_BYTES)
     except (OSError, ValueError) as error:
-        raise DataError(str(path), f"cannot be read ({reason(error)})") from None
+        raise DataError(str(path), f"cannot be read ({reason_of(error)})") from None
     start, end = text.find("<svg"), text.rfind("</svg>")
     if start < 0 or end < start:
         raise DataError(str(path), "is not an SVG file")

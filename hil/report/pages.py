@@ -33,6 +33,7 @@ def environment() -> Environment:
     script = files("hil.report").joinpath("templates/figure.js").read_text("utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     env.globals |= {
+        "degrees": math.degrees,
         "script": Markup(script),
         "script_hash": f"sha256-{digest}",
         "figure_theme": {name: Markup(colours) for name, colours in theme().items()},

@@ -15,9 +15,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.mistaken import meant
 from hil.vocabulary.reading import read_json
-from hil.vocabulary.result_files import PASSED, RESULT
+from hil.vocabulary.result_files import PASSED, RESULT, RESULT_SCHEMA
 
-SCHEMA = 1
 _SHOWN = 5
 
 _Number = Annotated[float, Field(strict=True)] | None
@@ -141,7 +140,9 @@ def read_result(folder: Path) -> dict[str, Any]:
         found: dict[str, Any] = _Result.model_validate(tree).model_dump(by_alias=True)
     except ValidationError as error:
         raise DataError(
-            str(path), f"is not the result of a run ({wrong_shape(error)})", expected=f"schema {SCHEMA}"
+            str(path),
+            f"is not the result of a run ({wrong_shape(error)})",
+            expected=f"schema {RESULT_SCHEMA}",
         ) from None
     if wrong := contradiction(found):
         raise DataError(

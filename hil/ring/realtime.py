@@ -19,8 +19,9 @@ import numpy as np
 
 from hil.ring.loop import Brain
 from hil.ring.loop_timing import LoopStatistics
+from hil.robot.holding import GRAVITY_M_S2
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds, sleep_punctually
-from hil.vocabulary.errors import SafetyStop
+from hil.vocabulary.errors import SafetyStop, reason_of
 from hil.vocabulary.signals import (
     ImuSample,
     Inputs,
@@ -127,7 +128,7 @@ class RealTime:
             os.sched_setaffinity(0, {self._cpu})
         except OSError as error:
             self._refused(
-                f"loop.cpu = {self._cpu} was refused ({error.strerror}); "
+                f"loop.cpu = {self._cpu} was refused ({reason_of(error)}); "
                 f"this process may use {', '.join(map(str, sorted(before)))}"
             )
             return
@@ -150,7 +151,7 @@ class RealTime:
             )
         except OSError as error:
             self._refused(
-                f"loop.fifo_priority = {self._fifo_priority} was refused ({error.strerror}); allow it with "
+                f"loop.fifo_priority = {self._fifo_priority} was refused ({reason_of(error)}); allow it with "
                 f"`ulimit -r {self._fifo_priority}` or an rtprio line in /etc/security/limits.conf"
             )
             return
@@ -206,7 +207,7 @@ def _at_rest(cycle: int, start: RobotState) -> Inputs:
     stamp, upright, still = Stamp(t_ns, t_ns, cycle), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
     place = np.array([start.pose_body_in_wall[0], start.pose_body_in_wall[1], 0.0])
     servos = ServoSample(stamp, np.zeros(8), np.zeros(8), np.zeros(8), (Status.OK,) * 8)
-    inertial = ImuSample(stamp, upright, still, still, np.array([9.81, 0.0, 0.0]), ())
+    inertial = ImuSample(stamp, upright, still, still, np.array([GRAVITY_M_S2, 0.0, 0.0]), ())
     camera = TrackerSample(stamp, still, upright, still, still, 3)
     capture = MocapSample(stamp, place, upright, True, 0.0, 0.0)
     return Inputs(cycle, t_ns, (servos,), (), (), (inertial,), (camera,), (capture,))

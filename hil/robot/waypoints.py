@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.vocabulary.errors import DataError
-from hil.vocabulary.files import reason
+from hil.vocabulary.errors import DataError, reason_of
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.reading import read_text
 
@@ -32,7 +31,7 @@ def read_waypoints(path: Path) -> list[Array]:
     try:
         text = read_text(path, _MOST_BYTES)
     except (OSError, ValueError) as error:
-        raise DataError(str(path), f"cannot be read ({reason(error)})") from None
+        raise DataError(str(path), f"cannot be read ({reason_of(error)})") from None
     try:
         rows = csv.DictReader(io.StringIO(text, newline=""))
         found = [

@@ -15,6 +15,7 @@ import threading
 import time
 from abc import abstractmethod
 from collections.abc import Callable
+from datetime import datetime
 from typing import NamedTuple, Protocol
 
 NS_PER_S = 1_000_000_000
@@ -105,6 +106,11 @@ def sleep_punctually(on: bool = True) -> None:
     """
     with contextlib.suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, int(on), 0, 0, 0)
+
+
+def local_time() -> str:
+    """The host's date, time of day and zone, as results say when they were made: ISO 8601, whole seconds."""
+    return datetime.now().astimezone().isoformat(timespec="seconds")
 
 
 def seconds(t_ns: int) -> float:

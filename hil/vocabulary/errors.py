@@ -61,6 +61,14 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f"did you mean {by_lower[near[0]]}?" if near else ""
 
 
+def reason_of(error: Exception) -> str:
+    """Why the system or a parser said no, without the number and the path that an `OSError` carries.
+
+    An `OSError` that a library raised may have no text of the system; then its own text counts, or its kind.
+    """
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__
+
+
 class ConfigError(HilError, ValueError):
     """A configuration file or option is wrong; `problems` lists every fault found at once."""
 

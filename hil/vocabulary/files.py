@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from hil.vocabulary.errors import ConfigError, DataError, HilError, UsageError
+from hil.vocabulary.errors import ConfigError, DataError, HilError, UsageError, reason_of
 
 PARTIAL = ".hil-"
 """How the names of files and folders begin that are not whole yet; one may be left where `hil` is killed."""
@@ -35,7 +35,7 @@ def check_name(path: Path, whose: str = "") -> None:
     except (OSError, ValueError) as error:  # ValueError: a NUL character
         too_long = getattr(error, "errno", None) == errno.ENAMETOOLONG
         raise UsageError(
-            f"{whose + ': ' if whose else ''}{path}: no file can be there ({reason(error)})",
+            f"{whose + ': ' if whose else ''}{path}: no file can be there ({reason_of(error)})",
             expected="names of at most 255 bytes, 4095 with all folders" if too_long else "",
             remedy="choose a shorter name" if too_long else "choose another place",
         ) from None  # fmt: skip
@@ -209,11 +209,6 @@ def staged(folder: Path) -> Iterator[Path]:
         raise
 
 
-def reason(error: Exception) -> str:
-    """Why a file could not be read or written, without the number and the path of an `OSError`."""
-    return getattr(error, "strerror", None) or str(error)
-
-
 def where_else(error: OSError) -> str:
     """What to do about a file or folder that was refused."""
     return _NOT_YOURS if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS) else _REMEDY
@@ -221,4 +216,4 @@ def where_else(error: OSError) -> str:
 
 def refused(path: Path, error: OSError) -> DataError:
     """The error of a path that cannot be written."""
-    return DataError(str(path), f"cannot be written ({reason(error)})", remedy=where_else(error))
+    return DataError(str(path), f"cannot be written ({reason_of(error)})", remedy=where_else(error))

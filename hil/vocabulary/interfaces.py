@@ -151,6 +151,10 @@ class Controller(Protocol):
         """Wheel setpoints at the state's time; `wheels` gives the measured steering angles."""
 
 
+RUN_NOTE, HELD_NOTE = "run", "held"
+"""Kinds of notes between two cycles: how a run begins, and how the bench left the robot."""
+
+
 class Sink(Protocol):
     """Receives every cycle. `write` never blocks nor raises; what cannot be taken is dropped and counted."""
 
@@ -163,7 +167,7 @@ class Sink(Protocol):
 
         Args:
             t_ns: bench time.
-            kind: what it is (`run`, `held`, ...).
+            kind: what it is: `RUN_NOTE`, `HELD_NOTE`, or one of the caller's own.
             data: plain values.
         """
         return

@@ -17,7 +17,7 @@ from typing import Any
 from numba.core import config
 from numba.core.caching import FunctionCache, NullCache
 
-from hil.vocabulary.errors import HilError
+from hil.vocabulary.errors import HilError, reason_of
 
 _LOG = logging.getLogger(__name__)
 
@@ -93,7 +93,7 @@ class _NoStore(NullCache):  # type: ignore[misc]
 
 def _tell_not_kept(folder: str, error: OSError) -> None:
     _tell(
-        f"cannot be kept in {folder} ({error.strerror or error})",
+        f"cannot be kept in {folder} ({reason_of(error)})",
         "make room there, or " if error.errno in _FULL else "",
     )
 

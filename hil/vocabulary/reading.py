@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.vocabulary.errors import ConfigError, DataError
+from hil.vocabulary.errors import ConfigError, DataError, reason_of
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -29,10 +29,6 @@ _DEEPEST = 64
 _KEY = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')"""
 _LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_-])(?:{_KEY}[ \t]*\.[ \t]*){{{_DEEPEST}}}")
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
-
-
-def _why(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error)
 
 
 def read_text(path: Path, most_bytes: int) -> str:
@@ -81,7 +77,7 @@ def read_toml(path: Path, *, remedy: str = "") -> dict[str, Any]:
     try:
         text = read_text(path, MOST_TOML_BYTES)
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot be read ({_why(error)})", remedy=remedy) from None
+        raise ConfigError(f"{path}: cannot be read ({reason_of(error)})", remedy=remedy) from None
     return toml_tables(text, str(path))
 
 
@@ -112,7 +108,7 @@ def read_json(path: Path, *, remedy: str = "") -> Any:
     try:
         text = read_text(path, MOST_JSON_BYTES)
     except (OSError, ValueError) as error:
-        raise DataError(str(path), f"cannot be read ({_why(error)})", remedy=remedy) from None
+        raise DataError(str(path), f"cannot be read ({reason_of(error)})", remedy=remedy) from None
     try:
         return json_value(text)
     except ValueError as error:

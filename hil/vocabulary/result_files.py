@@ -7,6 +7,8 @@ from __future__ import annotations
 
 RESULT, JOURNAL, REPORT, JUNIT = "result.json", "journal.jsonl", "report.html", "junit.xml"
 """Of a run."""
+RESULT_SCHEMA = 1
+"""Of `result.json`."""
 
 PLAN, CAMPAIGN_TABLE, CAMPAIGN_CSV, CAMPAIGN_PAGE = (
     "plan.json",

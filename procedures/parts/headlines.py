@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from hil.vocabulary.signals import WHEELS
+
 _FILTERS = {"ekf": "the EKF", "ukf": "the UKF"}
 _LINES = (("x_line", "Up the wall", "short", "shortfall"), ("y_line", "Across it", "too low", "sag"))
-_WHEELS = ("FL", "BL", "BR", "FR")
 _CLEAR = 0.5
 """Of what a bring-up measures: below it something else moved, or hardly anything."""
 
@@ -48,7 +49,7 @@ def bring_up(v: Mapping[str, float]) -> str:
 
 def steering_zero(v: Mapping[str, float]) -> str:
     """How far the wheels stood from straight ahead, and how far they do now."""
-    worst = max(abs(v[f"steer_{w}.zero"]) for w in _WHEELS)
+    worst = max(abs(v[f"steer_{w}.zero"]) for w in WHEELS)
     return (
         f"The steering zeros were up to {worst:.2f} deg off. With the zeros that were found, the wheels "
         f"point ahead within {v['applied.worst_heading']:.2f} deg."

@@ -9,7 +9,8 @@ from hil.procedures.parts.surface_slip import held
 from hil.vocabulary.errors import SafetyStop
 
 _TETHERED = {"safety.tethered": True, "safety.heading_limit_rad": math.pi / 2}
-_WITHOUT = {"encoders": None, "tracker": None}
+WITHOUT = {"encoders": None, "tracker": None}
+"""Sections taken out of the bench file: devices that slip and hold are found without."""
 
 
 def hold_angle(ctx: Context, low: float, high: float, step: float, sense: float) -> list[float | None]:
@@ -44,7 +45,7 @@ def stands(ctx: Context, heading_deg: float) -> tuple[bool, float | None]:
     pose = (x_m, y_m, math.radians(heading_deg))
     bench = ctx.reopen(
         f"hold {'left' if heading_deg > 0 else 'right'} {abs(heading_deg):.2f} deg",
-        overrides={**_WITHOUT, **_TETHERED, "environment.start_pose": pose},
+        overrides={**WITHOUT, **_TETHERED, "environment.start_pose": pose},
         prompt=f"tether the robot, hold it at a heading of {heading_deg:+.2f} deg, press Enter, let go",
     )
     bench.rig.actuators().enable()

@@ -17,7 +17,7 @@ from hil.bench import Bench
 from hil.procedure import Context
 from hil.procedure.elsewhere import Errand
 from hil.procedure.samples import Series, camera, poses
-from hil.procedure.tracking import stand
+from hil.procedure.tracking import STAGGER_S, stand
 from hil.procedure.workers import Workers
 from hil.ring.motion import Motion
 from hil.robot.trajectories import Trajectory, line
@@ -26,7 +26,7 @@ from hil.vocabulary.geometry import Array
 
 Trip = tuple[tuple[float, float, float], ...]
 """Poses that a round trip goes to, relative to its start, m and rad; the last is the start."""
-_REST_S, _STAGGER_S = 0.5, 0.13
+_REST_S = 0.5
 _BETWEEN_S = 1.0
 
 
@@ -120,4 +120,4 @@ def _seen(motion: Motion) -> Leg:
 
 def _alone(bench: Bench, trip: Trip, speed_m_s: float, number: int) -> list[Leg]:
     """A trip in another process, a little later than others, so that it does not repeat their noise."""
-    return list(_legs(bench, [trip], speed_m_s, _REST_S + _STAGGER_S * number, lambda k: None))
+    return list(_legs(bench, [trip], speed_m_s, _REST_S + STAGGER_S * number, lambda k: None))

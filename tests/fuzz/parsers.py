@@ -23,7 +23,7 @@ from hil.drivers.mocap.frames import FrameParser, parse_frame
 from hil.drivers.mocap.models import parse_models
 from hil.drivers.mocap.packets import MalformedPacket, parse_server_info, split
 from hil.drivers.servos.packets import GroupRead, find_statuses
-from hil.drivers.tracker.feed import FEED_INFO, FEED_MAGIC, INFO_RECORD, FeedDevice
+from hil.drivers.tracker.feed import FeedDevice
 from hil.fakes.fault import parse_fault
 from hil.fakes.imu.uart import RequestParser
 from hil.fakes.servos import protocol
@@ -31,6 +31,7 @@ from hil.live.commands import parse_command
 from hil.recording.cdr import octet_array, octets_of, string, text_of
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.reading import json_object, json_value, toml_tables
+from hil.vocabulary.tracker_feed import FEED_INFO, FEED_MAGIC, INFO_RECORD
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from hil.bench import Held, supported_faults
 from hil.cli.faults import command
 from hil.config.loading import load_bench
-from hil.procedure.faults import MOMENTS, Cell, Verdict, cells_of, matrix_page, random_cells
+from hil.procedure.faults import MOMENTS, Cell, CellVerdict, cells_of, matrix_page, random_cells
 from hil.procedure.faults.judging import Seen, judge
 from hil.procedure.faults.quiet import why_quiet
 from hil.vocabulary.errors import ConfigError, HilError, UsageError
@@ -181,7 +181,7 @@ def test_a_run_that_goes_on_without_a_word_about_the_device_is_marked():
         cell("servos", "jump"), seen(events=[("servos", "a leap")], stop="robot stopped (servo_jump)")
     )
     assert (stopped.told, stopped.ended) == (True, "servo_jump")
-    fell = Verdict(cell("mocap", "off"), ("it | fell",), "went on", True, "HELD")
+    fell = CellVerdict(cell("mocap", "off"), ("it | fell",), "went on", True, "HELD")
     page = matrix_page([quiet, stopped, fell], "hil faults")
     assert "| `imu` | `wrong` | on * |" in page
     assert "| `servos` | `jump` | stop |" in page
@@ -228,7 +228,7 @@ def test_physics_that_are_not_installed_are_refused_before_the_first_cell(tmp_pa
 
 def test_a_failed_cell_is_told_with_its_reason_and_is_exit_code_1(tmp_path, monkeypatch):
     def fallen(cell, bench):
-        return Verdict(cell, ("it fell",), "went on", True, "HELD")
+        return CellVerdict(cell, ("it fell",), "went on", True, "HELD")
 
     monkeypatch.setattr("hil.procedure.faults.run_cell", fallen)
     result = run("--only", "imu:wrong@open", "--json", "--out", str(tmp_path))
@@ -281,7 +281,7 @@ def judged(monkeypatch):
 
     def verdict(cell, bench):
         asked.append(cell)
-        return Verdict(cell, (), "went on", True, "HELD")
+        return CellVerdict(cell, (), "went on", True, "HELD")
 
     monkeypatch.setattr("hil.procedure.faults.run_cell", verdict)
     return asked

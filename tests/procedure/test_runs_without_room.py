@@ -88,6 +88,20 @@ def test_a_recording_that_cannot_begin_ends_the_run_or_not(run_small, tmp_path):
         assert "recording.mcap: cannot be written" in said
 
 
+@pytest.mark.parametrize(
+    ("error", "said"), [(OSError("the share is gone"), "the share is gone"), (OSError(), "OSError")]
+)
+def test_a_refusal_without_a_text_of_the_system_is_told_all_the_same(tmp_path, monkeypatch, error, said):
+    def refused(*_):
+        raise error
+
+    journal = Journal(tmp_path / "journal.jsonl")
+    monkeypatch.setattr("hil.procedure.journal.os.write", refused)
+    with pytest.raises(RecordingError, match=rf"cannot be written \({said}\)"):
+        journal.add("run", {"schema": 1})
+    journal.close()
+
+
 def test_a_journal_that_is_full_stops_the_run_and_can_be_resumed(run_small, tmp_path, monkeypatch):
     path = tmp_path / "journal.jsonl"
     journal = Journal(path)

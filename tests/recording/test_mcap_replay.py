@@ -13,13 +13,14 @@ from hil.bench.blueprint import Blueprint
 from hil.config.loading import load_bench
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RecordedRun, RunStart, read_runs, read_stored_cycles
-from hil.replay.comparison import KINDS, compare, compare_run, consistency, errors, table
+from hil.replay.comparison import compare, compare_run, consistency, errors, table
 from hil.replay.verification import ESTIMATION, RecordedReferences, verify, verify_cycle
 from hil.report.replay_page import write_replay_page
 from hil.ring.alignment import Alignment, AlignmentParameters
 from hil.ring.loop import Brain
 from hil.ring.supervisor import SafetyLimits, Supervisor
 from hil.robot.kinematics import WheelGeometry, twist_of_vectors
+from hil.vocabulary.choices import COMPARED
 from hil.vocabulary.errors import DataError, SafetyStop
 from hil.vocabulary.geometry import compose, se2_exp
 from hil.vocabulary.interfaces import Controller, Estimator
@@ -233,7 +234,7 @@ def test_a_run_is_compared_by_kind_and_tabulated():
     only = RecordedRun(RunStart(start, "ekf"), tuple(moving(0.0254, k) for k in range(60)))
     bench = Blueprint(load_bench("emulated_floor"), geometry=GEOMETRY)
     motions = compare_run(only, bench)
-    assert list(motions) == ["recorded", *KINDS]
+    assert list(motions) == ["recorded", *COMPARED]
     assert list(compare_run(only, bench, ("odometry",), recorded=False)) == ["odometry"]
     figures = table(motions)
     assert list(figures) == list(motions)

@@ -10,13 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.config.tracker import FEED_INFO, FEED_MAGIC, INFO_RECORD, POSE_RECORD, T265Config
+from hil.config.tracker import T265Config
 from hil.drivers.tracker import T265Tracker
 from hil.drivers.tracker.feed import FeedDevice, FeedFrame, FeedSensor
 from hil.fakes.world import VirtualClock, World
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.signals import Status
+from hil.vocabulary.tracker_feed import FEED_INFO, FEED_MAGIC, INFO_RECORD, POSE_RECORD
 
 INFO = INFO_RECORD.pack(FEED_MAGIC, FEED_INFO, b"Intel RealSense T265", b"0815", b"0.2.0.951")
 DOUBLES = st.floats(allow_nan=True, allow_infinity=True)

@@ -24,7 +24,7 @@ import tomli_w
 from pydantic import ValidationError
 
 from hil.config.record.parts import PARTS, Identity, Part, RecordFile, digest_of
-from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.errors import ConfigError, reason_of
 from hil.vocabulary.files import put_whole
 from hil.vocabulary.reading import MOST_TOML_BYTES, read_bytes, read_toml
 
@@ -110,7 +110,7 @@ class RobotRecord:
                 try:
                     found = hashlib.sha256(read_bytes(path, MOST_TOML_BYTES)).hexdigest()
                 except (OSError, ValueError) as error:
-                    yield f"{name}: {path} cannot be read ({getattr(error, 'strerror', None) or error})"
+                    yield f"{name}: {path} cannot be read ({reason_of(error)})"
                     continue
                 if found != digest:
                     yield f"{name}: {path} was changed after it was measured"
@@ -196,9 +196,7 @@ class RobotRecord:
             try:
                 content = read_bytes(path, MOST_TOML_BYTES)
             except (OSError, ValueError) as error:
-                raise ConfigError(
-                    f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})"
-                ) from None
+                raise ConfigError(f"{path}: cannot be read ({reason_of(error)})") from None
             digests[key] = hashlib.sha256(content).hexdigest()
             values[key] = f"{path.stem}-{digests[key][:12]}{path.suffix}"
             _write_whole(self.folder / FILES / values[key], content)
@@ -300,7 +298,7 @@ def _alone(folder: Path) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
         lock = os.open(folder, os.O_RDONLY)
     except OSError as error:
-        raise ConfigError(f"{folder}: cannot be written ({error.strerror or error})") from None
+        raise ConfigError(f"{folder}: cannot be written ({reason_of(error)})") from None
     try:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
@@ -313,4 +311,4 @@ def _write_whole(path: Path, content: bytes) -> None:
     try:
         put_whole(path, content)
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from None
+        raise ConfigError(f"{path}: cannot be written ({reason_of(error)})") from None

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 
 from hil.config.record.folder import check_robot_is
 from hil.config.record.parts import NOT_VERIFIED, Identity
-from hil.vocabulary.errors import ConfigError, DataError
+from hil.vocabulary.errors import ConfigError, DataError, reason_of
 from hil.vocabulary.reading import MOST_TOML_BYTES, json_value, read_json, read_text
 from hil.vocabulary.result_files import PASSED, RESULT
 
@@ -89,7 +89,7 @@ def of_fragment(path: Path) -> Origin:
     try:
         text = read_text(path, MOST_TOML_BYTES)
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
+        raise ConfigError(f"{path}: cannot be read ({reason_of(error)})") from None
     told, verdict = _ROBOT.search(text), _VERDICT.search(text)
     robot = None if told is None else _robot(path, told[1])
     return _by_the_result(path, Origin(robot, NOT_VERIFIED if verdict is None else verdict[1], FROM_A_FILE))

@@ -7,10 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from hil.devices.looks import Watched, losses
+from hil.robot.holding import GRAVITY_M_S2
 from hil.vocabulary.finding import Finding, Level
 from hil.vocabulary.signals import Status
 
-_GRAVITY_M_S2, _GRAVITY_TOLERANCE_M_S2 = 9.81, 0.5
+_TOLERANCE_M_S2 = 0.5
 
 
 def look(watched: Watched) -> Iterator[Finding]:
@@ -28,7 +29,7 @@ def look(watched: Watched) -> Iterator[Finding]:
             "gyro and accelerometer 2 or more", "hil run imu_calibration, or rest and tilt the robot",
         )  # fmt: skip
     norm = float(np.mean([np.linalg.norm(s.gravity_m_s2) for s in good]))
-    level: Level = "ok" if abs(norm - _GRAVITY_M_S2) < _GRAVITY_TOLERANCE_M_S2 else "failure"
+    level: Level = "ok" if abs(norm - GRAVITY_M_S2) < _TOLERANCE_M_S2 else "failure"
     yield Finding(
-        "imu", "gravity", level, f"{norm:.2f} m/s^2", f"{_GRAVITY_M_S2:.2f} m/s^2", "check the axis remap"
+        "imu", "gravity", level, f"{norm:.2f} m/s^2", f"{GRAVITY_M_S2:.2f} m/s^2", "check the axis remap"
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import tomli_w
 
-from hil.vocabulary.errors import DataError
+from hil.vocabulary.errors import DataError, reason_of
 from hil.vocabulary.files import write_text
 from hil.vocabulary.reading import read_text, toml_tables
 
@@ -62,7 +62,7 @@ class ImuCalibration:
         except OSError as error:
             raise DataError(
                 str(path),
-                f"IMU calibration cannot be read ({error.strerror})",
+                f"IMU calibration cannot be read ({reason_of(error)})",
                 remedy="write one with `Bno055Imu.read_calibration().save(path)`",
             ) from None
         except (ValueError, TypeError, struct.error) as error:

@@ -2,7 +2,7 @@
 
 It subscribes with one small datagram, renews that every second, and hands every pose to the callback
 from a thread of its own, as librealsense does. What the camera is told goes the same way. The datagrams are
-laid out in `hil.config.tracker`.
+laid out in `hil.vocabulary.tracker_feed`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
-from hil.config.tracker import (
+from hil.drivers.tracker.library import Frame
+from hil.vocabulary.tracker_feed import (
     FEED_HEAD,
     FEED_INFO,
     FEED_LEAVE,
@@ -28,7 +29,6 @@ from hil.config.tracker import (
     POSE_RECORD,
     WHEELS_RECORD,
 )
-from hil.drivers.tracker.library import Frame
 
 _POLL_S = 0.1
 _ASK_TIMES = 20

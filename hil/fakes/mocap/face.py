@@ -15,7 +15,7 @@ from hil.fakes.loopback import free_udp_port
 from hil.fakes.mocap.network import Address, Outlet
 from hil.fakes.mocap.server import NatNetServer
 from hil.fakes.world import NEVER_NS
-from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.errors import DeviceError, reason_of
 from hil.vocabulary.port_users import ending, named, programs_with_udp
 
 _LARGEST = 65535
@@ -36,7 +36,7 @@ def _cannot_serve(device: str, host: str, port: int, error: OSError) -> DeviceEr
         remedy = f"{who}, or choose another mocap.command_port"
     return DeviceError(
         device,
-        f"the emulated capture server cannot be served ({error.strerror or error})",
+        f"the emulated capture server cannot be served ({reason_of(error)})",
         port=f"{host}:{port}",
         expected="a local IPv4 address and a free UDP port",
         remedy=remedy,

@@ -15,8 +15,8 @@ import numpy as np
 from hil.fakes.plant.parameters import TrueParameters
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import WHEELS
 
-WHEELS = ("FL", "BL", "BR", "FR")
 _PART = 0.01
 _ROLL_SHARE = 0.6
 _HALF_WIDTH_M = 0.012

@@ -20,7 +20,6 @@ from hil.fakes.mujoco_plant.contact import (
     TIME_CONSTANT_S,
     ContactSetting,
 )  # fmt: skip
-from hil.fakes.mujoco_plant.description import WHEELS
 from hil.fakes.mujoco_plant.reading import (
     JOINTS,
     compiled,
@@ -39,7 +38,9 @@ from hil.fakes.mujoco_plant.wheels import (
     unlike,
 )
 from hil.fakes.plant.parameters import TrueParameters
+from hil.fakes.plant.robot import GRAVITY_M_S2
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import WHEELS
 
 Indices = np.ndarray[Any, np.dtype[np.int64]]
 STEP_S = 0.001
@@ -179,7 +180,7 @@ def _set_motors(model: Any, p: TrueParameters) -> None:
 
 def _rolling_n_m(p: TrueParameters, i: int) -> float:
     """Rolling resistance of a wheel that bears a quarter of the load."""
-    load_n = 0.25 * (p.adhesion_n or 9.81 * p.mass_kg)
+    load_n = 0.25 * (p.adhesion_n or GRAVITY_M_S2 * p.mass_kg)
     return p.contact.rolling_resistance * load_n * float(p.wheel_radius_m[i])
 
 

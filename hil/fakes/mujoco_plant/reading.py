@@ -7,10 +7,11 @@ import re
 from pathlib import Path
 from typing import Any
 
-from hil.fakes.mujoco_plant.description import WHEELS, describe_robot
+from hil.fakes.mujoco_plant.description import describe_robot
 from hil.fakes.plant.parameters import TrueParameters
 from hil.vocabulary.errors import ConfigError, did_you_mean
 from hil.vocabulary.extras import how_to_install, lacks
+from hil.vocabulary.signals import WHEELS
 
 _log = logging.getLogger(__name__)
 JOINTS = (*(f"drive_{w}" for w in WHEELS), *(f"steer_{w}" for w in WHEELS))

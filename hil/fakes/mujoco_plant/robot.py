@@ -16,7 +16,6 @@ import numpy as np
 from hil.fakes.faults import FaultPlan
 from hil.fakes.mujoco_plant import kernel as mk
 from hil.fakes.mujoco_plant.contact import CREEP_FLOOR_M_S, HOLDING_IMPRATIO
-from hil.fakes.mujoco_plant.description import WHEELS
 from hil.fakes.mujoco_plant.model import Built, as_built
 from hil.fakes.mujoco_plant.reading import JOINTS, load_mujoco
 from hil.fakes.plant import kernel as k
@@ -29,6 +28,7 @@ from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import ConfigError, DeviceError
 from hil.vocabulary.extras import is_installed
 from hil.vocabulary.geometry import Array, ArrayLike
+from hil.vocabulary.signals import WHEELS
 
 VECTORS = (*np.zeros((4, 1)), np.zeros(1, np.int64), *np.zeros((3, 1)), np.zeros((1, 5)))
 """What `prepare` is given, by type."""

@@ -1,13 +1,18 @@
 """Streams the emulated camera's poses over loopback UDP to any client that subscribes.
 
-The datagrams are laid out in `hil.config.tracker`; the driver's `FeedPipeline` is one client.
+The datagrams are laid out in `hil.vocabulary.tracker_feed`; the driver's `FeedPipeline` is one client.
 """
 
 from __future__ import annotations
 
 import json
 
-from hil.config.tracker import (
+from hil.fakes.datagram_face import DatagramFace
+from hil.fakes.tracker.frames import PoseFrame
+from hil.fakes.tracker.t265 import T265
+from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.tracker_feed import (
     FEED_HEAD,
     FEED_INFO,
     FEED_LEAVE,
@@ -20,11 +25,6 @@ from hil.config.tracker import (
     POSE_RECORD,
     WHEELS_RECORD,
 )
-from hil.fakes.datagram_face import DatagramFace
-from hil.fakes.tracker.frames import PoseFrame
-from hil.fakes.tracker.t265 import T265
-from hil.vocabulary.clock import nanoseconds
-from hil.vocabulary.errors import DeviceError
 
 _FORGET_NS = nanoseconds(5.0)
 _LARGEST = 2048

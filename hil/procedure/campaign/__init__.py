@@ -1,7 +1,7 @@
 """One piece of work run many times: over seeds and parameters, in parallel on Dask, into one table.
 
-What a single run does is an argument: this package plans the cases, spreads them over processes or
-machines, and says what came out as statistics, CSV and a page.
+`plan` makes the cases, `running` runs one of them, `spread` takes any function to processes or machines. The
+others check, keep and send what the runs need, and say what came out as statistics, CSV and a page.
 """
 
 from hil.procedure.campaign.alike import alike

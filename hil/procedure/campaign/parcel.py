@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.errors import ConfigError, reason_of
 from hil.vocabulary.files import staged
 
 MOST_BYTES = 256 << 20
@@ -80,7 +80,7 @@ def _contents(path: Path, name: str) -> Iterator[tuple[str, bytes]]:
         for inner in _of_model(path):
             yield f"{Path(name).parent}/{inner.relative_to(path.parent).as_posix()}", inner.read_bytes()
     except OSError as error:
-        raise ConfigError(f"{error.filename or path}: cannot be read ({error.strerror})") from None
+        raise ConfigError(f"{error.filename or path}: cannot be read ({reason_of(error)})") from None
     except ValueError:
         raise ConfigError(f"{path}: names files outside its folder, which workers cannot be sent") from None
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.procedure.campaign.table import Row
-from hil.vocabulary.errors import DataError
+from hil.vocabulary.errors import DataError, reason_of
 from hil.vocabulary.extras import is_installed
 from hil.vocabulary.files import put_whole
 
@@ -61,7 +61,7 @@ def write_rows(folder: Path, row: Row, *, over: bool = True) -> None:
     try:
         put_whole(path, whole.getvalue())
     except OSError as error:
-        raise DataError(str(folder), f"cannot be written ({error.strerror or error})") from None
+        raise DataError(str(folder), f"cannot be written ({reason_of(error)})") from None
 
 
 def _is_torn(path: Path) -> bool:

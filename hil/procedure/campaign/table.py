@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.procedure.campaign.plan import Case
 from hil.report.run_words import was_set
-from hil.vocabulary.errors import DataError
+from hil.vocabulary.errors import DataError, reason_of
 from hil.vocabulary.result_files import PASSED
 
 _Z95 = 1.959963984540054
@@ -179,4 +179,4 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
                      *("" if v is None else repr(v) for v in values), row.error]
                 )  # fmt: skip
     except OSError as error:
-        raise DataError(str(path), f"cannot be written ({error.strerror})") from None
+        raise DataError(str(path), f"cannot be written ({reason_of(error)})") from None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hil.vocabulary.errors import ConfigError, DataError
+from hil.vocabulary.errors import ConfigError, DataError, reason_of
 from hil.vocabulary.files import put_whole
 from hil.vocabulary.reading import read_json
 from hil.vocabulary.result_files import COMMISSIONING_TABLE, PASSED
@@ -61,7 +61,7 @@ class State:
         try:
             put_whole(path, text.encode())
         except OSError as error:
-            raise DataError(str(path), f"cannot be written ({error.strerror or error})") from None
+            raise DataError(str(path), f"cannot be written ({reason_of(error)})") from None
 
 
 def state_of(folder: Path, options: dict[str, Any], *, resume: bool) -> State:

@@ -15,7 +15,7 @@ from hil.procedure.faults.cells import (
     stands_for_itself,
 )
 from hil.procedure.faults.driving import run_cell
-from hil.procedure.faults.judging import Verdict, lost
+from hil.procedure.faults.judging import CellVerdict, lost
 from hil.procedure.faults.kept import KeptVerdicts, missing
 from hil.procedure.faults.matrix import matrix_page, write_page
 
@@ -23,8 +23,8 @@ __all__ = [
     "MOMENTS",
     "PLANTS",
     "Cell",
+    "CellVerdict",
     "KeptVerdicts",
-    "Verdict",
     "cells_of",
     "lost",
     "matrix_page",

@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.bench import Bench, open_bench
 from hil.procedure.faults.cells import DURATION_S, Cell
-from hil.procedure.faults.judging import Seen, Verdict, judge
+from hil.procedure.faults.judging import CellVerdict, Seen, judge
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.mcap_writer import McapRecorder
 from hil.robot.trajectories import line
@@ -27,7 +27,7 @@ HOLD_S, AFTERWARDS_S, CREPT_S = 0.3, 0.5, 0.3
 """Control at the end; a look at the robot after that; a look at what it does when it is said to be held."""
 
 
-def run_cell(cell: Cell, bench: str = "emulated") -> Verdict:
+def run_cell(cell: Cell, bench: str = "emulated") -> CellVerdict:
     """One cell on a bench that is emulated as a whole."""
     with tempfile.TemporaryDirectory(prefix="hil-faults-") as folder:
         path = Path(folder) / "run.mcap"

@@ -66,7 +66,7 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class CellVerdict:
     """Of one cell.
 
     Attributes:
@@ -84,12 +84,12 @@ class Verdict:
     held: str
 
 
-def lost(cell: Cell, reason: str) -> Verdict:
+def lost(cell: Cell, reason: str) -> CellVerdict:
     """Of a cell whose worker died."""
-    return Verdict(cell, (reason,), "lost", False, "")
+    return CellVerdict(cell, (reason,), "lost", False, "")
 
 
-def judge(cell: Cell, seen: Seen) -> Verdict:
+def judge(cell: Cell, seen: Seen) -> CellVerdict:
     """The verdict on what was seen of a cell."""
     named = [_is_named(device, seen) for device in cell.device.split("+")]
     ended = "went on"
@@ -97,7 +97,7 @@ def judge(cell: Cell, seen: Seen) -> Verdict:
         text = (seen.stop or seen.error).split("(", 1)
         ended = text[1].split(")", 1)[0] if "robot stopped" in text[0] and len(text) > 1 else "device error"
     wrong = tuple(_wrong(cell, seen, any(named)))
-    return Verdict(cell, wrong, ended, all(named), seen.said or _state(seen))
+    return CellVerdict(cell, wrong, ended, all(named), seen.said or _state(seen))
 
 
 def _state(seen: Seen) -> str:

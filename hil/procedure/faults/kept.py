@@ -16,7 +16,7 @@ from typing import Any
 
 import hil
 from hil.procedure.faults.cells import Cell
-from hil.procedure.faults.judging import Verdict
+from hil.procedure.faults.judging import CellVerdict
 from hil.procedure.journal import drop_torn_line
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.files import refused
@@ -66,7 +66,7 @@ class KeptVerdicts:
     ) -> None:
         self._file.close()
 
-    def add(self, verdict: Verdict) -> None:
+    def add(self, verdict: CellVerdict) -> None:
         """Keep one more; raises `DataError` where it cannot be written."""
         try:
             self._file.write(json.dumps(asdict(verdict)) + "\n")
@@ -75,11 +75,11 @@ class KeptVerdicts:
             raise refused(self._path, error) from None
 
 
-def _read(path: Path, head: dict[str, str]) -> tuple[Verdict, ...]:
+def _read(path: Path, head: dict[str, str]) -> tuple[CellVerdict, ...]:
     """What a folder holds; raises `DataError`, or `OSError`."""
     if not path.exists():
         raise DataError(str(path), "is not there: no campaign to resume", remedy="leave --resume out")
-    there: list[Verdict] = []
+    there: list[CellVerdict] = []
     try:
         *lines, _ = read_bytes(path, _MOST_BYTES).split(b"\n")
         was = json_object(lines[0] if lines else b"{}")
@@ -99,12 +99,12 @@ def _read(path: Path, head: dict[str, str]) -> tuple[Verdict, ...]:
     return tuple(there)
 
 
-def _verdict(tree: dict[str, Any]) -> Verdict:
+def _verdict(tree: dict[str, Any]) -> CellVerdict:
     cell = Cell(**{**tree["cell"], "specs": tuple(tree["cell"]["specs"])})
-    return Verdict(**{**tree, "cell": cell, "why": tuple(tree["why"])})
+    return CellVerdict(**{**tree, "cell": cell, "why": tuple(tree["why"])})
 
 
-def missing(cells: Sequence[Cell], there: Sequence[Verdict]) -> tuple[Cell, ...]:
+def missing(cells: Sequence[Cell], there: Sequence[CellVerdict]) -> tuple[Cell, ...]:
     """The cells that have no verdict yet."""
     done = {verdict.cell for verdict in there}
     return tuple(cell for cell in cells if cell not in done)

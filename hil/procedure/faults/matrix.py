@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hil.procedure.faults.cells import MOMENTS
-from hil.procedure.faults.judging import Verdict
+from hil.procedure.faults.judging import CellVerdict
 from hil.procedure.faults.quiet import quiet_table
 from hil.vocabulary.files import write_text
 
@@ -35,7 +35,7 @@ errors that look like an honest robot, such as a camera that drifts down the wal
 """
 
 
-def matrix_page(verdicts: Sequence[Verdict], command: str) -> str:
+def matrix_page(verdicts: Sequence[CellVerdict], command: str) -> str:
     """The whole page."""
     failed = [v for v in verdicts if v.why]
     quiet = sum(not v.told for v in verdicts)
@@ -58,7 +58,7 @@ def matrix_page(verdicts: Sequence[Verdict], command: str) -> str:
     return "".join(parts)
 
 
-def _table(verdicts: Sequence[Verdict]) -> list[str]:
+def _table(verdicts: Sequence[CellVerdict]) -> list[str]:
     moments = [m for m in (*MOMENTS, "random") if any(v.cell.moment == m for v in verdicts)]
     lines = [f"| device | fault | {' | '.join(moments)} |\n", "|---|---|" + "---|" * len(moments) + "\n"]
     for device, fault in dict.fromkeys((v.cell.device, v.cell.fault) for v in verdicts):
@@ -68,7 +68,7 @@ def _table(verdicts: Sequence[Verdict]) -> list[str]:
     return lines
 
 
-def _mark(verdicts: Sequence[Verdict]) -> str:
+def _mark(verdicts: Sequence[CellVerdict]) -> str:
     """What stands in a cell of the table for its seeds."""
     if not verdicts:
         return ""
@@ -84,6 +84,6 @@ def _plain(text: str) -> str:
     return " ".join(text.replace("|", "/").split())[:300]
 
 
-def write_page(path: Path, verdicts: Sequence[Verdict], command: str) -> None:
+def write_page(path: Path, verdicts: Sequence[CellVerdict], command: str) -> None:
     """Write the page."""
     write_text(path, matrix_page(verdicts, command))

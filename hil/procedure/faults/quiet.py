@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from hil.procedure.faults.judging import Verdict, kind_of
+from hil.procedure.faults.judging import CellVerdict, kind_of
 
 UNNOTICED = "nobody notices"
 _AT_THE_END = "struck where the way ends: the run was over before it could be judged"
@@ -28,7 +28,7 @@ def why_quiet(device: str, fault: str, moments: Sequence[str] = ("motion",)) -> 
     return passes.get(fault) or passes.get("*") or _OF_ANY.get(fault, UNNOTICED)
 
 
-def quiet_table(verdicts: Sequence[Verdict]) -> list[str]:
+def quiet_table(verdicts: Sequence[CellVerdict]) -> list[str]:
     """Lines of the table of all that were passed over in silence; none where there are none."""
     cells = [v.cell for v in verdicts if not v.told and not v.why and len(v.cell.specs) == 1]
     found: dict[tuple[str, str], list[str]] = {}

@@ -16,8 +16,8 @@ from html import unescape
 from pathlib import Path
 from typing import Any
 
-from hil.report.result_file import SCHEMA, read_result
-from hil.vocabulary.errors import DataError
+from hil.report.result_file import read_result
+from hil.vocabulary.errors import DataError, reason_of
 from hil.vocabulary.reading import json_object, read_json
 from hil.vocabulary.result_files import (
     ACCEPTANCE_TABLE,
@@ -27,6 +27,7 @@ from hil.vocabulary.result_files import (
     PASSED,
     PLAN,
     RESULT,
+    RESULT_SCHEMA,
 )
 
 RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE = "run", "campaign", "commissioning", "acceptance"
@@ -101,7 +102,7 @@ def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
 
     def refused(error: OSError) -> None:
         if Path(error.filename or "") == root:
-            raise DataError(str(root), f"cannot be read ({error.strerror or error})")
+            raise DataError(str(root), f"cannot be read ({reason_of(error)})")
 
     for place, folders, files in os.walk(root, onerror=refused):
         depth = len(Path(place).relative_to(root).parts)
@@ -141,8 +142,8 @@ def _not_ours(folder: Path, error: DataError) -> str:
     """Why a `result.json` is none that this version can read."""
     tree, problem = _object(folder / RESULT)
     schema = tree.get("schema")
-    if isinstance(schema, int) and schema != SCHEMA and "procedure" in tree:
-        return f"written by another version of hil (schema {schema}; this one reads {SCHEMA})"
+    if isinstance(schema, int) and schema != RESULT_SCHEMA and "procedure" in tree:
+        return f"written by another version of hil (schema {schema}; this one reads {RESULT_SCHEMA})"
     return problem or error.message.removeprefix(f"{folder / RESULT}: ")
 
 

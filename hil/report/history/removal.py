@@ -10,7 +10,7 @@ from pathlib import Path
 
 from hil.report.history.found import OURS, Kept, in_use
 from hil.report.history.written import FOLDERS, all_files, written
-from hil.vocabulary.errors import DataError
+from hil.vocabulary.errors import DataError, reason_of
 
 _PRECIOUS = ("calibration.toml", "bench_fragment.toml", "record.toml")
 _SHOWN = 4
@@ -91,9 +91,7 @@ def delete(losses: Sequence[Loss]) -> None:
             try:
                 (folder / name).unlink(missing_ok=True)
             except OSError as error:
-                raise DataError(
-                    str(folder / name), f"cannot be deleted ({error.strerror or error})"
-                ) from None
+                raise DataError(str(folder / name), f"cannot be deleted ({reason_of(error)})") from None
         for place in _emptied(item):
             with suppress(OSError):  # something of somebody else's is in it
                 os.rmdir(place)

@@ -17,31 +17,49 @@ from hil.report.history.found import ACCEPTANCE, CAMPAIGN, COMMISSIONING, RUN, K
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.reading import json_object, read_json
 from hil.vocabulary.result_files import (
+    ACCEPTANCE_PAGE,
     ACCEPTANCE_TABLE,
+    CAMPAIGN_CSV,
+    CAMPAIGN_PAGE,
     CAMPAIGN_TABLE,
+    COMMISSIONING_PAGE,
     COMMISSIONING_TABLE,
+    COMPARISON,
     JOURNAL,
+    JUNIT,
     PLAN,
+    REPORT,
     RESULT,
+    ROWS,
+    RUNS,
+    TRENDS,
 )
 
-FOLDERS = ("figures", "attachments", "recordings", "runs", "rows")
+FOLDERS = ("figures", "attachments", "recordings", RUNS, ROWS)
 """Folders that may have been made and left empty."""
 _MOTION = r"(line_[xy]|circle_c?cw|rotation_c?cw)"
+
+
+def _any_of(*names: str) -> str:
+    """A pattern of these names, whole or not finished."""
+    return f"({'|'.join(map(re.escape, names))})(\\.part)?"
+
+
 _OF_A_RUN = re.compile(
-    r"(result\.json|junit\.xml|report\.html|compare\.html|journal\.jsonl)(\.part)?"
-    r"|recording(_[a-z0-9_]+)?(-\d+)?\.mcap|figures/\d\d_[a-z0-9_]+\.svg|calibration_round_\d+\.toml"
+    _any_of(RESULT, JUNIT, REPORT, COMPARISON, JOURNAL)
+    + r"|recording(_[a-z0-9_]+)?(-\d+)?\.mcap|figures/\d\d_[a-z0-9_]+\.svg|calibration_round_\d+\.toml"
     rf"|recordings/(round_\d+|validation)/{_MOTION}_\d+\.csv"
 )
-_OF_A_CAMPAIGN = re.compile(r"(plan\.json|campaign\.(json|csv|html)|compare\.html|trends\.html)(\.part)?")
+_OF_A_CAMPAIGN = re.compile(_any_of(PLAN, CAMPAIGN_TABLE, CAMPAIGN_CSV, CAMPAIGN_PAGE, COMPARISON, TRENDS))
 _OF_A_COMMISSIONING = re.compile(
-    r"(commission\.(json|html)|trends\.html|robot/record\.toml|robot/history/v\d{4,}\.toml)(\.part)?"
-    r"|ablation\.svg|robot/files/[^/]+-[0-9a-f]{12}(\.[^/.]+)?(\.part)?"
+    _any_of(COMMISSIONING_TABLE, COMMISSIONING_PAGE, TRENDS)
+    + r"|robot/(record|history/v\d{4,})\.toml(\.part)?|ablation\.svg"
+    r"|robot/files/[^/]+-[0-9a-f]{12}(\.[^/.]+)?(\.part)?"
 )
 _BEGUN = re.compile(r"\.hil-[0-9a-f]{8}")
 """A page that a process was struck down over."""
 _STAGE = re.compile(r"\d\d_[a-z0-9_]+(-\d+)?")
-_OF_AN_ACCEPTANCE = re.compile(r"accept\.(json|html)(\.part)?")
+_OF_AN_ACCEPTANCE = re.compile(_any_of(ACCEPTANCE_TABLE, ACCEPTANCE_PAGE))
 _NAMING = ("recording", "figure", "attach")
 """Entries of a journal that name a file."""
 
@@ -79,8 +97,8 @@ def _own(kept: Kept, there: list[str]) -> Iterator[str]:
         yield from filter(_OF_A_CAMPAIGN.fullmatch, there)
         cases = _object(kept.folder / PLAN).get("cases")
         for case in {str(case) for case in cases} if isinstance(cases, list) else ():
-            yield from (n for n in there if n in (f"rows/{case}.parquet", f"rows/{case}.parquet.part"))
-            yield from _of_a_run(kept.folder, f"runs/{case}", there)
+            yield from (n for n in there if n in (f"{ROWS}/{case}.parquet", f"{ROWS}/{case}.parquet.part"))
+            yield from _of_a_run(kept.folder, f"{RUNS}/{case}", there)
     else:
         yield from _of_a_run(kept.folder, "", there)
 

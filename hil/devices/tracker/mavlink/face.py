@@ -11,7 +11,7 @@ from hil.devices.tracker.mavlink.wire import Address
 from hil.fakes.datagram_face import DatagramFace
 from hil.fakes.world import NEVER_NS
 from hil.vocabulary.clock import nanoseconds
-from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.errors import DeviceError, reason_of
 
 _FORGET_NS = nanoseconds(5.0)
 _LARGEST = 65535
@@ -55,7 +55,7 @@ class MavlinkFace(DatagramFace):
         except OSError as error:
             raise DeviceError(
                 computer.name,
-                f"the emulated computer cannot be served ({error.strerror or error})",
+                f"the emulated computer cannot be served ({reason_of(error)})",
                 port=f"{host}:{port}",
                 expected="a local IPv4 address and a free UDP port",
                 remedy="choose another one",

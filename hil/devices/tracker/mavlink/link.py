@@ -13,7 +13,7 @@ from hil.devices.tracker.mavlink.wire import Address, Arrival, Link
 from hil.drivers.mocap.datagrams import UdpPort
 from hil.drivers.serial_url import PORT_ERRORS, cannot_open, open_serial
 from hil.vocabulary.clock import Clock
-from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.errors import DeviceError, reason_of
 
 _LOOK_NS = 1_000_000
 _GONE_AFTER = 20
@@ -46,7 +46,7 @@ class UdpLink(Link):
         except OSError as error:
             raise DeviceError(
                 device,
-                f"the UDP port cannot be used ({error.strerror or error})",
+                f"the UDP port cannot be used ({reason_of(error)})",
                 port=url,
                 expected="udpin with a free port of this host, or udpout with the sender's address",
                 remedy=_remedy(error, address.port),

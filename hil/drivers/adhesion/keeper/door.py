@@ -22,7 +22,7 @@ from typing import Any
 
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.emulated_bus import abstract_names
-from hil.vocabulary.errors import DeviceError, HilError, UsageError
+from hil.vocabulary.errors import DeviceError, HilError, UsageError, reason_of
 
 MOST_BYTES = 8192
 HOW_TO_ASK = 'send one JSON object a packet; docs/adhesion.md, "The socket", shows each'
@@ -80,7 +80,7 @@ class Door:
         except OSError as error:
             self._listener.close()
             raise TakenError(
-                spec.device, f"it has a keeper already ({error.strerror})", port=spec.name,
+                spec.device, f"it has a keeper already ({reason_of(error)})", port=spec.name,
                 expected="one keeper of a fan", remedy="`hil adhesion status` names its process",
             ) from None  # fmt: skip
         self._listener.listen(_MOST_CLIENTS)

@@ -1,4 +1,4 @@
-"""The runs of a campaign on the command line: what they share, one of them in a worker, its row."""
+"""The runs of a campaign: what they share, one of them in a worker, its row."""
 
 from __future__ import annotations
 
@@ -8,18 +8,27 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from hil.config.loading import path_keys
+from hil.procedure.bench_source import BenchSource
+from hil.procedure.campaign.parcel import packed, unpacked
+from hil.procedure.campaign.plan import Case
+from hil.procedure.campaign.table import Row, missing
+from hil.procedure.declaration import Procedure
+from hil.procedure.interrupts import Interrupts
+from hil.procedure.journal import read_journal
+from hil.procedure.operator import Answers, Terminal, tell
+from hil.procedure.outputs import Keep
+from hil.procedure.parameters import split_settings
+from hil.procedure.runner import RunOptions, run_procedure
+from hil.procedure.scripts import file_and_name, load_procedure
+from hil.report.result_file import read_result
+from hil.report.run_page import write_run_page
+from hil.vocabulary.clock import MonotonicClock, local_time
 from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, HilError, RecordingError
 from hil.vocabulary.result_files import JOURNAL
-
-if TYPE_CHECKING:
-    from hil.procedure.bench_source import BenchSource
-    from hil.procedure.campaign import Case, Row
-    from hil.procedure.declaration import Procedure
-    from hil.procedure.outputs import Keep
 
 FINISHED = ("PASS", "MARGINAL", "FAIL", "ERROR")
 
@@ -46,9 +55,6 @@ class Setup:
 
     def source(self, proc: Procedure, case: Case) -> tuple[BenchSource, dict[str, str]]:
         """Bench and parameters of one case."""
-        from hil.config.loading import path_keys
-        from hil.procedure.bench_source import BenchSource
-
         parameters, overrides = self.split(case)
         for key in set(path_keys()) & set(overrides):
             overrides[key] = self.at(str(overrides[key]))
@@ -65,8 +71,6 @@ class Setup:
 
     def split(self, case: Case) -> tuple[dict[str, str], dict[str, object]]:
         """Parameters and bench overrides of one case."""
-        from hil.procedure.parameters import split_settings
-
         return split_settings(self.all_settings(case))
 
     def all_settings(self, case: Case) -> tuple[str, ...]:
@@ -124,7 +128,6 @@ def run_case_elsewhere(job: Job) -> Delivery:
     from distributed import Reschedule
 
     from hil.procedure.campaign.cluster import address, luggage
-    from hil.procedure.campaign.parcel import packed
 
     def lost_here(reason: object) -> Delivery:
         return Delivery(lost(job, f"worker {address()}: {reason}"))
@@ -171,8 +174,6 @@ def _no_room(tree: Mapping[str, Any], folder: str) -> bool:
 
 def arrived(delivery: Delivery) -> Row:
     """The row of a run that was done elsewhere, once its results lie where they belong."""
-    from hil.procedure.campaign.parcel import unpacked
-
     if delivery.content:
         unpacked(delivery.content, Path(delivery.row.folder))
     return delivery.row
@@ -180,14 +181,6 @@ def arrived(delivery: Delivery) -> Row:
 
 def _result(job: Job) -> dict[str, Any]:
     """Run one case; gives the tree of its `result.json`."""
-    from hil.cli.output import tell
-    from hil.procedure.interrupts import Interrupts
-    from hil.procedure.operator import Answers, Terminal
-    from hil.procedure.runner import RunOptions, run_procedure
-    from hil.procedure.scripts import file_and_name, load_procedure
-    from hil.report.run_page import write_run_page
-    from hil.vocabulary.clock import MonotonicClock
-
     setup, folder = job.setup, Path(job.folder)
     script, name = file_and_name(setup.script)
     proc = load_procedure(":".join(filter(None, (setup.at(script), name))))
@@ -195,7 +188,7 @@ def _result(job: Job) -> dict[str, Any]:
     operator = Terminal() if setup.answers is None else Answers(Path(setup.at(setup.answers)))
     options = RunOptions(
         folder=folder, clock=MonotonicClock(), parameters=parameters, operator=operator,
-        started=datetime.now().astimezone().isoformat(timespec="seconds"),
+        started=local_time(),
         resume=_begun(folder), keep=setup.keep, interrupts=Interrupts(tell),
     )  # fmt: skip
     result = run_procedure(proc, source, options)
@@ -205,8 +198,6 @@ def _result(job: Job) -> dict[str, Any]:
 
 def _begun(folder: Path) -> bool:
     """Whether a run that can go on to the same end is there; another is put aside, and begins anew."""
-    from hil.procedure.journal import read_journal
-
     if not folder.exists() or not any(folder.iterdir()):
         return False
     try:
@@ -222,8 +213,6 @@ def _begun(folder: Path) -> bool:
 
 def finished(job: Job) -> Row | None:
     """The row of a case that has run to its verdict before; None for one that lacked room, or has not."""
-    from hil.report.result_file import read_result
-
     try:
         tree = read_result(Path(job.folder))
     except HilError:
@@ -232,9 +221,6 @@ def finished(job: Job) -> Row | None:
 
 
 def _row(job: Job, tree: dict[str, Any]) -> Row:
-    from hil.procedure.campaign import Row
-    from hil.procedure.campaign.table import missing
-
     kept = ("unit", "value", "outcome", "low", "high")
     error = tree.get("error") or next(iter(tree.get("teardown_errors", [])), None)
     return Row(
@@ -246,8 +232,6 @@ def _row(job: Job, tree: dict[str, Any]) -> Row:
 
 
 def _failed(job: Job, verdict: str, reason: str, code: int) -> Row:
-    from hil.procedure.campaign import Row
-
     return Row(job.case, job.folder, verdict, code, 0.0, {}, reason)
 
 

@@ -9,19 +9,17 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from hil.cli.campaign_files import contents_of
-from hil.cli.campaign_runs import Setup
-from hil.vocabulary.errors import ConfigError, UsageError
+from hil.procedure.campaign.files import contents_of
+from hil.procedure.campaign.plan import Case
+from hil.procedure.campaign.running import Setup
+from hil.procedure.declaration import Procedure
+from hil.vocabulary.errors import ConfigError, UsageError, reason_of
 from hil.vocabulary.files import make_folder, put_whole
 from hil.vocabulary.reading import read_json
 from hil.vocabulary.result_files import PLAN, RUNS
 from hil.vocabulary.versions import make
-
-if TYPE_CHECKING:
-    from hil.procedure.campaign import Case
-    from hil.procedure.declaration import Procedure
 
 SCHEMA = 1
 _NOT_COMPARED = ("answers", "keep", "places")
@@ -48,7 +46,7 @@ def keep_plan(out: Path, proc: Procedure, setup: Setup, cases: Sequence[Case], *
     try:
         put_whole(path, (json.dumps({**plan, **held}, indent=1) + "\n").encode())
     except OSError as error:
-        raise ConfigError(f"{out}: cannot be written ({error.strerror})") from None
+        raise ConfigError(f"{out}: cannot be written ({reason_of(error)})") from None
 
 
 @contextmanager
@@ -63,7 +61,7 @@ def alone_in(out: Path, *, resume: bool) -> Iterator[None]:
         if not resume:
             make_folder(out)
     except OSError as error:
-        raise ConfigError(f"{out}: cannot be written ({error.strerror})") from None
+        raise ConfigError(f"{out}: cannot be written ({reason_of(error)})") from None
     with ExitStack() as stack:
         with suppress(OSError):
             folder = os.open(out, os.O_RDONLY)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from hil.cli.campaign_runs import Setup
+import tomli_w
 
-if TYPE_CHECKING:
-    from hil.procedure.campaign import Case, Parcel
-    from hil.procedure.declaration import Procedure
+from hil.config.loading import bench_files, find_bench, path_keys
+from hil.procedure.campaign.parcel import Parcel, digest, names, parcel
+from hil.procedure.campaign.plan import Case
+from hil.procedure.campaign.running import Setup
+from hil.procedure.declaration import Procedure
+from hil.procedure.scripts import file_and_name, modules_beside
+from hil.vocabulary.reading import put_dotted
 
 
 def files_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> Parcel:
@@ -19,13 +22,6 @@ def files_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> Parcel:
     Raises:
         ConfigError: a file that cannot be read, or more than workers are sent.
     """
-    import tomli_w
-
-    from hil.config.loading import bench_files, find_bench
-    from hil.procedure.campaign import names, parcel
-    from hil.procedure.scripts import modules_beside
-    from hil.vocabulary.reading import put_dotted
-
     named = _named(setup, cases)
     beside = {text: modules_beside(path) for text, path in _script(setup).items()}
     bench = setup.bench or proc.bench
@@ -46,10 +42,6 @@ def contents_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> dict[st
     Raises:
         ConfigError: a file that cannot be read.
     """
-    from hil.config.loading import bench_files, find_bench
-    from hil.procedure.campaign.parcel import digest
-    from hil.procedure.scripts import modules_beside
-
     read, bench = list(_named(setup, cases).values()), Path(setup.bench or proc.bench)
     read += [path for script in _script(setup).values() for path in modules_beside(script)]
     if bench.is_file():
@@ -60,8 +52,6 @@ def contents_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> dict[st
 
 def _named(setup: Setup, cases: Sequence[Case]) -> dict[str, Path]:
     """Texts of the command line that name a file or folder -> where it lies; without the bench file."""
-    from hil.config.loading import path_keys
-
     texts = [setup.calibration, setup.answers, *_script(setup)]
     for case in {case.settings: case for case in cases}.values():
         _, overrides = setup.split(case)
@@ -72,7 +62,5 @@ def _named(setup: Setup, cases: Sequence[Case]) -> dict[str, Path]:
 
 def _script(setup: Setup) -> dict[str, Path]:
     """The procedure's own file by the text that names it; nothing for a shipped one."""
-    from hil.procedure.scripts import file_and_name
-
     script = file_and_name(setup.script)[0]
     return {script: Path(script).absolute()} if Path(script).is_file() else {}

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from hil.cli.campaign_runs import Setup
+from hil.bench import planned_faults
+from hil.procedure.campaign.plan import Case
+from hil.procedure.campaign.running import Setup
+from hil.procedure.declaration import Procedure
+from hil.procedure.operator import Answers
+from hil.procedure.parameters import as_dict, make_parameters
 from hil.vocabulary.errors import UsageError
-
-if TYPE_CHECKING:
-    from hil.procedure.campaign import Case
-    from hil.procedure.declaration import Procedure
 
 
 def check(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> None:
@@ -23,8 +23,6 @@ def check(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> None:
             device.
         ConfigError: parameters, bench, faults or calibration that cannot be used.
     """
-    from hil.procedure.operator import Answers
-
     if setup.answers is not None:
         Answers(Path(setup.answers))
     _check_given_once(setup, cases[0])
@@ -51,9 +49,6 @@ def _check_given_once(setup: Setup, case: Case) -> None:
 
 def _meaning(setup: Setup, proc: Procedure, case: Case) -> str:
     """What a case would run with: equal for settings that differ only in how they are written."""
-    from hil.bench import planned_faults
-    from hil.procedure.parameters import as_dict, make_parameters
-
     source, given = setup.source(proc, case)
     parameters = make_parameters(proc.parameters, given, proc.name)
     proc.check_needs(source.config)
