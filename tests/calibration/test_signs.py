@@ -55,6 +55,24 @@ def test_of_one_motion_all_that_it_may_be_is_named(good):
     assert "likewise" not in str(error.value)
 
 
+def beginning(one, seconds):
+    """The first part of a recording."""
+    rows = one.t_s <= one.t_s[0] + seconds
+    names = ("t_s", "wheel_angle_rad", "steering_rad", "wheel_rate_rad_s")
+    cut = {name: getattr(one, name)[rows] for name in names}
+    rows = one.truth_t_s <= one.truth_t_s[0] + seconds
+    return replace(one, **cut, truth_t_s=one.truth_t_s[rows], truth_pose=one.truth_pose[rows])
+
+
+@pytest.mark.parametrize("seconds", [4.0, 1000.0])
+@pytest.mark.parametrize("number", range(len(MOTIONS)))
+def test_a_single_drive_is_enough_however_short_or_of_turns_only(good, number, seconds):
+    one = beginning(good[number], seconds)
+    check_signs([one], Nominal())
+    with pytest.raises(DataError, match=rf"^{one.name}: .*wheel angles \(phi\) had the other sign"):
+        check_signs([CHANGES["wheel angles (phi) had"](one)], Nominal())
+
+
 @pytest.mark.parametrize("command", ["evaluate", "calibrate", "tune"])
 def test_every_command_refuses_by_file(tmp_path, capsys, good, command):
     write_plain(tmp_path / "line_x_1.csv", CHANGES["wheel angles (phi) had"](good[0]))

@@ -308,6 +308,19 @@ def test_what_rests_on_a_key_that_has_changed_is_repeated_and_named(key, value, 
         assert f"{value!r} now)" in found[name]
 
 
+@pytest.mark.parametrize(("count", "more"), [(1, ""), (3, ""), (4, " and 1 more"), (5, " and 2 more")])
+def test_of_many_keys_that_have_changed_three_are_named_and_the_others_counted(count, more):
+    changes = {
+        "robot.mass_kg": 3.3, "robot.supply_v": 11.5, "tracker.scale_sigma": 0.1, "imu.prefetch": False,
+        "adhesion.rated_force_n": 44.0,
+    }  # fmt: skip
+    now = config_of(**dict(list(changes.items())[:count]))
+    (ablation,) = (stage for stage in TINY if stage.name == "wall_ablation")
+    why = why_again(ablation, rests_on(SOURCE.config, {}, None), now, {})
+    assert why.count(" now)") == min(count, 3)
+    assert why.endswith(f" now){more}")
+
+
 def test_a_part_that_is_gone_or_another_has_its_procedure_repeated():
     before = json.loads(json.dumps(rests_on(SOURCE.config, {"camera": PART}, {"parts": ["camera"]})))
     assert why_again(CAMERA, before, SOURCE.config, {"camera": PART}) == ""
