@@ -101,6 +101,19 @@ def test_an_imu_of_another_world_or_without_servos_says_nothing_of_the_robot(mon
         assert not list(tilt_finding(config, {"imu": says(steep(90.0))}))
 
 
+@pytest.mark.parametrize(
+    ("profile", "degrees", "level"),
+    [
+        ("emulated", 0.0, "failure"), ("emulated", 60.0, "failure"), ("emulated", 80.0, "ok"),
+        ("emulated", 130.0, "failure"), ("emulated_floor", 20.0, "ok"), ("emulated_floor", 30.0, "failure"),
+    ],
+)  # fmt: skip
+def test_the_doctor_refuses_a_floor_for_a_wall_and_a_wall_for_a_floor(profile, degrees, level):
+    (finding,) = tilt_finding(load_bench(profile), {"imu": says(steep(degrees))})
+    assert finding.level == level
+    assert f"tilted by {degrees:.0f} deg" in finding.found
+
+
 def test_nothing_moves_and_the_floor_is_not_believed():
     with hil.open_bench("emulated_floor", overrides=STANDS_UP) as bench:
         with pytest.raises(ConfigError, match="tilted by 90 deg, bench file says 0; nothing is moved"):

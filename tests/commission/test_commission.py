@@ -15,7 +15,7 @@ from hil.config.record import PARTS, Figure, NewPart, Part, RobotRecord
 from hil.config.record.overlay import identity
 from hil.procedure import BenchSource
 from hil.procedure.ablation import EVERYTHING, NOTHING, settings_of
-from hil.procedure.commission import Commission, commission, running, state
+from hil.procedure.commission import Commission, commission, running, state, stopping
 from hil.procedure.commission.resting import rests_on, why_again
 from hil.procedure.commission.running import _Running, found_signs
 from hil.procedure.commission.stages import STAGES, Stage, placed, stages
@@ -132,6 +132,21 @@ def test_what_was_not_measured_is_told_apart_from_what_is_beyond_its_limits():
     rows = [{"name": name, "outcome": outcome, "value": value} for name, outcome, value in told]
     assert missed(rows) == "beyond their limits: imu.delivered; not measured: odometry.x"
     assert missed(rows[2:]) == "not measured: odometry.x"
+
+
+@pytest.mark.parametrize(
+    ("step", "do"),
+    [(KEEPING, "make room on the disk; then hil"), ("teardown", "look at x/report.html and mend what it")],
+)
+def test_room_is_asked_for_where_the_disk_took_no_result_and_only_there(tmp_path, monkeypatch, step, do):
+    monkeypatch.setattr(stopping, "write_run_page", lambda folder: folder / "report.html")
+    (tmp_path / state.NAME).write_text("{}")
+    problem = Failure("DataError", "it went wrong", step, 4)
+    result = Result("gap", Verdict.ERROR, Path("x"), [], {"held": None}, teardown_errors=(problem,))
+    told = stopping.stopped_at(result, tmp_path)
+    assert told["why"] == "it went wrong"
+    assert told["do"].startswith(do)
+    assert told["report"] == (None if step == KEEPING else "x/report.html")
 
 
 def test_what_the_bench_lacks_is_left_out_and_said():
