@@ -163,6 +163,8 @@ def test_other_wheels_with_the_same_ground_truth_are_no_copy(drives, column):
     times_s = one.t_s.copy()
     times_s[50] += 1e-3
     assert not is_copy(one, replace(one, t_s=times_s))
+    names = ("t_s", "wheel_angle_rad", "steering_rad", "wheel_rate_rad_s")
+    assert not is_copy(one, replace(one, **{name: getattr(one, name)[:-1] for name in names}))
 
 
 def test_a_copy_called_by_another_motion_is_none_either(tmp_path, drives):
