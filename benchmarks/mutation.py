@@ -101,6 +101,12 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
         "hil/procedure/faults/judging.py",
         ("tests/procedure/test_fault_campaign.py", "-k", _OF_CELLS),
     ),
+    "measurements": (
+        "hil/procedure/measurements.py",
+        ("tests/procedure/test_measurements_and_parameters.py", "-k", "not run_small and not one_number"),
+    ),
+    "looks": ("hil/devices/looks.py", ("tests/bench/test_looks.py",)),
+    "time_offset": ("hil/calibration/time_offset.py", ("tests/calibration/test_time_offset.py",)),
     "origin": ("hil/config/record/origin.py", _RECORDS),
     "plausible": ("hil/config/record/plausible.py", _RECORDS),
     "resting": (
