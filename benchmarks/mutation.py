@@ -96,7 +96,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "stillness": ("hil/bench/contract/stillness.py", ("tests/bench/test_contract_at_rest.py",)),
     "fall_watch": ("hil/ring/fall_watch.py", ("tests/core/test_fall_watch.py",)),
-    "pressing": ("hil/bench/pressing.py", ("tests/adhesion_bench/test_held_by_what_presses.py",)),
+    "pressing": ("hil/bench/pressing.py", ("tests/adhesion_bench/test_press_watch.py",)),
     "fault_verdicts": (
         "hil/procedure/faults/judging.py",
         ("tests/procedure/test_fault_campaign.py", "-k", _OF_CELLS),
