@@ -1,4 +1,4 @@
-"""Mutation test of what holds the robot: does a test notice when a line of it is changed?
+"""Mutation test of what holds the robot, and of what judges: does a test notice when a line is changed?
 
     python benchmarks/mutation.py                         # 16 changes in each module, drawn with seed 0
     python benchmarks/mutation.py --each 60 --seed 3 --only supervisor,goals

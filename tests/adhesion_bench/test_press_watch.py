@@ -124,7 +124,9 @@ def test_propellers_that_report_nothing_count_once_it_was_seen_for_long_enough_t
     enough_n = 1.02 * WITHOUT.statics.needed_n(20.0, 0.0)
     assert enough_n < 0.95 * NEED_N
     press = Press(WITHOUT)
-    assert all("has not been seen at rest for long" in d for d in steady(press, 0.5, fan=enough_n))
+    early = steady(press, 0.5, fan=enough_n)
+    assert all("has not been seen at rest for long" in doubt for doubt in early)
+    assert all(f"{NEED_N:.1f} N are needed without the propellers" in doubt for doubt in early)
     assert steady(press, 0.3, fan=enough_n)[-5:] == [""] * 5
     assert "nobody sees whether it slides" in press.doubt(fan=enough_n, sees_slide=False)
     assert press.words().endswith("the propellers report nothing")
@@ -133,10 +135,11 @@ def test_propellers_that_report_nothing_count_once_it_was_seen_for_long_enough_t
 def test_propellers_that_report_count_by_what_they_report_and_while_they_do():
     enough_n = 1.02 * REPORTS.statics.needed_n(20.0, 0.0)
     press = Press(REPORTS)
-    assert "their controllers are silent" in press.doubt(fan=enough_n)
+    silent = f"{NEED_N:.1f} N are needed without the propellers: their controllers are silent"
+    assert silent in press.doubt(fan=enough_n)
     assert press.doubt(fan=enough_n, push=20.0, sees_slide=False) == ""
     assert "with the 10.0 N that the propellers report" in press.doubt(fan=enough_n, push=10.0)
     assert press.doubt(fan=enough_n, push=20.0) == ""
     steady(press, STALE_S - 0.05, fan=enough_n)
-    assert "their controllers are silent" in steady(press, 0.15, fan=enough_n)[-1]
+    assert silent in steady(press, 0.15, fan=enough_n)[-1]
     assert "report nothing" not in press.words()
