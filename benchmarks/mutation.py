@@ -51,7 +51,7 @@ _OF_LOSSES = "delivers or device_does_not or three_times or good_enough or loses
 _OF_STOPPING = "not_measured or ended or failure or disk or signal"
 _OF_CELLS = "cell_fail or supply or measures or sag or sees or noticed or did_nothing or marked"
 _QUICK_OF_TILT = "not nothing_changes and not broken_imu"
-_QUICK_OF_HOLDING = "not plant and not five_worlds and not whenever"
+_QUICK_OF_HOLDING = f"{_QUICK_OF_TILT} and not plant and not five_worlds and not whenever"
 MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "supervisor": (
         "hil/ring/supervisor.py",
@@ -87,7 +87,13 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "held": ("hil/bench/held.py", ("tests/bench/test_held_in_words.py",)),
     "holding": (
         "hil/bench/holding.py",
-        ("tests/bench/test_held_by_whom.py", "tests/bench/test_held.py", "-k", _QUICK_OF_HOLDING),
+        (
+            "tests/bench/test_tilt_seen.py",
+            "tests/bench/test_held_by_whom.py",
+            "tests/bench/test_held.py",
+            "-k",
+            _QUICK_OF_HOLDING,
+        ),
     ),
     "tilt": ("hil/bench/tilt.py", ("tests/bench/test_tilt_seen.py", "-k", _QUICK_OF_TILT)),
     "losses": (

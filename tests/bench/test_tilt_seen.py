@@ -144,11 +144,13 @@ def test_an_exit_that_releases_does_not_where_the_imu_shows_a_wall():
     assert "torque was released" not in kept["wall"]
 
 
-@pytest.mark.parametrize("moment", ["never moved", "looked at"])
+@pytest.mark.parametrize("moment", ["never moved", "looked at", "after a while"])
 def test_a_look_at_a_robot_without_torque_waits_for_the_imu(moment):
     with hil.open_bench("emulated_floor", overrides=STANDS_UP) as bench:
         if moment == "looked at":
             assert bench.look().state == "NOT HELD"
+        elif moment == "after a while":
+            bench.clock.sleep_until_ns(bench.clock.now_ns() + 3_000_000_000)
     assert bench.held.state == "NOT HELD"
     assert not bench.held.lost, "nobody has set it in motion"
 
