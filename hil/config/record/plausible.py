@@ -33,7 +33,7 @@ def not_plain(value: object) -> Iterator[str]:
 def implausible(values: Mapping[str, Any]) -> Iterator[str]:
     """What no procedure would have let pass among plain values by their keys: `key: what is wrong`."""
     for key, (low, high, unit, procedure) in _LIMITS.items():
-        value = values.get(key)
+        value: Any = values.get(key)
         numbers = [v for v in (value if isinstance(value, (list, tuple)) else [value]) if _is_number(v)]
         if beyond := ", ".join(f"{v:g}" for v in numbers if not low <= v <= high):
             yield f"{key}: {beyond}: {procedure} lets {low:.3g} to {high:.3g} {unit} pass"
