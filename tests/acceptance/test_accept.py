@@ -86,12 +86,13 @@ def healthy(tmp_path_factory):
     folder = tmp_path_factory.mktemp("healthy")
     path = folder / "my.toml"
     path.write_text("\n".join((HEAD, SERVOS, ENCODERS)))
-    told, code = accept(Acceptance(BenchSource(path), now))
-    return folder, code, write_acceptance(folder, told)
+    steps = []
+    told, code = accept(Acceptance(BenchSource(path), now, report=lambda *step: steps.append(step)))
+    return folder, code, write_acceptance(folder, told), steps
 
 
 def test_a_healthy_bench_passes_and_its_page_names_what_was_accepted(healthy):
-    folder, code, told = healthy
+    folder, code, told, _ = healthy
     assert (code, told["verdict"], failures(told)) == (0, "PASS", [])
     motion = {(f["device"], f["check"]): f["found"] for f in stages(told)["motion"]["findings"]}
     for axis in (("servos", "command to steering"), ("encoders", "command to steering"),
@@ -106,6 +107,38 @@ def test_a_healthy_bench_passes_and_its_page_names_what_was_accepted(healthy):
     ):  # fmt: skip
         assert text in page, text
     assert json.loads(data)["verdict"] == "PASS"
+
+
+def test_its_progress_counts_up_to_the_whole_of_each_part(healthy):
+    *_, steps = healthy
+    for part in ("doctor", "contract", "motion"):
+        counted = [(done, total) for what, done, total in steps if what == part]
+        assert [done for done, _ in counted] == list(range(len(counted))), part
+        assert {total for _, total in counted} == {counted[-1][0]}, part
+
+
+def test_a_bench_without_servos_passes_and_says_that_nothing_could_turn(bench):
+    told, code = accept(Acceptance(BenchSource(bench(ENCODERS)), now))
+    assert (code, told["verdict"], stages(told)["motion"]["verdict"]) == (0, "PASS", "PASS")
+    assert "no servos" in stages(told)["motion"]["why"]
+    assert told["devices"]["encoders"]["identity"]["firmware"]
+
+
+def test_who_asks_it_to_end_has_the_check_finished_that_is_under_way_and_no_other_begun(bench, monkeypatch):
+    interrupts, begun = Interrupts(), []
+    check = acceptance.judged
+
+    def asked_to_end(device, promise, body):
+        begun.append(promise)
+        if len(begun) == 2:
+            interrupts.handle(signal.SIGINT)
+        return check(device, promise, body)
+
+    monkeypatch.setattr(acceptance, "judged", asked_to_end)
+    with interrupts.deferred():
+        told, code = accept(Acceptance(BenchSource(bench(ENCODERS)), now, interrupts=interrupts))
+    assert (code, told["verdict"], len(begun)) == (4, "ABORTED", 2)
+    assert len(stages(told)["contract"]["findings"]) == 2
 
 
 @pytest.mark.parametrize(
@@ -280,6 +313,8 @@ def test_a_device_that_is_a_little_sick_does_not_pass(bench, tables, fault, devi
     assert failure["device"] == device
     assert found in failure["found"]
     assert failure["remedy"]
+    (failed,) = (stage for stage in told["stages"] if stage["verdict"] == "FAIL")
+    assert failed["why"] == f"1 of {len(failed['findings'])} checks failed"
 
 
 def test_a_device_that_restarts_while_the_doctor_looks_is_named(bench):
