@@ -109,6 +109,29 @@ def test_a_healthy_bench_passes_and_its_page_names_what_was_accepted(healthy):
     assert json.loads(data)["verdict"] == "PASS"
 
 
+def test_in_virtual_time_this_computer_is_not_judged(healthy):
+    told = healthy[2]
+    assert {f["device"] for f in stages(told)["latency"]["findings"]} == {"servos", "encoders"}
+
+
+def test_all_that_the_bench_was_made_from_is_named_with_its_hash(looked, bench, tmp_path):
+    record, found = tmp_path / "robot", tmp_path / "found.toml"
+    found.write_text("[alignment]\nsteer_zero_rad = [0.01, 0.0, 0.0, 0.0]\n")
+    path = bench(ENCODERS, f'[record]\nfolder = "{record}"\n')
+    used = []
+    for known in (False, True):
+        if known:
+            assert main(["robot", "apply", str(record), "--from", str(found), "--bench", str(path),
+                         "--of-this-robot"]) == 0  # fmt: skip
+        told, _ = accept(Acceptance(BenchSource(path), now))
+        files = {file["what"]: file for file in told["files"]}
+        assert list(files) == ["bench file", "configuration as used", *["record of the robot"] * known]
+        used.append(files["configuration as used"]["sha256"])
+    assert used[0] != used[1], "the record changes what is used"
+    digest = hashlib.sha256((record / "record.toml").read_bytes()).hexdigest()
+    assert files["record of the robot"]["sha256"] == digest
+
+
 def test_its_progress_counts_up_to_the_whole_of_each_part(healthy):
     *_, steps = healthy
     for part in ("doctor", "contract", "motion"):
@@ -285,9 +308,19 @@ def test_a_signal_within_a_check_is_nobodys_fault(bench, monkeypatch, stage, pro
     assert failures(told) == []
 
 
-def test_a_signal_while_the_doctor_looks_is_nobodys_fault(bench, monkeypatch):
+@pytest.mark.parametrize("swallowed", [False, True], ids=["heard", "swallowed by a driver"])
+def test_a_signal_while_the_doctor_looks_is_nobodys_fault(bench, monkeypatch, swallowed):
     interrupts = Interrupts()
-    monkeypatch.setattr(DynamixelServos, "read", lambda self: interrupts.handle(signal.SIGTERM))
+
+    def read(self):
+        try:
+            interrupts.handle(signal.SIGTERM)
+        except Aborted:
+            if not swallowed:
+                raise
+            raise DeviceError("servos", "does not answer") from None
+
+    monkeypatch.setattr(DynamixelServos, "read", read)
     with interrupts.deferred():
         told, code = accept(Acceptance(BenchSource(bench(SERVOS)), now, interrupts=interrupts))
     assert (code, told["verdict"], failures(told)) == (4, "ABORTED", [])
