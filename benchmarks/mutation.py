@@ -1,4 +1,4 @@
-"""Mutation test of what holds the robot: does a test notice when a line of it is changed?
+"""Mutation test of what holds the robot, and of what judges: does a test notice when a line is changed?
 
     python benchmarks/mutation.py                         # 16 changes in each module, drawn with seed 0
     python benchmarks/mutation.py --each 60 --seed 3 --only supervisor,goals
@@ -36,14 +36,22 @@ import pytest
 import scipy.optimize  # noqa: F401  loaded once for all
 
 ROOT = Path(__file__).resolve().parents[1]
-LONGEST_S = 90.0
-"""After which the tests of a change hang: noticed, too."""
+LONGEST_S, _TIMES = 90.0, 4.0
+"""After that, or after so many times what they take unaltered, the tests of a change hang: noticed, too."""
 _GUARDS = ("tests/core/test_alignment_and_supervisor.py", "tests/core/test_motion_check.py")
 _SENSES = ("tests/core/test_motion_check.py", "tests/core/test_capture_check.py")
 _STREAMS = "tests/core/test_stream_watch.py"
 _SERVOS = tuple(
     f"tests/servos/test_servo_{name}.py" for name in ("goals", "driver_cycle", "outage", "silence")
 )
+_RECORDS = ("tests/record/test_record_takes_files.py", "tests/record/test_record_laws.py")
+_ACCEPT = "tests/acceptance/test_accept.py"
+_COMMISSION = "tests/commission/test_commission.py"
+_OF_LOSSES = "delivers or device_does_not or three_times or good_enough or loses_answers or restarts"
+_OF_STOPPING = "not_measured or ended or failure or disk or signal or nobody_has_placed"
+_OF_CELLS = "cell_fail or supply or measures or sag or sees or noticed or did_nothing or marked"
+_QUICK_OF_TILT = "not nothing_changes and not broken_imu"
+_QUICK_OF_HOLDING = f"{_QUICK_OF_TILT} and not plant and not five_worlds and not whenever"
 MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "supervisor": (
         "hil/ring/supervisor.py",
@@ -73,8 +81,74 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "alignment": ("hil/ring/alignment.py", (_GUARDS[0],)),
     "poses": ("hil/ring/poses.py", (_GUARDS[0],)),
     "leaps": ("hil/bench/leaps.py", ("tests/bench/test_leaps.py",)),
+    "state_check": ("hil/ring/state_check.py", ("tests/core/test_state_check.py",)),
+    "filter_watch": ("hil/ring/filter_watch.py", ("tests/core/test_filter_watch.py",)),
+    "own_parts": ("hil/ring/own_parts.py", ("tests/core/test_own_parts.py",)),
+    "held": ("hil/bench/held.py", ("tests/bench/test_held_in_words.py",)),
+    "holding": (
+        "hil/bench/holding.py",
+        (
+            "tests/bench/test_tilt_seen.py",
+            "tests/bench/test_held_by_whom.py",
+            "tests/bench/test_held.py",
+            "-k",
+            _QUICK_OF_HOLDING,
+        ),
+    ),
+    "tilt": ("hil/bench/tilt.py", ("tests/bench/test_tilt_seen.py", "-k", _QUICK_OF_TILT)),
+    "losses": (
+        "hil/bench/contract/losses.py",
+        ("tests/bench/test_contract_at_rest.py", _ACCEPT, "-k", _OF_LOSSES),
+    ),
+    "stillness": ("hil/bench/contract/stillness.py", ("tests/bench/test_contract_at_rest.py",)),
+    "fall_watch": ("hil/ring/fall_watch.py", ("tests/core/test_fall_watch.py",)),
+    "pressing": ("hil/bench/pressing.py", ("tests/adhesion_bench/test_press_watch.py",)),
+    "fault_verdicts": (
+        "hil/procedure/faults/judging.py",
+        ("tests/procedure/test_fault_campaign.py", "-k", _OF_CELLS),
+    ),
+    "measurements": (
+        "hil/procedure/measurements.py",
+        ("tests/procedure/test_measurements_and_parameters.py", "-k", "not run_small and not one_number"),
+    ),
+    "looks": ("hil/devices/looks.py", ("tests/bench/test_looks.py",)),
+    "time_offset": ("hil/calibration/time_offset.py", ("tests/calibration/test_time_offset.py",)),
+    "origin": ("hil/config/record/origin.py", _RECORDS),
+    "plausible": ("hil/config/record/plausible.py", _RECORDS),
+    "resting": (
+        "hil/procedure/commission/resting.py",
+        (_COMMISSION, "-k", "rests or part or resumed or many_keys"),
+    ),
+    "stop_words": ("hil/procedure/commission/stopping.py", (_COMMISSION, "-k", _OF_STOPPING)),
+    "alarm": ("hil/console/alarm.py", ("tests/console/test_alarm.py",)),
+    "written": (
+        "hil/report/history/written.py",
+        ("tests/report/test_removal.py", "-k", "not command and not terminal"),
+    ),
+    "coverage": ("hil/calibration/coverage.py", ("tests/calibration/test_coverage_of_a_drive.py",)),
+    "copies": (
+        "hil/calibration/copies.py",
+        ("tests/recording/test_names_and_copies.py", "-k", "no_copy or another_clock or packed_and"),
+    ),
+    "unit_factors": ("hil/calibration/unit_factors.py", ("tests/calibration/test_units.py",)),
+    "applied": (
+        "hil/calibration/applied.py",
+        ("tests/calibration/test_calibration_commands.py", "-k", "fitted or names_no_files or another_model"),
+    ),
+    "signs": ("hil/calibration/signs.py", ("tests/calibration/test_signs.py",)),
+    "truth_leaps": ("hil/calibration/leaps.py", ("tests/calibration/test_leaps_of_ground_truth.py",)),
+    "caveats": ("hil/calibration/caveats.py", ("tests/calibration/test_caveats.py",)),
+    "alike": ("hil/procedure/campaign/alike.py", ("tests/campaign/test_campaign_alike.py",)),
+    "campaign_check": (
+        "hil/cli/campaign_check.py",
+        ("tests/campaign/test_campaign_command.py", "-k", "refused_before_anything"),
+    ),
+    "acceptance": (
+        "hil/procedure/acceptance.py",
+        (_ACCEPT, "-k", "not sheets and not phone and not disk and not listed"),
+    ),
 }
-"""By name: the file, and the tests that belong to it."""
+"""By name: the file, and the tests that belong to it; `-k` picks the quick ones of a file."""
 _QUIET = ("-p", "no:faulthandler", "-W", "ignore::pytest.PytestAssertRewriteWarning")
 _TURNED = {
     ast.Lt: ast.GtE, ast.GtE: ast.Lt, ast.Gt: ast.LtE, ast.LtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
@@ -247,8 +321,10 @@ def _tested(name: str, path: Path, tree: ast.Module, tests: Sequence[str]) -> in
         return int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", *_QUIET, *tests]))
 
 
-def survives(name: str, path: Path, tree: ast.Module, tests: Sequence[str]) -> bool:
-    """Whether all tests pass with the module altered."""
+def survives(
+    name: str, path: Path, tree: ast.Module, tests: Sequence[str], longest_s: float = LONGEST_S
+) -> bool:
+    """Whether all tests pass with the module altered, within a time in s."""
     child = os.fork()
     if not child:
         os.setsid()
@@ -257,7 +333,7 @@ def survives(name: str, path: Path, tree: ast.Module, tests: Sequence[str]) -> b
         except BaseException:
             code = 3
         os._exit(code)
-    end_s = time.monotonic() + LONGEST_S
+    end_s = time.monotonic() + longest_s
     while time.monotonic() < end_s:
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
@@ -284,12 +360,14 @@ def main() -> None:
         file, tests = MODULES[short]
         path, name = ROOT / file, file.removesuffix(".py").replace("/", ".")
         source = path.read_text(encoding="utf-8")
-        if not survives(name, path, ast.parse(source), tests):
+        began_s = time.monotonic()
+        if not survives(name, path, ast.parse(source), tests, 10.0 * LONGEST_S):
             sys.exit(f"{short}: its tests fail as it is: {' '.join(tests)}")
+        longest_s = max(LONGEST_S, _TIMES * (time.monotonic() - began_s))
         rng, survivors, count = np.random.default_rng([options.seed, len(source)]), [], 0
         for change in changes(source, options.each, rng):
             count += 1
-            if survives(name, path, change.tree, tests):
+            if survives(name, path, change.tree, tests, longest_s):
                 survivors.append(change)
         total, noticed = total + count, noticed + count - len(survivors)
         print(f"{short:14s} {count - len(survivors):4d} of {count:4d} noticed", flush=True)

@@ -282,16 +282,18 @@ class _Running:
         stage.end()
 
     def _checks_in_motion(self, stage: Stage, bench: Bench) -> None:
+        total = len(IN_MOTION) + 1
         for number, (promise, check) in enumerate(IN_MOTION.items()):
-            self._asked.report(MOTION, number, len(IN_MOTION) + 1)
+            self._asked.report(MOTION, number, total)
             self._one(stage, "servos", promise, partial(check, bench))
             if stage.findings[-1].level == "failure":
                 return
+        self._asked.report(MOTION, total - 1, total)
         found: list[Finding] = []
         delays = without_restart(lambda bench: _collected(found, delays_in_motion(bench)))
         self._one(stage, "servos", "delays", partial(delays, bench))
         stage.findings += found
-        self._asked.report(MOTION, len(IN_MOTION) + 1, len(IN_MOTION) + 1)
+        self._asked.report(MOTION, total, total)
 
 
 def _collected(found: list[Finding], findings: Iterator[Finding]) -> str:

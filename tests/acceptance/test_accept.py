@@ -86,12 +86,13 @@ def healthy(tmp_path_factory):
     folder = tmp_path_factory.mktemp("healthy")
     path = folder / "my.toml"
     path.write_text("\n".join((HEAD, SERVOS, ENCODERS)))
-    told, code = accept(Acceptance(BenchSource(path), now))
-    return folder, code, write_acceptance(folder, told)
+    steps = []
+    told, code = accept(Acceptance(BenchSource(path), now, report=lambda *step: steps.append(step)))
+    return folder, code, write_acceptance(folder, told), steps
 
 
 def test_a_healthy_bench_passes_and_its_page_names_what_was_accepted(healthy):
-    folder, code, told = healthy
+    folder, code, told, _ = healthy
     assert (code, told["verdict"], failures(told)) == (0, "PASS", [])
     motion = {(f["device"], f["check"]): f["found"] for f in stages(told)["motion"]["findings"]}
     for axis in (("servos", "command to steering"), ("encoders", "command to steering"),
@@ -106,6 +107,61 @@ def test_a_healthy_bench_passes_and_its_page_names_what_was_accepted(healthy):
     ):  # fmt: skip
         assert text in page, text
     assert json.loads(data)["verdict"] == "PASS"
+
+
+def test_in_virtual_time_this_computer_is_not_judged(healthy):
+    told = healthy[2]
+    assert {f["device"] for f in stages(told)["latency"]["findings"]} == {"servos", "encoders"}
+
+
+def test_all_that_the_bench_was_made_from_is_named_with_its_hash(looked, bench, tmp_path):
+    record, found = tmp_path / "robot", tmp_path / "found.toml"
+    found.write_text("[alignment]\nsteer_zero_rad = [0.01, 0.0, 0.0, 0.0]\n")
+    path = bench(ENCODERS, f'[record]\nfolder = "{record}"\n')
+    used = []
+    for known in (False, True):
+        if known:
+            assert main(["robot", "apply", str(record), "--from", str(found), "--bench", str(path),
+                         "--of-this-robot"]) == 0  # fmt: skip
+        told, _ = accept(Acceptance(BenchSource(path), now))
+        files = {file["what"]: file for file in told["files"]}
+        assert list(files) == ["bench file", "configuration as used", *["record of the robot"] * known]
+        used.append(files["configuration as used"]["sha256"])
+    assert used[0] != used[1], "the record changes what is used"
+    digest = hashlib.sha256((record / "record.toml").read_bytes()).hexdigest()
+    assert files["record of the robot"]["sha256"] == digest
+
+
+def test_its_progress_counts_up_to_the_whole_of_each_part(healthy):
+    *_, steps = healthy
+    for part in ("doctor", "contract", "motion"):
+        counted = [(done, total) for what, done, total in steps if what == part]
+        assert [done for done, _ in counted] == list(range(len(counted))), part
+        assert {total for _, total in counted} == {counted[-1][0]}, part
+
+
+def test_a_bench_without_servos_passes_and_says_that_nothing_could_turn(bench):
+    told, code = accept(Acceptance(BenchSource(bench(ENCODERS)), now))
+    assert (code, told["verdict"], stages(told)["motion"]["verdict"]) == (0, "PASS", "PASS")
+    assert "no servos" in stages(told)["motion"]["why"]
+    assert told["devices"]["encoders"]["identity"]["firmware"]
+
+
+def test_who_asks_it_to_end_has_the_check_finished_that_is_under_way_and_no_other_begun(bench, monkeypatch):
+    interrupts, begun = Interrupts(), []
+    check = acceptance.judged
+
+    def asked_to_end(device, promise, body):
+        begun.append(promise)
+        if len(begun) == 2:
+            interrupts.handle(signal.SIGINT)
+        return check(device, promise, body)
+
+    monkeypatch.setattr(acceptance, "judged", asked_to_end)
+    with interrupts.deferred():
+        told, code = accept(Acceptance(BenchSource(bench(ENCODERS)), now, interrupts=interrupts))
+    assert (code, told["verdict"], len(begun)) == (4, "ABORTED", 2)
+    assert len(stages(told)["contract"]["findings"]) == 2
 
 
 @pytest.mark.parametrize(
@@ -252,9 +308,19 @@ def test_a_signal_within_a_check_is_nobodys_fault(bench, monkeypatch, stage, pro
     assert failures(told) == []
 
 
-def test_a_signal_while_the_doctor_looks_is_nobodys_fault(bench, monkeypatch):
+@pytest.mark.parametrize("swallowed", [False, True], ids=["heard", "swallowed by a driver"])
+def test_a_signal_while_the_doctor_looks_is_nobodys_fault(bench, monkeypatch, swallowed):
     interrupts = Interrupts()
-    monkeypatch.setattr(DynamixelServos, "read", lambda self: interrupts.handle(signal.SIGTERM))
+
+    def read(self):
+        try:
+            interrupts.handle(signal.SIGTERM)
+        except Aborted:
+            if not swallowed:
+                raise
+            raise DeviceError("servos", "does not answer") from None
+
+    monkeypatch.setattr(DynamixelServos, "read", read)
     with interrupts.deferred():
         told, code = accept(Acceptance(BenchSource(bench(SERVOS)), now, interrupts=interrupts))
     assert (code, told["verdict"], failures(told)) == (4, "ABORTED", [])
@@ -280,6 +346,8 @@ def test_a_device_that_is_a_little_sick_does_not_pass(bench, tables, fault, devi
     assert failure["device"] == device
     assert found in failure["found"]
     assert failure["remedy"]
+    (failed,) = (stage for stage in told["stages"] if stage["verdict"] == "FAIL")
+    assert failed["why"] == f"1 of {len(failed['findings'])} checks failed"
 
 
 def test_a_device_that_restarts_while_the_doctor_looks_is_named(bench):

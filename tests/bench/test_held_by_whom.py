@@ -138,6 +138,22 @@ def test_a_camera_is_believed_again_only_after_a_way_on_which_others_agree():
         assert bench.look(1.0).state == "HELD"
 
 
+def test_servos_alone_do_not_confirm_it_where_there_are_others_who_should():
+    """On a tether it cannot fall; that it stands still somebody else has to see, if the bench has anybody."""
+    others, settings = ("imu", "tracker", "mocap"), TETHER | {"exit.look_after_s": 1.0}
+    faults = [f"{name}:off@0.5" for name in others]
+    with hil.open_bench("emulated", seed=1, faults=faults, overrides=settings) as bench:
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 1_000_000_000)
+        held = bench.look(0.6)
+    assert held.state == "NOT HELD"
+    assert "no camera, motion capture or IMU confirms that it stands still" in held.why
+    alone = dict.fromkeys((*others, "encoders", "load_cells"))
+    with hil.open_bench("emulated", seed=1, overrides=alone | settings) as bench:
+        held = bench.look(0.6)
+    assert held.state == "HELD"
+    assert "at rest by servo positions" in held.why
+
+
 def test_wheels_and_imu_alone_do_not_see_a_slide():
     """A seal that leaks does not show in the fan's speed; the robot slides, servos and gravity rest."""
     blind = ("mocap", "tracker", "load_cells")

@@ -100,6 +100,24 @@ def test_a_package_that_breaks_its_promises_is_told_each_with_what_to_do():
 
 
 @pytest.mark.parametrize(
+    ("good", "starting", "level"),
+    [
+        (100, 0, "ok"),
+        (99, 0, "ok"),
+        (90, 9, "warning"),
+        (85, 0, "warning"),
+        (75, 0, "failure"),
+        (0, 99, "failure"),
+    ],
+)
+def test_samples_that_are_missing_are_a_warning_or_a_failure_by_their_share(good, starting, level):
+    statuses = [Status.STARTING] * starting + [Status.OK] * good
+    found = losses("imu", statuses, 100, "check wiring")
+    assert (found.level, found.found) == (level, f"{good} of 100 good (no bad samples)")
+    assert losses("imu", [], 0, "check wiring").level == "failure"
+
+
+@pytest.mark.parametrize(
     ("count", "level"),
     [(100, "ok"), (102, "ok"), (106, "ok"), (108, "warning"), (123, "failure"), (200, "failure")],
 )

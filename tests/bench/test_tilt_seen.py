@@ -101,6 +101,19 @@ def test_an_imu_of_another_world_or_without_servos_says_nothing_of_the_robot(mon
         assert not list(tilt_finding(config, {"imu": says(steep(90.0))}))
 
 
+@pytest.mark.parametrize(
+    ("profile", "degrees", "level"),
+    [
+        ("emulated", 0.0, "failure"), ("emulated", 60.0, "failure"), ("emulated", 80.0, "ok"),
+        ("emulated", 130.0, "failure"), ("emulated_floor", 20.0, "ok"), ("emulated_floor", 30.0, "failure"),
+    ],
+)  # fmt: skip
+def test_the_doctor_refuses_a_floor_for_a_wall_and_a_wall_for_a_floor(profile, degrees, level):
+    (finding,) = tilt_finding(load_bench(profile), {"imu": says(steep(degrees))})
+    assert finding.level == level
+    assert f"tilted by {degrees:.0f} deg" in finding.found
+
+
 def test_nothing_moves_and_the_floor_is_not_believed():
     with hil.open_bench("emulated_floor", overrides=STANDS_UP) as bench:
         with pytest.raises(ConfigError, match="tilted by 90 deg, bench file says 0; nothing is moved"):
@@ -131,11 +144,13 @@ def test_an_exit_that_releases_does_not_where_the_imu_shows_a_wall():
     assert "torque was released" not in kept["wall"]
 
 
-@pytest.mark.parametrize("moment", ["never moved", "looked at"])
+@pytest.mark.parametrize("moment", ["never moved", "looked at", "after a while"])
 def test_a_look_at_a_robot_without_torque_waits_for_the_imu(moment):
     with hil.open_bench("emulated_floor", overrides=STANDS_UP) as bench:
         if moment == "looked at":
             assert bench.look().state == "NOT HELD"
+        elif moment == "after a while":
+            bench.clock.sleep_until_ns(bench.clock.now_ns() + 3_000_000_000)
     assert bench.held.state == "NOT HELD"
     assert not bench.held.lost, "nobody has set it in motion"
 

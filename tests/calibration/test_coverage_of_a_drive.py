@@ -104,6 +104,27 @@ def test_what_moves_beyond_a_rest_is_named_and_not_checked(seen, said):
     assert said in what
 
 
+@pytest.mark.parametrize(("ends_s", "found"), [(15.69, ""), (15.55, "named"), (15.4, "refused")])
+def test_twenty_millimetres_of_a_short_way_may_be_missing(ends_s, found):
+    """A drive of 97 cm, of whose end the ground truth lacks 1, 15 or 30 mm, and the rest after it."""
+    seen = driven(truth=(0.0, ends_s), drives=((3.0, 8.0), (11.0, 15.7)))
+    if found == "refused":
+        with pytest.raises(DataError, match=r"wheels roll 0\.03 m"):
+            covered(seen, Nominal())
+    else:
+        assert bool(covered(seen, Nominal()).repairs) is bool(found)
+
+
+@pytest.mark.parametrize(("lasts_s", "refused"), [(0.4, False), (0.8, True)])
+def test_a_cut_under_way_counts_from_half_a_second_on(lasts_s, refused):
+    seen = driven(wheels=(0.0, 14.0), truth=(0.0, 14.0 - lasts_s))
+    if refused:
+        with pytest.raises(DataError, match=r"wheels roll 0\.0[78] m in the 0\.8 s after"):
+            covered(seen, Nominal())
+    else:
+        assert covered(seen, Nominal()).repairs == {}
+
+
 def test_single_rows_of_ground_truth_that_are_off_at_rest_are_no_motion():
     whole = driven(wheels=(0.0, 17.0))
     pose = whole.truth_pose.copy()

@@ -18,15 +18,27 @@ CAD = WheelGeometry.nominal()
 DROPPED = "ground-truth rows that leap away and back dropped"
 
 
+def wheels_of(one):
+    return np.column_stack([one.wheel_angle_rad, one.steering_rad, one.wheel_rate_rad_s])
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return simulate(hidden_robot(4), "line_x", "line_x_1", np.random.default_rng(5))
+
+
 def line(change, robot=None):
     """A line whose ground truth (m, 3) `change` alters in place."""
     robot = robot or hidden_robot(4)
     clean = simulate(robot, "line_x", "line_x_1", np.random.default_rng(5))
     pose = clean.truth_pose.copy()
     change(pose)
-    wheels = np.column_stack([clean.wheel_angle_rad, clean.steering_rad, clean.wheel_rate_rad_s])
     spoilt = build_recording(
-        "line_x_1", Log(clean.t_s, wheels), Log(clean.truth_t_s, pose), motion="line_x", nominal=robot.nominal
+        "line_x_1",
+        Log(clean.t_s, wheels_of(clean)),
+        Log(clean.truth_t_s, pose),
+        motion="line_x",
+        nominal=robot.nominal,
     )
     return clean, spoilt
 
@@ -89,6 +101,27 @@ def test_a_leap_that_lasts_stays_and_is_named_with_its_time(by_m):
     (told,) = spoilt.warnings()
     assert told.startswith("line_x_1: 1 ground-truth leaps that last left as they are (first 11.0 s after")
     assert "leave the recording out" in told
+
+
+def test_the_time_of_a_leap_is_told_from_the_begin_of_the_ground_truth(clean):
+    pose = clean.truth_pose.copy()
+    pose[1100:, :2] += 0.5
+    spoilt = build_recording(
+        "line_x_1", Log(clean.t_s + 1e4, wheels_of(clean)), Log(clean.truth_t_s + 1e4, pose)
+    )
+    assert "(first 11.0 s after its begin, by 0.7" in spoilt.warnings()[0]
+
+
+def test_a_robot_that_drives_on_unseen_for_a_while_has_not_leapt(clean):
+    """Its markers are hidden for three seconds, in which it goes further than any noise."""
+    seen = (clean.truth_t_s < 8.0) | (clean.truth_t_s > 11.0)
+    assert np.linalg.norm(np.diff(clean.truth_pose[seen, :2], axis=0), axis=1).max() > 0.1
+    found = build_recording(
+        "line_x_1",
+        Log(clean.t_s, wheels_of(clean)),
+        Log(clean.truth_t_s[seen], clean.truth_pose[seen]),
+    )
+    assert not any("leap" in what for what in found.repairs)
 
 
 def test_ground_truth_that_leaps_all_the_time_is_refused():

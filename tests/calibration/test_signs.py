@@ -46,6 +46,8 @@ def test_of_a_whole_set_the_one_column_is_named(good, words):
     assert words in str(error.value)
     assert ", or if" not in str(error.value)
     assert "more recordings likewise" in str(error.value)
+    if words == "wheel angles (phi) had":
+        assert f" ({len(good) - 1} more recordings likewise)" in str(error.value)
 
 
 def test_of_one_motion_all_that_it_may_be_is_named(good):
@@ -53,6 +55,24 @@ def test_of_one_motion_all_that_it_may_be_is_named(good):
         check_signs([one if one.name != "line_y_1" else CHANGES["steering (delta) had"](one) for one in good],
                     Nominal())  # fmt: skip
     assert "likewise" not in str(error.value)
+
+
+def beginning(one, seconds):
+    """The first part of a recording."""
+    rows = one.t_s <= one.t_s[0] + seconds
+    names = ("t_s", "wheel_angle_rad", "steering_rad", "wheel_rate_rad_s")
+    cut = {name: getattr(one, name)[rows] for name in names}
+    rows = one.truth_t_s <= one.truth_t_s[0] + seconds
+    return replace(one, **cut, truth_t_s=one.truth_t_s[rows], truth_pose=one.truth_pose[rows])
+
+
+@pytest.mark.parametrize("seconds", [4.0, 1000.0])
+@pytest.mark.parametrize("number", range(len(MOTIONS)))
+def test_a_single_drive_is_enough_however_short_or_of_turns_only(good, number, seconds):
+    one = beginning(good[number], seconds)
+    check_signs([one], Nominal())
+    with pytest.raises(DataError, match=rf"^{one.name}: .*wheel angles \(phi\) had the other sign"):
+        check_signs([CHANGES["wheel angles (phi) had"](one)], Nominal())
 
 
 @pytest.mark.parametrize("command", ["evaluate", "calibrate", "tune"])

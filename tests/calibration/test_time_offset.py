@@ -48,6 +48,19 @@ def test_a_robot_that_never_rests_or_never_moves_tells_nothing(data):
     assert different_clocks([late(cut, 0.2)]) == different_clocks([still]) == []
 
 
+@pytest.mark.parametrize("way", [0.01, 1.0, 100.0], ids=["slow", "as it is", "fast"])
+def test_speeds_that_are_not_alike_tell_nothing_however_fast(data, way):
+    """Wheels that roll in one second of twenty, and ground truth that moves all the time."""
+    one = data[0]
+    t_s = np.arange(0.0, 20.0, 0.01)
+    rolled = way * np.clip(t_s - 9.0, 0.0, 1.0)
+    pose = way * np.column_stack([0.05 * t_s, 0.02 * np.sin(5.0 * t_s), np.zeros_like(t_s)])
+    apart = replace(
+        one, t_s=t_s, wheel_angle_rad=np.outer(rolled, np.ones(4)), truth_t_s=t_s, truth_pose=pose
+    )
+    assert time_offset_s(apart) is None
+
+
 def test_evaluate_says_so(tmp_path, capsys, data):
     write_plain(tmp_path / "line_x_1.csv", late(data[0], 0.2))
     assert main(["evaluate", str(tmp_path)]) == 0

@@ -266,6 +266,8 @@ def test_the_terminal_names_runs_that_ended_in_an_error_and_why(script, capsys):
         (("--set", "gain=1", "--vary", "gain=1,2"), "gain is both given by --set and varied by --vary"),
         (("--vary", "gain=1,2,1e0"), "gain=1 and gain=1e0 are the same setting; name each value once"),
         (("--vary", "fault=imu:off@5;imu:off@5.0"), "fault=imu:off@5 and fault=imu:off@5.0 are the same"),
+        (("--answers", "absent.txt"), "absent.txt"),
+        (("--calibration", "absent.toml"), "absent.toml"),
         (("--vary", "bench.loop.rate_hz=100,100.0"), "bench.loop.rate_hz=100.0 are the same setting"),
     ],
 )

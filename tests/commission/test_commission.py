@@ -16,7 +16,7 @@ from hil.config.record import PARTS, Figure, NewPart, Part, RobotRecord
 from hil.config.record.overlay import identity
 from hil.procedure import BenchSource
 from hil.procedure.ablation import EVERYTHING, NOTHING, settings_of
-from hil.procedure.commission import Commission, commission, running, state
+from hil.procedure.commission import Commission, commission, running, state, stopping
 from hil.procedure.commission.resting import rests_on, why_again
 from hil.procedure.commission.running import _Running, found_signs
 from hil.procedure.commission.stages import STAGES, Stage, placed, stages
@@ -128,6 +128,21 @@ def test_what_was_not_measured_is_told_apart_from_what_is_beyond_its_limits():
     rows = [{"name": name, "outcome": outcome, "value": value} for name, outcome, value in told]
     assert missed(rows) == "beyond their limits: imu.delivered; not measured: odometry.x"
     assert missed(rows[2:]) == "not measured: odometry.x"
+
+
+@pytest.mark.parametrize(
+    ("step", "do"),
+    [(KEEPING, "make room on the disk; then hil"), ("teardown", "look at x/report.html and mend what it")],
+)
+def test_room_is_asked_for_where_the_disk_took_no_result_and_only_there(tmp_path, monkeypatch, step, do):
+    monkeypatch.setattr(stopping, "write_run_page", lambda folder: folder / "report.html")
+    (tmp_path / state.NAME).write_text("{}")
+    problem = Failure("DataError", "it went wrong", step, 4)
+    result = Result("gap", Verdict.ERROR, Path("x"), [], {"held": None}, teardown_errors=(problem,))
+    told = stopping.stopped_at(result, tmp_path)
+    assert told["why"] == "it went wrong"
+    assert told["do"].startswith(do)
+    assert told["report"] == (None if step == KEEPING else "x/report.html")
 
 
 def test_what_the_bench_lacks_is_left_out_and_said():
@@ -302,6 +317,19 @@ def test_what_rests_on_a_key_that_has_changed_is_repeated_and_named(key, value, 
     for name in repeated:
         assert f"the bench file has changed in {key} (" in found[name]
         assert f"{value!r} now)" in found[name]
+
+
+@pytest.mark.parametrize(("count", "more"), [(1, ""), (3, ""), (4, " and 1 more"), (5, " and 2 more")])
+def test_of_many_keys_that_have_changed_three_are_named_and_the_others_counted(count, more):
+    changes = {
+        "robot.mass_kg": 3.3, "robot.supply_v": 11.5, "tracker.scale_sigma": 0.1, "imu.prefetch": False,
+        "adhesion.rated_force_n": 44.0,
+    }  # fmt: skip
+    now = config_of(**dict(list(changes.items())[:count]))
+    (ablation,) = (stage for stage in TINY if stage.name == "wall_ablation")
+    why = why_again(ablation, rests_on(SOURCE.config, {}, None), now, {})
+    assert why.count(" now)") == min(count, 3)
+    assert why.endswith(f" now){more}")
 
 
 def test_a_part_that_is_gone_or_another_has_its_procedure_repeated():

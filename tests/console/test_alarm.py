@@ -81,6 +81,17 @@ def test_a_run_that_found_it_held_takes_it_away_and_the_next_one_may_bring_it_ba
     assert [told["job"] for told in alarm.not_held()] == [names(3)]
 
 
+def test_a_job_that_was_looked_at_before_its_process_was_there_is_heard_all_the_same(tmp_path):
+    """The page asks every second, and may do so while a job is being started."""
+    job = left(tmp_path, 1, None)
+    process = (job.folder / jobs.PROCESS).rename(tmp_path / "later")
+    alarm = Alarm(tmp_path)
+    assert alarm.not_held() == []
+    process.rename(job.folder / jobs.PROCESS)
+    (job.folder / jobs.STDOUT).write_text(json.dumps({"verdict": "FAIL", "held": LOOSE}))
+    assert [told["job"] for told in alarm.not_held()] == [job.name]
+
+
 def test_it_is_kept_however_much_was_started_since(folder):
     for n in range(300):
         job_in(folder / "jobs", f"20260102-000000-{n:06}", out='{"ok": true}')

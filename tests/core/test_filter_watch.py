@@ -70,3 +70,45 @@ def test_poses_that_are_refused_in_a_row_and_the_frame_after_them_are_no_misfit(
         for k in range(8)
     ]
     assert [event.message[:11] for event in told(*row, row[-1], *after)] == ["did not fit"]
+
+
+def test_the_first_poses_of_a_run_may_be_those_that_do_not_fit():
+    watch, events = FilterWatch(), []
+    assert watch.take_off() == (0.0, 0.0)
+    watch.judge(misfits(2.6)[0], events)
+    assert [event.message.rpartition(" by ")[2] for event in events] == ["2.6 mm more"]
+    assert watch.take_off() == (pytest.approx(0.0026), 0.0)
+    assert watch.take_off() == (0.0, 0.0)
+
+
+FORMER = {
+    "refusals": [state(0, rejected_tracker=7.0, reanchored_wheels=1.0, rejected_wheels=9.0)],
+    "a misfit": misfits(1.0, 2.0, 3.0),
+    "a far innovation": [state(0, nis_mean_tracker=2.0, innovation_tracker_m=0.5)],
+    "a mean": misfits(2.6),
+}
+
+
+@pytest.mark.parametrize("former", FORMER.values(), ids=FORMER)
+@pytest.mark.parametrize(
+    "run",
+    [
+        misfits(2.6, 3.0),
+        [state(1, 0.007, reanchored_wheels=1.0, rejected_wheels=9.0)],
+        [state(1, 0.007, reanchored_tracker=1.0, rejected_tracker=7.0)],
+        [state(0)],
+    ],
+)
+def test_a_run_is_judged_as_the_first_one_whatever_was_before_it(former, run):
+    found = []
+    for before in ([], former):
+        watch, events = FilterWatch(), []
+        for one in before:
+            watch.judge(one, [])
+        watch.reset()
+        off = [watch.take_off()]
+        for one in run:
+            watch.judge(one, events)
+            off.append(watch.take_off())
+        found.append((events, off))
+    assert found[0] == found[1]

@@ -15,17 +15,26 @@ CYCLE_NS = 10_000_000
 WAY = line((0, 0, 0), (0.25, 0, 0), duration_s=6.0)
 
 
-def judged(covariance=None, *, of_cycle=0, now_cycle=None):
+def judged(covariance=None, *, of_cycle=0, now_cycle=None, pose=(0.0, 0.0, 0.0), twist=(0.0, 0.0, 0.0)):
     """The stop of a supervisor that has judged the cycle `now_cycle`; None where the estimate passes."""
     supervisor = Supervisor(SafetyLimits(stale_s={}))
     if now_cycle is not None:
         supervisor.check(Inputs(now_cycle, now_cycle * CYCLE_NS))
     covariance = np.eye(6) if covariance is None else covariance
     try:
-        supervisor.guard(RobotState(of_cycle * CYCLE_NS, np.zeros(3), np.zeros(3), covariance), None)
+        supervisor.guard(RobotState(of_cycle * CYCLE_NS, np.array(pose), np.array(twist), covariance), None)
     except SafetyStop as stop:
         return stop
     return None
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("place", range(3))
+@pytest.mark.parametrize("what", ["pose", "twist"])
+def test_one_number_that_is_none_makes_the_whole_estimate_useless(what, place, value):
+    values = np.zeros(3)
+    values[place] = value
+    assert judged(**{what: values}).reason == "not_finite"
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])

@@ -30,6 +30,22 @@ def test_a_value_is_judged_by_its_distance_to_the_limits(value, verdict):
     assert Measurement("m", "mm", low=0.0, high=10.0, marginal=1.0).judge(value) is Verdict(verdict)
 
 
+@pytest.mark.parametrize(
+    ("limits", "fails", "marginal", "passes"),
+    [({"low": 1.0}, 0.9, 1.1, 9e9), ({"high": 1.0}, 1.1, 0.9, -9e9), ({"high": 0.0}, 0.1, 0.0, -0.5)],
+)
+def test_one_limit_alone_decides_as_two_do(limits, fails, marginal, passes):
+    m = Measurement("m", "mm", marginal=0.2, **limits)
+    told = [m.judge(value).value for value in (fails, marginal, passes)]
+    assert (told, m.limited) == (["FAIL", "MARGINAL", "PASS"], True)
+    assert not Measurement("m", "mm").limited
+
+
+def test_a_measurement_has_a_name():
+    with pytest.raises(UsageError, match="a measurement without name"):
+        Measurement("", "mm")
+
+
 @given(st.floats(-1e6, 1e6), st.floats(-1e3, 1e3), st.floats(0.0, 1e3))
 def test_inside_the_limits_is_never_a_failure_and_outside_always(value, low, width):
     m = Measurement("m", "mm", low=low, high=low + width)

@@ -3,12 +3,14 @@
 import gzip
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hil.calibration.artefact import read_calibration
 from hil.calibration.calibrate import calibrate
+from hil.calibration.copies import is_copy
 from hil.calibration.problem import RECOMMENDED
 from hil.calibration.synthetic import hidden_robot, make_set
 from hil.cli import main
@@ -127,6 +129,42 @@ def test_copies_that_differ_in_form_are_not_held_out(tmp_path, drives, capsys, c
     assert any("no motion is repeated" in line for line in found["warnings"])
     named = [line for line in found["warnings"] if "copy of it left out" in line]
     assert [line.partition(":")[0] for line in named] == [f"{m}_1" for m in sorted(MOTIONS)]
+
+
+def test_a_copy_by_another_clock_is_one(drives):
+    one = drives[0]
+    later = replace(one, t_s=one.t_s + 1.7e9, truth_t_s=one.truth_t_s + 1.7e9)
+    assert is_copy(one, later)
+    assert is_copy(later, one)
+    late = replace(later, truth_t_s=later.truth_t_s + 0.5)  # what was seen half a second later is another way
+    assert not is_copy(one, late)
+    assert not is_copy(late, one)
+
+
+@pytest.mark.parametrize("place", range(3))
+@pytest.mark.parametrize(
+    "rows", [slice(0, 3), slice(100, 103), slice(-3, None)], ids=["first", "in it", "last"]
+)
+def test_the_same_wheels_with_other_ground_truth_are_no_copy(drives, rows, place):
+    one = drives[0]
+    for off, alike in ((2e-3, False), (2e-4, True)):
+        pose = one.truth_pose.copy()
+        pose[rows, place] += off
+        assert is_copy(one, replace(one, truth_pose=pose)) is alike
+        assert is_copy(replace(one, truth_pose=pose), one) is alike
+
+
+@pytest.mark.parametrize("column", ["wheel_angle_rad", "steering_rad"])
+def test_other_wheels_with_the_same_ground_truth_are_no_copy(drives, column):
+    one = drives[0]
+    values = getattr(one, column).copy()
+    values[50, 2] += 1e-4
+    assert not is_copy(one, replace(one, **{column: values}))
+    times_s = one.t_s.copy()
+    times_s[50] += 1e-3
+    assert not is_copy(one, replace(one, t_s=times_s))
+    names = ("t_s", "wheel_angle_rad", "steering_rad", "wheel_rate_rad_s")
+    assert not is_copy(one, replace(one, **{name: getattr(one, name)[:-1] for name in names}))
 
 
 def test_a_copy_called_by_another_motion_is_none_either(tmp_path, drives):

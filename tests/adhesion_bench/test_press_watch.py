@@ -1,0 +1,145 @@
+"""What presses a robot on its wall by what fan, cells and propellers tell: believed while it can be true."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hil.bench.pressing import RUN_DOWN_S, PressWatch
+from hil.bench.settings import adhesion_limits
+from hil.config.loading import load_bench
+from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.signals import LoadCellSample, Stamp, Status
+
+LIMITS = replace(adhesion_limits(load_bench("emulated")), nominal_thrust_n=0.0, zero_n=0.0)
+NEED_N = LIMITS.statics.needed_n(0.0, 0.0)
+STALE_S, TIMEOUT_S, STEP_S = LIMITS.stale_s, 0.5, 0.02
+WITHOUT = replace(LIMITS, nominal_thrust_n=20.0)
+REPORTS = replace(WITHOUT, reports_thrust=True, full_thrust_n=20.0)
+
+
+class Press:
+    """A watch with devices that deliver what is put there, and a clock of its own."""
+
+    def __init__(self, limits=LIMITS):
+        self.waiting, self.t_s = {"adhesion": [], "load_cells": [], "thrust": []}, 100.0
+        self.watch = PressWatch(
+            SimpleNamespace(get=self._device), limits, SimpleNamespace(timeout_s=TIMEOUT_S)
+        )
+        self.watch.begin(self._ns())
+
+    def _ns(self):
+        return round(self.t_s * 1e9)
+
+    def _device(self, name):
+        return SimpleNamespace(read=lambda: self._read(name))
+
+    def _read(self, name):
+        taken, self.waiting[name] = self.waiting[name], []
+        if taken is None:
+            raise DeviceError(name, "does not answer")
+        return taken
+
+    def doubt(self, *, fan=None, cells=None, push=None, sees_slide=True, after_s=STEP_S):
+        """What is doubted some time after the last time, when these forces, N, have just been measured."""
+        self.t_s += after_s
+        stamp = Stamp(self._ns(), self._ns(), 0)
+        if fan is not None:
+            speed_rpm = LIMITS.rated_rpm * (fan / LIMITS.rated_n) ** 0.5
+            self.waiting["adhesion"] = [SimpleNamespace(stamp=stamp, status=Status.OK, speed_rpm=speed_rpm)]
+        if cells is not None:
+            halves = np.array([0.5 * cells] * 2)
+            self.waiting["load_cells"] = [LoadCellSample(stamp, halves, (Status.OK, Status.OK), (0, 0))]
+        if push is not None:
+            throttle = (push / REPORTS.full_thrust_n) ** 0.5
+            self.waiting["thrust"] = [SimpleNamespace(stamp=stamp, status=Status.OK, throttle=throttle)]
+        return self.watch.doubt(self._ns(), sees_slide=sees_slide)
+
+    def words(self):
+        return self.watch.in_words(self._ns())
+
+
+def test_enough_is_what_the_robot_needs_by_everybody_who_measures():
+    press = Press()
+    assert "nobody measures it" in press.doubt()
+    assert press.doubt(fan=1.02 * NEED_N) == ""
+    assert press.doubt(fan=1.02 * NEED_N, cells=1.02 * NEED_N) == ""
+    assert f"{NEED_N:.1f} N are needed" in press.doubt(fan=1.02 * NEED_N, cells=0.98 * NEED_N)
+    assert "are needed" in press.doubt(fan=0.98 * NEED_N, cells=1.02 * NEED_N)
+
+
+def test_what_was_heard_a_while_ago_is_no_force():
+    press = Press()
+    assert press.doubt(fan=2.0 * NEED_N) == ""
+    assert press.doubt(after_s=0.9 * STALE_S) == ""
+    assert "nobody measures it" in press.doubt(after_s=0.2 * STALE_S)
+    assert press.words().endswith(
+        "pressed on the wall: nothing by the fan's speed, nothing by the load cells"
+    )
+
+
+def test_a_look_right_after_another_one_begins_anew():
+    press = Press()
+    assert press.doubt(fan=2.0 * NEED_N) == ""
+    press.watch.begin(press._ns())
+    assert "nobody measures it" in press.doubt(after_s=0.0)
+
+
+def test_a_fan_that_fails_to_answer_is_silent_and_ends_nothing():
+    press = Press()
+    press.waiting["adhesion"] = press.waiting["load_cells"] = None
+    assert "nobody measures it" in press.doubt()
+
+
+def steady(press, seconds, **forces):
+    """What is doubted at each step of a while in which the same is measured."""
+    return [press.doubt(**forces) for _ in range(round(seconds / STEP_S))]
+
+
+def test_with_a_silent_fan_the_cells_must_feel_enough_for_longer_than_it_takes_to_run_down():
+    press, lasts_s = Press(), RUN_DOWN_S + TIMEOUT_S
+    early = steady(press, lasts_s - 0.1, cells=2.0 * NEED_N)
+    assert all("the fan's controller is silent" in doubt for doubt in early)
+    assert "are needed" in press.doubt(cells=0.9 * NEED_N)
+    again = steady(press, lasts_s + 0.2, cells=2.0 * NEED_N)
+    assert all(
+        "the fan's controller is silent" in doubt for doubt in again[: round((lasts_s - 0.1) / STEP_S)]
+    )
+    assert again[-5:] == [""] * 5
+    assert press.watch.feels(press._ns())
+
+
+@pytest.mark.parametrize(("falls_n_s", "doubted"), [(0.1 * NEED_N, False), (1.2 * NEED_N, True)])
+def test_a_force_that_will_not_be_enough_once_the_fan_has_run_down_is_doubted_before(falls_n_s, doubted):
+    press, force_n, doubts = Press(), 2.0 * NEED_N, []
+    for _ in range(20):
+        doubts.append(press.doubt(fan=force_n))
+        force_n -= falls_n_s * STEP_S
+    assert force_n > 1.3 * NEED_N
+    assert any("the force by the fan's speed falls by" in doubt for doubt in doubts) is doubted
+
+
+def test_propellers_that_report_nothing_count_once_it_was_seen_for_long_enough_that_nothing_slides():
+    enough_n = 1.02 * WITHOUT.statics.needed_n(20.0, 0.0)
+    assert enough_n < 0.95 * NEED_N
+    press = Press(WITHOUT)
+    early = steady(press, 0.5, fan=enough_n)
+    assert all("has not been seen at rest for long" in doubt for doubt in early)
+    assert all(f"{NEED_N:.1f} N are needed without the propellers" in doubt for doubt in early)
+    assert steady(press, 0.3, fan=enough_n)[-5:] == [""] * 5
+    assert "nobody sees whether it slides" in press.doubt(fan=enough_n, sees_slide=False)
+    assert press.words().endswith("the propellers report nothing")
+
+
+def test_propellers_that_report_count_by_what_they_report_and_while_they_do():
+    enough_n = 1.02 * REPORTS.statics.needed_n(20.0, 0.0)
+    press = Press(REPORTS)
+    silent = f"{NEED_N:.1f} N are needed without the propellers: their controllers are silent"
+    assert silent in press.doubt(fan=enough_n)
+    assert press.doubt(fan=enough_n, push=20.0, sees_slide=False) == ""
+    assert "with the 10.0 N that the propellers report" in press.doubt(fan=enough_n, push=10.0)
+    assert press.doubt(fan=enough_n, push=20.0) == ""
+    steady(press, STALE_S - 0.05, fan=enough_n)
+    assert silent in steady(press, 0.15, fan=enough_n)[-1]
+    assert "report nothing" not in press.words()
