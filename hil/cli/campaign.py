@@ -19,7 +19,7 @@ from hil.cli.output import kept_for_json
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, DataError, UsageError
 from hil.vocabulary.files import check_name, write_text
-from hil.vocabulary.result_files import CAMPAIGN_CSV, CAMPAIGN_PAGE, CAMPAIGN_TABLE, ROWS, RUNS
+from hil.vocabulary.result_files import CAMPAIGN_CSV, CAMPAIGN_PAGE, CAMPAIGN_TABLE, LOST, ROWS, RUNS
 
 if TYPE_CHECKING:
     from hil.procedure.campaign import Case, Row
@@ -176,7 +176,7 @@ def _run(
 
 
 def exit_code(rows: Sequence[Row]) -> int:
-    """0 all good, 1 a limit failed or a fault never acted, else that of the first run with an error."""
+    """0 all good, 1 a limit failed or a fault never acted, else that of the first run in error or lost."""
     broken = next(
         (row.exit_code for row in rows if row.exit_code not in (EXIT_PASS, EXIT_LIMIT_FAILED)), None
     )
@@ -234,19 +234,21 @@ def _text(tree: dict[str, Any]) -> str:
                 span += f" in {m['n']} of {m['of']} runs; {in_words(m['missing'])}"
             lines.append(f"  {m['name']:42}{number(m['median']):>11} {m['unit']:6} {span}")
     lines += map(in_a_sentence, tree["alike"])
-    broken = [row for row in tree["rows"] if row["verdict"] in ("ERROR", "LOST")]
+    broken = [row for row in tree["rows"] if row["verdict"] in ("ERROR", LOST)]
     lines += [f"{row['verdict']} {row['case']}: {_line(row['error'])}" for row in broken[:_SHOWN]]
     if len(broken) > _SHOWN:
         lines.append(f"{len(broken) - _SHOWN} more such runs are in {CAMPAIGN_CSV}")
     counted = ", ".join(f"{n} {verdict}" for verdict, n in tree["verdicts"].items())
     if untested := tree["cases"] - sum(group["tested"] for group in tree["groups"]):
-        counted += f"; {untested} of them NOT TESTED: a fault never acted"
+        lost = sum(group["lost"] for group in tree["groups"])
+        whys = ["a fault never acted"] * (untested > lost) + ["they left no result"] * bool(lost)
+        counted += f"; {untested} of them NOT TESTED: {', or '.join(whys)}"
     return "\n".join([*lines, f"{tree['verdict']}: {tree['procedure']}, {counted}"])
 
 
 def _share(group: dict[str, Any]) -> str:
-    """How many runs of a combination were good, of those in which its faults have acted."""
-    from hil.procedure.campaign.table import never_acted
+    """How many runs of a combination were good, of those that tested what they were to."""
+    from hil.procedure.campaign.table import not_tested
 
     said, tested = f"{group['n']} runs", group["tested"]
     if tested:
@@ -255,5 +257,6 @@ def _share(group: dict[str, Any]) -> str:
         share = f"{100 * group['pass_share']:.0f} % good{of_tested}"
         said += f", {share} (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
     if tested < group["n"]:
-        said += f", {group['n'] - tested} NOT TESTED: {never_acted(group['faults_not_begun'])}"
+        why = not_tested(group["faults_not_begun"], group["lost"])
+        said += f", {group['n'] - tested} NOT TESTED: {why}"
     return said

@@ -24,7 +24,7 @@ from hil.report.run_plots import PALETTE, new_figure, style
 from hil.vocabulary.errors import DataError, UsageError
 from hil.vocabulary.files import write_text
 from hil.vocabulary.reading import read_json
-from hil.vocabulary.result_files import CAMPAIGN_TABLE, PASSED, PLAN
+from hil.vocabulary.result_files import CAMPAIGN_TABLE, LOST, PASSED, PLAN
 
 _SURE = 0.95
 
@@ -49,6 +49,16 @@ class _Row(_Part):
         """Whether it kept its limits."""
         return self.verdict in PASSED
 
+    @property
+    def lost(self) -> bool:
+        """Whether it left no result."""
+        return self.verdict == LOST
+
+    @property
+    def tested(self) -> bool:
+        """Whether it has a result, and all its faults have acted."""
+        return not (self.lost or self.faults_not_begun)
+
     def value(self, name: str) -> float | None:
         """Of a measurement; None where it has none."""
         return self.measurements[name].value if name in self.measurements else None
@@ -71,10 +81,11 @@ def compare_campaigns(first: Path, second: Path) -> dict[str, Any]:
     Returns:
         JSON values: `procedure`, `folders`, `differences` (option, file or package, and what it was in both;
         None where that is not known), `cases` (in both), `only_first`, `only_second`, `not_tested` (cases in
-        both of which a fault never acted in one: they are left out of what follows), `verdicts` (cases that
-        only one passed, with the p value of the exact McNemar test), `measurements`: unit, pairs (cases with
-        a value in both) `of` so many, medians, mean difference (second minus first) with its 95 % interval
-        (Student's t), p value of the Wilcoxon signed-rank test, and the differences by case; `missing`: cases
+        both of which one was LOST, or a fault of it never acted: they are left out of what follows), `lost`
+        (those of them of which one was LOST), `verdicts` (cases that only one passed, with the p value of the
+        exact McNemar test), `measurements`: unit, pairs (cases with a value in both) `of` so many, medians,
+        mean difference (second minus first) with its 95 % interval (Student's t), p value of the Wilcoxon
+        signed-rank test, and the differences by case; `missing`: cases
         without a value of a measurement, in the `first` and in the `second`.
 
     Raises:
@@ -95,7 +106,7 @@ def compare_campaigns(first: Path, second: Path) -> dict[str, Any]:
             expected="the same seeds and varied settings in both", remedy="put what differs into --set",
         )  # fmt: skip
     every = [(rows[0][case], rows[1][case]) for case in cases]
-    pairs = [(a, b) for a, b in every if not (a.faults_not_begun or b.faults_not_begun)]
+    pairs = [(a, b) for a, b in every if a.tested and b.tested]
     names = dict.fromkeys(name for pair in pairs for row in pair for name in row.measurements)
     return {
         "procedure": trees[0].procedure,
@@ -104,7 +115,8 @@ def compare_campaigns(first: Path, second: Path) -> dict[str, Any]:
         "cases": len(cases),
         "only_first": [case for case in rows[0] if case not in rows[1]],
         "only_second": [case for case in rows[1] if case not in rows[0]],
-        "not_tested": [a.case for a, b in every if a.faults_not_begun or b.faults_not_begun],
+        "not_tested": [a.case for a, b in every if not (a.tested and b.tested)],
+        "lost": [a.case for a, b in every if a.lost or b.lost],
         "verdicts": _verdicts(pairs),
         "measurements": [m for name in names if (m := _measurement(name, pairs)) is not None],
         "missing": [m for name in names if (m := _missing(name, pairs)) is not None],
@@ -165,8 +177,9 @@ def _missing(name: str, pairs: Sequence[tuple[_Row, _Row]]) -> dict[str, Any] | 
 def campaigns_text(table: Mapping[str, Any]) -> str:
     """The comparison for a terminal."""
     one, two = table["verdicts"]["good"]
-    untested = len(table["not_tested"])
-    left_out = f", {untested} NOT TESTED (a fault never acted) are left out" if untested else ""
+    untested, lost = len(table["not_tested"]), len(table["lost"])
+    why = ", ".join(["a fault never acted"] * (untested > lost) + [f"{lost} {LOST}"] * bool(lost))
+    left_out = f", {untested} NOT TESTED ({why}) are left out" if untested else ""
     lines = [
         f"{table['procedure']}: {table['cases']} cases in both{left_out}; good: {one} and then {two} "
         f"(p = {table['verdicts']['p']:.2g})"

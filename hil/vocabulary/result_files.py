@@ -30,3 +30,6 @@ COMPARISON, TRENDS = "compare.html", "trends.html"
 
 PASSED = ("PASS", "MARGINAL")
 """Verdicts of what kept its limits, so that its findings may be used."""
+
+LOST = "LOST"
+"""In place of a verdict: a run of a campaign that left no result, which says nothing about the robot."""

@@ -86,15 +86,15 @@ FULL_AT_THE_END = '''
 import errno
 from pathlib import Path
 
-usual = Path.write_text
+usual = Path.open
 
-def write(path, *arguments, **options):
-    if path.name == "report.html":
+def open_it(path, *arguments, **options):
+    if path.name.startswith("report.html"):
         raise OSError(errno.ENOSPC, "No space left on device")
     return usual(path, *arguments, **options)
 
 def dask_setup(worker):
-    Path.write_text = write
+    Path.open = open_it
 '''
 OTHER = '''
 """A worker with another version of the package."""

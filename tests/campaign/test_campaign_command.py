@@ -3,6 +3,7 @@
 import csv
 import errno
 import json
+import logging
 import os
 import re
 import signal
@@ -259,6 +260,8 @@ def test_the_terminal_names_runs_that_ended_in_an_error_and_why(script, capsys):
         (("--vary", "fault=none;mocap:bus_off"), "mocap cannot produce the fault 'bus_off'"),
         (("--vary", "bench.colour=red"), "colour: unknown key"),
         (("--seeds", "ten"), "--seeds 'ten' cannot be read"),
+        (("--seeds", "1,1"), "--seeds '1,1': 1 is named twice; name each value once"),
+        (("--vary", "gain=1,1"), "--vary 'gain=1,1': 1 is named twice; name each value once"),
         (("--bench", "sensors"), "needs mocap, which the bench 'sensors' lacks"),
         (("--resume",), "there is no campaign to resume"),
         (("--set", "bench.mocap.backend=real"), "mocap cannot be real in a campaign"),
@@ -317,6 +320,19 @@ def test_an_error_in_one_run_is_a_row(campaign):
     assert code == 3
     assert [row["verdict"] for row in tree["rows"]] == ["PASS", "ERROR"]
     assert "servos" in tree["rows"][1]["error"]
+
+
+def test_a_warning_of_a_run_names_its_case(tmp_path, monkeypatch, caplog, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "warns.py").write_text(
+        "import logging\nfrom hil.procedure import procedure\n\n@procedure(name='warns')\n"
+        "def run(ctx):\n    logging.getLogger('hil.x').warning('%s has started again', 'tracker')\n"
+    )
+    assert main(["campaign", "warns.py", "--seeds", "0:2", "--workers", "0", "--out", "o"]) == 0
+    logging.getLogger("hil.x").warning("after it")
+    assert caplog.messages == [
+        "seed=0: tracker has started again", "seed=1: tracker has started again", "after it"
+    ]  # fmt: skip
 
 
 def test_a_run_that_is_aborted_ends_the_campaign_until_it_is_resumed(campaign, tmp_path):

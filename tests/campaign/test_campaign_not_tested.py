@@ -1,11 +1,14 @@
 """A fault that never acted is not withstood: such a run counts as neither good nor bad, and is told."""
 
 import csv
+import errno
 import json
+import os
 
 import pytest
 
 from hil.cli import main
+from hil.procedure import results
 from hil.procedure.campaign import Case, Row, summarise
 
 SCRIPT = '''
@@ -82,3 +85,50 @@ def test_an_untested_failure_is_not_counted_either():
     (group,) = summarise(rows)
     assert (group["n"], group["tested"], group["good"], group["pass_share"]) == (3, 1, 1, 1.0)
     assert group["faults_not_begun"] == {"imu:off@9": 2}
+
+
+def no_room_for(monkeypatch, *seeds):
+    """The disk takes no result of these seeds."""
+    usual = results._replace
+
+    def replace(path, text):
+        if path.parent.name in {f"seed={seed}" for seed in seeds}:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        usual(path, text)
+
+    monkeypatch.setattr(results, "_replace", replace)
+
+
+def test_a_run_that_left_no_result_is_lost_and_counts_as_neither_good_nor_bad(
+    campaign, tmp_path, monkeypatch
+):
+    no_room_for(monkeypatch, 1, 3)
+    code, said = campaign("--seeds", "0:4")
+    assert code == 4
+    assert "all: 4 runs, 100 % good of 2 tested (95 %" in said
+    assert "2 NOT TESTED: 2 LOST\n" in said
+    assert "[0.3 to 2.3]\n" in said
+    assert "ended before" not in said
+    assert "result.json: cannot be written (No space left on device)" in said
+    assert "holds no result.json" not in said
+    assert "ERROR: hold, 2 LOST, 2 PASS; 2 of them NOT TESTED: they left no result" in said
+    tree = json.loads((tmp_path / "o" / "campaign.json").read_text())
+    (group,) = tree["groups"]
+    assert (group["n"], group["tested"], group["lost"], group["good"]) == (4, 2, 2, 2)
+    assert group["pass_share"] == 1.0
+    assert (group["measurements"][0]["of"], group["measurements"][0]["missing"]) == (2, {})
+    page = (tmp_path / "o" / "campaign.html").read_text()
+    assert "2 of 4 runs tested nothing (2 LOST); 2 of the other 2 kept their limits.</p>" in page
+    assert "2 LOST: they left no result, which is no fault of the robot" in page
+    monkeypatch.undo()
+    monkeypatch.chdir(tmp_path)
+    code, said = campaign("--seeds", "0:4", "--resume")
+    assert (code, "4 runs, 100 % good (95 %" in said) == (0, True), said
+
+
+def test_lost_runs_and_faults_that_never_acted_are_told_apart(campaign, monkeypatch):
+    no_room_for(monkeypatch, 0)
+    code, said = campaign("--seeds", "0:4", "--set", "bench.name=a", "--fault", "tracker:off@2")
+    assert code == 4
+    assert "2 NOT TESTED: tracker:off@2 never acted in 1, 1 LOST\n" in said
+    assert "2 of them NOT TESTED: a fault never acted, or they left no result" in said

@@ -12,9 +12,7 @@ from hil.procedure.campaign.table import NEVER_SET, wilson
 from hil.vocabulary.errors import UsageError
 
 
-@pytest.mark.parametrize(
-    ("text", "seeds"), [("0:4", (0, 1, 2, 3)), ("7", (7,)), ("3,1:3, 3", (3, 1, 2)), ("5,5:7", (5, 6))]
-)
+@pytest.mark.parametrize(("text", "seeds"), [("0:4", (0, 1, 2, 3)), ("7", (7,)), ("3,1:3, 5", (3, 1, 2, 5))])
 def test_seeds(text, seeds):
     assert parse_seeds(text) == seeds
 
@@ -30,6 +28,17 @@ def test_seeds_that_mean_nothing(text):
 def test_a_range_without_a_seed_is_named():
     with pytest.raises(UsageError, match=r"--seeds '1,5:5': no seed lies in 5:5; expected 0:10 for 0 to 9"):
         parse_seeds("1,5:5")
+
+
+@pytest.mark.parametrize("text", ["1,1", "5,3:7", "3,1:3, 3"])
+def test_a_seed_is_named_once(text):
+    with pytest.raises(UsageError, match=r"[135] is named twice; name each value once"):
+        parse_seeds(text)
+
+
+def test_a_value_is_named_once():
+    with pytest.raises(UsageError, match=r"--vary 'gain=2,1,1': 1 is named twice; name each value once"):
+        parse_axis("gain=2,1,1")
 
 
 @pytest.mark.parametrize(

@@ -132,6 +132,28 @@ def test_cases_in_which_a_fault_never_acted_are_left_out(tmp_path, capsys):
     assert "1 of them are left out" in (tmp_path / "one" / "compare.html").read_text()
 
 
+def test_lost_cases_are_no_failures_and_are_left_out(tmp_path, capsys):
+    whole = {f"seed={k}": ("PASS", 5.0 + k) for k in range(5)}
+    holes = {**whole, "seed=1": ("LOST", None), "seed=3": ("LOST", None), "seed=4": ("FAIL", 40.0)}
+    first, second = campaign(tmp_path / "one", whole), campaign(tmp_path / "two", holes)
+    path = tmp_path / "one" / "campaign.json"
+    tree = json.loads(path.read_text())
+    tree["rows"][0]["faults_not_begun"] = ["imu:off@500"]
+    path.write_text(json.dumps(tree))
+    assert main(["report", first, second, "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    assert (table["not_tested"], table["lost"]) == (["seed=0", "seed=1", "seed=3"], ["seed=1", "seed=3"])
+    assert table["verdicts"] == {"good": [2, 1], "better": [], "worse": ["seed=4"], "p": 1.0}
+    assert (table["measurements"][0]["pairs"], table["measurements"][0]["of"], table["missing"]) == (2, 2, [])
+    assert main(["report", first, second]) == 0
+    said = capsys.readouterr().out
+    assert "5 cases in both, 3 NOT TESTED (a fault never acted, 2 LOST) are left out; good: 2 and" in said
+    page = (tmp_path / "one" / "compare.html").read_text()
+    assert "3 of them are left out: a fault never acted, 2 LOST." in page
+    assert 'Cases that are left out: LOST in one of them</h3>\n<p class="words">seed=1; seed=3</p>' in page
+    assert 'Cases that are left out: a fault never acted</h3>\n<p class="words">seed=0</p>' in page
+
+
 def test_what_they_were_given_differently_is_listed(tmp_path, capsys):
     values = {"seed=0": ("PASS", 5.0)}
     folders = [campaign(tmp_path / name, values) for name in ("one", "two")]

@@ -1,13 +1,17 @@
 """Workers of a Dask cluster elsewhere: they must be of one make with this computer, and are sent the files.
 
+Who cannot be used is named and leaves the cluster; the files go again when the campaign ends.
+
 Needs the extra `campaign`; imported by those that spread work over a scheduler only.
 """
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -15,7 +19,7 @@ from typing import Any
 from distributed import Client, Worker, WorkerPlugin, get_worker
 
 from hil.procedure.campaign.parcel import Parcel, unpacked
-from hil.vocabulary.errors import UsageError
+from hil.vocabulary.errors import Aborted, DataError, UsageError
 from hil.vocabulary.extras import DISTRIBUTION
 from hil.vocabulary.versions import make
 
@@ -92,14 +96,57 @@ def _other(who: str, name: str, there: str, here: str) -> UsageError:
     )
 
 
+@contextmanager
+def carried(client: Client, parcel: Parcel) -> Iterator[None]:
+    """Have every worker keep the files of a campaign, until it ends in whatever way.
+
+    Raises:
+        Aborted: no worker has room for them; names each.
+    """
+    try:
+        client.register_plugin(Luggage(parcel))
+        _leave_out_full(client, parcel.name)
+        yield
+    finally:
+        if client.status == "running":  # a scheduler that has gone would be waited for
+            with suppress(OSError, LookupError, ValueError, asyncio.TimeoutError):  # of workers that leave
+                client.unregister_worker_plugin(parcel.name)
+
+
+def _leave_out_full(client: Client, name: str) -> None:
+    """Do without the workers that could not keep the files."""
+    answers = _asked(client, lacking, name)
+    full = {worker: why for worker, why in answers if why}
+    if full and len(full) == len(answers):
+        raise Aborted(
+            f"no worker can keep the files of this campaign: {'; '.join(map(str, full.values()))}",
+            remedy="make room there, then go on with --resume",
+        )
+    for worker, why in full.items():
+        do_without(client, worker, str(why))
+
+
+def do_without(client: Client, worker: str, why: str) -> bool:
+    """Name a worker that can do no run, and have it leave; the last one stays, and the answer is False."""
+    known = client.scheduler_info(n_workers=-1)["workers"]
+    if not set(known) - {worker}:
+        return False
+    if worker in known:
+        LOG.warning("%s; it gets no more runs, and ends", why)
+        client.retire_workers([worker])
+    return True
+
+
 class Luggage(WorkerPlugin):  # type: ignore[misc]  # distributed has no types
     """Has every worker, also one that comes later, unpack the files of a campaign into its own folder."""
 
     def __init__(self, parcel: Parcel) -> None:
-        self.name, self.content, self.make = parcel.name, parcel.content, make()
+        self.name, self.content, self.make, self.lacking = parcel.name, parcel.content, make(), ""
 
     def setup(self, worker: Worker) -> None:
         """Unpack; a worker that came later and is of another make tells what differs, and leaves.
+
+        `lacking` says afterwards why the files could not be written, and is empty where they were.
 
         Raises:
             UsageError: the worker has other packages or another Python.
@@ -109,8 +156,11 @@ class Luggage(WorkerPlugin):  # type: ignore[misc]  # distributed has no types
             worker.loop.call_later(_TOLD_S, worker.close)
             raise other
         folder = Path(worker.local_directory) / self.name
-        if not folder.exists():
-            unpacked(self.content, folder)
+        try:
+            if not folder.exists():
+                unpacked(self.content, folder)
+        except DataError as error:
+            self.lacking = f"worker {worker.address}: {error}"
 
     def teardown(self, worker: Worker) -> None:
         """Leave nothing behind."""
@@ -120,6 +170,11 @@ class Luggage(WorkerPlugin):  # type: ignore[misc]  # distributed has no types
 def luggage(name: str) -> Path:
     """Where the worker that asks keeps the files of a campaign."""
     return Path(get_worker().local_directory) / name
+
+
+def lacking(name: str, dask_worker: Worker) -> str:
+    """Why a worker could not keep the files of a campaign, with its address; empty where it has them."""
+    return str(getattr(dask_worker.plugins.get(name), "lacking", ""))
 
 
 def address() -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from markupsafe import Markup
 
 from hil.procedure.campaign.alike import in_a_sentence
-from hil.procedure.campaign.table import NEVER_SET, NOT_FINITE, Row, count, in_words, never_acted
+from hil.procedure.campaign.table import NEVER_SET, NOT_FINITE, Row, count, in_words, not_tested
 from hil.report.figures import drawn_image
 from hil.report.pages import environment
 from hil.report.run_plots import PALETTE, new_figure, style
@@ -43,9 +43,9 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
         environment()
         .get_template("campaign.html")
         .render(
-            campaign=tree, sentence=_sentence(rows), not_tested=sum(not row.tested for row in rows),
+            campaign=tree, sentence=_sentence(rows), untested=sum(not row.tested for row in rows),
             alike=[in_a_sentence(found) for found in tree["alike"]],
-            never_acted=never_acted, in_words=in_words,
+            not_tested=not_tested, lost=sum(row.lost for row in rows), in_words=in_words,
             incomplete=any(m["missing"] for group in tree["groups"] for m in group["measurements"]),
             figures=figures, rows=shown, hidden=len(rows) - len(shown), names=list(names),
             reports=[_report(row) for row in shown], commands=[commands[row.case.name] for row in shown],
@@ -55,14 +55,15 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
 
 
 def _sentence(rows: Sequence[Row]) -> str:
-    """How many runs were good, which faults were never tested, and what limits were missed most often."""
+    """How many runs were good, why others tested nothing, and what limits were missed most often."""
     tested, good = sum(row.tested for row in rows), sum(row.good for row in rows)
     if tested == len(rows):
         said = f"{good} of {tested} runs kept their limits."
     else:
-        never = never_acted(count(spec for row in rows for spec in row.faults_not_begun))
+        faults = count(spec for row in rows for spec in row.faults_not_begun)
+        why = not_tested(faults, sum(row.lost for row in rows))
         kept = f"{good} of the other {tested} kept their limits" if tested else "there are no others"
-        said = f"{len(rows) - tested} of {len(rows)} runs tested nothing ({never}); {kept}."
+        said = f"{len(rows) - tested} of {len(rows)} runs tested nothing ({why}); {kept}."
     failed = [
         (n, m) for row in rows if row.tested for n, m in row.measurements.items() if m["outcome"] == "FAIL"
     ]
@@ -73,7 +74,7 @@ def _sentence(rows: Sequence[Row]) -> str:
     ):
         if missed := Counter(name for name, m in failed if m["missing"] == why):
             said += f" {words}: {_most(missed)}."
-    ended = sum(bool(row.error) for row in rows)
+    ended = sum(bool(row.error) and not row.lost for row in rows)
     return said + (f" {ended} ended early." if ended else "")
 
 
@@ -90,7 +91,7 @@ def _report(row: Row) -> str:
 
 
 def _values(name: str, rows: Sequence[Row]) -> list[float]:
-    """Finite values of the runs in which all faults have acted."""
+    """Finite values of the runs that tested what they were to."""
     found = (row.measurements.get(name) for row in rows if row.tested)
     return [m["value"] for m in found if m and m["value"] is not None]
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from uuid import uuid4
 
 from hil.vocabulary.errors import ConfigError, reason_of
 from hil.vocabulary.files import staged
@@ -30,8 +31,8 @@ class Parcel:
 
     @cached_property
     def name(self) -> str:
-        """Of the folder in which a worker keeps it."""
-        return f"hil-{hashlib.sha256(self.content).hexdigest()[:16]}"
+        """Of the folder in which a worker keeps it; each campaign takes away its own, and no other's."""
+        return f"hil-{uuid4().hex[:16]}"
 
 
 def names(named: Mapping[str, Path]) -> dict[str, str]:

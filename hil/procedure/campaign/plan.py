@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -53,7 +54,7 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     """Seeds as `0:10` (ten of them, 0 to 9), `1,4,7`, or both mixed.
 
     Raises:
-        UsageError: anything else, or no seed.
+        UsageError: anything else, no seed, or one that is named twice.
     """
     seeds: list[int] = []
     for part in text.split(","):
@@ -68,21 +69,29 @@ def parse_seeds(text: str) -> tuple[int, ...]:
         seeds += range(first, int(match[2]) if match[2] is not None else first + 1)
         if seeds[-1] > LARGEST_SEED:
             raise UsageError(f"--seeds {text!r} are too large", expected=f"at most {LARGEST_SEED}")
-    return tuple(dict.fromkeys(seeds))
+    _check_named_once("--seeds", text, seeds)
+    return tuple(seeds)
+
+
+def _check_named_once(option: str, text: str, found: Sequence[object]) -> None:
+    twice = next((value for value, n in Counter(found).items() if n > 1), None)
+    if twice is not None:
+        raise UsageError(f"{option} {text!r}: {twice} is named twice", remedy="name each value once")
 
 
 def parse_axis(text: str) -> Axis:
     """`key=a,b,c`; brackets keep their commas, and `key=a;b` is split at the semicolons only.
 
     Raises:
-        UsageError: no key, or fewer than one value.
+        UsageError: no key, fewer than one value, or one that is named twice.
     """
     key, equals, rest = text.partition("=")
     separator = ";" if ";" in rest else ","
     values = tuple(v.strip() for v in _split(rest, separator) if v.strip())
     if not equals or not key.strip() or not values:
         raise UsageError(f"--vary {text!r} cannot be read", expected="key=value,value,...")
-    return Axis(key.strip(), tuple(dict.fromkeys(values)))
+    _check_named_once("--vary", text, values)
+    return Axis(key.strip(), values)
 
 
 def _split(text: str, separator: str) -> list[str]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
+import os
 import shlex
 import sys
 import tempfile
@@ -13,8 +15,10 @@ from typing import Any
 
 from hil.config.loading import path_keys
 from hil.procedure.bench_source import BenchSource
+from hil.procedure.campaign.log import named_in_log
 from hil.procedure.campaign.parcel import packed, unpacked
 from hil.procedure.campaign.plan import Case
+from hil.procedure.campaign.spread import Unable
 from hil.procedure.campaign.table import Row, missing
 from hil.procedure.declaration import Procedure
 from hil.procedure.interrupts import Interrupts
@@ -22,15 +26,17 @@ from hil.procedure.journal import read_journal
 from hil.procedure.operator import Answers, Terminal, tell
 from hil.procedure.outputs import Keep
 from hil.procedure.parameters import split_settings
+from hil.procedure.results import KEEPING
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import file_and_name, load_procedure
 from hil.report.result_file import read_result
 from hil.report.run_page import write_run_page
 from hil.vocabulary.clock import MonotonicClock, local_time
 from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, HilError, RecordingError
-from hil.vocabulary.result_files import JOURNAL
+from hil.vocabulary.result_files import JOURNAL, LOST
 
 FINISHED = ("PASS", "MARGINAL", "FAIL", "ERROR")
+_FULL = tuple(os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT, errno.EROFS))
 
 
 @dataclass(frozen=True)
@@ -119,21 +125,29 @@ def run_case(job: Job) -> Row:
     try:
         tree = _result(job)
     except HilError as error:
+        if _is_unwritten(error, job.folder):
+            return lost(job, str(error))
         return _failed(job, "ERROR", str(error), error.exit_code)
+    if reason := _unwritten(tree, job.folder):
+        return lost(job, reason)
     return _row(job, tree)
 
 
-def run_case_elsewhere(job: Job) -> Delivery:
-    """One case in a worker that shares no files with the campaign; a full disk there loses this run alone."""
-    from distributed import Reschedule
+def run_case_elsewhere(job: Job) -> Delivery | Unable:
+    """One case in a worker that shares no files with the campaign; where its disk is full, another has to."""
+    from distributed import Reschedule, get_worker
 
-    from hil.procedure.campaign.cluster import address, luggage
+    from hil.procedure.campaign.cluster import address, lacking, luggage
 
-    def lost_here(reason: object) -> Delivery:
-        return Delivery(lost(job, f"worker {address()}: {reason}"))
+    def lost_here(reason: object) -> Delivery | Unable:
+        told = f"worker {address()}: {reason}"
+        full = any(words in told for words in _FULL)
+        return Unable(address(), told) if full else Delivery(lost(job, told))
 
     here = luggage(job.luggage)
     if not here.exists():
+        if why := lacking(job.luggage, get_worker()):
+            return Unable(address(), why)
         raise Reschedule  # to another worker: this one is of another make, and about to leave
     try:
         with tempfile.TemporaryDirectory(prefix="run-", dir=here.parent) as folder:
@@ -144,11 +158,11 @@ def run_case_elsewhere(job: Job) -> Delivery:
             try:
                 tree = _result(own)
             except HilError as error:
-                if isinstance(error, RecordingError) or folder in str(error):
+                if _is_unwritten(error, folder):
                     return lost_here(error)
                 return Delivery(_failed(job, "ERROR", str(error), error.exit_code))
-            if _no_room(tree, own.folder):
-                return lost_here(tree["error"]["message"])
+            if reason := _unwritten(tree, own.folder):
+                return lost_here(reason)
             return Delivery(_row(job, tree), packed(Path(own.folder)))
     except OSError as error:
         return lost_here(error)
@@ -164,12 +178,21 @@ def _forget_modules(folder: Path) -> None:
     sys.path[:] = [place for place in sys.path if not place.startswith(str(folder))]
 
 
-def _no_room(tree: Mapping[str, Any], folder: str) -> bool:
-    """Whether a run ended because its results could not be written: the worker's fault, not the robot's."""
-    error = tree.get("error") or {"type": "", "message": ""}
-    return error["type"] == "RecordingError" or (
-        error["type"] == "DataError" and str(error["message"]).startswith(folder)
-    )
+def _is_unwritten(error: HilError, folder: str) -> bool:
+    """Whether a run ended because its results could not be written: the computer's fault, not the robot's."""
+    return isinstance(error, RecordingError) or folder in str(error)
+
+
+def _unwritten(tree: Mapping[str, Any], folder: str) -> str:
+    """Why the results of a run could not be written, by its `result.json`; empty where they were."""
+    from hil.procedure.results import KEEPING
+
+    first, late = tree.get("error"), tree.get("teardown_errors", ())
+    for error in ([first] if first else []) + [e for e in late if e["step"] == KEEPING]:
+        own = error["type"] == "DataError" and str(error["message"]).startswith(folder)
+        if own or error["type"] == "RecordingError":
+            return str(error["message"])
+    return ""
 
 
 def arrived(delivery: Delivery) -> Row:
@@ -191,8 +214,10 @@ def _result(job: Job) -> dict[str, Any]:
         started=local_time(),
         resume=_begun(folder), keep=setup.keep, interrupts=Interrupts(tell),
     )  # fmt: skip
-    result = run_procedure(proc, source, options)
-    write_run_page(folder)
+    with named_in_log(job.case.name):
+        result = run_procedure(proc, source, options)
+    if not any(error.step == KEEPING for error in result.teardown_errors):
+        write_run_page(folder)
     return result.to_json()
 
 
@@ -217,7 +242,7 @@ def finished(job: Job) -> Row | None:
         tree = read_result(Path(job.folder))
     except HilError:
         return None
-    return _row(job, tree) if tree["verdict"] in FINISHED and not _no_room(tree, job.folder) else None
+    return _row(job, tree) if tree["verdict"] in FINISHED and not _unwritten(tree, job.folder) else None
 
 
 def _row(job: Job, tree: dict[str, Any]) -> Row:
@@ -236,5 +261,5 @@ def _failed(job: Job, verdict: str, reason: str, code: int) -> Row:
 
 
 def lost(job: Job, reason: str) -> Row:
-    """The row of a case whose worker did not come back."""
-    return _failed(job, "LOST", reason, EXIT_ABORTED)
+    """The row of a case whose worker did not come back, or had no room for its results."""
+    return _failed(job, LOST, reason, EXIT_ABORTED)

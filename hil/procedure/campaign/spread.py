@@ -14,6 +14,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from multiprocessing.resource_tracker import ensure_running
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -32,8 +33,21 @@ _UNWATCHED = {"distributed.worker.profile.enabled": False, "distributed.admin.ti
 """Dask looks at the stack of each worker a hundred times a second, for a page that nobody opens here."""
 
 
+@dataclass(frozen=True)
+class Unable:
+    """What `work` returns on a worker of a cluster that can do no job, because its disk is full for example.
+
+    Attributes:
+        worker: its address.
+        reason: in words, with the address.
+    """
+
+    worker: str
+    reason: str
+
+
 def spread(
-    work: Callable[[J], R],
+    work: Callable[[J], R | Unable],
     jobs: Sequence[J],
     *,
     lost: Callable[[J, str], R],
@@ -44,51 +58,71 @@ def spread(
 ) -> None:
     """Do all jobs; results come in the order in which they end.
 
+    A worker of a cluster that is `Unable` is named and leaves, and another one does its job.
+
     Args:
         work: what to do; must be importable by name, and raise nothing that is expected.
         jobs: what to do it with; sent to the workers.
-        lost: result of a job whose worker died or that raised, with the reason.
+        lost: result of a job whose worker died or that raised, or that no worker could do, with the reason.
         done: called here with every result.
         workers: processes on this computer; 0 works in this one, without Dask.
         scheduler: address of a Dask scheduler to use instead.
-        parcel: files that its workers are to have (`hil.procedure.campaign.cluster.luggage`).
+        parcel: files that its workers have until the end (`hil.procedure.campaign.cluster.luggage`).
 
     Raises:
         UsageError: Dask is not installed, the scheduler does not answer, or a worker is of another make.
-        Aborted: the scheduler has gone; results that came before have been given to `done`.
+        Aborted: no worker has room for the files, or the scheduler has gone; results that came before have
+            been given to `done`.
     """
     if workers == 0 and not scheduler:
         for job in jobs:
-            done(work(job))
+            done(_settled(work(job), job, lost))
         return
     check_dask()
-    with _client(min(workers, len(jobs)), scheduler) as client:
+    with _client(min(workers, len(jobs)), scheduler) as client, ExitStack() as stack:
         from distributed import as_completed
 
         if scheduler:
-            _make_ready(client, scheduler, parcel)
+            _make_ready(client, scheduler, parcel, stack)
         futures = {client.submit(work, job, retries=_RETRIES, pure=False): job for job in jobs}
         try:
-            for future in as_completed(futures):
+            for future in (ended := as_completed(list(futures))):
                 if future.cancelled():
                     raise Aborted(f"Dask scheduler {scheduler!r} has gone", remedy="go on with --resume")
-                error = future.exception()
-                done(future.result() if error is None else lost(futures[future], _reason(error)))
+                job, error = futures[future], future.exception()
+                result = future.result() if error is None else lost(job, _reason(error))
+                if isinstance(result, Unable) and _left_to_others(client, result):
+                    again = client.submit(work, job, retries=_RETRIES, pure=False)
+                    futures[again] = job
+                    ended.add(again)
+                else:
+                    done(_settled(result, job, lost))
                 future.release()
         except BaseException:
             client.cancel(list(futures), force=True)
             raise
 
 
-def _make_ready(client: Client, scheduler: str, parcel: Parcel | None) -> None:
-    """Hold the workers of a cluster against this computer, and send them the files."""
-    from hil.procedure.campaign.cluster import Luggage, check_workers, tell_of_refused
+def _settled(result: R | Unable, job: J, lost: Callable[[J, str], R]) -> R:
+    """The result of a job that nobody else can do again."""
+    return lost(job, result.reason) if isinstance(result, Unable) else result
+
+
+def _left_to_others(client: Client, unable: Unable) -> bool:
+    from hil.procedure.campaign.cluster import do_without
+
+    return do_without(client, unable.worker, unable.reason)
+
+
+def _make_ready(client: Client, scheduler: str, parcel: Parcel | None, stack: ExitStack) -> None:
+    """Hold the workers of a cluster against this computer, and send them the files until `stack` ends."""
+    from hil.procedure.campaign.cluster import carried, check_workers, tell_of_refused
 
     try:
         check_workers(client, scheduler)
         tell_of_refused(client)
         if parcel is not None:
-            client.register_plugin(Luggage(parcel))
+            stack.enter_context(carried(client, parcel))
     except OSError as error:
         raise UsageError(f"Dask scheduler {scheduler!r} has gone ({error})") from None
 

@@ -15,7 +15,7 @@ import numpy as np
 from hil.procedure.campaign.plan import Case
 from hil.report.run_words import was_set
 from hil.vocabulary.errors import DataError, reason_of
-from hil.vocabulary.result_files import PASSED
+from hil.vocabulary.result_files import LOST, PASSED
 
 _Z95 = 1.959963984540054
 NOT_FINITE, NEVER_SET, ENDED_BEFORE = "no finite number", "never measured", "ended before"
@@ -45,8 +45,13 @@ class Row:
 
     @property
     def tested(self) -> bool:
-        """Whether all its faults have acted."""
-        return not self.faults_not_begun
+        """Whether it has a result, and all its faults have acted."""
+        return not (self.lost or self.faults_not_begun)
+
+    @property
+    def lost(self) -> bool:
+        """Whether it left no result: a worker died or had no room, which is no fault of the robot."""
+        return self.verdict == LOST
 
     @property
     def good(self) -> bool:
@@ -63,8 +68,8 @@ class Row:
 def summarise(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Per combination of settings: verdicts, share of good runs, and statistics of each measurement.
 
-    Share and statistics are those of the runs in which all faults have acted (`tested`); the share is None
-    where there is none.
+    Share and statistics are those of the runs that have a result and in which all faults have acted
+    (`tested`); the share is None where there is none.
     """
     groups: dict[str, list[Row]] = {}
     for row in rows:
@@ -83,6 +88,7 @@ def _summary(name: str, rows: Sequence[Row]) -> dict[str, Any]:
         "n": len(rows),
         "tested": len(tested),
         "faults_not_begun": count(spec for row in rows for spec in row.faults_not_begun),
+        "lost": sum(row.lost for row in rows),
         "verdicts": count(row.verdict for row in rows),
         "good": good,
         "pass_share": good / len(tested) if tested else None,
@@ -132,9 +138,10 @@ def in_words(counted: Mapping[str, int]) -> str:
     return ", ".join(f"{n} {why}" for why, n in counted.items())
 
 
-def never_acted(faults: Mapping[str, int]) -> str:
-    """In how many runs each fault has never acted: `imu:off@500 never acted in 2`."""
-    return ", ".join(f"{spec} never acted in {n}" for spec, n in faults.items())
+def not_tested(faults: Mapping[str, int], lost: int) -> str:
+    """In how many runs each fault has never acted, and how many were lost: `imu:off@5 never acted in 2`."""
+    whys = [f"{spec} never acted in {n}" for spec, n in faults.items()]
+    return ", ".join(whys + [f"{lost} {LOST}"] * bool(lost))
 
 
 def wilson(good: int, total: int) -> tuple[float, float]:
