@@ -140,7 +140,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "caveats": ("hil/calibration/caveats.py", ("tests/calibration/test_caveats.py",)),
     "alike": ("hil/procedure/campaign/alike.py", ("tests/campaign/test_campaign_alike.py",)),
     "campaign_check": (
-        "hil/cli/campaign_check.py",
+        "hil/procedure/campaign/checking.py",
         ("tests/campaign/test_campaign_command.py", "-k", "refused_before_anything"),
     ),
     "acceptance": (
