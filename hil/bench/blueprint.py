@@ -128,10 +128,19 @@ class Blueprint:
         )
 
     def check(self, trajectory: Trajectory, *, known: Trajectory | None = None) -> None:
-        """Refuse what the limits cannot follow; raises `TrajectoryError` with the first offending time.
+        """Refuse what the limits cannot follow.
 
         Args:
             trajectory: what is asked for.
             known: was checked before; the segments that both end with are not looked at again.
+
+        Raises:
+            TrajectoryError: with the first offending time.
+            UsageError: it is no trajectory.
         """
+        if not isinstance(trajectory, Trajectory):
+            raise UsageError(
+                f"a {type(trajectory).__name__} cannot be driven", expected="a Trajectory",
+                remedy="make one with hil.robot.trajectories (line, circle, through, ...)",
+            )  # fmt: skip
         check(trajectory, self.geometry.projection(), motion_limits(self.config), known=known)

@@ -184,6 +184,7 @@ def text_of(result: Result) -> str:
     from hil.bench.held import held_in_words
     from hil.procedure.measurements import Verdict
     from hil.report.pages import digits_of
+    from hil.vocabulary.reading import printable
 
     lines = []
     for problem in (result.error, *result.teardown_errors):
@@ -199,11 +200,12 @@ def text_of(result: Result) -> str:
     if missing := len(result.measurements) - len(measured):
         lines.append(f"{'NOT MEASURED':13}{missing} of {len(result.measurements)}: the run ended before them")
     notes = result.facts["notes"]
-    if result.verdict is Verdict.PASS:  # then the last one counts, where faults were asked for in vain
-        notes = notes[-1:] if result.facts["faults_not_begun"] else []
+    if result.verdict is Verdict.PASS:  # then the last count: what was set again, faults asked for in vain
+        last = sum("earlier" in row for row in result.measurements) + bool(result.facts["faults_not_begun"])
+        notes = notes[len(notes) - last :]
     lines += [f"note: {note}" for note in notes]
     lines.append(held_in_words(result.facts["held"]))
     said = f"It ended early, {result.error.place}." if result.error else result.to_json()["said"]
     lines.append(f"{result.verdict.value}: {result.procedure}. {said}".strip())
     lines.append(f"results: {result.folder}")
-    return "\n".join(lines)
+    return printable("\n".join(lines))

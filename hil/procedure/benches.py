@@ -20,7 +20,6 @@ from hil.procedure.outputs import Keep, Notebook
 from hil.procedure.recordings import Recordings
 from hil.procedure.workers import Workers
 from hil.recording.mcap_writer import OnFailure
-from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.errors import ConfigError, HilError, RecordingError
 
 if TYPE_CHECKING:
@@ -143,9 +142,11 @@ class RunBenches(Notebook):
             with self._interrupts.deferred():
                 bench.__enter__()
                 self._bench = bench
+                self.guard.watch(bench.clock, virtual=source.virtual)
             if bench.pressed and bench.pressed not in self.findings.notes and not again:
                 self.note(bench.pressed)
         except BaseException:
+            self.guard.leave()
             bench.close()
             self._leave(bench)
             raise
@@ -155,6 +156,7 @@ class RunBenches(Notebook):
     def close_bench(self) -> None:
         """Hold the robot and close the bench, if it is open."""
         bench, self._bench = self._bench, None
+        self.guard.leave()
         if bench is not None:
             try:
                 with self._interrupts.deferred():
@@ -210,7 +212,7 @@ class RunBenches(Notebook):
                 self.left.add(waiting[0][0], held, tethered=False)
 
     def _take_over(self, found: Driven, name: str) -> None:
-        self.guard.driven_ns += nanoseconds(found.driven_s)
+        self.guard.add(found.driven_s)
         self.world_ns = max(self.world_ns, found.world_ns)
         self._hold_history.follow(found.hold)
         self._path_history.follow(found.path)
@@ -231,10 +233,10 @@ class RunBenches(Notebook):
             return
         path = None if self.findings.figures else self._path_history.figure()
         if path is not None:
-            self.figure(path, "Path", path_history.CAPTION)
+            self._draw(path, "Path", path_history.CAPTION)
         hold = self._hold_history.figure()
         if hold is not None:
-            self.figure(hold, "Adhesion", hold_history.CAPTION)
+            self._draw(hold, "Adhesion", hold_history.CAPTION)
 
     def unrecorded(self) -> RecordingError | None:
         """What the run has to end with when cycles are missing from its recordings; None if it need not."""
@@ -253,7 +255,9 @@ class RunBenches(Notebook):
 
     def prompt(self, question: str) -> str:
         """Ask the operator; raises `Aborted` when nobody can answer."""
-        return self._note_answer(question, self._operator.ask(question))
+        with self.guard.paused():
+            answer = self._operator.ask(question)
+        return self._note_answer(question, answer)
 
     def _note_answer(self, question: str, answer: str) -> str:
         self._journal.add("answer", {"question": question, "answer": answer})

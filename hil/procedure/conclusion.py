@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import inspect
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +71,8 @@ def conclude(
         late: errors of teardown.
         facts: further entries of `result.json`.
     """
-    rows = judge(declared, context.findings.values, context.findings.measured_in, error is None)
+    findings = context.findings
+    rows = judge(declared, findings.values, findings.earlier, findings.measured_in, error is None)
     verdict = worst(Verdict(r["outcome"]) for r in rows if r["outcome"] != "NOT MEASURED")
     if late:
         verdict = Verdict.ERROR
@@ -107,7 +107,7 @@ def facts_of(proc: Procedure, context: Context, past: PastRun | None, wall_s: fl
         "parameters": as_dict(context.parameters),
         **source.header(),
         "versions": versions(),
-        "git_revision": git_revision(Path(inspect.getsourcefile(proc.body) or ".").resolve().parent),
+        "git_revision": git_revision(proc.file.parent if proc.file else Path.cwd()),
         "started": context.started,
         "duration_s": wall_s,
         "bench_duration_s": context.guard.driven_s,
@@ -119,7 +119,7 @@ def facts_of(proc: Procedure, context: Context, past: PastRun | None, wall_s: fl
         "recordings": (past.recordings if past else []) + findings.recordings,
         "data": findings.data,
         "faults_not_begun": list(missed),
-        "notes": findings.notes + told,
+        "notes": findings.notes + context.set_again() + told,
         "held": _held(context),
     }
 

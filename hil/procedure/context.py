@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,7 +13,7 @@ from hil.procedure.interrupts import Interrupts
 from hil.procedure.journal import Entry, Journal
 from hil.procedure.measurements import Measurement
 from hil.procedure.operator import Operator
-from hil.procedure.outputs import Keep
+from hil.procedure.outputs import Keep, as_json
 from hil.recording.mcap_writer import OnFailure
 from hil.vocabulary.clock import NS_PER_S, Clock
 from hil.vocabulary.errors import HilError, UsageError
@@ -76,7 +75,8 @@ class Context(RunBenches):
 
         Raises:
             Aborted: at its beginning or end, after SIGINT.
-            StepTimeoutError: the loop ran longer than `timeout_s` within it.
+            StepTimeoutError: more than `timeout_s` passed on the bench's clock. A loop that runs is ended, in
+                virtual time whatever else waits for the clock, too; else it is raised at the end.
         """
         self._interrupts.finish_here(f"before the step {title!r}", _GO_ON)
         entry: Entry = {"title": title, "depth": len(self._titles), "outcome": "failed"}
@@ -84,16 +84,17 @@ class Context(RunBenches):
         self._journal.add("step", {"title": title})
         self._report(title, 0, 1)
         self._titles.append(title)
-        begin_ns, driven_s = self.clock.now_ns(), self.guard.driven_s
+        begin_ns, passed_s = self.clock.now_ns(), self.guard.passed_s
         self.guard.push_limit(f"step {title!r}", timeout_s)
         try:
             yield
+            self.guard.must_be_in_time()
             entry["outcome"] = "done"
         finally:
             self._titles.pop()
             self.guard.pop_limit()
             entry["wall_s"] = (self.clock.now_ns() - begin_ns) / NS_PER_S
-            entry["bench_s"] = self.guard.driven_s - driven_s
+            entry["bench_s"] = self.guard.passed_s - passed_s
             with suppress(HilError):
                 self._journal.add("end_step", entry)
         self._report(title, 1, 1)
@@ -123,7 +124,8 @@ class Context(RunBenches):
             self.left.enter(title)
             finished, before = False, self._world_at()
             try:
-                value = _as_json(title, function())
+                value = as_json(f"the result of checkpoint {title!r}", function())
+                self.guard.must_be_in_time()
                 after = self._world_at()
                 moved = after is not None and after != before
                 self._journal.add("value", {"title": title, "value": value, "moved": moved})
@@ -167,14 +169,3 @@ class Context(RunBenches):
         """The registered actions in the order in which they are to run; empty afterwards."""
         actions, self._teardown = self._teardown[::-1], []
         return actions
-
-
-def _as_json(title: str, value: Any) -> Any:
-    """What a checkpoint returned, as JSON gives it back."""
-    try:
-        return json.loads(json.dumps(value))
-    except (TypeError, ValueError) as error:
-        raise UsageError(
-            f"checkpoint {title!r} returned what JSON cannot hold ({error})",
-            expected="numbers, texts, lists and dictionaries; put arrays into a file",
-        ) from None

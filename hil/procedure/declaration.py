@@ -9,12 +9,14 @@ A procedure is a plain function of one argument, its `Context`:
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import logging
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.config.bench import BenchConfig
@@ -28,7 +30,7 @@ from hil.vocabulary.kinds import kinds
 if TYPE_CHECKING:
     from hil.procedure.context import Context
 
-Body = Callable[["Context"], None]
+Body = Callable[["Context"], object]
 Plan = Callable[[Any, BenchConfig], Iterable["PlannedStep"]]
 Declare = Callable[[Any], Iterable[Measurement]] | Callable[[Any, BenchConfig], Iterable[Measurement]]
 Measurements = Sequence[Measurement] | Declare
@@ -87,12 +89,45 @@ class Procedure:
 
     def declared(self, parameters: Any, config: BenchConfig) -> tuple[Measurement, ...]:
         """The measurements that these parameters call for on a bench."""
+        owner = f"procedure {self.name}"
         if not callable(self.measurements):
-            return check_unique(self.measurements)
+            return check_unique(self.measurements, owner)
         declare: Callable[..., Iterable[Measurement]] = self.measurements
         given = (parameters, config)[: len(inspect.signature(declare).parameters)]
-        with of_a_script(f"measurements of procedure {self.name}"):
-            return check_unique(declare(*given))
+        with of_a_script(f"measurements of {owner}"):
+            return check_unique(declare(*given), owner)
+
+    @property
+    def file(self) -> Path | None:
+        """Where the function is written; None for what is called and is no function."""
+        try:
+            found = inspect.getsourcefile(inspect.unwrap(self.body))
+        except TypeError:
+            return None
+        return None if found is None else Path(found).resolve()
+
+    def script(self) -> dict[str, str] | None:
+        """Name and SHA-256 of the file that the function is written in; None where there is none to read."""
+        file = self.file
+        if file is None:
+            return None
+        try:
+            return {"file": file.name, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+        except OSError:
+            return None
+
+    def perform(self, ctx: Context) -> None:
+        """Run the function.
+
+        Raises:
+            UsageError: it has returned a coroutine or a generator, of which nothing has been run.
+        """
+        returned = self.body(ctx)
+        kind = _left_to_run(returned)
+        if kind:
+            if inspect.iscoroutine(returned):
+                returned.close()
+            raise _never_run(self.name, f"returned {kind}")
 
     def steps(self, parameters: Any, config: BenchConfig) -> tuple[PlannedStep, ...]:
         """The plan; without one, the titles written in the function's source."""
@@ -167,8 +202,8 @@ def procedure(
         headline: what a run showed, as a sentence, from its measured values by name.
 
     Raises:
-        UsageError: a name or device that does not exist, parameters that are no class of them, or
-            measurements that contradict themselves or are none.
+        UsageError: a name or device that does not exist, parameters that are no class of them,
+            measurements that contradict themselves or are none, or what is no plain function.
     """
     if not _NAME.fullmatch(name):
         raise UsageError(f"procedure name {name!r}", expected="lower case letters, digits and _")
@@ -181,9 +216,10 @@ def procedure(
             )
     check_model(parameters, name)
     if not callable(measurements):
-        check_unique(measurements)
+        check_unique(measurements, f"procedure {name}")
 
     def declare(body: Body) -> Procedure:
+        _check_body(body, name)
         summary = (inspect.getdoc(body) or "").partition("\n")[0]
         return Procedure(
             name, body, tuple(needs), parameters, measurements, plan, teardown_s, bench, dict(quick or {}),
@@ -191,3 +227,30 @@ def procedure(
         )  # fmt: skip
 
     return declare
+
+
+_PLAIN = "a plain function of one argument: def run(ctx)"
+
+
+def _check_body(body: object, name: str) -> None:
+    """Refuse what is no function, and one of which a call runs nothing; raises `UsageError`."""
+    if not callable(body):
+        raise UsageError(f"procedure {name} is a {type(body).__name__}", expected=_PLAIN)
+    if inspect.iscoroutinefunction(body):
+        raise _never_run(name, "is an async function")
+    if inspect.isgeneratorfunction(body) or inspect.isasyncgenfunction(body):
+        raise _never_run(name, "is a generator function (it holds a yield)")
+
+
+def _left_to_run(returned: object) -> str:
+    """What a function has returned instead of having done it, in words; empty for anything else."""
+    if inspect.isawaitable(returned):
+        return "something to await"
+    return "a generator" if inspect.isgenerator(returned) or inspect.isasyncgen(returned) else ""
+
+
+def _never_run(name: str, what: str) -> UsageError:
+    return UsageError(
+        f"procedure {name} {what}: a call of it runs nothing", expected=_PLAIN,
+        remedy="write it without async and yield, or have it call asyncio.run",
+    )  # fmt: skip

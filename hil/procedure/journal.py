@@ -10,12 +10,14 @@ import fcntl
 import json
 import logging
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hil.config.bench import BenchConfig
+from hil.config.recorded import changed_since
 from hil.recording.mcap_writer import OnFailure
 from hil.vocabulary.errors import ConfigError, RecordingError, reason_of
 from hil.vocabulary.reading import json_object, read_bytes
@@ -118,7 +120,7 @@ class PastRun:
     """What the journal of an interrupted run says.
 
     Attributes:
-        header: first entry: procedure, parameters, seed, bench.
+        header: first entry: procedure, its script and limits, parameters, seed, bench.
         checkpoints: entries made inside each finished checkpoint, by title; its value comes last.
         recordings: files written so far.
         held: how each bench left the robot, and to which checkpoint it belongs.
@@ -175,6 +177,39 @@ def read_journal(path: Path) -> PastRun:
         except KeyError as error:
             raise ConfigError(f"{path}: line {number} lacks {error}", remedy="start the run anew") from None
     return past
+
+
+def differences(then: Entry, now: Entry, config: BenchConfig) -> list[str]:
+    """In what a run that was cut off differs from one that is to go on with it; empty for nothing.
+
+    Args:
+        then: its header. One of an earlier version has neither script nor measurements, and differs in none.
+        now: the header that this run would have.
+        config: of its bench.
+    """
+    apart = ("config", "script", "measurements")
+    found = [key for key in now if key not in apart and then.get(key) != now[key]]
+    script, before = now["script"], then.get("script")
+    if script and before and not (isinstance(before, Mapping) and before.get("sha256") == script["sha256"]):
+        found.append(f"the script {script['file']}, which has changed")
+    if then.get("measurements", now["measurements"]) != now["measurements"]:
+        try:
+            found += _limits(then["measurements"], now["measurements"])
+        except (KeyError, TypeError):
+            found.append("measurements")
+    return found + [f"bench.{key}".rstrip(".") for key in changed_since(then.get("config"), config)]
+
+
+def _limits(then: list[Entry], now: list[Entry]) -> Iterator[str]:
+    """Measurements of which the declarations differ, and how."""
+    before, after = ({row["name"]: row for row in rows} for rows in (then, now))
+    for name in dict.fromkeys((*before, *after)):
+        one, other = before.get(name), after.get(name)
+        if one is None or other is None:
+            yield f"measurement {name} ({'new' if one is None else 'no longer declared'})"
+        elif one != other:
+            what = [f"{key} {one[key]}, now {other[key]}" for key in other if one[key] != other[key]]
+            yield f"measurement {name} ({'; '.join(what)})"
 
 
 def _entries(path: Path) -> list[Entry]:

@@ -9,6 +9,7 @@ import enum
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 from hil.vocabulary.errors import UsageError
@@ -36,7 +37,8 @@ class Measurement:
         rationale: why these limits.
 
     Raises:
-        UsageError: a limit without unit, limits that no value can meet, or a band that is wider than them.
+        UsageError: a limit that is no number or has no unit, limits that no value can meet, or a band that is
+            wider than them.
     """
 
     name: str
@@ -51,6 +53,9 @@ class Measurement:
         limits = [v for v in (self.low, self.high) if v is not None]
         if not self.name:
             raise UsageError("a measurement without name")
+        for key, value in (("low", self.low), ("high", self.high), ("marginal", self.marginal)):
+            if not isinstance(value, Real) and (value is not None or key == "marginal"):
+                raise UsageError(f"{where}: {key} is {value!r}", expected="a number, as 1.5")
         if limits and not self.unit:
             raise UsageError(f"{where} has a limit without unit", expected="a unit, `1` for a plain number")
         if not all(math.isfinite(v) for v in limits):
@@ -70,6 +75,12 @@ class Measurement:
     def limited(self) -> bool:
         """Whether it decides anything; one without limits is only reported."""
         return self.low is not None or self.high is not None
+
+    def declared(self) -> dict[str, Any]:
+        """Name, unit and limits, as JSON has them."""
+        limits = {"low": self.low, "high": self.high, "marginal": self.marginal}
+        numbers = {key: None if value is None else float(value) for key, value in limits.items()}
+        return {"name": self.name, "unit": self.unit, **numbers}
 
     def margin(self, value: float) -> float:
         """Distance to the nearest limit, positive inside; infinite without limits, NaN for NaN."""
@@ -99,17 +110,25 @@ def worst(verdicts: Iterable[Verdict]) -> Verdict:
 _SEVERAL = "a list of Measurement(NAME, UNIT, ...)"
 
 
-def check_unique(measurements: Iterable[Measurement]) -> tuple[Measurement, ...]:
-    """The measurements as a tuple; `UsageError` for a name declared twice, or what is no measurement."""
+def check_unique(measurements: Iterable[Measurement], owner: str) -> tuple[Measurement, ...]:
+    """The measurements as a tuple.
+
+    Args:
+        measurements: as they were declared.
+        owner: who declares them, for the error.
+
+    Raises:
+        UsageError: a name declared twice, or what is no measurement.
+    """
     given: object = measurements
     if not isinstance(given, Iterable) or isinstance(given, (str, Mapping)):
-        raise UsageError(f"measurements is a {type(given).__name__}", expected=_SEVERAL)
+        raise UsageError(f"{owner}: measurements is a {type(given).__name__}", expected=_SEVERAL)
     found: tuple[Any, ...] = tuple(given)
     for one in found:
         if not isinstance(one, Measurement):
-            raise UsageError(f"among the measurements is a {type(one).__name__}", expected=_SEVERAL)
+            raise UsageError(f"{owner}: among the measurements is a {type(one).__name__}", expected=_SEVERAL)
     names = [m.name for m in found]
     for name in names:
         if names.count(name) > 1:
-            raise UsageError(f"measurement {name!r} is declared twice")
+            raise UsageError(f"{owner}: measurement {name!r} is declared twice")
     return found

@@ -5,6 +5,8 @@ Everything goes into the journal before it counts, so that a run that was struck
 
 from __future__ import annotations
 
+import filecmp
+import json
 import re
 import shutil
 import sys
@@ -25,13 +27,19 @@ if TYPE_CHECKING:
 
 Keep = Literal["all", "results"]
 """What stays of a run: `all`, or `results` without recordings and figures."""
+_TOLD = 6
+"""Of how many values of a measurement that was set again a note tells."""
 
 
 @dataclass
 class Findings:
-    """What a run has left so far; the lists hold JSON values, `learned` parts of the robot's record."""
+    """What a run has left so far; the lists hold JSON values, `learned` parts of the robot's record.
+
+    `earlier` has what a measurement was set to before, where it was set to something else again.
+    """
 
     values: dict[str, float] = field(default_factory=dict)
+    earlier: dict[str, list[float]] = field(default_factory=dict)
     measured_in: dict[str, str] = field(default_factory=dict)
     steps: list[Entry] = field(default_factory=list)
     tables: list[Entry] = field(default_factory=list)
@@ -73,7 +81,7 @@ class Notebook:
         return self._titles[-1] if self._titles else "start"
 
     def measure(self, name: str, value: float | bool) -> None:
-        """Set a declared measurement.
+        """Set a declared measurement. Of one that is set again the last value counts, and the result says so.
 
         Raises:
             UsageError: not declared, or not one number.
@@ -94,6 +102,9 @@ class Notebook:
         self._keep_value(name, number, self.where)
 
     def _keep_value(self, name: str, value: float, where: str) -> None:
+        before = self.findings.values.get(name)
+        if before is not None and repr(before) != repr(value):  # NaN is NaN
+            self.findings.earlier.setdefault(name, []).append(before)
         self.findings.values[name] = value
         self.findings.measured_in[name] = where
 
@@ -101,6 +112,21 @@ class Notebook:
         """The worst outcome of what has been measured so far."""
         values = self.findings.values
         return worst(m.judge(values[n]) for n, m in self._declared.items() if n in values)
+
+    def set_again(self) -> list[str]:
+        """A sentence about each measurement that was set to one thing and then to another."""
+        said = []
+        for name, before in self.findings.earlier.items():
+            measurement, every = self._declared[name], [*before, self.findings.values[name]]
+            told = [
+                f"{value:.6g} {measurement.unit}".rstrip()
+                + f" ({measurement.judge(value).value})" * measurement.limited
+                for value in every
+            ]
+            if len(told) > _TOLD:
+                told[_TOLD - 1 : -1] = ["..."]
+            said.append(f"{name} was set {len(every)} times: {', '.join(told)}. The last one counts.")
+        return said
 
     def passing(self) -> bool:
         """Whether every limit that has been measured so far holds."""
@@ -116,8 +142,18 @@ class Notebook:
             head: one label per column.
             rows: cells, as many as labels.
             note: a sentence below it.
+
+        Raises:
+            UsageError: a title that another table has, or a row that is longer or shorter than the head.
         """
+        self._must_be_new("table", title, self.findings.tables)
         cells = [[_cell(v) for v in row] for row in rows]
+        for number, row in enumerate(cells, start=1):
+            if len(row) != len(head):
+                raise UsageError(
+                    f"table {title!r}: row {number} has {len(row)} cells",
+                    expected=f"{len(head)}, one for each label of the head",
+                )
         entry = {"title": title, "head": [str(h) for h in head], "rows": cells, "note": note}
         self._journal.add("table", entry)
         self.findings.tables.append(entry)
@@ -129,21 +165,49 @@ class Notebook:
             figure: to save, or what draws it, which is called only where figures are kept.
             title: unique in the run.
             caption: what to see in it.
+
+        Raises:
+            UsageError: what is no figure, or a title that another one has.
         """
         if self.keep == "results":
             return
+        self._must_be_new("figure", title, self.findings.figures)
+        self._draw(figure, title, caption)
+
+    def _must_be_new(self, what: str, title: str, others: Sequence[Entry]) -> None:
+        if any(other["title"] == title for other in others):
+            raise UsageError(f"{what} {title!r} exists twice", expected="a title of its own")
+
+    def _draw(self, figure: Figure | Callable[[], Figure], title: str, caption: str) -> None:
+        from matplotlib.figure import Figure
+
         from hil.report.figures import save_figure
 
+        drawn: object = figure() if callable(figure) else figure
+        if not isinstance(drawn, Figure):
+            raise UsageError(
+                f"figure {title!r} is a {type(drawn).__name__}",
+                expected="a matplotlib Figure, or a function that returns one",
+            )
         path = self.folder / "figures" / f"{len(self.findings.figures) + 1:02d}_{slug(title)}.svg"
         path.parent.mkdir(parents=True, exist_ok=True)
-        save_figure(figure() if callable(figure) else figure, path)
+        save_figure(drawn, path)
         entry = {"title": title, "caption": caption, "path": str(path.relative_to(self.folder))}
         self._journal.add("figure", entry)
         self.findings.figures.append(entry)
 
     def attach(self, name: str, path: Path) -> Path:
-        """Keep a file with the results (copied unless it is already in the folder)."""
-        inside = path if path.is_relative_to(self.folder) else self.folder / "attachments" / path.name
+        """Keep a file with the results.
+
+        Args:
+            name: what it is, for the reader.
+            path: of the file. It is copied unless it is already in the folder; the copy of one whose name is
+                taken by another content becomes `NAME-2.SUFFIX`.
+
+        Returns:
+            Where it lies in the folder.
+        """
+        inside = path if path.is_relative_to(self.folder) else self._place_of(path)
         if inside != path:
             inside.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(path, inside)
@@ -152,10 +216,27 @@ class Notebook:
         self.findings.attachments.append(entry)
         return inside
 
+    def _place_of(self, path: Path) -> Path:
+        """Where the copy of a file goes: nothing that is there already, but for the same content."""
+        inside, number = self.folder / "attachments" / path.name, 1
+        while inside.exists() and not filecmp.cmp(path, inside, shallow=False):
+            number += 1
+            inside = inside.with_name(f"{path.stem}-{number}{path.suffix}")
+        return inside
+
     def leave_data(self, name: str, value: Any) -> None:
-        """Leave JSON values for other programs, as `data` of `result.json`."""
-        self._journal.add("data", {"name": name, "value": value})
-        self.findings.data[name] = value
+        """Leave JSON values for other programs, as `data` of `result.json`.
+
+        Args:
+            name: their key.
+            value: numbers, texts, lists and dictionaries; numbers and arrays of numpy become such.
+
+        Raises:
+            UsageError: anything else in it.
+        """
+        found = as_json(f"data {name!r}", value, default=_plain)
+        self._journal.add("data", {"name": name, "value": found})
+        self.findings.data[name] = found
 
     def note(self, text: str) -> None:
         """Leave a sentence for the reader of the report."""
@@ -184,6 +265,33 @@ class Notebook:
 def slug(text: str) -> str:
     """A text as part of a file name."""
     return re.sub(r"[^a-zA-Z0-9]+", "_", text).strip("_").lower()[:60] or "unnamed"
+
+
+def as_json(what: str, value: Any, default: Callable[[Any], Any] | None = None) -> Any:
+    """A value as JSON gives it back: tuples become lists, keys texts.
+
+    Args:
+        what: it is, for the error.
+        value: of numbers, texts, lists and dictionaries.
+        default: makes such of what is none; raises `TypeError` where it cannot.
+
+    Raises:
+        UsageError: JSON cannot hold it.
+    """
+    try:
+        return json.loads(json.dumps(value, default=default))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise UsageError(
+            f"{what} is what JSON cannot hold ({error})",
+            expected="numbers, texts, lists and dictionaries", remedy="put the rest into a file",
+        ) from None  # fmt: skip
+
+
+def _plain(value: Any) -> Any:
+    """A number or an array of numpy as JSON has them."""
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    raise TypeError(f"a {type(value).__name__}")
 
 
 def _one_number(value: Any) -> float | None:

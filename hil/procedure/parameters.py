@@ -25,7 +25,7 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, o
     """`key=value` texts as parameters and, for keys that start with `bench.`, as bench overrides.
 
     Raises:
-        UsageError: a text without `=`.
+        UsageError: a text without `=`, or a name of nothing (`bench.`).
     """
     parameters: dict[str, str] = {}
     bench: dict[str, object] = {}
@@ -35,6 +35,11 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, o
             raise UsageError(f"--set {text!r} cannot be read", expected="key=value")
         key = key.strip()
         if key.startswith(BENCH_PREFIX):
+            if not all(key.split(".")):
+                raise UsageError(
+                    f"--set {text!r} names no key of the bench file", expected="bench.KEY=value",
+                    remedy="write, for example, bench.loop.rate_hz=50",
+                )  # fmt: skip
             bench[key.removeprefix(BENCH_PREFIX)] = _plain(value)
         else:
             parameters[key] = value

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import subprocess
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +14,8 @@ from xml.etree import ElementTree
 from hil.procedure.measurements import Measurement, Verdict
 from hil.vocabulary.digits import digits_apart
 from hil.vocabulary.errors import EXIT_ABORTED, EXIT_LIMIT_FAILED, EXIT_PASS, DataError, reason_of
+from hil.vocabulary.files import put_whole
+from hil.vocabulary.reading import printable
 from hil.vocabulary.result_files import JUNIT, RESULT, RESULT_SCHEMA
 
 KEEPING = "keeping the results"
@@ -97,13 +97,15 @@ class Result:
 
 
 def judge(
-    declared: Sequence[Measurement], values: Mapping[str, float], measured_in: Mapping[str, str], ended: bool
-) -> list[dict[str, Any]]:
+    declared: Sequence[Measurement], values: Mapping[str, float], earlier: Mapping[str, list[float]],
+    measured_in: Mapping[str, str], ended: bool,
+) -> list[dict[str, Any]]:  # fmt: skip
     """Rows of the measurement table.
 
     Args:
         declared: in their order.
         values: what was set.
+        earlier: what the same was set to before; only where there is any, the row has it.
         measured_in: step in which it was set.
         ended: whether the procedure ran to its end; if so, what was never set fails.
     """
@@ -117,6 +119,7 @@ def judge(
                 "marginal": m.marginal, "margin": None if value is None else m.margin(value),
                 "outcome": "NOT MEASURED" if missing else m.judge(value).value,
                 "limited": m.limited, "step": measured_in.get(m.name), "rationale": m.rationale,
+                **({"earlier": earlier[m.name]} if m.name in earlier else {}),
             }
         )  # fmt: skip
     return rows
@@ -131,15 +134,18 @@ def write_result(result: Result) -> Path:
     path = result.folder / RESULT
     tree = result.to_json()
     try:
-        _replace(path, json.dumps(tree, indent=1, allow_nan=False) + "\n")
-        _replace(result.folder / JUNIT, junit(tree))
+        put_whole(path, (json.dumps(tree, indent=1, allow_nan=False) + "\n").encode())
+        put_whole(result.folder / JUNIT, junit(tree).encode())
     except OSError as error:
         raise DataError(str(path), f"cannot be written ({reason_of(error)})") from None
     return path
 
 
 def junit(tree: Mapping[str, Any]) -> str:
-    """JUnit XML of a result: one test case per measurement, one for the run itself."""
+    """JUnit XML of a result: one test case per measurement, one for the run itself.
+
+    Characters that XML cannot hold, or that no text has, are escaped.
+    """
     name = tree["procedure"]
     rows = tree["measurements"]
     failures = sum(r["outcome"] == "FAIL" for r in rows)
@@ -171,6 +177,8 @@ def junit(tree: Mapping[str, Any]) -> str:
             ElementTree.SubElement(case, "failure", type="limit", message=_sentence(row))
         elif row["outcome"] == "NOT MEASURED":
             ElementTree.SubElement(case, "skipped", message="the run ended before it")
+    for element in suite.iter():
+        element.attrib = {key: printable(text) for key, text in element.attrib.items()}
     ElementTree.indent(suite)
     return ElementTree.tostring(suite, encoding="unicode", xml_declaration=True) + "\n"
 
@@ -181,17 +189,6 @@ def _sentence(row: Mapping[str, Any]) -> str:
     limits = [f"{s} {row[k]:.12g}" for s, k in ((">=", "low"), ("<=", "high")) if row[k] is not None]
     digits = digits_apart(row["value"], (row["low"], row["high"]), least=6)
     return f"{row['value']:.{digits}g} {row['unit']}, expected {' and '.join(limits)} {row['unit']}"
-
-
-def _replace(path: Path, text: str) -> None:
-    partial = path.with_name(path.name + ".part")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, path)
-    except OSError:
-        with suppress(OSError):
-            partial.unlink()
-        raise
 
 
 def _finite(value: Any) -> Any:

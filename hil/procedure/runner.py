@@ -6,20 +6,27 @@ the results folder is complete.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from hil.config.bench import BenchConfig
-from hil.config.recorded import changed_since
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.conclusion import conclude, facts_of, failure, not_held
 from hil.procedure.context import Context
 from hil.procedure.declaration import Procedure
 from hil.procedure.interrupts import Interrupts, time_limit
-from hil.procedure.journal import SCHEMA, Entry, Journal, PastRun, drop_torn_line, read_journal
+from hil.procedure.journal import (
+    SCHEMA,
+    Entry,
+    Journal,
+    PastRun,
+    differences,
+    drop_torn_line,
+    read_journal,
+)
 from hil.procedure.learning import keep_parts
 from hil.procedure.measurements import Measurement, Verdict
 from hil.procedure.operator import Operator, Terminal
@@ -34,6 +41,10 @@ from hil.vocabulary.files import make_folder, where_else
 from hil.vocabulary.progress import Report, silent
 from hil.vocabulary.result_files import JOURNAL, RESULT
 
+_SCRIPT_UNKNOWN = (
+    "The run that was cut off was begun by an earlier version, which did not note its script: nobody has "
+    "checked that what it had finished was done by the same one."
+)
 _LEFT_OUT = "Recordings and figures were not kept; the same run without --keep results makes them."
 
 
@@ -83,7 +94,7 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
         proc.check_needs(source.config)
         source.check_faults()
         declared = proc.declared(parameters, source.config)
-        header = _header(proc, parameters, source)
+        header = header_of(proc, parameters, declared, source)
     past = _past(options, header, source.config)
     unhindered = without_collector() if source.virtual else nullcontext()
     with options.interrupts.installed(), options.interrupts.deferred(), unhindered:
@@ -108,6 +119,8 @@ def _recorded_run(
             interrupts=interrupts, past=past.checkpoints if past else {}, past_held=past.held if past else (),
             on_recording_failure=options.on_recording_failure, keep=options.keep,
         )  # fmt: skip
+        if past is not None and "script" not in past.header:
+            context.note(_SCRIPT_UNKNOWN)
         if options.keep == "results" and past is None:
             context.note(_LEFT_OUT)
         begin_ns = options.clock.now_ns()
@@ -147,10 +160,15 @@ def _kept(result: Result) -> Result:
     return result
 
 
-def _header(proc: Procedure, parameters: Any, source: BenchSource) -> Entry:
+def header_of(
+    proc: Procedure, parameters: Any, declared: Sequence[Measurement], source: BenchSource
+) -> Entry:
+    """What a journal says of its run: all that a run that goes on with it must have in common with it."""
     return {
         "schema": SCHEMA,
         "procedure": proc.name,
+        "script": proc.script(),
+        "measurements": [m.declared() for m in declared],
         "parameters": as_dict(parameters),
         **source.header(),
     }
@@ -171,12 +189,11 @@ def _past(options: RunOptions, header: Entry, config: BenchConfig) -> PastRun | 
             ) from None
         return None
     past = read_journal(folder / JOURNAL)
-    different = [k for k in header if k != "config" and past.header.get(k) != header[k]]
-    different += [f"bench.{key}".rstrip(".") for key in changed_since(past.header.get("config"), config)]
+    different = differences(past.header, header, config)
     if different:
         raise ConfigError(
             f"{folder / JOURNAL}: the interrupted run differs in {', '.join(different)}",
-            remedy="resume with the same options, or start anew",
+            remedy="resume with the same options and the same script, or start anew with another --out",
         )
     drop_torn_line(folder / JOURNAL)
     return past
@@ -189,7 +206,7 @@ def _execute(
     error: Failure | None = None
     try:
         with interrupts.heeded():
-            proc.body(context)
+            proc.perform(context)
             context.show_histories()
     except BaseException as problem:  # whatever a script raises, the robot is held and the results are kept
         error = failure(problem, context)

@@ -14,6 +14,8 @@ from hil.vocabulary.errors import TrajectoryError
 from hil.vocabulary.geometry import Array
 
 _CHECK_STEP_S = 0.01
+_LEAST_TIMES = 32
+"""At how many times a segment is looked at that the step would give fewer of."""
 _LONGEST_S = 7200.0
 _AT_ONCE = 20000
 _SLACK = 1.0 + 1e-6
@@ -57,7 +59,7 @@ def check(
             remedy="divide the motion",
         )  # fmt: skip
     until_s = trajectory.duration_s if known is None else _new_s(trajectory, known)
-    times_s = np.arange(0.0, until_s + _CHECK_STEP_S, _CHECK_STEP_S)
+    times_s = _times_s(trajectory, until_s, np.arange(0.0, until_s + _CHECK_STEP_S, _CHECK_STEP_S))
     for begin in range(0, len(times_s), _AT_ONCE):
         _check(trajectory, times_s[begin : begin + _AT_ONCE], projection, limits)
 
@@ -71,7 +73,9 @@ def slowed(trajectory: Trajectory, projection: Array, limits: MotionLimits, *, a
         limits: of which those of the wheels count here.
         at_most: how many times as long it may take; what needs longer stays as it is, for `check` to refuse.
     """
-    pose, twist, pull = trajectory.sample_many(np.arange(0.0, trajectory.duration_s, _CHECK_STEP_S))
+    until_s = trajectory.duration_s
+    times_s = _times_s(trajectory, until_s, np.arange(0.0, until_s, _CHECK_STEP_S))
+    pose, twist, pull = trajectory.sample_many(times_s)
     speed, acceleration = (q.values.max() / q.limit for q in _held(pose, twist, pull, projection, limits)[:2])
     longer = max(speed, math.sqrt(acceleration))
     if longer <= 1.0 or not longer <= at_most:
@@ -79,6 +83,30 @@ def slowed(trajectory: Trajectory, projection: Array, limits: MotionLimits, *, a
     longer *= 1.0 + _MARGIN
     slower = tuple(replace(part, duration_s=part.duration_s * longer) for part in trajectory.segments)
     return replace(trajectory, segments=slower)
+
+
+def _times_s(trajectory: Trajectory, until_s: float, steps_s: Array) -> Array:
+    """Times to look at, in order: the steps, and more within the segments that are short beside them.
+
+    A short segment may be at rest at both of its ends, or lie between two steps.
+
+    Args:
+        trajectory: what is looked at.
+        until_s: up to which time.
+        steps_s: (n,) times of equal steps.
+    """
+    short, begin_s = [], 0.0
+    for part in trajectory.segments:
+        if begin_s >= until_s:
+            break
+        if part.duration_s < _LEAST_TIMES * _CHECK_STEP_S:
+            short.append((begin_s, part.duration_s))
+        begin_s += part.duration_s
+    if not short:
+        return steps_s
+    begins_s, durations_s = np.array(short).T[:, :, None]
+    parts = (np.arange(_LEAST_TIMES) + 0.5) / _LEAST_TIMES
+    return np.union1d(steps_s, begins_s + parts * durations_s)
 
 
 def _new_s(trajectory: Trajectory, known: Trajectory) -> float:

@@ -28,7 +28,7 @@ _PIECE = 1 << 20
 _DEEPEST = 64
 _KEY = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')"""
 _LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_-])(?:{_KEY}[ \t]*\.[ \t]*){{{_DEEPEST}}}")
-_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 
 def read_text(path: Path, most_bytes: int) -> str:
@@ -176,5 +176,5 @@ def put_dotted(tree: dict[str, Any], key: str, value: object, whose: str) -> Non
 
 
 def printable(text: str) -> str:
-    r"""A text from elsewhere for a terminal: control characters as `\x1b`, line ends and tabs as they are."""
+    r"""A text from elsewhere for a terminal or XML: control characters as `\x1b`, line ends and tabs stay."""
     return _CONTROL.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), text)

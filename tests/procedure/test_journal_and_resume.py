@@ -10,6 +10,7 @@ import pytest
 
 from hil.procedure import Measurement, procedure
 from hil.procedure.journal import Journal, read_journal
+from hil.procedure.scripts import load_procedure
 from hil.vocabulary.errors import ConfigError
 
 DONE = []
@@ -181,3 +182,65 @@ def test_an_old_journal_goes_on_and_another_bench_is_named_by_its_key(run_small,
     with pytest.raises(ConfigError, match=r"differs in bench\.environment\.tilt_rad, bench\.loop\.rate_hz;"):
         run_small(make(), folder, resume=True, source=other)
     assert run_small(make(), folder, resume=True).verdict.value == "PASS"
+
+
+LIMITED = """
+from hil.procedure import Measurement, procedure
+
+@procedure(name="limited", measurements=(Measurement("a", "mm", high=0.9), Measurement("b", "1")))
+def run(ctx):
+    ctx.measure("a", ctx.checkpoint("one", lambda: 0.5))
+    ctx.measure("b", 1)
+    if not (ctx.folder / "go").exists():
+        raise RuntimeError("first time")
+"""
+
+
+def limited(tmp_path, text):
+    path = tmp_path / "limited.py"
+    path.write_text(text)
+    return load_procedure(str(path))
+
+
+def test_an_edited_script_does_not_go_on_with_what_the_old_one_finished(run_small, tmp_path):
+    folder = tmp_path / "r"
+    assert run_small(limited(tmp_path, LIMITED), folder).verdict.value == "ERROR"
+    (folder / "go").touch()
+    edited = (LIMITED.replace("0.9", "60").replace('Measurement("b", "1")', 'Measurement("c", "1")')
+              .replace("lambda: 0.5", "lambda: 55.0"))  # fmt: skip
+    before = (folder / "journal.jsonl").read_bytes()
+    with pytest.raises(ConfigError) as caught:
+        run_small(limited(tmp_path, edited), folder, resume=True)
+    assert str(caught.value).endswith(
+        "journal.jsonl: the interrupted run differs in the script limited.py, which has changed, measurement "
+        "a (high 0.9, now 60.0), measurement b (no longer declared), measurement c (new); resume with the "
+        "same options and the same script, or start anew with another --out"
+    )
+    assert caught.value.exit_code == 2
+    assert (folder / "journal.jsonl").read_bytes() == before
+    assert run_small(limited(tmp_path, LIMITED), folder, resume=True).verdict.value == "PASS"
+
+
+def test_a_journal_that_knows_no_script_goes_on_with_a_note(run_small, tmp_path):
+    folder = tmp_path / "r"
+    run_small(limited(tmp_path, LIMITED), folder)
+    (folder / "go").touch()
+    journal = folder / "journal.jsonl"
+    first, *rest = journal.read_text().splitlines(keepends=True)
+    head = json.loads(first)
+    assert head.pop("script")["file"] == "limited.py"
+    assert [row["name"] for row in head.pop("measurements")] == ["a", "b"]
+    journal.write_text(json.dumps(head) + "\n" + "".join(rest))
+    result = run_small(limited(tmp_path, LIMITED), folder, resume=True)
+    assert result.verdict.value == "PASS"
+    assert "begun by an earlier version, which did not note its script" in result.facts["notes"][0]
+
+
+@pytest.mark.parametrize("damage", [{"measurements": 5}, {"measurements": [{}]}, {"script": "x"}])
+def test_a_damaged_header_is_refused(run_small, tmp_path, damage):
+    folder = interrupted(run_small, tmp_path / "r")
+    journal = folder / "journal.jsonl"
+    first, *rest = journal.read_text().splitlines(keepends=True)
+    journal.write_text(json.dumps(json.loads(first) | damage) + "\n" + "".join(rest))
+    with pytest.raises(ConfigError, match=f"differs in (the )?{next(iter(damage))}"):
+        run_small(make(), folder, resume=True)

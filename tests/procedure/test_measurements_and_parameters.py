@@ -3,8 +3,10 @@
 import inspect
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -64,6 +66,8 @@ def test_without_limits_a_value_is_reported_and_a_missing_one_fails():
         {"unit": "mm", "high": 1.0, "marginal": -0.1},
         {"unit": "mm", "low": 0.0, "high": 1.0, "marginal": 0.6},
         {"unit": "mm", "marginal": 1.0},
+        {"unit": "mm", "high": "1"}, {"unit": "mm", "low": [1.0]},
+        {"unit": "mm", "high": 1.0, "marginal": None},
     ],
 )  # fmt: skip
 def test_a_limit_that_means_nothing_is_refused_at_declaration(wrong):
@@ -83,7 +87,10 @@ def test_a_run_is_worth_its_worst_measurement():
         ({"name": "Bad name"}, "lower case"),
         ({"name": "x", "needs": ("lidar",)}, "lidar"),
         ({"name": "x", "measurements": (Measurement("a", "s"), Measurement("a", "m"))}, "declared twice"),
-        ({"name": "x", "measurements": {"a": "s"}}, "measurements is a dict; expected a list of Measurement"),
+        (
+            {"name": "x", "measurements": {"a": "s"}},
+            "procedure x: measurements is a dict; expected a list of Measurement",
+        ),
         ({"name": "x", "measurements": ["a"]}, "among the measurements is a str; expected a list of Measur"),
         (
             {"name": "x", "parameters": {"y": 0.0}},
@@ -95,6 +102,58 @@ def test_a_run_is_worth_its_worst_measurement():
 def test_a_declaration_that_cannot_be_meant_is_refused(wrong, words):
     with pytest.raises(UsageError, match=words):
         procedure(**wrong)
+
+
+async def waits(ctx):
+    """Would have to be awaited."""
+
+
+def yields(ctx):
+    """Would have to be iterated."""
+    yield ctx
+
+
+async def waits_and_yields(ctx):
+    """Would have to be both."""
+    yield ctx
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        (waits, "procedure x is an async function: a call of it runs nothing; expected a plain function"),
+        (yields, "procedure x is a generator function .it holds a yield.: a call of it runs nothing"),
+        (waits_and_yields, "procedure x is a generator function"),
+        (partial(waits), "procedure x is an async function"),
+        (5, "procedure x is a int; expected a plain function of one argument"),
+    ],
+)
+def test_what_a_call_would_not_run_is_no_procedure(body, words):
+    with pytest.raises(UsageError, match=words) as caught:
+        procedure(name="x")(body)
+    assert caught.value.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    "body", [lambda ctx: waits(ctx), lambda ctx: yields(ctx), Mock(return_value=yields(0))]
+)
+def test_a_procedure_that_returns_what_was_never_run_does_not_pass(run_small, body):
+    result = run_small(procedure(name="x")(body))
+    assert (result.verdict.value, result.exit_code) == ("ERROR", 2)
+    assert "procedure x returned " in result.error.message
+    assert "a call of it runs nothing; expected a plain function" in result.error.message
+
+
+def test_measurements_that_a_function_declares_wrong_are_told_with_the_procedure(run_small):
+    declared = procedure(name="x", measurements=lambda parameters: None)(lambda ctx: None)
+    with pytest.raises(UsageError, match="procedure x: measurements is a NoneType; expected a list of"):
+        run_small(declared)
+
+
+@pytest.mark.parametrize("text", ["bench.=1", "bench. =1", "bench.loop.=1", "bench..rate_hz=1"])
+def test_a_setting_of_the_bench_needs_a_key(text):
+    with pytest.raises(UsageError, match=r"names no key of the bench file; expected bench\.KEY=value"):
+        split_settings([text])
 
 
 @dataclass(frozen=True)

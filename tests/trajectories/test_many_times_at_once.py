@@ -49,6 +49,7 @@ class OneByOne:
 
     def __init__(self, trajectory):
         self.trajectory, self.name, self.duration_s = trajectory, trajectory.name, trajectory.duration_s
+        self.segments = trajectory.segments
 
     def sample_many(self, times_s):
         found = [self.trajectory.sample(t_s) for t_s in np.asarray(times_s).tolist()]

@@ -9,6 +9,7 @@ import pytest
 from hil.robot import trajectories as tr
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits, check, slowed
+from hil.robot.paths import Segment, Straight
 from hil.robot.waypoints import MOST_WAYPOINTS, read_waypoints
 from hil.vocabulary.errors import DataError, TrajectoryError, UsageError
 from hil.vocabulary.geometry import rotation2
@@ -106,6 +107,20 @@ def test_a_refusal_names_the_first_time_and_value():
         check(tr.line(ORIGIN, [0, -1.0, 0]), CAD, MotionLimits(y_range_m=(-0.5, 1.0)))
     with pytest.raises(TrajectoryError, match="reference"):
         check(tr.line(ORIGIN, [1, 0, math.nan], duration_s=5.0), CAD, MotionLimits())
+
+
+@pytest.mark.parametrize("duration_s", [1e-6, 1e-3, 0.01, 0.02])
+def test_what_is_over_before_anybody_looks_is_looked_at(duration_s):
+    """At rest at both of its ends, which may be all that equal steps see."""
+    slow = tr.line(ORIGIN, [0.1, 0, 0])
+    jump = tr.line([0.1, 0, 0], [0.9, 0, 0], duration_s=duration_s)
+    for one in (tr.line(ORIGIN, [0.8, 0, 0], duration_s=duration_s),
+                tr.Trajectory("with a jump", (*slow.segments, *jump.segments))):  # fmt: skip
+        with pytest.raises(TrajectoryError, match="wheel ") as error:
+            check(one, CAD, MotionLimits())
+        assert 0.0 < one.duration_s - error.value.t_s <= duration_s
+    way = Straight((0.0, 0.0, 0.0), (0.1 * duration_s, 0.0, 0.0))
+    check(tr.Trajectory("short and slow", (Segment(way, duration_s, "constant"),)), CAD, MotionLimits())
 
 
 def test_a_limit_that_is_no_number_limits_and_a_motion_without_end_is_none():
@@ -230,7 +245,7 @@ def test_what_is_no_trajectory_is_refused(data):
 class Turning:
     """A reference that stands at a heading and begins to move and to turn."""
 
-    name, duration_s = "turning", 0.0
+    name, duration_s, segments = "turning", 0.0, ()
 
     def __init__(self, heading_rad, acceleration):
         self.now = Reference(0.0, np.array([0, 0, heading_rad]), np.zeros(3), np.array(acceleration, float))

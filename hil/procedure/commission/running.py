@@ -15,7 +15,6 @@ from typing import Any
 from hil.config.bench import BenchConfig
 from hil.config.encoders import EncodersConfig
 from hil.config.record import Part
-from hil.config.recorded import changed_since
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.commission.resting import as_its_file_says, parts_in, rests_on, why_again
 from hil.procedure.commission.stages import PROMPTS, STAGES, Place, Stage, placed, stages
@@ -23,11 +22,12 @@ from hil.procedure.commission.state import DONE, State, state_of
 from hil.procedure.commission.stopping import page_of, stopped_at, stopped_before
 from hil.procedure.fragment import NAME as FRAGMENT
 from hil.procedure.interrupts import Interrupts
-from hil.procedure.journal import read_journal
+from hil.procedure.journal import differences, read_journal
 from hil.procedure.measurements import Verdict
 from hil.procedure.operator import Operator, Terminal, go_ahead
+from hil.procedure.parameters import make_parameters
 from hil.procedure.results import Result
-from hil.procedure.runner import RunOptions, run_procedure
+from hil.procedure.runner import RunOptions, header_of, run_procedure
 from hil.report.commission_page import write_commission_page
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.errors import EXIT_ABORTED, Aborted, ConfigError, DataError, HilError
@@ -229,24 +229,27 @@ class _Running:
         asked = self._asked
         overrides = {**placed(stage, number, self._config), **overrides}
         source = asked.source.changed(overrides=overrides).with_its_faults()
-        folder, resume = self._folder(stage, number, source.config)
+        parameters = stage.parameters(asked.quick, source.config)
+        folder, resume = self._folder(stage, number, source, parameters)
         options = RunOptions(
             folder=folder, clock=asked.clock, started=asked.now(),
-            parameters=stage.parameters(asked.quick, source.config), operator=asked.operator,
-            report=self._within(stage), resume=resume, interrupts=asked.interrupts,
+            parameters=parameters, operator=asked.operator, report=self._within(stage), resume=resume,
+            interrupts=asked.interrupts,
         )  # fmt: skip
         result = run_procedure(stage.procedure, source, options)
         page_of(result)
         return result
 
-    def _folder(self, stage: Stage, number: int, config: BenchConfig) -> tuple[Path, bool]:
+    def _folder(
+        self, stage: Stage, number: int, source: BenchSource, parameters: Mapping[str, Any]
+    ) -> tuple[Path, bool]:
         """Where the stage's results go, and whether an interrupted run of it is there."""
         base = self._asked.folder / f"{number:02d}_{stage.name}"
         tries = [base, *(base.with_name(f"{base.name}-{k}") for k in range(2, 100))]
         for path in tries:
             if not (path / JOURNAL).exists() and not (path / RESULT).exists():
                 return path, False
-            if self._asked.resume and _unfinished(path, config):
+            if self._asked.resume and _unfinished(path, stage, source, parameters):
                 return path, True
         raise ConfigError(f"{base}: tried a hundred times", remedy="start anew with another --out")
 
@@ -265,15 +268,18 @@ class _Running:
         self._asked.report(WHOLE, round(self._before + within), round(self._total))
 
 
-def _unfinished(folder: Path, config: BenchConfig) -> bool:
-    """Whether a run was struck down or aborted in a folder, on a bench as it is now: else it begins anew."""
+def _unfinished(folder: Path, stage: Stage, source: BenchSource, parameters: Mapping[str, Any]) -> bool:
+    """Whether a run was struck down or aborted in a folder, script and bench as now: else it begins anew."""
     if (folder / RESULT).exists():
         tree = read_json(folder / RESULT)
         if not isinstance(tree, dict) or tree.get("verdict") not in ("ABORTED", "ERROR"):
             return False
     if not (folder / JOURNAL).exists():
         return False
-    return not changed_since(read_journal(folder / JOURNAL).header.get("config"), config)
+    proc, config = stage.procedure, source.config
+    typed = make_parameters(proc.parameters, parameters, proc.name)
+    header = header_of(proc, typed, proc.declared(typed, config), source)
+    return not differences(read_journal(folder / JOURNAL).header, header, config)
 
 
 def found_signs(folder: Path, config: BenchConfig) -> dict[str, object]:

@@ -1,0 +1,160 @@
+"""What a procedure leaves is in its results: nothing written over, nothing lost to a value or a character."""
+
+import json
+import os
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from hil.cli.run import text_of
+from hil.procedure import Measurement, procedure
+from hil.report.run_page import write_run_page
+
+ONE = (Measurement("a", "mm", high=1.0),)
+
+
+def result_of(result):
+    return json.loads((result.folder / "result.json").read_text())
+
+
+def test_attachments_of_one_name_are_kept_each(run_small, tmp_path):
+    contents = ["first", "second", "third", "first"]
+    paths = []
+    for number, content in enumerate(contents):
+        path = tmp_path / str(number) / "data.csv"
+        path.parent.mkdir()
+        path.write_text(content)
+        paths.append(path)
+
+    @procedure(name="leaver")
+    def leaver(ctx):
+        for path, content in zip(paths, contents, strict=True):
+            assert ctx.attach(f"data {path.parent.name}", path).read_text() == content
+            path.unlink()
+
+    result = run_small(leaver)
+    left = result_of(result)["attachments"]
+    assert [(result.folder / item["path"]).read_text() for item in left] == contents
+    names = [Path(item["path"]).name for item in left]
+    assert names == ["data.csv", "data-2.csv", "data-3.csv", "data.csv"]
+
+
+def test_numbers_and_arrays_of_numpy_are_left_as_plain_ones(run_small):
+    @procedure(name="numeric")
+    def numeric(ctx):
+        ctx.leave_data("rows", np.arange(6).reshape(2, 3))
+        ctx.leave_data(
+            "facts", {"count": np.int64(3), "held": np.bool_(True), "pair": (np.float32(0.5), None)}
+        )
+
+    result = run_small(numeric)
+    assert result.exit_code == 0
+    assert result_of(result)["data"] == {
+        "rows": [[0, 1, 2], [3, 4, 5]], "facts": {"count": 3, "held": True, "pair": [0.5, None]},
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", [Path("/x"), {1, 2}, {("a", 1): 2}, np.array([Path("/x")]), 1 + 2j])
+def test_data_that_json_cannot_hold_is_named_and_costs_no_results(run_small, wrong):
+    @procedure(name="opaque", measurements=ONE)
+    def opaque(ctx):
+        ctx.measure("a", 0.5)
+        ctx.leave_data("good", 1)
+        ctx.leave_data("bad", {"inner": [wrong]})
+
+    result = run_small(opaque)
+    assert result.exit_code == 2
+    assert result.error.message.startswith("data 'bad' is what JSON cannot hold (")
+    tree = result_of(result)
+    assert (tree["data"], tree["measurements"][0]["outcome"]) == ({"good": 1}, "PASS")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (os.fsdecode(b"/data/\xff.csv"), r"/data/\udcff.csv"),
+        ("bell \x1b[31mred\x00 \ufffe end", r"bell \x1b[31mred\x00 \ufffe end"),
+    ],
+)
+def test_an_exception_of_any_characters_keeps_all_results(run_small, text, told):
+    @procedure(name="speaking", measurements=(*ONE, Measurement(text, "1")))
+    def speaking(ctx):
+        ctx.measure("a", 0.5)
+        ctx.note(text)
+        ctx.table(text, [text], [[text]])
+        raise FileNotFoundError(text)
+
+    result = run_small(speaking)
+    assert result.teardown_errors == ()
+    assert result_of(result)["error"]["message"].startswith(text)
+    suite = ElementTree.parse(result.folder / "junit.xml").getroot()
+    assert next(suite.iter("error")).get("message").startswith(told)
+    assert [case.get("name") for case in suite.iter("testcase")] == ["run", "a", told]
+    said = text_of(result)
+    assert f"FileNotFoundError in 'start': {told}" in said
+    assert f"note: {told}" in said
+    assert write_run_page(result.folder).read_text()
+
+
+@pytest.mark.parametrize(
+    ("values", "verdict", "note"),
+    [
+        ([99, 0.5], "PASS", "a was set 2 times: 99 mm (FAIL), 0.5 mm (PASS). The last one counts."),
+        (
+            [9, 8, 7, 6, 5, 4, float("nan"), 3],
+            "FAIL",
+            "a was set 8 times: 9 mm (FAIL), 8 mm (FAIL), 7 mm (FAIL), 6 mm (FAIL), 5 mm (FAIL), ..., 3 mm "
+            "(FAIL). The last one counts.",
+        ),
+        ([0.5, 0.5], "PASS", ""),
+    ],
+)
+def test_a_measurement_that_is_set_again_is_told(run_small, values, verdict, note):
+    @procedure(name="again", measurements=ONE)
+    def again(ctx):
+        for value in values:
+            ctx.measure("a", value)
+
+    result = run_small(again)
+    tree = result_of(result)
+    assert (tree["verdict"], tree["measurements"][0]["value"]) == (verdict, values[-1])
+    earlier = [None if value != value else value for value in values[:-1]]
+    assert tree["measurements"][0].get("earlier", []) == (earlier if note else [])
+    assert tree["notes"] == ([note] if note else [])
+    assert text_of(result).count("\nnote: ") == bool(note)
+    assert f"\nnote: {note}" in text_of(result) or not note
+    assert "The last one counts." in write_run_page(result.folder).read_text() or not note
+
+
+@pytest.mark.parametrize(
+    ("leave", "told"),
+    [
+        (
+            lambda ctx: ctx.table("t", ["a", "b"], [[1, 2], [1, 2, 3]]),
+            "table 't': row 2 has 3 cells; expected 2",
+        ),
+        (lambda ctx: ctx.table("t", ["a", "b"], [[4]]), "table 't': row 1 has 1 cells; expected 2"),
+        (lambda ctx: [ctx.table("t", ["a"], [[k]]) for k in range(2)], "table 't' exists twice"),
+        (lambda ctx: ctx.figure(None, "f"), "figure 'f' is a NoneType; expected a matplotlib Figure"),
+        (lambda ctx: ctx.figure(lambda: 5, "f"), "figure 'f' is a int; expected a matplotlib Figure"),
+        (lambda ctx: [ctx.figure(drawn, "f") for _ in range(2)], "figure 'f' exists twice"),
+    ],
+)
+def test_a_table_or_figure_that_cannot_be_meant_is_told_by_its_title(run_small, leave, told):
+    @procedure(name="wrong", measurements=ONE)
+    def wrong(ctx):
+        ctx.measure("a", 0.5)
+        leave(ctx)
+
+    result = run_small(wrong)
+    assert (result.error.kind, result.exit_code) == ("UsageError", 2)
+    assert result.error.message.startswith(told)
+    assert result.measurements[0]["outcome"] == "PASS"
+
+
+def drawn():
+    from matplotlib.figure import Figure
+
+    return Figure()
