@@ -66,8 +66,8 @@ def emulated_hold(config: BenchConfig) -> str:
     if not holders:
         return ""
     return (
-        f"{', '.join(kinds()[name].noun for name in holders)}: emulated beside real servos, so the real robot "
-        "gets nothing from there that holds it on its wall. Do not emulate what holds a real robot"
+        f"{', '.join(kinds()[name].noun for name in holders)}: emulated beside real servos, so the "
+        "real robot gets nothing from there that holds it on its wall. Do not emulate what holds a real robot"
     )
 
 

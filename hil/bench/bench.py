@@ -254,11 +254,11 @@ class Bench(HeldRig):
         Raises:
             ConfigError: the robot is to move, and the IMU shows another tilt than `environment.tilt_rad`.
         """
-        self._warn(emulated_hold(self.config))
         if start.trajectory is not None:
             self._warn(blind_to_the_drive(self.config))
             self._tilt.must_agree()
             until = self._until_tilted(until)
+        self._warn(emulated_hold(self.config))
         warm_up(brain, start.state)
         with ExitStack() as stack:
             stack.enter_context(without_collector() if self.real_time is None else self.real_time)

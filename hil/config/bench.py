@@ -87,7 +87,7 @@ class BenchConfig(Strict):
         return tuple(name for name, one in self.devices().items() if one.backend != servos.backend)
 
     def emulated_holders(self) -> tuple[str, ...]:
-        """Names of what holds the robot on its wall and is emulated beside real servos: none of it is held."""
+        """Names of what holds a robot on its wall and is emulated beside real servos: it holds no real one."""
         servos = self.of(ServosConfig)
         if servos is None or servos.backend != "real":
             return ()

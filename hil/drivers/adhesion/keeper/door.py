@@ -34,7 +34,6 @@ _PREFIX = "hil-adhesion "
 _MOST_TEXT = 1000
 
 
-
 class Peer(NamedTuple):
     """The program at the other end of a connection: its process and user id."""
 

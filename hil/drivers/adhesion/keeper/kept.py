@@ -48,7 +48,7 @@ Keep = Callable[[Spec, Clock], Kept]
 _DOES = {
     "keeping": "keeps it running",
     "ending": "lets it come to rest",
-    "idle": "waits: it is at rest, nobody has asked for it",
+    "idle": "it is at rest: nobody commands it until it is asked for",
 }
 
 
