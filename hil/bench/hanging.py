@@ -72,9 +72,9 @@ class Hanging:
         told = f"Pressed on the wall with {self._told()}; {limit_n:.1f} N are the least on this surface."
         if raised_n:
             told += (
-                f" The fan ran at {raised_n:.1f} N, more than the bench's "
-                f"{force_wanted_n(self._config):g} N, as after a stop that raises it, and stays there: less might let the robot slide where it "
-                "stands. Once it is secured, `hil adhesion on --tethered` lowers it."
+                f" The fan ran at {raised_n:.1f} N, more than the {force_wanted_n(self._config):g} N of the "
+                "bench's file, as after a stop that raises it, and stays there: less might let the robot "
+                "slide where it stands. Once it is secured, `hil adhesion on --tethered` lowers it."
             )
         blind = [kinds()[name].noun for name in self._config.elsewhere() if name in MEASURES]
         if blind:

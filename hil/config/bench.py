@@ -87,7 +87,7 @@ class BenchConfig(Strict):
         return tuple(name for name, one in self.devices().items() if one.backend != servos.backend)
 
     def emulated_holders(self) -> tuple[str, ...]:
-        """Names of what holds a robot on its wall and is emulated beside real servos: it holds no real one."""
+        """Names of what holds a robot on its wall and is emulated beside real servos: that holds none."""
         servos = self.of(ServosConfig)
         if servos is None or servos.backend != "real":
             return ()

@@ -330,7 +330,9 @@ def test_a_session_after_a_stop_that_raised_the_fan_leaves_it_so_and_is_not_ende
         raised_n = bench.truth().adhesion_n
         assert raised_n > 49.0
         told = Hanging(bench.config, bench.rig, bench.clock).hold()
-        assert re.search(r"The fan ran at 5\d\.\d N, more than the bench's 45 N, .*, and stays there", told)
+        assert re.search(
+            r"The fan ran at 5\d\.\d N, more than the 45 N of the bench's file, .*, and stays there", told
+        )
         assert least_force_n(bench, 4.0) > raised_n - 1.0
     assert bench.held.state == "HELD"
 
