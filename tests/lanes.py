@@ -27,6 +27,7 @@ ALONE = (
     "bench/test_doctor_discover_setup.py::test_discover_finds_everything",
     "bench/test_doctor_discover_setup.py::test_the_emulated_bench_is_healthy",
     "bench/test_held_in_a_mix.py::test_an_emulated_camera_stops_the_drive_of_real_servos",
+    "bench/test_held_in_a_mix.py::test_an_emulated_fan_does_not_press_a_real_robot",
     "bench/test_held_in_a_mix.py::test_real_servos_beside_emulated_sensors", "bench/test_replug_drivers.py",
     "core/test_loop_and_server.py::test_the_server_answers_and_ticks_on_world_time",
     "docs/test_hardware_page.py::test_the_page_can_be_walked",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
 import time
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
@@ -10,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.drivers import make_rig
-from hil.bench.settings import force_wanted_n
+from hil.bench.settings import adhesion_limits, can_fall, force_wanted_n, thrust_wanted_n
 from hil.bench.tilt import tilt_rad
 from hil.config.adhesion import AdhesionConfig, MotorConfig
 from hil.config.bench import BenchConfig
@@ -21,6 +23,7 @@ from hil.drivers.adhesion.keeper.door import keepers
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.clock import MonotonicClock, nanoseconds
 from hil.vocabulary.errors import ConfigError, DeviceError, UsageError
+from hil.vocabulary.port_users import Program, ending, named, running
 from hil.vocabulary.signals import Status as SampleStatus
 from hil.vocabulary.signals import worst
 
@@ -45,6 +48,8 @@ _LEVEL_RAD = math.radians(15.0)
 _NO_FORCE = 0.2
 """Share of what the fan's speed would press with: less of it in the cells means that nothing is sucked at."""
 _CELLS_REST_N = 1.0
+_TURNS_RPM = 1000.0
+"""From here on speed over duty is that of a fan that runs."""
 DEVICE = "adhesion"
 _TETHERED = "say --tethered once the robot is tethered or off the wall"
 
@@ -111,28 +116,45 @@ def other_keepers(specs: Collection[Spec]) -> list[str]:
 
 
 def switch_on(
-    config: BenchConfig, *, force_n: float | None, duty: float | None, wait_s: float, say: Say
+    config: BenchConfig,
+    *,
+    force_n: float | None,
+    duty: float | None,
+    wait_s: float,
+    say: Say,
+    tethered: bool = False,
 ) -> float:
     """Start the fan, or give one that runs another set-point, and wait until it is reached.
 
     Args:
-        config: of the bench; only its fan is opened.
+        config: of the bench; its fan is opened, and IMU and load cells where a robot might fall.
         force_n: what to ask for; what the bench wants on its wall when None.
         duty: asked for in place of a force.
         wait_s: how long it may take.
         say: told how far it is.
+        tethered: the robot is tethered or off the wall: somebody has looked.
 
     Returns:
         The force that the fan's speed gives, N. The fan goes on, whatever ends this.
 
     Raises:
-        ConfigError, UsageError, DeviceError: it cannot be asked for, or is not reached.
+        ConfigError, UsageError, DeviceError: it cannot be asked for, or is not reached; a bench commands the
+            fan now; or it is too little for a robot that may hang by it, as `seen_off_the_wall` says.
     """
     table, clock = _fan(config), MonotonicClock()
     wanted_n = force_wanted_n(config) if force_n is None else force_n
+    if isinstance(table, MotorConfig):
+        _must_be_free(keeper_spec(config))
     fan: Any = make_rig(config, clock, {}).get(DEVICE)
+    if not tethered:
+        fan.open()
+        with contextlib.closing(fan):
+            now = _first_report(fan, clock)
+        asked_n = wanted_n if duty is None else _duty_n(table, duty, now)
+        _must_be_enough(config, table.force_at_n(now.speed_rpm), asked_n)
     fan.open()
-    try:
+    with contextlib.closing(fan):
+        _first_report(fan, clock)  # a fan that runs goes on from there
         if duty is None:
             fan.set_force_n(wanted_n)
         else:
@@ -152,8 +174,76 @@ def switch_on(
                     say(f"{newest.speed_rpm:.0f} 1/min, good for {is_n:.1f} N")
             clock.sleep_until_ns(now_ns + _STEP_NS)
         raise _not_reached(newest, f"{wanted_n:g} N" if duty is None else f"duty {duty:g}", wait_s)
-    finally:
-        fan.close()
+
+
+def _must_be_free(spec: Spec) -> None:
+    """Refuse a fan that another program commands: that one would ask for its own set-point at once.
+
+    Raises:
+        UsageError: a bench, or another `hil adhesion on`, has asked its keeper for a set-point and goes on.
+    """
+    setters = set((keeper_status(spec) or {}).get("set_by", ())) - {os.getpid()}
+    if not setters:
+        return
+    names = {program.pid: program.name for program in running()}
+    others = [Program(pid, names.get(pid, "a program")) for pid in sorted(setters)]
+    raise UsageError(
+        f"{spec.name}: {named(others)} commands the fan now, and would go on with its own set-point",
+        expected="a fan that no running bench commands",
+        remedy=f"end that program first{ending(others)}; the fan goes on meanwhile",
+    )
+
+
+def _first_report(fan: Any, clock: MonotonicClock) -> Any:
+    """A good sample of the fan, as soon as there is one; raises `DeviceError` where none comes."""
+    end_ns = clock.now_ns() + nanoseconds(_WATCH_S)
+    while clock.now_ns() < end_ns:
+        good = [sample for sample in fan.read() if worst(sample) is SampleStatus.OK]
+        if good:
+            return good[-1]
+        clock.sleep_until_ns(clock.now_ns() + _STEP_NS)
+    raise DeviceError(
+        DEVICE, f"no usable report of its speed for {_WATCH_S:g} s: nothing was changed",
+        expected="how fast the fan turns, before it is given another set-point",
+        remedy="`hil doctor` looks at its controller",
+    )  # fmt: skip
+
+
+def _must_be_enough(config: BenchConfig, is_n: float, asked_n: float) -> None:
+    """Refuse a set-point that lets a robot fall that may hang by its fan: less than now, or than it needs.
+
+    Args:
+        config: of the bench.
+        is_n: what the fan gives now, N.
+        asked_n: what it is to give, N; NaN where nobody can tell.
+
+    Raises:
+        UsageError: IMU and load cells do not say that the robot is off the wall.
+        DeviceError: one of them cannot be asked.
+    """
+    least_n, limits = 0.0, adhesion_limits(config)
+    if limits is not None and can_fall(config):
+        least_n = limits.limit_n(thrust_wanted_n(config), config.environment.start_pose[2])
+    if asked_n >= max((1.0 - _NEAR) * is_n, least_n):
+        return
+    least = f"; {least_n:.1f} N are the least on this surface" if least_n else ""
+    try:
+        seen_off_the_wall(config)
+    except UsageError as error:
+        raise UsageError(
+            f"the fan stays at {is_n:.1f} N, it is not set to {asked_n:.1f} N{least}: {error.message}",
+            expected=error.expected, remedy=error.remedy,
+        ) from None  # fmt: skip
+
+
+def _duty_n(table: AdhesionConfig, duty: float, now: Any) -> float:
+    """Force that a duty gives, N: by how the fan runs now, else by its ratings; NaN where nothing tells."""
+    if now.duty > 0.0 and now.speed_rpm > _TURNS_RPM:
+        return table.force_at_n(now.speed_rpm * duty / now.duty)
+    if not isinstance(table, MotorConfig):
+        return math.nan
+    input_v = now.input_v if math.isfinite(now.input_v) else table.rated_input_v
+    return table.force_at_n(table.DROOP * table.rpm_per_v * input_v * duty)
 
 
 def _not_reached(newest: Any, wanted: str, wait_s: float) -> DeviceError:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from hil.bench.settings import can_fall
 from hil.config.bench import BenchConfig
 from hil.robot.trajectories import Trajectory
 from hil.vocabulary.errors import TrajectoryError
@@ -56,6 +57,17 @@ def blind_to_the_drive(config: BenchConfig) -> str:
         "so they do not see the robot move. A drive whose estimate needs one of them ends in a SafetyStop "
         "(sensors_disagree), and none is a witness that the robot is held. Emulate only devices that do not "
         "see it move, emulate the servos as well, or drive by odometry"
+    )
+
+
+def emulated_hold(config: BenchConfig) -> str:
+    """That what is to hold a real robot on its wall is emulated; empty where it is not, or it cannot fall."""
+    holders = config.emulated_holders() if can_fall(config) else ()
+    if not holders:
+        return ""
+    return (
+        f"{', '.join(kinds()[name].noun for name in holders)}: emulated beside real servos, so the "
+        "real robot gets nothing from there that holds it on its wall. Do not emulate what holds a real robot"
     )
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.bench.beginning import blind_to_the_drive, must_begin_where_it_stands
+from hil.bench.beginning import blind_to_the_drive, emulated_hold, must_begin_where_it_stands
 from hil.bench.held_rig import HeldRig
 from hil.bench.settings import real_time
 from hil.config.bench import BenchConfig
@@ -254,9 +254,10 @@ class Bench(HeldRig):
             ConfigError: the robot is to move, and the IMU shows another tilt than `environment.tilt_rad`.
         """
         if start.trajectory is not None:
-            self._warn_of_blind_sensors()
+            self._warn(blind_to_the_drive(self.config))
             self._tilt.must_agree()
             until = self._until_tilted(until)
+        self._warn(emulated_hold(self.config))
         warm_up(brain, start.state)
         with ExitStack() as stack:
             stack.enter_context(without_collector() if self.real_time is None else self.real_time)
@@ -286,9 +287,8 @@ class Bench(HeldRig):
 
         return watched
 
-    def _warn_of_blind_sensors(self) -> None:
-        """Tell once, before the robot moves, that sensors will not see that."""
-        said = blind_to_the_drive(self.config)
+    def _warn(self, said: str) -> None:
+        """Tell once; nothing where it is empty."""
         if said and said not in self.warnings:
             self.warnings.append(said)
             LOG.warning("%s", said)

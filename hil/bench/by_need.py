@@ -17,8 +17,10 @@ from hil.vocabulary.signals import CycleRecord
 _EVERY_NS = nanoseconds(0.5)
 _MARGIN = 1.1
 """Over the limit at which the robot would be stopped."""
-_DOWN_N, _CHANGE_N = 0.5, 0.25
-"""Largest step down, so that nobody takes it for a loss; smallest change that is worth a word."""
+LARGEST_STEP_DOWN_N, _CHANGE_N = 0.5, 0.25
+"""So that nobody takes it for a loss; smallest change that is worth a word."""
+_RAISED_N = 2.0
+"""A fan that gives so much more than was asked for here was raised by a stop."""
 
 
 class ForceByNeed(Sink):
@@ -47,7 +49,10 @@ class ForceByNeed(Sink):
         if not math.isfinite(heading_rad):
             return
         wanted_n = min(_MARGIN * self._limits.limit_n(self._thrust_n, heading_rad), self._highest_n)
-        force_n = max(wanted_n, self._asked_n - _DOWN_N)
+        runs_n = record.state.diagnostics.get("adhesion_fan_n", self._asked_n)
+        if runs_n > self._asked_n + _RAISED_N:
+            self._asked_n = min(runs_n, self._highest_n)
+        force_n = max(wanted_n, self._asked_n - LARGEST_STEP_DOWN_N)
         if abs(force_n - self._asked_n) < _CHANGE_N:
             return
         with contextlib.suppress(HilError):

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from hil.bench.pressing import MEASURES, measured_n
+from hil.bench.by_need import LARGEST_STEP_DOWN_N
+from hil.bench.pressing import FAN, MEASURES, measured_n
 from hil.bench.settings import adhesion_limits, force_wanted_n, thrust_wanted_n
+from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.config.kept_motor import KeptMotorConfig
 from hil.config.thrust import ThrustConfig
@@ -63,15 +65,37 @@ class Hanging:
         self._ask("thrust", thrust_n)
         if limits is None:
             return ""
-        self._ask("adhesion", force_wanted_n(self._config))
+        raised_n = self._raised_n(limits)
+        self._ask("adhesion", raised_n or force_wanted_n(self._config))
         limit_n = self._wait(limits, thrust_n)
         self._compare()
         told = f"Pressed on the wall with {self._told()}; {limit_n:.1f} N are the least on this surface."
+        if raised_n:
+            told += (
+                f" The fan ran at {raised_n:.1f} N, more than the {force_wanted_n(self._config):g} N of the "
+                "bench's file, as after a stop that raises it, and stays there: less might let the robot "
+                "slide where it stands. Once it is secured, `hil adhesion on --tethered` lowers it."
+            )
         blind = [kinds()[name].noun for name in self._config.elsewhere() if name in MEASURES]
         if blind:
             told += " In another world than the servos, with no word on what presses this robot: "
             told += ", ".join(blind) + "."
         return told
+
+    def _raised_n(self, limits: AdhesionLimits) -> float:
+        """Force of a fan that runs at more than the bench wants (N), 0 for any other.
+
+        A stop has raised it where the robot stands, or an operator has; nobody here knows better.
+        """
+        fan, wanted_n = self._config.of(AdhesionConfig), force_wanted_n(self._config)
+        if fan is None or not limits.has_fan:
+            return 0.0
+        end_ns = self._clock.now_ns() + _NO_SAMPLE_NS
+        while FAN not in self._seen_n and self._clock.now_ns() < end_ns:
+            self._look()
+            self._clock.sleep_until_ns(self._clock.now_ns() + _STEP_NS)
+        runs_n = min(self._seen_n.get(FAN, 0.0), fan.highest_force_n)
+        return runs_n if runs_n > wanted_n + LARGEST_STEP_DOWN_N else 0.0
 
     def _ask(self, name: str, force_n: float) -> None:
         """Ask a device for a force; a keeper may have to hear its motor first."""

@@ -22,6 +22,7 @@ from hil.ring.force_trend import ForceTrend
 from hil.ring.rig import Rig
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.errors import HilError
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import LoadCellSample, Status, worst
 
 RUN_DOWN_S = 1.0
@@ -30,7 +31,7 @@ _WEAKENS_NS = nanoseconds(0.6)
 """Propellers without current let a robot slide by then, and have not yet where one looks no longer."""
 MEASURES = ("adhesion", "load_cells")
 """Kinds whose samples tell a force."""
-_FAN, _CELLS = "the fan's speed", "the load cells"
+FAN, _CELLS = "the fan's speed", "the load cells"
 
 
 def measured_n(limits: AdhesionLimits, samples: Iterable[Any]) -> Iterator[tuple[str, int, float]]:
@@ -43,7 +44,7 @@ def measured_n(limits: AdhesionLimits, samples: Iterable[Any]) -> Iterator[tuple
     for sample in samples:
         if worst(sample) is Status.OK:
             cells = isinstance(sample, LoadCellSample)
-            who, force_n = (_CELLS, limits.cells_n(sample)) if cells else (_FAN, limits.speed_n(sample))
+            who, force_n = (_CELLS, limits.cells_n(sample)) if cells else (FAN, limits.speed_n(sample))
             yield who, sample.stamp.t_ns, force_n
 
 
@@ -54,10 +55,17 @@ class PressWatch:
         rig: devices of the bench.
         limits: what they must feel; None where nothing reports a force, or nothing can let the robot fall.
         fan: of the bench, if its controller lets go by itself.
+        pretended: fan and propellers that are emulated beside real servos: they hold no real robot.
     """
 
-    def __init__(self, rig: Rig, limits: AdhesionLimits | None, fan: KeptMotorConfig | None) -> None:
-        self._rig, self._limits = rig, limits
+    def __init__(
+        self,
+        rig: Rig,
+        limits: AdhesionLimits | None,
+        fan: KeptMotorConfig | None,
+        pretended: Sequence[str] = (),
+    ) -> None:
+        self._rig, self._limits, self._pretended = rig, limits, tuple(pretended)
         self._outlasts_ns = nanoseconds(RUN_DOWN_S + (0.0 if fan is None else fan.timeout_s))
         self._stale_ns = 0 if limits is None else nanoseconds(limits.stale_s)
         self._forces: dict[str, tuple[int, float]] = {}
@@ -83,7 +91,7 @@ class PressWatch:
             sees_slide: whether somebody who is believed sees places, and the robot at rest.
         """
         if self._limits is None:
-            return ""
+            return self._nothing_real()
         for name in MEASURES:
             for who, t_ns, force_n in measured_n(self._limits, self._samples(name)):
                 if math.isfinite(force_n):
@@ -102,7 +110,7 @@ class PressWatch:
             falling_n_s = -self._trends[name].slope_n_s()
             if not force_n - RUN_DOWN_S * falling_n_s >= least_n:
                 return f"the force by {name} falls by {falling_n_s:.0f} N/s; {told} so far: secure the robot"
-        if not self._limits.has_fan or _FAN in fresh:
+        if not self._limits.has_fan or FAN in fresh:
             self._enough_since_ns = None
             return ""
         if self._enough_since_ns is None:
@@ -111,12 +119,24 @@ class PressWatch:
             return f"the fan's controller is silent, it may have let go; {told} so far: secure the robot"
         return ""
 
+    def _nothing_real(self) -> str:
+        """What is said of a robot whose fan or propellers are emulated, and that nobody measures either."""
+        if not self._pretended:
+            return ""
+        return (
+            "torque is on, but nothing real reports what presses the robot on the wall "
+            f"({', '.join(kinds()[name].noun for name in self._pretended)}: emulated beside real servos): do "
+            "not emulate what holds a real robot; secure the robot"
+        )
+
     def _counted_push(self, now_ns: int, sees_slide: bool) -> tuple[float, str]:
         """What the propellers push with for certain (N), and in words why that is not all."""
         limits = self._limits
         assert limits is not None
         if not limits.nominal_thrust_n:
             return 0.0, ""
+        if "thrust" in self._pretended:
+            return 0.0, " without the propellers: they are emulated beside real servos"
         if not limits.reports_thrust:
             if sees_slide and now_ns - self._began_ns >= _WEAKENS_NS:
                 return limits.nominal_thrust_n, ""
@@ -139,7 +159,7 @@ class PressWatch:
         if self._limits is None:
             return ""
         fresh = self._fresh(now_ns)
-        measures = {_FAN: self._limits.has_fan, _CELLS: self._limits.zero_n is not None}
+        measures = {FAN: self._limits.has_fan, _CELLS: self._limits.zero_n is not None}
         told = [
             f"{fresh[name]:.1f} N by {name}" if name in fresh else f"nothing by {name}"
             for name, there in measures.items() if there
@@ -165,7 +185,8 @@ def press_watch(config: BenchConfig, rig: Rig) -> PressWatch:
 
     What is in another world than the servos presses another robot, or none.
     """
+    pretended = config.emulated_holders() if can_fall(config) else ()
     config = config.of_one_world()
     fan = config.of(AdhesionConfig)
     kept = fan if isinstance(fan, KeptMotorConfig) else None
-    return PressWatch(rig, adhesion_limits(config) if can_fall(config) else None, kept)
+    return PressWatch(rig, adhesion_limits(config) if can_fall(config) else None, kept, pretended)

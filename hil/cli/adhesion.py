@@ -20,6 +20,13 @@ if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
 
 _BENCH = click.option("--bench", required=True, help="Bench file of the robot.")
+<<<<<<< HEAD
+=======
+_TETHERED = click.option(
+    "--tethered", is_flag=True, help="The robot is tethered, or off the wall: you have looked."
+)
+_JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+>>>>>>> adhfix
 
 
 @click.group(cls=SuggestingGroup)
@@ -27,7 +34,8 @@ def command() -> None:
     """The fan that presses the robot on its wall, and the process that keeps it running.
 
     The fan goes on when a program ends, however it ends: a process of its own, its keeper, goes on commanding
-    it. Only `hil adhesion off` stops it.
+    it. Only `hil adhesion off` lets it come to rest. Neither `off` nor less force from `on` is possible while
+    the robot may hang by the fan, unless --tethered says that you have looked.
     """
 
 
@@ -38,9 +46,20 @@ def command() -> None:
 @click.option("--duty", type=FiniteRange(0.0, 1.0, min_open=True), help="Share of the voltage, not a force.")
 @click.option("--wait", "wait_s", type=FiniteRange(0.0, 120.0), default=15.0, show_default=True,
               help="Seconds that it may take to get there.")  # fmt: skip
+<<<<<<< HEAD
 @JSON
 def switch_on(bench: str, force_n: float | None, duty: float | None, wait_s: float, as_json: bool) -> int:
+=======
+@_TETHERED
+@_JSON
+def switch_on(
+    bench: str, force_n: float | None, duty: float | None, wait_s: float, tethered: bool, as_json: bool
+) -> int:
+>>>>>>> adhfix
     """Start the fan, or give a running one another set-point, along a ramp; it stays on.
+
+    Less than now, or than holds this robot on this surface, is refused unless --tethered is given, or IMU and
+    load cells both say that the robot does not hang by it. So is a fan that a running bench commands.
 
     Example: hil adhesion on --bench my.toml
     """
@@ -50,7 +69,9 @@ def switch_on(bench: str, force_n: float | None, duty: float | None, wait_s: flo
         raise UsageError("--force and --duty are both given", expected="one of them", remedy="leave one out")
     config = _config(bench)
     spec = adhesion.keeper_spec(config)
-    reached_n = adhesion.switch_on(config, force_n=force_n, duty=duty, wait_s=wait_s, say=_progress)
+    reached_n = adhesion.switch_on(
+        config, force_n=force_n, duty=duty, wait_s=wait_s, say=_progress, tethered=tethered
+    )
     status = adhesion.keeper_status(spec)
     if as_json:
         click.echo(json.dumps({"fan": spec.name, "force_n": reached_n, "keeper": status}))
@@ -61,8 +82,13 @@ def switch_on(bench: str, force_n: float | None, duty: float | None, wait_s: flo
 
 @command.command("off")
 @_BENCH
+<<<<<<< HEAD
 @click.option("--tethered", is_flag=True, help="The robot is tethered, or off the wall: you have looked.")
 @JSON
+=======
+@_TETHERED
+@_JSON
+>>>>>>> adhfix
 def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
     """Let the fan, and propellers that have a keeper, come to rest along a ramp.
 
@@ -115,7 +141,7 @@ def _all_kept(found: Mapping[str, Status | None]) -> int:
     """Exit code: whether everything that holds the robot has a keeper; what has none is named on stderr."""
     for kind, status in found.items():
         if status is None:
-            click.echo(f"hil: {kind} has no keeper: nobody commands it once its bench has ended", err=True)
+            click.echo(f"hil: {kind} has no keeper: nobody commands it now", err=True)
     return EXIT_DEVICE if None in found.values() else EXIT_PASS
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -59,6 +59,9 @@ class MotorConfig(AdhesionConfig, KeptMotorConfig):
         command: what the controller is given: `duty`, `current` or `rpm`.
         rpm_per_v: of the motor: speed per volt, unloaded.
     """
+
+    DROOP: ClassVar[float] = 0.93
+    """Speed of a loaded motor over that of a free one, before anything was measured."""
 
     command: Literal["duty", "current", "rpm"] = "duty"
     rpm_per_v: Annotated[float, Within(10.0, 20_000.0, "1/min per V, as on the motor")] = 1750.0

@@ -86,6 +86,13 @@ class BenchConfig(Strict):
             return ()
         return tuple(name for name, one in self.devices().items() if one.backend != servos.backend)
 
+    def emulated_holders(self) -> tuple[str, ...]:
+        """Names of what holds a robot on its wall and is emulated beside real servos: that holds none."""
+        servos = self.of(ServosConfig)
+        if servos is None or servos.backend != "real":
+            return ()
+        return tuple(name for name in self.elsewhere() if kinds()[name].holds)
+
     def of_one_world(self) -> BenchConfig:
         """The same bench without the devices that are `elsewhere`: all that tells of the servos' robot."""
         others = self.elsewhere()

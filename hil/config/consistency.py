@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import os
+from collections.abc import Iterator, Mapping
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 from hil.config.adhesion import AdhesionConfig
-from hil.config.can_bus import quarrels
+from hil.config.can_bus import CanConfig, quarrels
+from hil.config.device import DeviceConfig
 from hil.config.environment import SURFACES
 from hil.config.load_cells import LoadCellsConfig
 from hil.config.servo_models import DEFAULT_MODEL, servo_model
@@ -38,6 +41,7 @@ def contradictions(config: BenchConfig) -> Iterator[Problem]:
     yield from _of_the_emulation(config)
     yield from _of_imperfections(config)
     yield from quarrels(config.devices())
+    yield from _of_ports(config.devices())
     if config.environment.on_wall:
         yield from _of_a_wall(config)
 
@@ -83,6 +87,38 @@ def _of_imperfections(config: BenchConfig) -> Iterator[Problem]:
     for kind in added():
         if kind.name not in present and config.imperfections(kind.name):
             yield f"emulation.{kind.name}", f"the bench has no [{kind.name}] that could be emulated"
+
+
+def _of_ports(devices: Mapping[str, DeviceConfig]) -> Iterator[Problem]:
+    """Serial ports at which the file has two devices: each would take the other's bytes as its own."""
+    places = [(name, one, *_port(one)) for name, one in devices.items() if one.backend == "real"]
+    for (name, one, key, place), (rival, other, their_key, theirs) in combinations(places, 2):
+        can = isinstance(one, CanConfig) and isinstance(other, CanConfig)
+        shared = _model(other) in one.SHARES_PORT_WITH or _model(one) in other.SHARES_PORT_WITH
+        if place and place == theirs and not can and not shared:
+            yield (
+                f"{rival}.{their_key}",
+                f"{getattr(other, their_key)!r} is the port of {name}.{key} = {getattr(one, key)!r}, too: "
+                "each device has a port of its own; correct one of them (`hil discover` lists ports)",
+            )
+
+
+def _port(device: DeviceConfig) -> tuple[str, str]:
+    """Key that names the serial port of a device, and which one it is; empty where it has none of its own.
+
+    A CAN adapter may be one, too (slcand, `/dev/ttyACM0@115200`).
+    """
+    key = "channel" if isinstance(device, CanConfig) else "port"
+    given = getattr(device, key, "")
+    if not isinstance(given, str) or not given or given.lower().startswith("loop://"):
+        return key, ""
+    if isinstance(device, CanConfig):
+        given = given.partition("@")[0]
+    return key, given if "://" in given else os.path.realpath(given)
+
+
+def _model(device: DeviceConfig) -> str:
+    return str(getattr(device, "model", ""))
 
 
 def _of_motion(config: BenchConfig) -> Iterator[Problem]:

@@ -25,6 +25,8 @@ class DeviceConfig(Strict):
     """Keys that hold paths: a relative one starts at the bench file's folder."""
     CHOSEN_BY_EMULATOR: ClassVar[tuple[str, ...]] = ()
     """Keys that say where an emulated device is served: free places for one that only this process asks."""
+    SHARES_PORT_WITH: ClassVar[tuple[str, ...]] = ()
+    """Models that may be at the serial port of this one: one that only writes beside one that only reads."""
 
     backend: Literal["real", "emulated"] = "real"
 

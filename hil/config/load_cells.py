@@ -77,6 +77,8 @@ class LineCellsConfig(LoadCellsConfig):
         baud: of the line.
     """
 
+    SHARES_PORT_WITH: ClassVar[tuple[str, ...]] = ("teensy",)
+
     model: Literal["hx711_line"] = "hx711_line"
     port: str = Field("/dev/ttyACM0", min_length=1)
     baud: int = Field(115_200, gt=0, le=12_000_000)

@@ -257,8 +257,17 @@ class AdhesionWatch:
             stop(
                 "utilisation",
                 f"wheel {wheel} uses {100 * self._most:.0f} % of its friction, more than "
-                f"{100 * self.limits.utilisation:.0f} %: {told}{self._weak_push()}",
+                f"{100 * self.limits.utilisation:.0f} %: {told}{self._weak_push()}{self._way_out()}",
             )
+
+    def _way_out(self) -> str:
+        """What follows a stop that raises the fan."""
+        if not self.limits.has_fan:
+            return ""
+        return (
+            "; the fan is raised now, and the next session leaves it so: turn the robot back to upright, or "
+            "bring it down; once it is secured, `hil adhesion on --tethered` lowers the force"
+        )
 
     def _by_whom(self) -> str:
         """Who says so, where another says otherwise: it may be that one that is wrong."""

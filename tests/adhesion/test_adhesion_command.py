@@ -1,8 +1,10 @@
 """`hil adhesion`: on, off, status, watch and keep, at an emulated VESC and at a fan on the wire."""
 
 import configparser
+import contextlib
 import json
 import math
+import os
 import signal
 import subprocess
 import sys
@@ -23,7 +25,7 @@ from hil.drivers.adhesion.keeper import client
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.emulated_bus import is_emulated
-from hil.vocabulary.errors import UsageError
+from hil.vocabulary.errors import DeviceError, UsageError
 from hil.vocabulary.signals import Status
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
@@ -107,6 +109,7 @@ def hil(capsys):
 def test_on_status_watch_and_off_at_an_emulated_vesc(served, hil):
     code, out, err = hil("adhesion", "status", "--bench", served)
     assert (code, "no keeper" in out) == (3, True)
+    assert "adhesion has no keeper: nobody commands it now" in err
     code, out, err = hil("adhesion", "on", "--bench", served, "--force", "40", "--json")
     assert code == 0, err
     told = json.loads(out)
@@ -290,3 +293,98 @@ def test_without_witnesses_only_the_operator_can_say_it(monkeypatch):
     emulated = config.imu.model_copy(update={"backend": "emulated"})
     with pytest.raises(UsageError, match=r"no imu of the robot.*--tethered"):
         adhesion.seen_off_the_wall(config.model_copy(update={"imu": emulated}))
+
+
+def asked_of(monkeypatch, *, up, cells_n, rpm, **asked):
+    """What `switch_on` asked of the fan since it opened it last."""
+    config, given = robot(monkeypatch, up=up, cells_n=cells_n, rpm=rpm), []
+    fan = adhesion.make_rig(None, None, None)["adhesion"]
+    sample = SimpleNamespace(
+        status=Status.OK, speed_rpm=rpm, duty=rpm / 36_000.0, input_v=22.0, trouble="", stamp=None
+    )
+    fan.__dict__.update(
+        open=given.clear,
+        read=lambda: given.append("read") or (sample,),
+        set_force_n=lambda n: given.append(n),
+        set_duty=lambda d: given.append(d),
+    )
+    monkeypatch.setattr(adhesion, "keeper_status", lambda spec: None)
+    with contextlib.suppress(DeviceError):  # it never gets there
+        adhesion.switch_on(
+            config, force_n=asked.get("force_n"), duty=asked.get("duty"), wait_s=0.0, say=print,
+            tethered=asked.get("tethered", False),
+        )  # fmt: skip
+    return given
+
+
+@pytest.mark.parametrize(
+    ("asked", "rpm", "told"),
+    [
+        ({"force_n": 3.0}, 30_000.0, "stays at 45.0 N, it is not set to 3.0 N; 29.2 N are the least"),
+        ({"duty": 0.05}, 30_000.0, "stays at 45.0 N, it is not set to 0.2 N"),
+        ({"force_n": 40.0}, 30_000.0, "it is not set to 40.0 N"),
+        ({"force_n": 20.0}, 0.0, "stays at 0.0 N, it is not set to 20.0 N; 29.2 N are the least"),
+        ({"duty": 0.4}, 0.0, "it is not set to 10."),
+        ({}, 33_000.0, "stays at 54.5 N, it is not set to 45.0 N"),
+    ],
+)
+def test_a_set_point_that_lets_the_robot_fall_is_refused_as_off_is(monkeypatch, asked, rpm, told):
+    with pytest.raises(UsageError, match=rf"{told}.*may hang by its fan: tilted by 90 deg.*--tethered"):
+        asked_of(monkeypatch, up=ON_THE_WALL, cells_n=45.0, rpm=rpm, **asked)
+
+
+@pytest.mark.parametrize(
+    ("asked", "up", "cells_n", "rpm", "given"),
+    [
+        ({"force_n": 3.0}, LEVEL, 0.0, 30_000.0, 3.0),
+        ({"force_n": 3.0, "tethered": True}, ON_THE_WALL, 45.0, 30_000.0, 3.0),
+        ({"duty": 0.05, "tethered": True}, ON_THE_WALL, 45.0, 30_000.0, 0.05),
+        ({}, ON_THE_WALL, 45.0, 30_000.0, 45.0),
+        ({}, ON_THE_WALL, 45.0, 30_400.0, 45.0),
+        ({"force_n": 54.0}, ON_THE_WALL, 45.0, 30_000.0, 54.0),
+        ({"duty": 0.9}, ON_THE_WALL, 45.0, 30_000.0, 0.9),
+        ({"force_n": 40.0}, ON_THE_WALL, 0.0, 0.0, 40.0),
+    ],
+)
+def test_a_set_point_that_holds_the_robot_or_is_vouched_for_is_given(
+    monkeypatch, asked, up, cells_n, rpm, given
+):
+    asked_for = asked_of(monkeypatch, up=up, cells_n=cells_n, rpm=rpm, **asked)
+    assert asked_for == ["read", given], "it was heard first, so that the set-point begins from how it runs"
+
+
+def test_a_fan_that_a_bench_commands_is_left_to_it(at_wire, hil):
+    """Its session asks for its own force again; so is one that `hil adhesion on` waits for."""
+    _, spec, path = at_wire
+    with client.find_or_start(spec) as connection:
+        while not client.ask(connection, {"do": "status"}, spec)["report"]:
+            time.sleep(0.02)
+        assert client.ask(connection, {"do": "status"}, spec)["set_by"] == []
+        client.ask(connection, client.set_request(SetPoint("duty", 0.3)), spec)
+        (pid,) = client.ask(connection, {"do": "status"}, spec)["set_by"]
+        assert pid == os.getpid()
+    with subprocess.Popen([sys.executable, "-c", SETS, spec.to_json()], stdin=subprocess.PIPE,
+                          stdout=subprocess.PIPE, text=True) as bench:  # fmt: skip
+        assert bench.stdout.readline() == "set\n"
+        for more in ((), ("--tethered",)):
+            code, _, err = hil("adhesion", "on", "--bench", path, "--force", "5", *more)
+            assert (code, f"(process {bench.pid}) commands the fan now" in err) == (2, True), err
+        bench.stdin.close()
+        bench.wait()
+    with client.connect(spec) as connection:
+        status = client.ask(connection, {"do": "status"}, spec)
+        assert (status["set_by"], status["target"]) == ([], ["duty", 0.4])
+
+
+SETS = """
+import sys
+from hil.drivers.adhesion.keeper import client
+from hil.drivers.adhesion.keeper.core import SetPoint
+from hil.drivers.adhesion.keeper.spec import Spec
+
+spec = Spec.from_json(sys.argv[1])
+connection = client.connect(spec)
+client.ask(connection, client.set_request(SetPoint("duty", 0.4)), spec)
+print("set", flush=True)
+sys.stdin.read()
+"""

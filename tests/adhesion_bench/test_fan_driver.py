@@ -196,6 +196,12 @@ def test_the_doctor_reads_time_out_messages_and_firmware_from_the_controller(dri
         assert (found["status messages"].level, found["status messages"].found) == ("warning", "1, 4")
         assert (found["firmware"].level, found["firmware"].found) == ("warning", "5.02")
         assert found["keeper"].level == "ok"
+        assert found["keeper"].found == "it is at rest: nobody commands it until it is asked for"
+        after(fan, clock, 0.3)
+        fan.set_force_n(40.0)
+        after(fan, clock, 1.0)
+        (keeper,) = (f for f in fan.diagnose() if f.check == "keeper")
+        assert (keeper.level, keeper.found) == ("ok", "keeps it running")
 
 
 def test_what_a_controller_does_not_tell_is_told_with_a_remedy(driver):

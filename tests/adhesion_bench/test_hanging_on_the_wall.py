@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import hil
+from hil.bench.hanging import Hanging
 from hil.bench.settings import adhesion_limits, thrust_wanted_n
 from hil.config.loading import load_bench
 from hil.procedure.faults import cells_of
@@ -302,3 +303,57 @@ def test_an_estimate_that_motion_capture_contradicts_while_it_slides_points_at_w
     verdict = run_cell(cell)
     assert verdict.why == ()
     assert verdict.ended == "sensors_disagree"
+
+
+def wait(bench, seconds):
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + round(seconds * 1e9))
+
+
+def least_force_n(bench, seconds):
+    """The least that presses it during a time in which somebody watches."""
+    seen = []
+    bench.observe(seconds, feedback="odometry", on_cycle=lambda record: seen.append(bench.truth().adhesion_n))
+    return min(seen)
+
+
+@pytest.mark.parametrize("model", ["vesc", "dronecan"])
+def test_a_session_after_a_stop_that_raised_the_fan_leaves_it_so_and_is_not_ended(model):
+    """What is opened next does the same to a fan that runs as this: it asks for the working force."""
+    limit = {"safety.utilisation_limit": 0.65, "adhesion.model": model}
+    with hil.open_bench("emulated", seed=1, overrides=limit) as bench:
+        with pytest.raises(SafetyStop) as stop:
+            bench.drive(line((0, 0, 0), (0, 0, 0.24), duration_s=4.0), feedback="odometry")
+        assert stop.value.reason == "utilisation"
+        assert "the fan is raised now, and the next session leaves it so" in str(stop.value)
+        assert "`hil adhesion on --tethered` lowers the force" in str(stop.value)
+        wait(bench, 3.0)
+        raised_n = bench.truth().adhesion_n
+        assert raised_n > 49.0
+        told = Hanging(bench.config, bench.rig, bench.clock).hold()
+        assert re.search(
+            r"The fan ran at 5\d\.\d N, more than the 45 N of the bench's file, .*, and stays there", told
+        )
+        assert least_force_n(bench, 4.0) > raised_n - 1.0
+    assert bench.held.state == "HELD"
+
+
+def test_a_fan_that_runs_as_the_bench_wants_is_asked_for_that(monkeypatch):
+    """Not for what it happens to give: that would creep up from session to session."""
+    with hil.open_bench("emulated", seed=1) as bench:
+        bench.rig.get("adhesion").set_force_n(45.4)
+        wait(bench, 2.0)
+        asked = []
+        monkeypatch.setattr(bench.rig.get("adhesion"), "set_force_n", asked.append)
+        assert "stays there" not in Hanging(bench.config, bench.rig, bench.clock).hold()
+        assert asked == [45.0]
+
+
+def test_by_need_goes_down_from_a_raised_force_in_small_steps():
+    with hil.open_bench("emulated", seed=1, overrides={"adhesion.by_need": True}) as bench:
+        bench.rig.brace()
+        wait(bench, 3.0)
+        raised_n = bench.truth().adhesion_n
+        seen = []
+        bench.observe(3.0, on_cycle=lambda record: seen.append(bench.truth().adhesion_n))
+        assert raised_n > 49.0
+        assert raised_n - 6.0 < seen[-1] < raised_n - 1.0

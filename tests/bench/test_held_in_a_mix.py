@@ -156,4 +156,97 @@ def test_an_emulated_camera_stops_the_drive_of_real_servos():
         with pytest.raises(SafetyStop) as stop:
             bench.drive(HOP)
         assert stop.value.reason == "sensors_disagree"
-        assert bench.warnings[0].startswith("IMU, camera, motion capture: in another world")
+        told = ("fan, propellers: emulated beside real", "IMU, camera, motion capture: in another world")
+        assert all(said.startswith(start) for said, start in zip(bench.warnings, told, strict=True))
+
+
+def test_what_is_emulated_of_that_which_holds_a_real_robot_is_known():
+    assert load_bench("emulated").emulated_holders() == ()
+    real = load_bench("emulated", overrides=REAL_SERVOS)
+    assert real.emulated_holders() == ("adhesion", "thrust")
+    assert load_bench("emulated", overrides={**REAL_SERVOS, "adhesion": None}).emulated_holders() == (
+        "thrust",
+    )
+    nothing_hangs = load_bench("emulated", overrides={"adhesion.backend": "real"})
+    assert nothing_hangs.emulated_holders() == (), "these servos are emulated: nothing real hangs by them"
+
+
+@contextmanager
+def pretended(monkeypatch, *holders, blind=(), **given):
+    """A bench in virtual time, with these counted as emulated beside real servos."""
+    monkeypatch.setattr(BenchConfig, "emulated_holders", lambda self: holders)
+    with mixed(monkeypatch, *holders, *blind, **given) as bench:
+        yield bench
+
+
+def test_a_robot_whose_fan_is_emulated_is_not_held_whoever_sees_it_at_rest(monkeypatch, caplog):
+    with pretended(monkeypatch, "adhesion", blind=["load_cells"]) as bench:
+        bench.observe(0.2)
+        bench.observe(0.2)
+    assert bench.held.state == "NOT HELD"
+    assert "nothing real reports what presses the robot on the wall (fan: emulated" in bench.held.why
+    said = "fan: emulated beside real servos, so the real robot gets nothing from there that holds it"
+    assert sum(said in record.getMessage() for record in caplog.records) == 1
+    assert [warning for warning in bench.warnings if warning.startswith(said)]
+
+
+def test_real_load_cells_say_what_presses_a_robot_whose_fan_is_emulated(monkeypatch):
+    with pretended(monkeypatch, "adhesion") as bench:
+        assert bench.look().state == "HELD"
+    assert "N by the load cells" in bench.held.why
+
+
+def test_emulated_propellers_carry_nothing_of_a_real_robot(monkeypatch):
+    with pretended(monkeypatch, "thrust") as bench:
+        pass
+    assert bench.held.state == "NOT HELD"
+    assert "are needed without the propellers: they are emulated beside real servos" in bench.held.why
+
+
+@pytest.mark.parametrize("changed", [{"safety.tethered": True}, {"adhesion": None, "load_cells": None}])
+def test_on_a_tether_or_held_by_something_else_the_rule_is_as_it_was(monkeypatch, changed):
+    holders = ("adhesion",) if "adhesion" not in changed else ()
+    with pretended(monkeypatch, *holders, blind=["load_cells"], overrides=changed) as bench:
+        bench.observe(0.2)
+    assert bench.held.state == "HELD"
+    assert not any("holds it on its wall" in warning for warning in bench.warnings)
+
+
+REAL_ROBOT = """
+schema = 1
+name = "real"
+[environment]
+surface = "melamine"
+tilt_rad = 1.5708
+start_pose = [0.0, 0.0, 0.0]
+[loop]
+rate_hz = 50
+[safety]
+servo_stale_s = 1.0
+[servos]
+reply_slack_s = 0.01
+[imu]
+[tracker.endpoint]
+host = "127.0.0.1"
+port = 1
+"""
+
+
+def test_an_emulated_fan_does_not_press_a_real_robot(tmp_path):
+    """Another process has the robot, which rests: all that looks at it is real, what presses it is not."""
+    mix = tmp_path / "mix.toml"
+    mix.write_text(REAL_ROBOT + '[adhesion]\nbackend = "emulated"\n[load_cells]\nbackend = "emulated"\n')
+    command = [sys.executable, "-m", "hil.cli", "emulate", "--only", "servos,imu,tracker", "--seed", "3"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as child:
+        try:
+            found = json.loads(child.stdout.readline())
+            there = {
+                "servos.port": found["servos"]["port"], "servos.baud": found["servos"]["baud"],
+                "imu.port": found["imu"]["port"], "tracker.endpoint.port": found["tracker"]["port"],
+            }  # fmt: skip
+            with hil.open_bench(str(mix), overrides=there) as bench:
+                bench.observe(0.5)
+        finally:
+            child.terminate()
+    assert bench.held.state == "NOT HELD"
+    assert "nothing real reports what presses the robot" in bench.held.why

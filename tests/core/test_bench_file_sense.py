@@ -179,3 +179,51 @@ def test_what_was_recorded_stays_readable_whatever_would_be_refused_today():
     assert (config.servos.watchdog_s, config.safety.tracking_error_limit_m) == (0.2, math.inf)
     with pytest.raises(ConfigError, match=r"(?s)old\.mcap: 1 problem.*safety\.whim: unknown key"):
         recorded_bench({**tree, "safety": {"whim": 1.0}}, "old.mcap")
+
+
+PORTS = (
+    '[servos]\nport = "{dev}/usb0"\n[imu]\nport = "{dev}/usb1"\n[thrust]\nmodel = "teensy"\n'
+    'port = "{dev}/acm0"\n[load_cells]\nmodel = "hx711_line"\nport = "{dev}/acm0"\n'
+    '[adhesion]\ninterface = "slcan"\nchannel = "{dev}/acm1@115200"\n[encoders]\ninterface = "slcan"\n'
+    'channel = "{dev}/acm1@115200"\n'
+)
+
+
+@pytest.mark.parametrize(
+    ("key", "port", "told"),
+    [
+        ("thrust.port", "usb0", "thrust.port: '{dev}/usb0' is the port of servos.port = '{dev}/usb0', too"),
+        ("thrust.port", "usb1", "thrust.port: '{dev}/usb1' is the port of imu.port = '{dev}/usb1', too"),
+        ("imu.port", "usb0", "imu.port: '{dev}/usb0' is the port of servos.port"),
+        ("imu.port", "by-id", "imu.port: '{dev}/by-id' is the port of servos.port = '{dev}/usb0', too"),
+        ("imu.port", "../dev/usb0", "imu.port: '{dev}/../dev/usb0' is the port of servos.port"),
+        ("load_cells.port", "usb0", "load_cells.port: '{dev}/usb0' is the port of servos.port"),
+        ("servos.port", "acm0", "load_cells.port: '{dev}/acm0' is the port of servos.port"),
+        ("adhesion.channel", "usb1@115200", "adhesion.channel: '{dev}/usb1@115200' is the port of imu.port"),
+    ],
+)
+def test_no_two_devices_have_one_serial_port_but_cells_and_propellers_of_one_teensy(
+    key, port, told, tmp_path
+):
+    dev = tmp_path / "dev"
+    dev.mkdir()
+    (dev / "usb0").touch()
+    (dev / "by-id").symlink_to(dev / "usb0")
+    path = tmp_path / "bench.toml"
+    path.write_text(f'schema = 1\nname = "ports"\n{PORTS.format(dev=dev)}', encoding="utf-8")
+    assert load_bench(str(path)).devices()
+    with pytest.raises(ConfigError) as caught:
+        load_bench(str(path), overrides={key: f"{dev}/{port}"})
+    assert any(problem.startswith(told.format(dev=dev)) for problem in caught.value.problems)
+    kind = key.partition(".")[0]
+    load_bench(str(path), overrides={key: f"{dev}/{port}", f"{kind}.backend": "emulated"})
+
+
+def test_remote_ports_count_by_their_address(tmp_path):
+    path = tmp_path / "bench.toml"
+    tables = '[servos]\nport = "socket://10.0.0.2:4000"\n[imu]\nport = "socket://10.0.0.2:4001"\n'
+    path.write_text(f'schema = 1\nname = "remote"\n{tables}', encoding="utf-8")
+    load_bench(str(path))
+    load_bench(str(path), overrides={"servos.port": "loop://", "imu.port": "loop://"})
+    with pytest.raises(ConfigError, match=r"is the port of servos\.port"):
+        load_bench(str(path), overrides={"imu.port": "socket://10.0.0.2:4000"})

@@ -11,8 +11,6 @@ from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.signals import AdhesionSample, Status
 
-_DROOP = 0.93
-"""Speed of a loaded motor over that of a free one, before anything was measured."""
 _NOMINAL_V, _LEAST_V, _MOST_V = 22.2, 5.0, 100.0
 """Battery voltage where the controller tells none that can be."""
 _EVERY_NS = nanoseconds(0.2)
@@ -58,7 +56,7 @@ class Trim:
         if config.command == "current":
             share = (self._wanted_rpm / config.rated_rpm) ** 2
             return SetPoint("current_a", share * _MOTOR_OVER_INPUT * config.rated_input_a)
-        duty = self._wanted_rpm / (_DROOP * config.rpm_per_v * input_v)
+        duty = self._wanted_rpm / (config.DROOP * config.rpm_per_v * input_v)
         return SetPoint("duty", min(duty, highest["duty"]))
 
     def better(self, sample: AdhesionSample, kept: Callable[[], Mapping[str, Any]]) -> SetPoint | None:

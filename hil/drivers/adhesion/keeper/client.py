@@ -41,7 +41,7 @@ def connect(spec: Spec) -> socket.socket | None:
     connection.settimeout(_ANSWER_S)
     try:
         _queue(connection, spec)
-        owner = peer(connection)[1]
+        owner = peer(connection).uid
     except ConnectionRefusedError:
         connection.close()
         return None

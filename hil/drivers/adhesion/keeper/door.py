@@ -18,7 +18,7 @@ import selectors
 import socket
 import struct
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.emulated_bus import abstract_names
@@ -33,8 +33,19 @@ _LONGEST_NAME = 100
 _PREFIX = "hil-adhesion "
 _MOST_TEXT = 1000
 
-Answer = Callable[[Mapping[str, Any], str], Mapping[str, Any]]
-"""Answers a request, of (what was asked, who asks in words); raises `HilError` to refuse it."""
+
+class Peer(NamedTuple):
+    """The program at the other end of a connection: its process and user id."""
+
+    pid: int
+    uid: int
+
+    def __str__(self) -> str:
+        return f"process {self.pid} of user {self.uid}"
+
+
+Answer = Callable[[Mapping[str, Any], Peer], Mapping[str, Any]]
+"""Answers a request, of (what was asked, who asks); raises `HilError` to refuse it."""
 Left = Callable[[int], None]
 """Told the process id of a client that has hung up: the kernel does so at once for one that dies."""
 
@@ -49,10 +60,10 @@ def keepers() -> list[str]:
     return abstract_names(_PREFIX)
 
 
-def peer(connection: socket.socket) -> tuple[int, int]:
+def peer(connection: socket.socket) -> Peer:
     """Process and user id of the other end, by the kernel."""
     pid, uid, _ = _PEER.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))
-    return pid, uid
+    return Peer(pid, uid)
 
 
 def trusted(uid: int) -> bool:
@@ -109,7 +120,7 @@ class Door:
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
             connection, _ = self._listener.accept()
-            if self.clients >= _MOST_CLIENTS or not trusted(peer(connection)[1]):
+            if self.clients >= _MOST_CLIENTS or not trusted(peer(connection).uid):
                 connection.close()
                 return
             connection.setblocking(False)
@@ -122,17 +133,16 @@ class Door:
             packet = connection.recv(MOST_BYTES)
             if not packet:
                 raise ConnectionResetError
-            who = "process {} of user {}".format(*peer(connection))
-            connection.send(_answered(packet, who, answer))
+            connection.send(_answered(packet, peer(connection), answer))
         except OSError:
-            pid = peer(connection)[0]
+            pid = peer(connection).pid
             self._ready.unregister(connection)
             connection.close()
             self.clients -= 1
             self._left(pid)
 
 
-def _answered(packet: bytes, who: str, answer: Answer) -> bytes:
+def _answered(packet: bytes, who: Peer, answer: Answer) -> bytes:
     try:
         asked = json.loads(packet)
         if not isinstance(asked, dict):

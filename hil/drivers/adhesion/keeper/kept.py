@@ -45,10 +45,18 @@ Keep = Callable[[Spec, Clock], Kept]
 """Makes who keeps a fan."""
 
 
+_DOES = {
+    "keeping": "keeps it running",
+    "ending": "lets it come to rest",
+    "idle": "it is at rest: nobody commands it until it is asked for",
+}
+
+
 def finding(name: str, kept: Kept | None) -> Finding:
     """What the doctor tells of who keeps a device running."""
     trouble = "it is closed" if kept is None else kept.trouble()
+    state = "idle" if kept is None else str(kept.status().get("state", "idle"))
     return Finding(
-        name, "keeper", "warning" if trouble else "ok", trouble or "keeps it running",
+        name, "keeper", "warning" if trouble else "ok", trouble or _DOES[state],
         "a process of its own", "`hil adhesion status` says more",
     )  # fmt: skip

@@ -22,7 +22,7 @@ from typing import Any
 from hil.drivers.adhesion.keeper.beat import Beat, open_bus
 from hil.drivers.adhesion.keeper.client import KEEPER, Status
 from hil.drivers.adhesion.keeper.core import Keeper, SetPoint
-from hil.drivers.adhesion.keeper.door import HOW_TO_ASK, Door, TakenError
+from hil.drivers.adhesion.keeper.door import HOW_TO_ASK, Door, Peer, TakenError
 from hil.drivers.adhesion.keeper.log import Log
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.keeper.surviving import be_deaf, detach, harden
@@ -54,7 +54,8 @@ class Process:
         command += [] if log.path is None else ["--log", str(log.path)]
         command += ["--emulated"] if emulation.known else []
         self._understudies = Understudies(spec, command, log.say)
-        self._door = Door(spec, self._understudies.left)
+        self._setters: set[int] = set()
+        self._door = Door(spec, self._left)
         try:
             self._beat = Beat(spec, self._keeper, log.say, None if stay else open_bus(spec))
         except (HilError, OSError):
@@ -119,13 +120,19 @@ class Process:
             self._used_ns = now_ns
         return now_ns - self._used_ns > _IDLE_NS
 
-    def _answer(self, asked: Mapping[str, Any], who: str) -> Mapping[str, Any]:
+    def _left(self, pid: int) -> None:
+        """A client has hung up."""
+        self._setters.discard(pid)
+        self._understudies.left(pid)
+
+    def _answer(self, asked: Mapping[str, Any], who: Peer) -> Mapping[str, Any]:
         """Do what a program asks for; raises `HilError` to refuse it."""
         now_ns, do = time.monotonic_ns(), asked.get("do")
         if do == "set":
             point = _point(asked)
             self._keeper.wish(now_ns, point)
-            self._tell_of_wish(now_ns, who, point)
+            self._setters.add(who.pid)
+            self._tell_of_wish(now_ns, str(who), point)
             if self._beat.sent_ns is None:
                 self._beat.beat(now_ns)
         elif do == "off":
@@ -157,6 +164,7 @@ class Process:
             **self._beat.status(now_ns),
             "pid": os.getpid(),
             "understudy": self._understudies.pid if self._understudies.present(now_ns) else None,
+            "set_by": sorted(self._setters),
             "since": self._began,
             "log": str(self._log.path or ""),
         }
