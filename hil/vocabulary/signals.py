@@ -110,7 +110,7 @@ class ServoHold:
             and a watchdog that waits.
         wanted: whether they are to hold at all: from `enable` until `release`.
         late: what is known of servos that answer, but too late for a cycle, by name.
-        released: whether they had torque and were told to let go; `enable` leaves it as it is.
+        released: whether torque was on and `release` has switched it off; `enable` leaves it as it is.
     """
 
     t_ns: int
