@@ -270,7 +270,7 @@ def _of_stamp(value: Any) -> str:
 def _of_status(count: int, value: Any) -> str:
     if not isinstance(value, tuple) or not all(isinstance(state, Status) for state in value):
         return _short(value)
-    return f"with {len(value)} entries" if count and len(value) != count else ""
+    return f"of length {len(value)}" if count and len(value) != count else ""
 
 
 def _of_array(shape: tuple[int, ...] | None, value: Any) -> str:
