@@ -43,6 +43,7 @@ servos:drop@0+10,probability=0.2     every fifth reply is lost, for ten seconds
 `hil run`, `hil live` and `hil emulate` take it as `--fault` (repeatable), the bench file as
 `[emulation] faults = ["imu:stuck@2+3"]`, a pytest test as `@pytest.mark.fault("imu", "stuck", at=2.0,
 duration=3.0)`. A run or a session that ends before its fault has begun says so, and a test fails.
+A fault that could do nothing, shorter than 1 ms or of probability 0, is refused.
 
 A path that ends in `.toml` is a timeline of several:
 

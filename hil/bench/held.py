@@ -20,7 +20,8 @@ class Held:
         moved_m: farthest that camera, motion capture or wheels say that it went since it was stopped; None
             where it was not measured: on a wall wheels do not see a slide.
         why: what confirms it; or what is missing, and what is left to do.
-        wanted: whether the servos were asked to hold it, and not told to let go.
+        wanted: whether the servos were asked to hold it, and the bench was not told to let go (`release`,
+            `exit.policy`); torque that somebody else switched off does not make it unwanted.
     """
 
     state: State

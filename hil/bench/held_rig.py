@@ -229,4 +229,5 @@ class HeldRig(Blueprint):
                 expected="a robot off the wall, or on a tether",
                 remedy="take it off the wall, or secure it and set safety.tethered = true",
             )
+        self._hold.let_go()
         self.rig.actuators().release()

@@ -96,6 +96,7 @@ class HoldWatch(Sink):
         self._tellers = [(name, samples_of(name), self._witnesses[name].value) for name in self._travel.names]
         self._doubted: dict[str, bool] = {}
         self._leaps = Leaps()
+        self._let_go = False
         self.last_state: RobotState | None = None
 
     def write(self, record: CycleRecord) -> None:
@@ -179,7 +180,8 @@ class HoldWatch(Sink):
             if unsure or (early and any(trail.fills(hold.t_ns) for trail in trails.values())):
                 doubt = doubt or "not all that see the robot have seen it for long enough"
             if not hold.wanted and not unsure:
-                return self._verdict("NOT HELD", "torque was never switched on", seen, wanted=False)
+                why = f"torque was {'switched off' if hold.released else 'never switched on'}"
+                return self._verdict("NOT HELD", why, seen, wanted=hold.released and not self._let_go)
             late = "".join(f"; {name} ({text})" for name, text in hold.late.items())
             if not doubt:
                 by = {*self._believed(seen), *places}
@@ -215,6 +217,10 @@ class HoldWatch(Sink):
             why += f"; {no_floor}"
         held = Held(state, moved_m, why, wanted)
         return held if self._on_wall or no_floor else on_the_floor(held)
+
+    def let_go(self) -> None:
+        """Torque is about to be released on purpose: that it is off from then on is no loss."""
+        self._let_go = True
 
     def released(self) -> Held:
         """The robot has been let go of on purpose."""

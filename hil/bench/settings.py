@@ -8,6 +8,7 @@ from dataclasses import fields
 
 import numpy as np
 
+from hil.bench.drivers import model_of
 from hil.calibration.nominal import Nominal
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
@@ -31,7 +32,7 @@ from hil.ring.supervisor import Checks, SafetyLimits
 from hil.ring.wheel_watch import WheelWatch
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits
-from hil.vocabulary.blame import asked
+from hil.vocabulary.blame import OURS, asked
 from hil.vocabulary.clock import Clock, MonotonicClock
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import kinds
@@ -108,6 +109,7 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         holders=tuple(kinds()[name].noun for name in config.devices() if kinds()[name].holds),
         healthy=healthy(config),
         gap_s={name: kinds()[name].gap_s for name in config.devices() if not kinds()[name].actuates},
+        brought=frozenset(n for n in config.devices() if model_of(config, n).package != OURS),
         hold=adhesion_watch(config),
         lost_after_s=_lost_after_s(config) if follows else {},
     )

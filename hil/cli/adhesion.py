@@ -20,13 +20,9 @@ if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
 
 _BENCH = click.option("--bench", required=True, help="Bench file of the robot.")
-<<<<<<< HEAD
-=======
 _TETHERED = click.option(
     "--tethered", is_flag=True, help="The robot is tethered, or off the wall: you have looked."
 )
-_JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
->>>>>>> adhfix
 
 
 @click.group(cls=SuggestingGroup)
@@ -46,16 +42,11 @@ def command() -> None:
 @click.option("--duty", type=FiniteRange(0.0, 1.0, min_open=True), help="Share of the voltage, not a force.")
 @click.option("--wait", "wait_s", type=FiniteRange(0.0, 120.0), default=15.0, show_default=True,
               help="Seconds that it may take to get there.")  # fmt: skip
-<<<<<<< HEAD
-@JSON
-def switch_on(bench: str, force_n: float | None, duty: float | None, wait_s: float, as_json: bool) -> int:
-=======
 @_TETHERED
-@_JSON
+@JSON
 def switch_on(
     bench: str, force_n: float | None, duty: float | None, wait_s: float, tethered: bool, as_json: bool
 ) -> int:
->>>>>>> adhfix
     """Start the fan, or give a running one another set-point, along a ramp; it stays on.
 
     Less than now, or than holds this robot on this surface, is refused unless --tethered is given, or IMU and
@@ -82,13 +73,8 @@ def switch_on(
 
 @command.command("off")
 @_BENCH
-<<<<<<< HEAD
-@click.option("--tethered", is_flag=True, help="The robot is tethered, or off the wall: you have looked.")
-@JSON
-=======
 @_TETHERED
-@_JSON
->>>>>>> adhfix
+@JSON
 def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
     """Let the fan, and propellers that have a keeper, come to rest along a ramp.
 

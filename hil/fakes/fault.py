@@ -42,7 +42,7 @@ MEANINGS = {
 }
 """Every kind of fault, and what happens."""
 VOCABULARY = tuple(MEANINGS)
-_LARGEST = 1e9
+_LARGEST, _BRIEFEST = 1e9, 0.001
 Supported = Mapping[str, tuple[str, ...]]
 """Faults that a device can produce, and the options that each takes."""
 
@@ -135,11 +135,11 @@ def make_fault(
 
     Whether there is such a device, and what it can produce, is what `FaultPlan.check` looks at.
     """
-    if not 0 <= at <= _LARGEST or (duration is not None and not 0 < duration <= _LARGEST):
+    if not 0 <= at <= _LARGEST or (duration is not None and not _BRIEFEST <= duration <= _LARGEST):
         lasts = "" if duration is None else f" and duration {duration:g} s"
         raise UsageError(
             f"fault {device}:{kind} has start {at:g} s{lasts}",
-            expected=f"a start >= 0 and a duration > 0, both at most {_LARGEST:g} s",
+            expected=f"a start >= 0 and a duration of at least {_BRIEFEST:g} s, both at most {_LARGEST:g} s",
         )
     start = nanoseconds(at)
     return Fault(device, kind, start, None if duration is None else start + nanoseconds(duration), options)

@@ -65,7 +65,7 @@ OPTIONS = {
     "over_s": Option("time in which the fan's force goes down along a line, s", 0, 3600),
     "packets": Option("1: random packets", *_SWITCH),
     "period_s": Option("length of a period, s", 0.001, 3600),
-    "probability": Option("of each message", 0, 1),
+    "probability": Option("of each message", 1e-6, 1),
     "quality": Option("what the computer calls its poses; the poses stay true", -1, 100, True),
     "rate_rad_s": Option("added to every axis of the gyroscope, rad/s", -100, 100),
     "share": Option(

@@ -16,7 +16,7 @@ from _pytest.runner import runtestprotocol
 from _pytest.terminal import TerminalReporter
 
 from hil.pytest_plugin.breakages import Breakage, breakages
-from hil.pytest_plugin.selection import source_of, use_source
+from hil.pytest_plugin.selection import in_several_processes, source_of, use_source
 from hil.vocabulary.errors import HilError, did_you_mean
 
 FOUND = pytest.StashKey["list[Seen]"]()
@@ -48,8 +48,8 @@ def check_session(config: pytest.Config) -> None:
         config.stash[_CHOSEN] = _chosen(config)
     except HilError as error:
         raise pytest.UsageError(str(error)) from None
-    if config.getoption("numprocesses", None):
-        raise pytest.UsageError("--hil-blind-spots runs in one process; leave -n out")
+    if in_several_processes(config):
+        raise pytest.UsageError("--hil-blind-spots runs in one process; leave -n and --dist out")
 
 
 def _chosen(config: pytest.Config) -> list[Breakage]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import numbers
 import shlex
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -51,11 +52,16 @@ def check_session(config: pytest.Config) -> None:
         real = source_of(config).real
     except HilError as error:
         raise pytest.UsageError(str(error)) from None
-    if real and config.getoption("numprocesses", None):
+    if real and in_several_processes(config):
         raise pytest.UsageError(
             f"--bench {config.getoption('bench')}: {', '.join(real)} are real and cannot be shared by "
-            "several processes; leave -n out, or add --emulate"
+            "several processes; leave -n and --dist out, or add --emulate"
         )
+
+
+def in_several_processes(config: pytest.Config) -> bool:
+    """Whether xdist hands the tests to processes of their own (`-n`, or `--dist` with `--tx`)."""
+    return config.pluginmanager.has_plugin("dsession")
 
 
 def describe(config: pytest.Config) -> str:
@@ -202,11 +208,14 @@ def _fault(mark: pytest.Mark) -> Fault:
         )
     device, kind = texts
     check_fault_kind(f"marker {_written(mark)}: {kind!r} is no kind of fault", kind)
-    return make_fault(_device(device), kind, **mark.kwargs)
+    given: dict[str, Any] = {
+        key: None if value is None else float(value) for key, value in mark.kwargs.items()
+    }
+    return make_fault(_device(device), kind, **given)
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
 def _written(mark: pytest.Mark) -> str:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.holes import unsaid_holes
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import Event, Inputs, Status, samples_of, worst
 
@@ -30,9 +32,15 @@ class SampleWatch:
         stale_s: by sensor, time without a good sample after which it counts as silent.
         gap_s: by sensor, longest time without one that is still healthy; a longer one is told of a sensor
             that has been heard.
+        brought: sensors that other packages bring; their samples are searched for numbers that are none.
     """
 
-    def __init__(self, stale_s: Mapping[str, float], gap_s: Mapping[str, float] | None = None) -> None:
+    def __init__(
+        self,
+        stale_s: Mapping[str, float],
+        gap_s: Mapping[str, float] | None = None,
+        brought: Collection[str] = (),
+    ) -> None:
         self._stale_ns = {name: nanoseconds(limit_s) for name, limit_s in stale_s.items()}
         told_s = {**stale_s, **{k: min(gap, stale_s.get(k, gap)) for k, gap in (gap_s or {}).items()}}
         self._told_ns = {name: nanoseconds(limit_s) for name, limit_s in told_s.items()}
@@ -41,6 +49,7 @@ class SampleWatch:
             for kind in kinds().values()
             if not kind.actuates
         ]
+        self._brought = frozenset(brought)
         self.reset()
 
     def reset(self) -> None:
@@ -52,6 +61,7 @@ class SampleWatch:
         self._heard: set[str] = set()
         self._last_gap_ns: dict[str, int] = {}
         self._last_told_ns: dict[tuple[str, Status], int] = {}
+        self._holes: set[tuple[str, str]] = set()
 
     def judge(self, inputs: Inputs, events: list[Event]) -> None:
         """Look at one cycle's samples; what is noticed is added to `events`."""
@@ -71,12 +81,23 @@ class SampleWatch:
                 else:
                     for label, status in zip(labels, sample.status, strict=True):
                         self._look(name, f"{label} ", status, t_ns, events)
+            if name in self._brought:
+                self._search(name, samples, t_ns, events)
             if ages:
                 self._age(name, good, t_ns, events)
             if samples:
                 last_ns, self._last_any_ns[name] = self._last_any_ns.get(name, t_ns), t_ns
                 if not ages and t_ns - last_ns > _FORGOTTEN_NS:
                     events.append(Event(t_ns, "info", name, _again(t_ns - last_ns)))
+
+    def _search(self, name: str, samples: Sequence[Any], t_ns: int, events: list[Event]) -> None:
+        """Tell once of each field with numbers that are none, where the status says otherwise."""
+        for sample in samples:
+            for field in unsaid_holes(kinds()[name], sample):
+                if (name, field) not in self._holes:
+                    self._holes.add((name, field))
+                    said = f"NaN or infinity in {field} with status ok: mend the driver of its package"
+                    events.append(Event(t_ns, "warning", name, said))
 
     def silence(self, name: str, t_ns: int) -> str:
         """For how long a sensor that counts as silent has sent nothing good, and what instead; else empty."""

@@ -72,6 +72,7 @@ class Checks:
         holders: what keeps the robot on its surface, as sentences call it.
         healthy: how often and how soon the samples of sensors should come.
         gap_s: by sensor, longest time without a good sample that is still healthy.
+        brought: sensors that other packages bring.
         hold: what presses the robot on its surface; None where nobody measures it.
         lost_after_s: by sensor, how long it may send nothing at all before a robot that follows a pose stops;
             a sensor that can be plugged in again is waited for longer than that.
@@ -88,6 +89,7 @@ class Checks:
     holders: tuple[str, ...] = ()
     healthy: Mapping[str, Healthy] = field(default_factory=dict)
     gap_s: Mapping[str, float] = field(default_factory=dict)
+    brought: frozenset[str] = frozenset()
     lost_after_s: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -118,7 +120,7 @@ class Supervisor:
         self.limits, self.checks = limits, checks if checks is not None else Checks()
         stale_s = dict(limits.stale_s)
         self._servos = ServoWatch(stale_s.pop("servos", None), limits.servo_ids)
-        self._samples = SampleWatch(stale_s, self.checks.gap_s)
+        self._samples = SampleWatch(stale_s, self.checks.gap_s, self.checks.brought)
         self._streams = StreamWatch(self.checks.healthy)
         self.left_out = LeftOut(self.checks.estimated, on_wall=limits.on_wall)
         self.doubted: dict[str, bool] = {}

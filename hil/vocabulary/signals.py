@@ -110,6 +110,7 @@ class ServoHold:
             and a watchdog that waits.
         wanted: whether they are to hold at all: from `enable` until `release`.
         late: what is known of servos that answer, but too late for a cycle, by name.
+        released: whether torque was on and `release` has switched it off; `enable` leaves it as it is.
     """
 
     t_ns: int
@@ -117,6 +118,7 @@ class ServoHold:
     wanted: bool
     trouble: Mapping[str, str] = field(default_factory=dict)
     late: Mapping[str, str] = field(default_factory=dict)
+    released: bool = False
 
 
 @quickly_made

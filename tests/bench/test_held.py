@@ -223,6 +223,16 @@ def test_a_wall_starts_held_and_release_is_told():
     assert "released" in bench.held.why
 
 
+@pytest.mark.parametrize("on_purpose", [True, False])
+def test_torque_that_was_switched_off_is_a_loss_unless_the_bench_was_asked(on_purpose):
+    with hil.open_bench("emulated", seed=1, overrides={"safety.tethered": True}) as bench:
+        wait(bench, 0.2)
+        (bench if on_purpose else bench.rig.servos).release()
+        wait(bench, 0.5)
+    assert (bench.held.state, bench.held.lost) == ("NOT HELD", not on_purpose)
+    assert "torque was switched off" in bench.held.why
+
+
 def test_a_robot_that_was_never_held_is_said_to_be():
     """Nothing presses it on, so that torque stays off: whoever opens the bench is told both."""
     bench = hil.open_bench("emulated", seed=1, faults=["plant:adhesion_loss@0.3"])

@@ -9,7 +9,7 @@ HELD = {"state": "NOT HELD", "moved_m": None, "why": "not checked: the bench did
 
 def lines_of(tmp_path, values, error):
     declared = [Measurement(f"m{k}", "m", high=1.0) for k in range(33)]
-    rows = judge(declared, values, {}, error is None)
+    rows = judge(declared, values, {}, {}, error is None)
     verdict = Verdict.PASS if error is None else Verdict.ERROR
     facts = {"held": HELD, "notes": ["This computer was late itself."], "faults_not_begun": []}
     told = text_of(Result("bring_up", verdict, tmp_path, rows, facts, error)).splitlines()

@@ -30,6 +30,7 @@ from hil.report import commission_page
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import Aborted, ConfigError
 from hil.vocabulary.progress import WHOLE
+from hil.vocabulary.result_files import COMMISSIONING_TABLE
 
 TINY = (
     Stage("tracker_extrinsics", "floor", 1.0, {"turn_deg": 30.0, "way_m": 0.15, "repetitions": 1}),
@@ -136,7 +137,7 @@ def test_what_was_not_measured_is_told_apart_from_what_is_beyond_its_limits():
 )
 def test_room_is_asked_for_where_the_disk_took_no_result_and_only_there(tmp_path, monkeypatch, step, do):
     monkeypatch.setattr(stopping, "write_run_page", lambda folder: folder / "report.html")
-    (tmp_path / state.NAME).write_text("{}")
+    (tmp_path / COMMISSIONING_TABLE).write_text("{}")
     problem = Failure("DataError", "it went wrong", step, 4)
     result = Result("gap", Verdict.ERROR, Path("x"), [], {"held": None}, teardown_errors=(problem,))
     told = stopping.stopped_at(result, tmp_path)

@@ -39,14 +39,16 @@ class Ticker(Scheduled):
     st.sampled_from(VOCABULARY),
     st.integers(0, 1000),
     st.none() | st.integers(1, 1000),
-    st.dictionaries(st.sampled_from(["probability", "value"]), st.integers(0, 1)),
+    st.dictionaries(st.sampled_from(["duty", "value"]), st.integers(0, 1)),
 )
 def test_a_fault_reads_back_from_its_own_description(kind, at, duration, options):
     fault = make_fault("servo.drive_FL", kind, at=at, duration=duration, **options)
     assert parse_fault(describe(fault)) == fault
 
 
-@pytest.mark.parametrize("spec", ["", "imu", "imu:stuck@", "imu:stuck@x", "imu:stuck@1+0", "imu:stuck,a=b"])
+@pytest.mark.parametrize(
+    "spec", ["", "imu", "imu:stuck@", "imu:stuck@x", "imu:stuck@1+0", "imu:stuck,a=b", "imu:off@1+1e-9"]
+)
 def test_an_unreadable_fault_is_a_usage_error_that_shows_the_form(spec):
     with pytest.raises(UsageError, match="expected"):
         parse_fault(spec)
@@ -59,7 +61,8 @@ def test_an_unreadable_fault_is_a_usage_error_that_shows_the_form(spec):
         ("imu:intermittent@1,period_s=1e-12", "period_s is 1e-12; expected a number from 0.001 to 3600"),
         ("imu:intermittent@1,code=99999", "code is 99999; expected a whole number from 0 to 255"),
         ("imu:intermittent,code=1.5", "code is 1.5; expected a whole number from 0 to 255"),
-        ("servos:drop,probability=7", "probability is 7; expected a number from 0 to 1"),
+        ("servos:drop,probability=7", "probability is 7; expected a number from 1e-06 to 1"),
+        ("servos:drop,probability=0", "probability is 0; expected a number from 1e-06 to 1"),
         ("servos:intermittent,duty=2", "duty is 2; expected a number from 0 to 1"),
         ("imu:delayed,delay_s=-1", "delay_s is -1; expected a number from 0 to 60"),
         ("servos:slow,answer_s=-0.01", "answer_s is -0.01; expected a number from 0 to 60"),

@@ -5,11 +5,15 @@ import math
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal
+
+import numpy as np
 
 from hil.config.device import DeviceConfig
 from hil.devices.emulated import Wired
+from hil.vocabulary.geometry import Array
 from hil.vocabulary.interfaces import Sensor
 from hil.vocabulary.kinds import Connection, DeviceKind, DeviceModel
 from hil.vocabulary.signals import Stamp, Status
@@ -20,6 +24,10 @@ class Sample:
     stamp: Stamp
     value: float
     status: Status = Status.OK
+    pair: tuple[float, float] = (1.0, 2.0)
+    counts: Array = field(default_factory=lambda: np.zeros(2))
+    more: Mapping[str, float] = field(default_factory=dict)
+    number: int | None = None
 
 
 class Config(DeviceConfig):
@@ -42,10 +50,10 @@ class Driver(Sensor):
     def identity(self):
         return {"model": "one"} if self.is_open else {}
 
-    def sample(self, value=1.0, ahead_ns=0):
+    def sample(self, value=1.0, ahead_ns=0, **more):
         self.seq += 1
         t_ns = self.clock.now_ns()
-        return Sample(Stamp(t_ns + ahead_ns, t_ns, self.seq), value)
+        return Sample(Stamp(t_ns + ahead_ns, t_ns, self.seq), value, **more)
 
     def read(self):
         return (self.sample(),)
@@ -120,6 +128,25 @@ def chip(setting):
 
 ITEM = thing(emulate=chip)
 """
+
+
+CHANNELS = """
+@dataclass(frozen=True)
+class Two:
+    stamp: Stamp
+    status: tuple[Status, ...]
+
+
+class Of(Driver):
+    def read(self):
+        self.seq += 1
+        t_ns = self.clock.now_ns()
+        return (Two(Stamp(t_ns, t_ns, self.seq), (Status.OK, Status.FROZEN, Status.OK)),)
+
+
+ITEM = replace(thing(Of), sample=Two, labels=("left", "right"))
+"""
+"""A kind of two channels whose driver tells of three."""
 
 
 def driver(body):

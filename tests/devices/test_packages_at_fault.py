@@ -1,7 +1,9 @@
 """A package whose code fails while it is in use is named, with its device and what to do: exit 3."""
 
+import json
+
 import pytest
-from faulty_package import CHIP, PACKAGE, TABLES, driver
+from faulty_package import CHANNELS, CHIP, PACKAGE, TABLES, driver
 
 FAILING = {
     "a constructor": (driver("__init__ = fail"), "its constructor raised RuntimeError: boom"),
@@ -25,6 +27,26 @@ FAILING = {
     "a value of another type": (
         driver("def read(self): return (replace(self.sample(), value=None),)"), "gave Sample.value None",
     ),
+    "a text in a tuple": (
+        driver("def read(self): return (self.sample(pair=('x', None)),)"), "gave Sample.pair ('x', None)",
+    ),
+    "a tuple of another length": (
+        driver("def read(self): return (self.sample(pair=(1.0,)),)"), "gave Sample.pair (1.0,)",
+    ),
+    "a number beyond every float": (
+        driver("def read(self): return (self.sample(10**400),)"), "which no float holds",
+    ),
+    "a number of thousands of digits": (
+        driver("def read(self): return (self.sample(10**9999),)"), "which no float holds",
+    ),
+    "a number beyond 64 bits": (
+        driver("def read(self): return (self.sample(number=2**63),)"),
+        "gave Sample.number 9223372036854775808, which 64 bits do not hold",
+    ),
+    "a text in a mapping": (
+        driver("def read(self): return (self.sample(more={'x': 'y'}),)"), "gave Sample.more {'x': 'y'}",
+    ),
+    "a status too many": (CHANNELS, "gave Two.status of length 3"),
     "emulate": ("ITEM = thing(emulate=fail)\n", "emulate raised RuntimeError: boom"),
 }  # fmt: skip
 
@@ -68,6 +90,38 @@ def test_the_doctor_names_what_else_of_a_package_fails(part, package, hil):
 
 PROMISES = {
     "a hole that is not told": ("return (self.sample(math.nan),)", "NaN or infinity in value", 3),
+    "a hole in a tuple": (
+        "return (self.sample(pair=(1.0, math.inf)),)",
+        "NaN or infinity in pair with Status.OK",
+        3,
+    ),
+    "a hole of numpy": ("return (self.sample(np.float32('nan')),)", "NaN or infinity in value", 3),
+    "a hole in a mapping": ("return (self.sample(more={'x': math.nan}),)", "NaN or infinity in more", 3),
+    "a stamp of an hour ago": (
+        "return (self.sample(ahead_ns=-3600 * 10**9),)",
+        "measured 3.6e+03 s before they arrived, usually",
+        3,
+    ),
+    "a stamp that goes back": (
+        "return (self.sample(ahead_ns=-10**8 * (self.seq % 2)),)",
+        "were measured no later than the one",
+        3,
+    ),
+    "the same stamp": (
+        "self.first = getattr(self, 'first', None) or self.sample(); return (self.first,)",
+        "19 of 20 good samples were measured no later than the one before",
+        3,
+    ),
+    "a stamp whose number goes back": (
+        "self.seq -= 2; return (self.sample(),)",
+        "sequence numbers go back",
+        3,
+    ),
+    "a shape that changes": (
+        "return (self.sample(counts=np.zeros(self.seq % 2 + 1)),)",
+        "counts changes its shape or its type",
+        3,
+    ),
     "a stamp of the future": ("return (self.sample(ahead_ns=10**10),)", "up to 10 s in the future", 3),
     "a read that waits": ("time.sleep(0.02); return (self.sample(),)", "read() takes 2", 0),
     "none": ("return (self.sample(),)", "ok   thing", 0),
@@ -83,9 +137,22 @@ def test_the_doctor_tells_of_broken_promises(case, package, hil):
     done = hil("doctor", "--bench", "bench.toml", "--watch", "0.2", packages=[folder])
     assert done.code == code, done.out + done.said
     assert told in done.out
-    assert ("numbers" in done.out, "stamps" in done.out, "reads:" in done.out) == (
-        "hole" in case, "future" in case, "waits" in case,
-    )  # fmt: skip
+    checks = ("numbers", "stamps", "reads", "shapes")
+    named = ("hole" in case, "stamp" in case, "waits" in case, "shape" in case)
+    assert tuple(f" {check}: " in done.out for check in checks) == named
+
+
+@pytest.mark.usefixtures("bench")
+def test_a_run_tells_once_of_a_hole_that_the_status_does_not(package, hil, tmp_path):
+    source = PACKAGE + driver("def read(self): return (self.sample(pair=(1.0, math.nan)),)")
+    folder = package("hil-evil", source, "ITEM")
+    script = (tmp_path / "look.py").read_text()
+    watched, told = "ctx.bench.observe(0.1)", "ctx.note(f'{e.level} {e.source}: {e.message}')"
+    (tmp_path / "look.py").write_text(script.replace(watched, f"[{told} for e in {watched}.events]"))
+    done = hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder])
+    assert done.code == 0, done.out + done.said
+    notes = json.loads((tmp_path / "out" / "result.json").read_text())["notes"]
+    assert notes == ["warning thing: NaN or infinity in pair with status ok: mend the driver of its package"]
 
 
 @pytest.mark.usefixtures("bench")

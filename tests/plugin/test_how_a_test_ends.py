@@ -30,6 +30,10 @@ def test_lost(bench):
 
 def test_kept(bench):
     pass
+
+def test_torque_off(bench):
+    bench.rig.servos.release()
+    wait(bench, 0.5)
 """
 
 
@@ -45,18 +49,20 @@ def run(pytester, text, *options):
 
 def test_a_robot_that_is_lost_is_named_and_is_a_warning_where_no_fault_did_it(pytester):
     result, found = run(pytester, LOST)
-    result.assert_outcomes(passed=3, warnings=1)
+    result.assert_outcomes(passed=4, warnings=2)
     result.stdout.fnmatch_lines(
         [
             "*NotHeldWarning: bench emulated: the test has left the robot NOT HELD: *",
             "*= robots left NOT HELD =*",
             "test_mine.py::test_lost_on_purpose: NOT HELD: *adhesion is lost*",
             "test_mine.py::test_lost: NOT HELD: *adhesion is lost*",
+            "test_mine.py::test_torque_off: NOT HELD: *torque was switched off*",
         ],
         consecutive=False,
     )
     assert {name: seen["held"] for name, seen in found.items()} == {
-        "test_lost_on_purpose": "NOT HELD", "test_lost": "NOT HELD", "test_kept": "HELD"
+        "test_lost_on_purpose": "NOT HELD", "test_lost": "NOT HELD", "test_kept": "HELD",
+        "test_torque_off": "NOT HELD",
     }  # fmt: skip
     assert "adhesion is lost" in found["test_lost"]["not_held"]
     assert "not_held" not in found["test_kept"]
@@ -65,7 +71,7 @@ def test_a_robot_that_is_lost_is_named_and_is_a_warning_where_no_fault_did_it(py
 def test_at_the_wire_it_is_an_error_that_says_how_to_have_it_again(pytester):
     result, found = run(pytester, LOST, "--hil-realtime", "-k", "test_lost", "--deselect",
                         "test_mine.py::test_lost_on_purpose", "-o", "addopts=")  # fmt: skip
-    result.assert_outcomes(passed=1, errors=1, deselected=2)
+    result.assert_outcomes(passed=1, errors=1, deselected=3)
     result.stdout.fnmatch_lines(["*bench emulated: the test has left the robot NOT HELD: *",
                                  "repeat with --hil-seed=0 --hil-realtime"])  # fmt: skip
     assert found["test_lost"]["held"] == "NOT HELD"
@@ -138,6 +144,7 @@ def test_a_robot_that_was_let_go_of_is_no_error(monkeypatch):
 
 
 FAULTS = """
+import numpy as np
 import pytest
 
 import hil
@@ -182,6 +189,14 @@ def test_time_that_is_a_switch(bench):
 @pytest.mark.fault("imu", "off", at=None, duration=None)
 def test_no_time(bench):
     pass
+
+@pytest.mark.fault("imu", "off", at=np.int64(0), duration=np.float32(1e-9))
+def test_of_a_nanosecond(bench):
+    pass
+
+@pytest.mark.fault("imu", "stuck", at=np.int64(0), duration=np.int32(2))
+def test_times_of_numpy(bench):
+    pass
 """
 
 
@@ -195,13 +210,14 @@ def test_a_fault_that_has_no_part_in_its_test_is_an_error(pytester):
         "*marker fault('imu', 'offf'): 'offf' is no kind of fault; *did you mean off?",
         "at='2' of the marker fault('imu', 'off', at='2'); expected fault(\"device\"*",
         "at=True of the marker fault('imu', 'off', at=True); expected *",
+        "fault imu:off has start 0 s and duration 1e-09 s; expected *at least 0.001 s*",
         "at=None of the marker fault('imu', 'off', at=None, duration=None); expected *",
     ):
         result.stdout.fnmatch_lines(f"*{line}*")
     assert "at teardown of test_that" not in said
     reports, _, _ = said.partition("short test summary info")  # where CI is set, it quotes each error in full
     assert reports.count("does not use the fixture") == 2
-    result.assert_outcomes(passed=2, failed=1, skipped=1, errors=7)
+    result.assert_outcomes(passed=3, failed=1, skipped=1, errors=8)
 
 
 @pytest.mark.parametrize("given", ["-1", "1.5", "seven", ""])

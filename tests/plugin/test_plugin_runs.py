@@ -14,6 +14,7 @@ from hil.pytest_plugin import selfcheck
 from hil.pytest_plugin.selfcheck import idle_for, oldest_s, too_late
 from hil.ring.loop_timing import LoopStatistics
 from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.signals import Stamp, Status
 
 pytest_plugins = ["pytester"]
 pytestmark = pytest.mark.usefixtures("warm_commands")
@@ -193,6 +194,36 @@ def test_virtual_time_is_held_against_nothing():
     assert idle_for(BenchSource("emulated"), 60.0) == ()
     assert too_late(ran(1500, 15), ()) == ""
     assert "(none)" in too_late(ran(1500, 16), ())
+
+
+def test_the_ready_made_check_hands_over_all_of_its_tests():
+    made = {name for name in vars(selfcheck) if name.startswith("test_")}
+    assert made == {name for name in selfcheck.__all__ if name.startswith("test_")}
+
+
+def camera(*statuses):
+    """A watch of a camera at 100 Hz whose samples have these statuses."""
+    samples = [
+        SimpleNamespace(stamp=Stamp(k * 10**7, k * 10**7, k), status=s) for k, s in enumerate(statuses)
+    ]
+    bench = SimpleNamespace(config=load_bench("emulated"))
+    return SimpleNamespace(bench=bench, duration_s=len(samples) / 100.0, samples=lambda device: samples)
+
+
+@pytest.mark.parametrize(
+    ("statuses", "good"),
+    [
+        ([Status.LOW_CONFIDENCE] * 25 + [Status.OK] * 175, True),
+        ([Status.OK] * 100 + [Status.LOW_CONFIDENCE] * 25 + [Status.OK] * 75, False),
+        ([Status.TIMEOUT] * 25 + [Status.OK] * 175, False),
+        ([Status.LOW_CONFIDENCE] * 200, False),
+    ],
+)
+def test_a_camera_may_settle_at_the_start_of_a_short_watch(monkeypatch, statuses, good):
+    monkeypatch.setattr(selfcheck, "due", lambda *given: 200.0)
+    told = nullcontext() if good else pytest.raises(AssertionError, match="tracker: ")
+    with told:
+        selfcheck.test_samples_come_at_their_rate_and_nearly_all_are_good(camera(*statuses), "tracker")
 
 
 def test_an_idle_loop_runs_at_the_benchs_rate():
@@ -383,10 +414,11 @@ def test_a_project_that_asks_for_no_bench_pays_nothing(run):
     assert "hil" not in next(line for line in result.outlines if line.startswith("rootdir"))
 
 
-def test_a_real_bench_is_not_shared_by_two_processes(pytester):
+@pytest.mark.parametrize("options", [("-n2",), ("--tx=2*popen", "--dist=load")])
+def test_a_real_bench_is_not_shared_by_two_processes(pytester, options):
     pytest.importorskip("xdist", reason="pytest-xdist is not installed")
     lab(pytester)
-    refused = pytester.runpytest_subprocess("-n2", "--bench=lab.toml")
+    refused = pytester.runpytest_subprocess(*options, "--bench=lab.toml")
     assert refused.ret == pytest.ExitCode.USAGE_ERROR
     assert "imu are real and cannot be shared" in refused.stderr.str()
 

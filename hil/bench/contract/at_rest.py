@@ -12,6 +12,7 @@ import numpy as np
 from hil.bench.contract.losses import loses_next_to_nothing
 from hil.bench.contract.stillness import sees_no_motion
 from hil.bench.contract.subject import SHARE, SHORT_S, WATCH_S, Broken, Subject, due, read_for
+from hil.bench.promises import EARLY_NS, OLDEST_NS
 from hil.devices.looks import MORE_FAILURE, surplus
 from hil.recording.compare import first_difference
 from hil.recording.cycle_codec import CycleEncoder
@@ -20,6 +21,7 @@ from hil.recording.cycle_layout import DTYPES, describe
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.holes import unsaid_holes
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import KINDS as OURS
 from hil.vocabulary.signals import (
@@ -33,7 +35,6 @@ from hil.vocabulary.signals import (
     worst,
 )
 
-OLDEST_NS, EARLY_NS = nanoseconds(0.3), nanoseconds(0.001)
 LONGEST_READ_NS = nanoseconds(0.06)
 NOTHING = (Status.TIMEOUT, Status.CRC, Status.PARITY, Status.PROTOCOL)
 """Statuses of samples that hold no data at all."""
@@ -124,10 +125,10 @@ def no_data_is_no_number(subject: Subject) -> str:
         states = sample.status if isinstance(sample.status, tuple) else (sample.status,)
         if len(states) != max(1, len(kind.labels)):
             raise Broken(f"{len(states)} statuses", f"{max(1, len(kind.labels))}", _DRIVER)
+        for name in unsaid_holes(kind, sample):
+            raise Broken(f"{name} is NaN or infinite with status ok", "a number", _DRIVER)
         for name in names:
             for values, said in by_channel(getattr(sample, name), states):
-                if all(s is Status.OK for s in said) and not np.all(np.isfinite(values)):
-                    raise Broken(f"{name} is NaN or infinite with status ok", "a number", _DRIVER)
                 if all(s in NOTHING for s in said) and not np.all(np.isnan(values)):
                     raise Broken(f"{name} has numbers with status {said[0].value}", "NaN", _DRIVER)
     return f"{len(samples)} samples"

@@ -322,7 +322,8 @@ class DynamixelServos(Actuators):
         self._caretaker.attended(now_ns)
         self._upkeep.insist(reading.status)
         trouble = self._upkeep.trouble(reading)
-        return ServoHold(now_ns, position, self._upkeep.torque, trouble, self._cycle.late())
+        upkeep = self._upkeep
+        return ServoHold(now_ns, position, upkeep.torque, trouble, self._cycle.late(), upkeep.released)
 
     def release(self) -> None:
         """Torque off, checked: on a wall the robot slides.

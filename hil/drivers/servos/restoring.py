@@ -49,6 +49,7 @@ class Upkeep:
     Attributes:
         mapped: whether goals go through indirect data (one sync write) or by bulk write.
         torque: whether torque should be on.
+        released: whether it was on and has been switched off.
         hardware_error: (8,) Hardware Error Status as last read.
     """
 
@@ -61,7 +62,7 @@ class Upkeep:
         drive, steer = registers.encoded(config.drive_registers), registers.encoded(config.steer_registers)
         self._registers = [drive] * 4 + [steer] * 4
         self.mapped = True
-        self.torque = False
+        self.torque = self.released = False
         self.hardware_error = [0] * 8
 
     def goal_write(self) -> GoalWrite:
@@ -132,6 +133,7 @@ class Upkeep:
         Raises:
             DeviceError: a servo still has its torque, or does not say.
         """
+        self.released |= self.torque
         self.torque = False
         for _ in range(_ATTEMPTS):
             self._bus.send(packets.sync_write(self._map.torque, 1, [(i, b"\x00") for i in self._ids]))

@@ -1,0 +1,60 @@
+"""Where a sample is not finite although its status says that it is good."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from hil.vocabulary.blame import OURS
+from hil.vocabulary.kinds import DeviceKind
+from hil.vocabulary.signals import Status
+
+
+def unsaid_holes(kind: DeviceKind, sample: Any) -> Iterator[str]:
+    """Names of the fields of a sample that hold NaN or infinity where its status says that they are good.
+
+    An array or a tuple with as many rows as there are channels is judged row by row, everything else by all
+    channels together. In samples of this project only arrays are judged: a number of theirs may be NaN
+    because the device does not report it.
+
+    Args:
+        kind: of the device.
+        sample: of it.
+    """
+    states = sample.status if isinstance(sample.status, tuple) else (sample.status,)
+    good = [state is Status.OK for state in states]
+    for field in fields(sample):
+        value = getattr(sample, field.name)
+        if kind.package == OURS and not isinstance(value, np.ndarray):
+            continue
+        if len(good) > 1 and _rows(value) == len(good):
+            whole = all(map(_finite, (row for row, said in zip(value, good, strict=True) if said)))
+        else:
+            whole = not all(good) or _finite(value)
+        if not whole:
+            yield field.name
+
+
+def _rows(value: Any) -> int:
+    if isinstance(value, np.ndarray):
+        return len(value) if value.ndim else 0
+    return len(value) if isinstance(value, tuple) else 0
+
+
+def _finite(value: Any) -> bool:
+    """Whether no number in it is NaN or infinite."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.dtype.kind != "f" or bool(np.isfinite(value).all())
+    if isinstance(value, float):
+        return math.isfinite(value)
+    if isinstance(value, tuple):
+        return all(map(_finite, value))
+    if isinstance(value, Mapping):
+        return all(map(_finite, value.values()))
+    if is_dataclass(value):
+        return all(_finite(getattr(value, field.name)) for field in fields(value))
+    return True

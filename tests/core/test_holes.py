@@ -1,0 +1,95 @@
+"""Numbers that are none are found wherever a sample has them, and by the channel that they are of."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hil.bench.contract import at_rest
+from hil.bench.contract.subject import Broken
+from hil.ring.sample_watch import SampleWatch
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.holes import unsaid_holes
+from hil.vocabulary.kinds import kinds
+from hil.vocabulary.signals import AdhesionSample, Inputs, Stamp, Status
+
+OK, LOST = Status.OK, Status.TIMEOUT
+STAMP = Stamp(0, 0, 0)
+
+
+@dataclass(frozen=True)
+class Inner:
+    value: float
+
+
+@dataclass(frozen=True)
+class Sample:
+    stamp: Stamp
+    status: Status | tuple[Status, ...] = OK
+    value: float = 1.0
+    pair: tuple[float, ...] = (1.0, 2.0)
+    vector: Array = field(default_factory=lambda: np.ones(3))
+    named: Mapping[str, float] = field(default_factory=dict)
+    inner: Inner = Inner(1.0)
+    maybe: float | None = None
+
+
+KIND = replace(kinds()["imu"], name="thing", sample=Sample, package="evil 1.0", labels=())
+
+
+@pytest.mark.parametrize(
+    ("given", "names"),
+    [
+        ({}, []),
+        ({"value": math.nan}, ["value"]),
+        ({"value": np.float32("nan")}, ["value"]),
+        ({"value": -math.inf, "maybe": math.nan}, ["value", "maybe"]),
+        ({"pair": (1.0, math.inf)}, ["pair"]),
+        ({"vector": np.array([0.0, np.nan])}, ["vector"]),
+        ({"vector": np.array([1, 2])}, []),
+        ({"named": {"x": math.nan}}, ["named"]),
+        ({"inner": Inner(math.nan)}, ["inner"]),
+        ({"value": math.nan, "status": LOST}, []),
+        ({"pair": (1.0, math.nan), "status": (OK, LOST)}, []),
+        ({"pair": (math.nan, 1.0), "status": (OK, LOST)}, ["pair"]),
+        ({"vector": np.array([[1.0, 2.0], [np.nan, 2.0]]), "status": (OK, LOST)}, []),
+        ({"vector": np.array([[np.nan, 2.0], [1.0, 2.0]]), "status": (OK, LOST)}, ["vector"]),
+        ({"vector": np.full(3, np.nan), "status": (OK, LOST)}, []),
+        ({"vector": np.full(3, np.nan), "status": (OK, OK)}, ["vector"]),
+    ],
+)
+def test_what_is_no_number_is_found(given, names):
+    assert list(unsaid_holes(KIND, Sample(STAMP, **given))) == names
+
+
+def test_what_a_device_of_ours_does_not_report_is_no_hole():
+    fields = dict.fromkeys(AdhesionSample.__dataclass_fields__, math.nan)
+    sample = AdhesionSample(**{**fields, "stamp": STAMP, "status": OK})
+    assert not list(unsaid_holes(kinds()["adhesion"], sample))
+
+
+def test_the_contract_suite_fails_a_hole_in_a_tuple(monkeypatch):
+    monkeypatch.setattr(at_rest, "kinds", lambda: {"thing": KIND})
+    samples = [Sample(STAMP), Sample(STAMP, pair=(1.0, math.nan))]
+    subject = SimpleNamespace(kind="thing", watched=SimpleNamespace(samples=samples))
+    with pytest.raises(Broken, match="pair is NaN or infinite with status ok"):
+        at_rest.no_data_is_no_number(subject)
+    subject.watched.samples.pop()
+    assert at_rest.no_data_is_no_number(subject) == "1 samples"
+
+
+def test_a_run_tells_of_each_field_once_and_only_of_devices_that_packages_bring():
+    imu = kinds()["imu"].sample
+    nan = np.full(4, np.nan)
+    sample = imu(STAMP, nan, nan[:3], nan[:3], np.ones(3), (3, 3, 3, 3), OK)
+    for brought, told in (
+        ((), []),
+        (("imu",), ["quaternion_wxyz", "gyro_rad_s", "linear_acceleration_m_s2"]),
+    ):
+        watch, events = SampleWatch({}, brought=brought), []
+        for k in range(3):
+            watch.judge(Inputs(k, k * 10_000_000, imu=(sample,)), events)
+        assert [(event.source, event.message.split()[4]) for event in events] == [("imu", n) for n in told]
