@@ -26,6 +26,9 @@ from hil.vocabulary.kinds import kinds
 from hil.vocabulary.reading import put_dotted, read_toml, toml_tables
 
 _PATHS = ("calibration", "emulation.mjcf", "emulation.replay", "monitor.mesh", "record.folder")
+_ADD_ONE = (
+    "add the table of a device, as [imu] (docs/bench-file.md); hil discover prints those of the devices that answer"
+)
 _MOST_LOOKED_AT = 200
 """Files of a folder in which a bench file is looked for."""
 _NOISE_OF = {"servos": ("process", "wheels", "wall"), "imu": ("gyro",), "tracker": ("tracker",)}
@@ -91,11 +94,29 @@ class NoSuchDevice(ConfigError):
 
     def __init__(self, device: str, present: Sequence[str]) -> None:
         self.device, self.present = device, tuple(present)
+        if not present:
+            super().__init__(f"--emulate {device}: the bench has no device at all", remedy=_ADD_ONE)
+            return
         super().__init__(
             f"--emulate {device}: the bench has no such device",
             expected="all or some of " + ", ".join(present),
             remedy=did_you_mean(device, present),
         )
+
+
+def must_have_a_device(config: BenchConfig, source: str, otherwise: str) -> None:
+    """Refuse a bench without any device.
+
+    Args:
+        config: of the bench.
+        source: file or profile, as it was named.
+        otherwise: what comes of it, in words.
+
+    Raises:
+        ConfigError: it has none.
+    """
+    if not config.devices():
+        raise ConfigError(f"no device in {source}: {otherwise}", remedy=_ADD_ONE)
 
 
 def load_bench(
