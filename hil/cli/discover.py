@@ -105,7 +105,7 @@ def _on_bus(text: str) -> Iterator[tuple[str, CanConfig]]:
 
     interface, _, rest = text.partition(":")
     channel, _, port = rest.partition(":")
-    if not interface or not channel or (port and not port.isdigit()):
+    if not interface or not channel or (port and not port.isdecimal()):
         raise UsageError(f"--can {text!r}", expected="INTERFACE:CHANNEL or INTERFACE:CHANNEL:PORT")
     options: dict[str, str | int | bool] = {"port": int(port)} if port else {}
     for model in (model for kind in kinds().values() for model in kind.models if model.search is not None):

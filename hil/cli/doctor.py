@@ -40,8 +40,8 @@ def command(
     """Examine every device of a bench without moving it.
 
     Ends with 0 when nothing failed (warnings are allowed), else with 3; with 2 where the bench has no device.
-    --fix opens no device: it prints
-    udev rules for the adapters that are plugged in (latency timer, access, no suspend, no ModemManager).
+    --fix opens no device: it prints udev rules for the adapters that are plugged in (latency timer, access,
+    no suspend, no ModemManager).
 
     Example: hil doctor --bench my.toml
     """

@@ -1,4 +1,4 @@
-"""Whether a Rerun file is whole: its messages are walked through, by their lengths, to the one that ends it."""
+"""Whether a Rerun file is whole: its messages are walked through, by length, to the one that ends it."""
 
 from __future__ import annotations
 

@@ -212,7 +212,9 @@ class RerunMonitor(Sink):
             self._stream.close()
         else:
             self._close_process()
-        lacking = [f"{name} is incomplete: {why}" for name in self._files if (why := what_is_missing(Path(name)))]
+        lacking = [
+            f"{name} is incomplete: {why}" for name in self._files if (why := what_is_missing(Path(name)))
+        ]
         self.failure = "; ".join([self.failure] * bool(self.failure) + lacking)
         if self.dropped or self.failure:
             LOG.warning("monitor: %d cycles not shown. %s", self.dropped, self.failure)

@@ -8,7 +8,9 @@ import pytest
 
 from hil.cli import main, options
 
-WHOLE = b"RRF2".ljust(12, b"\0") + struct.pack("<QQ", 2, 2_340_000) + bytes(2_340_000) + bytes(16) + b"RRF2FOOT"
+WHOLE = (
+    b"RRF2".ljust(12, b"\0") + struct.pack("<QQ", 2, 2_340_000) + bytes(2_340_000) + bytes(16) + b"RRF2FOOT"
+)
 """A Rerun file of one message, the end, and a footer."""
 
 
