@@ -36,7 +36,9 @@ def command(
     ports: tuple[str, ...], buses: tuple[str, ...], mocap: str | None, places: tuple[str, ...],
     out: Path | None, as_json: bool,
 ) -> int:  # fmt: skip
-    """Ask everything that could be a device; ends with 3 when nothing answers, at all or at a --port that was named.
+    """Ask everything that could be a device.
+
+    Ends with 3 when nothing answers, at all or at a --port that was named.
 
     Example: hil discover --out my.toml
     """

@@ -326,7 +326,7 @@ def _reason_of_schema(found: object) -> str:
     if str(found) == str(_SCHEMA):
         return f"write it without quotes: schema = {_SCHEMA} (found {found!r})"
     newer = isinstance(found, int) and found > _SCHEMA
-    do = f"use {'a newer' if newer else 'the'} version of hil that reads it"
+    do = f"use {'a newer' if newer else 'the'} version of the program that reads it"
     return (
         f"the file is of another version of this program, which reads schema {_SCHEMA} (found {found!r}); "
         f"{do}, or write schema = {_SCHEMA} and correct the keys that are then named (docs/bench-file.md)"

@@ -85,8 +85,8 @@ class OpenedRecording:
     def _assumed(self) -> str:
         surface = "a wall" if self.bench.config.environment.on_wall else "a floor"
         return (
-            f"{self.path} does not say on what surface which robot drove: {surface} and the geometry of the "
-            f"{self.robot.source} are assumed, and the filters' figures rest on that; name its bench file with --bench"
+            f"{self.path} does not say on what surface which robot drove: {surface} and the wheels of "
+            f"{self.robot.source} are assumed, and the filters rest on that; name its bench file with --bench"
         )
 
     def must_hold(self, runs: int, number: int | None) -> None:
