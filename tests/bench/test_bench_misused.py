@@ -32,8 +32,8 @@ def test_a_bench_without_any_device_is_not_ok(without_devices, capsys, words, to
 
 @pytest.mark.parametrize(
     ("schema", "told"),
-    [("2", "another version of this program, which reads schema 1 (found 2); use a newer version of the program"),
-     ("0", "another version of this program, which reads schema 1 (found 0); use the version of the program"),
+    [("2", "another version of this program, which reads schema 1 (found 2); use a newer version of"),
+     ("0", "another version of this program, which reads schema 1 (found 0); use the version of"),
      ('"1"', "schema: write it without quotes: schema = 1 (found '1')")],
 )  # fmt: skip
 def test_a_bench_file_of_another_schema_is_told_what_to_do(tmp_path, schema, told):

@@ -115,7 +115,7 @@ def test_another_robots_recording_is_doubted_as_evaluate_does(tmp_path, capsys):
     result, said = replayed(capsys, path, "--page", page)
     assumed, warning = result["warnings"]
     assert f"{path} does not say on what surface which robot drove: a floor and the wheels of" in assumed
-    assert "the bench emulated_floor are assumed" in assumed
+    assert "bench emulated_floor are assumed" in assumed
     assert "name its bench file with --bench" in assumed
     named, _ = replayed(capsys, path, "--bench", "emulated")
     assert not any("does not say" in line for line in named["warnings"])
