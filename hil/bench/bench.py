@@ -26,7 +26,7 @@ from hil.robot.kinematics import WheelGeometry
 from hil.robot.trajectories import Trajectory
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.collector import without_collector
-from hil.vocabulary.errors import ConfigError, check_number
+from hil.vocabulary.errors import ConfigError, UsageError, check_number
 from hil.vocabulary.geometry import Array, ArrayLike
 from hil.vocabulary.interfaces import RUN_NOTE, Sink
 from hil.vocabulary.signals import CycleRecord, RobotState
@@ -140,8 +140,9 @@ class Bench(HeldRig):
         """Run the loop without commanding anything; `start_pose` (3,) as in `drive`.
 
         Raises:
-            UsageError: a duration that is below 0 or no number.
+            UsageError: a duration that is below 0 or no number, or the bench is not open.
         """
+        self.must_be_open()
         check_number(duration_s, "duration_s", "s")
         start = RunStart(self.start_state(start_pose), feedback)
         return self._run(self.make_brain(None, feedback=feedback), start, duration_s, on_cycle)
@@ -153,7 +154,7 @@ class Bench(HeldRig):
         controller: str | None = None,
         feedback: str = "ekf",
         hold_s: float = 2.0,
-        observers: tuple[str, ...] = (),
+        observers: str | tuple[str, ...] = (),
         start_pose: ArrayLike | None = None,
         on_cycle: OnCycle | None = None,
     ) -> Motion:
@@ -164,7 +165,7 @@ class Bench(HeldRig):
             controller: `nonlinear` or `optimal`; the configured law when None.
             feedback: estimator in the loop: `odometry`, `ekf` or `ukf`.
             hold_s: how long to go on controlling at the end.
-            observers: estimators that run beside it.
+            observers: an estimator that runs beside it, or several.
             start_pose: where the robot stands, (3,); by default measured while settling; where motion capture
                 does not tell, as the last drive left it.
             on_cycle: called with every record (progress).
@@ -173,8 +174,17 @@ class Bench(HeldRig):
             TrajectoryError: the limits cannot follow it, or it begins elsewhere than the robot stands.
             SafetyStop, DeviceError: the robot is stopped.
             ConfigError: the start pose is unknown.
-            UsageError: `hold_s` is below 0 or no number, or an unknown estimator or law.
+            UsageError: `hold_s` is below 0 or no number, no trajectory, an unknown estimator or law, or
+                a bench that is not open.
         """
+        self.must_be_open()
+        if not isinstance(trajectory, Trajectory):
+            raise UsageError(
+                f"{trajectory!r} is no trajectory", expected="a hil.robot.trajectories.Trajectory",
+                remedy="make one: line(start, end)",
+            )  # fmt: skip
+        if isinstance(observers, str):
+            observers = (observers,)
         check_number(hold_s, "hold_s", "s")
         self.check(trajectory)
         stands = None if start_pose is None else self.start_state(start_pose)

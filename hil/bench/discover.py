@@ -34,12 +34,14 @@ class Discovery:
         parts: by kind, what the devices consist of (each servo of a bus).
         notes: what a person should know.
         missing: by kind that was looked for and did not answer, where that was.
+        silent: ports that were named, at which nothing answered.
     """
 
     sections: dict[str, dict[str, Any]] = field(default_factory=dict)
     parts: dict[str, tuple[Any, ...]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     missing: dict[str, str] = field(default_factory=dict)
+    silent: list[str] = field(default_factory=list)
 
     def take(self, model: DeviceModel, found: Found) -> None:
         """Add a device that was found."""
@@ -94,7 +96,8 @@ def discover(
     asked = serial_ports() if ports is None else list(ports)
     for port in asked:
         say(f"asking {port}")
-        _ask_serial(found, port, clock, asking, say)
+        if not _ask_serial(found, port, clock, asking, say) and ports is not None:
+            found.silent.append(port)
     places: dict[str, list[str]] = {name: [] for name in kinds()}
     for model in models:
         if model.search is not None and model.kind not in found.sections:
@@ -140,12 +143,13 @@ def _where(models: Sequence[DeviceModel], ports: Sequence[str], told: Sequence[s
 
 def _ask_serial(
     found: Discovery, port: str, clock: Clock, models: Sequence[DeviceModel], say: Say
-) -> None:  # fmt: skip
-    """The first model that answers is what the port holds."""
+) -> bool:  # fmt: skip
+    """The first model that answers is what the port holds; whether one did."""
     for model in models:
         assert model.ask is not None
         answer = model.ask(port, clock)
         if answer is not None:
             found.take(model, answer)
             say(f"found {model.title} at {port}")
-            return
+            return True
+    return False

@@ -69,6 +69,7 @@ class HeldRig(Blueprint):
         self.held: Held | None = None
         self.tells_held = True
         self.faults = faults
+        self._is_open = False
         self._begun_ns: int | None = None
         self._closed_ns: int | None = None
         self.pressed = ""
@@ -98,6 +99,7 @@ class HeldRig(Blueprint):
             self._let_go()
             raise
         self._stack.callback(self.rig.close)
+        self._is_open = True
         try:
             self.pressed = Hanging(self.config, self.rig, self.clock).hold()
             self._sinks += [*by_need(self.config, self.rig), *wheel_feed(self, self.rig)]
@@ -134,7 +136,16 @@ class HeldRig(Blueprint):
         finally:
             self._let_go()
 
+    def must_be_open(self) -> None:
+        """Raise `UsageError` before the bench is entered, and once it is closed."""
+        if not self._is_open:
+            raise UsageError(
+                "the bench is not open" if self._closed_ns is None else "the bench is closed",
+                remedy="use `with hil.open_bench(...) as bench:`, and the bench within that block",
+            )
+
     def _let_go(self) -> None:
+        self._is_open = False
         self._close_sinks()
         self._stack.close()
 

@@ -36,7 +36,7 @@ def open_bench(
     emulate: str | tuple[str, ...] | None = None,
     seed: int = 0,
     realtime: bool = False,
-    faults: Sequence[str | Fault] = (),
+    faults: str | Sequence[str | Fault] = (),
     overrides: Mapping[str, object] | None = None,
     sinks: tuple[Sink, ...] = (),
     calibration: str | Path | None = None,
@@ -49,8 +49,8 @@ def open_bench(
         emulate: `all` or names of devices to emulate, whatever the file says.
         seed: seed of the emulated world; the same seed gives the same run, bit for bit, in virtual time.
         realtime: emulated devices in real time at the wire, in a process of their own.
-        faults: for emulated devices: specs (`imu:stuck@2+3`), or paths of TOML timelines; they come
-            beside those of the configuration.
+        faults: for emulated devices: a spec (`imu:stuck@2+3`) or the path of a TOML timeline, or several;
+            they come beside those of the configuration.
         overrides: dotted configuration key -> value.
         sinks: receive every cycle.
         calibration: `calibration.toml`; overrides the one of the configuration.
@@ -65,6 +65,8 @@ def open_bench(
     """
     if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
         raise UsageError(f"seed is {seed!r}", expected="a whole number, 0 or more")
+    if isinstance(faults, str):
+        faults = (faults,)
     if start_pose is not None:
         overrides = {**(overrides or {}), "environment.start_pose": [float(v) for v in start_pose]}
     checked = load_bench(config, emulate=emulate, overrides=overrides, seed=seed).settled(realtime=realtime)

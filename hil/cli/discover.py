@@ -36,7 +36,9 @@ def command(
     ports: tuple[str, ...], buses: tuple[str, ...], mocap: str | None, places: tuple[str, ...],
     out: Path | None, as_json: bool,
 ) -> int:  # fmt: skip
-    """Ask everything that could be a device; ends with 3 when nothing answers.
+    """Ask everything that could be a device.
+
+    Ends with 3 when nothing answers, at all or at a --port that was named.
 
     Example: hil discover --out my.toml
     """
@@ -57,6 +59,8 @@ def command(
     )
     for kind, where in found.missing.items():
         click.echo(f"hil: not found: {kind}: {where}", err=True)
+    for port in found.silent:
+        click.echo(f"hil: nothing answered at {port}; check its name, power and cable", err=True)
     text = found.to_toml()
     if out is not None and found.sections:
         write_text(out, text)
@@ -71,7 +75,7 @@ def command(
             f"hil: nothing answered; check power, cables and permissions (group dialout){unwritten}", err=True
         )
         return EXIT_DEVICE
-    return EXIT_PASS
+    return EXIT_DEVICE if found.silent else EXIT_PASS
 
 
 def _as_json(found: Discovery) -> dict[str, Any]:
@@ -83,6 +87,7 @@ def _as_json(found: Discovery) -> dict[str, Any]:
         **parts,
         "notes": found.notes,
         "missing": found.missing,
+        "silent": found.silent,
     }
 
 
@@ -105,7 +110,7 @@ def _on_bus(text: str) -> Iterator[tuple[str, CanConfig]]:
 
     interface, _, rest = text.partition(":")
     channel, _, port = rest.partition(":")
-    if not interface or not channel or (port and not port.isdigit()):
+    if not interface or not channel or (port and not port.isdecimal()):
         raise UsageError(f"--can {text!r}", expected="INTERFACE:CHANNEL or INTERFACE:CHANNEL:PORT")
     options: dict[str, str | int | bool] = {"port": int(port)} if port else {}
     for model in (model for kind in kinds().values() for model in kind.models if model.search is not None):

@@ -39,8 +39,9 @@ def command(
 ) -> int:  # fmt: skip
     """Examine every device of a bench without moving it.
 
-    Ends with 0 when nothing failed (warnings are allowed), else with 3. --fix opens no device: it prints
-    udev rules for the adapters that are plugged in (latency timer, access, no suspend, no ModemManager).
+    Ends with 0 when nothing failed (warnings are allowed), else with 3; with 2 where the bench has no device.
+    --fix opens no device: it prints udev rules for the adapters that are plugged in (latency timer, access,
+    no suspend, no ModemManager).
 
     Example: hil doctor --bench my.toml
     """
@@ -48,11 +49,14 @@ def command(
 
     from hil.bench.doctor import examine
     from hil.bench.what_opens import open_what_can_be
+    from hil.config.loading import must_have_a_device
 
     if fix or out is not None:
         return _fix(bench, emulate, fix, out)
     findings = []
     opened, left_out = open_what_can_be(bench, emulate=emulate, realtime=realtime, seed=seed, faults=faults)
+    if not left_out:
+        must_have_a_device(opened.config, bench, "nothing was examined")
     width = max((9, *map(len, opened.config.devices()), *(len(f.device) for f in left_out)))
     for finding in chain(left_out, examine(opened, watch_s=watch_s)):
         findings.append(finding)

@@ -158,12 +158,13 @@ def _loaded(
     bench: str, emulate: str | None, start_pose: str | None, repeated: Path | None, seed: int
 ) -> BenchConfig:
     """The bench file with where the robot stands, and which recording it repeats."""
-    from hil.config.loading import load_bench
+    from hil.config.loading import load_bench, must_have_a_device
 
     overrides = start.start_override(start_pose)
     if repeated is not None:
         overrides["emulation.replay"] = str(repeated.resolve())
     config = load_bench(bench, emulate=emulate, overrides=overrides, seed=seed)
+    must_have_a_device(config, bench, "there is nothing to watch or to move")
     asked = start.asked_start(config)
     return load_bench(bench, emulate=emulate, overrides=overrides | asked, seed=seed) if asked else config
 
@@ -196,7 +197,7 @@ def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
     finally:
         bench.close()
         _report(session, as_json=as_json)
-        if view is not None and session.monitor is not None and not session.monitor.failure:
+        if view is not None:
             tell_view(view)
 
 

@@ -111,12 +111,19 @@ def rerun_option(help_text: str) -> Callable[[Any], Any]:
 
 
 def tell_view(view: str) -> None:
-    """Say on stderr which files `--rerun` has left, and how to open them."""
-    for name in (part.strip() for part in view.split(",")):
+    """Say on stderr which files `--rerun` has left and how to open them, and which of them are incomplete."""
+    from hil.monitor.rrd import files_of, what_is_missing
+
+    for name in files_of(part.strip() for part in view.split(",")):
         path = Path(name)
-        if "://" not in name and path.suffix == ".rrd" and path.is_file():
-            megabytes = path.stat().st_size / 1e6
-            click.echo(f"hil: wrote {name} ({megabytes:.1f} MB); open it with: {_opening(name)}", err=True)
+        if not path.is_file():
+            continue
+        if why := what_is_missing(path):
+            remedy = "see what the disk has left; what the file holds can be shown"
+            click.echo(f"hil: {name} is incomplete: {why}; {remedy}: {_opening(name)}", err=True)
+            continue
+        megabytes = path.stat().st_size / 1e6
+        click.echo(f"hil: wrote {name} ({megabytes:.1f} MB); open it with: {_opening(name)}", err=True)
 
 
 def _opening(name: str) -> str:

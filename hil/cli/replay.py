@@ -67,7 +67,8 @@ def command(
     """Re-run estimation on a recording; with --verify, name the first cycle and field that differ.
 
     RECORDING is one of ours (.mcap), a bag of another robot with --topics, half of a public CSV pair,
-    or plain CSV. A damaged recording gives what it has and ends with exit code 2.
+    or plain CSV. A damaged recording gives what it has and ends with exit code 2, as
+    does a --rerun file that the disk did not take.
 
     Example: hil replay recording.mcap --page replay.html
     """
@@ -81,6 +82,7 @@ def command(
         check_file(page)
     opened = open_recording(recording, bench=bench, calibration=calibration, topics=topics)
     result: dict[str, Any] = {"recording": str(recording)}
+    unshown = ""
     if verify:
         if page is not None or view is not None or estimators or calibration is not None:
             raise UsageError("--verify cannot go with --estimator, --calibration, --page or --rerun")
@@ -95,7 +97,7 @@ def command(
         for line in result["warnings"]:
             click.echo(f"warning: {line}", err=True)
         motions, result["estimators"] = _compared(opened, run, estimators or COMPARED)
-        _show(opened.bench, run, motions, view)
+        unshown = _show(opened.bench, run, motions, view)
         if page is not None:
             from hil.report.replay_page import write_replay_page
 
@@ -108,7 +110,7 @@ def command(
     for problem in opened.problems:
         click.echo(f"hil: {recording}: {problem}", err=True)
     click.echo(json.dumps(result) if as_json else _text(result))
-    if opened.problems:
+    if opened.problems or unshown:
         return EXIT_USAGE
     return EXIT_PASS if result.get("identical", True) else EXIT_LIMIT_FAILED
 
@@ -138,10 +140,10 @@ def _compared(
         return motions, table(motions)
 
 
-def _show(bench: Blueprint, run: RecordedRun, motions: dict[str, Motion], view: str | None) -> None:
-    """Play the run to the monitor, the estimators as further paths."""
+def _show(bench: Blueprint, run: RecordedRun, motions: dict[str, Motion], view: str | None) -> str:
+    """Play the run to the monitor, the estimators as further paths; says what it did not take."""
     if view is None:
-        return
+        return ""
     from hil.monitor import RerunMonitor, Scene
     from hil.replay.comparison import beside
 
@@ -154,6 +156,7 @@ def _show(bench: Blueprint, run: RecordedRun, motions: dict[str, Motion], view: 
         monitor.write(record)
     monitor.close()
     tell_view(view)
+    return monitor.failure
 
 
 def _text(result: dict[str, Any]) -> str:

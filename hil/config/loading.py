@@ -26,8 +26,13 @@ from hil.vocabulary.kinds import kinds
 from hil.vocabulary.reading import put_dotted, read_toml, toml_tables
 
 _PATHS = ("calibration", "emulation.mjcf", "emulation.replay", "monitor.mesh", "record.folder")
+_ADD_ONE = (
+    "add the table of a device, as [imu] (docs/bench-file.md); hil discover prints the tables of those that "
+    "answer"
+)
 _MOST_LOOKED_AT = 200
 """Files of a folder in which a bench file is looked for."""
+_SCHEMA: int = get_args(BenchConfig.model_fields["schema_version"].annotation)[0]
 _NOISE_OF = {"servos": ("process", "wheels", "wall"), "imu": ("gyro",), "tracker": ("tracker",)}
 """Tables of `estimator` that speak of a device."""
 
@@ -91,11 +96,29 @@ class NoSuchDevice(ConfigError):
 
     def __init__(self, device: str, present: Sequence[str]) -> None:
         self.device, self.present = device, tuple(present)
+        if not present:
+            super().__init__(f"--emulate {device}: the bench has no device at all", remedy=_ADD_ONE)
+            return
         super().__init__(
             f"--emulate {device}: the bench has no such device",
             expected="all or some of " + ", ".join(present),
             remedy=did_you_mean(device, present),
         )
+
+
+def must_have_a_device(config: BenchConfig, source: str, otherwise: str) -> None:
+    """Refuse a bench without any device.
+
+    Args:
+        config: of the bench.
+        source: file or profile, as it was named.
+        otherwise: what comes of it, in words.
+
+    Raises:
+        ConfigError: it has none.
+    """
+    if not config.devices():
+        raise ConfigError(f"no device in {source}: {otherwise}", remedy=_ADD_ONE)
 
 
 def load_bench(
@@ -289,11 +312,25 @@ def _reason(item: Any) -> str:
         names = [m.name for m in kinds()[str(tables[0])].models]
         tag = item["ctx"]["tag"]
         return f"model {tag!r} is unknown; expected {' or '.join(names)}{_also(did_you_mean(tag, names))}"
+    if tables == ("schema",) and item["type"] == "literal_error":
+        return _reason_of_schema(item["input"])
     if item["type"] == "missing":
         return "missing"
     if item["type"] in ("model_type", "model_attributes_type"):
         return f"expected a table (found {item['input']!r})"
     return f"{item['msg']} (found {item['input']!r})"
+
+
+def _reason_of_schema(found: object) -> str:
+    """What to do about a bench file that is not of this format, or says so in another type."""
+    if str(found) == str(_SCHEMA):
+        return f"write it without quotes: schema = {_SCHEMA} (found {found!r})"
+    newer = isinstance(found, int) and found > _SCHEMA
+    do = f"use {'a newer' if newer else 'the'} version of the program that reads it"
+    return (
+        f"the file is of another version of this program, which reads schema {_SCHEMA} (found {found!r}); "
+        f"{do}, or write schema = {_SCHEMA} and correct the keys that are then named (docs/bench-file.md)"
+    )
 
 
 def _also(hint: str) -> str:

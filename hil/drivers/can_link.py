@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import can
 
 from hil.drivers.arrivals import ArrivalClock
+from hil.drivers.own_group import of_own_group
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.emulated_bus import bitrate_of, bus_name, stays_on_host
 from hil.vocabulary.errors import DeviceError
@@ -50,7 +51,8 @@ def open_bus(
             from hil.vocabulary.host_multicast import HostMulticastBus  # a keeper on SocketCAN needs none
 
             return HostMulticastBus(config.channel, **options)
-        return can.Bus(interface=config.interface, channel=config.channel, bitrate=config.bitrate, **options)
+        bus = can.Bus(interface=config.interface, channel=config.channel, bitrate=config.bitrate, **options)
+        return of_own_group(config.interface, bus)
     except (*BUS_ERRORS, ImportError) as error:
         raise DeviceError(
             device,

@@ -196,7 +196,7 @@ def open_commands(spec: str) -> CommandLines | None:
     if spec == "stdin":
         return StdinLines()
     kind, _, port = spec.partition(":")
-    if kind == "udp" and port.isdigit():
+    if kind == "udp" and port.isdecimal():
         token = command_token()
         lines = UdpLines(int(port), token)
         if TOKEN_VARIABLE not in os.environ:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from hil.ring.loop_timing import LoopStatistics
 from hil.vocabulary.extras import how_to_install, is_installed
@@ -15,12 +15,13 @@ _LOOK_AFTER_S = 2.0
 _FULL = 0.7
 
 
-def advice(timing: Mapping[str, float], rate_hz: float) -> str:
+def advice(timing: Mapping[str, float], rate_hz: float, burdens: Sequence[str] = ()) -> str:
     """How many cycles began late and what to do about it; empty where few did.
 
     Args:
         timing: a summary of `LoopStatistics`.
         rate_hz: of the loop.
+        burdens: options that were given and cost time.
     """
     if not timing["cycles"] or timing["late"] < _MANY * timing["cycles"]:
         return ""
@@ -30,7 +31,8 @@ def advice(timing: Mapping[str, float], rate_hz: float) -> str:
         said += f"one takes {work_ms:.1f} ms of {period_ms:.1f} ms; "
         if not is_installed("fast"):
             return f"{said}estimators run as plain Python, ten times slower: {how_to_install('fast')}"
-        return f"{said}lower loop.rate_hz in the bench file, or leave --observe and --rerun out"
+        instead = f", or leave {' and '.join(burdens)} out" if burdens else ""
+        return f"{said}lower loop.rate_hz in the bench file{instead}"
     return (
         f"{said}other programs keep this computer busy; end them, or set loop.fifo_priority and loop.cpu "
         "in the bench file (docs/live.md, Real time)"
@@ -42,10 +44,11 @@ class LateWarning:
 
     Args:
         rate_hz: of the loop.
+        burdens: options that were given and cost time.
     """
 
-    def __init__(self, rate_hz: float) -> None:
-        self._rate_hz = rate_hz
+    def __init__(self, rate_hz: float, burdens: Sequence[str] = ()) -> None:
+        self._rate_hz, self._burdens = rate_hz, burdens
         self._next = int(_LOOK_AFTER_S * rate_hz)
 
     def look(self, statistics: LoopStatistics) -> None:
@@ -53,7 +56,7 @@ class LateWarning:
         if not self._next or statistics.cycles < self._next:
             return
         self._next += int(_LOOK_AFTER_S * self._rate_hz)
-        said = advice(statistics.summary(), self._rate_hz)
+        said = advice(statistics.summary(), self._rate_hz, self._burdens)
         if said:
             self._next = 0
             LOG.warning("%s", said)

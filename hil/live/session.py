@@ -90,7 +90,8 @@ class LiveSession:
         self.ended = ""
         self._stop = stop or StopRequest()
         self._samples = SampleCounter()
-        self._late = LateWarning(bench.config.loop.rate_hz)
+        self._burdens = ["--observe"] * bool(plan.observers) + ["--rerun"] * (monitor is not None)
+        self._late = LateWarning(bench.config.loop.rate_hz, self._burdens)
         self._last: CycleRecord | None = None
         self._velocity: VelocityReference | None = None
         here = np.array(bench.config.environment.start_pose, dtype=np.float64)
@@ -128,7 +129,7 @@ class LiveSession:
         if missed := bench.faults_not_begun():
             found["faults_not_begun"] = list(missed)
             found["note"] = not_begun_in_words(missed, bench.world_ns)
-        if said := advice(bench.statistics.summary(), bench.config.loop.rate_hz):
+        if said := advice(bench.statistics.summary(), bench.config.loop.rate_hz, self._burdens):
             found["advice"] = said
         if bench.real_time is not None:
             found["real_time"] = {

@@ -18,6 +18,7 @@ from collections import deque
 from pathlib import Path
 
 from hil.monitor.pipe import READY, Shown, packed, put
+from hil.monitor.rrd import files_of, what_is_missing
 from hil.monitor.scene import Scene
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.errors import UsageError, did_you_mean
@@ -76,7 +77,7 @@ class RerunMonitor(Sink):
 
     Attributes:
         dropped: cycles that were not shown.
-        failure: why the view ended before the run, empty if it did not.
+        failure: why the view ended before the run, or which of its files is incomplete; empty for neither.
 
     Raises:
         UsageError: Rerun is not installed, or the target makes no sense.
@@ -92,6 +93,7 @@ class RerunMonitor(Sink):
         patience_s: float = _CLOSE_S,
     ) -> None:
         targets = split_targets(target)
+        self._files = files_of(targets)
         self.dropped = 0
         self.failure = ""
         self._closed = False
@@ -210,6 +212,10 @@ class RerunMonitor(Sink):
             self._stream.close()
         else:
             self._close_process()
+        lacking = [
+            f"{name} is incomplete: {why}" for name in self._files if (why := what_is_missing(Path(name)))
+        ]
+        self.failure = "; ".join([self.failure] * bool(self.failure) + lacking)
         if self.dropped or self.failure:
             LOG.warning("monitor: %d cycles not shown. %s", self.dropped, self.failure)
 

@@ -24,6 +24,8 @@ from hil.vocabulary.interpolation import between_samples
 WHEEL_COLUMNS = tuple(f"phi{i}" for i in range(1, 5)) + tuple(f"delta{i}" for i in range(1, 5))
 TRUTH_COLUMNS = ("x", "y", "theta")
 RATE_COLUMNS = tuple(f"w{i}" for i in range(1, 5))
+_MCAP = b"\x89MCAP"
+"""What every MCAP file begins with."""
 TRUTH_GAP_S = 0.1
 """Longest time between two samples of ground truth across which the robot's way is known."""
 
@@ -69,7 +71,11 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
 
 
 def _check_text(path: Path, data: bytes, header: bytes) -> None:
-    """Name what spreadsheets make of a table, and what a torn one may have, by its own name."""
+    """Name what spreadsheets make of a table, what a torn one may have, and another file of this name."""
+    if data.startswith(_MCAP):
+        raise DataError(
+            str(path), "is an MCAP recording", expected="CSV", remedy="give it a name that ends with .mcap"
+        )
     if b"\0" in header:
         raise DataError(str(path), "is not UTF-8 text", expected="CSV as UTF-8, not UTF-16 or a spreadsheet")
     if b"\r" in data and b"\n" not in data:

@@ -72,7 +72,7 @@ def partner(odom: Path) -> Path:
 def _run_key(path: Path) -> tuple[int, str, str]:
     match = _FILE.fullmatch(path.name)
     run = match["run"] if match else path.name
-    return (int(run) if run.isdigit() else 1 << 30, run, path.name)
+    return (int(run) if run.isdecimal() else 1 << 30, run, path.name)
 
 
 def read_pair(odom: Path, absolute: Path, nominal: Nominal | None = None) -> Recording:

@@ -33,6 +33,8 @@ from hil.vocabulary.errors import DataError, HilError, UsageError
 _FOREIGN_BENCH = "emulated_floor"
 _NAMED = 4
 _BLOCK_S = 0.1
+_PAIR = 2
+"""A pair of the public recordings, of which both are known, is read from two files."""
 
 
 @dataclass
@@ -44,6 +46,7 @@ class OpenedRecording:
         problems: what could not be read; complete once `runs` has been asked for.
         robot: whose wheels a foreign one is read for.
         tables: what was read of a foreign one; complete once `runs` has been asked for.
+        named: whether somebody has said which bench a foreign one is of.
     """
 
     path: Path
@@ -54,6 +57,7 @@ class OpenedRecording:
     read: Any
     robot: Nominal = field(default_factory=Nominal)
     tables: list[Recording] = field(default_factory=list)
+    named: bool = True
 
     @cached_property
     def runs(self) -> Sequence[RecordedRun]:
@@ -69,12 +73,21 @@ class OpenedRecording:
         return self.runs[number]
 
     def doubts(self) -> list[str]:
-        """Why the wheels of a foreign recording cannot be this robot's, held against its ground truth."""
+        """What is assumed of a foreign recording, and why its wheels cannot be that robot's."""
         if not self.tables:
             return []
+        assumed = [] if self.named or len(self.tables[0].sources) == _PAIR else [self._assumed()]
         robot = replace(self.robot, geometry=self.bench.geometry)
         found = mismatch(reduce_recordings(self.tables, _BLOCK_S), robot)
-        return [f"{found}; {robot.in_words()}; name the robot's bench file with --bench"] if found else []
+        doubted = f"{found}; {robot.in_words()}; name the robot's bench file with --bench"
+        return [*assumed, doubted] if found else assumed
+
+    def _assumed(self) -> str:
+        surface = "a wall" if self.bench.config.environment.on_wall else "a floor"
+        return (
+            f"{self.path} does not say on what surface which robot drove: {surface} and the wheels of "
+            f"{self.robot.source} are assumed, and the filters rest on that; name its bench file with --bench"
+        )
 
     def must_hold(self, runs: int, number: int | None) -> None:
         """Refuse a recording without a run, and a number of which there is none.
@@ -118,7 +131,8 @@ def open_recording(
         made = _bench(config, None, calibration, {})
         if calibration is not None:
             robot = replace(robot, source=str(calibration))
-        return OpenedRecording(path, made, {}, True, [], found, robot, tables)
+        named = bench is not None
+        return OpenedRecording(path, made, {}, True, [], found, robot, tables, named)
     reader = RecordingReader(path)
     header = reader.header
     if bench is not None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.errors import UsageError, did_you_mean
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.interpolation import between_samples
 from hil.vocabulary.signals import CycleRecord, Event
@@ -90,7 +91,18 @@ class Motion:
         return np.array([r.state.diagnostics.get(name, np.nan) for r in self.records])
 
     def observer(self, name: str) -> Array:
-        """Poses of a further estimator that ran beside the one in the loop, (n, 3); NaN without it."""
+        """Poses of a further estimator that ran beside the one in the loop, (n, 3).
+
+        Raises:
+            UsageError: none of that name ran.
+        """
+        ran = dict.fromkeys(one for r in self.records for one in r.observers)
+        if self.records and name not in ran:
+            raise UsageError(
+                f"no observer {name!r} ran beside this motion",
+                expected="one of " + ", ".join(ran) if ran else "",
+                remedy=did_you_mean(name, ran) or f"drive with observers=({name!r},)",
+            )
         states = [r.observers.get(name) for r in self.records]
         return _rows([None if state is None else state.pose_body_in_wall for state in states], 3)
 

@@ -131,6 +131,19 @@ def _pose(value: ArrayLike) -> Pose:
     return (x, y, theta)
 
 
+def _checked(value: ArrayLike, name: str) -> Array:
+    """A pose (3,) that somebody gave; raises `UsageError` for anything else."""
+    try:
+        found = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        found = np.empty(0)
+    if found.shape != (3,) or not np.isfinite(found).all():
+        raise UsageError(
+            f"{name} is {value!r}", expected="a pose: three finite numbers x, y, theta (m, m, rad)"
+        )
+    return found
+
+
 def _reference(t_s: float, pose: Pose, velocity: Pose, acceleration: Pose, done: bool) -> Reference:
     ahead, left = rotation2(-pose[2]).dot(velocity[:2]).tolist()
     twist = np.array((ahead, left, velocity[2]))
@@ -165,11 +178,12 @@ def line(
         name: shown in results.
 
     Raises:
-        UsageError: poses that do not differ, or a duration, speed or acceleration that is not above 0.
+        UsageError: what is no pose, poses that do not differ, or a duration, speed or acceleration that is
+            not above 0.
     """
     if duration_s is not None:
         check_number(duration_s, "duration_s", "s", above_zero=True)
-    a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    a, b = _checked(start, "start"), _checked(end, "end")
     length = float(np.hypot(*(b - a)[:2]))
     needed = _duration(length, float(b[2] - a[2]), speed_m_s, acceleration_m_s2, law)
     time_s = needed if duration_s is None else duration_s
@@ -190,7 +204,7 @@ def rotation(
         law: `quintic` or `constant`.
         name: shown in results.
     """
-    pose = np.asarray(start, dtype=np.float64)
+    pose = _checked(start, "start")
     end = pose + np.array([0.0, 0.0, angle_rad])
     return line(pose, end, speed_m_s=speed_m_s, acceleration_m_s2=acceleration_m_s2, law=law, name=name)
 
@@ -214,7 +228,9 @@ def circle(
     angle = 2.0 * math.pi * turns
     turn = angle if tangent else 0.0
     time_s = _duration(abs(angle) * radius_m, turn, speed_m_s, acceleration_m_s2, law)
-    return Trajectory(name, (Segment(Arc(_pose(start), radius_m, angle, tangent), time_s, law),))
+    return Trajectory(
+        name, (Segment(Arc(_pose(_checked(start, "start")), radius_m, angle, tangent), time_s, law),)
+    )
 
 
 def scan(
@@ -237,7 +253,7 @@ def scan(
     """
     if lanes < 1:
         raise UsageError(f"a scan of {lanes} lanes", expected="at least 1")
-    x, y, theta = np.asarray(start, dtype=np.float64)
+    x, y, theta = _checked(start, "start")
     points = []
     for lane in range(lanes):
         ends = (x, x + length_m) if lane % 2 == 0 else (x + length_m, x)

@@ -51,8 +51,6 @@ def _check(path: Path, found: list[tuple[int, list[float]]]) -> None:
             str(path), f"holds more than {MOST_WAYPOINTS} waypoints", expected=f"at most {MOST_WAYPOINTS}",
             remedy="leave out points on straight lines, or divide the motion",
         )  # fmt: skip
-    if len(found) < 2:
-        raise DataError(str(path), f"holds {len(found)} waypoint(s)", expected="at least 2")
     before: list[float] = []
     for line_number, pose in found:
         if not all(abs(value) <= _FARTHEST for value in pose):
@@ -66,3 +64,5 @@ def _check(path: Path, found: list[tuple[int, list[float]]]) -> None:
                 expected="waypoints that differ", remedy="leave it out",
             )  # fmt: skip
         before = pose
+    if len(found) < 2:
+        raise DataError(str(path), f"holds {len(found)} waypoint(s)", expected="at least 2")

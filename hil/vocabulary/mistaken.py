@@ -41,6 +41,8 @@ def _of_a_file(path: Path) -> str:
         return f"it is a script: hil run {name}"
     if path.suffix == ".mcap":
         return f"it is a recording: hil replay {name}"
+    if path.name.endswith((".csv", ".csv.gz")):
+        return f"it is a table: if of a drive, hil replay {name}"
     if path.suffix == ".toml":
         return "it is a TOML file: give a bench with --bench FILE, a calibration with --calibration FILE"
     if (path.parent / RESULT).is_file():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -14,6 +14,9 @@ from hil.calibration.fitting import fit
 from hil.procedure import Context
 from hil.procedures.parts.odometry_rounds import Driven, Odometry
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, plain_log, style, thin
+
+_NAMED = 4
+"""Recordings that a note names; it counts the others."""
 
 
 def show(
@@ -37,8 +40,30 @@ def show(
     observable_table(ctx, result)
     draw_rounds(ctx, [*rounds, fresh])
     draw_validation(ctx, rounds[0].odometry.tracks(fresh.recordings), after)
-    for line in result.warnings:
-        ctx.note(line[0].upper() + line[1:] + ".")
+    names = {recording.name for run in (*rounds, fresh) for recording in run.recordings}
+    for line in joined(result.warnings, names):
+        ctx.note(f"{line}.")
+
+
+def joined(warnings: Sequence[str], names: Collection[str]) -> list[str]:
+    """Warnings of a calibration without a full stop; what is said of several recordings, once.
+
+    Args:
+        warnings: each of one recording, `NAME: what`, or of the whole.
+        names: of the recordings.
+    """
+    said: dict[str, list[str]] = {}
+    for line in warnings:
+        name, _, what = line.partition(": ")
+        if name in names:
+            said.setdefault(what, []).append(name)
+        else:
+            said.setdefault(line[0].upper() + line[1:], [])
+    out = []
+    for what, whose in said.items():
+        more = f" and {len(whose) - _NAMED} more" if len(whose) > _NAMED else ""
+        out.append(f"{', '.join(whose[:_NAMED])}{more}: {what}" if whose else what)
+    return out
 
 
 def method_table(ctx: Context, columns: Mapping[str, Odometry], fresh: Driven) -> None:

@@ -5,6 +5,7 @@ import time
 
 import can
 import numpy as np
+import pytest
 
 from hil.config.can_bus import CanConfig
 from hil.config.robot import RobotConfig
@@ -14,6 +15,7 @@ from hil.fakes.loopback import free_udp_port
 from hil.fakes.plant import make_plant
 from hil.fakes.world import VirtualClock, World
 from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import DeviceError
 
 GROUP = "239.74.164.11"
 
@@ -116,3 +118,23 @@ def test_a_program_that_stood_still_waits_for_what_had_come_meanwhile():
             assert link.heard() == [b"later"]
     finally:
         link.close()
+
+
+@pytest.mark.parametrize(
+    "groups", [(GROUP, "239.74.164.12"), ("ff15:7079:7468:6f6e:6465::1", "ff15:7079:7468:6f6e:6465::2")]
+)
+def test_frames_of_another_group_at_the_same_port_are_not_heard(groups):
+    options = {"port": free_udp_port(), "hop_limit": 1}
+    own, other = (CanConfig(interface="udp_multicast", channel=group, options=options) for group in groups)
+    link, stranger = (CanLink("adhesion", config, MonotonicClock()) for config in (own, other))
+    try:
+        link.open()
+        stranger.open()
+        stranger.send(7, b"other", extended=True)
+        link.send(8, b"own", extended=True)
+        assert [message.arbitration_id for _, message in link.take(10.0)] == [8]
+    except DeviceError as error:
+        pytest.skip(f"no way to such a group here: {error}")
+    finally:
+        link.close()
+        stranger.close()

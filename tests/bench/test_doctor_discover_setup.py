@@ -10,7 +10,7 @@ from itertools import pairwise
 import pytest
 
 import hil
-from hil.bench.discover import discover
+from hil.bench.discover import Discovery, discover
 from hil.bench.doctor import examine
 from hil.bench.emulation import build_world, connect_in_process
 from hil.cli import main
@@ -191,6 +191,7 @@ def test_discover_says_what_it_did_not_find_and_where_it_looked(tmp_path, monkey
     assert found.missing["encoders"] == "this computer has no CAN bus; name one with --can INTERFACE:CHANNEL"
     assert found.missing["mocap"].endswith("name one with --mocap ADDRESS")
     assert "udpin" in found.missing["tracker"]
+    assert found.silent == []
     none = discover(VirtualClock(world), ports=[], sysfs=tmp_path)
     assert none.missing["servos"] == "this computer has no serial port; name one with --port"
 
@@ -218,6 +219,22 @@ def test_discover_finds_everything_and_its_file_opens_a_healthy_bench(
     assert code == 0
     assert main(["discover", "--out", str(file)]) == 2
     assert "exists already" in capsys.readouterr().err
+
+
+def test_discover_names_a_port_at_which_nothing_answered_beside_one_where_something_did(monkeypatch, capsys):
+    answered = Discovery(sections={"imu": {"port": "/dev/imu"}}, silent=["/dev/nope"])
+    monkeypatch.setattr("hil.bench.discover.discover", lambda *_, **__: answered)
+    assert main(["discover", "--port", "/dev/imu", "--port", "/dev/nope"]) == 3
+    said = capsys.readouterr()
+    assert "hil: nothing answered at /dev/nope; check its name, power and cable" in said.err
+    assert "[imu]" in said.out
+
+
+def test_discover_tells_ports_that_hold_something_from_silent_ones(tmp_path, monkeypatch):
+    monkeypatch.setattr("can.detect_available_configs", lambda interfaces: [])
+    world = build_world(load_bench("emulated"), seed=1)
+    nowhere = str(tmp_path / "nope")
+    assert discover(VirtualClock(world), ports=[nowhere], sysfs=tmp_path).silent == [nowhere]
 
 
 def test_discover_without_an_answer_and_with_nonsense(capsys, tmp_path):

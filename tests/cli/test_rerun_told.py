@@ -2,10 +2,16 @@
 
 import shlex
 import shutil
+import struct
 
 import pytest
 
 from hil.cli import main, options
+
+WHOLE = (
+    b"RRF2".ljust(12, b"\0") + struct.pack("<QQ", 2, 2_340_000) + bytes(2_340_000) + bytes(16) + b"RRF2FOOT"
+)
+"""A Rerun file of one message, the end, and a footer."""
 
 
 @pytest.fixture
@@ -24,13 +30,19 @@ def told(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize("on_path", ["/usr/bin/rerun", None])
 def test_a_file_is_named_with_a_command_that_can_be_pasted(told, tmp_path, monkeypatch, on_path):
-    (tmp_path / "my run.rrd").write_bytes(b"x" * 2_340_000)
+    (tmp_path / "my run.rrd").write_bytes(WHOLE)
     monkeypatch.setattr(shutil, "which", lambda name: on_path)
     (line,) = told("spawn, my run.rrd")
     words = shlex.split(line.partition("open it with: ")[2])
     assert line.startswith("hil: wrote my run.rrd (2.3 MB); ")
     assert words[-1] == "my run.rrd"
     assert words[0] == "rerun" if on_path else words[0].startswith("/")
+
+
+def test_a_file_that_breaks_off_is_not_told_as_written(told, tmp_path):
+    (tmp_path / "r.rrd").write_bytes(WHOLE[:-40])
+    (line,) = told("r.rrd")
+    assert line.startswith("hil: r.rrd is incomplete: it breaks off after 2.3 MB; see what the disk has left")
 
 
 @pytest.mark.parametrize("view", ["spawn", "connect,serve", "rerun+http://host/x.rrd", "absent.rrd"])

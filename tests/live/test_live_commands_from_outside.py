@@ -104,3 +104,9 @@ def test_a_token_that_is_none_is_refused(monkeypatch, token):
     monkeypatch.setenv(TOKEN_VARIABLE, token)
     with pytest.raises(UsageError, match=TOKEN_VARIABLE):
         open_commands("udp:0")
+
+
+@pytest.mark.parametrize("port", ["²", "x", "-1", "", "99999"])
+def test_a_port_that_is_none_is_refused(port):
+    with pytest.raises(UsageError, match=r"--command udp:|UDP port 99999 cannot be used"):
+        open_commands(f"udp:{port}")

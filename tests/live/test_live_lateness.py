@@ -29,6 +29,16 @@ def test_what_to_do_depends_on_who_takes_the_time(late, work_ms, said):
     assert advice(LoopStatistics().summary(), 100.0) == ""
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [((), "in the bench file"), (("--rerun",), ", or leave --rerun out"),
+     (("--observe", "--rerun"), ", or leave --observe and --rerun out")],
+)  # fmt: skip
+def test_only_options_that_were_given_are_to_be_left_out(monkeypatch, given, said):
+    monkeypatch.setattr("hil.live.lateness.is_installed", lambda extra: True)
+    assert advice(statistics(100, 62, 11.0).summary(), 100.0, given).endswith(said)
+
+
 def test_where_estimators_are_interpreted_the_package_that_compiles_them_is_named(monkeypatch):
     monkeypatch.setattr("hil.live.lateness.is_installed", lambda extra: False)
     told = advice(statistics(100, 62, 11.0).summary(), 100.0)

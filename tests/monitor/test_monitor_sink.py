@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import importlib.util
 import math
+import resource
 import socket
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hil.monitor import RerunMonitor
 from hil.monitor.blueprint import line_colours
+from hil.monitor.rrd import what_is_missing
 from hil.monitor.series import Series, SeriesCollector, conditions
 from hil.monitor.sink import split_targets
 from hil.vocabulary.errors import DataError, UsageError
@@ -220,6 +225,38 @@ def test_real_time_shows_the_same_through_its_own_process(tmp_path):
     assert (monitor.dropped, monitor.failure) == (0, "")
     for path in (first, second):
         assert b"robot/speeds" in path.read_bytes()
+
+
+@needs_rerun
+@pytest.mark.parametrize("lossless", [True, False])
+def test_a_file_that_the_disk_did_not_take_is_named_as_incomplete(tmp_path, lossless):
+    path = tmp_path / "full.rrd"
+    monitor = RerunMonitor(str(path), lossless=lossless)
+    for k in range(100):
+        monitor.write(shown(k))
+    truncated_at = 20_000
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    whose = 0 if monitor._process is None else monitor._process.pid
+    resource.prlimit(whose, resource.RLIMIT_FSIZE, (truncated_at, limits[1]))
+    try:
+        monitor.close()
+    finally:
+        resource.prlimit(0, resource.RLIMIT_FSIZE, limits)
+    assert f"{path} is incomplete: it breaks off after 0." in monitor.failure
+
+
+@needs_rerun
+@pytest.mark.parametrize("cut", [0, 1])
+def test_a_file_is_whole_where_the_library_says_so(tmp_path, cut):
+    whole, path = tmp_path / "whole.rrd", tmp_path / "looked_at.rrd"
+    monitor = RerunMonitor(str(whole), lossless=True)
+    monitor.write(shown(0))
+    monitor.close()
+    data = whole.read_bytes()
+    path.write_bytes(data[: len(data) // 2] if cut else data)
+    oracle = Path(sys.executable).with_name("rerun")
+    said = subprocess.run([str(oracle), "rrd", "verify", str(path)], capture_output=True, check=False)
+    assert bool(what_is_missing(path)) is bool(said.returncode) is bool(cut)
 
 
 @needs_rerun

@@ -258,6 +258,7 @@ def test_bad_files_are_named(tmp_path):
     ("spoil", "said"),
     [
         (lambda text: text.encode("utf-16"), "is not UTF-8 text"),
+        (lambda text: b"\x89MCAP0\r\n" + text.encode() + b'"', "is an MCAP recording; .* ends with .mcap"),
         (lambda text: text.replace("\n", "\r").encode(), r"has lines that end with \\r alone"),
         (lambda text: text.replace(",", ";").encode(), "has no comma in its header"),
         (lambda text: text.replace("\n", '\n"', 2).encode(), "line 2 has a quote that is not closed"),

@@ -291,3 +291,12 @@ def test_a_killed_process_loses_at_most_the_last_second(tmp_path, last):
     assert [r.cycle for r in back] == list(range(len(back)))
     assert (final - back[-1].cycle) * PERIOD_NS <= 1_000_000_000
     assert problems
+
+
+@pytest.mark.parametrize("name", ["odom_1.csv", "odom_1.csv.gz"])
+def test_a_table_in_place_of_a_recording_is_told_what_takes_it(tmp_path, name):
+    path = tmp_path / name
+    path.write_bytes(b"t,phi1\n0,1\n" * 10)
+    with pytest.raises(DataError, match="is not an MCAP file") as caught:
+        list(read_cycles(path))
+    assert caught.value.remedy == f"it is a table: if of a drive, hil replay {path}"

@@ -113,7 +113,12 @@ def test_process_noise_that_somebody_has_chosen_is_kept():
 def test_another_robots_recording_is_doubted_as_evaluate_does(tmp_path, capsys):
     path, page = written(tmp_path / "line_x_1.csv", scale=2.0), tmp_path / "page.html"
     result, said = replayed(capsys, path, "--page", page)
-    (warning,) = result["warnings"]
+    assumed, warning = result["warnings"]
+    assert f"{path} does not say on what surface which robot drove: a floor and the wheels of" in assumed
+    assert "bench emulated_floor are assumed" in assumed
+    assert "name its bench file with --bench" in assumed
+    named, _ = replayed(capsys, path, "--bench", "emulated")
+    assert not any("does not say" in line for line in named["warnings"])
     assert "the robot went 2.00 times as far as its wheels say" in warning
     assert "--bench" in warning
     assert f"warning: {warning}" in said

@@ -10,7 +10,8 @@ from hil.cli.setup import command as setup
 from hil.config.servo_models.codes import BAUD_RATES
 from hil.config.servos import ServosConfig
 from hil.drivers.servos import DynamixelServos, set_up
-from hil.drivers.servos.packets import instruction
+from hil.drivers.servos.identity import identified
+from hil.drivers.servos.packets import BAD_CHECKSUM, NO_ANSWER, instruction
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.signals import ServoSetpoint, Status
@@ -115,6 +116,16 @@ def test_servos_too_old_for_the_bus_watchdog_are_refused(servo_bench):
 def test_two_servos_with_one_id_are_recognised(servo_bench):
     with pytest.raises(DeviceError, match="two servos may share this ID"):
         servo_bench(ids=(1, 2, 3, 3, 5, 6, 7, 8), config={"drive_ids": (1, 2, 3, 4)})
+
+
+@pytest.mark.parametrize("garbled", [4, 5, 8])
+def test_where_most_answers_are_garbled_no_shared_id_is_the_cause(garbled):
+    answers = [BAD_CHECKSUM] * garbled + [NO_ANSWER] * (8 - garbled)
+    with pytest.raises(DeviceError) as refused:
+        identified(None, ServosConfig(port="/dev/x"), answers, "servos")
+    another = "most answers are garbled: another device at this port, a wrong servos.baud, or noise"
+    assert (another in refused.value.remedy) is (garbled > 4)
+    assert ("two servos may share" in refused.value.remedy) is (garbled <= 4)
 
 
 @pytest.mark.parametrize(

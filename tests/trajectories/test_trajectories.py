@@ -105,8 +105,9 @@ def test_a_refusal_names_the_first_time_and_value():
         check(ALL[0], CAD, MotionLimits(x_range_m=(0.0, 1.0), wheel_acceleration_m_s2=1.0))
     with pytest.raises(TrajectoryError, match="-y on the wall"):
         check(tr.line(ORIGIN, [0, -1.0, 0]), CAD, MotionLimits(y_range_m=(-0.5, 1.0)))
+    nowhere = tr.Segment(tr.Straight((0.0, 0.0, 0.0), (1.0, 0.0, math.nan)), 5.0)
     with pytest.raises(TrajectoryError, match="reference"):
-        check(tr.line(ORIGIN, [1, 0, math.nan], duration_s=5.0), CAD, MotionLimits())
+        check(tr.Trajectory("nowhere", (nowhere,)), CAD, MotionLimits())
 
 
 @pytest.mark.parametrize("duration_s", [1e-6, 1e-3, 0.01, 0.02])
@@ -136,7 +137,11 @@ def test_waypoints_from_csv(tmp_path):
     path.write_text("x,y,theta\n0,0,0\n0.5,0,0\n0.5,0.2,0.1\n")
     trajectory = tr.through(read_waypoints(path))
     np.testing.assert_allclose(trajectory.sample(1e9).pose_in_wall, [0.5, 0.2, 0.1])
-    for text, message in (("x,y\n0,0\n", "no waypoint list"), ("x,y,theta\n0,0,0\n", "1 waypoint")):
+    for text, message in (
+        ("x,y\n0,0\n", "no waypoint list"),
+        ("x,y,theta\n0,0,0\n", "1 waypoint"),
+        ("x,y,theta\n0,nan,1e9\n", "line 2 holds 0, nan, 1e"),
+    ):
         path.write_text(text)
         with pytest.raises(DataError, match=message):
             read_waypoints(path)

@@ -28,6 +28,10 @@ _PAUSE_NS = 100_000_000
 _PATIENCE_NS = 1_500_000_000
 _LEFTOVERS_NS = 300_000_000
 """What another program asked for has come by then."""
+_NO_SERVO_LINE = (
+    "most answers are garbled: another device at this port, a wrong servos.baud, or noise; "
+    "check servos.port, ask `hil discover --port PORT` what is there, then look at cable and ground"
+)
 _UNCLEAR = (Status.TIMEOUT, Status.CRC, Status.PROTOCOL)
 
 
@@ -74,6 +78,9 @@ def identified(bus: Bus, config: ServosConfig, answers: list[Answer], device: st
     nobody = all(a.status is Status.TIMEOUT for a in answers)
     if nobody:
         remedies = [_other_baud(bus, config)]
+    garbled = sum(a.status not in (Status.OK, Status.TIMEOUT) for a in answers)
+    if garbled > len(answers) // 2:
+        remedies = [_NO_SERVO_LINE]
     kind = DeviceTimeoutError if nobody else DeviceError
     raise kind(
         device,

@@ -1,0 +1,86 @@
+"""Calls and bench files that cannot mean anything are answered by what is wrong and what to write."""
+
+import numpy as np
+import pytest
+
+import hil
+from hil.cli import main
+from hil.config.loading import load_bench
+from hil.robot.trajectories import circle, line, rotation, scan, through
+from hil.vocabulary.errors import ConfigError, UsageError
+
+ORIGIN = (0.0, 0.0, 0.0)
+
+
+@pytest.fixture
+def without_devices(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "none.toml").write_text('schema = 1\nname = "x"\n')
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [(["doctor"], "no device in none.toml: nothing was examined; add the table of a device"),
+     (["doctor", "--json"], "no device in none.toml: nothing was examined; add the table of a device"),
+     (["live"], "no device in none.toml: there is nothing to watch or to move; add the table of a device"),
+     (["doctor", "--emulate", "imu"], "--emulate imu: the bench has no device at all; add the table")],
+)  # fmt: skip
+def test_a_bench_without_any_device_is_not_ok(without_devices, capsys, words, told):
+    assert main([*words, "--bench", "none.toml"]) == 2
+    assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("schema", "told"),
+    [("2", "another version of this program, which reads schema 1 (found 2); use a newer version of"),
+     ("0", "another version of this program, which reads schema 1 (found 0); use the version of"),
+     ('"1"', "schema: write it without quotes: schema = 1 (found '1')")],
+)  # fmt: skip
+def test_a_bench_file_of_another_schema_is_told_what_to_do(tmp_path, schema, told):
+    path = tmp_path / "bench.toml"
+    path.write_text(f'schema = {schema}\nname = "x"\n[imu]\nport = "/dev/x"\n')
+    with pytest.raises(ConfigError) as refused:
+        load_bench(path)
+    assert told in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "pose", [(0.0, 0.0), (0.0, float("nan"), 0.0), "here", None, np.zeros((2, 3)), (0, 0, "x")]
+)
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda pose: line(pose, (0.3, 0.0, 0.0), duration_s=3.0),
+        lambda pose: rotation(pose, 1.0),
+        lambda pose: circle(pose, 0.5),
+        lambda pose: scan(pose, 1.0, 2, 0.1),
+        lambda pose: through([pose, (0.3, 0.0, 0.0)]),
+    ],
+)
+def test_what_is_no_pose_is_refused(make, pose):
+    with pytest.raises(UsageError, match=r"(?s)start is .*expected a pose: three finite numbers"):
+        make(pose)
+
+
+def test_a_bench_is_used_open_only_and_follows_a_trajectory():
+    way = line(ORIGIN, (0.02, 0.0, 0.0), duration_s=1.0)
+    bench = hil.open_bench("emulated_floor", faults="tracker:off@4+1")
+    assert [fault.device for fault in bench.faults] == ["tracker"]
+    for use in (lambda: bench.drive(way), lambda: bench.observe(0.1), bench.settle):
+        with pytest.raises(
+            UsageError, match=r"the bench is not open; use `with hil.open_bench\(...\) as bench:`"
+        ):
+            use()
+    with bench:
+        with pytest.raises(UsageError, match=r"\(0.0, 0.0, 0.0\) is no trajectory; expected a hil.robot"):
+            bench.drive(ORIGIN)
+        motion = bench.drive(way, hold_s=0.0, observers="odometry")
+        assert motion.observer("odometry").shape == (len(motion.records), 3)
+        with pytest.raises(
+            UsageError, match=r"no observer 'odometri' .*expected one of odometry; did you mean"
+        ):
+            motion.observer("odometri")
+        with pytest.raises(UsageError, match=r"no observer 'ekf' ran .*; drive with observers=\('ekf',\)"):
+            bench.observe(0.1).observer("ekf")
+    with pytest.raises(UsageError, match="the bench is closed; use `with"):
+        bench.drive(way)
