@@ -205,7 +205,7 @@ def _first_report(fan: Any, clock: MonotonicClock) -> Any:
     raise DeviceError(
         DEVICE, f"no usable report of its speed for {_WATCH_S:g} s: nothing was changed",
         expected="how fast the fan turns, before it is given another set-point",
-        remedy="`hil doctor` looks at its controller",
+        remedy="`hil doctor` examines its controller",
     )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ from hil.robot.kinematics import WheelGeometry
 from hil.robot.trajectories import Trajectory
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.collector import without_collector
-from hil.vocabulary.errors import ConfigError, UsageError, check_number
+from hil.vocabulary.errors import ConfigError, check_number
 from hil.vocabulary.geometry import Array, ArrayLike
 from hil.vocabulary.interfaces import RUN_NOTE, Sink
 from hil.vocabulary.signals import CycleRecord, RobotState
@@ -142,8 +142,8 @@ class Bench(HeldRig):
         Raises:
             UsageError: a duration that is below 0 or no number, or the bench is not open.
         """
-        self.must_be_open()
         check_number(duration_s, "duration_s", "s")
+        self.must_be_open()
         start = RunStart(self.start_state(start_pose), feedback)
         return self._run(self.make_brain(None, feedback=feedback), start, duration_s, on_cycle)
 
@@ -177,16 +177,11 @@ class Bench(HeldRig):
             UsageError: `hold_s` is below 0 or no number, no trajectory, an unknown estimator or law, or
                 a bench that is not open.
         """
-        self.must_be_open()
-        if not isinstance(trajectory, Trajectory):
-            raise UsageError(
-                f"{trajectory!r} is no trajectory", expected="a hil.robot.trajectories.Trajectory",
-                remedy="make one: line(start, end)",
-            )  # fmt: skip
-        if isinstance(observers, str):
-            observers = (observers,)
         check_number(hold_s, "hold_s", "s")
         self.check(trajectory)
+        self.must_be_open()
+        if isinstance(observers, str):
+            observers = (observers,)
         stands = None if start_pose is None else self.start_state(start_pose)
         if stands is None:
             self.config.must_know_start()

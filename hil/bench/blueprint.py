@@ -140,7 +140,7 @@ class Blueprint:
         """
         if not isinstance(trajectory, Trajectory):
             raise UsageError(
-                f"a {type(trajectory).__name__} cannot be driven", expected="a Trajectory",
-                remedy="make one with hil.robot.trajectories (line, circle, through, ...)",
+                f"{trajectory!r} is no trajectory", expected="a hil.robot.trajectories.Trajectory",
+                remedy="make one there: line(start, end), circle, through, ...",
             )  # fmt: skip
         check(trajectory, self.geometry.projection(), motion_limits(self.config), known=known)

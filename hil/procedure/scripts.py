@@ -9,8 +9,9 @@ import pkgutil
 import sys
 from contextlib import suppress
 from functools import lru_cache
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 
 import hil
 from hil.procedure.declaration import Procedure
@@ -94,8 +95,15 @@ def _from_file(path: Path) -> ModuleType:
         raise ConfigError(f"{path}: cannot be loaded ({type(error).__name__}: {error})") from error
 
 
+class _AsItStands(SourceFileLoader):
+    """Runs the text that is in the file now: bytecode of the last second may be of another one."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        return self.source_to_code(self.get_data(self.path), self.path)
+
+
 def _load(name: str, path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, path)
+    spec = importlib.util.spec_from_file_location(name, path, loader=_AsItStands(name, str(path)))
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -44,6 +44,7 @@ def asks_ahead(realtime=False, **overrides):
 
 def test_servos_are_asked_ahead_in_real_time_and_at_rates_that_need_it():
     real = {f"{name}.backend": "real" for name in ("servos", "encoders", "imu", "tracker", "mocap")}
+    real["imu.port"] = "/dev/ttyUSB1"
     assert asks_ahead() is False
     assert asks_ahead(**{"loop.rate_hz": 200.0}) is False
     assert asks_ahead(realtime=True) is True

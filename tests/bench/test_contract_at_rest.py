@@ -48,7 +48,7 @@ def test_a_few_places_do_not_show_that_it_stands():
 
 
 def test_what_tells_no_place_is_not_asked():
-    assert told("imu", lambda sample: (sample,)) == told("encoders", lambda s: (s,)) == "tells no place"
+    assert told("imu", lambda sample: (sample,)) == told("encoders", lambda s: (s,)) == "reports no position"
 
 
 def from_s(begin_s):

@@ -72,15 +72,15 @@ def campaign(capsys):
 
 def full(monkeypatch, *folders):
     """The disks of these folders take no result of a run; gives the seeds that were refused."""
-    usual, refused = results._replace, []
+    usual, refused = results.put_whole, []
 
-    def replace(path, text):
+    def put(path, content):
         if str(path).startswith(folders):
             refused.append(path.parent.name)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        usual(path, text)
+        usual(path, content)
 
-    monkeypatch.setattr(results, "_replace", replace)
+    monkeypatch.setattr(results, "put_whole", put)
     return refused
 
 

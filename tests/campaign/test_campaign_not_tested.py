@@ -89,14 +89,14 @@ def test_an_untested_failure_is_not_counted_either():
 
 def no_room_for(monkeypatch, *seeds):
     """The disk takes no result of these seeds."""
-    usual = results._replace
+    usual = results.put_whole
 
-    def replace(path, text):
+    def put(path, content):
         if path.parent.name in {f"seed={seed}" for seed in seeds}:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        usual(path, text)
+        usual(path, content)
 
-    monkeypatch.setattr(results, "_replace", replace)
+    monkeypatch.setattr(results, "put_whole", put)
 
 
 def test_a_run_that_left_no_result_is_lost_and_counts_as_neither_good_nor_bad(

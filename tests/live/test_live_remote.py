@@ -130,8 +130,10 @@ def test_an_rfc2217_port_negotiates_once(served):
         bridge.close()
 
 
-@pytest.mark.parametrize("url", ["socket://127.0.0.1:9", "rfc2217://127.0.0.1:9"])
+@pytest.mark.parametrize("url", ["socket://127.0.0.1", "rfc2217://127.0.0.1"])
 def test_a_server_that_is_not_there_is_a_device_error(tmp_path, url):
-    path = bench_file(tmp_path, url, url, 'interface = "udp_multicast"\nchannel = "239.74.163.9"')
+    path = bench_file(
+        tmp_path, f"{url}:9", f"{url}:10", 'interface = "udp_multicast"\nchannel = "239.74.163.9"'
+    )
     with pytest.raises(DeviceError, match=r"encoders|servos|imu"), hil.open_bench(path):
         raise AssertionError("a bench that nobody serves was opened")

@@ -109,4 +109,6 @@ def test_what_is_no_trajectory_is_told(run_small, source):
 
     error = run_small(nothing, source=source).error
     assert (error.kind, error.exit_code) == ("UsageError", 2)
-    assert error.message.startswith("a NoneType cannot be driven; expected a Trajectory; make one with")
+    assert error.message.startswith(
+        "None is no trajectory; expected a hil.robot.trajectories.Trajectory; make one"
+    )

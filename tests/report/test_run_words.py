@@ -16,7 +16,7 @@ from hil.vocabulary.clock import MonotonicClock
 
 
 def said_of(declared, values, headline=""):
-    rows = judge(declared, values, {}, ended=True)
+    rows = judge(declared, values, {}, {}, ended=True)
     return sentence({"error": None, "headline": headline, "measurements": rows})
 
 
@@ -50,7 +50,7 @@ def test_what_was_not_measured_after_a_failure_does_not_count_as_one():
 
 def measured_of(declared, values):
     """As in `result.json`: no number stands where a value is not finite, but the step that set it does."""
-    rows = judge(declared, values, dict.fromkeys(values, "start"), ended=True)
+    rows = judge(declared, values, {}, dict.fromkeys(values, "start"), ended=True)
     rows = [
         r | {"value": None} if r["value"] is not None and not np.isfinite(r["value"]) else r for r in rows
     ]
