@@ -179,7 +179,6 @@ class Bench(HeldRig):
         """
         check_number(hold_s, "hold_s", "s")
         self.check(trajectory)
-        self.must_be_open()
         if isinstance(observers, str):
             observers = (observers,)
         stands = None if start_pose is None else self.start_state(start_pose)
@@ -187,6 +186,7 @@ class Bench(HeldRig):
             self.config.must_know_start()
         else:
             must_begin_where_it_stands(trajectory, stands.pose_body_in_wall)
+        self.must_be_open()
         brain = self.make_brain(trajectory, controller=controller, feedback=feedback, observers=observers)
         warm_up(brain, stands or self.start_state())
         self.rig.actuators().enable()

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from hil.bench import open_bench
-from hil.robot.trajectories import circle, line, through
+from hil.robot.paths import Segment, Straight
+from hil.robot.trajectories import Trajectory, circle, line, through
 from hil.vocabulary.errors import ConfigError, DeviceTimeoutError, SafetyStop, TrajectoryError
 from hil.vocabulary.signals import Status
 
@@ -129,7 +130,7 @@ REFUSED = [
     (line(ORIGIN, [1.0, 0.0, 0.0], law="constant", speed_m_s=0.2), "wheel speed"),
     (line(ORIGIN, [0.05, 0.0, 0.0], duration_s=0.9), "wheel acceleration"),
     (through([ORIGIN, [0.2, 0.0, 0.0], [0.2, 0.0, 0.3]]), "heading on the wall"),
-    (line(ORIGIN, [math.nan, 0.0, 0.0], duration_s=5.0), "reference"),
+    (Trajectory("none", (Segment(Straight((0.0, 0.0, 0.0), (math.nan, 0.0, 0.0)), 5.0),)), "reference"),
 ]
 
 
