@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hil.bench.settings import can_fall
+from hil.bench.settings import pretended_holders
 from hil.config.bench import BenchConfig
 from hil.robot.trajectories import Trajectory
 from hil.vocabulary.errors import TrajectoryError
@@ -62,7 +62,7 @@ def blind_to_the_drive(config: BenchConfig) -> str:
 
 def emulated_hold(config: BenchConfig) -> str:
     """That what is to hold a real robot on its wall is emulated; empty where it is not, or it cannot fall."""
-    holders = config.emulated_holders() if can_fall(config) else ()
+    holders = pretended_holders(config)
     if not holders:
         return ""
     return (

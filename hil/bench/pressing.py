@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-from hil.bench.settings import adhesion_limits, can_fall
+from hil.bench.settings import adhesion_limits, can_fall, pretended_holders
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.config.kept_motor import KeptMotorConfig
@@ -185,7 +185,7 @@ def press_watch(config: BenchConfig, rig: Rig) -> PressWatch:
 
     What is in another world than the servos presses another robot, or none.
     """
-    pretended = config.emulated_holders() if can_fall(config) else ()
+    pretended = pretended_holders(config)
     config = config.of_one_world()
     fan = config.of(AdhesionConfig)
     kept = fan if isinstance(fan, KeptMotorConfig) else None

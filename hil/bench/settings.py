@@ -164,6 +164,11 @@ def can_fall(config: BenchConfig) -> bool:
     return config.environment.on_wall and not config.safety.tethered
 
 
+def pretended_holders(config: BenchConfig) -> tuple[str, ...]:
+    """Names of what is to hold a real robot that can fall, and is emulated; empty for nothing."""
+    return config.emulated_holders() if can_fall(config) else ()
+
+
 def adhesion_limits(config: BenchConfig) -> AdhesionLimits | None:
     """Need and limits of adhesion of a configuration; None for a bench without fan and load cells."""
     fan, cells, push = config.of(AdhesionConfig), config.of(LoadCellsConfig), config.of(ThrustConfig)
