@@ -23,13 +23,15 @@ ON_A_CLOCK = (
     ("real_time", *SIDE_BY_SIDE, "-m", "not long and real_time", *files(*REAL_TIME, *WIRED)),
     ("alone", "-m", "not long and alone", *files(*ALONE)),
 )
+HANGING = ("-o", "faulthandler_timeout=400", "-o", "faulthandler_exit_on_timeout=true")
+"""A test that no signal reaches, in code of a library say, ends its process and is named as failed."""
 _LOOK_S = 0.5
 
 
 def command(folder, name, *options):
     """One run of pytest."""
     kept = [] if folder is None else ["--junit-xml", f"{folder}/{name}.xml"]
-    return [sys.executable, "-m", "pytest", *options, *kept]
+    return [sys.executable, "-m", "pytest", *HANGING, *options, *kept]
 
 
 def give_way():

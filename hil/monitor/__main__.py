@@ -1,8 +1,8 @@
 """The monitor's own process: cycle records from standard input, Rerun behind it.
 
 Pieces on standard input (`hil.monitor.pipe`) come from `hil.monitor.sink` in the parent process and from
-nowhere else (they are pickles). Ends with the empty piece or when the parent is gone; an interrupt is
-the parent's.
+nowhere else (they are pickles). Ends with the empty piece or when the parent is gone, also where Rerun then
+waits for a viewer without an end; an interrupt is the parent's.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import os
 import pickle
 import signal
 import sys
+import threading
 from collections.abc import Sequence
 from typing import BinaryIO
 
@@ -18,11 +19,23 @@ from hil.monitor.pipe import READY, taken
 from hil.vocabulary.signals import CycleRecord
 
 _NICE = 10
+_LOOK_S, _LEFT_S = 1.0, 15.0
+"""How often the parent is looked for, and how long all may take once it is gone."""
+
+
+def _outlive_not(parent: int) -> None:
+    """Thread: end the process some time after its parent, whatever Rerun waits for."""
+    nothing = threading.Event()
+    while os.getppid() == parent:
+        nothing.wait(_LOOK_S)
+    nothing.wait(_LEFT_S)
+    os._exit(1)
 
 
 def main(targets: Sequence[str], pipe: BinaryIO) -> int:
     """Show what comes until the end."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_outlive_not, args=(os.getppid(),), daemon=True).start()
     os.nice(_NICE)
     import rerun  # noqa: F401  # the slow part, before the parent is told to go on
 

@@ -1,9 +1,9 @@
-"""The monitor as the loop sees it: a bounded queue that drops the oldest, and whatever is behind it.
+"""The monitor as the loop sees it: a bounded queue, and behind it a process that talks to Rerun.
 
-In real time the records go through a pipe to a process of their own that talks to Rerun, those of a tenth of
-a second together, for the view moves no more often. A stalled or dead viewer fills the pipe, then the queue,
-and then costs drops, which are counted and shown. In virtual time (`lossless`) the records are sent in the
-caller's thread and nothing is dropped.
+The records go to that process through a pipe, those of a tenth of a second together, for the view moves no
+more often. A stalled or dead viewer fills the pipe, then the queue. In real time that costs the oldest, which
+are counted and shown. Where nothing waits for a clock (`lossless`) whoever shows them waits, as long as the
+viewer takes some. Rerun may wait for a viewer without an end: its process is then killed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ LOG = logging.getLogger(__name__)
 LIVE = ("spawn", "connect", "serve")
 
 _CAPACITY = 500
-_CLOSE_S = 4.0
+_CLOSE_S, _LOSSLESS_S = 4.0, 60.0
 _TOGETHER_NS, _MOST_TOGETHER = nanoseconds(0.1), 10
 _LEFT_S = 0.5
 """What the last cycle of a loop has left is shown after this time."""
@@ -70,10 +70,11 @@ class RerunMonitor(Sink):
     Args:
         target: `spawn`, `connect`, `serve`, a `rerun+http://` URL or a `.rrd` file, or several of
             them separated by commas.
-        lossless: send in the caller's thread and drop nothing (virtual time).
+        lossless: drop nothing, `write` waits instead (a recording is shown).
         scene: robot and surface that are drawn; those of the paper when None.
-        capacity: cycles that may wait before the oldest is dropped.
-        patience_s: how long the viewer may take for the rest when all is over.
+        capacity: cycles that may wait before the oldest is dropped or `write` waits.
+        patience_s: how long the viewer may take for the rest when all is over and, where nothing is dropped,
+            for some of what waits; 4 s, 60 s where nothing is dropped.
 
     Attributes:
         dropped: cycles that were not shown.
@@ -90,38 +91,34 @@ class RerunMonitor(Sink):
         lossless: bool,
         scene: Scene | None = None,
         capacity: int = _CAPACITY,
-        patience_s: float = _CLOSE_S,
+        patience_s: float | None = None,
     ) -> None:
         targets = split_targets(target)
         self._files = files_of(targets)
         self.dropped = 0
         self.failure = ""
         self._closed = False
-        self._capacity, self._patience_s = capacity, patience_s
+        self._capacity, self._lossless = capacity, lossless
+        self._patience_s = (_LOSSLESS_S if lossless else _CLOSE_S) if patience_s is None else patience_s
         self._scene = Scene() if scene is None else scene
         self._waiting: deque[Shown] = deque()
         self._in_hand: list[Shown] = []
         self._newest_ns = self._woken_ns = 0
-        self._something = threading.Event()
-        self._stream = self._process = self._thread = None
-        if lossless:
-            from hil.monitor.stream import RerunStream
-
-            self._stream = RerunStream(targets, self._scene)
-            return
+        self._something, self._room = threading.Event(), threading.Event()
         self._process = subprocess.Popen(
             [sys.executable, "-m", "hil.monitor", *targets],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,
         )
+        assert self._process.stdin is not None
+        self._pipe = self._process.stdin
         self._await_ready(target)
         self._thread = threading.Thread(target=self._feed, name="monitor", daemon=True)
         self._thread.start()
 
     def _await_ready(self, target: str) -> None:
         """Let the process load Rerun before the loop starts: its start-up would make cycles late."""
-        assert self._process is not None
         assert self._process.stdout is not None
         try:
             self._send(pickle.dumps(self._scene))
@@ -140,10 +137,7 @@ class RerunMonitor(Sink):
         """Take one record."""
         if self._closed:
             return
-        if self._stream is not None:
-            self._stream.add(record)
-            return
-        if len(self._waiting) >= self._capacity:
+        if len(self._waiting) >= self._capacity and not (self._lossless and self._room_comes()):
             self._drop_oldest()
         self._waiting.append(record)
         self._newest_ns = record.start_ns
@@ -162,11 +156,25 @@ class RerunMonitor(Sink):
         """
         if self._closed:
             return
-        if self._stream is not None:
-            self._stream.path(points_m)
-            return
         self._waiting.append(points_m)
         self._something.set()
+
+    def _room_comes(self) -> bool:
+        """Wait until the thread has taken some; False where the viewer takes no more."""
+        while self._thread.is_alive():
+            self._room.clear()
+            self._something.set()
+            if len(self._waiting) < self._capacity:
+                return True
+            if not self._room.wait(self._patience_s):
+                self._give_up(f"the viewer took nothing for {self._patience_s:g} s")
+        return False
+
+    def _give_up(self, why: str) -> None:
+        """End the process, and with it what the thread waits for."""
+        self._process.kill()
+        self._thread.join(self._patience_s)
+        self.failure = why
 
     def _drop_oldest(self) -> None:
         try:
@@ -185,11 +193,13 @@ class RerunMonitor(Sink):
                 while self._take():
                     self._send(packed(self._in_hand))
                     self._in_hand = []
+                    self._room.set()
                 if nothing_comes:
                     self._send(b"")
                     return
         except (OSError, ValueError) as error:
             self.failure = f"the monitor process has ended ({error})"
+            self._room.set()
 
     def _take(self) -> bool:
         """Take the oldest that wait into the hand; False where nothing waits."""
@@ -199,19 +209,14 @@ class RerunMonitor(Sink):
         return bool(self._in_hand)
 
     def _send(self, payload: bytes) -> None:
-        assert self._process is not None
-        assert self._process.stdin is not None
-        put(self._process.stdin, payload, self.dropped)
+        put(self._pipe, payload, self.dropped)
 
     def close(self) -> None:
         """Show what waits and let go. Idempotent; never raises."""
         if self._closed:
             return
         self._closed = True
-        if self._stream is not None:
-            self._stream.close()
-        else:
-            self._close_process()
+        self._close_process()
         lacking = [
             f"{name} is incomplete: {why}" for name in self._files if (why := what_is_missing(Path(name)))
         ]
@@ -220,23 +225,16 @@ class RerunMonitor(Sink):
             LOG.warning("monitor: %d cycles not shown. %s", self.dropped, self.failure)
 
     def _close_process(self) -> None:
-        assert self._process is not None
-        assert self._thread is not None
         self._something.set()
         self._thread.join(self._patience_s)
+        if self._thread.is_alive():
+            self._give_up(f"the viewer did not take the rest within {self._patience_s:g} s")
         try:
-            if self._thread.is_alive():
-                self._process.kill()
-                self.failure = f"the viewer did not take the rest within {self._patience_s:g} s"
             self._process.wait(self._patience_s)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
             self.failure = "the viewer did not finish"
-        self._thread.join(self._patience_s)
         self.dropped += sum(isinstance(shown, CycleRecord) for shown in (*self._in_hand, *self._waiting))
-        try:
-            if self._process.stdin is not None:
-                self._process.stdin.close()
-        except OSError as error:
-            LOG.debug("monitor pipe: %s", error)
+        with contextlib.suppress(OSError):  # what is left in the pipe's buffer finds nobody
+            self._pipe.close()

@@ -1,7 +1,7 @@
 """Sends cycle records to Rerun in batches: columns for the plots, shapes for the wall, the robot in space.
 
-Single-threaded. In a run in real time it lives in a process of its own (`hil.monitor.__main__`), so
-that neither the interpreter lock nor a stalled viewer can reach the loop.
+It lives in a process of its own (`hil.monitor.__main__`): neither the interpreter lock nor a stalled viewer,
+for which Rerun may wait without an end, can reach whoever shows something.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 
 from hil.monitor import shapes, solid, viewer
 from hil.monitor.blueprint import PATH_COLOURS, Colour, Sight, blueprint, line_colours
+from hil.monitor.file_pipe import PipedFile
 from hil.monitor.moments import Moments
 from hil.monitor.robot_view import RobotView
 from hil.monitor.scene import Scene
@@ -55,9 +56,12 @@ class RerunStream:
         self._rr = rerun
         self._scene, self._tab = scene, tab
         self._server: subprocess.Popen[bytes] | None = None
+        self._files: list[PipedFile] = []
         self._stream = rerun.RecordingStream("hil", send_properties=False)
         layout = blueprint(tab=tab)
         self._stream.set_sinks(*(self._sink(t) for t in targets), default_blueprint=layout)
+        for file in self._files:
+            file.opened()
         self._stream.send_blueprint(layout)
         self._extent: tuple[Array, Array] | None = None
         self._collector, self._moments = SeriesCollector(), Moments(scene)
@@ -86,7 +90,8 @@ class RerunStream:
             print(f"rerun: open {shown} in a browser", file=sys.stderr)
             return rr.GrpcSink(viewer.url())
         Path(target).parent.mkdir(parents=True, exist_ok=True)
-        return rr.FileSink(target)
+        self._files.append(PipedFile(Path(target)))
+        return rr.FileSink(self._files[-1].entrance)
 
     def add(self, record: CycleRecord) -> None:
         """Take one cycle; the wall moves ten times a second of the records' own time, the plots twice."""
@@ -157,6 +162,8 @@ class RerunStream:
             self._stream.disconnect()
         except (RuntimeError, ValueError, OSError) as error:
             print(f"hil monitor: a viewer did not take everything ({error})", file=sys.stderr)
+        for file in self._files:
+            file.close(_FLUSH_S)
         if self._server is not None:
             viewer.stop(self._server)
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import importlib.util
 import math
 import resource
+import signal
 import socket
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -229,20 +231,18 @@ def test_real_time_shows_the_same_through_its_own_process(tmp_path):
 
 @needs_rerun
 @pytest.mark.parametrize("lossless", [True, False])
-def test_a_file_that_the_disk_did_not_take_is_named_as_incomplete(tmp_path, lossless):
+def test_a_file_that_the_disk_did_not_take_is_named_as_incomplete(tmp_path, capfd, lossless):
+    """With a file of Rerun's own the process had waited for ever, or not, as the threads ran."""
     path = tmp_path / "full.rrd"
     monitor = RerunMonitor(str(path), lossless=lossless)
+    truncated_at = 20_000
+    resource.prlimit(monitor._process.pid, resource.RLIMIT_FSIZE, (truncated_at, truncated_at))
     for k in range(100):
         monitor.write(shown(k))
-    truncated_at = 20_000
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    whose = 0 if monitor._process is None else monitor._process.pid
-    resource.prlimit(whose, resource.RLIMIT_FSIZE, (truncated_at, limits[1]))
-    try:
-        monitor.close()
-    finally:
-        resource.prlimit(0, resource.RLIMIT_FSIZE, limits)
-    assert f"{path} is incomplete: it breaks off after 0." in monitor.failure
+    monitor.close()
+    assert monitor.failure == f"{path} is incomplete: it breaks off after 0.0 MB"
+    assert f"{path}: cannot be written (File too large)" in capfd.readouterr().err
+    assert path.stat().st_size == truncated_at
 
 
 @needs_rerun
@@ -275,6 +275,32 @@ def test_a_viewer_that_does_not_answer_costs_drops_and_nothing_else(viewer):
 
 
 @needs_rerun
+def test_a_recording_is_not_shown_for_ever_to_a_viewer_that_takes_nothing():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        target = f"rerun+http://127.0.0.1:{server.getsockname()[1]}/proxy"
+        monitor = RerunMonitor(target, lossless=True, capacity=20, patience_s=1.0)
+        monitor._process.send_signal(signal.SIGSTOP)
+        for k in range(2000):
+            monitor.write(shown(k))
+        monitor.close()
+    assert monitor.failure == "the viewer took nothing for 1 s"
+    assert 0 < monitor.dropped < 2000
+
+
+@needs_rerun
+def test_a_recording_waits_for_a_viewer_that_is_slow(tmp_path):
+    path = tmp_path / "run.rrd"
+    monitor = RerunMonitor(str(path), lossless=True, capacity=20)
+    monitor._process.send_signal(signal.SIGSTOP)
+    resumed = threading.Timer(0.5, monitor._process.send_signal, (signal.SIGCONT,))
+    resumed.start()
+    for k in range(1000):
+        monitor.write(shown(k))
+    monitor.close()
+    assert (monitor.dropped, monitor.failure) == (0, "")
+
+
+@needs_rerun
 def test_a_killed_monitor_is_named_and_the_rest_counted():
     monitor = RerunMonitor("rerun+http://127.0.0.1:1/proxy", lossless=False, capacity=10)
     monitor._process.kill()
@@ -284,6 +310,30 @@ def test_a_killed_monitor_is_named_and_the_rest_counted():
     monitor.close()
     assert "has ended" in monitor.failure
     assert monitor.dropped > 400
+
+
+ORPHAN = """
+import os, threading
+import hil.monitor.__main__ as own
+own._LOOK_S = own._LEFT_S = 0.1
+threading.Thread(target=own._outlive_not, args=(int({parent}),), daemon=True).start()
+os.write(1, b"waits")
+threading.Event().wait()
+"""
+
+
+def test_the_monitors_process_does_not_wait_for_ever_once_its_parent_is_gone():
+    inner = ORPHAN.format(parent="os.environ['PARENT']")
+    outer = (
+        "import os, subprocess, sys\nos.environ['PARENT'] = str(os.getpid())\n"
+        f"subprocess.Popen([sys.executable, '-c', {inner!r}])\nsys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", outer], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as parent:
+        assert parent.stdout.read(5) == b"waits"
+        parent.stdin.close()
+        assert parent.stdout.read() == b""  # the end: nobody holds it open
 
 
 @needs_rerun

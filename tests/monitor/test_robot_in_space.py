@@ -18,7 +18,8 @@ from test_monitor_sink import shown  # noqa: E402
 import hil  # noqa: E402
 from hil.config.environment import EnvironmentConfig  # noqa: E402
 from hil.config.loading import load_bench  # noqa: E402
-from hil.monitor import RerunMonitor, Scene, solid  # noqa: E402
+from hil.monitor import Scene, solid  # noqa: E402
+from hil.monitor.stream import RerunStream  # noqa: E402
 from hil.recording.mcap_writer import McapRecorder  # noqa: E402
 from hil.recording.runs import read_runs  # noqa: E402
 from hil.robot.kinematics import WheelGeometry, inverse  # noqa: E402
@@ -59,10 +60,10 @@ class Drawn:
 
 
 def draw(path: Path, records: list[CycleRecord], scene: Scene | None = None) -> Drawn:
-    monitor = RerunMonitor(str(path), lossless=True, scene=scene or Scene(GEOMETRY))
+    stream = RerunStream((str(path),), scene or Scene(GEOMETRY))
     for record in records:
-        monitor.write(record)
-    monitor.close()
+        stream.add(record)
+    stream.close()
     return Drawn(path)
 
 
