@@ -7,6 +7,7 @@ waits for a viewer without an end; an interrupt is the parent's.
 
 from __future__ import annotations
 
+import logging
 import os
 import pickle
 import signal
@@ -35,6 +36,7 @@ def _outlive_not(parent: int) -> None:
 def main(targets: Sequence[str], pipe: BinaryIO) -> int:
     """Show what comes until the end."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    logging.basicConfig(format="%(levelname)s %(name)s: %(message)s")
     threading.Thread(target=_outlive_not, args=(os.getppid(),), daemon=True).start()
     os.nice(_NICE)
     import rerun  # noqa: F401  # the slow part, before the parent is told to go on

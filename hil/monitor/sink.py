@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import pickle
 import subprocess
 import sys
@@ -105,10 +106,12 @@ class RerunMonitor(Sink):
         self._in_hand: list[Shown] = []
         self._newest_ns = self._woken_ns = 0
         self._something, self._room = threading.Event(), threading.Event()
+        importable = os.pathsep.join(filter(None, sys.path))  # classes of samples are found there, too
         self._process = subprocess.Popen(
             [sys.executable, "-m", "hil.monitor", *targets],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": importable},
             start_new_session=True,
         )
         assert self._process.stdin is not None
