@@ -16,6 +16,7 @@ import pytest
 import tomli_w
 
 from hil.cli import main
+from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.recording.mcap_reader import read_cycles
 from tests.patience import FANLESS, PATIENT
@@ -309,3 +310,18 @@ def test_a_file_that_is_there_is_not_recorded_over(tmp_path, capsys, name):
     assert "choose another name, or remove it" in said
     assert "recording to" not in said
     assert kept.read_text() == "precious"
+
+
+def test_a_robot_that_is_left_not_held_is_no_session_that_ended_well(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(BenchConfig, "emulated_holders", lambda self: ("adhesion",))
+    monkeypatch.setattr(BenchConfig, "elsewhere", lambda self: ("adhesion", "load_cells"))
+    config = load_bench("emulated", overrides=PATIENT)
+    tree = config.model_dump(mode="json", by_alias=True, exclude_none=True)
+    (tmp_path / "bench.toml").write_bytes(tomli_w.dumps(tree).encode())
+    code = main(["live", "--bench", "bench.toml", "--duration", "0.3", "--no-record", "--json"])
+    told = capsys.readouterr()
+    held = json.loads(told.out)["held"]
+    assert (code, held["state"]) == (3, "NOT HELD")
+    assert f"hil: robot: NOT HELD: {held['why']}" in told.err
+    assert "secure it before anything else" in told.err
