@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import time
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-import numpy as np
-
 from hil.bench.drivers import make_rig
-from hil.bench.settings import adhesion_limits, can_fall, force_wanted_n, thrust_wanted_n
-from hil.bench.tilt import tilt_rad
+from hil.bench.off_the_wall import DEVICE, duty_n, fan_of, must_be_enough
+from hil.bench.settings import force_wanted_n
 from hil.config.adhesion import AdhesionConfig, MotorConfig
 from hil.config.bench import BenchConfig
 from hil.config.kept_motor import KeptMotorConfig
@@ -36,7 +33,6 @@ __all__ = [
     "keeper_status",
     "kept_specs",
     "other_keepers",
-    "seen_off_the_wall",
     "switch_off",
     "switch_on",
 ]
@@ -44,14 +40,6 @@ __all__ = [
 _STEP_NS = nanoseconds(0.02)
 _WATCH_S = 2.0
 _NEAR, _STEADY_NS, _TELL_NS = 0.05, nanoseconds(0.5), nanoseconds(1.0)
-_LEVEL_RAD = math.radians(15.0)
-_NO_FORCE = 0.2
-"""Share of what the fan's speed would press with: less of it in the cells means that nothing is sucked at."""
-_CELLS_REST_N = 1.0
-_TURNS_RPM = 1000.0
-"""From here on speed over duty is that of a fan that runs."""
-DEVICE = "adhesion"
-_TETHERED = "say --tethered once the robot is tethered or off the wall"
 
 Say = Callable[[str], None]
 
@@ -76,28 +64,13 @@ def keeper_spec(config: BenchConfig) -> Spec:
     Raises:
         ConfigError: it has no fan, or one that no other program can reach.
     """
-    table = _fan(config)
+    table = fan_of(config)
     if not isinstance(table, MotorConfig):
         raise ConfigError(
             f"{config.name}: a fan without a keeper", expected="one whose controller is on CAN",
             remedy='adhesion.model = "vesc" or "dronecan"',
         )  # fmt: skip
     return Spec(**table.keeper())
-
-
-def _fan(config: BenchConfig) -> AdhesionConfig:
-    table = config.of(AdhesionConfig)
-    if table is None:
-        raise ConfigError(
-            f"{config.name}: no fan", expected="a table [adhesion]", remedy="see docs/hardware.md"
-        )
-    if table.backend == "emulated":
-        raise ConfigError(
-            f"{config.name}: its fan is emulated, and is gone with the program that emulates it",
-            expected='adhesion.backend = "real"',
-            remedy="serve it with `hil emulate` and write its endpoint into a bench file",
-        )
-    return table
 
 
 def keeper_status(spec: Spec) -> Status | None:
@@ -141,17 +114,17 @@ def switch_on(
         ConfigError, UsageError, DeviceError: it cannot be asked for, or is not reached; a bench commands the
             fan now; or it is too little for a robot that may hang by it, as `seen_off_the_wall` says.
     """
-    table, clock = _fan(config), MonotonicClock()
+    table, clock = fan_of(config), MonotonicClock()
     wanted_n = force_wanted_n(config) if force_n is None else force_n
     if isinstance(table, MotorConfig):
         _must_be_free(keeper_spec(config))
     fan: Any = make_rig(config, clock, {}).get(DEVICE)
-    if not tethered:
+    if not tethered:  # and closed again: nobody would command it while the others are looked at
         fan.open()
         with contextlib.closing(fan):
             now = _first_report(fan, clock)
-        asked_n = wanted_n if duty is None else _duty_n(table, duty, now)
-        _must_be_enough(config, table.force_at_n(now.speed_rpm), asked_n)
+        asked_n = wanted_n if duty is None else duty_n(table, duty, now)
+        must_be_enough(config, table.force_at_n(now.speed_rpm), asked_n)
     fan.open()
     with contextlib.closing(fan):
         _first_report(fan, clock)  # a fan that runs goes on from there
@@ -209,43 +182,6 @@ def _first_report(fan: Any, clock: MonotonicClock) -> Any:
     )  # fmt: skip
 
 
-def _must_be_enough(config: BenchConfig, is_n: float, asked_n: float) -> None:
-    """Refuse a set-point that lets a robot fall that may hang by its fan: less than now, or than it needs.
-
-    Args:
-        config: of the bench.
-        is_n: what the fan gives now, N.
-        asked_n: what it is to give, N; NaN where nobody can tell.
-
-    Raises:
-        UsageError: IMU and load cells do not say that the robot is off the wall.
-        DeviceError: one of them cannot be asked.
-    """
-    least_n, limits = 0.0, adhesion_limits(config)
-    if limits is not None and can_fall(config):
-        least_n = limits.limit_n(thrust_wanted_n(config), config.environment.start_pose[2])
-    if asked_n >= max((1.0 - _NEAR) * is_n, least_n):
-        return
-    least = f"; {least_n:.1f} N are the least on this surface" if least_n else ""
-    try:
-        seen_off_the_wall(config)
-    except UsageError as error:
-        raise UsageError(
-            f"the fan stays at {is_n:.1f} N, it is not set to {asked_n:.1f} N{least}: {error.message}",
-            expected=error.expected, remedy=error.remedy,
-        ) from None  # fmt: skip
-
-
-def _duty_n(table: AdhesionConfig, duty: float, now: Any) -> float:
-    """Force that a duty gives, N: by how the fan runs now, else by its ratings; NaN where nothing tells."""
-    if now.duty > 0.0 and now.speed_rpm > _TURNS_RPM:
-        return table.force_at_n(now.speed_rpm * duty / now.duty)
-    if not isinstance(table, MotorConfig):
-        return math.nan
-    input_v = now.input_v if math.isfinite(now.input_v) else table.rated_input_v
-    return table.force_at_n(table.DROOP * table.rpm_per_v * input_v * duty)
-
-
 def _not_reached(newest: Any, wanted: str, wait_s: float) -> DeviceError:
     found = "no report" if newest is None else f"{newest.speed_rpm:.0f} 1/min, duty {newest.duty:.2f}"
     trouble = f" ({newest.trouble})" if newest is not None and newest.trouble else ""
@@ -278,52 +214,6 @@ def switch_off(spec: Spec, confirmed_by: str, *, say: Say) -> Status | None:
             if status["state"] == "keeping":
                 raise UsageError(f"somebody has asked for {spec.noun} again", remedy="`hil adhesion status`")
         return status
-
-
-def seen_off_the_wall(config: BenchConfig) -> str:
-    """What shows that the robot does not hang by its fan: it lies level, and nothing is pressed.
-
-    Both have to say so, because either may lie.
-
-    Raises:
-        UsageError: something says that it may hang, or nobody can see.
-    """
-    table = _fan(config)
-    rig, clock = make_rig(config, MonotonicClock(), {}), MonotonicClock()
-    seen: dict[str, list[Any]] = {}
-    for name in ("imu", "load_cells", DEVICE):
-        device = rig.get(name)
-        if device is None or config.devices()[name].backend == "emulated":
-            raise UsageError(
-                f"{config.name}: no {name} of the robot to see whether it is off the wall",
-                expected="imu, load_cells and adhesion, all real", remedy=_TETHERED,
-            )  # fmt: skip
-        device.open()
-        try:
-            seen[name] = _watched(device, clock)
-        finally:
-            device.close()
-    tilted_rad = tilt_rad(config, seen["imu"])
-    blows_n = max((table.force_at_n(s.speed_rpm) for s in seen[DEVICE]), default=math.nan)
-    limit_n = max(_NO_FORCE * blows_n, _CELLS_REST_N)
-    force_n = max((float(np.sum(s.force_n)) for s in seen["load_cells"]), default=math.nan)
-    told = f"tilted by {math.degrees(tilted_rad):.0f} deg, load cells {force_n:.1f} N"
-    if not (tilted_rad <= _LEVEL_RAD and abs(force_n) <= limit_n):
-        raise UsageError(
-            f"the robot may hang by its fan: {told}",
-            expected=f"at most {math.degrees(_LEVEL_RAD):.0f} deg and {limit_n:.1f} N", remedy=_TETHERED,
-        )  # fmt: skip
-    return f"seen off the wall: {told}"
-
-
-def _watched(device: Any, clock: MonotonicClock) -> list[Any]:
-    """Good samples of a while."""
-    samples: list[Any] = []
-    end_ns = clock.now_ns() + nanoseconds(_WATCH_S)
-    while clock.now_ns() < end_ns:
-        samples += device.read()
-        clock.sleep_until_ns(clock.now_ns() + _STEP_NS)
-    return [s for s in samples if worst(s) is SampleStatus.OK]
 
 
 def described(status: Mapping[str, Any]) -> str:

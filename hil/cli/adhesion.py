@@ -83,10 +83,11 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
     Example: hil adhesion off --bench my.toml --tethered
     """
     from hil.bench import adhesion
+    from hil.bench.off_the_wall import seen_off_the_wall
 
     config = _config(bench)
     specs = adhesion.kept_specs(config)
-    why = "the operator: tethered or off the wall" if tethered else adhesion.seen_off_the_wall(config)
+    why = "the operator: tethered or off the wall" if tethered else seen_off_the_wall(config)
     found = {kind: adhesion.switch_off(spec, why, say=_progress) for kind, spec in specs.items()}
     kind, spec = next(iter(specs.items()))
     if found[kind] is None and (others := adhesion.other_keepers(specs.values())):

@@ -107,8 +107,8 @@ def command(
     Without --trajectory and --command it only watches: no wheel moves. On a wall torque is switched on, so
     that the robot is held; on the floor the servos are left as they are.
     SIGINT, SIGTERM and SIGHUP stop the robot, watch it until it is held, print the summary and end with
-    exit code 4; further signals do not shorten that. While the bench opens, it is opened first. A session that
-    ends well but leaves the robot NOT HELD ends with exit code 3.
+    exit code 4; further signals do not shorten that. While the bench opens, it is opened first.
+    A session that ends well but leaves the robot NOT HELD ends with exit code 3.
 
     Example: hil live --bench emulated --duration 20 --rerun spawn
     """
@@ -139,7 +139,9 @@ def command(
         if stop.name:
             raise Aborted(unreadable() or f"{stop.name} came while the bench was being closed")
         if opened.held is not None and opened.held.lost:
-            raise DeviceError("robot", f"NOT HELD: {opened.held.why}", remedy="secure it before anything else")
+            raise DeviceError(
+                "robot", f"NOT HELD: {opened.held.why}", remedy="secure it before anything else"
+            )
     return EXIT_PASS
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from kills import end_keeper, keeper_pid
 
-from hil.bench import adhesion
+from hil.bench import adhesion, off_the_wall
 from hil.bench.adhesion import keeper_spec, kept_specs
 from hil.bench.drivers import make_rig
 from hil.cli import main
@@ -255,8 +255,9 @@ def robot(monkeypatch, *, up, cells_n, rpm):
         "load_cells": Seen(SimpleNamespace(status=(ok, ok), force_n=np.array([cells_n / 2, cells_n / 2]))),
         "adhesion": Seen(SimpleNamespace(status=ok, speed_rpm=rpm)),
     }
-    monkeypatch.setattr(adhesion, "make_rig", lambda config, clock, connections: devices)
-    monkeypatch.setattr(adhesion, "_WATCH_S", 0.05)
+    for module in (adhesion, off_the_wall):
+        monkeypatch.setattr(module, "make_rig", lambda config, clock, connections: devices)
+        monkeypatch.setattr(module, "_WATCH_S", 0.05)
     return load_bench("emulated").model_copy(
         update={name: load_bench("emulated").devices()[name].model_copy(update={"backend": "real"})
                 for name in devices}
@@ -267,7 +268,7 @@ LEVEL, ON_THE_WALL, TILTED = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.3, 0.0, 0.954)
 
 
 def test_a_level_robot_with_nothing_pressed_is_off_the_wall(monkeypatch):
-    why = adhesion.seen_off_the_wall(robot(monkeypatch, up=LEVEL, cells_n=2.0, rpm=30_000.0))
+    why = off_the_wall.seen_off_the_wall(robot(monkeypatch, up=LEVEL, cells_n=2.0, rpm=30_000.0))
     assert why == "seen off the wall: tilted by 0 deg, load cells 2.0 N"
 
 
@@ -285,14 +286,14 @@ def test_a_level_robot_with_nothing_pressed_is_off_the_wall(monkeypatch):
 )
 def test_one_witness_that_says_it_may_hang_is_enough_to_refuse(monkeypatch, up, cells_n, told):
     with pytest.raises(UsageError, match=rf"may hang by its fan: .*{told}.*9.0 N.*--tethered"):
-        adhesion.seen_off_the_wall(robot(monkeypatch, up=up, cells_n=cells_n, rpm=30_000.0))
+        off_the_wall.seen_off_the_wall(robot(monkeypatch, up=up, cells_n=cells_n, rpm=30_000.0))
 
 
 def test_without_witnesses_only_the_operator_can_say_it(monkeypatch):
     config = robot(monkeypatch, up=LEVEL, cells_n=0.0, rpm=30_000.0)
     emulated = config.imu.model_copy(update={"backend": "emulated"})
     with pytest.raises(UsageError, match=r"no imu of the robot.*--tethered"):
-        adhesion.seen_off_the_wall(config.model_copy(update={"imu": emulated}))
+        off_the_wall.seen_off_the_wall(config.model_copy(update={"imu": emulated}))
 
 
 def asked_of(monkeypatch, *, up, cells_n, rpm, **asked):
