@@ -27,6 +27,8 @@ from hil.vocabulary.reading import read_json
 from hil.vocabulary.result_files import CAMPAIGN_TABLE, LOST, PASSED, PLAN
 
 _SURE = 0.95
+_ROUNDING = 1e-9
+"""Share of a value: what two values differ by less is how they were rounded, no change of the robot."""
 
 
 class _Part(BaseModel):
@@ -148,6 +150,7 @@ def _measurement(name: str, pairs: Sequence[tuple[_Row, _Row]]) -> dict[str, Any
         return None
     values = np.array([(one, two) for _, one, two in both])
     change = values[:, 1] - values[:, 0]
+    change[np.abs(change) <= _ROUNDING * np.abs(values).max(axis=1)] = 0.0
     some: dict[str, Any] = {
         "name": name,
         "unit": next(a.measurements[name].unit for a, _ in pairs if name in a.measurements),

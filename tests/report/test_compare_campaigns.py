@@ -75,9 +75,10 @@ def test_campaigns_that_say_nothing_about_each_other_are_refused(tmp_path, capsy
         assert told in capsys.readouterr().err
 
 
-def test_equal_campaigns_have_no_difference_and_no_doubt(tmp_path, capsys):
-    same = {f"seed={k}": ("PASS", float(k)) for k in range(4)}
-    folders = [campaign(tmp_path / name, same) for name in ("a", "b")]
+@pytest.mark.parametrize("rounding", [0.0, 1e-13])
+def test_equal_campaigns_have_no_difference_and_no_doubt(tmp_path, capsys, rounding):
+    first, second = ({f"seed={k}": ("PASS", k * (1.0 + off)) for k in range(4)} for off in (0.0, rounding))
+    folders = [campaign(tmp_path / "a", first), campaign(tmp_path / "b", second)]
     assert main(["report", *folders, "--json"]) == 0
     (found,) = json.loads(capsys.readouterr().out)["measurements"]
     assert (found["change"], found["interval"], found["p"]) == (0.0, None, None)
