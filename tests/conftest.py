@@ -3,6 +3,7 @@
 import errno
 import gc
 import os
+import signal
 import subprocess
 from collections import Counter
 from pathlib import Path
@@ -26,6 +27,8 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def pytest_configure(config):
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as shells start what runs in the background
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     config.addinivalue_line("markers", "real_time: waits for a clock; not beside tests that keep a core busy")
     config.addinivalue_line(
         "markers", "alone: judges the clock, or needs a port of the host; nothing beside it"

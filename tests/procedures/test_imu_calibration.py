@@ -19,6 +19,8 @@ else:
 SHORT = {"rest_s": 8.0, "headings": 4, "dwell_s": 1.0, "learn_s": 6.0}
 BRIEF = {"rest_s": 5.0, "headings": 4, "heading_deg": 4.0, "dwell_s": 0.5, "learn_s": 4.0}
 LSB_DEG_S = 1.0 / 16.0
+UNLEARNT = math.exp(-3.0)
+"""Share of a gyroscope's offset that a chip which calls itself calibrated lacks: three time constants."""
 
 
 def hidden(seed):
@@ -41,7 +43,8 @@ def recover(seed, folder):
     done.assert_held()
     offsets = part(true_world("emulated", seed, overrides), Bno055Chip).sensors.true_offsets
     stored = np.array([done.values[f"gyro_offset_{a}"] for a in "xyz"])
-    assert np.abs(stored - np.degrees(offsets.gyroscope)).max() < LSB_DEG_S
+    true = np.degrees(offsets.gyroscope)
+    assert (np.abs(stored - true) <= LSB_DEG_S / 2 + UNLEARNT * np.abs(true)).all()
     density = math.degrees(truth["gyro_noise_rad_s"]) * 0.1
     density = math.hypot(density, LSB_DEG_S / math.sqrt(12.0) * 0.1)
     x, y, _ = offsets.accelerometer
