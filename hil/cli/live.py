@@ -13,7 +13,7 @@ import click
 from hil.cli import start
 from hil.cli.attended import watching
 from hil.cli.options import FILE, JSON, SEED, FiniteRange, rerun_option, tell_view
-from hil.cli.output import Answered, unreadable
+from hil.cli.output import Answered, tell_the_end, unreadable
 from hil.vocabulary.choices import ESTIMATORS, LAWS
 from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, DeviceError, HilError, UsageError, reason_of
 from hil.vocabulary.files import check_new_file
@@ -242,7 +242,8 @@ def _report(session: LiveSession, *, as_json: bool) -> None:
     summary, monitor = session.summary(), session.monitor
     if monitor is not None:
         summary["monitor"] = {"dropped": monitor.dropped, "failure": monitor.failure}
-    click.echo(json.dumps(summary) if as_json else _text(summary))
+    held: Any = summary["held"]
+    tell_the_end(json.dumps(summary) if as_json else _text(summary), held)
     answered = click.get_current_context().find_object(Answered)
     if answered is not None:
         answered.already = True

@@ -17,10 +17,12 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from typing import Any
+
+import click
 
 from hil.vocabulary.errors import Aborted, HilError, reason_of
 
@@ -94,6 +96,20 @@ def unreadable() -> str:
     raws = (getattr(getattr(stream, "buffer", None), "raw", None) for stream in (sys.stdout, sys.stderr))
     why = next((raw.lost for raw in raws if isinstance(raw, _Raw) and raw.lost), "")
     return f"the output cannot be written any more ({why})" if why else ""
+
+
+def tell_the_end(text: str, held: Mapping[str, Any]) -> None:
+    """Print how a run ended; where nobody reads it, standard error says at least how the robot was left.
+
+    Args:
+        text: all that is to be said.
+        held: `Held.to_json` of the robot.
+    """
+    from hil.bench.held import held_in_words
+
+    click.echo(text)
+    if unreadable():
+        click.echo(held_in_words(held), err=True)
 
 
 def _end_command(why: str, *, reader_gone: bool) -> None:

@@ -11,7 +11,7 @@ import click
 from hil.cli import start
 from hil.cli.attended import answers_option, operator, watching
 from hil.cli.options import FILE, JSON, OUT, SEED, results_folder
-from hil.cli.output import kept_for_json
+from hil.cli.output import kept_for_json, tell_the_end
 from hil.cli.progress import reporting
 from hil.vocabulary.clock import local_time
 from hil.vocabulary.errors import HilError
@@ -122,9 +122,9 @@ def command(
         report, code = _report_of(result)
         if as_json:
             tree = result.to_json() | {"folder": str(result.folder), "report": report}
-            click.echo(json.dumps(tree, allow_nan=False))
+            tell_the_end(json.dumps(tree, allow_nan=False), result.facts["held"])
         else:
-            click.echo(text_of(result))
+            tell_the_end(text_of(result), result.facts["held"])
             click.echo(f"report: {report or 'could not be written'}")
     return code
 

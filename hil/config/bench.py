@@ -7,7 +7,7 @@ from functools import cache, reduce
 from operator import or_
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import Discriminator, Field, Tag, create_model
+from pydantic import Discriminator, Field, Tag, ValidationError, create_model
 
 from hil.config.control import ControlConfig
 from hil.config.device import DeviceConfig
@@ -27,7 +27,7 @@ from hil.config.sections import (
 )
 from hil.config.servos import ServosConfig
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import DeviceKind, added, kinds
+from hil.vocabulary.kinds import DeviceKind, DeviceModel, added, kinds
 
 C = TypeVar("C", bound=DeviceConfig)
 
@@ -170,6 +170,32 @@ def _check_added() -> None:
                 f"{model.config.__name__}",
                 expected="a class that inherits hil.config.device.DeviceConfig",
             )
+        if model.package != "hil":
+            _check_defaults(model)
+
+
+def _check_defaults(model: DeviceModel) -> None:
+    """Refuse a table whose defaults could not stand in a bench file: pydantic only looks at what is given."""
+    table: type[DeviceConfig] = model.config
+    defaults = {
+        name: field.get_default(call_default_factory=True)
+        for name, field in table.model_fields.items()
+        if not field.is_required() and field.default_factory is None
+    }
+    try:
+        table.model_validate(defaults)
+    except ValidationError as error:
+        wrong = [
+            f"{'.'.join(map(str, e['loc']))} = {e['input']!r}: {e['msg']}"
+            for e in error.errors()
+            if e["loc"] and e["type"] != "missing"
+        ]
+        if wrong:
+            raise ConfigError(
+                f"device package {model.package}: wrong defaults in the table {table.__name__} of model "
+                f"{model.name} of {model.kind}: {'; '.join(wrong)}",
+                expected="defaults of the types and within the bounds that their keys state",
+            ) from None
 
 
 def table_of(kind: DeviceKind) -> Any:

@@ -87,6 +87,12 @@ def add_model(found: dict[str, DeviceKind], model: DeviceModel, origin: str) -> 
             f"device package {origin}: model {model.name} of {model.kind} has no driver",
             expected="driver: a function of (config, clock)",
         )
+    if isinstance(model.imperfections, type):
+        raise ConfigError(
+            f"device package {origin}: imperfections of model {model.name} of {model.kind} are the class "
+            f"{model.imperfections.__name__} itself",
+            expected=f"a function that gives it: imperfections=lambda: {model.imperfections.__name__}",
+        )
     key = getattr(model.config, "model_fields", {}).get("model")
     if getattr(key, "default", None) != model.name:
         raise ConfigError(

@@ -86,6 +86,7 @@ def test_a_command_with_the_robot_in_hand_whose_reader_has_gone_ends_with_4(fold
     code, _, errors = hil(folder, *COMMANDS["live"], output="gone")
     assert code == 4
     assert "the output cannot be written any more (Broken pipe)" in errors
+    assert "not needed: on the floor" in errors, "how the robot was left is said where somebody may read it"
 
 
 @pytest.mark.parametrize("name", ["info", "evaluate", "live"])
@@ -99,8 +100,9 @@ def test_a_command_without_a_stream_does_not_begin(folder, name, stream):
 
 @pytest.mark.long
 def test_a_run_whose_reader_has_gone_leaves_everything(folder):
-    code, _, _ = hil(folder, "run", "short.py", "--out", "gone", output="gone")
+    code, _, errors = hil(folder, "run", "short.py", "--out", "gone", output="gone")
     assert code == 0  # the verdict stood before it was told
+    assert "\nHELD: " in errors
     result = json.loads((folder / "gone" / "result.json").read_text())
     assert (result["verdict"], result["exit_code"]) == ("PASS", 0)
     assert result["notes"][-1] == "after the drive"

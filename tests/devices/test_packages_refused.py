@@ -115,6 +115,14 @@ REFUSED = {
         MODEL.replace("(DeviceConfig)", "(__import__('pydantic').BaseModel)") + "ITEM = THING\n",
         ("the table of model one of thing is a Config", "DeviceConfig"),
     ),
+    "a default that its own key refuses": (
+        MODEL.replace('port: str = "/dev/ttyUSB0"', 'gain: float = "high"') + "ITEM = THING\n",
+        ("hil-new 1.0", "wrong defaults in the table Config of model one of thing: gain = 'high': ",),
+    ),
+    "imperfections that are no function": (
+        changed("replace(THING, models=(replace(ONE, imperfections=Sample),))"),
+        ("hil-new 1.0", "imperfections of model one of thing are the class Sample", "=lambda: Sample"),
+    ),
     "a part of the bench file": (
         changed('replace(THING, name="safety", models=(replace(ONE, kind="safety"),))'),
         ("safety is the name of another part of the bench file", "another name"),
