@@ -171,7 +171,10 @@ def _device(name: str) -> str:
 
 
 def _needed(item: pytest.Item) -> tuple[str, ...]:
-    names = [_device(str(n)) for mark in item.iter_markers("needs") for n in mark.args]
+    marks = list(item.iter_markers("needs"))
+    if empty := [mark for mark in marks if not mark.args or mark.kwargs]:
+        raise UsageError(f"marker {_written(empty[0])}", expected='needs("kind of device", ...)')
+    names = [_device(str(n)) for mark in marks for n in mark.args]
     for name in names:
         if name not in kinds():
             raise UsageError(

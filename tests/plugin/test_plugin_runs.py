@@ -132,6 +132,11 @@ def test_impossible_fault(bench):
 def test_impossible_option(bench):
     raise AssertionError
 
+@pytest.mark.needs()
+def test_needs_nothing(bench):
+    pass
+
+
 @pytest.mark.needs("radar")
 def test_unknown_device():
     raise AssertionError
@@ -257,6 +262,7 @@ def test_fixtures_and_markers_on_the_emulated_bench(run):
         "test_only_on_hardware": "skipped",
         "test_impossible_fault": "error",
         "test_impossible_option": "error",
+        "test_needs_nothing": "error",
         "test_unknown_device": "error",
         "test_half_a_fault": "error",
         "test_no_time": "error",
@@ -271,6 +277,7 @@ def test_fixtures_and_markers_on_the_emulated_bench(run):
     assert "imu cannot produce the fault 'bus_off'" in found["test_impossible_fault"].message
     assert "period_s is 0; expected a number from 0.001" in found["test_impossible_option"].message
     assert "needs('radar')" in found["test_unknown_device"].message
+    assert "marker needs()" in found["test_needs_nothing"].message
     assert "at=seconds" in found["test_half_a_fault"].message
     assert "at=seconds" in found["test_no_time"].message
     said = result.stdout.str()
