@@ -136,7 +136,9 @@ class PageProcess:
         if action is None or not isinstance(values, dict):
             raise Refused(HTTPStatus.BAD_REQUEST, "there is nothing like that to start")
         filled = {str(key): str(value).strip() for key, value in values.items() if str(value).strip()}
-        problems = action.problems(filled)
+        known = {one.name for one in action.fields}
+        unknown = {name: "there is no such field" for name in filled if name not in known}
+        problems = unknown or action.problems(filled)
         if problems:
             return as_json({"problems": problems})
         with self._starting:

@@ -47,6 +47,8 @@ def tree(reply):
 def test_what_is_wrong_stands_by_its_field_and_nothing_is_started(page):
     told = tree(page("POST", "/api/start", {"action": "idle", "values": {"seed": "x"}}))
     assert told == {"problems": {"seed": "no number"}}
+    told = tree(page("POST", "/api/start", {"action": "idle", "values": {"seed": "3", "sead": "4"}}))
+    assert told == {"problems": {"sead": "there is no such field"}}
     assert jobs.jobs(page.results / "console" / "jobs") == []
 
 
