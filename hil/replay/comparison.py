@@ -18,6 +18,7 @@ from hil.config.estimator import EstimatorConfig
 from hil.estimator.consistency import autocorrelation, nees
 from hil.recording.runs import RecordedRun
 from hil.ring.motion import Motion
+from hil.ring.own_parts import estimated, reset_estimator
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.choices import COMPARED
 from hil.vocabulary.errors import DataError
@@ -58,9 +59,13 @@ def told_of_sensors(bench: Blueprint, sensors: Sequence[str]) -> str:
 
 
 def estimate(records: Sequence[CycleRecord], estimator: Estimator, start: RobotState) -> Motion:
-    """The run with the states of another estimator, fed with the recorded measurements."""
-    estimator.reset(start)
-    return Motion(tuple(_with_state(r, estimator.update(r.measurements)) for r in records))
+    """The run with the states of another estimator, fed with the recorded measurements.
+
+    Raises:
+        UsageError: an estimator of one's own has returned no state, or a wrong one.
+    """
+    reset_estimator(estimator, start)
+    return Motion(tuple(_with_state(r, estimated(estimator, r.measurements)) for r in records))
 
 
 def _with_state(r: CycleRecord, state: RobotState) -> CycleRecord:

@@ -17,7 +17,7 @@ import numpy as np
 from hil.ring.adhesion import LETTING_GO
 from hil.ring.alignment import Alignment
 from hil.ring.loop_timing import Laps, LoopStatistics
-from hil.ring.own_parts import check_setpoint, check_state
+from hil.ring.own_parts import controlled, estimated, own_name, reset_estimator
 from hil.ring.rig import Rig
 from hil.ring.supervisor import Supervisor
 from hil.vocabulary.clock import NS_PER_S, Clock
@@ -70,7 +70,7 @@ def _untimed(section: str) -> None:
 class Brain:
     """Supervisor, alignment, estimator and controller in their fixed order.
 
-    Estimator, controller and observers may be of one's own; what each returns first is checked.
+    Estimator, controller and observers may be of one's own: `hil.ring.own_parts` checks what they return.
 
     Args:
         reference_at: reference by seconds since the first cycle; None observes without moving.
@@ -98,19 +98,16 @@ class Brain:
         self._t0_ns: int | None = None
         self._steering = np.zeros(4)
         self._states: dict[str, RobotState] = {}
-        self._estimated = self._controlled = False
 
     def reset(self, state: RobotState) -> None:
         """Start a run from a known state; the reference's time starts with the next cycle."""
         self._t0_ns = None
-        self._estimated = self._controlled = False
         self._steering = np.zeros(4)
         self._states = dict.fromkeys((_OWN, *self.observers), state)
         self.supervisor.reset()
         self.alignment.reset()
-        self.estimator.reset(state)
-        for observer in self.observers.values():
-            observer.reset(state)
+        for estimator in (self.estimator, *self.observers.values()):
+            reset_estimator(estimator, state)
         if self.controller is not None:
             self.controller.reset()
 
@@ -134,25 +131,22 @@ class Brain:
         if any(left_out.shaken):
             self._doubt(*left_out.shaken)
         believed = left_out.believed(measurements)
-        state = self._states[_OWN] = self.estimator.update(believed)  # 4
-        if not self._estimated or state.__class__ is not RobotState:
-            check_state(self.estimator, state)
+        state = self._states[_OWN] = estimated(self.estimator, believed)  # 4
         if figures := self.supervisor.figures():
             state = RobotState(
                 state.t_ns, state.pose_body_in_wall, state.twist_body, state.covariance,
                 {**state.diagnostics, **figures},
             )  # fmt: skip
-        others = {name: observer.update(believed) for name, observer in self.observers.items()}
+        others = {name: estimated(observer, believed) for name, observer in self.observers.items()}
         self._states.update(others)
-        if not self._estimated:
-            for name, other in others.items():
-                check_state(self.observers[name], other)
-            self._estimated = True
         lap("estimate")
         if self.reference_at is not None:
             self.reference = self.reference_at((inputs.t_ns - self._t0_ns) / NS_PER_S)  # 5
         reference = self.reference
         events += self.supervisor.guard(state, reference)
+        for name, other in others.items():
+            if own_name(self.observers[name]):
+                events += self.supervisor.notice(name, other, inputs.t_ns)
         setpoint = self._control(state, reference, measurements)  # 6
         setpoint = self.supervisor.limit(setpoint)  # 7
         command = self.alignment.to_servos(setpoint)
@@ -169,7 +163,8 @@ class Brain:
         more = np.array([off_m, off_m, off_rad, _SHAKEN_M_S, _SHAKEN_M_S, _SHAKEN_RAD_S])
         for name, estimator in {_OWN: self.estimator, **self.observers}.items():
             last = self._states[name]
-            estimator.reset(replace(last, covariance=last.covariance + np.diag(more**2), diagnostics={}))
+            unsure = replace(last, covariance=last.covariance + np.diag(more**2), diagnostics={})
+            reset_estimator(estimator, unsure)
 
     def _control(
         self, state: RobotState, reference: Reference | None, measurements: Measurements
@@ -177,11 +172,7 @@ class Brain:
         wheels = self._complete(measurements.wheels[-1]) if measurements.wheels else None
         if self.controller is None or reference is None or wheels is None:
             return WheelSetpoint(np.zeros(4), self._steering.copy())
-        setpoint = self.controller.update(state, reference, wheels)
-        if not self._controlled or setpoint.__class__ is not WheelSetpoint:
-            check_setpoint(self.controller, setpoint)
-            self._controlled = True
-        return setpoint
+        return controlled(self.controller, measurements.cycle, state, reference, wheels)
 
     def _complete(self, wheels: WheelMeasurement) -> WheelMeasurement:
         """Newest wheels; where a steering angle was not read, with the last one that was."""

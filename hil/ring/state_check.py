@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import SafetyStop
-from hil.vocabulary.signals import RobotState
+from hil.vocabulary.signals import Event, RobotState
 
 _OLD_NS = nanoseconds(0.1)
 """As old as the servos' angles may be that it is made of."""
@@ -31,30 +31,52 @@ def must_be_usable(state: RobotState, now_ns: int | None) -> None:
     Raises:
         SafetyStop: `not_finite`, `negative_variance` or `stale_estimate`.
     """
+    if found := _unusable(state, now_ns):
+        reason, told, remedy = found
+        raise SafetyStop(reason, f"{told}; {remedy}" if remedy else told)
+
+
+class ObserverCheck:
+    """Whether estimates that are not followed are usable: each kind of trouble once per estimator and run."""
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was noticed."""
+        self._known: set[tuple[str, str]] = set()
+
+    def judge(self, name: str, state: RobotState, now_ns: int) -> tuple[Event, ...]:
+        """A warning where the estimate of the observer `name` has become unusable in a new way."""
+        found = _unusable(state, now_ns)
+        if found is None or (name, found[0]) in self._known:
+            return ()
+        self._known.add((name, found[0]))
+        return (Event(now_ns, "warning", name, f"observer {name}: {found[1]}; warned of once"),)
+
+
+def _unusable(state: RobotState, now_ns: int | None) -> tuple[str, str, str] | None:
+    """Reason, message and remedy; None for an estimate that can be used."""
     values = state.pose_body_in_wall.tolist() + state.twist_body.tolist()
     if not all(map(math.isfinite, values)):
-        raise SafetyStop("not_finite", "the estimated state is not finite")
+        return "not_finite", "the estimated state is not finite", ""
     variances: list[float] = state.covariance.diagonal().tolist()
     if not all(map(math.isfinite, variances)):
-        raise SafetyStop(
-            "not_finite",
+        told = (
             f"the estimate does not say how sure it is: its variance of {_named(variances, math.isfinite)} "
-            f"is not finite; {_REMEDY}",
+            "is not finite"
         )
+        return "not_finite", told, _REMEDY
     if min(variances) < _ROUNDING:
-        raise SafetyStop(
-            "negative_variance",
-            f"the estimate's variance of {_named(variances, _ROUNDING.__le__)} is negative, expected 0 or "
-            f"more; {_REMEDY}",
-        )
+        whose = _named(variances, _ROUNDING.__le__)
+        told = f"the estimate's variance of {whose} is negative, expected 0 or more"
+        return "negative_variance", told, _REMEDY
     if now_ns is not None and abs(now_ns - state.t_ns) > _OLD_NS:
         off_s = (state.t_ns - now_ns) / NS_PER_S
         when = f"{abs(off_s):.3f} s {'ahead of' if off_s > 0.0 else 'behind'}"
-        raise SafetyStop(
-            "stale_estimate",
-            f"the estimate's time is {when} that of the cycle, expected at most {_OLD_NS / NS_PER_S:g} s; "
-            f"{_REMEDY}",
-        )
+        told = f"the estimate's time is {when} that of the cycle, expected at most {_OLD_NS / NS_PER_S:g} s"
+        return "stale_estimate", told, _REMEDY
+    return None
 
 
 def _named(variances: list[float], good: Callable[[float], bool]) -> str:

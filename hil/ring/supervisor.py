@@ -25,7 +25,7 @@ from hil.ring.motion_check import MotionCheck
 from hil.ring.pace_watch import PaceWatch
 from hil.ring.sample_watch import SampleWatch
 from hil.ring.servo_watch import ServoWatch
-from hil.ring.state_check import must_be_usable
+from hil.ring.state_check import ObserverCheck, must_be_usable
 from hil.ring.stream_watch import Healthy, StreamWatch
 from hil.ring.wheel_watch import WheelWatch
 from hil.vocabulary.errors import SafetyStop
@@ -124,7 +124,7 @@ class Supervisor:
         self._streams = StreamWatch(self.checks.healthy)
         self.left_out = LeftOut(self.checks.estimated, on_wall=limits.on_wall)
         self.doubted: dict[str, bool] = {}
-        self._filter, self._pace = FilterWatch(), PaceWatch()
+        self._filter, self._pace, self._observers = FilterWatch(), PaceWatch(), ObserverCheck()
         self._fall = FallWatch(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s)
         watches = (self._filter, self.checks.estimate, self.checks.wheels)
         self._unsettling = [watch for watch in watches if watch is not None]
@@ -141,6 +141,7 @@ class Supervisor:
                 check.reset()
         self._fall.reset()
         self._filter.reset()
+        self._observers.reset()
         self._pace.reset()
         self._causes: dict[str, str] = {}
         self._now_ns: int | None = None
@@ -297,6 +298,16 @@ class Supervisor:
         if found:
             raise _stop_for(found, self._pace.beside(state.t_ns))
         return tuple(events)
+
+    def notice(self, observer: str, state: RobotState, now_ns: int) -> tuple[Event, ...]:
+        """Judge an estimate that is not followed: it stops nothing, but is no longer silent.
+
+        Args:
+            observer: its name.
+            state: what it estimates.
+            now_ns: time of the cycle.
+        """
+        return self._observers.judge(observer, state, now_ns)
 
     @property
     def agreed(self) -> frozenset[str]:

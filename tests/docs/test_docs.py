@@ -9,7 +9,10 @@ from pathlib import Path
 
 import pytest
 
+import hil
 from hil.cli import main
+from hil.recording.mcap_writer import McapRecorder
+from hil.robot import trajectories
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 
@@ -96,6 +99,20 @@ def test_a_controller_and_an_estimator_of_ones_own_run_as_printed(name, tmp_path
     told = run("-m", "pytest", "-q", "test_mine.py", cwd=tmp_path)
     assert "1 passed" in told
     assert "NOT HELD" not in told
+
+
+def test_a_comparison_of_an_estimator_of_ones_own_runs_as_printed(tmp_path):
+    pages = [(ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8") for name in ("pytest", "estimation")]
+    (mine,) = [b for b in blocks(pages[0], "python") if "class MotionCapture" in b]
+    (compared,) = [b for b in blocks(pages[1], "python") if "import compare" in b]
+    (tmp_path / "mine.py").write_text(mine)
+    with hil.open_bench("emulated_floor") as bench:
+        bench.add_sink(McapRecorder(tmp_path / "recording.mcap", bench.header(), lossless=True))
+        bench.drive(trajectories.line((0, 0, 0), (0.02, 0, 0), duration_s=1.0))
+    (tmp_path / "compared.py").write_text(compared)
+    rows = [row.split() for row in run("compared.py", cwd=tmp_path).splitlines()]
+    assert [row[0] for row in rows] == ["recorded", "mine"]
+    assert all(0.0 < float(row[1]) < 0.005 for row in rows)
 
 
 COPIED = (ROOT / "docs" / "ci-template", ROOT / "examples" / "rangefinder")

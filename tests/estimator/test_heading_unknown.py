@@ -108,3 +108,16 @@ def test_both_engines_and_the_smoother_agree_on_it():
     error = first.pose_body_in_wall - path.at(np.array([first.t_ns * 1e-9]))[0]
     assert abs(error[2]) < 4.0 * np.sqrt(first.covariance[2, 2])
     assert np.sqrt(first.covariance[2, 2]) < 0.1 * 0.5
+
+
+@pytest.mark.parametrize("sigma_rad", [0.02, 0.05])
+def test_the_ukf_goes_less_far_by_half_the_variance_of_the_heading(sigma_rad):
+    """A mean position is nearer by the mean of the cosine, as docs/estimation.md says."""
+    parts, start, _ = drive(sigma_rad, 0, first_m=np.inf)
+    ekf, ukf = (followed(CONFIG.model_copy(update={"kind": kind}), parts, start) for kind in ("ekf", "ukf"))
+    ways = np.array([[state.pose_body_in_wall[:2] for state in states] for states in (ekf, ukf)])
+    variances = np.array([state.covariance[2, 2] for state in ekf])
+    shorter = np.cumsum(0.5 * variances[1:, None] * np.diff(ways[0], axis=0), axis=0)
+    apart = (ways[0] - ways[1])[1:]
+    assert np.linalg.norm(apart[-1]) > 0.9 * sigma_rad**2  # two metres
+    assert np.abs(apart - shorter).max() < 0.03 * np.linalg.norm(apart[-1])
