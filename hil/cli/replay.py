@@ -99,12 +99,15 @@ def command(
         motions, result["estimators"] = _compared(opened, run, estimators or COMPARED)
         unshown = _show(opened.bench, run, motions, view)
         if page is not None:
+            from hil.replay.comparison import truth_of
             from hil.report.replay_page import write_replay_page
 
+            truth = truth_of(next(iter(motions.values())))
             title = f"Replay of {recording.name}"
             write_replay_page(
-                page, title, motions, result["estimators"], [*opened.problems, *result["warnings"]],
-                (result["note"],), on_wall=opened.bench.config.environment.on_wall,
+                page, title, motions, truth, result["estimators"],
+                [*opened.problems, *result["warnings"]], (result["note"],),
+                on_wall=opened.bench.config.environment.on_wall,
             )  # fmt: skip
     result["problems"] = opened.problems
     for problem in opened.problems:
