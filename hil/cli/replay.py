@@ -58,7 +58,7 @@ _COLUMNS = (
 @click.option("--calibration", type=FILE, help="calibration.toml for the estimators.")
 @click.option("--topics", type=FILE, help="Topic mapping of another robot's bag.")
 @click.option("--page", type=FILE, help="HTML page with figures.")
-@rerun_option("Show it: spawn, connect, serve, a URL or a .rrd file.")
+@rerun_option("Show it: spawn, connect, serve, a rerun+http:// URL or a .rrd file.")
 @JSON
 def command(
     recording: Path, estimators: tuple[str, ...], verify: bool, number: int | None, bench: str | None,
@@ -68,7 +68,7 @@ def command(
 
     RECORDING is one of ours (.mcap), a bag of another robot with --topics, half of a public CSV pair,
     or plain CSV. A damaged recording gives what it has and ends with exit code 2, as
-    does a --rerun file that the disk did not take.
+    does a --rerun file that the disk, or a viewer that did not take everything.
 
     Example: hil replay recording.mcap --page replay.html
     """
