@@ -19,7 +19,7 @@ from hil.estimator.consistency import autocorrelation, nees
 from hil.recording.runs import RecordedRun
 from hil.ring.motion import HELD_S, Motion
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.choices import COMPARED
+from hil.vocabulary.choices import COMPARED, ESTIMATORS
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array, wrap_array
@@ -91,6 +91,7 @@ def compare_run(
 ) -> dict[str, Motion]:  # fmt: skip
     """A run as it was estimated then (`recorded`), and as estimators of some kinds see it, by kind.
 
+    An observer of the user's own is there as it was recorded (`recorded NAME`); it cannot be made again.
     Where there is neither gyro nor camera the filters are those of `fitting`.
 
     Args:
@@ -115,7 +116,23 @@ def compare_run(
         )
     if not recorded:
         del motions["recorded"]
-    return motions
+        return motions
+    return {"recorded": motions.pop("recorded"), **_own_observers(run.records), **motions}
+
+
+def _own_observers(records: Sequence[CycleRecord]) -> dict[str, Motion]:
+    """What was recorded of observers that nobody can make again, those of the user's own, by row."""
+    names = dict.fromkeys(name for r in records for name in r.observers if name not in ESTIMATORS)
+    return {
+        f"recorded {name}": Motion(
+            tuple(_with_state(r, r.observers.get(name) or _nothing(r.measurements.t_ns)) for r in records)
+        )
+        for name in names
+    }
+
+
+def _nothing(t_ns: int) -> RobotState:
+    return RobotState(t_ns, np.full(3, np.nan), np.full(3, np.nan), np.full((6, 6), np.nan))
 
 
 def table(motions: Mapping[str, Motion]) -> dict[str, dict[str, float | None]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -102,7 +103,7 @@ def _drawn(motions: Mapping[str, Motion]) -> Iterator[tuple[str, Motion]]:
         else:
             groups.append(([_name(name)], motion))
     for names, motion in groups:
-        yield " = ".join(names), motion
+        yield " = ".join(names).replace("$", r"\$"), motion  # else matplotlib reads a formula
 
 
 def _same(one: Motion, other: Motion) -> bool:
@@ -123,7 +124,7 @@ def _errors(motions: Mapping[str, Motion], truth: Array) -> Figure:
     for k, (label, factor) in enumerate(units):
         axes = style(figure.add_subplot(3, 1, k + 1), "time (s)" if k == 2 else "", label)
         axes.axhline(0.0, color=PALETTE["reference"], lw=1.0)
-        for (name, motion), colour in zip(motions.items(), SERIES, strict=False):
+        for (name, motion), colour in zip(motions.items(), cycle(SERIES), strict=False):
             error = factor * _difference(motion, truth)[:, k]
             axes.plot(*thin(motion.t_s, error), color=colour, lw=1.2, label=name)
         if k == 0:
@@ -140,7 +141,7 @@ def _path(motions: Mapping[str, Motion], truth: Array, on_wall: bool) -> Figure:
     left, up = (", left", ", up") if on_wall else ("", "")
     axes = style(figure.add_subplot(), f"Y{left} ({y_unit})", f"X{up} ({x_unit})")
     axes.plot(in_y * truth[:, 1], in_x * truth[:, 0], color=PALETTE["truth"], lw=2.2, label="motion capture")
-    for (name, motion), colour in zip(motions.items(), SERIES, strict=False):
+    for (name, motion), colour in zip(motions.items(), cycle(SERIES), strict=False):
         x, y = motion.estimate[:, 0], motion.estimate[:, 1]
         axes.plot(in_y * y, in_x * x, color=colour, lw=1.1, label=name)
     axes.invert_xaxis()
@@ -153,7 +154,7 @@ def _path(motions: Mapping[str, Motion], truth: Array, on_wall: bool) -> Figure:
 def _confidence(motions: Mapping[str, Motion], truth: Array) -> Figure:
     figure = new_figure(5.2, 2.8)
     axes = style(figure.add_subplot(), "time (s)", "NEES of the pose")
-    for (name, motion), colour in zip(motions.items(), SERIES, strict=False):
+    for (name, motion), colour in zip(motions.items(), cycle(SERIES), strict=False):
         values = nees(_difference(motion, truth), motion.covariance[:, :3, :3])
         shown = np.where(values > 0, np.clip(values, _LEAST_NEES, _MOST_NEES), np.nan)
         axes.plot(*thin(motion.t_s, shown), color=colour, lw=1.1, label=name)

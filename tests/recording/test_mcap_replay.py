@@ -292,6 +292,29 @@ def test_a_run_is_compared_by_kind_and_tabulated():
         compare_run(RecordedRun(None, only.records), bench, source="bag")
 
 
+def test_what_was_recorded_of_an_observer_of_ones_own_is_a_row(tmp_path):
+    """The shipped ones run again and need none."""
+    start = dataclasses.replace(START, pose_body_in_wall=np.zeros(3))
+    records = []
+    for k in range(20):
+        record = moving(0.0254, k)
+        (seen,) = record.measurements.mocap
+        mine = dataclasses.replace(record.state, pose_body_in_wall=seen.pose + np.array([0.003, 0.004, 0.0]))
+        observers = {"ekf": record.state} | ({"mine $x^$": mine} if k else {})
+        records.append(dataclasses.replace(record, observers=observers))
+    bench = Blueprint(load_bench("emulated_floor"), geometry=GEOMETRY)
+    run_of_mine = RecordedRun(RunStart(start, "ekf"), tuple(records))
+    motions = compare_run(run_of_mine, bench, ("odometry",))
+    assert list(motions) == ["recorded", "recorded mine $x^$", "odometry"]
+    numbers = table(motions)
+    found = numbers["recorded mine $x^$"]
+    for key in ("rmse_position_m", "final_position_m", "max_position_m"):
+        assert found[key] == pytest.approx(0.005)
+    page = tmp_path / "page.html"
+    write_replay_page(page, "Replay", motions, truth_of(motions["recorded"]), numbers)
+    assert "recorded mine $x^$" in page.read_text(encoding="utf-8")
+
+
 def test_without_truth_errors_are_nan():
     bare = [
         dataclasses.replace(driving_record(k), measurements=driving_record(k).measurements) for k in range(3)
