@@ -66,7 +66,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     a link leads to is written in place.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: it cannot be written; `PermissionError` where the old file may not be.
     """
     if path.is_symlink() or (path.exists() and not path.is_file()):
         with path.open("wb") as file:
