@@ -11,8 +11,9 @@ import click
 import numpy as np
 
 from hil.cli.options import FILE, JSON, rerun_option, tell_view
+from hil.cli.output import error_as_json
 from hil.vocabulary.choices import COMPARED
-from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, UsageError
+from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, DataError, UsageError
 
 if TYPE_CHECKING:
     from hil.bench.blueprint import Blueprint
@@ -58,7 +59,7 @@ _COLUMNS = (
 @click.option("--calibration", type=FILE, help="calibration.toml for the estimators.")
 @click.option("--topics", type=FILE, help="Topic mapping of another robot's bag.")
 @click.option("--page", type=FILE, help="HTML page with figures.")
-@rerun_option("Show it: spawn, connect, serve, a URL or a .rrd file.")
+@rerun_option("Show it: spawn, connect, serve, a rerun+http:// URL or a .rrd file.")
 @JSON
 def command(
     recording: Path, estimators: tuple[str, ...], verify: bool, number: int | None, bench: str | None,
@@ -68,7 +69,7 @@ def command(
 
     RECORDING is one of ours (.mcap), a bag of another robot with --topics, half of a public CSV pair,
     or plain CSV. A damaged recording gives what it has and ends with exit code 2, as
-    does a --rerun file that the disk did not take.
+    does a page or a --rerun file that the disk did not take, or a viewer that did not take everything.
 
     Example: hil replay recording.mcap --page replay.html
     """
@@ -99,18 +100,16 @@ def command(
         motions, result["estimators"] = _compared(opened, run, estimators or COMPARED)
         unshown = _show(opened.bench, run, motions, view)
         if page is not None:
-            from hil.report.replay_page import write_replay_page
-
-            title = f"Replay of {recording.name}"
-            write_replay_page(
-                page, title, motions, result["estimators"], [*opened.problems, *result["warnings"]],
-                (result["note"],), on_wall=opened.bench.config.environment.on_wall,
-            )  # fmt: skip
+            try:
+                _write_page(page, opened, motions, result)
+            except DataError as error:
+                click.echo(f"hil: {error}", err=True)
+                result["error"] = error_as_json(error)
     result["problems"] = opened.problems
     for problem in opened.problems:
         click.echo(f"hil: {recording}: {problem}", err=True)
     click.echo(json.dumps(result) if as_json else _text(result))
-    if opened.problems or unshown:
+    if opened.problems or unshown or "error" in result:
         return EXIT_USAGE
     return EXIT_PASS if result.get("identical", True) else EXIT_LIMIT_FAILED
 
@@ -138,6 +137,19 @@ def _compared(
     with without_collector():
         motions = compare_run(run, opened.bench, kinds, source=str(opened.path), recorded=not opened.foreign)
         return motions, table(motions)
+
+
+def _write_page(
+    page: Path, opened: OpenedRecording, motions: dict[str, Motion], result: dict[str, Any]
+) -> None:
+    from hil.replay.comparison import truth_of
+    from hil.report.replay_page import write_replay_page
+
+    write_replay_page(
+        page, f"Replay of {opened.path.name}", motions, truth_of(next(iter(motions.values()))),
+        result["estimators"], [*opened.problems, *result["warnings"]], (result["note"],),
+        on_wall=opened.bench.config.environment.on_wall,
+    )  # fmt: skip
 
 
 def _show(bench: Blueprint, run: RecordedRun, motions: dict[str, Motion], view: str | None) -> str:
@@ -170,9 +182,12 @@ def _text(result: dict[str, Any]) -> str:
         ]
         return "\n".join(lines)
     head = " ".join(f"{title:>9}" for _, title, _ in _COLUMNS)
-    lines = [f"{'estimator':12} {head}"]
+    from hil.vocabulary.reading import printable
+
+    width = max(12, *map(len, result["estimators"]))
+    lines = [f"{'estimator':{width}} {head}"]
     for name, e in result["estimators"].items():
         cells = (("-" if e[key] is None else f"{e[key] * factor:.3f}") for key, _, factor in _COLUMNS)
-        lines.append(f"{name:12} " + " ".join(f"{cell:>9}" for cell in cells))
+        lines.append(f"{printable(name):{width}} " + " ".join(f"{cell:>9}" for cell in cells))
     lines.append(result["note"])
     return "\n".join(lines)

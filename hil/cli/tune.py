@@ -149,6 +149,7 @@ def _read(
     jobs: Sequence[Job], bench: str | None, calibration: Path | None, problems: list[str]
 ) -> tuple[BenchConfig, list[TruthRun]]:
     from hil.estimator.tuning import TruthRun
+    from hil.replay.comparison import truth_of
     from hil.replay.recordings import open_recording
     from hil.ring.motion import Motion
 
@@ -163,7 +164,7 @@ def _read(
             found.append(
                 TruthRun(
                     tuple(r.measurements for r in run.records), run.start.state,
-                    Motion(tuple(run.records)).mocap, opened.bench.geometry,
+                    truth_of(Motion(tuple(run.records))), opened.bench.geometry,
                     opened.bench.config.environment.kind,
                 )
             )  # fmt: skip

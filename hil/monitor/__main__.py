@@ -2,7 +2,8 @@
 
 Pieces on standard input (`hil.monitor.pipe`) come from `hil.monitor.sink` in the parent process and from
 nowhere else (they are pickles). Ends with the empty piece or when the parent is gone, also where Rerun then
-waits for a viewer without an end; an interrupt is the parent's.
+waits for a viewer without an end; an interrupt is the parent's. The exit code is 1 where an output could not
+be opened or did not take everything.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from collections.abc import Sequence
 from typing import BinaryIO
 
 from hil.monitor.pipe import READY, taken
+from hil.vocabulary.errors import reason_of
 from hil.vocabulary.signals import CycleRecord
 
 _NICE = 10
@@ -46,9 +48,16 @@ def main(targets: Sequence[str], pipe: BinaryIO) -> int:
     scene, _ = taken(pipe)
     if not scene:
         return 0
-    os.write(sys.stdout.fileno(), READY)
+    try:
+        os.write(sys.stdout.fileno(), READY)
+    except BrokenPipeError:
+        return 0
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    stream = RerunStream(tuple(targets), pickle.loads(scene))
+    try:
+        stream = RerunStream(tuple(targets), pickle.loads(scene))
+    except (RuntimeError, ValueError, OSError) as error:
+        print(f"hil monitor: {', '.join(targets)} cannot be opened ({reason_of(error)})", file=sys.stderr)
+        os._exit(1)
     while True:
         payload, dropped = taken(pipe)
         if not payload:
@@ -59,7 +68,8 @@ def main(targets: Sequence[str], pipe: BinaryIO) -> int:
             else:
                 stream.path(shown)
         stream.dropped(dropped)
-    stream.close()
+    if not stream.close():
+        os._exit(1)  # Rerun would wait for the viewer once more
     return 0
 
 

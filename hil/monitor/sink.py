@@ -21,6 +21,7 @@ from pathlib import Path
 from hil.monitor.pipe import READY, Shown, packed, put
 from hil.monitor.rrd import files_of, what_is_missing
 from hil.monitor.scene import Scene
+from hil.monitor.viewer import LIVE, check_url, url
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.errors import UsageError, did_you_mean
 from hil.vocabulary.extras import how_to_install, is_installed
@@ -30,8 +31,6 @@ from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.signals import CycleRecord
 
 LOG = logging.getLogger(__name__)
-
-LIVE = ("spawn", "connect", "serve")
 
 _CAPACITY = 500
 _CLOSE_S, _LOSSLESS_S = 4.0, 60.0
@@ -44,17 +43,20 @@ def split_targets(target: str) -> tuple[str, ...]:
     """Outputs of a comma-separated list.
 
     Raises:
-        UsageError: Rerun is not installed; an empty list, or a word that is none of them.
+        UsageError: Rerun is not installed; an empty list, a word that is none of them, or another URL.
         DataError: a file that cannot be written.
     """
     if not is_installed("rerun"):
         raise UsageError("the monitor needs Rerun, which is not installed", remedy=how_to_install("rerun"))
     targets = tuple(part for part in (p.strip() for p in target.split(",")) if part)
-    expected = "spawn, connect, serve, a URL or a .rrd file"
+    expected = "spawn, connect, serve, a rerun+http:// URL or a .rrd file"
     if not targets:
         raise UsageError(f"the monitor cannot open {target!r}", expected=expected)
     for name in targets:
-        if name in LIVE or "://" in name:
+        if name in LIVE:
+            continue
+        if "://" in name:
+            check_url(name)
             continue
         if Path(name).suffix != ".rrd":
             raise UsageError(
@@ -96,6 +98,7 @@ class RerunMonitor(Sink):
     ) -> None:
         targets = split_targets(target)
         self._files = files_of(targets)
+        self._viewers = [url() if t in LIVE else t for t in targets if t not in self._files]
         self.dropped = 0
         self.failure = ""
         self._closed = False
@@ -225,7 +228,8 @@ class RerunMonitor(Sink):
         ]
         self.failure = "; ".join([self.failure] * bool(self.failure) + lacking)
         if self.dropped or self.failure:
-            LOG.warning("monitor: %d cycles not shown. %s", self.dropped, self.failure)
+            unshown = [f"{self.dropped} cycles not shown"] * bool(self.dropped)
+            LOG.warning("monitor: %s", ". ".join([*unshown, *([self.failure] * bool(self.failure))]))
 
     def _close_process(self) -> None:
         self._something.set()
@@ -233,7 +237,9 @@ class RerunMonitor(Sink):
         if self._thread.is_alive():
             self._give_up(f"the viewer did not take the rest within {self._patience_s:g} s")
         try:
-            self._process.wait(self._patience_s)
+            ended_well = self._process.wait(self._patience_s) == 0
+            if not (ended_well or self.failure) and self._viewers:
+                self.failure = f"the viewer at {', '.join(self._viewers)} did not take everything"
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

@@ -33,7 +33,8 @@ from hil.vocabulary.signals import WHEELS, CycleRecord
 _BATCH_NS = NS_PER_S // 10
 _PLOTS_NS = NS_PER_S // 2
 _TRAIL_NS = NS_PER_S
-_FLUSH_S = 3.0
+_FLUSH_S, _ABSENT_S, _FILE_S = 30.0, 1.0, 3.0
+"""How long viewers, a viewer that is not there, and files may take for the rest."""
 _VIEW_MARGIN_M = 0.45
 _VIEW_SLACK_M = 0.25
 _LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR", "fatal": "CRITICAL"}
@@ -56,6 +57,7 @@ class RerunStream:
         self._rr = rerun
         self._scene, self._tab = scene, tab
         self._server: subprocess.Popen[bytes] | None = None
+        self._addresses: list[str] = []
         self._files: list[PipedFile] = []
         self._stream = rerun.RecordingStream("hil", send_properties=False)
         layout = blueprint(tab=tab)
@@ -79,16 +81,13 @@ class RerunStream:
         rr = self._rr
         if target == "spawn":
             viewer.spawn()
-            return rr.GrpcSink(viewer.url())
-        if target == "connect":
-            return rr.GrpcSink(viewer.url())
-        if target.startswith(("rerun+http://", "rerun+https://", "rerun://")):
-            return rr.GrpcSink(target)
-        if target == "serve":
+        elif target == "serve":
             self._server = viewer.serve()
             shown = f"http://{viewer.HOST}:{viewer.WEB_PORT}?url={quote(viewer.url(), safe='')}"
             print(f"rerun: open {shown} in a browser", file=sys.stderr)
-            return rr.GrpcSink(viewer.url())
+        if target in viewer.LIVE or "://" in target:
+            self._addresses.append(viewer.url() if target in viewer.LIVE else target)
+            return rr.GrpcSink(self._addresses[-1])
         Path(target).parent.mkdir(parents=True, exist_ok=True)
         self._files.append(PipedFile(Path(target)))
         return rr.FileSink(self._files[-1].entrance)
@@ -151,21 +150,26 @@ class RerunStream:
             self._send_trails()
             self._trails_ns = record.inputs.t_ns
 
-    def close(self) -> None:
-        """Send the rest and let go of the outputs."""
+    def close(self) -> bool:
+        """Send the rest and let go of the outputs; False where a viewer did not take everything."""
         self.flush()
         self._send_plots()
         if self._latest is not None:
             self._send_trails()
+        taken = True
         try:
-            self._stream.flush(timeout_sec=_FLUSH_S)
-            self._stream.disconnect()
+            there = all(viewer.answers(address) for address in self._addresses)
+            self._stream.flush(timeout_sec=_FLUSH_S if there else _ABSENT_S)
         except (RuntimeError, ValueError, OSError) as error:
+            taken = False
             print(f"hil monitor: a viewer did not take everything ({error})", file=sys.stderr)
+        if taken or self._files:  # else Rerun would only wait for the viewer once more
+            self._stream.disconnect()
         for file in self._files:
-            file.close(_FLUSH_S)
+            file.close(_FILE_S)
         if self._server is not None:
             viewer.stop(self._server)
+        return taken
 
     def _tell(self, record: CycleRecord, text: str, level: str) -> None:
         self._at(record)

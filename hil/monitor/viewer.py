@@ -16,19 +16,57 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from urllib.parse import urlsplit
 
-from hil.vocabulary.errors import reason_of
+from hil.vocabulary.errors import UsageError, reason_of
 
 HOST = "127.0.0.1"
 GRPC_PORT, WEB_PORT = 9876, 9090
+LIVE = ("spawn", "connect", "serve")
+"""Words for a viewer on this computer."""
+SCHEMES = ("rerun+http", "rerun+https", "rerun")
 
-_START_S, _POLL_S, _STOP_S = 30.0, 0.05, 3.0
+_START_S, _POLL_S, _STOP_S, _ANSWER_S = 30.0, 0.05, 3.0, 2.0
 _PR_SET_PDEATHSIG = 1
 
 
 def url(port: int = GRPC_PORT) -> str:
     """Where a recording is sent to."""
     return f"rerun+http://{HOST}:{port}/proxy"
+
+
+def check_url(name: str) -> None:
+    """Make sure that an address is one that Rerun sends recordings to.
+
+    Raises:
+        UsageError: another scheme or path, no host, or a port that none can have.
+    """
+    scheme, _, rest = name.partition("://")
+    try:
+        parts = urlsplit(name)
+        usable = bool(parts.hostname) and parts.port != 0 and parts.path.rstrip("/") == "/proxy"
+    except ValueError:
+        usable = False
+    if scheme in SCHEMES and usable:
+        return
+    near = f"rerun+{scheme}" if scheme in ("http", "https") else scheme if scheme in SCHEMES else "rerun+http"
+    host = rest.partition("/")[0] or f"{HOST}:{GRPC_PORT}"
+    raise UsageError(
+        f"the monitor cannot open {name!r}",
+        expected="a URL as " + ", ".join(f"{known}://HOST:PORT/proxy" for known in SCHEMES),
+        remedy=f"did you mean {near}://{host}/proxy?",
+    )
+
+
+def answers(address: str) -> bool:
+    """Whether somebody listens at an address of Rerun; True also where it names no port."""
+    parts = urlsplit(address)
+    try:
+        if parts.port is not None:
+            socket.create_connection((parts.hostname or HOST, parts.port), _ANSWER_S).close()
+    except OSError:
+        return False
+    return True
 
 
 def spawn(port: int = GRPC_PORT) -> None:

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import io
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from hil.recording.plain_csv import RATE_COLUMNS, TRUTH_COLUMNS, TRUTH_GAP_S, WH
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.extras import how_to_install
-from hil.vocabulary.files import refused
+from hil.vocabulary.files import refused, replacing
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.interpolation import between_samples
 from hil.vocabulary.signals import CycleRecord, WheelMeasurement
@@ -91,7 +92,7 @@ def with_added(records: Sequence[CycleRecord]) -> tuple[tuple[str, ...], Array]:
 
 
 def write_table(records: Sequence[CycleRecord], path: Path, kind: str) -> tuple[int, tuple[str, ...]]:
-    """Write the table; floats survive exactly in both formats.
+    """Write the table; floats survive exactly in both formats. An earlier file stays where this fails.
 
     Returns:
         Its number of rows, and its columns.
@@ -106,16 +107,12 @@ def write_table(records: Sequence[CycleRecord], path: Path, kind: str) -> tuple[
         UsageError: unknown kind, or Parquet without its extra.
     """
     columns, table = with_added(records)
+    writers = {"csv": _write_csv, "parquet": _write_parquet}
+    if kind not in writers:
+        raise UsageError(f"format {kind!r}", expected="csv or parquet")
     try:
-        if kind == "csv":
-            with path.open("w", encoding="utf-8", newline="") as file:
-                writer = csv.writer(file)
-                writer.writerow(columns)
-                writer.writerows(["" if math.isnan(v) else repr(v) for v in row] for row in table.tolist())
-        elif kind == "parquet":
-            _write_parquet(columns, table, path)
-        else:
-            raise UsageError(f"format {kind!r}", expected="csv or parquet")
+        with replacing(path) as file:
+            writers[kind](columns, table, file)
     except OSError as error:
         raise refused(path, error) from None
     return len(table), columns
@@ -152,12 +149,20 @@ def _is_export(path: Path, kind: str) -> bool:
     return tuple(names[: len(COLUMNS)]) == COLUMNS
 
 
-def _write_parquet(names: tuple[str, ...], table: Array, path: Path) -> None:
+def _write_csv(names: tuple[str, ...], table: Array, file: BinaryIO) -> None:
+    text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+    writer = csv.writer(text)
+    writer.writerow(names)
+    writer.writerows(["" if math.isnan(v) else repr(v) for v in row] for row in table.tolist())
+    text.detach()
+
+
+def _write_parquet(names: tuple[str, ...], table: Array, file: BinaryIO) -> None:
     parquet = _parquet()
     import pyarrow
 
     columns = {name: table[:, i] for i, name in enumerate(names)}
-    parquet.write_table(pyarrow.table(columns), str(path))
+    parquet.write_table(pyarrow.table(columns), file)
 
 
 def _parquet() -> Any:

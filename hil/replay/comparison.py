@@ -1,8 +1,8 @@
 """Other estimators on a recording, and how far each is from motion capture and from what it says of itself.
 
 `compare` runs estimators, `smoothed` the smoother on the recorded measurements; `errors` and `consistency`
-hold them against motion capture and against what they say of themselves; `fitting` chooses the filters by
-the sensors that were heard.
+hold them against motion capture (`truth_of`) and against what they say of themselves; `fitting` chooses the
+filters by the sensors that were heard.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from hil.bench.blueprint import Blueprint
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.consistency import autocorrelation, nees
 from hil.recording.runs import RecordedRun
-from hil.ring.motion import Motion
+from hil.ring.motion import HELD_S, Motion
 from hil.ring.own_parts import estimated, reset_estimator
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.choices import COMPARED
+from hil.vocabulary.choices import COMPARED, ESTIMATORS
+from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array, wrap_array
 from hil.vocabulary.interfaces import Estimator
@@ -28,6 +29,8 @@ from hil.vocabulary.signals import CycleRecord, RobotState, heard
 
 SENSORS = {"wheels": "wheels", "gyro": "IMU", "tracker": "camera", "mocap": "motion capture"}
 """Names of sensors by their fields of `Measurements`."""
+REST_RAD_S, REST_S = 0.04, 0.1
+"""A robot rests whose wheels turn slower than this (1 mm/s on wheels of 25 mm) for so long."""
 
 
 def rest_on_wheels(sensors: Iterable[str]) -> bool:
@@ -93,6 +96,7 @@ def compare_run(
 ) -> dict[str, Motion]:  # fmt: skip
     """A run as it was estimated then (`recorded`), and as estimators of some kinds see it, by kind.
 
+    An observer of the user's own is there as it was recorded (`recorded NAME`); it cannot be made again.
     Where there is neither gyro nor camera the filters are those of `fitting`.
 
     Args:
@@ -117,12 +121,28 @@ def compare_run(
         )
     if not recorded:
         del motions["recorded"]
-    return motions
+        return motions
+    return {"recorded": motions.pop("recorded"), **_own_observers(run.records), **motions}
+
+
+def _own_observers(records: Sequence[CycleRecord]) -> dict[str, Motion]:
+    """What was recorded of observers that nobody can make again, those of the user's own, by row."""
+    names = dict.fromkeys(name for r in records for name in r.observers if name not in ESTIMATORS)
+    return {
+        f"recorded {name}": Motion(
+            tuple(_with_state(r, r.observers.get(name) or _nothing(r.measurements.t_ns)) for r in records)
+        )
+        for name in names
+    }
+
+
+def _nothing(t_ns: int) -> RobotState:
+    return RobotState(t_ns, np.full(3, np.nan), np.full(3, np.nan), np.full((6, 6), np.nan))
 
 
 def table(motions: Mapping[str, Motion]) -> dict[str, dict[str, float | None]]:
     """`errors` and `consistency` of motions of one run by name; None for figures that there are not."""
-    truth = next(iter(motions.values())).mocap if motions else None
+    truth = truth_of(next(iter(motions.values()))) if motions else None
     return {
         name: {
             key: value if math.isfinite(value) else None
@@ -130,6 +150,26 @@ def table(motions: Mapping[str, Motion]) -> dict[str, dict[str, float | None]]:
         }
         for name, motion in motions.items()
     }
+
+
+def truth_of(motion: Motion) -> Array:
+    """Motion capture at the cycles, (n, 3): interpolated between samples, NaN where nobody knows.
+
+    The last sample counts for the cycles after it (`Motion.mocap`) only while the wheels rest: of a robot
+    that drives it says where it has been.
+    """
+    truth = motion.mocap
+    stamps = [m.stamp.t_ns for r in motion.records for m in r.measurements.mocap if m.valid]
+    if not stamps:
+        return truth
+    age_s = np.array([r.inputs.t_ns - max(stamps) for r in motion.records]) / NS_PER_S
+    since = int(np.argmax(age_s > -REST_S))
+    angles = Motion(motion.records[since:]).wheels[:, :4]
+    turned = np.fmax.accumulate(angles) - np.fmin.accumulate(angles)
+    held_s = age_s[since:]
+    at_rest = (turned <= REST_RAD_S * (REST_S + held_s)[:, None]).all(axis=1)
+    truth[since:][(held_s > 0.0) & ~at_rest] = np.nan
+    return truth
 
 
 def consistency(motion: Motion, truth: Array | None = None) -> dict[str, float]:
@@ -141,7 +181,7 @@ def consistency(motion: Motion, truth: Array | None = None) -> dict[str, float]:
         cycle to the next (0 is ideal); how many rows each sensor's gates left out; NaN where there is
         no such figure.
     """
-    difference = motion.estimate - (motion.mocap if truth is None else truth)
+    difference = motion.estimate - (truth_of(motion) if truth is None else truth)
     difference[:, 2] = wrap_array(difference[:, 2])
     values = nees(difference, motion.covariance[:, :3, :3]) if len(motion.records) else np.zeros(0)
     last = motion.records[-1].state.diagnostics if motion.records else {}
@@ -166,26 +206,31 @@ def _mean_nis(figures: Mapping[str, float], name: str) -> float:
 
 
 def errors(motion: Motion, truth: Array | None = None) -> dict[str, float]:
-    """Errors against motion capture; NaN without it, the one at the end also where it did not see the end.
+    """Errors against motion capture; NaN without it.
+
+    The one at the end is that of the last cycle of which the truth is known; NaN where that is `HELD_S` or
+    more before the end.
 
     Args:
         motion: what was estimated.
-        truth: `motion.mocap` where the caller knows it already, shape (n, 3).
+        truth: `truth_of(motion)` where the caller knows it already, shape (n, 3).
 
     Returns:
         `rmse_position_m`, `rmse_theta_rad`, `final_position_m`, `max_position_m`.
     """
-    difference = motion.estimate - (motion.mocap if truth is None else truth)
-    known = difference[np.all(np.isfinite(difference), axis=1)]
+    difference = motion.estimate - (truth_of(motion) if truth is None else truth)
+    known = np.flatnonzero(np.isfinite(difference).all(axis=1))
     if not len(known):
         return dict.fromkeys(
             ("rmse_position_m", "rmse_theta_rad", "final_position_m", "max_position_m"), np.nan
         )
-    distance_m: Array = np.hypot(known[:, 0], known[:, 1])
+    distance_m: Array = np.hypot(difference[known, 0], difference[known, 1])
+    t_s = motion.t_s
+    saw_end = t_s[-1] - t_s[known[-1]] < HELD_S
     return {
         "rmse_position_m": float(np.sqrt(np.mean(distance_m**2))),
-        "rmse_theta_rad": float(np.sqrt(np.mean(wrap_array(known[:, 2]) ** 2))),
-        "final_position_m": float(np.hypot(*difference[-1, :2])),
+        "rmse_theta_rad": float(np.sqrt(np.mean(wrap_array(difference[known, 2]) ** 2))),
+        "final_position_m": float(distance_m[-1]) if saw_end else np.nan,
         "max_position_m": float(distance_m.max()),
     }
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import base64
 import io
 import re
-import tempfile
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -49,15 +48,20 @@ def save_figure(figure: Figure, path: Path) -> Path:
     Raises:
         OSError: it cannot be written.
     """
+    path.write_text(_drawn(figure, path.stem), encoding="utf-8")
+    return path
+
+
+def _drawn(figure: Figure, name: str) -> str:
+    """SVG of a figure, with what can be read off it; `name` makes its identifiers."""
     import matplotlib as mpl
 
     drawn = io.StringIO()
-    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": path.stem}):
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
         _lay_out(figure)
         figure.savefig(drawn, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     head, found, rest = drawn.getvalue().rpartition("</svg>")
-    path.write_text(head + readings_of(figure) + found + rest, encoding="utf-8")
-    return path
+    return head + readings_of(figure) + found + rest
 
 
 def _lay_out(figure: Figure) -> None:
@@ -101,19 +105,22 @@ def figure_image(path: Path, title: str) -> Markup:
     Raises:
         DataError: the file is missing or no SVG.
     """
-    svg, readings = taken_out(themed_svg(path))
+    return _image(themed_svg(path), title)
+
+
+def drawn_image(figure: Figure, title: str, name: str = "figure") -> Markup:
+    """A figure that was just drawn, as `figure_image` of its file `name`.svg, which need not be there."""
+    return _image(_themed(_drawn(figure, name), name), title)
+
+
+def _image(themed: str, title: str) -> Markup:
+    svg, readings = taken_out(themed)
     width = re.search(r'\bwidth="(\d{1,5}(?:\.\d*)?)pt"', svg.split(">", 1)[0])
     limit = Markup(' style="max-width:{}px"').format(round(float(width[1]) * _PX_PER_PT)) if width else ""
     data = base64.b64encode(svg.encode("utf-8", "replace")).decode("ascii")
     known = Markup(' data-readings="{}"').format(readings) if readings else ""
     image = Markup('<img alt="{}" src="data:image/svg+xml;base64,{}">').format(title, data)
     return Markup('<div class="plot"{}{}>{}</div>').format(limit, known, image)
-
-
-def drawn_image(figure: Figure, title: str) -> Markup:
-    """A figure that was just drawn, as `figure_image` of its file."""
-    with tempfile.TemporaryDirectory() as folder:
-        return figure_image(save_figure(figure, Path(folder) / "figure.svg"), title)
 
 
 def themed_svg(path: Path) -> str:
@@ -126,9 +133,14 @@ def themed_svg(path: Path) -> str:
         text = read_text(path, _MOST_BYTES)
     except (OSError, ValueError) as error:
         raise DataError(str(path), f"cannot be read ({reason_of(error)})") from None
+    return _themed(text, str(path))
+
+
+def _themed(text: str, source: str) -> str:
+    """`themed_svg` of its text; `source` is what an error names."""
     start, end = text.find("<svg"), text.rfind("</svg>")
     if start < 0 or end < start:
-        raise DataError(str(path), "is not an SVG file")
+        raise DataError(source, "is not an SVG file")
     text = text[start:end]
     for name, colour in PALETTE.items():
         text = re.sub(re.escape(colour), f"var(--{name})", text, flags=re.I)
@@ -138,7 +150,7 @@ def themed_svg(path: Path) -> str:
     try:
         expat.ParserCreate().Parse(whole, True)
     except (expat.ExpatError, ValueError) as error:
-        raise DataError(str(path), f"is not an SVG file ({error})") from None
+        raise DataError(source, f"is not an SVG file ({error})") from None
     return whole
 
 

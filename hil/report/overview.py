@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hil.report.figures import figure_image, save_figure
+from markupsafe import Markup
+
+from hil.report.figures import drawn_image, figure_image, save_figure
 from hil.report.pages import environment
 from hil.vocabulary.files import staged, write_text
 
@@ -55,8 +56,7 @@ def write_overview(path: Path, page: Overview) -> Path:
     Raises:
         DataError: it cannot be written.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        return write_text(path, _text(page, Path(folder)))
+    return write_text(path, _text(page, [drawn_image(d.figure, d.title, d.name) for d in page.figures]))
 
 
 def write_overview_folder(folder: Path, page: Overview) -> Path:
@@ -66,13 +66,12 @@ def write_overview_folder(folder: Path, page: Overview) -> Path:
         DataError: they cannot be written.
     """
     with staged(folder) as parts:
-        write_text(parts / "index.html", _text(page, parts))
+        files = [save_figure(d.figure, parts / f"{d.name}.svg") for d in page.figures]
+        images = [figure_image(file, d.title) for file, d in zip(files, page.figures, strict=True)]
+        write_text(parts / "index.html", _text(page, images))
     return folder / "index.html"
 
 
-def _text(page: Overview, folder: Path) -> str:
-    images = [
-        (d.title, figure_image(save_figure(d.figure, folder / f"{d.name}.svg"), d.title), d.caption)
-        for d in page.figures
-    ]
-    return environment().get_template("overview.html").render(page=page, images=images)
+def _text(page: Overview, images: Sequence[Markup]) -> str:
+    shown = [(d.title, image, d.caption) for d, image in zip(page.figures, images, strict=True)]
+    return environment().get_template("overview.html").render(page=page, images=shown)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,8 +41,8 @@ _LITTLE_M = 0.05
 
 
 def write_replay_page(
-    path: Path, title: str, motions: Mapping[str, Motion], numbers: Numbers, warnings: Sequence[str] = (),
-    facts: Sequence[str] = (), *, on_wall: bool = True,
+    path: Path, title: str, motions: Mapping[str, Motion], truth: Array, numbers: Numbers,
+    warnings: Sequence[str] = (), facts: Sequence[str] = (), *, on_wall: bool = True,
 ) -> Path:  # fmt: skip
     """Write the page; returns its path.
 
@@ -49,6 +50,7 @@ def write_replay_page(
         path: HTML file.
         title: heading.
         motions: the same run as recorded and as each estimator sees it, by name.
+        truth: `hil.replay.comparison.truth_of` the run, shape (n, 3).
         numbers: `hil.replay.comparison.table` of them.
         warnings: above the figures: what could not be read, or makes no sense.
         facts: which sensors there are.
@@ -59,13 +61,13 @@ def write_replay_page(
     """
     drawn = dict(_drawn(motions))
     figures = [
-        Drawn("errors", "Errors", _errors(drawn),
+        Drawn("errors", "Errors", _errors(drawn, truth),
               "Estimate minus motion capture."
               + (" X is up the wall, Y to the left." if on_wall else "")),
-        Drawn("path", "Path", _path(drawn, on_wall),
+        Drawn("path", "Path", _path(drawn, truth, on_wall),
               "Motion capture, and what each estimator believed. Of a line along X or Y, what it does "
               "sideways is enlarged."),
-        Drawn("confidence", "How sure, and how wrong", _confidence(drawn),
+        Drawn("confidence", "How sure, and how wrong", _confidence(drawn, truth),
               "NEES: the squared error over the variance that the estimator claims. Three (dashed) is ideal, "
               "more is too sure of itself."),
     ]  # fmt: skip
@@ -101,7 +103,7 @@ def _drawn(motions: Mapping[str, Motion]) -> Iterator[tuple[str, Motion]]:
         else:
             groups.append(([_name(name)], motion))
     for names, motion in groups:
-        yield " = ".join(names), motion
+        yield " = ".join(names).replace("$", r"\$"), motion  # else matplotlib reads a formula
 
 
 def _same(one: Motion, other: Motion) -> bool:
@@ -109,29 +111,29 @@ def _same(one: Motion, other: Motion) -> bool:
     return a.shape == b.shape and bool(np.allclose(a, b, rtol=0.0, atol=_SAME_M, equal_nan=True))
 
 
-def _difference(motion: Motion) -> Array:
+def _difference(motion: Motion, truth: Array) -> Array:
     """Estimate minus truth (n, 3), m and rad."""
-    difference: Array = motion.estimate - motion.mocap
+    difference: Array = motion.estimate - truth
     difference[:, 2] = wrap_array(difference[:, 2])
     return difference
 
 
-def _errors(motions: Mapping[str, Motion]) -> Figure:
+def _errors(motions: Mapping[str, Motion], truth: Array) -> Figure:
     figure = new_figure(5.2, 5.0)
     units = (("x error (mm)", 1e3), ("y error (mm)", 1e3), ("heading error (deg)", _DEG))
     for k, (label, factor) in enumerate(units):
         axes = style(figure.add_subplot(3, 1, k + 1), "time (s)" if k == 2 else "", label)
         axes.axhline(0.0, color=PALETTE["reference"], lw=1.0)
-        for (name, motion), colour in zip(motions.items(), SERIES, strict=False):
-            axes.plot(*thin(motion.t_s, factor * _difference(motion)[:, k]), color=colour, lw=1.2, label=name)
+        for (name, motion), colour in zip(motions.items(), cycle(SERIES), strict=False):
+            error = factor * _difference(motion, truth)[:, k]
+            axes.plot(*thin(motion.t_s, error), color=colour, lw=1.2, label=name)
         if k == 0:
             legend(axes, columns=3, above=True)
     return figure
 
 
-def _path(motions: Mapping[str, Motion], on_wall: bool) -> Figure:
+def _path(motions: Mapping[str, Motion], truth: Array, on_wall: bool) -> Figure:
     """X up, Y to the left, as who stands before a wall sees it; where little happens a side is enlarged."""
-    truth = next(iter(motions.values())).mocap
     known = truth[np.isfinite(truth).all(axis=1), :2]
     extent = np.ptp(known, axis=0) if len(known) else np.ones(2)
     (in_x, x_unit), (in_y, y_unit) = ((1e3, "mm") if w < _LITTLE_M else (1.0, "m") for w in extent)
@@ -139,7 +141,7 @@ def _path(motions: Mapping[str, Motion], on_wall: bool) -> Figure:
     left, up = (", left", ", up") if on_wall else ("", "")
     axes = style(figure.add_subplot(), f"Y{left} ({y_unit})", f"X{up} ({x_unit})")
     axes.plot(in_y * truth[:, 1], in_x * truth[:, 0], color=PALETTE["truth"], lw=2.2, label="motion capture")
-    for (name, motion), colour in zip(motions.items(), SERIES, strict=False):
+    for (name, motion), colour in zip(motions.items(), cycle(SERIES), strict=False):
         x, y = motion.estimate[:, 0], motion.estimate[:, 1]
         axes.plot(in_y * y, in_x * x, color=colour, lw=1.1, label=name)
     axes.invert_xaxis()
@@ -149,11 +151,11 @@ def _path(motions: Mapping[str, Motion], on_wall: bool) -> Figure:
     return figure
 
 
-def _confidence(motions: Mapping[str, Motion]) -> Figure:
+def _confidence(motions: Mapping[str, Motion], truth: Array) -> Figure:
     figure = new_figure(5.2, 2.8)
     axes = style(figure.add_subplot(), "time (s)", "NEES of the pose")
-    for (name, motion), colour in zip(motions.items(), SERIES, strict=False):
-        values = nees(_difference(motion), motion.covariance[:, :3, :3])
+    for (name, motion), colour in zip(motions.items(), cycle(SERIES), strict=False):
+        values = nees(_difference(motion, truth), motion.covariance[:, :3, :3])
         shown = np.where(values > 0, np.clip(values, _LEAST_NEES, _MOST_NEES), np.nan)
         axes.plot(*thin(motion.t_s, shown), color=colour, lw=1.1, label=name)
     axes.axhline(_IDEAL_NEES, color=PALETTE["truth"], lw=1.0, ls="--")

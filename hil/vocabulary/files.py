@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from hil.vocabulary.errors import ConfigError, DataError, HilError, UsageError, reason_of
 
@@ -42,10 +43,7 @@ def check_name(path: Path, whose: str = "") -> None:
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Write a text as UTF-8, over what was there, in a folder that need not exist; returns the path.
-
-    It appears at once: where the disk does not take it, the old file is still there, or none. A device or
-    what a link leads to is written in place.
+    """Write a text as UTF-8 as `replacing` does, in a folder that need not exist; returns the path.
 
     Raises:
         DataError: it cannot be written.
@@ -53,17 +51,27 @@ def write_text(path: Path, text: str) -> Path:
     content = text.encode("utf-8", "backslashreplace")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_symlink() or (path.exists() and not path.is_file()):
-            path.write_bytes(content)
-        else:
-            _put(path, content)
+        with replacing(path) as file:
+            file.write(content)
     except OSError as error:
         raise refused(path, error) from None
     return path
 
 
-def _put(path: Path, content: bytes) -> None:
-    """Write beside and rename, with the rights of the old file; raises `OSError`."""
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """A file to write into that takes the place of `path`, with its rights, once it is whole.
+
+    Where the body fails, or the disk does not take it, the old file is still there, or none. A device or what
+    a link leads to is written in place.
+
+    Raises:
+        OSError: it cannot be written; `PermissionError` where the old file may not be.
+    """
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        with path.open("wb") as file:
+            yield file
+        return
     partial = path.with_name(f"{PARTIAL}{secrets.token_hex(4)}")
     if path.exists() and not os.access(path, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
@@ -71,7 +79,7 @@ def _put(path: Path, content: bytes) -> None:
         with partial.open("xb") as file:
             if path.exists():
                 os.fchmod(file.fileno(), path.stat().st_mode & 0o777)
-            file.write(content)
+            yield file
         os.replace(partial, path)
     except BaseException:
         with suppress(OSError):

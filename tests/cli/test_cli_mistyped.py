@@ -153,7 +153,7 @@ def test_every_option_that_a_fake_asks_for_is_one_that_a_user_may_give():
 @pytest.mark.parametrize("command", ["live --duration 1", "replay recording.mcap"])
 def test_a_mistyped_view_is_refused_and_no_file_of_that_name_is_written(refused, unopened, command, target):
     said = refused(*command.split(), "--rerun", target)
-    assert "spawn, connect, serve, a URL or a .rrd file" in said
+    assert "spawn, connect, serve, a rerun+http:// URL or a .rrd file" in said
     if target in ("spwn", "spawn,serv"):
         assert "did you mean" in said
 

@@ -11,6 +11,7 @@ from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording
 from hil.ring.motion import Motion
 from hil.robot.trajectories import line
+from hil.vocabulary.errors import DataError
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +79,27 @@ def test_what_is_left_of_a_damaged_recording_is_fitted_and_the_damage_named(reco
     assert str(cut) in told["problems"][0]
     assert f"warning: {told['problems'][0]}; what was readable is used" in err
     assert told["fitted"]["after"]["rmse_position_m"] > 0.0
+
+
+@pytest.mark.parametrize("as_json", [True, False])
+def test_a_page_that_the_disk_does_not_take_costs_no_figure(
+    recording, tmp_path, capsys, monkeypatch, as_json
+):
+    def full(path, text):
+        raise DataError(str(path), "cannot be written (No space left on device)")
+
+    monkeypatch.setattr("hil.report.overview.write_text", full)
+    page = tmp_path / "page.html"
+    words = ["replay", str(recording), "--estimator", "odometry", "--page", str(page)]
+    assert main([*words, *["--json"] * as_json]) == 2
+    out, err = capsys.readouterr()
+    assert f"hil: {page}: cannot be written (No space left on device)" in err
+    if as_json:
+        told = json.loads(out)
+        assert told["estimators"]["odometry"]["rmse_position_m"] > 0.0
+        assert told["error"]["message"].startswith(str(page))
+    else:
+        assert [row.split()[0] for row in out.splitlines()][:3] == ["estimator", "recorded", "odometry"]
 
 
 def test_a_choice_of_estimators(recording, capsys):

@@ -18,6 +18,7 @@ import pytest
 
 from hil.monitor import RerunMonitor
 from hil.monitor.blueprint import line_colours
+from hil.monitor.pipe import put
 from hil.monitor.rrd import what_is_missing
 from hil.monitor.series import Series, SeriesCollector, conditions
 from hil.monitor.sink import split_targets
@@ -187,6 +188,36 @@ def test_empty_targets_are_refused(target):
         split_targets(target)
 
 
+@needs_rerun
+@pytest.mark.parametrize(
+    ("target", "meant"),
+    [
+        ("http://127.0.0.1:1/proxy", "rerun+http://127.0.0.1:1/proxy"),
+        ("https://robot/x.rrd", "rerun+https://robot/proxy"),
+        ("spawn,ftp://robot/x.rrd", "rerun+http://robot/proxy"),
+        ("rerun+http://robot:9876", "rerun+http://robot:9876/proxy"),
+        ("rerun+http://robot:9876/x.rrd", "rerun+http://robot:9876/proxy"),
+        ("rerun://robot:99999/proxy", "rerun://robot:99999/proxy"),
+        ("rerun+http://", "rerun+http://127.0.0.1:9876/proxy"),
+    ],
+)
+def test_an_address_that_is_none_of_reruns_is_refused(tmp_path, monkeypatch, target, meant):
+    """Files had gone into a folder `http:`, or the monitor's process had ended with a traceback."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError) as refused:
+        split_targets(target)
+    word = target.rpartition(",")[2]
+    assert str(refused.value).startswith(f"the monitor cannot open {word!r}; expected a URL as rerun+http://")
+    assert str(refused.value).endswith(f"did you mean {meant}?")
+    assert list(tmp_path.iterdir()) == []
+
+
+@needs_rerun
+@pytest.mark.parametrize("scheme", ["rerun", "rerun+http", "rerun+https"])
+def test_addresses_of_rerun_are_taken(scheme):
+    assert split_targets(f"{scheme}://robot:9876/proxy") == (f"{scheme}://robot:9876/proxy",)
+
+
 @pytest.mark.parametrize("target", ["taken.rrd", "serve,taken.rrd", "/proc/view.rrd"])
 def test_a_file_that_cannot_be_written_is_refused_beforehand(tmp_path, monkeypatch, target):
     """Rerun's own error had come as a traceback, after the estimators had run."""
@@ -285,6 +316,33 @@ def test_a_recording_is_not_shown_for_ever_to_a_viewer_that_takes_nothing():
         monitor.close()
     assert monitor.failure == "the viewer took nothing for 1 s"
     assert 0 < monitor.dropped < 2000
+
+
+@needs_rerun
+def test_a_viewer_that_is_not_there_is_no_silent_end(tmp_path, caplog, capfd):
+    """It had ended with nothing shown and nothing said; a file beside is whole all the same."""
+    path = tmp_path / "run.rrd"
+    monitor = RerunMonitor(f"rerun+http://127.0.0.1:1/proxy,{path}", lossless=True)
+    for k in range(50):
+        monitor.write(shown(k))
+    monitor.close()
+    assert monitor.failure == "the viewer at rerun+http://127.0.0.1:1/proxy did not take everything"
+    assert caplog.messages == [f"monitor: {monitor.failure}"]
+    assert what_is_missing(path) == ""
+    assert "hil monitor: a viewer did not take everything (" in capfd.readouterr().err
+
+
+@needs_rerun
+def test_the_monitors_process_ends_quietly_where_its_parent_went_while_it_started():
+    with subprocess.Popen(
+        [sys.executable, "-m", "hil.monitor", "spawn"],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as process:  # fmt: skip
+        process.stdout.close()
+        put(process.stdin, b"scene")
+        process.stdin.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 0
 
 
 @needs_rerun

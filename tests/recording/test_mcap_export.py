@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
+import itertools
 import json
+import os
 
 import numpy as np
 import pyarrow.parquet
@@ -198,3 +201,25 @@ def test_another_table_of_parquet_is_not_written_over(recording, tmp_path):
     refused = CliRunner().invoke(command, [str(recording), "--out", str(out)], standalone_mode=False)
     assert isinstance(refused.exception, UsageError)
     assert pyarrow.parquet.read_schema(str(out)).names == ["t"]
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_a_disk_that_is_full_costs_no_earlier_export(recording, tmp_path, monkeypatch, kind):
+    """The earlier file had been cut, or was gone."""
+    path = tmp_path / f"e.{kind}"
+    write_table([driving_record(k) for k in range(20)], path, kind)
+    whole, lines = path.read_bytes(), itertools.count()
+
+    def full(value):
+        if next(lines) == 500:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return value != value
+
+    if kind == "csv":
+        monkeypatch.setattr("hil.recording.export.math.isnan", full)
+    else:
+        monkeypatch.setattr(pyarrow.parquet, "write_table", lambda table, file: [full(k) for k in range(501)])
+    with pytest.raises(DataError, match=rf"e\.{kind}: cannot be written \(No space left on device\)"):
+        write_table([driving_record(k) for k in range(40)], path, kind)
+    assert path.read_bytes() == whole
+    assert list(tmp_path.iterdir()) == [path]

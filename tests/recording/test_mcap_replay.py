@@ -13,11 +13,12 @@ from hil.bench.blueprint import Blueprint
 from hil.config.loading import load_bench
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RecordedRun, RunStart, read_runs, read_stored_cycles
-from hil.replay.comparison import compare, compare_run, consistency, errors, table
+from hil.replay.comparison import compare, compare_run, consistency, errors, table, truth_of
 from hil.replay.verification import ESTIMATION, RecordedReferences, verify, verify_cycle
 from hil.report.replay_page import write_replay_page
 from hil.ring.alignment import Alignment, AlignmentParameters
 from hil.ring.loop import Brain
+from hil.ring.motion import Motion
 from hil.ring.supervisor import SafetyLimits, Supervisor
 from hil.robot.kinematics import WheelGeometry, twist_of_vectors
 from hil.vocabulary.choices import COMPARED
@@ -217,6 +218,51 @@ def test_errors_are_those_of_the_known_truth():
     assert errors(motions["scaled"])["final_position_m"] < 3e-4
 
 
+def seen_until(records, last):
+    """The records without motion capture behind cycle `last`."""
+    return [
+        r if k <= last else dataclasses.replace(r, measurements=dataclasses.replace(r.measurements, mocap=()))
+        for k, r in enumerate(records)
+    ]
+
+
+def test_a_recording_that_ends_in_motion_is_not_held_against_where_the_robot_was():
+    """Cut while it drives, its last cycles have no motion capture yet: 7 cycles at 0.254 mm are 1.8 mm."""
+    whole = [moving(0.0254, k) for k in range(101)]
+    start = dataclasses.replace(START, pose_body_in_wall=np.zeros(3))
+    estimators = {"right": DeadReckoning(), "short": DeadReckoning(0.9)}
+    seen = compare(whole, estimators, start)
+    cut = compare(seen_until(whole, 93), estimators, start)
+    for name in estimators:
+        motion, until = cut[name], errors(Motion(seen[name].records[:94]))
+        assert errors(motion) == pytest.approx(until, rel=1e-9)
+        assert table(cut)[name]["final_position_m"] == pytest.approx(until["final_position_m"])
+        assert consistency(motion)["nees_pose"] == pytest.approx(
+            consistency(Motion(seen[name].records[:94]))["nees_pose"]
+        )
+    assert errors(cut["right"])["max_position_m"] < 3e-4
+    assert np.isnan(truth_of(cut["right"])[94:]).all()
+    early = compare(seen_until(whole, 60), estimators, start)
+    assert np.isnan(errors(early["right"])["final_position_m"])
+    assert errors(early["right"])["max_position_m"] < 3e-4
+
+
+def test_the_last_sample_of_motion_capture_counts_while_the_wheels_rest():
+    """The wheels stop at cycle 60 and dither by one step of the encoder, 1.5 mrad."""
+    records = []
+    for k in range(101):
+        stood = moving(0.0254, min(k, 60)).measurements
+        (wheels,) = stood.wheels
+        dither = 0.0015 * (k % 2 if k > 60 else 0)
+        wheels = dataclasses.replace(wheels, wheel_angle_rad=wheels.wheel_angle_rad + dither)
+        stamp = driving_record(k).measurements.mocap[0].stamp
+        seen = dataclasses.replace(stood.mocap[0], stamp=stamp)
+        measured = dataclasses.replace(stood, wheels=(wheels,), mocap=(seen,))
+        records.append(dataclasses.replace(driving_record(k), measurements=measured))
+    truth = truth_of(Motion(tuple(seen_until(records, 93))))
+    np.testing.assert_array_equal(truth[94:], np.tile(truth[93], (7, 1)))
+
+
 def test_a_stored_run_names_the_first_difference_as_a_read_one_does(tmp_path):
     path = recorded(tmp_path / "r", run(30, brain()))
     right, wrong = brain(), brain(scale=np.nextafter(1.0, 2.0))
@@ -246,6 +292,29 @@ def test_a_run_is_compared_by_kind_and_tabulated():
         compare_run(RecordedRun(None, only.records), bench, source="bag")
 
 
+def test_what_was_recorded_of_an_observer_of_ones_own_is_a_row(tmp_path):
+    """The shipped ones run again and need none."""
+    start = dataclasses.replace(START, pose_body_in_wall=np.zeros(3))
+    records = []
+    for k in range(20):
+        record = moving(0.0254, k)
+        (seen,) = record.measurements.mocap
+        mine = dataclasses.replace(record.state, pose_body_in_wall=seen.pose + np.array([0.003, 0.004, 0.0]))
+        observers = {"ekf": record.state} | ({"mine $x^$": mine} if k else {})
+        records.append(dataclasses.replace(record, observers=observers))
+    bench = Blueprint(load_bench("emulated_floor"), geometry=GEOMETRY)
+    run_of_mine = RecordedRun(RunStart(start, "ekf"), tuple(records))
+    motions = compare_run(run_of_mine, bench, ("odometry",))
+    assert list(motions) == ["recorded", "recorded mine $x^$", "odometry"]
+    numbers = table(motions)
+    found = numbers["recorded mine $x^$"]
+    for key in ("rmse_position_m", "final_position_m", "max_position_m"):
+        assert found[key] == pytest.approx(0.005)
+    page = tmp_path / "page.html"
+    write_replay_page(page, "Replay", motions, truth_of(motions["recorded"]), numbers)
+    assert "recorded mine $x^$" in page.read_text(encoding="utf-8")
+
+
 def test_without_truth_errors_are_nan():
     bare = [
         dataclasses.replace(driving_record(k), measurements=driving_record(k).measurements) for k in range(3)
@@ -265,11 +334,12 @@ def test_estimation_alone_can_be_verified_without_the_controller():
 def test_the_page_shows_every_estimator(tmp_path):
     records = [moving(0.03, k) for k in range(60)]
     motions = compare(records, {"dead <reckoning>": DeadReckoning()}, START)
-    write_replay_page(tmp_path / "page.html", "Replay", motions, table(motions), ("cut off",))
+    truth = truth_of(motions["recorded"])
+    write_replay_page(tmp_path / "page.html", "Replay", motions, truth, table(motions), ("cut off",))
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "dead &lt;reckoning&gt;" in page
     assert page.count("data:image/svg+xml;base64,") == 3
     assert "RMSE in mm" in page
     assert not re.search(r"\bnan\b", page)
     with pytest.raises(DataError, match="cannot be written"):
-        write_replay_page(tmp_path / "page.html" / "page.html", "Replay", motions, table(motions))
+        write_replay_page(tmp_path / "page.html" / "page.html", "Replay", motions, truth, table(motions))
