@@ -72,7 +72,7 @@ if TYPE_CHECKING:
     help="Estimators beside it (repeatable).",
 )
 @click.option("--controller", type=click.Choice(LAWS), help="Control law.")
-@rerun_option("spawn, connect, serve, a URL or a .rrd file; several with commas.")
+@rerun_option("spawn, connect, serve, a rerun+http:// URL or a .rrd file; several with commas.")
 @click.option("--record", type=FILE, help="Recording to write, a new file [default: out/live/TIME.mcap].")
 @click.option("--no-record", "unrecorded", is_flag=True, help="Write no recording.")
 @click.option(
