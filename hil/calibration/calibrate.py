@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from hil.calibration.blocks import Blocks, reduce_recordings
-from hil.calibration.caveats import caveats
+from hil.calibration.caveats import caveats, unexplained
 from hil.calibration.choice import Candidate, Choice, can_choose, candidates, choose
 from hil.calibration.datasets import Recording
 from hil.calibration.driven import Driven, check_geometry, driven
@@ -78,6 +78,11 @@ class Calibration:
         return self.fit.geometry
 
     @property
+    def explains(self) -> bool:
+        """Whether the result explains the recordings; else a warning says so and what to look for."""
+        return not unexplained(self.fit)
+
+    @property
     def driven(self) -> Driven:
         """How far the recordings drive in each direction."""
         return driven(self.fit.problem.blocks, self.nominal)
@@ -131,6 +136,7 @@ class Calibration:
             "rejected": list(self.fit.rejected),
             "validation": self.validation,
             "repeatability_m": {k: None if math.isnan(v) else v for k, v in self.floor.items()},
+            "verdict": "PASS" if self.explains else "FAIL",
             "warnings": list(self.warnings),
             "evaluations": self.evaluations,
             "wall_s": self.wall_s,

@@ -13,6 +13,7 @@ from hil.calibration.fitting import Fit
 from hil.calibration.identifiability import Identifiability, identifiability
 from hil.calibration.motion_models import make_model
 from hil.calibration.nominal import lever_m
+from hil.calibration.signs import LOOK, contradictions
 from hil.calibration.time_offset import different_clocks
 from hil.calibration.validation import Deployed, Table
 from hil.robot.kinematics import WheelGeometry
@@ -52,6 +53,7 @@ def caveats(
         deployed: errors of the result on the recordings.
     """
     out = told_by(recordings)
+    out += contradictions(recordings, found.problem.tyres.with_vector(found.problem.nominal))
     if len(recordings) == 1:
         out.append("one recording only: no interval, no cross-validation; repeat the motion")
     elif tables and "leave_one_repetition_out" not in tables:
@@ -106,7 +108,7 @@ def unexplained(found: Fit) -> list[str]:
         return []
     return [
         f"the result does not explain the recordings: {100 * share:.0f} % of the way is left as error in "
-        "the typical one; do not use it, look for a wrong column, sign, unit or bench file"
+        f"the typical one; do not use it, {LOOK}"
     ]
 
 

@@ -22,6 +22,8 @@ from hil.vocabulary.geometry import Array
 _GAP_S = 0.1
 _MIN_STEP_S = 1e-6
 _MIN_ROWS = 20
+_WHEEL_COLUMNS = ("t", *(f"phi{i}" for i in range(1, 5)), *(f"delta{i}" for i in range(1, 5)))
+_TRUTH_COLUMNS = ("t", "x", "y", "theta")
 _MIN_SHARED = 2
 _CREDIBLE = 1e12
 _ROTATION_RAD = 5.0
@@ -120,11 +122,14 @@ def build_recording(
     t_s, w, receive_s = _clean(wheels, 8, "wheel", repairs)
     truth_t_s, pose, truth_receive_s = _clean(truth, 3, "ground-truth", repairs)
     if len(t_s) < _MIN_ROWS:
-        raise DataError(where, f"only {len(t_s)} usable wheel rows", expected=f"at least {_MIN_ROWS}")
+        raise DataError(
+            where, f"only {len(t_s)} usable wheel rows{_emptiest(wheels, _WHEEL_COLUMNS)}",
+            expected=f"at least {_MIN_ROWS}",
+        )  # fmt: skip
     if len(truth_t_s) < _MIN_ROWS:
         raise DataError(
             where,
-            f"only {len(truth_t_s)} usable ground-truth rows",
+            f"only {len(truth_t_s)} usable ground-truth rows{_emptiest(truth, _TRUTH_COLUMNS)}",
             expected="x, y and theta from motion capture",
             remedy="a run without ground truth can be replayed but not evaluated or calibrated",
         )
@@ -173,6 +178,16 @@ def build_recording(
 def _count(repairs: dict[str, int], what: str, number: SupportsInt) -> None:
     if int(number):
         repairs[what] = repairs.get(what, 0) + int(number)
+
+
+def _emptiest(log: Log, names: tuple[str, ...]) -> str:
+    """The column in which most rows of a log hold no number, in brackets; empty where all do."""
+    values = credible(np.column_stack([log.t_s, log.values[:, : len(names) - 1]]))
+    lacking = np.count_nonzero(~np.isfinite(values), axis=0)
+    worst = int(np.argmax(lacking))
+    if not lacking[worst]:
+        return ""
+    return f" ({names[worst]} holds no number in {lacking[worst]} of {len(values)} rows)"
 
 
 def _clean(log: Log, needed: int, kind: str, repairs: dict[str, int]) -> tuple[Array, Array, Array]:

@@ -15,7 +15,7 @@ from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
 from hil.robot.kinematics import MODELS
 from hil.vocabulary.choices import METHODS
-from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE
+from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE
 from hil.vocabulary.signals import WHEELS
 
 if TYPE_CHECKING:
@@ -52,6 +52,9 @@ def command(
 ) -> int:  # fmt: skip
     """Calibrate the odometry on recordings with ground truth.
 
+    A result that does not explain the recordings is not written, and the exit code is 1. A damaged
+    recording is used as far as it can be read, and the exit code is 2.
+
     Example: hil calibrate recordings/ --out calibration.toml
     """
     from hil.calibration.calibrate import calibrate
@@ -73,13 +76,17 @@ def command(
         )  # fmt: skip
     for line in result.warnings:
         click.echo(f"warning: {line}", err=True)
-    if out is not None:
+    if out is not None and result.explains:
         _write(out, result, config)
+    elif out is not None:
+        click.echo(f"warning: {out} is not written: the result does not explain the recordings", err=True)
     if plots is not None:
         from hil.report.calibration_page import write_calibration_page
 
         click.echo(f"page: {write_calibration_page(plots, result)}", err=True)
     click.echo(json.dumps(result.to_json(), allow_nan=False) if as_json else _text(result))
+    if not result.explains:
+        return EXIT_LIMIT_FAILED
     return EXIT_USAGE if any(r.problems for r in recordings) else EXIT_PASS
 
 

@@ -135,16 +135,18 @@ def _tracks(
 def _doubts(
     recordings: list[Recording], file: CalibrationFile | None, robot: Nominal, signal: str, deploy: str
 ) -> list[str]:
-    """What these errors must be judged by: another robot's geometry, motions that were never fitted."""
+    """What these errors must be judged by: geometry or columns that cannot be right, motions never fitted."""
     from hil.calibration.blocks import reduce_recordings
     from hil.calibration.caveats import beyond_driven, worse_as_twist
     from hil.calibration.driven import Driven, mismatch
     from hil.calibration.problem import make_setting
+    from hil.calibration.signs import contradictions
     from hil.calibration.validation import deployed
 
     blocks = reduce_recordings(recordings, _BLOCK_S, signal)
     found = mismatch(blocks, robot)
     out = [f"{found}; {robot.in_words()}; name the robot's bench file with --bench"] if found else []
+    out += contradictions(recordings, robot.geometry if file is None else file.geometry)
     if file is None:
         return out
     if file.driven_m:

@@ -70,9 +70,9 @@ def command(
         raise UsageError(
             f"{min(twice)}: is fitted and held out at once", expected="other recordings for --check"
         )
-    problems: list[str] = []
-    config, runs = _read(_once(recordings, fitted), bench, calibration, problems)
-    held = _read(_once(check, held_out), bench, calibration, problems)[1] if check else []
+    problems, doubts = list[str](), list[str]()
+    config, runs = _read(_once(recordings, fitted), bench, calibration, problems, doubts)
+    held = _read(_once(check, held_out), bench, calibration, problems, doubts)[1] if check else []
     start = _start(config.estimator, runs)
     pair: tuple[Score, Score] | None = None
     with reporting(quiet=as_json) as report:
@@ -93,6 +93,7 @@ def command(
     result["verdict"] = None if pair is None else "FAIL" if lost else "PASS"
     result["problems"] = problems
     result["warnings"] = [f"{what}; what was readable is used" for what in problems]
+    result["warnings"] += doubts
     result["warnings"] += [_do_not_use(check, lost, out)] if lost else []
     for line in result["warnings"]:
         click.echo(f"warning: {line}", err=True)
@@ -146,14 +147,17 @@ def _once(paths: Sequence[Path], found: Sequence[Sequence[Job]]) -> list[Job]:
 
 
 def _read(
-    jobs: Sequence[Job], bench: str | None, calibration: Path | None, problems: list[str]
+    jobs: Sequence[Job], bench: str | None, calibration: Path | None, problems: list[str], doubts: list[str]
 ) -> tuple[BenchConfig, list[TruthRun]]:
+    """Bench and runs of recordings; `problems` and `doubts` receive what is wrong with files and columns."""
+    from hil.calibration.datasets import Recording
+    from hil.calibration.signs import contradictions
     from hil.estimator.tuning import TruthRun
     from hil.replay.comparison import truth_of
     from hil.replay.recordings import open_recording
     from hil.ring.motion import Motion
 
-    config, runs = None, []
+    config, runs, tables, geometry = None, [], list[Recording](), None
     for path in (job.files[0] for job in jobs):
         opened = open_recording(path, bench=bench, calibration=calibration)
         _same_robot(path, opened.header, opened.bench.config)
@@ -169,12 +173,16 @@ def _read(
                 )
             )  # fmt: skip
         problems += [f"{path}: {what}" for what in opened.problems]
+        if opened.tables:
+            tables, geometry = [*tables, *opened.tables], opened.bench.geometry
         usable = [run for run in found if run.can_be_checked()]
         if not usable:
             raise UsageError(f"{path}: has no ground truth to tune on", expected="motion capture in it")
         runs += usable
     if config is None:
         raise UsageError("no recording given")
+    if geometry is not None:
+        doubts += contradictions(tables, geometry)
     return config, runs
 
 

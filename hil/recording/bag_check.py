@@ -71,7 +71,7 @@ def _check(path: Path, stream: BinaryIO) -> None:
 
 
 def _check_mcap(path: Path, stream: BinaryIO, size: int) -> None:
-    from mcap.exceptions import McapError
+    from mcap.exceptions import EndOfFile, McapError, RecordLengthLimitExceeded
     from mcap.records import Chunk, ChunkIndex, Footer
 
     allowance = Allowance(path, size)
@@ -94,7 +94,9 @@ def _check_mcap(path: Path, stream: BinaryIO, size: int) -> None:
     except DataError:
         raise
     except (McapError, ValueError, EOFError, MemoryError, struct.error) as error:
+        cut = isinstance(error, (EndOfFile, RecordLengthLimitExceeded, struct.error))
+        why = f"it ends at byte {size}, within a record" if cut else str(error) or type(error).__name__
         raise DataError(
-            str(path), f"is not a readable rosbag2 recording ({error or type(error).__name__})",
+            str(path), f"is not a readable rosbag2 recording ({why})",
             remedy="repair it with `mcap recover`",
         ) from None  # fmt: skip

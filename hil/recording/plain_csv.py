@@ -24,6 +24,7 @@ from hil.vocabulary.interpolation import between_samples
 WHEEL_COLUMNS = tuple(f"phi{i}" for i in range(1, 5)) + tuple(f"delta{i}" for i in range(1, 5))
 TRUTH_COLUMNS = ("x", "y", "theta")
 RATE_COLUMNS = tuple(f"w{i}" for i in range(1, 5))
+_SHOWN = 40
 _MCAP = b"\x89MCAP"
 """What every MCAP file begins with."""
 TRUTH_GAP_S = 0.1
@@ -50,7 +51,7 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
             str(path), f"has the columns {', '.join(twice)} more than once", expected="each once",
             remedy="delete the one that is not meant",
         )  # fmt: skip
-    table = _table(path, data, body, len(columns))
+    table = _table(path, data, body, columns)
     if len(table) == 0:
         raise DataError(str(path), "has a header but no rows")
     rates = all(c in columns for c in RATE_COLUMNS)
@@ -88,8 +89,9 @@ def _check_text(path: Path, data: bytes, header: bytes) -> None:
                 raise DataError(str(path), f"line {number} has a quote that is not closed")
 
 
-def _table(path: Path, data: bytes, body: bytes, width: int) -> Array:
-    """Rows (n, width) of a file, whose `body` is what stands below its header."""
+def _table(path: Path, data: bytes, body: bytes, columns: list[str]) -> Array:
+    """Rows (n, one number for each column) of a file, whose `body` is what stands below its header."""
+    width = len(columns)
     found = numbers_at_once(body.replace(b"\r\n", b"\n"), width)
     if found is not None:
         return found
@@ -99,10 +101,17 @@ def _table(path: Path, data: bytes, body: bytes, width: int) -> Array:
             continue
         if len(fields) != width:
             raise DataError(str(path), f"line {number} has {len(fields)} fields", expected=str(width))
-        try:
-            rows.append([_number(f) for f in fields])
-        except ValueError:
-            raise DataError(str(path), f"line {number} holds text", expected="numbers, or nothing") from None
+        row = []
+        for name, field in zip(columns, fields, strict=True):
+            try:
+                row.append(_number(field))
+            except ValueError:
+                raise DataError(
+                    str(path),
+                    f"line {number} holds text in the column {name}: {field[:_SHOWN]!r}",
+                    expected="numbers, or nothing",
+                ) from None
+        rows.append(row)
     return np.array(rows, dtype=np.float64).reshape(-1, width)
 
 

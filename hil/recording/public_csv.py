@@ -28,8 +28,11 @@ _ABS_COLUMNS = (
     "time", ".header.stamp.secs", ".header.stamp.nsecs", ".pose.position.x", ".pose.position.y",
     ".pose.orientation.x", ".pose.orientation.y", ".pose.orientation.z", ".pose.orientation.w",
 )  # fmt: skip
+_WORDS = (".header.frame_id", ".name")
+_TUPLES = (".position", ".velocity", ".effort")
 _TO_COMMAS = bytes.maketrans(b";/:", b",,,")
 _MAX_BROKEN_SHARE = 0.1
+_SHOWN = 40
 _FILE = re.compile(r"(odom|abs)_(?P<run>\w+)\.csv(\.gz)?")
 
 
@@ -112,6 +115,14 @@ def _log(rows: Array, values: Array) -> Log:
 def _split_header(path: Path, data: bytes, needed: tuple[str, ...]) -> tuple[list[str], bytes]:
     head, _, body = data.partition(b"\n")
     columns = head.decode("utf-8", "replace").strip().lstrip("\ufeff").split(";")
+    if len(columns) == 1 and ("," in columns[0] or "\t" in columns[0]):
+        other = "commas" if "," in columns[0] else "tabs"
+        raise DataError(
+            str(path),
+            f"has {other} between its columns",
+            expected="semicolons in a file that is called odom_N.csv or abs_N.csv",
+            remedy="write it with semicolons, or call a table of plain numbers between commas MOTION_K.csv",
+        )
     missing = [c for c in needed if c not in columns]
     if missing:
         raise DataError(str(path), f"lacks the columns {', '.join(missing)}", expected=";".join(needed))
@@ -121,7 +132,7 @@ def _split_header(path: Path, data: bytes, needed: tuple[str, ...]) -> tuple[lis
 
 
 def _odom_numbers(path: Path, data: bytes) -> tuple[Array, list[str]]:
-    _, body = _split_header(path, data, _ODOM_COLUMNS)
+    columns, body = _split_header(path, data, _ODOM_COLUMNS)
     fields = body.split(b"\n", 1)[0].decode("utf-8", "replace").split(";")
     names = re.findall(r"'([^']*)'|\"([^\"]*)\"", fields[5]) if len(fields) > 5 else []
     names = [one or other for one, other in names]
@@ -129,37 +140,53 @@ def _odom_numbers(path: Path, data: bytes) -> tuple[Array, list[str]]:
         raise DataError(str(path), "does not name its eight servos", expected=", ".join(_NAMES))
     constant = f";{fields[4]};{fields[5]};".encode()
     quick = body.replace(constant, b";").translate(_TO_COMMAS, b"() ")
-    return _numbers(path, quick, body, 33), names
+    return _numbers(path, quick, body, columns, 33), names
 
 
 def _abs_numbers(path: Path, data: bytes) -> Array:
-    _, body = _split_header(path, data, _ABS_COLUMNS)
+    columns, body = _split_header(path, data, _ABS_COLUMNS)
     fields = body.split(b"\n", 1)[0].decode("utf-8", "replace").split(";")
     frame = fields[4] if len(fields) > 4 else ""
     quick = body.replace(f";{frame};".encode(), b";").translate(_TO_COMMAS, b" ")
-    return _numbers(path, quick, body, 16)
+    return _numbers(path, quick, body, columns, 16)
 
 
-def _numbers(path: Path, quick: bytes, body: bytes, width: int) -> Array:
+def _numbers(path: Path, quick: bytes, body: bytes, columns: list[str], width: int) -> Array:
     """Rows (n, width)."""
-    return credible(_rows(path, quick, body, width))
+    return credible(_rows(path, quick, body, columns, width))
 
 
-def _rows(path: Path, quick: bytes, body: bytes, width: int) -> Array:
+def _rows(path: Path, quick: bytes, body: bytes, columns: list[str], width: int) -> Array:
     """Rows (n, width); the slow path when the quick one does not come out even."""
     found = numbers_at_once(quick, width)
     if found is not None:
         return found
-    rows = [_row(line, width) for line in body.decode("utf-8", "replace").splitlines()]
+    lines = body.decode("utf-8", "replace").splitlines()
+    rows = [_row(line, width) for line in lines]
     good = [r for r in rows if r is not None]
     if len(rows) - len(good) > _MAX_BROKEN_SHARE * len(rows):
+        first = next(k for k, row in enumerate(rows) if row is None)
         raise DataError(
             str(path),
-            f"{len(rows) - len(good)} of {len(rows)} rows cannot be read",
-            expected=f"{width} numbers in a row",
+            f"{len(rows) - len(good)} of {len(rows)} rows cannot be read; the first is line {first + 2}: "
+            f"{_unreadable(columns, lines[first])}",
+            expected="numbers in every row, at most a tenth of them damaged",
         )
     out = np.array(good, dtype=np.float64).reshape(-1, width)
     return np.vstack([out, np.full((len(rows) - len(good), width), np.nan)])
+
+
+def _unreadable(columns: list[str], line: str) -> str:
+    """Why a row cannot be read: the first column that does not hold its numbers."""
+    fields = line.split(";")
+    if len(fields) != len(columns):
+        return f"it has {len(fields)} fields, its header {len(columns)}"
+    for name, field in zip(columns, fields, strict=True):
+        count = 6 if name == "time" else len(_NAMES) if name in _TUPLES else 1
+        if name not in _WORDS and _row(field, count) is None:
+            wanted = "a number" if count == 1 else f"{count} numbers"
+            return f"{name} holds {field[:_SHOWN]!r}, not {wanted}"
+    return "its columns hold other numbers than its header says"
 
 
 def _row(line: str, width: int) -> list[float] | None:

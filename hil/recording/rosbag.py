@@ -189,7 +189,7 @@ def _messages(path: Path, wanted: tuple[str, ...]) -> Iterator[tuple[str, float,
     except Exception as error:  # a library that reads foreign files may raise anything
         raise DataError(
             str(path),
-            f"is not a readable rosbag2 recording ({error or type(error).__name__})",
+            f"is not a readable rosbag2 recording ({str(error) or type(error).__name__})",
             remedy=_REPAIR.get(path.suffix, _REINDEX),
         ) from None
 

@@ -1,5 +1,7 @@
 """A wrong sign is refused by file and column; a fit that explains nothing says so."""
 
+import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +10,7 @@ import pytest
 from hil.calibration.calibrate import calibrate
 from hil.calibration.nominal import Nominal
 from hil.calibration.problem import RECOMMENDED
-from hil.calibration.signs import check_signs
+from hil.calibration.signs import check_signs, contradictions
 from hil.calibration.synthetic import MOTIONS, hidden_robot, make_set
 from hil.cli import main
 from hil.recording.plain_csv import write_plain
@@ -34,6 +36,9 @@ CHANGES = {
     "steering (delta) had": lambda one: replace(one, steering_rad=-one.steering_rad),
     "the heading (theta) had": lambda one: mirrored(one, 1, 1, -1),
     "y and the heading (theta) had": lambda one: mirrored(one, 1, -1, -1),
+    "x had": lambda one: mirrored(one, -1, 1, 1),
+    "y had": lambda one: mirrored(one, 1, -1, 1),
+    "x and y were exchanged": lambda one: replace(one, truth_pose=one.truth_pose[:, [1, 0, 2]]),
     "half a turn": lambda one: replace(one, truth_pose=one.truth_pose + np.array([0, 0, np.pi])),
 }
 
@@ -84,6 +89,123 @@ def test_every_command_refuses_by_file(tmp_path, capsys, good, command):
     assert "wheel angles (phi)" in told
 
 
+@pytest.mark.parametrize("motion", ["circle_ccw", "circle_cw"])
+@pytest.mark.parametrize("words", [words for words in CHANGES if words != "half a turn"])
+def test_a_circle_on_its_own_tells_every_sign(good, motion, words):
+    one = next(one for one in good if one.motion == motion)
+    with pytest.raises(DataError, match=rf"^{one.name}: the wheels contradict .*{re.escape(words)}"):
+        check_signs([CHANGES[words](one)], Nominal())
+
+
+@pytest.mark.parametrize("command", ["evaluate", "calibrate", "tune"])
+def test_steering_of_the_wrong_sign_on_one_circle_is_refused_by_every_command(
+    tmp_path, capsys, good, command
+):
+    file = tmp_path / "circle_ccw_1.csv"
+    write_plain(
+        file, CHANGES["steering (delta) had"](next(one for one in good if one.motion == "circle_ccw"))
+    )
+    assert main([command, str(file)]) == 2
+    assert "would agree if the steering (delta) had the other sign" in capsys.readouterr().err
+
+
+def exchanged(one, order):
+    """A recording whose wheels stand in another order."""
+    names = ("wheel_angle_rad", "steering_rad", "wheel_rate_rad_s")
+    return replace(one, **{name: getattr(one, name)[:, order] for name in names})
+
+
+def one_wheel_back(one):
+    signs = np.array([-1, 1, 1, 1])
+    return replace(
+        one, wheel_angle_rad=one.wheel_angle_rad * signs, wheel_rate_rad_s=one.wheel_rate_rad_s * signs
+    )
+
+
+MIXED_UP = {
+    "front left and front right exchanged": lambda one: exchanged(one, [3, 1, 2, 0]),
+    "front left and back left exchanged": lambda one: exchanged(one, [1, 0, 2, 3]),
+    "one wheel with the other sign": one_wheel_back,
+    "one steering angle with the other sign": lambda one: replace(
+        one, steering_rad=one.steering_rad * (-1, 1, 1, 1)
+    ),
+    "a heading turned by a radian": lambda one: replace(
+        one, truth_pose=one.truth_pose + np.array([0, 0, 1.0])
+    ),
+}
+
+
+@pytest.mark.parametrize("change", MIXED_UP)
+def test_what_no_single_sign_explains_is_named_with_the_recording_and_by_how_much(good, change):
+    one = next(one for one in good if one.motion == "circle_cw")
+    wrong = MIXED_UP[change](one)
+    check_signs([wrong], Nominal())
+    (line,) = contradictions([wrong], CAD)
+    assert re.match(rf"{one.name}: from second to second the wheels miss \d+ % of the way or turning", line)
+    assert "look for wheels in another order" in line
+    (line,) = contradictions([*good, *(replace(wrong, name=f"again_{k}") for k in range(6))], CAD)
+    assert "(likewise, by less: again_1, again_2, again_3, again_4 and 1 more)" in line
+    assert contradictions(good, CAD) == []
+
+
+@pytest.mark.parametrize(
+    "spoilt", ["line_x_1", "line_y_1", "circle_ccw_1", "rotation_cw_1", "curl_1", "scan_1"]
+)
+@pytest.mark.parametrize("contact", ["viscous", "coulomb", "elastic"])
+def test_no_honest_recording_is_named(contact, spoilt):
+    robot = hidden_robot(9, contact=contact)
+    data = make_set(robot, 9, (*MOTIONS, "curl", "scan"), 1, corrupted=spoilt)
+    check_signs(data, Nominal())
+    assert contradictions(data, CAD) == []
+
+
+def test_a_long_rest_does_not_count(good):
+    """Ten minutes of noise before a drive are further than the drive."""
+    one = good[0]
+    rng, rest_s = np.random.default_rng(1), np.arange(0.0, 600.0, 0.02)
+    noise = rng.normal(0.0, (1e-3, 1e-3, 5e-3), (len(rest_s), 3))
+    still = np.repeat(one.wheel_angle_rad[:1], len(rest_s), axis=0)
+    long = replace(
+        one,
+        t_s=np.concatenate([rest_s, one.t_s - one.t_s[0] + 600.0]),
+        wheel_angle_rad=np.concatenate([still, one.wheel_angle_rad]),
+        steering_rad=np.concatenate([np.repeat(one.steering_rad[:1], len(rest_s), axis=0), one.steering_rad]),
+        wheel_rate_rad_s=np.concatenate([0.0 * still, one.wheel_rate_rad_s]),
+        truth_t_s=np.concatenate([rest_s, one.truth_t_s - one.t_s[0] + 600.0]),
+        truth_pose=np.concatenate([one.truth_pose[0] + noise, one.truth_pose]),
+    )
+    assert contradictions([long], CAD) == []
+
+
+@pytest.mark.parametrize("command", ["evaluate", "tune"])
+def test_the_commands_warn_of_wheels_in_another_order(tmp_path, capsys, good, command):
+    file = tmp_path / "circle_ccw_1.csv"
+    one = next(one for one in good if one.motion == "circle_ccw")
+    write_plain(file, exchanged(one, [3, 1, 2, 0]))
+    few = ["--evaluations", "2", "--parameter", "wheels.step_m"] if command == "tune" else []
+    assert main([command, str(file), "--json", *few]) == 0
+    told = capsys.readouterr()
+    (line,) = [w for w in json.loads(told.out)["warnings"] if "wheels in another order" in w]
+    assert line.startswith("circle_ccw_1: ")
+    assert f"warning: {line}" in told.err
+
+
+def test_a_calibration_that_explains_nothing_is_not_written(tmp_path, capsys, good):
+    """Exit code 1: a script takes 0 for a calibration that may be used."""
+    out = tmp_path / "calibration.toml"
+    files = [tmp_path / f"{one.name}.csv" for one in good]
+    for file, one in zip(files, good, strict=True):
+        write_plain(file, MIXED_UP["a heading turned by a radian"](one))
+    assert main(["calibrate", *map(str, files), "--no-validation", "--json", "--out", str(out)]) == 1
+    told = capsys.readouterr()
+    found = json.loads(told.out)
+    assert found["verdict"] == "FAIL"
+    assert any("no tolerance explains" in line for line in found["warnings"])
+    assert any("do not use it" in line for line in found["warnings"])
+    assert f"{out} is not written: the result does not explain the recordings" in told.err
+    assert not out.exists()
+
+
 def test_rates_against_the_angles_are_named(good):
     with pytest.raises(DataError, match=r"line_y_1: the wheel rates \(w\) have the other sign"):
         check_signs([replace(good[1], wheel_rate_rad_s=-good[1].wheel_rate_rad_s)], Nominal())
@@ -102,7 +224,9 @@ def test_no_robot_is_taken_for_one_with_a_wrong_sign(scale, contact):
 
 
 def test_the_real_recordings_have_no_wrong_sign(public_data):
-    check_signs(read_recordings([public_data]), Nominal())
+    data = read_recordings([public_data])
+    check_signs(data, Nominal())
+    assert contradictions(data, CAD) == []
 
 
 def test_a_fit_that_explains_nothing_says_so(good):

@@ -173,7 +173,7 @@ def test_what_is_hardly_a_number_is_named(tmp_path, run, cell):
     lines = path.read_text(encoding="utf-8").splitlines()
     lines[100] = ",".join([lines[100].split(",")[0], cell, *lines[100].split(",")[2:]])
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    with pytest.raises(DataError, match="line 101 holds text"):
+    with pytest.raises(DataError, match=f"line 101 holds text in the column phi1: '{cell}'"):
         read_plain(path)
 
 
@@ -287,6 +287,67 @@ def test_damaged_public_files_are_named(tmp_path):
     write_pair(tmp_path / "c", columns=False)
     with pytest.raises(DataError, match="lacks the columns"):
         read_recordings([tmp_path / "c"])
+
+
+def with_column(path, name, cell):
+    """Put one cell into a column of all rows of a public file."""
+    header, *rows = path.read_text().splitlines()
+    at = header.split(";").index(name)
+    rows = [";".join([*row.split(";")[:at], cell, *row.split(";")[at + 1 :]]) for row in rows]
+    path.write_text("\n".join([header, *rows]) + "\n")
+
+
+@pytest.mark.parametrize(
+    ("file", "column", "cell", "said"),
+    [
+        ("abs_3.csv", ".pose.position.x", "inf", r"holds 'inf', not a number"),
+        ("abs_3.csv", ".pose.position.y", "text", r"holds 'text', not a number"),
+        ("abs_3.csv", ".pose.position.x", "", r"holds '', not a number"),
+        ("abs_3.csv", "time", "noon", r"holds 'noon', not 6 numbers"),
+        ("odom_3.csv", ".position", "(1.0, 2.0)", r"holds '\(1\.0, 2\.0\)', not 8 numbers"),
+        ("odom_3.csv", ".velocity", "x" * 60, rf"holds '{'x' * 40}', not 8 numbers"),
+    ],
+)
+def test_a_column_of_a_public_file_that_cannot_be_read_is_named_with_its_row(
+    tmp_path, file, column, cell, said
+):
+    write_pair(tmp_path)
+    with_column(tmp_path / file, column, cell)
+    with pytest.raises(DataError, match=rf"{file}: 200 of 200 rows .* the first is line 2: {column} {said}"):
+        read_recordings([tmp_path])
+
+
+def test_a_row_of_a_public_file_with_other_fields_is_named(tmp_path):
+    write_pair(tmp_path, break_rows=range(100, 200))
+    with pytest.raises(DataError, match=r"100 of 200 rows .* line 102: it has 1 fields, its header 9"):
+        read_recordings([tmp_path])
+
+
+@pytest.mark.parametrize(("separator", "word"), [(",", "commas"), ("\t", "tabs")])
+def test_the_separator_of_a_public_file_is_named(tmp_path, separator, word):
+    write_pair(tmp_path)
+    path = tmp_path / "abs_3.csv"
+    path.write_text(path.read_text().replace(";", separator))
+    with pytest.raises(DataError, match=rf"abs_3\.csv: has {word} between .* expected semicolons"):
+        read_recordings([tmp_path])
+
+
+def test_the_column_without_numbers_is_named(tmp_path, run):
+    write_pair(tmp_path)
+    with_column(tmp_path / "abs_3.csv", ".pose.position.x", "-inf")
+    with pytest.raises(
+        DataError, match=r"only 0 .*ground-truth rows \(x holds no number in 200 of 200 rows\)"
+    ):
+        read_recordings([tmp_path])
+    path = tmp_path / "line_x_1.csv"
+    write_plain(path, run)
+    header, *rows = path.read_text().splitlines()
+    rows = [",".join([*row.split(",")[:2], "", *row.split(",")[3:]]) for row in rows]
+    path.write_text("\n".join([header, *rows]) + "\n")
+    with pytest.raises(
+        DataError, match=rf"wheel rows \(phi2 holds no number in {len(rows)} of {len(rows)} rows"
+    ):
+        read_recordings([path])
 
 
 def test_the_public_recordings_are_classified_and_read_whole(public_data):

@@ -195,6 +195,29 @@ def test_a_damaged_database_is_named(tmp_path, topics, capsys):
         assert "sqlite3 FILE .recover" in said
 
 
+@pytest.mark.parametrize("left", [0.3, 0.9, -5, -100])
+def test_where_a_cut_file_ends_is_named(bag, tmp_path, capsys, left):
+    """In its only chunk, in the index behind it, and in its last bytes."""
+    folder, topics = bag
+    (whole,) = folder.glob("*.mcap")
+    file = tmp_path / "line_x_2.mcap"
+    file.write_bytes(whole.read_bytes()[: left if left < 0 else int(left * whole.stat().st_size)])
+    assert main(["evaluate", str(file), "--topics", str(topics)]) == 2
+    said = capsys.readouterr().err
+    assert f"{file}: is not a readable rosbag2 recording (" in said
+    assert "recording ()" not in said
+    assert f"it ends at byte {file.stat().st_size}, within a record" in said
+    assert "mcap recover" in said
+
+
+def test_a_bag_whose_mapping_turns_one_wheel_back_is_warned_of(bag, capsys):
+    folder, topics = bag
+    topics.write_text(MAPPING.replace("[1, 1, -1, -1]", "[-1, 1, -1, -1]"))
+    code, table = hil("evaluate", folder, "--topics", topics)
+    assert code == 0
+    assert any("from second to second the wheels miss" in line for line in table["warnings"])
+
+
 def test_a_bag_with_a_broken_frame_tree_is_read_and_named(bag, caplog):
     folder, topics = bag
     store = get_typestore(Stores.ROS2_HUMBLE)
