@@ -43,6 +43,7 @@ servos:drop@0+10,probability=0.2     every fifth reply is lost, for ten seconds
 `hil run`, `hil live` and `hil emulate` take it as `--fault` (repeatable), the bench file as
 `[emulation] faults = ["imu:stuck@2+3"]`, a pytest test as `@pytest.mark.fault("imu", "stuck", at=2.0,
 duration=3.0)`. A run or a session that ends before its fault has begun says so, and a test fails.
+The same holds for a fault that begins only while the closing bench checks that the stopped robot is held.
 A fault that could do nothing, shorter than 1 ms or of probability 0, is refused.
 
 A path that ends in `.toml` is a timeline of several:
@@ -62,6 +63,14 @@ In virtual time it is the bench's clock; `hil emulate --await-start` lets it sta
 ready. Without a start a fault acts from the beginning, without a duration to the end. `reset`, and `jump`
 except of motion capture, act once, at the start. Of two faults of one kind on one device the one that
 began last counts.
+
+**How long a silent sensor is waited for.** As long as `fail_after_s` of its table in the bench file: 3 s
+for an IMU, 2 s for camera and motion capture, 1 s for encoders and load cells, unless you change it. Longer
+silence ends the drive, or the observation at rest, with `DeviceTimeoutError` (exit code 3). That is so in
+virtual time, at the wire, in a mix and on the real bench. In real time a port that has gone is opened again
+meanwhile, and a sensor that is back in time goes on. A procedure that catches the error goes on, too; then a
+note in `result.json` and in the report names the device and how long it was silent. Only a session of
+`hil live` that does not drive the robot waits longer: up to 10 s more.
 
 A fault that a device cannot produce, an unknown device or option is refused before anything opens. This page
 is written by `docs/make_fault_reference.py` from what the devices declare.

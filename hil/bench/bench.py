@@ -26,7 +26,7 @@ from hil.robot.kinematics import WheelGeometry
 from hil.robot.trajectories import Trajectory
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.collector import without_collector
-from hil.vocabulary.errors import ConfigError, check_number
+from hil.vocabulary.errors import ConfigError, DeviceError, check_number
 from hil.vocabulary.geometry import Array, ArrayLike
 from hil.vocabulary.interfaces import RUN_NOTE, Sink
 from hil.vocabulary.signals import CycleRecord, RobotState
@@ -58,6 +58,9 @@ class Bench(HeldRig):
         warnings: what was logged about this bench before the robot moved.
         tells_held: whether a warning is logged where it is left NOT HELD; whoever says so otherwise takes it
             back.
+        waits_for_sensors: whether a lost sensor is waited for beyond its `fail_after_s`, in real time: for
+            those who watch a robot that nobody drives. Said before it is entered.
+        lost: what devices failed of that ended one of its runs, in words.
         faults: planned for its emulated devices.
     """
 
@@ -265,6 +268,7 @@ class Bench(HeldRig):
         self._warn(emulated_hold(self.config))
         warm_up(brain, start.state)
         with ExitStack() as stack:
+            stack.push(self._lost_device)
             stack.enter_context(without_collector() if self.real_time is None else self.real_time)
             if drop_old:
                 self._hold.passed_over(self.rig.read(0))
@@ -277,6 +281,11 @@ class Bench(HeldRig):
                 self._hold.stopped(brain.supervisor.doubted, brain.supervisor.agreed)
                 if start.trajectory is not None:
                     self._left = self._hold.last_state
+
+    def _lost_device(self, _: object, error: BaseException | None, __: object) -> None:
+        """Keep what a device failed of; the error goes on."""
+        if isinstance(error, DeviceError):
+            self.lost.append(str(error))
 
     def _until_tilted(self, until: Until) -> Until:
         """The same, which judges the tilt once more, as soon as the IMU has told enough of it in this run."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from types import TracebackType
 from typing import TypeVar
@@ -15,10 +15,10 @@ from hil.bench.by_need import by_need
 from hil.bench.hanging import Hanging
 from hil.bench.held import Held
 from hil.bench.holding import HoldWatch
-from hil.bench.not_begun import not_begun
+from hil.bench.not_begun import not_begun, not_begun_in_words
 from hil.bench.pressing import press_watch
 from hil.bench.replug import replugged
-from hil.bench.settings import can_fall
+from hil.bench.settings import can_fall, fail_limits
 from hil.bench.tilt import TiltWatch
 from hil.bench.wheel_feed import wheel_feed
 from hil.config.bench import BenchConfig
@@ -46,6 +46,9 @@ class HeldRig(Blueprint):
         held: how the robot was left; known from `close` on, None where no device was opened.
         tells_held: whether a warning is logged where it is left NOT HELD; whoever says so otherwise takes it
             back.
+        waits_for_sensors: whether a lost sensor is waited for beyond its `fail_after_s`, in real time: for
+            those who watch a robot that nobody drives. Said before it is entered.
+        lost: what devices failed of that ended one of its runs, in words.
         faults: planned for its emulated devices.
     """
 
@@ -68,10 +71,13 @@ class HeldRig(Blueprint):
         self.clock, self.rig = clock, rig
         self.held: Held | None = None
         self.tells_held = True
+        self.waits_for_sensors = False
+        self.lost: list[str] = []
         self.faults = faults
         self._is_open = False
         self._begun_ns: int | None = None
         self._closed_ns: int | None = None
+        self._looked_ns: int | None = None
         self.pressed = ""
         self._tilt = TiltWatch(config)
         self._hold = HoldWatch(
@@ -92,7 +98,8 @@ class HeldRig(Blueprint):
     def __enter__(self: Opened) -> Opened:
         try:
             self.begin()
-            self.rig.sensors = replugged(self.rig.sensors, self.clock)
+            limits = None if self.waits_for_sensors else fail_limits(self.config)
+            self.rig.sensors = replugged(self.rig.sensors, self.clock, limits)
             self.rig.open()
         except BaseException as error:
             self.held = self._hold.unseen(f"the bench did not open ({type(error).__name__})")
@@ -130,7 +137,8 @@ class HeldRig(Blueprint):
                 if self.config.exit.policy == "release" and not self._steeper():
                     self.rig.servos.release()
                     self.held = self._hold.released()
-                self._note(self.clock.now_ns(), HELD_NOTE, self.held.to_json())
+                self._looked_ns = self.clock.now_ns()
+                self._note(self._looked_ns, HELD_NOTE, self.held.to_json())
                 if self.tells_held and self.held.lost:
                     LOG.warning("bench %s: the robot is left %s", self.config.name, self.held)
         finally:
@@ -163,14 +171,25 @@ class HeldRig(Blueprint):
     @property
     def world_ns(self) -> int:
         """How far the emulated world has come, by which faults begin; until the bench was closed."""
+        return self._since_begun_ns(self._closed_ns)
+
+    @property
+    def looked_ns(self) -> int:
+        """The same until the look at the stopped robot was over; never less than `world_ns`."""
+        return self._since_begun_ns(self._closed_ns if self._looked_ns is None else self._looked_ns)
+
+    def _since_begun_ns(self, ended_ns: int | None) -> int:
         if self._begun_ns is None:
             return 0
-        ended_ns = self.clock.now_ns() if self._closed_ns is None else self._closed_ns
-        return ended_ns - self._begun_ns
+        return (self.clock.now_ns() if ended_ns is None else ended_ns) - self._begun_ns
 
     def faults_not_begun(self) -> tuple[str, ...]:
-        """Specs of the planned faults that the world has not come to."""
+        """Specs of the planned faults that the world had not come to when the bench was closed."""
         return not_begun(self.faults, self.world_ns)
+
+    def not_begun_in_words(self, specs: Sequence[str]) -> str:
+        """One line about some of `faults_not_begun`."""
+        return not_begun_in_words(specs, self.world_ns, self.looked_ns)
 
     def on_close(self, callback: Callable[[], object]) -> None:
         """Have something else ended together with the bench, after the devices."""

@@ -187,7 +187,10 @@ class HoldWatch(Sink):
                 by = {*self._believed(seen), *places}
                 rests = ", ".join(kinds()[name].noun for name in seen if name in by)
                 pressed = self._press.in_words(hold.t_ns)
-                return self._verdict("HELD", f"torque on, at rest by {rests}{pressed}{late}", seen)
+                tether = self._on_wall and not (self._can_fall or places or self._press.feels(hold.t_ns))
+                by_tether = "; on its tether, so nobody has to see whether it slides" if tether else ""
+                why = f"torque on, at rest by {rests}{pressed}{by_tether}{late}"
+                return self._verdict("HELD", why, seen)
             if self._clock.now_ns() >= end_ns:
                 return self._verdict("NOT HELD", doubt + late, seen)
             self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)

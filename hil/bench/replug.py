@@ -1,8 +1,9 @@
 """Sensors that come back: a port that has gone is opened again while the run goes on.
 
-Opening takes up to seconds, so it happens in a thread, and only on the host's clock. Meanwhile the sensor
-delivers nothing, and the supervisor stops a robot that follows a reference (`Checks.lost_after_s`). In
-virtual time nobody can wait: there a lost sensor is an error.
+Opening takes up to seconds, so it happens in a thread, and only on the host's clock: ports of virtual time
+come back by themselves. Meanwhile the sensor delivers nothing. A sensor that is silent for longer than its
+`fail_after_s` is an error, in virtual time and in real time alike, so that a procedure ends the same in both.
+Only who watches a robot that nobody drives, as `hil live` may, waits longer.
 """
 
 from __future__ import annotations
@@ -37,11 +38,21 @@ class Replaceable(Protocol):
         """As `open`, but samples go on counting and what the device counted from anew is marked."""
 
 
-def replugged(sensors: Mapping[str, Sensor[Any]], clock: Clock) -> dict[str, Sensor[Any]]:
-    """Sensors by kind, those that can come back behind a `Replugged`; in virtual time just as they are."""
+def replugged(
+    sensors: Mapping[str, Sensor[Any]], clock: Clock, fail_after_s: Mapping[str, float] | None = None
+) -> dict[str, Sensor[Any]]:
+    """Those sensors that can come back behind a `Replugged`; in virtual time just as they are.
+
+    Args:
+        sensors: by kind.
+        clock: the bench clock.
+        fail_after_s: by kind, the silence that is an error, s; every sensor is waited for where it is None.
+    """
     real_time = clock.wall_offset() is not None
+    waits = fail_after_s is None
+    limits = fail_after_s or {}
     return {
-        name: Replugged(sensor, clock)
+        name: Replugged(sensor, clock, limits.get(name, PATIENCE_S), waits=waits)
         if real_time and isinstance(sensor, Replaceable) and not isinstance(sensor, Replugged)
         else sensor
         for name, sensor in sensors.items()
@@ -55,10 +66,14 @@ class Replugged(Sensor[S]):
         driver: of the sensor; a `Replaceable`.
         clock: the bench clock, in real time.
         patience_s: how long it may be away.
+        waits: whether it is waited for although its driver has given it up, too; else that error is raised,
+            and only a port that has gone is opened again.
     """
 
-    def __init__(self, driver: Sensor[S], clock: Clock, patience_s: float = PATIENCE_S) -> None:
-        self.name = driver.name
+    def __init__(
+        self, driver: Sensor[S], clock: Clock, patience_s: float = PATIENCE_S, *, waits: bool = True
+    ) -> None:
+        self.name, self._waits = driver.name, waits
         self._driver, self._clock, self._patience_ns = driver, clock, nanoseconds(patience_s)
         self._worker: threading.Thread | None = None
         self._ended = threading.Event()
@@ -91,11 +106,15 @@ class Replugged(Sensor[S]):
         """
         if self._worker is not None:
             if self._worker.is_alive():
+                if not self._waits and self._away_ns > self._patience_ns:
+                    raise self._given_up("it is still being opened", expected="", remedy="check its cable")
                 return ()
             self._finish()
         try:
             samples = self._driver.read()
         except DeviceError as error:
+            if not self._waits:
+                raise
             self._begin(error)
             return ()
         if cast("Replaceable", self._driver).port_gone:
@@ -117,7 +136,7 @@ class Replugged(Sensor[S]):
                 driver.reopen()
                 return
             except Exception as error:  # of a library that lost its device: whatever it raises is no end
-                if self._clock.now_ns() - self._lost_ns > self._patience_ns:
+                if self._away_ns > self._patience_ns:
                     self._failure = error if isinstance(error, HilError) else HilError(repr(error))
                     return
             self._ended.wait(_PAUSE_S)
@@ -125,16 +144,20 @@ class Replugged(Sensor[S]):
     def _finish(self) -> None:
         """Go on with a device that is back; raises for one that is not."""
         self._worker = None
-        away_s = (self._clock.now_ns() - self._lost_ns) / NS_PER_S
         if self._failure is None:
-            LOG.warning("%s is back after %.2f s", self.name, away_s)
+            LOG.warning("%s is back after %.2f s", self.name, self._away_ns / NS_PER_S)
             return
         failure = self._failure
+        raise self._given_up(failure.message, expected=failure.expected, remedy=failure.remedy)
+
+    @property
+    def _away_ns(self) -> int:
+        return self._clock.now_ns() - self._lost_ns
+
+    def _given_up(self, why: str, *, expected: str, remedy: str) -> DeviceTimeoutError:
         lost = "" if self._loss is None else getattr(self._loss, "message", str(self._loss))
-        raise DeviceTimeoutError(
-            self.name, f"{lost}; it did not come back within {away_s:.0f} s ({failure.message})",
-            expected=failure.expected, remedy=failure.remedy,
-        )  # fmt: skip
+        said = f"{lost}; it did not come back within {self._away_ns / NS_PER_S:.1f} s ({why})"
+        return DeviceTimeoutError(self.name, said, expected=expected, remedy=remedy)
 
     def _end(self) -> None:
         self._ended.set()

@@ -146,10 +146,16 @@ def motion_check(config: BenchConfig, geometry: WheelGeometry) -> MotionCheck:
 def _lost_after_s(config: BenchConfig) -> dict[str, float]:
     """By sensor whose silence matters: after what silence its driver would have raised, and a little more."""
     limits = safety_limits(config).stale_s
+    fails = fail_limits(config).items()
+    return {name: fail_s + _LONGER_THAN_DRIVER_S for name, fail_s in fails if name in limits}
+
+
+def fail_limits(config: BenchConfig) -> dict[str, float]:
+    """By sensor that has one: the silence that its driver raises for, s."""
     return {
-        name: own.fail_after_s + _LONGER_THAN_DRIVER_S
+        name: own.fail_after_s
         for name, own in config.devices().items()
-        if name in limits and not kinds()[name].actuates and hasattr(own, "fail_after_s")
+        if not kinds()[name].actuates and hasattr(own, "fail_after_s")
     }
 
 

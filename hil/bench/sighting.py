@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Collection, Mapping
 
@@ -16,6 +17,8 @@ JOINTS = "servos"
 """The kind that tells angles of joints, and no place."""
 _LEAST = 4
 _FRESH_NS = nanoseconds(0.05)
+_FINE_M = 0.001
+"""Who sees a robot at rest move by no more than this tells any way; who is coarser only one beyond that."""
 _MEAN_OF = 5
 """Sightings that are averaged against a camera's noise: 25 ms of it."""
 
@@ -65,6 +68,11 @@ class Travel:
 
     def __init__(self, witnesses: Mapping[str, Witness], radius_m: float) -> None:
         self._radius_m = radius_m
+        self._coarse_m = {
+            name: witness.still
+            for name, witness in witnesses.items()
+            if witness.is_place and witness.still > _FINE_M
+        }
         self._latest: dict[str, deque[tuple[int, Array]]] = {
             name: deque(maxlen=_MEAN_OF)
             for name, witness in witnesses.items()
@@ -119,13 +127,17 @@ class Travel:
         self._farthest_m[name] = max(self._farthest_m.get(name, 0.0), moved_m)
 
     def moved_m(self, believed: Collection[str], *, slides: bool) -> float | None:
-        """Farthest that anybody says it went; None where nobody can tell.
+        """Farthest that anybody says it went; None where nobody can tell, or the way is within the noise.
 
         Args:
             believed: whose word counts.
             slides: whether it may move without its wheels, so that they alone tell nothing.
         """
-        told = {name: moved_m for name, moved_m in self._farthest_m.items() if name in believed}
+        told = {
+            name: moved_m
+            for name, moved_m in self._farthest_m.items()
+            if name in believed and moved_m > self._coarse_m.get(name, -math.inf)
+        }
         if slides and not told.keys() - {JOINTS}:
             return None
         return max(told.values(), default=None)

@@ -12,7 +12,6 @@ import numpy as np
 
 from hil.bench import Bench
 from hil.bench.held import untouched
-from hil.bench.not_begun import not_begun_in_words
 from hil.bench.settings import motion_limits
 from hil.live.commands import CommandLines
 from hil.live.lateness import LateWarning, advice
@@ -94,6 +93,7 @@ class LiveSession:
         self._late = LateWarning(bench.config.loop.rate_hz, self._burdens)
         self._last: CycleRecord | None = None
         self._velocity: VelocityReference | None = None
+        bench.waits_for_sensors = not self._moving
         here = np.array(bench.config.environment.start_pose, dtype=np.float64)
         warm_up(self._brain(_standing(here) if self._moving else None), self.bench.start_state(here))
 
@@ -128,7 +128,7 @@ class LiveSession:
         }
         if missed := bench.faults_not_begun():
             found["faults_not_begun"] = list(missed)
-            found["note"] = not_begun_in_words(missed, bench.world_ns)
+            found["note"] = bench.not_begun_in_words(missed)
         if said := advice(bench.statistics.summary(), bench.config.loop.rate_hz, self._burdens):
             found["advice"] = said
         if bench.real_time is not None:

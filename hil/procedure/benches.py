@@ -44,7 +44,10 @@ class RunBenches(Notebook):
         source: which bench, to open it again (`reopen`) or in another process.
         guard: ends a loop that runs too long, or when a signal came.
         left: how the benches that were closed left the robot.
-        world_ns: how far the emulated world has come; of several, the one that has come farthest.
+        world_ns: how far the emulated world has come when its bench was closed; of several, the one that has
+            come farthest.
+        looked_ns: the same when the look at the stopped robot was over.
+        lost: devices that ended runs of the loop, in words.
     """
 
     def __init__(
@@ -75,7 +78,8 @@ class RunBenches(Notebook):
         self._bench_name = ""
         self._left_behind = False
         self.left = LeftBenches(journal, self.guard, past_held, past)
-        self.world_ns = 0
+        self.world_ns = self.looked_ns = 0
+        self.lost: list[str] = []
 
     @property
     def seed(self) -> int:
@@ -168,9 +172,13 @@ class RunBenches(Notebook):
                     self._note_lost(warning)
 
     def _leave(self, bench: Bench) -> None:
-        self.world_ns = max(self.world_ns, bench.world_ns)
+        self._came(bench.world_ns, bench.looked_ns)
+        self.lost += bench.lost
         if bench.held is not None:
             self.left.add(self._bench_name, bench.held, tethered=bench.config.safety.tethered)
+
+    def _came(self, world_ns: int, looked_ns: int) -> None:
+        self.world_ns, self.looked_ns = max(self.world_ns, world_ns), max(self.looked_ns, looked_ns)
 
     def at_once(self, errands: Sequence[Errand[Result]], workers: Workers) -> Generator[Result, None, None]:
         """Drive benches in worker processes. The run's own bench, if it is open, stays as it is.
@@ -213,7 +221,8 @@ class RunBenches(Notebook):
 
     def _take_over(self, found: Driven, name: str) -> None:
         self.guard.add(found.driven_s)
-        self.world_ns = max(self.world_ns, found.world_ns)
+        self._came(found.world_ns, found.looked_ns)
+        self.lost += found.failed
         self._hold_history.follow(found.hold)
         self._path_history.follow(found.path)
         if found.pressed and self.left.held is None:

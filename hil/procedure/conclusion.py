@@ -81,7 +81,9 @@ def conclude(
     return Result(proc.name, verdict, context.folder, rows, facts, error, tuple(late))
 
 
-def facts_of(proc: Procedure, context: Context, past: PastRun | None, wall_s: float) -> dict[str, Any]:
+def facts_of(
+    proc: Procedure, context: Context, past: PastRun | None, wall_s: float, error: Failure | None
+) -> dict[str, Any]:
     """What `result.json` tells beside verdict and measurements.
 
     Args:
@@ -89,6 +91,7 @@ def facts_of(proc: Procedure, context: Context, past: PastRun | None, wall_s: fl
         context: as the body left it.
         past: the interrupted run that this one goes on with.
         wall_s: how long the body and the teardown took, in s.
+        error: what ended the body early; another device that failed is told in a note.
     """
     from hil.bench import planned_faults
     from hil.vocabulary.versions import versions
@@ -97,7 +100,9 @@ def facts_of(proc: Procedure, context: Context, past: PastRun | None, wall_s: fl
     missed: tuple[str, ...] = ()
     if past is None:  # of a run that was cut off nobody has kept how far its world had come
         missed = not_begun(planned_faults(source.config, source.faults), context.world_ns)
-    told = [not_begun_in_words(missed, context.world_ns)] if missed else []
+    told = [not_begun_in_words(missed, context.world_ns, context.looked_ns)] if missed else []
+    known = "" if error is None else error.message
+    told += [f"A drive or a watch was ended early: {s}" for s in dict.fromkeys(context.lost) if s != known]
     return {
         "summary": proc.summary,
         "headline": proc.said(findings.values),

@@ -62,7 +62,7 @@ class Driven:
         pressed: as of the bench.
         held: how the bench left the robot; None where no device was opened.
         tethered: the robot was on a tether.
-        world_ns: how far the bench's emulated world has come.
+        world_ns, looked_ns, failed: as `world_ns`, `looked_ns` and `lost` of the bench.
         hold, path: what the figures of every report are drawn from.
         lost: why there is no recording, or only a part of it; empty if it is whole or none was wanted.
         objection: what the run has to end with for it.
@@ -75,6 +75,8 @@ class Driven:
     held: Held | None
     tethered: bool
     world_ns: int
+    looked_ns: int
+    failed: tuple[str, ...]
     hold: HoldHistory
     path: PathHistory
     lost: str
@@ -99,7 +101,7 @@ def driven(sent: Sent[Any]) -> Driven:
         recorder, lost = _recorder(sent, bench)
     except DataError as refused:
         bench.close()
-        return Driven(None, refused, 0.0, "", bench.held, tethered, 0, hold, path, "", None)
+        return Driven(None, refused, 0.0, "", bench.held, tethered, 0, 0, (), hold, path, "", None)
     for sink in (hold, path) if recorder is None else (recorder, hold, path):
         bench.add_sink(sink)
     try:
@@ -117,8 +119,8 @@ def driven(sent: Sent[Any]) -> Driven:
         if recorder.shortfall:
             lost = f"{recorder.path.name} is not complete: {recorder.shortfall}"
     return Driven(
-        result, error, driven_s, bench.pressed, bench.held, tethered, bench.world_ns, hold, path, lost,
-        objection,
+        result, error, driven_s, bench.pressed, bench.held, tethered, bench.world_ns, bench.looked_ns,
+        tuple(bench.lost), hold, path, lost, objection,
     )  # fmt: skip
 
 

@@ -128,7 +128,7 @@ def _recorded_run(
         wall_s = (options.clock.now_ns() - begin_ns) / NS_PER_S
         late += not_held(context, error or next(iter(late), None))
         kept = _learnt(proc, context, declared, error, late)
-        facts = facts_of(proc, context, past, wall_s) | {"loop": statistics, "record": kept}
+        facts = facts_of(proc, context, past, wall_s, error) | {"loop": statistics, "record": kept}
         result = _kept(conclude(proc, context, declared, error, late, facts))
         with suppress(RecordingError):
             journal.add("end", {"verdict": result.verdict.value})

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from hil.bench.not_begun import not_begun_in_words
 from hil.pytest_plugin import NOT_HELD, NotHeldWarning
 from hil.pytest_plugin.selection import faults_of, source_of
 from hil.vocabulary.errors import UsageError
@@ -64,7 +63,7 @@ def _vacuous(item: pytest.Item, bench: Bench) -> list[str]:
     if not missed:
         return []
     error = UsageError(
-        f"the test has passed without what it is about: {not_begun_in_words(missed, bench.world_ns)}",
+        f"the test has passed without what it is about: {bench.not_begun_in_words(missed)}",
         expected="a time `at` within the test, in seconds since the world began",
         remedy="begin earlier, or drive or observe for longer",
     )

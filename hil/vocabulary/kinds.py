@@ -169,7 +169,8 @@ class Witness:
     Attributes:
         still: by how much `value` may seem to change, within 0.2 s, while the robot rests.
         value: (k,) from a sample; None where it cannot be used.
-        is_place: whether `value` is a position in m, which says how far the robot went.
+        is_place: whether `value` is a position in m, which says how far the robot went; where `still` is more
+            than a millimetre, only a way of more than `still`.
     """
 
     still: float

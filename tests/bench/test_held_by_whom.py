@@ -12,6 +12,7 @@ from hil.devices.servos import KIND as SERVO_KIND
 from hil.devices.tracker import KIND as CAMERA_KIND
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import SafetyStop
+from hil.vocabulary.kinds import Witness
 
 CLIMB = line((0, 0, 0), (0.4, 0, 0), duration_s=8.0)
 HOP = line((0, 0, 0), (0.12, 0, 0), duration_s=2.4)
@@ -34,6 +35,32 @@ def left(*faults, without=(), seed=5, feedback="ekf", way=CLIMB, **overrides):
     bench.clock.sleep_until_ns(bench.clock.now_ns() + 300_000_000)
     later = bench.truth().pose_body_in_wall.copy()
     return bench.held, stop, math.dist(there[:2], stopped[:2]), math.dist(later[:2], there[:2]) / 0.3
+
+
+def test_on_a_tether_nobody_has_to_see_a_slide_and_the_word_says_so():
+    blind = ("tracker", "mocap", "adhesion", "load_cells", "thrust")
+    said = "; on its tether, so nobody has to see whether it slides"
+    with hil.open_bench("emulated", seed=1, overrides=dict.fromkeys(blind) | TETHER) as bench:
+        bench.rig.actuators().enable()
+    assert bench.held.state == "HELD"
+    assert said in bench.held.why
+    with hil.open_bench("emulated", seed=1, overrides=TETHER) as bench:
+        bench.rig.actuators().enable()
+    assert bench.held.state == "HELD"
+    assert said not in bench.held.why
+
+
+@pytest.mark.parametrize(("still", "moved_m"), [(0.001, 0.007), (0.008, None)])
+def test_a_way_within_the_noise_of_a_coarse_sensor_is_none(still, moved_m):
+    witness = Witness(still=still, value=lambda sample: sample, is_place=True)
+    travel = Travel({"rangefinder": witness}, radius_m=0.025)
+    travel.saw("rangefinder", 0, np.zeros(1))
+    for t_ns in range(1, 6):
+        travel.saw("rangefinder", t_ns, np.full(1, 0.007))
+    assert travel.moved_m(["rangefinder"], slides=True) == pytest.approx(moved_m)
+    for t_ns in range(6, 11):
+        travel.saw("rangefinder", t_ns, np.full(1, 0.02))
+    assert travel.moved_m(["rangefinder"], slides=True) == pytest.approx(0.02)
 
 
 @pytest.mark.parametrize("plant", ["own", "mujoco"])

@@ -9,8 +9,11 @@ import pytest
 
 import hil
 from hil.bench.replug import Replugged, replugged
+from hil.bench.settings import fail_limits
 from hil.cli import main
+from hil.config.loading import load_bench
 from hil.fakes.world import VirtualClock
+from hil.live import LivePlan, LiveSession
 from hil.recording.mcap_reader import read_cycles
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
@@ -126,7 +129,61 @@ def test_closing_ends_the_waiting(plug):
     assert threading.active_count() == before
 
 
-def test_in_virtual_time_a_lost_sensor_is_an_error(plug, encoder_world):
+class Hands(MonotonicClock):
+    """A clock of a test: it stands until it is put on."""
+
+    def __init__(self):
+        self.t_ns = 0
+
+    def now_ns(self):
+        return self.t_ns
+
+
+def test_where_nobody_waits_a_driver_that_gives_up_ends_the_run_in_its_own_words(plug):
+    before = threading.active_count()
+    sensor = replugged({"plug": plug}, CLOCK, {"plug": 2.0})["plug"]
+    sensor.open()
+    plug.plugged = False
+    with pytest.raises(DeviceTimeoutError, match="plug: silent"):
+        sensor.read()
+    assert threading.active_count() == before
+    sensor.close()
+
+
+def test_where_nobody_waits_a_port_that_has_gone_is_opened_again_until_its_limit(plug):
+    clock = Hands()
+    sensor = replugged({"plug": plug}, clock, {"plug": 2.0})["plug"]
+    sensor.open()
+    plug.port_gone, plug.raises = True, DeviceError
+    assert len(sensor.read()) == 1
+    assert wait_for(sensor.read)  # it was back at once
+    held_back, plug.reopen = threading.Event(), lambda: held_back.wait(5.0)
+    plug.port_gone = True
+    sensor.read()
+    clock.t_ns = 2_000_000_000
+    assert sensor.read() == ()
+    clock.t_ns = 2_100_000_000
+    with pytest.raises(DeviceTimeoutError, match=r"port has gone; it did not come back within 2\.1 s"):
+        sensor.read()
+    held_back.set()
+    sensor.close()
+
+
+@pytest.mark.parametrize("plan", [LivePlan(), LivePlan(trajectory=lambda _: None)])
+def test_who_only_watches_waits_and_who_drives_does_not(plan):
+    bench = hil.open_bench("emulated_floor")
+    assert not bench.waits_for_sensors
+    LiveSession(bench, plan)
+    assert bench.waits_for_sensors is (plan.trajectory is None)
+    bench.close()
+
+
+def test_the_limits_of_a_bench_are_those_of_its_drivers():
+    limits = fail_limits(load_bench("emulated", overrides={"encoders.fail_after_s": 1.5}))
+    assert limits == {"encoders": 1.5, "imu": 3.0, "tracker": 2.0, "mocap": 2.0, "load_cells": 1.0}
+
+
+def test_in_virtual_time_sensors_are_as_they_are(plug, encoder_world):
     sensors = {"plug": plug}
     assert replugged(sensors, VirtualClock(encoder_world)) == sensors
     again = replugged(replugged(sensors, CLOCK), CLOCK)

@@ -200,6 +200,27 @@ def test_times_of_numpy(bench):
 """
 
 
+DURING_THE_LOOK = """
+import pytest
+
+@pytest.mark.fault("plant", "adhesion_loss", at=0.8)
+@pytest.mark.fault("imu", "off", at=1000)
+def test_that_only_enables(bench):
+    bench.rig.actuators().enable()
+"""
+
+
+def test_a_fault_that_began_during_the_look_is_told_as_such(pytester):
+    result, _ = run(pytester, DURING_THE_LOOK, "-rA")
+    result.stdout.fnmatch_lines([
+        "*fault plant:adhesion_loss@0.8 began only after the stop, at 0.80 s of world time, while the bench "
+        "checked that the robot is held: the bench was closed at 0.4* s of world time, so that nothing that "
+        "was done has met it; fault imu:off@1000 never acted: the bench was closed at 0.4* s of world time, "
+        "before it began*",
+    ])  # fmt: skip
+    assert "adhesion_loss@0.8 never acted" not in result.stdout.str()
+
+
 def test_a_fault_that_has_no_part_in_its_test_is_an_error(pytester):
     result, _ = run(pytester, FAULTS, "-rA")
     said = result.stdout.str()

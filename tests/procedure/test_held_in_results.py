@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+from contextlib import suppress
 
 import pytest
 
@@ -17,6 +18,7 @@ from hil.report import run_page
 from hil.report.run_page import write_run_page
 from hil.robot.trajectories import line
 from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import DeviceTimeoutError
 
 
 @procedure(name="climb", needs=("servos",), measurements=(Measurement("last", "1"),))
@@ -66,6 +68,33 @@ def test_a_fault_that_the_run_ended_before_is_named(tmp_path, capsys, caplog, op
     if missed:
         assert "fault imu:off@1000 never acted: the bench was closed at " in notes[0]
         assert "imu:off@1000 never acted" in write_run_page(tmp_path / "run").read_text()
+
+
+@procedure(name="goes_on", needs=("servos",), measurements=(Measurement("seen", "1"),))
+def goes_on(ctx):
+    """Catches what a lost sensor raises, and measures all the same."""
+    with suppress(DeviceTimeoutError):
+        ctx.bench.observe(5.0)
+    ctx.measure("seen", 1.0)
+
+
+def test_a_procedure_that_goes_on_after_a_lost_sensor_passes_only_with_a_note(tmp_path):
+    source = BenchSource("emulated_floor", seed=1, faults=("imu:off@0.6",))
+    result = run_procedure(goes_on, source, RunOptions(tmp_path / "run", MonotonicClock(), "now", {}))
+    tree = json.loads((result.folder / "result.json").read_text())
+    assert tree["verdict"] == "PASS"
+    (note,) = tree["notes"]
+    assert note.startswith("A drive or a watch was ended early: imu at hil://imu-")
+    assert "nothing usable for 3." in note
+    assert "nothing usable for 3." in write_run_page(tmp_path / "run").read_text()
+
+
+def test_a_lost_sensor_that_ends_the_run_is_told_once(tmp_path):
+    source = BenchSource("emulated_floor", seed=1, faults=("imu:off@0.6",))
+    result = run_procedure(climb, source, RunOptions(tmp_path / "run", MonotonicClock(), "now", {}))
+    tree = json.loads((result.folder / "result.json").read_text())
+    assert (tree["verdict"], tree["notes"]) == ("ERROR", [])
+    assert "imu" in tree["error"]["message"]
 
 
 def test_a_robot_on_the_floor_needs_nobody(tmp_path):
