@@ -23,7 +23,7 @@ ON_A_CLOCK = (
     ("real_time", *SIDE_BY_SIDE, "-m", "not long and real_time", *files(*REAL_TIME, *WIRED)),
     ("alone", "-m", "not long and alone", *files(*ALONE)),
 )
-HANGING = ("-o", "faulthandler_timeout=400", "-o", "faulthandler_exit_on_timeout=true")
+HANGING = ("-o", "faulthandler_timeout=960", "-o", "faulthandler_exit_on_timeout=true")
 """A test that no signal reaches, in code of a library say, ends its process and is named as failed."""
 _LOOK_S = 0.5
 
