@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from hil.bench.drivers import make_rig
-from hil.bench.off_the_wall import DEVICE, duty_n, fan_of, must_be_enough
+from hil.bench.off_the_wall import DEVICE, STEP_NS, WATCH_S, duty_n, fan_of, must_be_enough
 from hil.bench.settings import force_wanted_n
 from hil.config.adhesion import AdhesionConfig, MotorConfig
 from hil.config.bench import BenchConfig
@@ -37,8 +37,6 @@ __all__ = [
     "switch_on",
 ]
 
-_STEP_NS = nanoseconds(0.02)
-_WATCH_S = 2.0
 _NEAR, _STEADY_NS, _TELL_NS = 0.05, nanoseconds(0.5), nanoseconds(1.0)
 
 Say = Callable[[str], None]
@@ -145,7 +143,7 @@ def switch_on(
                 if now_ns - told_ns > _TELL_NS:
                     told_ns = now_ns
                     say(f"{newest.speed_rpm:.0f} 1/min, good for {is_n:.1f} N")
-            clock.sleep_until_ns(now_ns + _STEP_NS)
+            clock.sleep_until_ns(now_ns + STEP_NS)
         raise _not_reached(newest, f"{wanted_n:g} N" if duty is None else f"duty {duty:g}", wait_s)
 
 
@@ -169,14 +167,14 @@ def _must_be_free(spec: Spec) -> None:
 
 def _first_report(fan: Any, clock: MonotonicClock) -> Any:
     """A good sample of the fan, as soon as there is one; raises `DeviceError` where none comes."""
-    end_ns = clock.now_ns() + nanoseconds(_WATCH_S)
+    end_ns = clock.now_ns() + nanoseconds(WATCH_S)
     while clock.now_ns() < end_ns:
         good = [sample for sample in fan.read() if worst(sample) is SampleStatus.OK]
         if good:
             return good[-1]
-        clock.sleep_until_ns(clock.now_ns() + _STEP_NS)
+        clock.sleep_until_ns(clock.now_ns() + STEP_NS)
     raise DeviceError(
-        DEVICE, f"no usable report of its speed for {_WATCH_S:g} s: nothing was changed",
+        DEVICE, f"no usable report of its speed for {WATCH_S:g} s: nothing was changed",
         expected="how fast the fan turns, before it is given another set-point",
         remedy="`hil doctor` examines its controller",
     )  # fmt: skip

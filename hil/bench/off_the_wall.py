@@ -18,7 +18,8 @@ from hil.vocabulary.errors import ConfigError, UsageError
 from hil.vocabulary.signals import Status, worst
 
 DEVICE = "adhesion"
-_WATCH_S, _STEP_NS = 2.0, nanoseconds(0.02)
+WATCH_S, STEP_NS = 2.0, nanoseconds(0.02)
+"""For how long, and how often, a device is asked outside any run."""
 _AS_NOW = 0.95
 """Share of the present force from which on a set-point is none that lowers it."""
 _LEVEL_RAD = math.radians(15.0)
@@ -124,8 +125,8 @@ def seen_off_the_wall(config: BenchConfig) -> str:
 def _watched(device: Any, clock: MonotonicClock) -> list[Any]:
     """Good samples of a while."""
     samples: list[Any] = []
-    end_ns = clock.now_ns() + nanoseconds(_WATCH_S)
+    end_ns = clock.now_ns() + nanoseconds(WATCH_S)
     while clock.now_ns() < end_ns:
         samples += device.read()
-        clock.sleep_until_ns(clock.now_ns() + _STEP_NS)
+        clock.sleep_until_ns(clock.now_ns() + STEP_NS)
     return [s for s in samples if worst(s) is Status.OK]

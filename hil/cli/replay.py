@@ -172,6 +172,8 @@ def _show(bench: Blueprint, run: RecordedRun, motions: dict[str, Motion], view: 
 
 
 def _text(result: dict[str, Any]) -> str:
+    from hil.vocabulary.reading import printable
+
     if "runs" in result:
         lines = [
             f"run {i}: {r['cycles']} cycles, {r['difference'] or 'identical in ' + ', '.join(r['verified'])}"
@@ -182,8 +184,6 @@ def _text(result: dict[str, Any]) -> str:
         ]
         return "\n".join(lines)
     head = " ".join(f"{title:>9}" for _, title, _ in _COLUMNS)
-    from hil.vocabulary.reading import printable
-
     width = max(12, *map(len, result["estimators"]))
     lines = [f"{'estimator':{width}} {head}"]
     for name, e in result["estimators"].items():

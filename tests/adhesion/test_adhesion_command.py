@@ -257,7 +257,7 @@ def robot(monkeypatch, *, up, cells_n, rpm):
     }
     for module in (adhesion, off_the_wall):
         monkeypatch.setattr(module, "make_rig", lambda config, clock, connections: devices)
-        monkeypatch.setattr(module, "_WATCH_S", 0.05)
+        monkeypatch.setattr(module, "WATCH_S", 0.05)
     return load_bench("emulated").model_copy(
         update={name: load_bench("emulated").devices()[name].model_copy(update={"backend": "real"})
                 for name in devices}
