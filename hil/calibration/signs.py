@@ -43,16 +43,16 @@ def check_signs(recordings: Sequence[Recording], nominal: Nominal) -> None:
     A recording counts where its wheels miss more than 0.6 of the true way or of the true turning, and less
     than 0.3 of both with the sign changed: no geometry, slip or noise does both. Raises `DataError`.
     """
-    missed = _missed(reduce_recordings(recordings, _BLOCK_S), nominal.geometry)
-    as_is = missed.pop("")
-    explained = {words: (as_is > _WRONG) & (share < _RIGHT) for words, share in missed.items()}
+    strides = _Strides(reduce_recordings(recordings, _BLOCK_S), nominal.geometry)
+    wrong = strides.missed(strides.rolled(), strides.moved()) > _WRONG
+    explained = {words: wrong & (share < _RIGHT) for words, share in _changed(strides).items()}
     best = max(np.count_nonzero(found) for found in explained.values())
     if not best:
         for one in recordings:
             _check_rates(one)
         return
     likely = [words for words, found in explained.items() if np.count_nonzero(found) == best]
-    names = [_place(one) for one, wrong in zip(recordings, explained[likely[0]], strict=True) if wrong]
+    names = [_place(one) for one, found in zip(recordings, explained[likely[0]], strict=True) if found]
     others = f" ({len(names) - 1} more recordings likewise)" if len(names) > 1 else ""
     raise DataError(
         names[0],
@@ -68,7 +68,8 @@ def contradictions(recordings: Sequence[Recording], geometry: WheelGeometry) -> 
     Slip bursts and spoilt stretches miss up to 0.16, tolerances of a workshop a few hundredths. One steering
     angle with the wrong sign misses 0.25 on a circle, two wheels that are exchanged 0.5.
     """
-    missed = _missed(reduce_recordings(recordings, _BLOCK_S), geometry)[""]
+    strides = _Strides(reduce_recordings(recordings, _BLOCK_S), geometry)
+    missed = strides.missed(strides.rolled(), strides.moved())
     found = [int(i) for i in np.argsort(-missed, kind="stable") if missed[i] > _UNEXPLAINED]
     if not found:
         return []
@@ -104,32 +105,46 @@ def _check_rates(recording: Recording) -> None:
         )
 
 
-def _missed(blocks: Blocks, nominal: WheelGeometry) -> dict[str, Array]:
-    """Share (R,) of the true way or turning, whichever is more, that the wheels miss while they roll.
+class _Strides:
+    """R recordings second by second (S strides): how their wheels rolled, and how the robot truly moved."""
 
-    As they are (""), and by what would have to change.
-    """
-    strides = blocks.wheel_rad.shape[1] // _STRIDE
-    ends = _STRIDE * np.arange(strides + 1)
-    counted = _rolling(blocks, strides) & (ends[1:] <= blocks.counts[:, None])
-    weight = counted[..., None] * np.array([1.0, 1.0, lever_m(nominal)])
-    poses = np.concatenate([blocks.start[:, None], blocks.truth], axis=1)[:, ends]
-    true, clockwise = _moves(poses), _moves(poses * (1.0, 1.0, -1.0))
-    wheels, back, turned = (
-        _rolled(blocks.wheel_rad * signs, nominal, strides) for signs in (1.0, -1.0, _MIRRORED)
-    )
+    def __init__(self, blocks: Blocks, geometry: WheelGeometry) -> None:
+        self._wheel_rad, self._geometry = blocks.wheel_rad, geometry
+        self._strides = blocks.wheel_rad.shape[1] // _STRIDE
+        ends = _STRIDE * np.arange(self._strides + 1)
+        self._poses = np.concatenate([blocks.start[:, None], blocks.truth], axis=1)[:, ends]
+        counted = _rolling(blocks, self._strides) & (ends[1:] <= blocks.counts[:, None])
+        self._weight = counted[..., None] * np.array([1.0, 1.0, lever_m(geometry)])
+
+    def rolled(self, signs: Array | float = 1.0) -> Array:
+        """Moves (R, S, 3) by nominal odometry, of wheel vectors times signs (8,)."""
+        used = self._wheel_rad[:, : self._strides * _STRIDE] * signs
+        motion = make_model("exact", used.reshape(-1, 8), self._geometry).motion(self._geometry.vector())
+        return integrate(np.zeros(3), motion.reshape(len(used), self._strides, _STRIDE, 3))[..., -1, :]
+
+    def moved(self, signs: Sequence[float] = (1.0, 1.0, 1.0), order: Sequence[int] = (0, 1, 2)) -> Array:
+        """True moves (R, S, 3), of poses whose x, y and theta come in this order and with these signs."""
+        return _moves(self._poses[..., list(order)] * np.array(signs))
+
+    def missed(self, rolled: Array, moved: Array) -> Array:
+        """Share (R,) of the true way or turning, whichever is more, that the wheels miss while they roll."""
+        return _share(rolled * self._weight, moved * self._weight)
+
+
+def _changed(strides: _Strides) -> dict[str, Array]:
+    """Share (R,) that the wheels would miss, by what would have to change."""
+    rolled, moved = strides.rolled(), strides.moved()
     pairs = {
-        "": (wheels, true),
-        "the wheel angles (phi) had the other sign": (back, true),
-        "the steering (delta) had the other sign": (turned, true),
-        "the heading (theta) had the other sign": (wheels, clockwise),
-        "y and the heading (theta) had the other sign": (wheels, true * (1.0, -1.0, -1.0)),
-        "the heading (theta) were half a turn further": (wheels, true * (-1.0, -1.0, 1.0)),
-        "x had the other sign": (wheels, _moves(poses * (-1.0, 1.0, 1.0))),
-        "y had the other sign": (wheels, _moves(poses * (1.0, -1.0, 1.0))),
-        "x and y were exchanged": (wheels, _moves(poses[..., [1, 0, 2]])),
-    }  # fmt: skip
-    return {words: _share(one * weight, other * weight) for words, (one, other) in pairs.items()}
+        "the wheel angles (phi) had the other sign": (strides.rolled(-1.0), moved),
+        "the steering (delta) had the other sign": (strides.rolled(_MIRRORED), moved),
+        "the heading (theta) had the other sign": (rolled, strides.moved((1.0, 1.0, -1.0))),
+        "y and the heading (theta) had the other sign": (rolled, moved * (1.0, -1.0, -1.0)),
+        "the heading (theta) were half a turn further": (rolled, moved * (-1.0, -1.0, 1.0)),
+        "x had the other sign": (rolled, strides.moved((-1.0, 1.0, 1.0))),
+        "y had the other sign": (rolled, strides.moved((1.0, -1.0, 1.0))),
+        "x and y were exchanged": (rolled, strides.moved(order=(1, 0, 2))),
+    }
+    return {words: strides.missed(one, other) for words, (one, other) in pairs.items()}
 
 
 def _rolling(blocks: Blocks, strides: int) -> Bools:
@@ -159,10 +174,3 @@ def _moves(poses: Array) -> Array:
     x, y, turn = np.moveaxis(np.diff(poses, axis=1), -1, 0)
     c, s = np.cos(poses[:, :-1, 2]), np.sin(poses[:, :-1, 2])
     return np.stack([c * x + s * y, c * y - s * x, turn], axis=-1)
-
-
-def _rolled(wheel_rad: Array, nominal: WheelGeometry, strides: int) -> Array:
-    """Moves (R, S, 3) by nominal odometry of wheel vectors (R, N, 8)."""
-    used = wheel_rad[:, : strides * _STRIDE]
-    motion = make_model("exact", used.reshape(-1, 8), nominal).motion(nominal.vector())
-    return integrate(np.zeros(3), motion.reshape(len(used), strides, _STRIDE, 3))[..., -1, :]
