@@ -40,9 +40,10 @@ _COLUMNS = (
 @click.option(
     "--estimator",
     "estimators",
-    type=click.Choice(COMPARED),
+    metavar=f"{'|'.join(COMPARED)}|FILE.py:NAME",
     multiple=True,
-    help="Estimator to run on the recorded measurements (repeatable) [default: all four].",
+    help="Estimator to run on the recorded measurements (repeatable); your own is a class in a Python file "
+    "[default: the four that are shipped].",
 )
 @click.option(
     "--verify",
@@ -71,13 +72,16 @@ def command(
     or plain CSV. A damaged recording gives what it has and ends with exit code 2, as
     does a page or a --rerun file that the disk did not take, or a viewer that did not take everything.
 
-    Example: hil replay recording.mcap --page replay.html
+    Example: hil replay recording.mcap --page replay.html --estimator ekf --estimator mine.py:MyFilter
     """
     from hil.replay.comparison import told_of_sensors
+    from hil.replay.own_estimators import check_named, unknown_states
     from hil.replay.recordings import open_recording
     from hil.vocabulary.files import check_ending, check_file
     from hil.vocabulary.signals import heard
 
+    for named in estimators:
+        check_named(named)
     if page is not None:
         check_ending(page, ".html")
         check_file(page)
@@ -94,10 +98,11 @@ def command(
         run = max(runs, key=lambda r: len(r.records))
         sensors = heard(r.measurements for r in run.records)
         result["sensors"], result["note"] = sensors, told_of_sensors(opened.bench, sensors)
-        result["warnings"] = opened.doubts()
+        motions, result["estimators"] = _compared(opened, run, estimators or COMPARED)
+        unknown = (line for name in estimators for line in unknown_states(name, motions[name]))
+        result["warnings"] = [*opened.doubts(), *unknown]
         for line in result["warnings"]:
             click.echo(f"warning: {line}", err=True)
-        motions, result["estimators"] = _compared(opened, run, estimators or COMPARED)
         unshown = _show(opened.bench, run, motions, view)
         if page is not None:
             try:
@@ -129,13 +134,18 @@ def _verified(opened: OpenedRecording, number: int | None) -> dict[str, Any]:
 
 
 def _compared(
-    opened: OpenedRecording, run: RecordedRun, kinds: tuple[str, ...]
+    opened: OpenedRecording, run: RecordedRun, named: tuple[str, ...]
 ) -> tuple[dict[str, Motion], dict[str, dict[str, float | None]]]:
     from hil.replay.comparison import compare_run, table
+    from hil.replay.own_estimators import make_own
     from hil.vocabulary.collector import without_collector
 
+    kinds = [name for name in named if name in COMPARED]
+    own = {name: make_own(name, opened.bench) for name in named if name not in COMPARED}
     with without_collector():
-        motions = compare_run(run, opened.bench, kinds, source=str(opened.path), recorded=not opened.foreign)
+        motions = compare_run(
+            run, opened.bench, kinds, own=own, source=str(opened.path), recorded=not opened.foreign
+        )
         return motions, table(motions)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from hil.robot.waypoints import read_waypoints
 from hil.vocabulary.blame import of_a_script
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.script_file import run_file
 
 MakeTrajectory = Callable[[Array], Trajectory]
 
@@ -36,6 +36,7 @@ def load_trajectory(
         The maker, and the way with whose segments its trajectories end, checked; None for a script.
 
     Raises:
+        ConfigError: a script that cannot be loaded.
         DataError: no such waypoints.
         TrajectoryError: the robot cannot drive through them.
         UsageError: another kind of file, or a script that cannot be used.
@@ -59,16 +60,7 @@ def _from_here(pose: Array, waypoints: list[Array], way: Trajectory, name: str) 
 
 
 def _script(path: Path) -> MakeTrajectory:
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    try:
-        spec.loader.exec_module(module)
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:  # a script may raise anything, `sys.exit()` too
-        raise UsageError(f"--trajectory {path}: the script fails ({error!r})") from error
+    module = run_file(path)
     make: Any = getattr(module, "trajectory", None)
     if not callable(make):
         raise UsageError(f"--trajectory {path}", expected="a function trajectory(start_pose)")

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import os
 import pkgutil
 import sys
 from contextlib import suppress
 from functools import lru_cache
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import CodeType, ModuleType
+from types import ModuleType
 
 import hil
 from hil.procedure.declaration import Procedure
-from hil.vocabulary.errors import ConfigError, HilError, did_you_mean
+from hil.vocabulary.errors import ConfigError, did_you_mean
 from hil.vocabulary.files import check_name
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.mistaken import is_tests, meant
+from hil.vocabulary.script_file import run_file
 
 SHIPPED = "hil.procedures"
 SHIPPED_FOLDER = (Path(hil.__file__).resolve().parent / "procedures").resolve()
@@ -83,33 +82,7 @@ def _from_file(path: Path) -> ModuleType:
     if path.resolve().parent == SHIPPED_FOLDER:
         return _shipped(path.stem)
     kinds()  # a device package that cannot be used is not the script's fault
-    try:
-        return _load(f"hil_script_{path.stem}", path)
-    except HilError as error:
-        raise ConfigError(f"{path}: {error}") from None
-    except SyntaxError as error:
-        raise ConfigError(f"{path}: line {error.lineno}: {error.msg}") from None
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:  # a script may raise anything, `sys.exit()` too
-        raise ConfigError(f"{path}: cannot be loaded ({type(error).__name__}: {error})") from error
-
-
-class _AsItStands(SourceFileLoader):
-    """Runs the text that is in the file now: bytecode of the last second may be of another one."""
-
-    def get_code(self, fullname: str) -> CodeType:
-        return self.source_to_code(self.get_data(self.path), self.path)
-
-
-def _load(name: str, path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, path, loader=_AsItStands(name, str(path)))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
+    return run_file(path)
 
 
 _real = lru_cache(maxsize=None)(os.path.realpath)  # thousands of modules, looked through more than once

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from hil.recording.runs import RecordedRun
 from hil.ring.motion import HELD_S, Motion
 from hil.ring.own_parts import estimated, reset_estimator
 from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.blame import of_a_script
 from hil.vocabulary.choices import COMPARED, ESTIMATORS
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import DataError
@@ -91,23 +93,26 @@ def smoothed(
 
 
 def compare_run(
-    run: RecordedRun, bench: Blueprint, kinds: Sequence[str] = COMPARED, *, source: str = "the recording",
-    recorded: bool = True,
+    run: RecordedRun, bench: Blueprint, kinds: Sequence[str] = COMPARED, *,
+    own: Mapping[str, Estimator] = MappingProxyType({}), source: str = "the recording", recorded: bool = True,
 ) -> dict[str, Motion]:  # fmt: skip
-    """A run as it was estimated then (`recorded`), and as estimators of some kinds see it, by kind.
+    """A run as it was estimated then (`recorded`), and as estimators see it, by kind or name.
 
-    An observer of the user's own is there as it was recorded (`recorded NAME`); it cannot be made again.
+    An observer of the user's own is there as it was recorded (`recorded NAME`): a recording has no code.
     Where there is neither gyro nor camera the filters are those of `fitting`.
 
     Args:
         run: from its first cycle.
         bench: of its making; makes the filters and says what the smoother needs.
         kinds: any of `COMPARED`.
+        own: estimators of the user's own by name.
         source: what to name where the run cannot be used.
         recorded: whether the recording has estimates of its own; a foreign one has not.
 
     Raises:
+        ConfigError: an estimator of one's own has raised something.
         DataError: the recording does not say how the run began.
+        UsageError: an estimator of one's own has returned no state, or a wrong one.
     """
     if run.start is None:
         raise DataError(source, "does not say how its run began")
@@ -119,6 +124,9 @@ def compare_run(
         motions["smoother"] = smoothed(
             run.records, config.estimator, bench.geometry, config.environment.kind, start
         )
+    for name, estimator in own.items():
+        with of_a_script(f"estimator {name}"):
+            motions[name] = estimate(run.records, estimator, start)
     if not recorded:
         del motions["recorded"]
         return motions

@@ -113,6 +113,11 @@ def test_a_comparison_of_an_estimator_of_ones_own_runs_as_printed(tmp_path):
     rows = [row.split() for row in run("compared.py", cwd=tmp_path).splitlines()]
     assert [row[0] for row in rows] == ["recorded", "mine"]
     assert all(0.0 < float(row[1]) < 0.005 for row in rows)
+    (command,) = [b for b in blocks(pages[1], "sh") if "mine.py:" in b]
+    program, *words = command.split()
+    assert program == "hil"
+    rows = [row.split() for row in run("-m", "hil", *words, cwd=tmp_path).splitlines()]
+    assert [row[0] for row in rows[1:4]] == ["recorded", "ekf", "mine.py:MotionCapture"]
 
 
 COPIED = (ROOT / "docs" / "ci-template", ROOT / "examples" / "rangefinder")

@@ -11,7 +11,7 @@ from hil.live import load_trajectory
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits, check
 from hil.robot.trajectories import Trajectory, line, through
-from hil.vocabulary.errors import TrajectoryError
+from hil.vocabulary.errors import ConfigError, TrajectoryError
 
 CAD = WheelGeometry.nominal().projection()
 POINTS = [(0.2, 0.1, 0.0), (0.4, 0.1, 0.0), (0.4, 0.3, 0.1)]
@@ -33,6 +33,28 @@ def test_the_way_from_here_is_that_through_the_waypoints(tmp_path, pose, first):
     made = make(np.array(pose))
     assert made == through([pose, *POINTS[first:]], name="way")
     assert all(a is b for a, b in zip(made.segments[1:], known.segments[first:], strict=True))
+
+
+def test_a_script_may_hold_a_dataclass_under_annotations_from_the_future(tmp_path):
+    """`dataclasses` looks for the module by its name: where it is not found, the script had failed."""
+    script = tmp_path / "way.py"
+    script.write_text(
+        "from __future__ import annotations\n"
+        "from dataclasses import dataclass\n"
+        "from hil.robot.trajectories import Trajectory, line\n\n\n"
+        "@dataclass\nclass Way:\n    length_m: float = 0.1\n\n\n"
+        "def trajectory(pose) -> Trajectory:\n"
+        "    return line(pose, pose + [Way().length_m, 0.0, 0.0])\n"
+    )
+    make, _ = load_trajectory(script, lambda trajectory: None)
+    assert make(np.zeros(3)).sample(1e3).pose_in_wall.tolist() == pytest.approx([0.1, 0.0, 0.0])
+
+
+def test_a_script_that_is_no_python_is_named_with_its_line(tmp_path):
+    script = tmp_path / "way.py"
+    script.write_text("x = 1\ndef trajectory(\n")
+    with pytest.raises(ConfigError, match=r"way\.py: line 2: "):
+        load_trajectory(script, lambda trajectory: None)
 
 
 def test_what_is_known_to_hold_is_not_looked_at_again_and_all_else_is():

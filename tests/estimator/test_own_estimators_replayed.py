@@ -1,0 +1,161 @@
+"""`hil replay --estimator FILE.py:NAME`: an estimator of the user's own beside the shipped ones."""
+
+import json
+
+import numpy as np
+import pytest
+
+import hil
+from hil.cli import main
+from hil.recording.mcap_writer import McapRecorder
+from hil.robot.trajectories import line
+
+MINE = """
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.vocabulary.signals import RobotState
+
+
+@dataclass
+class Seen:
+    pose: np.ndarray
+
+
+class MotionCapture:
+    def reset(self, state):
+        self.seen = Seen(state.pose_body_in_wall)
+
+    def update(self, measurements):
+        for sample in measurements.mocap:
+            if sample.valid:
+                self.seen = Seen(sample.pose)
+        sigma = np.array([1e-3, 1e-3, 1e-2, 0.1, 0.1, 0.1])
+        return RobotState(measurements.t_ns, self.seen.pose, np.zeros(3), np.diag(sigma**2))
+
+
+class OfTheBench(MotionCapture):
+    def __init__(self, bench):
+        self.offset = np.array([bench.geometry.radius_m[0], 0.0, 0.0])
+
+    def update(self, measurements):
+        state = super().update(measurements)
+        pose = state.pose_body_in_wall + self.offset
+        return RobotState(state.t_ns, pose, state.twist_body, state.covariance)
+
+
+class LosesItself(MotionCapture):
+    def update(self, measurements):
+        state = super().update(measurements)
+        pose = state.pose_body_in_wall * (np.nan if measurements.cycle >= 20 else 1.0)
+        return RobotState(state.t_ns, pose, state.twist_body, state.covariance)
+
+
+class Divides(MotionCapture):
+    def update(self, measurements):
+        return 1 / 0
+
+
+class NoState(MotionCapture):
+    def update(self, measurements):
+        return None
+
+
+class NoReset:
+    def update(self, measurements):
+        return None
+
+
+class Refuses(MotionCapture):
+    def __init__(self):
+        raise ValueError("no licence")
+"""
+
+EXPECTED = "expected odometry, ekf, ukf, smoother, or FILE.py:NAME of your own"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A short recorded line, and estimators of one's own beside it."""
+    folder = tmp_path_factory.mktemp("own")
+    (folder / "mine.py").write_text(MINE)
+    (folder / "broken.py").write_text("x = (\n")
+    with hil.open_bench("emulated_floor", seed=3) as bench:
+        bench.rig.actuators().enable()
+        start = bench.settle(0.3)
+        bench.add_sink(McapRecorder(folder / "line.mcap", bench.header(), lossless=True))
+        bench.drive(line(start, start + np.array([0.05, 0.0, 0.0]), duration_s=2.0), start_pose=start)
+    return folder
+
+
+@pytest.fixture
+def here(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def replayed(capsys, *estimators):
+    words = [word for one in estimators for word in ("--estimator", one)]
+    code = main(["replay", "line.mcap", "--json", *words])
+    said = capsys.readouterr()
+    return code, json.loads(said.out), said.err
+
+
+def test_it_stands_beside_the_shipped_ones_in_the_order_of_the_rows(here, capsys):
+    code, told, _ = replayed(capsys, "mine.py:MotionCapture", "ekf")
+    assert code == 0
+    assert list(told["estimators"]) == ["recorded", "ekf", "mine.py:MotionCapture"]
+    assert told["estimators"]["mine.py:MotionCapture"]["rmse_position_m"] < 1e-3
+    assert told["warnings"] == []
+
+
+def test_one_that_needs_an_argument_is_given_the_bench_of_the_recording(here, capsys):
+    """It is off by its bench's wheel radius, and by nothing else."""
+    _, told, _ = replayed(capsys, "mine.py:OfTheBench")
+    assert list(told["estimators"]) == ["recorded", "mine.py:OfTheBench"]
+    assert told["estimators"]["mine.py:OfTheBench"]["final_position_m"] == pytest.approx(0.0254, abs=2e-3)
+
+
+def test_cycles_without_a_finite_pose_are_counted_in_a_warning(here, capsys):
+    code, told, err = replayed(capsys, "mine.py:LosesItself")
+    assert code == 0
+    (warning,) = told["warnings"]
+    cycles = told["cycles"]
+    assert warning == (
+        f"mine.py:LosesItself: pose or covariance is not finite in {cycles - 20} of {cycles} cycles, the "
+        "first of them 20; its figures are of the others"
+    )
+    assert f"warning: {warning}" in err
+    assert told["estimators"]["mine.py:LosesItself"]["final_position_m"] is None
+
+
+@pytest.mark.parametrize(
+    ("named", "said"),
+    [
+        ("mine.py:Divides", "mine.py:Divides: ZeroDivisionError: division by zero (mine.py, line "),
+        ("mine.py:NoState", "estimator NoState: update() returned None (from cycle 0 on); expected a Robot"),
+        ("mine.py:NoReset", "what NoReset() makes has no reset; expected reset(state), and update(measure"),
+        ("mine.py:Refuses", "--estimator mine.py:Refuses: Refuses(): ValueError: no licence (mine.py, line "),
+        ("mine.py:MotionCaptur", "has no class or function 'MotionCaptur'; expected one of MotionCapture, "),
+        ("mine.py:np", "has no class or function 'np'"),
+        ("mine.py", f"'mine.py' is unknown; {EXPECTED}; name the class in it, as mine.py:NAME"),
+        ("broken.py:X", "broken.py: line 1: '(' was never closed"),
+        ("absent.py:X", "absent.py: no such file"),
+        ("efk", f"'efk' is unknown; {EXPECTED}; did you mean ekf?"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_used_is_named(here, capsys, named, said):
+    assert main(["replay", "line.mcap", "--estimator", named]) == 2
+    out, err = capsys.readouterr()
+    assert said in err
+    assert "Traceback" not in err
+    assert out == ""
+
+
+def test_the_page_has_its_row(here, tmp_path, capsys):
+    page = tmp_path / "page.html"
+    assert main(["replay", "line.mcap", "--estimator", "mine.py:MotionCapture", "--page", str(page)]) == 0
+    assert "mine.py:MotionCapture" in page.read_text()
