@@ -283,7 +283,7 @@ def _end(job: Job, told: Mapping[str, Any]) -> dict[str, Any]:
         why = "; ".join(filter(None, (error.get("message"), error.get("remedy"))))
     elif result:
         verdict = str(result.get("verdict") or _judged(result))
-        why = error["message"] if isinstance(error, dict) else str(result.get("ended", ""))
+        why = error["message"] if isinstance(error, dict) else _why(result)
     else:
         verdict, why = UNTOLD, "it ended without a result: it was killed, or could not start"
     held = found if isinstance(found := result.get("held"), dict) else told["held"]
@@ -294,6 +294,18 @@ def _end(job: Job, told: Mapping[str, Any]) -> dict[str, Any]:
         pages["findings"] = result["findings"]
     emulated = result.get("virtual_time") is True
     return {"verdict": verdict, "why": why, "held": held, "emulated": emulated, **pages}
+
+
+def _why(result: Mapping[str, Any]) -> str:
+    """Why a command ended as it did that met no error: of acceptance, commissioning or the live loop."""
+    stages, stopped = result.get("stages"), result.get("stopped")
+    if isinstance(stopped, dict):
+        return f"{stopped.get('procedure')}: {stopped.get('why')}"
+    if isinstance(stages, list):  # `ended` of an acceptance is a date
+        return "; ".join(
+            f"{s.get('name')}: {s['why']}" for s in stages if isinstance(s, dict) and s.get("why")
+        )
+    return str(result.get("ended", ""))
 
 
 def _judged(result: Mapping[str, Any]) -> str:

@@ -209,6 +209,25 @@ def test_how_a_job_ended_is_in_what_it_wrote_last(tmp_path, out, err, verdict, w
     assert in_words(state) == words
 
 
+LEFT_OUT = {"name": "motion", "why": "not begun"}
+
+
+@pytest.mark.parametrize(
+    ("out", "why"),
+    [({"ended": "SIGINT"}, "SIGINT"),
+     ({"ended": "2026-11-26T17:58:32+00:00", "stopped": "", "stages": [{"name": "doctor", "why": ""}]}, ""),
+     ({"ended": "2026-11-26T17:58:32+00:00", "stopped": "ended",
+       "stages": [{"name": "doctor", "why": "2 of 31 checks failed"}, LEFT_OUT]},
+      "doctor: 2 of 31 checks failed; motion: not begun"),
+     ({"stages": [LEFT_OUT], "stopped": {"procedure": "bring_up", "why": "0.2 s late"}},
+      "bring_up: 0.2 s late"),
+     ({"stages": [], "stopped": None}, "")],
+)  # fmt: skip
+def test_why_a_job_ended_so_is_no_date(tmp_path, out, why):
+    state = jobs.state(job_in(tmp_path, out=json.dumps({"verdict": "PASS"} | out)))
+    assert state["why"] == why
+
+
 def test_of_a_long_story_the_end_is_read(tmp_path):
     story = "".join(
         line(progress={"what": "long", "done": n, "total": 9999, "left_s": None}) for n in range(9999)
