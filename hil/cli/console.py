@@ -86,7 +86,7 @@ def _serve(folder: Path, where: Path, bench: str | None, port: int, *, as_json: 
     from hil.console.objects import put_private, read
     from hil.console.page_process import PageProcess, policy
     from hil.console.stop_process import PAGE, runs
-    from hil.console.web import HOST, Server
+    from hil.console.web import Server
     from hil.vocabulary.files import check_folder
     from hil.vocabulary.stop_signals import StopRequest
 
@@ -99,12 +99,12 @@ def _serve(folder: Path, where: Path, bench: str | None, port: int, *, as_json: 
         if runs(read(folder / PAGE)):
             raise UsageError(
                 f"a console for {where} is running already",
-                remedy="use its page, or name another folder with --in",
+                remedy=f"{_way_in(folder)}, or name another folder with --in",
             )
         stopper = _stopper(folder, port)
         process = PageProcess(folder, where, lambda: _actions(where), _benches, bench)
         server = Server(0, stopper["token"], stopper["cookie"], process.routes(), policy(stopper["port"]))
-        url = f"http://{HOST}:{stopper['port']}/?token={stopper['token']}"
+        url = _address(stopper)
         _open(server, folder)
         click.echo(json.dumps({"url": url, "folder": str(folder)}) if as_json else url)
         click.echo("hil: open this address in a browser; Ctrl-C ends the console", err=True)
@@ -118,6 +118,29 @@ def _serve(folder: Path, where: Path, bench: str | None, port: int, *, as_json: 
             put_private(folder / PAGE, {"ended": True})
     _farewell(folder)
     return EXIT_PASS
+
+
+def _address(stopper: Mapping[str, Any]) -> str:
+    """What a browser opens: the page with the button."""
+    from hil.console.web import HOST
+
+    return f"http://{HOST}:{stopper['port']}/?token={stopper['token']}"
+
+
+def _way_in(folder: Path) -> str:
+    """How to get into the console of a folder that is running already."""
+    from hil.console.objects import is_private, read
+    from hil.console.stop_process import PAGE, STOP, runs
+
+    stopper = read(folder / STOP)
+    if not runs(stopper):
+        return "its STOP button is just starting: give the same command again in ten seconds for the address"
+    if is_private(folder / STOP):
+        return f"open {_address(stopper)} in a browser"
+    return (
+        f"its address is not told, because {folder / STOP}, where the token lies, is not yours alone: "
+        f"end that console (kill {read(folder / PAGE)['pid']}) and start it again"
+    )
 
 
 def _actions(where: Path) -> list[Action]:

@@ -8,6 +8,8 @@ started later, can read it, answer it and stop it:
     stdin         a pipe with a name; the process keeps its writing end too, so that it never closes
     stdout        one JSON object at the end
     stderr        progress, questions and figures as JSON objects, and messages, a line each
+    answer-N      the question that begins at byte N of stderr has got its answer
+    finish        it was asked to end after its step
 
 A process is signalled only while it is the one that wrote process.json: a number that was given to another
 process since is not.
@@ -25,13 +27,15 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import accumulate
 from pathlib import Path
+from select import PIPE_BUF
 from typing import Any
 
 from hil.console.objects import read
 
 COMMAND, PROCESS, STDIN, STDOUT, STDERR = "command.json", "process.json", "stdin", "stdout", "stderr"
-STOPPED = "stopped.json"
+STOPPED, FINISH, ANSWER = "stopped.json", "finish", "answer-"
 UNTOLD = "ENDED"
 """Verdict of a job that left no result."""
 _HOLDS = {"progress": dict, "live": dict, "held": dict, "question": str, "answered": str}
@@ -40,6 +44,8 @@ _BY_ITSELF = ("duration", "trajectory")
 """Why a live loop ends that nobody and nothing has stopped."""
 _TAIL_BYTES = 1 << 17
 _MOST_TOLD = 30
+_STOPPING_S = 2.0
+"""After STOP, within which what was being asked is asked no more."""
 _START_S = 20.0
 """Within which a job that was started has written its process.json."""
 
@@ -167,14 +173,55 @@ def signal_process(told: Mapping[str, Any], number: int) -> bool:
     return False
 
 
-def answer(job: Job, text: str) -> bool:
-    """Write a line to the standard input of a job; returns whether it took it."""
+def answer(job: Job, question_id: int, text: str) -> str:
+    """Answer the question that a job asks now, once: a second answer never becomes that of the next question.
+
+    Args:
+        job: that asks.
+        question_id: of the question, as `state` gives it.
+        text: of the answer; becomes one line, shorter than `PIPE_BUF` in bytes of UTF-8.
+
+    Returns:
+        Why it was not taken, in words; empty if it was.
+
+    Raises:
+        OSError: the folder of the job cannot be written.
+    """
+    line = (" ".join(text.split()) + "\n").encode("utf-8", "replace")
+    if len(line) > PIPE_BUF:
+        return f"an answer has less than {PIPE_BUF} bytes"
+    told = state(job)
+    if told["question_id"] != question_id:
+        now = "nothing is asked any more" if told["question"] is None else "read what is asked now"
+        return f"that is not the question any more: {now}"
+    if 0.0 <= time.time() - read(job.folder / STOPPED).get("when", 0.0) < _STOPPING_S:
+        return f"{job.title} is being stopped: nothing is answered"
+    claim = job.folder / f"{ANSWER}{question_id}"
+    if not first(claim):
+        return "somebody else has just answered that question"
+    if _put(job, line):
+        return ""
+    claim.unlink(missing_ok=True)
+    return f"{job.title} has ended"
+
+
+def first(claim: Path) -> bool:
+    """Make an empty file; returns whether nobody else had, in whatever process. Raises `OSError`."""
+    try:
+        os.close(os.open(claim, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
+    except FileExistsError:
+        return False
+    return True
+
+
+def _put(job: Job, line: bytes) -> bool:
+    """Write a line to the standard input of a job, whole or not at all; returns whether it took it."""
     try:
         pipe = os.open(job.folder / STDIN, os.O_WRONLY | os.O_NONBLOCK)
     except OSError:
         return False
     try:
-        os.write(pipe, (" ".join(text.split()) + "\n").encode())
+        os.write(pipe, line)
     except OSError:
         return False
     finally:
@@ -183,24 +230,29 @@ def answer(job: Job, text: str) -> bool:
 
 
 def state(job: Job) -> dict[str, Any]:
-    """What a page shows of a job: progress, question, figures, messages, how it ended. Plain values."""
+    """What a page shows of a job: progress, question, figures, messages, how it ended. Plain values.
+
+    `question_id` tells the question from all others of the job: the byte at which it begins in `stderr`.
+    A question that has got its answer is none any more.
+    """
     running = alive(job)
     told: dict[str, Any] = {
         "name": job.name, "title": job.title, "command": " ".join(("hil", *job.words)),
         "started": job.started,
-        "running": running, "stopping": running and (job.folder / STOPPED).exists(), "question": None,
+        "running": running, "stopping": running and (job.folder / STOPPED).exists(),
+        "finishing": running and (job.folder / FINISH).exists(), "question": None, "question_id": None,
         "progress": None, "whole": None, "live": None, "held": None, "messages": [], "events": [],
     }  # fmt: skip
-    for line in _tail(job.folder / STDERR):
-        _take(told, line)
+    for place, line in _tail(job.folder / STDERR):
+        _take(told, place, line)
     del told["messages"][:-_MOST_TOLD], told["events"][:-_MOST_TOLD]
-    if not running:
-        told |= {"question": None, **_end(job, told)}
-    return told
+    if not running or (job.folder / f"{ANSWER}{told['question_id']}").exists():
+        told |= {"question": None, "question_id": None}
+    return told if running else told | _end(job, told)
 
 
-def _take(told: dict[str, Any], line: str) -> None:
-    """One line of standard error."""
+def _take(told: dict[str, Any], place: int, line: str) -> None:
+    """One line of standard error, which begins at that byte."""
     try:
         ((kind, data),) = json.loads(line).items()
         fits = isinstance(data, _HOLDS[kind])
@@ -211,8 +263,10 @@ def _take(told: dict[str, Any], line: str) -> None:
         return
     if kind == "progress":
         told["whole" if data.get("what") == "in all" else "progress"] = data
+    elif kind == "question":
+        told |= {"question": data, "question_id": place}
     elif kind == "answered":
-        told["question"] = None
+        told |= {"question": None, "question_id": None}
     elif kind == "live":
         told["live"], told["held"] = data, None  # of a bench before this one
         told["events"] += data.get("events", ())
@@ -229,7 +283,7 @@ def _end(job: Job, told: Mapping[str, Any]) -> dict[str, Any]:
         why = "; ".join(filter(None, (error.get("message"), error.get("remedy"))))
     elif result:
         verdict = str(result.get("verdict") or _judged(result))
-        why = error["message"] if isinstance(error, dict) else str(result.get("ended", ""))
+        why = error["message"] if isinstance(error, dict) else _why(result)
     else:
         verdict, why = UNTOLD, "it ended without a result: it was killed, or could not start"
     held = found if isinstance(found := result.get("held"), dict) else told["held"]
@@ -242,6 +296,18 @@ def _end(job: Job, told: Mapping[str, Any]) -> dict[str, Any]:
     return {"verdict": verdict, "why": why, "held": held, "emulated": emulated, **pages}
 
 
+def _why(result: Mapping[str, Any]) -> str:
+    """Why a command ended as it did that met no error: of acceptance, commissioning or the live loop."""
+    stages, stopped = result.get("stages"), result.get("stopped")
+    if isinstance(stopped, dict):
+        return f"{stopped.get('procedure')}: {stopped.get('why')}"
+    if isinstance(stages, list):  # `ended` of an acceptance is a date
+        return "; ".join(
+            f"{s.get('name')}: {s['why']}" for s in stages if isinstance(s, dict) and s.get("why")
+        )
+    return str(result.get("ended", ""))
+
+
 def _judged(result: Mapping[str, Any]) -> str:
     """Verdict of a command that gives none: of doctor, or of the live loop, which says why it ended."""
     if "ok" in result:
@@ -250,13 +316,16 @@ def _judged(result: Mapping[str, Any]) -> str:
     return "DONE" if ended in _BY_ITSELF else "ABORTED" if ended.startswith("SIG") else "ERROR"
 
 
-def _tail(path: Path) -> list[str]:
-    """The last lines of a file that may be long; of the first of them the beginning may be missing."""
+def _tail(path: Path) -> list[tuple[int, str]]:
+    """The last lines of a file that may be long, each with the byte at which it begins."""
     try:
         with path.open("rb") as file:
-            size = file.seek(0, os.SEEK_END)
-            file.seek(max(0, size - _TAIL_BYTES))
-            lines = file.read().decode("utf-8", "replace").splitlines()
+            begin = max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES)
+            file.seek(begin)
+            lines = file.read().splitlines(keepends=True)
     except OSError:
         return []
-    return [line for line in lines[size > _TAIL_BYTES :] if line.strip()]
+    places = accumulate(map(len, lines), initial=begin)
+    texts = (line.decode("utf-8", "replace").rstrip("\r\n") for line in lines)
+    told = list(zip(places, texts, strict=False))  # the place behind the last line is that of none
+    return [(place, text) for place, text in told[begin > 0 :] if text.strip()]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,15 @@ def read(path: Path) -> dict[str, Any]:
         tree = json.loads(file.read(_MOST_BYTES))
         return tree if isinstance(tree, dict) else {}
     return {}
+
+
+def is_private(path: Path) -> bool:
+    """Whether a file is this user's, and nobody else can read or write it."""
+    try:
+        told = path.lstat()
+    except OSError:
+        return False
+    return stat.S_ISREG(told.st_mode) and told.st_uid == os.getuid() and not told.st_mode & 0o077
 
 
 def put_private(path: Path, tree: object) -> None:

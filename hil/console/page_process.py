@@ -157,15 +157,19 @@ class PageProcess:
 
     def _answer(self, request: Request) -> Reply:
         job = self._one(request)
-        if jobs.state(job)["question"] is None:
-            raise Refused(HTTPStatus.CONFLICT, "nothing is asked any more")
-        if not jobs.answer(job, str(request.body.get("text", ""))):
-            raise Refused(HTTPStatus.CONFLICT, f"{job.title} has ended")
+        question_id, text = request.body.get("question_id"), request.body.get("text")
+        if not isinstance(question_id, int) or isinstance(question_id, bool) or not isinstance(text, str):
+            raise Refused(
+                HTTPStatus.BAD_REQUEST,
+                "expected the question_id of the question that is answered, from /api/state, and a text",
+            )
+        if why_not := jobs.answer(job, question_id, text):
+            raise Refused(HTTPStatus.CONFLICT, why_not)
         return as_json({})
 
     def _finish(self, request: Request) -> Reply:
-        if not finish(self._one(request)):
-            raise Refused(HTTPStatus.CONFLICT, "it has ended")
+        if why_not := finish(self._one(request)):
+            raise Refused(HTTPStatus.CONFLICT, why_not)
         return as_json({})
 
     def _devices(self, request: Request) -> Reply:

@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from hil.console.jobs import STOPPED, UNTOLD, Job, alive, jobs, send, state
+from hil.console.jobs import FINISH, STOPPED, UNTOLD, Job, alive, first, jobs, send, state
 
 _GRACE_S = 0.3
 _POLL_S = 0.02
@@ -41,9 +41,22 @@ def stop_all(root: Path) -> list[Job]:
     return asked
 
 
-def finish(job: Job) -> bool:
-    """Ask one job to end after its step, as one Ctrl-C does; returns whether it was there."""
-    return send(job, signal.SIGINT)
+def finish(job: Job) -> str:
+    """Ask one job to end after its step, as one Ctrl-C does, and once: a second one would end it at once.
+
+    Returns:
+        Why it was not asked, in words; empty if it was.
+
+    Raises:
+        OSError: the folder of the job cannot be written.
+    """
+    claim = job.folder / FINISH
+    if not first(claim):
+        return "it was asked to end already: STOP ends it at once"
+    if send(job, signal.SIGINT):
+        return ""
+    claim.unlink(missing_ok=True)
+    return "it has ended"
 
 
 def wait_for(asked: Sequence[Job], limit_s: float) -> list[dict[str, Any]]:

@@ -142,11 +142,26 @@ def test_what_it_cannot_use_is_named_and_nothing_is_started(place, capsys, words
     assert not list(place.rglob(STOP))
 
 
-def test_a_second_console_of_the_same_folder_is_refused(place, capsys):
-    (place / "out" / "console").mkdir(parents=True)
-    (place / "out" / "console" / PAGE).write_text(json.dumps(jobs.identity(os.getpid()) | {"port": 1}))
+@pytest.mark.parametrize(
+    ("mode", "said"),
+    [(0o600, "open http://127.0.0.1:41873/?token=secret in a browser"),
+     (0o640, f"end that console (kill {os.getpid()}) and start it again"),
+     (None, "give the same command again in ten seconds")],
+)  # fmt: skip
+def test_a_second_console_of_the_same_folder_is_refused_and_says_how_to_get_in(place, capsys, mode, said):
+    """Whoever has closed the terminal of the first has lost its address."""
+    folder = place / "out" / "console"
+    folder.mkdir(parents=True)
+    (folder / PAGE).write_text(json.dumps(jobs.identity(os.getpid()) | {"port": 1}))
+    if mode is not None:
+        keys = {"port": 41873, "token": "secret", "cookie": "hil_x"}
+        (folder / STOP).write_text(json.dumps(jobs.identity(os.getpid()) | keys))
+        (folder / STOP).chmod(mode)
     assert main(["console"]) == 2
-    assert "running already" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "running already" in err
+    assert said in " ".join(err.split())
+    assert ("secret" in err) == (mode == 0o600)
 
 
 def started(place):

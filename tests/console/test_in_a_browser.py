@@ -28,6 +28,18 @@ def run(ctx):
     with ctx.step("a question"):
         ctx.note("the colour is " + ctx.prompt("which colour?"))
 '''
+ASKING_THRICE = '''
+"""Asks for three colours."""
+from hil.procedure import procedure
+
+
+@procedure(name="asking_thrice", needs=())
+def run(ctx):
+    """Ask."""
+    with ctx.step("three questions"):
+        colours = [ctx.prompt(f"which colour is {place}?") for place in ("first", "second", "third")]
+        ctx.note("the colours are " + ", ".join(colours))
+'''
 SIZES = [(1280, 900, False), (390, 844, True)]
 
 
@@ -58,6 +70,7 @@ class Console:
 @pytest.fixture(params=["out"])
 def console(tmp_path, request):
     (tmp_path / "asking.py").write_text(ASKING)
+    (tmp_path / "asking_thrice.py").write_text(ASKING_THRICE)
     made = Console(tmp_path, request.param)
     yield made
     if made.process.poll() is None:
@@ -84,6 +97,57 @@ def start(browser, console, action, **values):
     assert browser.ask(code, console.frame)
 
 
+def answer(browser, console, question, text):
+    """Fill in and press `Done` twice, and Enter, as soon as the page takes an answer."""
+    browser.until(
+        f"document.querySelector('.question')?.innerText.includes('{question}')"
+        " && !document.querySelector('.question button').disabled", console.frame,
+    )  # fmt: skip
+    code = f"""(() => {{
+        const form = document.querySelector(".question form");
+        const found = form.querySelector("input").value;
+        form.querySelector("input").value = "{text}";
+        form.querySelector("button").click(); form.querySelector("button").click(); form.requestSubmit();
+        return [found];
+    }})()"""
+    assert browser.ask(code, console.frame) == [""], "nothing of the question before is left in the field"
+
+
+def test_no_click_answers_a_question_that_nobody_has_seen(console, tmp_path):
+    browser = opened(console, tmp_path / "profile")
+    try:
+        start(browser, console, "a procedure of your own", SCRIPT="asking_thrice.py")
+        eager = """(new MutationObserver(() => document.querySelector(".question button")?.click())).observe(
+            document.getElementById("now"), { childList: true })"""
+        browser.ask(f"{eager}; true", console.frame)  # a click that is on its way while the next one appears
+        answer(browser, console, "which colour is first?", "red")
+        browser.until(
+            "document.querySelector('.question')?.innerText.includes('which colour is second?')"
+            " && !document.querySelector('.question button').disabled", console.frame,
+        )  # fmt: skip
+        other = """(async () => {
+            const form = document.querySelector(".question form");
+            const job = (await (await fetch("/api/state")).json()).jobs[0];
+            const body = JSON.stringify({ job: job.name, question_id: job.question_id, text: "blue" });
+            const headers = { "Content-Type": "application/json" };
+            await fetch("/api/answer", { method: "POST", headers, body });
+            form.querySelector("input").value = "black";
+            form.dispatchEvent(new Event("submit", { cancelable: true }));
+            return form.querySelector("button").disabled;
+        })()"""
+        assert browser.ask(other, console.frame), "another browser was first"
+        browser.until(
+            "document.getElementById('trouble').innerText.includes('that is not the question any more')",
+            console.frame,
+        )
+        answer(browser, console, "which colour is third?", "green")
+        browser.until("document.getElementById('verdict')?.innerText === 'PASS'", console.frame)
+        (result,) = console.folder.parent.rglob("result.json")
+        assert json.loads(result.read_text())["notes"] == ["the colours are red, blue, green"]
+    finally:
+        browser.close()
+
+
 def test_a_person_starts_is_asked_sees_the_verdict_and_opens_the_report(console, tmp_path):
     browser = opened(console, tmp_path / "profile")
     try:
@@ -95,8 +159,7 @@ def test_a_person_starts_is_asked_sees_the_verdict_and_opens_the_report(console,
             "document.querySelector('.question')?.innerText.includes('which colour?')", console.frame
         )
         browser.until("document.getElementById('now').innerText.includes('asking.py asks: which colour?')")
-        answer = "document.querySelector('.question input').value = 'blue';"
-        browser.ask(answer + "document.querySelector('.question button').click()", console.frame)
+        answer(browser, console, "which colour?", "blue")
         browser.until("document.getElementById('verdict')?.innerText === 'PASS'", console.frame)
         link = browser.until("document.querySelector('#now a')?.href", console.frame)
         browser.until("document.querySelectorAll('#history a').length === 1", console.frame)
@@ -152,6 +215,22 @@ def test_the_alarm_outlives_an_examination_and_goes_when_a_person_says_that_it_i
         browser.open(console.url.partition("?")[0])
         browser.until("document.getElementById('now').innerText.startsWith('doctor: PASS')")
         assert browser.ask(alarm) == ""
+        eager = """(new MutationObserver((_, seen) => {
+            if (document.getElementById("secure").hidden) return;
+            seen.disconnect();
+            document.getElementById("secured").addEventListener("click", () => { window.taken = true; });
+            document.getElementById("secured").click();
+            window.tried = true;
+        })).observe(document.getElementById("secure"), { attributes: true })"""
+        browser.ask(f"{eager}; true")  # a click that is on its way while another alarm appears
+        job_in(console.folder / "jobs", "later", out=json.dumps(left), words=["run", "x", "--bench=my.toml"])
+        browser.until(
+            "!document.getElementById('secure').hidden && !document.getElementById('secured').disabled"
+        )
+        assert browser.ask("window.tried && !window.taken")
+        assert browser.ask(alarm).startswith("The robot is NOT HELD since x")
+        browser.ask("document.getElementById('secured').click()")
+        browser.until(f"{alarm} === ''")
     finally:
         browser.close()
 

@@ -48,13 +48,112 @@ def test_a_number_that_another_process_has_now_is_never_signalled(tmp_path, key)
         assert not jobs.alive(job)
         assert not jobs.send(job, signal.SIGTERM)
         assert stop_all(tmp_path) == []
-        assert not finish(job)
+        assert finish(job) == "it has ended"
         time.sleep(0.05)
         assert stranger.poll() is None
         assert jobs.same(told)
     finally:
         stranger.communicate(b"\n")
     assert not jobs.same(told)
+
+
+@pytest.fixture
+def asking(tmp_path):
+    """A job that runs and asks, and what it would read on its standard input."""
+    job = job_in(tmp_path, process=jobs.identity(os.getpid()))
+    os.mkfifo(job.folder / jobs.STDIN)
+    pipe = os.open(job.folder / jobs.STDIN, os.O_RDWR | os.O_NONBLOCK)
+
+    def say(**told):
+        with (job.folder / jobs.STDERR).open("a") as file:
+            file.write(line(**told))
+        return jobs.state(job)["question_id"]
+
+    def got():
+        try:
+            return os.read(pipe, 1 << 16).decode()
+        except BlockingIOError:
+            return ""
+
+    yield job, say, got
+    os.close(pipe)
+
+
+def test_an_answer_is_of_one_question_and_never_becomes_that_of_the_next(asking):
+    """A second click comes before the job has read the first answer, or after it has asked anew."""
+    job, say, got = asking
+    one = say(question="is it on the stand?")
+    assert jobs.answer(job, one, " on  it\nnow") == ""
+    assert jobs.state(job)["question"] is None, "it waits for nobody any more"
+    assert jobs.answer(job, one, "") == "that is not the question any more: nothing is asked any more"
+    assert say(answered="on it now") is None
+    two = say(question="is it on the stand?")
+    assert two != one
+    assert jobs.answer(job, one, "") == "that is not the question any more: read what is asked now"
+    assert jobs.state(job)["question"] == "is it on the stand?"
+    assert got() == "on it now\n"
+    assert jobs.answer(job, two, "") == ""
+    assert got() == "\n"
+
+
+def test_of_two_answers_at_once_one_is_taken(asking, monkeypatch):
+    """Both have seen that the question is open before either has answered it."""
+    job, say, got = asking
+    one = say(question="ready?")
+    seen = jobs.state(job)
+    monkeypatch.setattr(jobs, "state", lambda job: seen)
+    assert [jobs.answer(job, one, "a"), jobs.answer(job, one, "b")] == [
+        "", "somebody else has just answered that question"
+    ]  # fmt: skip
+    assert got() == "a\n"
+
+
+def test_a_question_keeps_its_identity_while_more_is_said_than_is_read(asking):
+    job, say, _ = asking
+    for _ in range(2000):
+        say(progress={"what": "x" * 100, "done": 1, "total": 2, "left_s": None})
+    before = say(question="ready?")
+    assert say(progress={"what": "x", "done": 1, "total": 2, "left_s": None}) == before
+    with (job.folder / jobs.STDERR).open("rb") as file:
+        file.seek(before)
+        assert json.loads(file.readline()) == {"question": "ready?"}
+
+
+def test_an_answer_that_a_pipe_would_cut_is_refused_and_the_question_stays(asking):
+    job, say, got = asking
+    one = say(question="ready?")
+    assert jobs.answer(job, one, "ä" * 3000) == "an answer has less than 4096 bytes"
+    assert jobs.answer(job, one, "\ud800") == ""
+    assert got() == "?\n"
+
+
+def test_what_was_asked_when_stop_was_pressed_takes_no_answer_that_could_move_the_robot(asking, monkeypatch):
+    job, say, got = asking
+    one = say(question="ready?")
+    monkeypatch.setattr(jobs, "_STOPPING_S", 3600.0)
+    (job.folder / jobs.STOPPED).write_text(json.dumps({"when": time.time()}))
+    assert jobs.answer(job, one, "") == "x is being stopped: nothing is answered"
+    assert got() == ""
+    (job.folder / jobs.STOPPED).write_text(json.dumps({"when": time.time() - 7200.0}))
+    assert jobs.answer(job, one, "") == "", "what the way out asks"
+
+
+def test_a_job_that_cannot_read_has_not_been_answered(asking):
+    job, say, _ = asking
+    one = say(question="ready?")
+    (job.folder / jobs.STDIN).unlink()
+    assert jobs.answer(job, one, "") == "x has ended"
+    assert jobs.state(job)["question"] == "ready?"
+
+
+def test_a_second_click_on_the_end_after_a_step_does_not_end_it_at_once(asking, monkeypatch):
+    job, _, _ = asking
+    sent = []
+    monkeypatch.setattr("hil.console.stopping.send", lambda job, number: sent.append(number) or True)
+    assert finish(job) == ""
+    assert jobs.state(job)["finishing"]
+    assert finish(job) == "it was asked to end already: STOP ends it at once"
+    assert sent == [signal.SIGINT]
 
 
 def line(**told):
@@ -110,6 +209,25 @@ def test_how_a_job_ended_is_in_what_it_wrote_last(tmp_path, out, err, verdict, w
     assert in_words(state) == words
 
 
+LEFT_OUT = {"name": "motion", "why": "not begun"}
+
+
+@pytest.mark.parametrize(
+    ("out", "why"),
+    [({"ended": "SIGINT"}, "SIGINT"),
+     ({"ended": "2026-11-26T17:58:32+00:00", "stopped": "", "stages": [{"name": "doctor", "why": ""}]}, ""),
+     ({"ended": "2026-11-26T17:58:32+00:00", "stopped": "ended",
+       "stages": [{"name": "doctor", "why": "2 of 31 checks failed"}, LEFT_OUT]},
+      "doctor: 2 of 31 checks failed; motion: not begun"),
+     ({"stages": [LEFT_OUT], "stopped": {"procedure": "bring_up", "why": "0.2 s late"}},
+      "bring_up: 0.2 s late"),
+     ({"stages": [], "stopped": None}, "")],
+)  # fmt: skip
+def test_why_a_job_ended_so_is_no_date(tmp_path, out, why):
+    state = jobs.state(job_in(tmp_path, out=json.dumps({"verdict": "PASS"} | out)))
+    assert state["why"] == why
+
+
 def test_of_a_long_story_the_end_is_read(tmp_path):
     story = "".join(
         line(progress={"what": "long", "done": n, "total": 9999, "left_s": None}) for n in range(9999)
@@ -151,7 +269,7 @@ def test_a_run_is_asked_for_answered_and_stopped_within_its_step_and_ends_held(t
     (job,) = jobs.jobs(tmp_path / "jobs")
     try:
         wait_until(lambda: jobs.state(job)["question"] == "which colour?")
-        assert jobs.answer(job, "blue\nand green")
+        assert jobs.answer(job, jobs.state(job)["question_id"], "blue\nand green") == ""
         wait_until(lambda: (jobs.state(job)["progress"] or {}).get("what") == "a long drive")
         wait_until(lambda: jobs.state(job)["live"])
     finally:
@@ -161,4 +279,4 @@ def test_a_run_is_asked_for_answered_and_stopped_within_its_step_and_ends_held(t
     assert (state["verdict"], state["held"]["state"]) == ("ABORTED", "HELD")
     notes = json.loads((tmp_path / "out" / "result.json").read_text())["notes"]
     assert "the colour is blue and green" in notes
-    assert not jobs.answer(job, "more")
+    assert jobs.answer(job, 0, "more") == "that is not the question any more: nothing is asked any more"

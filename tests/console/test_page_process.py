@@ -10,6 +10,7 @@ from hil.console import jobs
 from hil.console.actions import Action, Field
 from hil.console.page_process import PageProcess
 from hil.console.web import Refused, Request
+from tests.console.test_jobs import job_in
 
 
 def words(values):
@@ -74,9 +75,41 @@ def test_one_thing_at_a_time(page):
 
 def test_only_a_question_that_is_open_is_answered(page):
     name = tree(page("POST", "/api/start", {"action": "idle", "values": {}}))["job"]
-    for body, said in (({"job": name, "text": "yes"}, "nothing is asked"), ({"job": "../x"}, "no such run")):
-        with pytest.raises(Refused, match=said):
+    for body, status, said in (
+        ({"job": name, "question_id": 0, "text": "yes"}, HTTPStatus.CONFLICT, "nothing is asked"),
+        ({"job": "../x", "question_id": 0, "text": "yes"}, HTTPStatus.NOT_FOUND, "no such run"),
+    ):
+        with pytest.raises(Refused, match=said) as refused:
             page("POST", "/api/answer", body)
+        assert refused.value.status == status
+
+
+def test_an_answer_without_its_question_or_its_text_is_refused(page):
+    asks = page.results / "console" / "jobs"
+    job = job_in(asks, process=jobs.identity(os.getpid()), err=json.dumps({"question": "ready?"}) + "\n")
+    (told,) = tree(page("GET", "/api/state"))["jobs"]
+    assert (told["question"], told["question_id"]) == ("ready?", 0)
+    for body in ({"text": ""}, {"question_id": None, "text": ""}, {"question_id": "0", "text": ""},
+                 {"question_id": False, "text": ""}, {"question_id": 0}):  # fmt: skip
+        with pytest.raises(Refused, match="expected the question_id") as refused:
+            page("POST", "/api/answer", {"job": job.name, **body})
+        assert refused.value.status == HTTPStatus.BAD_REQUEST
+
+
+def test_a_second_answer_is_refused_in_words(page):
+    asks = page.results / "console" / "jobs"
+    job = job_in(asks, process=jobs.identity(os.getpid()), err=json.dumps({"question": "ready?"}) + "\n")
+    os.mkfifo(job.folder / jobs.STDIN)
+    pipe = os.open(job.folder / jobs.STDIN, os.O_RDWR)
+    body = {"job": job.name, "question_id": 0, "text": "yes"}
+    try:
+        page("POST", "/api/answer", body)
+        with pytest.raises(Refused, match="not the question any more") as refused:
+            page("POST", "/api/answer", body)
+        assert refused.value.status == HTTPStatus.CONFLICT
+        assert os.read(pipe, 100) == b"yes\n"
+    finally:
+        os.close(pipe)
 
 
 def test_what_runs_and_how_it_ended_is_told_with_its_page(page):

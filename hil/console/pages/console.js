@@ -5,6 +5,8 @@ let shown = "";
 let trail = [];
 let trailOf = "";
 let wasRunning = false;
+const SETTLE_MS = 700;
+const asked = { question: "", since: 0, answered: "" };
 
 async function call(path, body) {
   const post = { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
@@ -79,22 +81,39 @@ function bar(told) {
   return [make("p", {}, `${told.what}${counted}${left}`), ...strip];
 }
 
+const questionOf = (job) => (job && job.question !== null && job.running ? `${job.name} ${job.question_id}` : "");
+
 function asking(job) {
   const text = make("input", { "aria-label": "Answer", placeholder: "answer, or nothing" });
-  const form = make("form", {}, text, make("button", { class: "main" }, "Done"));
+  const done = make("button", { class: "main", disabled: true }, "Done");
+  const form = make("form", {}, text, done);
   form.addEventListener("submit", async (event) => {
     event.preventDefault();
-    try { await call("/api/answer", { job: job.name, text: text.value }); } catch (error) { say(error); }
+    if (done.disabled) return;
+    done.disabled = true;
+    asked.answered = questionOf(job);
+    say("");
+    try {
+      await call("/api/answer", { job: job.name, question_id: job.question_id, text: text.value });
+    } catch (error) {
+      asked.answered = "";
+      say(error);
+    }
+    poll().catch(say);
   });
   return make("div", { class: "question" }, make("p", { role: "alert" }, make("strong", {}, job.question)), form);
 }
 
 function running(job) {
   const finish = make("button", { type: "button" }, /^hil run|^hil comm/.test(job.command) ? "Finish the step, then end" : "End it");
-  finish.addEventListener("click", () => call("/api/finish", { job: job.name }).catch(say));
+  finish.disabled = job.finishing;
+  finish.addEventListener("click", async () => {
+    finish.disabled = true;
+    try { await call("/api/finish", { job: job.name }); } catch (error) { finish.disabled = false; say(error); }
+  });
   return [
-    make("p", {}, make("strong", {}, job.title), job.stopping ? " is stopping …" : " runs"),
-    ...(job.question ? [asking(job)] : []), ...(job.whole ? bar(job.whole) : []),
+    make("p", {}, make("strong", {}, job.title), job.stopping ? " is stopping …" : job.finishing ? " is going to end …" : " runs"),
+    ...(questionOf(job) ? [asking(job)] : []), ...(job.whole ? bar(job.whole) : []),
     ...(job.progress ? bar(job.progress) : []), make("p", { class: "row" }, finish), ...viewer(job),
   ];
 }
@@ -114,21 +133,30 @@ function ended(job) {
   ];
 }
 
+// A question takes its answer once, and none from a click that was meant for the one before it.
+function settle(question) {
+  if (question !== asked.question) [asked.question, asked.since] = [question, Date.now()];
+  const done = at("now").querySelector(".question button");
+  if (done) done.disabled = question === asked.answered || Date.now() - asked.since < SETTLE_MS;
+}
+
 function show(jobs) {
   const job = jobs[0];
   const key = JSON.stringify(job ? { ...job, live: null, events: null } : null);
   if (key !== shown) {
     shown = key;
     const parts = !job ? [make("p", {}, "Nothing runs.")] : job.running ? running(job) : ended(job);
-    const typed = at("now").contains(document.activeElement) && document.activeElement.tagName === "INPUT"
-      ? document.activeElement.value : null;
+    const before = questionOf(job) === asked.question ? at("now").querySelector(".question input") : null;
+    const focused = before !== null && before === document.activeElement;
     at("now").replaceChildren(...parts);
-    if (typed !== null && at("now").querySelector("input")) {
-      at("now").querySelector("input").value = typed;
-      at("now").querySelector("input").focus();
+    const now = at("now").querySelector(".question input");
+    if (before && now) {
+      now.value = before.value;
+      if (focused) now.focus();
     }
     if (job && !job.running && job.findings) findings(job.findings);
   }
+  settle(questionOf(job));
   const start = at("start");
   if (start) start.disabled = Boolean(job && job.running);
   at("examine").disabled = offer === null || Boolean(job && job.running);

@@ -4,10 +4,13 @@ const at = (id) => document.getElementById(id);
 const SILENT = "No answer from the process behind STOP. Trying again …";
 const GONE = "Neither the console nor the process behind STOP answers any more.";
 const PATIENCE_MS = 3000;
+const SETTLE_MS = 700;
 let shownPort = null;
 let asked = false;
 let silentSince = null;
 let notHeld = [];
+let leftBy = "";
+let leftSince = 0;
 
 async function call(path, options) {
   const reply = await fetch(path, { signal: AbortSignal.timeout(4000), ...options });
@@ -44,6 +47,9 @@ function show(state) {
   notHeld = state.not_held;
   const alarm = notHeld.map((left) => left.words).join(" ");
   if (at("alarm").textContent !== alarm) at("alarm").textContent = alarm;
+  const jobs = notHeld.map((left) => left.job).join(" ");
+  if (jobs !== leftBy) [leftBy, leftSince] = [jobs, Date.now()];
+  at("secured").disabled = Date.now() - leftSince < SETTLE_MS; // no click that was meant for another alarm
   at("secure").hidden = !notHeld.length;
   if (asked && state.jobs.every((job) => !job.running)) asked = false;
   at("stop").textContent = asked ? "STOP …" : "STOP";
