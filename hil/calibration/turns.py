@@ -56,6 +56,7 @@ class _Steps:
         reach: (n - 1,) how far a wheel gets, rad.
         near: (n - 1,) the same with something for stamps that jitter; what is closer is the same place.
         by_rate: (n - 1, 4) what the wheel rates make of it, rad, NaN where there are none.
+        off: (n - 1, 4) by how much that is wrong at most where the rate only rose or only fell, rad.
     """
 
     lasts_s: Array
@@ -63,6 +64,7 @@ class _Steps:
     reach: Array
     near: Array
     by_rate: Array
+    off: Array
 
 
 def whole_turns(where: str, t_s: Array, angle: Array, rate: Array) -> Turns:
@@ -101,10 +103,11 @@ def whole_turns(where: str, t_s: Array, angle: Array, rate: Array) -> Turns:
 def _steps(t_s: Array, angle: Array, rate: Array) -> _Steps:
     lasts_s, moved = np.diff(t_s), np.diff(angle, axis=0)
     fastest = max(_FASTEST_RAD_S, _FASTER * _fastest_rad_s(t_s, angle))
-    by_rate = 0.5 * (rate[1:] + rate[:-1]) * lasts_s[:, None]
+    half_s = 0.5 * lasts_s[:, None]
     reach = fastest * lasts_s
     near = np.maximum(reach, np.median(reach)) + _LITTLE_RAD
-    return _Steps(lasts_s, moved, reach, near, by_rate)
+    by_rate, off = (rate[1:] + rate[:-1]) * half_s, np.abs(np.diff(rate, axis=0)) * half_s
+    return _Steps(lasts_s, moved, reach, near, by_rate, off)
 
 
 def _fastest_rad_s(t_s: Array, angle: Array) -> float:
@@ -138,10 +141,14 @@ def _wrapped(angle: Array, steps: _Steps, far: Bools) -> tuple[Array, Bools]:
 
 
 def _told(steps: _Steps) -> tuple[Array, Bools]:
-    """Turns (n - 1, 4) by which angles go as far as the rates say, and where they do to a quarter turn."""
+    """Turns (n - 1, 4) by which angles go as far as the rates say, and where they do to a quarter turn.
+
+    A rate that changes by much within a long gap says too little: nobody knows when it did.
+    """
     lacking = steps.by_rate - steps.moved
     turns = np.round(np.nan_to_num(lacking) / _TURN)
-    return turns, np.abs(lacking - turns * _TURN) < _ALIKE_RAD
+    steady = (steps.off < _ALIKE_RAD) | (steps.reach <= _TURN)[:, None]
+    return turns, steady & (np.abs(lacking - turns * _TURN) < _ALIKE_RAD)
 
 
 def _as_at_first(angle: Array) -> Bools:

@@ -101,6 +101,14 @@ def test_wheel_rates_that_fit_no_number_of_turns_count_none():
         read(t, wrapped(short), w, truth)
 
 
+@pytest.mark.parametrize("seconds", [3.0, 4.0, 4.5, 5.0, 5.3, 6.0])
+def test_wheel_rates_that_change_in_a_long_gap_count_no_turns(seconds):
+    """The wheels stand before it and roll behind it, and nobody knows since when."""
+    t, angle, w, truth = drive((0.5, 0.5 + seconds), rates=True)
+    with pytest.raises(DataError, match="how often the wheels turned meanwhile is unknown"):
+        read(t, wrapped(angle), w, truth)
+
+
 def test_wrapped_wheels_that_stand_in_a_gap_have_not_turned():
     t, angle, w, truth = drive((0.1, 0.95))
     same_way(read(t, wrapped(angle), w, truth), angle)
