@@ -14,6 +14,7 @@ import numpy as np
 
 from hil.calibration.leaps import Bools, fastest_m_s, find_leaps
 from hil.calibration.nominal import Nominal, lever_m
+from hil.calibration.turns import whole_turns
 from hil.calibration.unit_factors import Drive, check_rates, check_ways
 from hil.calibration.units import check_leaps, check_time, check_units, rolled_m
 from hil.vocabulary.errors import DataError
@@ -114,7 +115,8 @@ def build_recording(
         nominal: robot that units and motion are judged by, the CAD model by default.
 
     Raises:
-        DataError: too short, no ground truth, no overlap in time, or units that cannot be right.
+        DataError: too short, no ground truth, no overlap in time, units that cannot be right, or wheel
+            angles that leap or whose turns nobody knows.
     """
     where, robot = sources[0] if sources else name, nominal if nominal is not None else Nominal()
     check_time(where, wheels.t_s)
@@ -139,7 +141,10 @@ def build_recording(
         raise DataError(where, f"wheels and ground truth share {shared_s:.2f} s", expected=">= 1 s")
     for stamps in (t_s, truth_t_s):
         check_leaps(where, stamps)
-    angle = _unwrap_jumps(w[:, :4], repairs)
+    rate = _recorded_rates(w, repairs)
+    turns = whole_turns(where, t_s, w[:, :4], rate)
+    angle = turns.angle
+    repairs.update(turns.repairs)
     keep = _without_leaps(where, truth_t_s, pose, fastest_m_s(t_s, angle, robot.radius_m), robot, repairs)
     truth_t_s, pose, truth_receive_s = truth_t_s[keep], pose[keep], truth_receive_s[keep]
     for kind, stamps in (("wheel", t_s), ("ground-truth", truth_t_s)):
@@ -152,11 +157,12 @@ def build_recording(
             where, "wheels and ground truth have no rows in the time they share", expected="rows of both"
         )
     check_ways(where, Drive(t_s, w[:, :4], truth_t_s, np.column_stack([pose[:, :2], heading])), robot)
+    if turns.refusal is not None:
+        raise turns.refusal
     check_units(
         where, angle[by_wheels], w[by_wheels, 4:8], truth_t_s[by_truth], pose[by_truth], heading[by_truth],
         robot,
     )  # fmt: skip
-    rate = _recorded_rates(w, angle, repairs)
     check_rates(where, t_s, angle, rate)
     return Recording(
         name=name,
@@ -208,11 +214,11 @@ def _clean(log: Log, needed: int, kind: str, repairs: dict[str, int]) -> tuple[A
     return t_s, values, increasing(receive_s)
 
 
-def _recorded_rates(w: Array, angle: Array, repairs: dict[str, int]) -> Array:
+def _recorded_rates(w: Array, repairs: dict[str, int]) -> Array:
     """Wheel rates (n, 4) of rows (n, 8 or 12); NaN where there are none, or only 0 while wheels roll."""
     if w.shape[1] < 12:
         return np.full((len(w), 4), np.nan)
-    if not w[:, 8:12].any() and np.max(np.ptp(angle, axis=0)) > _ROLLED_RAD:
+    if not w[:, 8:12].any() and np.max(np.ptp(w[:, :4], axis=0)) > _ROLLED_RAD:
         _count(repairs, "columns of wheel rates (w) that are 0 throughout taken as not recorded", 4)
         return np.full((len(w), 4), np.nan)
     return np.array(w[:, 8:12])
@@ -251,15 +257,6 @@ def increasing(t_s: Array) -> Array:
     """Stamps (n,), s, made strictly increasing by pushing each at least 1 us past its predecessor."""
     step = np.arange(len(t_s)) * _MIN_STEP_S
     return np.asarray(np.maximum.accumulate(t_s - step) + step, dtype=np.float64)
-
-
-def _unwrap_jumps(angle: Array, repairs: dict[str, int]) -> Array:
-    """Undo jumps of more than half a turn between rows: a multi-turn counter that wrapped."""
-    jumps = np.abs(np.diff(angle, axis=0)) > np.pi
-    if not jumps.any():
-        return np.array(angle)
-    _count(repairs, "wheel-angle wrap-arounds undone", np.count_nonzero(jumps))
-    return np.asarray(np.unwrap(angle, axis=0), dtype=np.float64)
 
 
 def classify(angle: Array, pose: Array, radius_m: float) -> str:

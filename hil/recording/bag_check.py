@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from hil.recording.mcap_reader import top_level
+from hil.recording.mcap_reader import COPY_AGAIN, top_level
 from hil.recording.unpacking import Allowance, chunk_data, unpack_stream
 from hil.vocabulary.errors import DataError, reason_of
 from hil.vocabulary.reading import must_be_file
@@ -20,13 +20,16 @@ from hil.vocabulary.reading import must_be_file
 _MCAP, _SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3\0"
 _METADATA = "metadata.yaml"
 _MOST_METADATA_BYTES = 4 << 20
+_PROFILE, _ENCODINGS = "ros2", ("ros2msg", "ros2idl", "omgidl", "")
+_KINDS = ((_SQLITE, "an SQLite database"), (b"#ROSBAG", "a ROS 1 bag"), (b"\x1f\x8b", "packed by gzip"))
+CONVERT = "convert it to a rosbag2 recording, with the messages of ROS 2 as CDR"
 
 
 def check_bag(path: Path) -> None:
     """Look through a `.mcap` file or a rosbag2 folder.
 
     Raises:
-        DataError: it cannot be read, is damaged, or unpacks to more than a recording does.
+        DataError: it cannot be read, is damaged or of another kind, or unpacks to more than a recording does.
     """
     try:
         for file in _files(path):
@@ -55,6 +58,8 @@ def _check(path: Path, stream: BinaryIO) -> None:
     stream.seek(0)
     if head.startswith(_MCAP):
         _check_mcap(path, stream, size)
+    elif path.suffix == ".mcap":
+        raise DataError(str(path), f"is not an MCAP file: it is {_kind(head)}", remedy=_for_kind(head))
     elif head != _SQLITE:
         with tempfile.TemporaryFile() as plain:
             try:
@@ -70,11 +75,53 @@ def _check(path: Path, stream: BinaryIO) -> None:
                 _check_mcap(path, plain, size)
 
 
+def _kind(head: bytes) -> str:
+    """What a file is that begins so, for a message."""
+    known = next((kind for magic, kind in _KINDS if head.startswith(magic)), "")
+    if known or not head:
+        return known or "empty"
+    return "text" if all(byte in b"\t\n\r" or 32 <= byte < 127 for byte in head) else "of an unknown kind"
+
+
+def _for_kind(head: bytes) -> str:
+    """What to do with such a file."""
+    if head == _SQLITE:
+        return "give it a name that ends with .db3"
+    if head.startswith(b"#ROSBAG"):
+        return "convert it with `rosbags-convert`"
+    return CONVERT if head else COPY_AGAIN
+
+
+def _check_origin(path: Path, profile: str, indexed: BinaryIO | None) -> None:
+    """Raises `DataError` for a sound MCAP file that something else than rosbag2 wrote."""
+    from mcap.reader import make_reader
+
+    encodings: set[str] = set()
+    strange = profile != _PROFILE
+    if indexed is not None:
+        indexed.seek(0)
+        summary = make_reader(indexed).get_summary()
+        if summary is not None:
+            schemas = {schema.encoding for schema in summary.schemas.values()}
+            strange |= not schemas <= set(_ENCODINGS)
+            encodings = schemas | {channel.message_encoding for channel in summary.channels.values()}
+    if strange:
+        held = ", ".join(sorted(encodings - {""}))
+        raise DataError(
+            str(path),
+            f"is an MCAP file, but no rosbag2 recording (profile {profile!r}, "
+            f"{f'encoded as {held}' if held else 'without an index'})",
+            expected=f"profile {_PROFILE!r}, messages encoded as cdr",
+            remedy=CONVERT,
+        )
+
+
 def _check_mcap(path: Path, stream: BinaryIO, size: int) -> None:
     from mcap.exceptions import EndOfFile, McapError, RecordLengthLimitExceeded
-    from mcap.records import Chunk, ChunkIndex, Footer
+    from mcap.records import Chunk, ChunkIndex, Footer, Header
 
     allowance = Allowance(path, size)
+    profile, indexed = "", False
     starts: set[int] = set()
     chunks: dict[int, tuple[Any, ...]] = {}
     try:
@@ -89,8 +136,13 @@ def _check_mcap(path: Path, stream: BinaryIO, size: int) -> None:
                     raise ValueError(
                         f"its index names a chunk at {record.chunk_start_offset} that is not there"
                     )
-            elif isinstance(record, Footer) and record.summary_start not in starts | {0}:
-                raise ValueError("its index does not begin where it says")
+            elif isinstance(record, Header):
+                profile = record.profile
+            elif isinstance(record, Footer):
+                if record.summary_start not in starts | {0}:
+                    raise ValueError("its index does not begin where it says")
+                indexed = record.summary_start > 0
+        _check_origin(path, profile, stream if indexed else None)
     except DataError:
         raise
     except (McapError, ValueError, EOFError, MemoryError, struct.error) as error:

@@ -21,6 +21,7 @@ from hil.calibration.datasets import Log, Recording, build_recording
 from hil.calibration.nominal import Nominal
 from hil.recording.added_columns import added_columns
 from hil.recording.mcap_reader import read_cycles
+from hil.recording.names import motion_of
 from hil.recording.plain_csv import RATE_COLUMNS, TRUTH_COLUMNS, TRUTH_GAP_S, WHEEL_COLUMNS
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import UsageError
@@ -196,7 +197,7 @@ def to_recording(
     """One of our recordings as input of evaluation and calibration.
 
     Args:
-        path: the MCAP file; the motion is its name before the last `_`.
+        path: the MCAP file; the motion is its name without the number of a repetition.
         problems: receives what could not be read; without it damage raises.
         nominal: robot that it is read for, see `build_recording`.
 
@@ -211,7 +212,7 @@ def to_recording(
         file.stem,
         _wheel_log((w for r in records for w in r.measurements.wheels), origin_ns),
         Log(truth_t_s, poses),
-        motion=file.stem.rpartition("_")[0] or file.stem,
+        motion=motion_of(file.stem),
         sources=(str(file),),
         sha256=(hashlib.sha256(file.read_bytes()).hexdigest(),),
         nominal=nominal,

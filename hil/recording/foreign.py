@@ -64,9 +64,9 @@ def _truth(recording: Recording, i: int) -> PoseMeasurement:
 
 def _cycle(measured: Measurements) -> CycleRecord:
     """A cycle in which nothing was estimated and nothing commanded."""
-    t_ns, unknown, rest = measured.t_ns, np.full(3, np.nan), np.zeros(4)
+    t_ns, unknown, none = measured.t_ns, np.full(3, np.nan), np.full(4, np.nan)
     return CycleRecord(
         measured.cycle, t_ns, t_ns, Inputs(measured.cycle, t_ns), measured,
         RobotState(t_ns, unknown, unknown, np.full((6, 6), np.nan)), None,
-        WheelSetpoint(rest, rest), ServoSetpoint(rest, rest),
+        WheelSetpoint(none, none), ServoSetpoint(none, none),
     )  # fmt: skip

@@ -1,14 +1,26 @@
-"""Names of recordings that tell each from all others: by its folders where files are called alike."""
+"""Names of recordings: the motion that they say, and what tells each from others that are called alike."""
 
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from hil.calibration.datasets import Recording
+
+_REPETITION = re.compile(r"_[0-9]+$")
+
+
+def motion_of(name: str) -> str:
+    """Motion that a recording of this name shows: `line_x_2` is a repetition of `line_x`, by its number.
+
+    Args:
+        name: of the file or folder, without what tells its kind.
+    """
+    return _REPETITION.sub("", name) or name
 
 
 def named_apart(recordings: Sequence[Recording]) -> list[Recording]:

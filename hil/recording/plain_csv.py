@@ -1,6 +1,7 @@
 """Plain CSV: `t,phi1..phi4,delta1..delta4,x,y,theta[,w1..w4]`, one file a run, SI units.
 
-Ground truth may be empty or NaN in any row. The motion is the file name before its last `_`.
+Ground truth may be empty or NaN in any row. The motion is the file name without `_K`, the number of a
+repetition.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 
 from hil.calibration.datasets import Log, Recording, build_recording
 from hil.calibration.nominal import Nominal
+from hil.recording.names import motion_of
 from hil.recording.numbers import numbers_at_once
 from hil.recording.public_csv import read_bytes
 from hil.vocabulary.errors import DataError
@@ -64,7 +66,7 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
         stem,
         Log(t_s, table[:, wheels]),
         Log(t_s[seen], table[seen][:, truth]),
-        motion=stem.rpartition("_")[0] or stem,
+        motion=motion_of(stem),
         sources=(str(path),),
         sha256=(hashlib.sha256(data).hexdigest(),),
         nominal=nominal,

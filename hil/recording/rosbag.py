@@ -13,27 +13,30 @@ The mapping says which joints are which wheel and where ground truth comes from:
     [truth]
     topic = "/mocap/pose"                      # PoseStamped, PoseWithCovarianceStamped or Odometry
 
-Stamps are those of the message headers; a header without a stamp falls back to the log time.
+Stamps are those of the message headers; where all of a topic are 0, it has none and the log times count.
 """
 
 from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from hil.calibration.datasets import Log, Recording, build_recording
 from hil.calibration.nominal import Nominal
-from hil.recording.bag_check import check_bag
+from hil.recording.bag_check import CONVERT, check_bag
 from hil.recording.frame_check import broken_frames
+from hil.recording.joint_rows import JointRows
+from hil.recording.names import motion_of
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import ConfigError, DataError, HilError
-from hil.vocabulary.geometry import yaw_of_quat
+from hil.vocabulary.geometry import Array, yaw_of_quat
 from hil.vocabulary.reading import read_toml
 
 LOG = logging.getLogger(__name__)
@@ -45,14 +48,25 @@ _POSES = (
     "nav_msgs/msg/Odometry",
 )
 _STORAGES = (".mcap", ".db3")
-_REPAIR = {".mcap": "repair it with `mcap recover`", ".db3": "repair it with `sqlite3 FILE .recover`"}
+_CDR, _MOST_SAID = "cdr", 200
+_REPAIR = {".mcap": CONVERT, ".db3": "repair it with `sqlite3 FILE .recover`"}
 _REINDEX = "write its metadata.yaml afresh with `ros2 bag reindex`"
+_DAY_NS = 86_400 * NS_PER_S
 _Names = tuple[str, str, str, str]
 _Signs = tuple[Literal[1, -1], Literal[1, -1], Literal[1, -1], Literal[1, -1]]
 
 
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+@dataclass(frozen=True)
+class _Stamp:
+    """When a message was: `number` in the bag, by its header and by the log, ns."""
+
+    number: int
+    header_ns: int
+    log_ns: int
 
 
 class WheelTopic(_Strict):
@@ -64,6 +78,23 @@ class WheelTopic(_Strict):
     drive_sign: _Signs = (1, 1, 1, 1)
     steer_sign: _Signs = (1, 1, 1, 1)
     steer_zero_rad: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Drive joints, then steering joints."""
+        return (*self.drive, *self.steer)
+
+    @model_validator(mode="after")
+    def _each_joint_once(self) -> WheelTopic:
+        for k, joint in enumerate(self.joints):
+            if (first := self.joints.index(joint)) < k:
+                keys = ["steer" if i >= len(self.drive) else "drive" for i in (first, k)]
+                what = f"{keys[0]} names" if keys[0] == keys[1] else "drive and steer both name"
+                twice = " twice" if keys[0] == keys[1] else ""
+                raise ValueError(
+                    f"{what} the joint {joint!r}{twice}: give each wheel its own, order FL, BL, BR, FR"
+                )
+        return self
 
 
 class TruthTopic(_Strict):
@@ -79,6 +110,14 @@ class TopicMap(_Strict):
     wheels: WheelTopic
     truth: TruthTopic
 
+    @model_validator(mode="after")
+    def _truth_of_its_own(self) -> TopicMap:
+        if self.truth.topic == self.wheels.topic:
+            raise ValueError(
+                f"wheels.topic and truth.topic are both {self.truth.topic!r}: name the topic of the poses"
+            )
+        return self
+
 
 def read_topic_map(path: str | Path) -> TopicMap:
     """Topic mapping of a TOML file.
@@ -89,7 +128,10 @@ def read_topic_map(path: str | Path) -> TopicMap:
     try:
         return TopicMap.model_validate(read_toml(Path(path)))
     except ValidationError as error:
-        problems = tuple(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
+        problems = tuple(
+            ": ".join(filter(None, (".".join(map(str, e["loc"])), e["msg"].removeprefix("Value error, "))))
+            for e in error.errors()
+        )
         raise ConfigError(f"{path}: {len(problems)} problem(s)", problems=problems) from None
 
 
@@ -112,21 +154,25 @@ def read_bag(path: str | Path, topics: TopicMap, nominal: Nominal | None = None)
     file = Path(path)
     if file.is_dir() and not is_bag(file):
         _refuse_folder(file)
-    wheel_rows: list[tuple[float, list[float]]] = []
-    truth_rows: list[tuple[float, list[float]]] = []
-    for topic, t_s, message in _messages(file, (topics.wheels.topic, topics.truth.topic)):
-        if topic == topics.truth.topic:
-            truth_rows.append((t_s, _planar(message)))
+    wheels, truth = topics.wheels, topics.truth.topic
+    joints = JointRows(file, wheels.topic, wheels.joints)
+    poses: list[list[float]] = []
+    stamps: dict[str, list[_Stamp]] = {wheels.topic: [], truth: []}
+    for topic, stamp, message in _messages(file, (wheels.topic, truth)):
+        stamps[topic].append(stamp)
+        if topic == truth:
+            poses.append(_planar(message))
         else:
-            index = _joints(file, topics.wheels, message)
-            wheel_rows.append((t_s, _wheel_row(file, topics.wheels, index, message)))
+            joints.add(message)
+    times = _times(file, stamps)
+    wheel_s, rows = joints.rows(times[wheels.topic])
     for problem in broken_frames(file):
         LOG.warning("%s: %s", file, problem)
     return build_recording(
         file.stem,
-        _log(wheel_rows, 12),
-        _log(truth_rows, 3),
-        motion=file.stem.rpartition("_")[0] or file.stem,
+        Log(wheel_s, _signed(wheels, rows)),
+        Log(times[truth], np.array(poses, dtype=np.float64).reshape(-1, 3)),
+        motion=motion_of(file.stem),
         sources=(str(file),),
         sha256=(hashlib.sha256(file.read_bytes()).hexdigest(),) if file.is_file() else (),
         nominal=nominal,
@@ -146,18 +192,47 @@ def _refuse_folder(folder: Path) -> None:
     )  # fmt: skip
 
 
-def _log(rows: list[tuple[float, list[float]]], width: int) -> Log:
-    return Log(
-        np.array([t for t, _ in rows]), np.array([v for _, v in rows], dtype=np.float64).reshape(-1, width)
+def _times(path: Path, stamps: Mapping[str, Sequence[_Stamp]]) -> dict[str, Array]:
+    """Times (n,) of the messages of each topic, s since the first message of all."""
+    taken_ns = {}
+    for topic, found in stamps.items():
+        stamped = any(one.header_ns for one in found)
+        if stamped:
+            _check_stamps(path, topic, found)
+        taken_ns[topic] = [one.header_ns if stamped else one.log_ns for one in found]
+    firsts = [(found[0].number, taken_ns[topic][0]) for topic, found in stamps.items() if found]
+    origin_ns = min(firsts)[1] if firsts else 0
+    return {
+        topic: np.array([(t_ns - origin_ns) / NS_PER_S for t_ns in all_ns], dtype=np.float64)
+        for topic, all_ns in taken_ns.items()
+    }
+
+
+def _check_stamps(path: Path, topic: str, stamps: Sequence[_Stamp]) -> None:
+    """Raises `DataError` for a stamp a day or more from where the log times and the other stamps put it."""
+    behind_ns = [one.log_ns - one.header_ns for one in stamps]
+    usual_ns = sorted(behind_ns)[len(behind_ns) // 2]
+    off = [k for k, behind in enumerate(behind_ns) if abs(behind - usual_ns) > _DAY_NS]
+    if not off:
+        return
+    k = off[0]
+    at_s = (stamps[k].log_ns - stamps[0].log_ns) / NS_PER_S
+    others = f"; {len(off) - 1} more are" if len(off) > 1 else ""
+    raise DataError(
+        str(path),
+        f"{topic}: message {k + 1} of {len(stamps)}, recorded {at_s:.2f} s after the first, is stamped "
+        f"{stamps[k].header_ns / NS_PER_S:.3f} s, {(usual_ns - behind_ns[k]) / NS_PER_S:.3g} s from where it "
+        f"belongs{others}",
+        expected="header.stamp of one clock in all messages of a topic",
+        remedy="take it out, or cut the bag before or behind it (`mcap filter`, `ros2 bag convert`)",
     )
 
 
-def _messages(path: Path, wanted: tuple[str, ...]) -> Iterator[tuple[str, float, Any]]:
-    """Topic, time since the first message (s) and message, of the wanted topics."""
+def _messages(path: Path, wanted: tuple[str, ...]) -> Iterator[tuple[str, _Stamp, Any]]:
+    """Topic, stamp and message, of the wanted topics."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
-    origin_ns: int | None = None
     check_bag(path)
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
@@ -177,21 +252,30 @@ def _messages(path: Path, wanted: tuple[str, ...]) -> Iterator[tuple[str, float,
                 )
             chosen = [c for c in bag.connections if c.topic in wanted]
             for connection in chosen:
+                _check_encoding(path, connection)
                 _check_type(path, connection.topic, connection.msgtype, joints=connection.topic == wanted[0])
-            for connection, log_ns, raw in bag.messages(connections=chosen):
+            for number, (connection, log_ns, raw) in enumerate(bag.messages(connections=chosen)):
                 message: Any = bag.deserialize(raw, connection.msgtype)
-                stamp = message.header.stamp
-                t_ns = stamp.sec * NS_PER_S + stamp.nanosec or log_ns
-                origin_ns = t_ns if origin_ns is None else origin_ns
-                yield connection.topic, (t_ns - origin_ns) / NS_PER_S, message
+                at = message.header.stamp
+                yield connection.topic, _Stamp(number, at.sec * NS_PER_S + at.nanosec, log_ns), message
     except HilError:
         raise
     except Exception as error:  # a library that reads foreign files may raise anything
+        why = " ".join(str(error).split())[:_MOST_SAID]
         raise DataError(
             str(path),
-            f"is not a readable rosbag2 recording ({str(error) or type(error).__name__})",
+            f"is not a readable rosbag2 recording ({why or type(error).__name__})",
             remedy=_REPAIR.get(path.suffix, _REINDEX),
         ) from None
+
+
+def _check_encoding(path: Path, connection: Any) -> None:
+    """Raises `DataError` for messages that are not those of ROS 2, byte for byte."""
+    encoding = getattr(connection.ext, "serialization_format", _CDR)
+    if encoding != _CDR:
+        raise DataError(
+            str(path), f"{connection.topic} is encoded as {encoding!r}", expected=_CDR, remedy=CONVERT
+        )
 
 
 def _check_type(path: Path, topic: str, kind: str, *, joints: bool) -> None:
@@ -201,30 +285,11 @@ def _check_type(path: Path, topic: str, kind: str, *, joints: bool) -> None:
         raise DataError(str(path), f"{topic} is of another type ({kind})", expected=" or ".join(expected))
 
 
-def _joints(path: Path, wheels: WheelTopic, message: Any) -> dict[str, int]:
-    index = {name: i for i, name in enumerate(message.name)}
-    missing = [name for name in (*wheels.drive, *wheels.steer) if name not in index]
-    if missing:
-        raise DataError(
-            str(path),
-            f"{wheels.topic} has no joint {', '.join(missing)}",
-            expected=f"some of {', '.join(index)}",
-        )
-    return index
-
-
-def _wheel_row(path: Path, wheels: WheelTopic, index: dict[str, int], message: Any) -> list[float]:
-    names = (*wheels.drive, *wheels.steer)
-    if len(message.position) < len(index):
-        raise DataError(
-            str(path), f"{wheels.topic} carries {len(message.position)} positions", expected="one per joint"
-        )
-    position = np.array([message.position[index[n]] for n in names])
-    has_rates = len(message.velocity) == len(message.position)
-    rate = np.array([message.velocity[index[n]] for n in wheels.drive]) if has_rates else np.full(4, np.nan)
+def _signed(wheels: WheelTopic, rows: Array) -> Array:
+    """Rows (n, 12) with the signs and zeros of the mapping."""
     drive_sign = np.array(wheels.drive_sign)
-    steering = np.array(wheels.steer_sign) * (position[4:] - np.array(wheels.steer_zero_rad))
-    return [*(drive_sign * position[:4]), *steering, *(drive_sign * rate)]
+    steering = np.array(wheels.steer_sign) * (rows[:, 4:8] - np.array(wheels.steer_zero_rad))
+    return np.column_stack([drive_sign * rows[:, :4], steering, drive_sign * rows[:, 8:]])
 
 
 def _planar(message: Any) -> list[float]:

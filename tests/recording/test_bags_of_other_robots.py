@@ -1,0 +1,289 @@
+"""Bags of other robots as they come: stamps, joints, kinds of file and names that another recorder chose."""
+
+import csv
+import json
+import math
+
+import numpy as np
+import pytest
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from test_mcap_topics import MAPPING
+
+from hil.cli import main
+from hil.recording.names import motion_of
+from hil.recording.rosbag import read_bag, read_topic_map
+from hil.recording.sources import read_recordings
+from hil.robot.kinematics import NOMINAL_RADIUS_M
+from hil.vocabulary.errors import ConfigError, DataError
+from hil.vocabulary.extras import is_installed
+
+RATE_HZ, SPEED_M_S, SECONDS = 50, 0.08, 10
+BEGIN_NS = 1_700_000_000_000_000_000
+DRIVE, STEER = [f"w{i}" for i in range(1, 5)], [f"s{i}" for i in range(1, 5)]
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+JOINT, POSE = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
+
+
+def header(t_ns):
+    stamp = STORE.types["builtin_interfaces/msg/Time"](sec=t_ns // 10**9, nanosec=t_ns % 10**9)
+    return STORE.types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+
+
+def joints(t_ns, names, angles):
+    return STORE.types[JOINT](header(t_ns), names, np.array(angles), np.array([]), np.array([]))
+
+
+def pose(t_ns, x_m):
+    kinds = STORE.types
+    place = kinds["geometry_msgs/msg/Point"](x=x_m, y=0.0, z=0.0)
+    ahead = kinds["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
+    return STORE.types[POSE](header(t_ns), kinds["geometry_msgs/msg/Pose"](position=place, orientation=ahead))
+
+
+def messages(stamp=lambda log_ns, number: log_ns, *, apart=False, steer_every=1, speed_m_s=SPEED_M_S):
+    """Of a drive straight ahead between rests: topic, log time (ns) and message, in order.
+
+    Args:
+        stamp: of the header, by the log time and the number of the sample, ns.
+        apart: drive and steering in messages of their own, a tenth of a millisecond apart.
+        steer_every: so many drive messages to one of the steering.
+        speed_m_s: of the robot.
+    """
+    for k in range(SECONDS * RATE_HZ):
+        log_ns, at = BEGIN_NS + k * 10**9 // RATE_HZ, k / RATE_HZ
+        x_m = speed_m_s * min(max(0.0, at - 1.0), SECONDS - 2.0)
+        angles = (x_m / NOMINAL_RADIUS_M * np.array([1.0, 1.0, -1.0, -1.0])).tolist()
+        steering = [0.001 * at] * 4
+        t_ns = stamp(log_ns, k)
+        if apart:
+            yield "/wheels", log_ns, joints(t_ns, DRIVE, angles)
+            if k % steer_every == 0:
+                yield "/wheels", log_ns + 100_000, joints(t_ns + 100_000, STEER, steering)
+        else:
+            yield "/wheels", log_ns, joints(t_ns, [*STEER, *DRIVE], [*steering, *angles])
+        yield "/vicon", log_ns, pose(t_ns, x_m)
+
+
+def write(folder, found):
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        lanes = {
+            topic: (writer.add_connection(topic, kind, typestore=STORE), kind)
+            for topic, kind in (("/wheels", JOINT), ("/vicon", POSE))
+        }
+        for topic, log_ns, message in found:
+            lane, kind = lanes[topic]
+            writer.write(lane, log_ns, STORE.serialize_cdr(message, kind))
+    return folder
+
+
+@pytest.fixture
+def topics(tmp_path):
+    path = tmp_path / "topics.toml"
+    path.write_text(MAPPING)
+    return path
+
+
+def read(folder, topics):
+    return read_bag(folder, read_topic_map(topics))
+
+
+@pytest.fixture
+def usual(tmp_path, topics):
+    return read(write(tmp_path / "usual_1", messages()), topics)
+
+
+@pytest.mark.parametrize("begin_ns", [0, -5_000_000_000])
+def test_a_clock_that_passes_zero_has_a_stamp_there(tmp_path, topics, usual, begin_ns):
+    """A simulation that begins at 0 had been refused: its first stamp was taken for none."""
+    bag = write(tmp_path / "line_x_1", messages(lambda log_ns, k: log_ns - BEGIN_NS + begin_ns))
+    found = read(bag, topics)
+    np.testing.assert_array_equal(found.t_s, usual.t_s)
+    np.testing.assert_array_equal(found.truth_t_s, usual.truth_t_s)
+
+
+def test_headers_without_any_stamp_fall_back_to_the_times_of_the_log(tmp_path, topics, usual):
+    found = read(write(tmp_path / "line_x_1", messages(lambda log_ns, k: 0)), topics)
+    np.testing.assert_array_equal(found.t_s, usual.t_s)
+
+
+@pytest.mark.parametrize("damaged_ns", [2_000_000_000_000_000_000, -2_000_000_000_000_000_000, 0])
+def test_a_damaged_stamp_is_named_with_its_message(tmp_path, topics, damaged_ns):
+    bag = write(tmp_path / "line_x_1", messages(lambda log_ns, k: damaged_ns if k == 100 else log_ns))
+    with pytest.raises(
+        DataError,
+        match=r"line_x_1: /wheels: message 101 of 500, recorded 2\.00 s after the first, is stamped "
+        rf"{damaged_ns // 10**9}\.000 s, .* take it out, or cut the bag",
+    ):
+        read(bag, topics)
+
+
+@pytest.mark.parametrize("every", [1, 2, 4])
+def test_drive_and_steering_may_come_in_messages_of_their_own(tmp_path, topics, usual, every):
+    found = read(write(tmp_path / "line_x_1", messages(apart=True, steer_every=every)), topics)
+    np.testing.assert_array_equal(found.wheel_angle_rad, usual.wheel_angle_rad)
+    np.testing.assert_array_equal(found.t_s, usual.t_s)
+    np.testing.assert_allclose(found.steering_rad, usual.steering_rad, atol=1e-4)
+    assert not found.repairs
+
+
+def test_drive_joints_may_come_one_by_one_and_wrap(tmp_path, topics, usual):
+    """Between two messages around a wrap there is no angle: those rows are left out."""
+
+    def one_by_one():
+        for topic, log_ns, message in messages():
+            if topic == "/vicon":
+                yield topic, log_ns, message
+                continue
+            for k, name in enumerate(DRIVE):
+                t_ns = log_ns + k * 1_000_000
+                angle = math.remainder(message.position[4 + k], 2.0 * math.pi)
+                yield topic, t_ns, joints(t_ns, [name], [angle])
+            yield topic, log_ns, joints(log_ns, STEER, message.position[:4])
+
+    found = read(write(tmp_path / "line_x_1", one_by_one()), topics)
+    kept = np.isin(usual.t_s, found.t_s)
+    assert 0 < np.count_nonzero(~kept) < 30
+    assert found.repairs["wheel rows without numbers dropped"] == np.count_nonzero(~kept)
+    np.testing.assert_allclose(found.wheel_angle_rad, usual.wheel_angle_rad[kept], atol=0.02)
+
+
+def test_steering_that_nobody_sent_for_long_is_no_steering(tmp_path, topics):
+    found = [
+        one
+        for one in messages(apart=True)
+        if one[0] != "/wheels" or list(one[2].name) != STEER or not 4e9 < one[1] - BEGIN_NS < 6e9
+    ]
+    repairs = read(write(tmp_path / "line_x_1", found), topics).repairs
+    assert repairs["wheel rows without numbers dropped"] == pytest.approx(100, abs=2)
+
+
+def test_a_joint_that_no_message_names_is_missing(tmp_path, topics):
+    topics.write_text(MAPPING.replace('"s4"', '"steer4"'))
+    with pytest.raises(DataError, match=r"/wheels has no joint steer4; expected some of w1, .*s4"):
+        read(write(tmp_path / "line_x_1", messages(apart=True)), topics)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"w2"', '"w1"', r"wheels: drive names the joint 'w1' twice"),
+        ('"s4"', '"s1"', r"wheels: steer names the joint 's1' twice"),
+        ('"s1"', '"w3"', r"wheels: drive and steer both name the joint 'w3': "),
+        ('"/vicon"', '"/wheels"', r"wheels\.topic and truth\.topic are both '/wheels'"),
+    ],
+)
+def test_a_mapping_that_names_one_thing_twice_is_refused(topics, old, new, said):
+    topics.write_text(MAPPING.replace(old, new))
+    with pytest.raises(ConfigError) as caught:
+        read_topic_map(topics)
+    assert len(caught.value.problems) == 1
+    assert caught.match(said) or pytest.fail(str(caught.value))
+
+
+@pytest.mark.parametrize(
+    ("name", "motion"),
+    [
+        ("line_x", "line_x"), ("line_x_2", "line_x"), ("circle_ccw", "circle_ccw"), ("run_10", "run"),
+        ("line", "line"), ("slow_run_a", "slow_run_a"), ("_3", "_3"), ("line_x_2b", "line_x_2b"),
+    ],
+)  # fmt: skip
+def test_only_a_number_makes_a_repetition(name, motion):
+    """`line_x` and `line_y` had been two repetitions of `line`, one held out of a fit to the other."""
+    assert motion_of(name) == motion
+
+
+def test_bags_named_after_their_motions_are_no_repetitions(tmp_path, topics):
+    folder = tmp_path / "bags"
+    folder.mkdir()
+    for name, speed_m_s in (("line_x", 0.08), ("line_fast", 0.1), ("line_x_2", 0.09)):
+        write(folder / name, messages(speed_m_s=speed_m_s))
+    found = {one.name: one.motion for one in read_recordings([folder], topics=topics)}
+    assert found == {"line_fast": "line_fast", "line_x": "line_x", "line_x_2": "line_x"}
+
+
+def rows_of(table):
+    with table.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_nothing_is_exported_where_nobody_commanded(tmp_path, topics, kind, capsys):
+    """Set-points of 0 had stood there."""
+    if kind == "parquet" and not is_installed("parquet"):
+        pytest.skip("the extra parquet is not installed")
+    bag, out = write(tmp_path / "line_x_1", messages()), tmp_path / f"line_x_1.{kind}"
+    assert main(["export", str(bag), "--topics", str(topics), "--out", str(out), "--json"]) == 0
+    names = [name for name in json.loads(capsys.readouterr().out)["columns"] if name.startswith("setpoint")]
+    assert len(names) == 8
+    if kind == "csv":
+        rows = rows_of(out)
+        assert {row[name] for row in rows for name in names} == {""}
+    else:
+        from pyarrow import parquet
+
+        assert np.isnan([parquet.read_table(out)[name].to_numpy() for name in names]).all()
+
+
+def test_an_export_keeps_the_angles_behind_a_gap(tmp_path, topics, usual):
+    found = [m for m in messages() if m[0] != "/wheels" or not 5e9 < m[1] - BEGIN_NS < 6.2e9]
+    out = tmp_path / "line_x_1.csv"
+    assert (
+        main(["export", str(write(tmp_path / "bag", found)), "--topics", str(topics), "--out", str(out)]) == 0
+    )
+    last = rows_of(out)[-1]
+    assert [float(last[f"phi{i}"]) for i in range(1, 5)] == usual.wheel_angle_rad[-1].tolist()
+
+
+def mcap(path, *, profile="ros2", schema="ros2msg", encoding="cdr"):
+    """A sound MCAP file with one message on each topic of the mapping."""
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start(profile=profile, library="test")
+        for topic, kind in (("/wheels", JOINT), ("/vicon", POSE)):
+            definition = STORE.generate_msgdef(kind, ros_version=2)[0] if schema == "ros2msg" else "{}"
+            number = writer.register_schema(name=kind, encoding=schema, data=definition.encode())
+            channel = writer.register_channel(schema_id=number, topic=topic, message_encoding=encoding)
+            writer.add_message(channel, log_time=1, publish_time=1, data=b"{}", sequence=0)
+        writer.finish()
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        ({"encoding": "json"}, "/wheels is encoded as 'json'; expected cdr"),
+        ({"encoding": "ros1"}, "/wheels is encoded as 'ros1'; expected cdr"),
+        ({"schema": "protobuf", "encoding": "protobuf"}, "(profile 'ros2', encoded as protobuf)"),
+        ({"profile": "", "schema": "jsonschema", "encoding": "json"}, "'', encoded as json, jsonschema)"),
+        ({"profile": ""}, "is an MCAP file, but no rosbag2 recording (profile '', encoded as cdr, ros2msg)"),
+    ],
+)  # fmt: skip
+def test_an_mcap_file_of_another_kind_is_to_be_converted(tmp_path, topics, made, said):
+    """They were to be repaired with `mcap recover`, though nothing in them is broken."""
+    mcap(tmp_path / "line_x_1.mcap", **made)
+    with pytest.raises(DataError) as caught:
+        read(tmp_path / "line_x_1.mcap", topics)
+    assert said in str(caught.value)
+    assert "convert it to a rosbag2 recording" in str(caught.value)
+    assert "recover" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "it is empty; copy it again"),
+        (b"hello " * 100, "it is text; convert it"),
+        (b"#ROSBAG V2.0\n" + bytes(90), "it is a ROS 1 bag; convert it with `rosbags-convert`"),
+        (b"SQLite format 3\0" + bytes(90), "it is an SQLite database; give it a name that ends with .db3"),
+        (b"\x1f\x8b" + bytes(90), "it is packed by gzip"),
+        (bytes(range(100)), "it is of an unknown kind; convert it"),
+    ],
+)
+def test_a_file_that_is_no_mcap_is_named_for_what_it_is(tmp_path, topics, content, said):
+    file = tmp_path / "line_x_1.mcap"
+    file.write_bytes(content)
+    with pytest.raises(DataError) as caught:
+        read(file, topics)
+    assert f"{file}: is not an MCAP file: {said}" in str(caught.value)
+    assert "recover" not in str(caught.value)
