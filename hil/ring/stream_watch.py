@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.signals import Event, Inputs, Status, samples_of, worst
@@ -77,27 +76,25 @@ class StreamWatch:
         """Look at one cycle's samples; what is noticed is added to `events`."""
         t_ns = inputs.t_ns
         for stream in self._streams:
-            good = [s for s in stream.among(inputs) if s.status is _OK or worst(s) is _OK]
-            if good:
-                self._count(stream, t_ns, good)
+            for sample in stream.among(inputs):
+                if sample.status is _OK or worst(sample) is _OK:
+                    self._count(stream, t_ns, sample.stamp.t_ns)
             stream.cycles += 1
             if stream.settled_ns is not None and t_ns >= stream.ends_ns:
                 if stream.cycles >= stream.punctual:
                     self._conclude(stream, t_ns, events)
                 stream.begin(t_ns)
 
-    def _count(self, stream: _Stream, t_ns: int, good: list[Any]) -> None:
-        """Take the good samples of a cycle."""
+    def _count(self, stream: _Stream, t_ns: int, measured_ns: int) -> None:
+        """Take a good sample."""
         if stream.settled_ns is None:
             stream.settled_ns = t_ns + _SETTLED_NS
             stream.begin(stream.settled_ns)
         if t_ns < stream.settled_ns:
             return
-        stream.good += len(good)
-        for sample in good:
-            age_ns = t_ns - sample.stamp.t_ns
-            if stream.youngest_ns is None or age_ns < stream.youngest_ns:
-                stream.youngest_ns = age_ns
+        stream.good += 1
+        if stream.youngest_ns is None or t_ns - measured_ns < stream.youngest_ns:
+            stream.youngest_ns = t_ns - measured_ns
 
     def _conclude(self, stream: _Stream, t_ns: int, events: list[Event]) -> None:
         """The end of a window."""

@@ -45,6 +45,7 @@ class Status(str, enum.Enum):
 
 
 _OK = Status.OK
+_ALL_OK = (_OK,) * len(SERVOS)
 
 
 @quickly_made
@@ -84,7 +85,7 @@ class ServoSample:
     @property
     def ok(self) -> bool:
         """Whether all eight servos answered."""
-        return all(s is Status.OK for s in self.status)
+        return self.status == _ALL_OK
 
 
 @quickly_made
