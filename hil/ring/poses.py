@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.vocabulary.arithmetic import Vector, quick
-from hil.vocabulary.geometry import Four, conjugated, multiplied, rotated, wrap
+from hil.vocabulary.geometry import Three, conjugated, multiplied, rotated, wrap
 from hil.vocabulary.signals import Inputs, MocapSample, PoseMeasurement, Status, TrackerSample
 
 _FARTHEST_M = 1000.0
@@ -90,29 +90,47 @@ class PoseAlignment:
             return None
         px, py, pz = sample.position_m.tolist()
         w, x, y, z = sample.quaternion_wxyz.tolist()
-        if not (_is_near(px, py, pz) and _is_attitude(w, x, y, z)):
-            return None
         if not self._began:
-            if status is not _OK:
+            if status is not _OK or not _is_pose(px, py, pz, w, x, y, z):
                 return None
             self._began = True
             self._camera[_START:] = (px, py, pz, *conjugated((w, x, y, z)))
-        x_m, y_m, turn_w, turn_z = self._seen_from(self._camera, px, py, pz, w, x, y, z)
-        pose = np.array((x_m, y_m, self._tracker_yaw.follow(_yaw(turn_w, turn_z))))
+        x_m, y_m, yaw_rad = self._seen_from(self._camera, px, py, pz, w, x, y, z)
+        if math.isnan(yaw_rad):
+            return None
+        pose = np.array((x_m, y_m, self._tracker_yaw.follow(yaw_rad)))
         return PoseMeasurement(sample.stamp, "tracker", pose, sample.confidence, status is _OK)
 
     def _mocap(self, sample: MocapSample) -> PoseMeasurement:
         x_m, y_m, _ = sample.position_m.tolist()
         w, x, y, z = sample.quaternion_wxyz.tolist()
         valid = sample.status is _OK and sample.tracking_valid
-        valid = valid and _is_near(x_m, y_m) and _is_attitude(w, x, y, z)
+        valid = valid and _is_pose(x_m, y_m, 0.0, w, x, y, z)
         yaw = self._mocap_yaw.follow(_yaw(w, z)) if valid else math.nan
         return PoseMeasurement(sample.stamp, "mocap", np.array((x_m, y_m, yaw)), 3 if valid else 0, valid)
 
 
+def _is_pose(x_m: float, y_m: float, z_m: float, w: float, x: float, y: float, z: float) -> bool:
+    """Whether it can be one: on any wall that there is, and turned by a unit quaternion as devices send them.
+
+    What is none would spoil every later heading.
+    """
+    return (
+        -_FARTHEST_M < x_m < _FARTHEST_M
+        and -_FARTHEST_M < y_m < _FARTHEST_M
+        and -_FARTHEST_M < z_m < _FARTHEST_M
+        and 0.9 < w * w + x * x + y * y + z * z < 1.1
+    )
+
+
+def _yaw(w: float, z: float) -> float:
+    """As `yaw_of_quat` of a quaternion with these parts."""
+    return wrap(2.0 * math.atan2(z, w))
+
+
 def _seen_from(
     camera: Vector, px: float, py: float, pz: float, w: float, x: float, y: float, z: float
-) -> Four:
+) -> Three:
     """The body beside where it was when the camera began, in the body's axes of then.
 
     Args:
@@ -126,8 +144,10 @@ def _seen_from(
         z: of the quaternion.
 
     Returns:
-        x and y (m), and the parts w and z of the turn, from which its heading follows.
+        x and y (m) and heading (rad); NaN where the camera tells no pose.
     """
+    if not _is_pose(px, py, pz, w, x, y, z):
+        return math.nan, math.nan, math.nan
     place = (camera[_PLACE], camera[_PLACE + 1], camera[_PLACE + 2])
     mounted = (camera[_TURN], camera[_TURN + 1], camera[_TURN + 2], camera[_TURN + 3])
     back = (camera[_BACK], camera[_BACK + 1], camera[_BACK + 2], camera[_BACK + 3])
@@ -137,23 +157,5 @@ def _seen_from(
     )  # fmt: skip
     turn = multiplied(mounted, multiplied(multiplied(back, (w, x, y, z)), conjugated(mounted)))
     moved, lever = rotated(mounted, rotated(back, way)), rotated(turn, place)
-    return place[0] + moved[0] - lever[0], place[1] + moved[1] - lever[1], turn[0], turn[3]
-
-
-def _yaw(w: float, z: float) -> float:
-    """As `yaw_of_quat` of a quaternion with these parts."""
-    return wrap(2.0 * math.atan2(z, w))
-
-
-def _is_near(x_m: float, y_m: float, z_m: float = 0.0) -> bool:
-    """Whether a position can be one: finite, and on any wall that there is."""
-    return (
-        -_FARTHEST_M < x_m < _FARTHEST_M
-        and -_FARTHEST_M < y_m < _FARTHEST_M
-        and -_FARTHEST_M < z_m < _FARTHEST_M
-    )
-
-
-def _is_attitude(w: float, x: float, y: float, z: float) -> bool:
-    """Whether it is a unit quaternion as devices send them; what is not would spoil every later heading."""
-    return 0.9 < w * w + x * x + y * y + z * z < 1.1
+    x_m, y_m = place[0] + moved[0] - lever[0], place[1] + moved[1] - lever[1]
+    return x_m, y_m, _yaw(turn[0], turn[3])
