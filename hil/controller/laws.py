@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from functools import lru_cache
+from struct import Struct
 from typing import Protocol
 
 import numpy as np
@@ -16,6 +17,8 @@ import numpy as np
 from hil.vocabulary.geometry import Array, Three, rotation2, wrap
 from hil.vocabulary.signals import Reference, RobotState
 
+_NINE = Struct("9d")
+"""Packs numbers into an array in a third of the time that a new array of them takes."""
 _STEADY_S = 5.0
 """The gains are computed backwards from this long after the end of the path: at its end they are steady."""
 
@@ -181,6 +184,8 @@ class OptimalLaw(Law):
         self._gains = gains_along((*omegas, *beyond_the_end), dt_s, lag_s, weights)[:steps]
         self._dt_s, self._clamp, self._decay = dt_s, clamp, float(np.exp(-dt_s / lag_s))
         self._integrates = weights[1] > 0.0
+        self._z = np.zeros(9)
+        self._packed_z = self._z.data
         self.reset()
 
     def reset(self) -> None:
@@ -190,8 +195,10 @@ class OptimalLaw(Law):
 
     def twist(self, error: Three, reference: Reference) -> Array:
         """Body twist (3,): feed-forward plus optimal correction."""
-        k = min(max(round(reference.t_s / self._dt_s), 0), len(self._gains) - 1)
-        correction: Array = self._gains[k].dot((*error, *self._integral, *self._lagged))
+        k, last = round(reference.t_s / self._dt_s), len(self._gains) - 1
+        k = 0 if k < 0 else last if k > last else k
+        _NINE.pack_into(self._packed_z, 0, *error, *self._integral, *self._lagged)
+        correction: Array = self._gains[k].dot(self._z)
         keep, take = self._decay, 1.0 - self._decay
         (x, y, turn), (new_x, new_y, new_turn) = self._lagged, correction.tolist()
         self._lagged = keep * x + take * new_x, keep * y + take * new_y, keep * turn + take * new_turn

@@ -275,10 +275,12 @@ class Supervisor:
         x_m, y_m, heading_rad = state.pose_body_in_wall.tolist()
         if self.checks.hold is not None:
             self.checks.hold.heading_rad = heading_rad
-        if self.limits.on_wall and abs(wrap(heading_rad)) > self.limits.heading_limit_rad:
+        steepest = self.limits.heading_limit_rad
+        upright = not self.limits.on_wall or -steepest <= heading_rad <= steepest
+        if not upright and abs(wrap(heading_rad)) > steepest:
             found["heading"] = (
                 f"heading {math.degrees(heading_rad):.1f} deg exceeds "
-                f"{math.degrees(self.limits.heading_limit_rad):.1f} deg: the robot would lose its hold"
+                f"{math.degrees(steepest):.1f} deg: the robot would lose its hold"
             )
         if reference is not None:
             wanted_x_m, wanted_y_m, wanted_rad = reference.pose_in_wall.tolist()

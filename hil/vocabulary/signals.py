@@ -284,10 +284,9 @@ def worst(sample: Any) -> Status:
     status: Status | tuple[Status, ...] = sample.status
     if not isinstance(status, tuple):
         return status
-    for state in status:
-        if state is not _OK:
-            return state
-    return _OK
+    if status.count(_OK) == len(status):
+        return _OK
+    return next(state for state in status if state is not _OK)
 
 
 KINDS = tuple(f.name for f in fields(Inputs) if f.name not in ("cycle", "t_ns", "health", "added"))
