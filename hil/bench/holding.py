@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import math
 from collections import deque
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -93,7 +93,8 @@ class HoldWatch(Sink):
         self._blind = [kinds()[n].noun for n, witness in able.items() if n in elsewhere and witness.is_place]
         self._on_wall, self._can_fall = on_wall, can_fall
         self._travel = Travel(self._witnesses, radius_m)
-        self._tellers = [(name, samples_of(name), self._witnesses[name].value) for name in self._travel.names]
+        tellers = [(name, self._witnesses[name]) for name in self._travel.names]
+        self._tellers = [(name, samples_of(name), one.value, one.is_place) for name, one in tellers]
         self._doubted: dict[str, bool] = {}
         self._leaps = Leaps()
         self._let_go = False
@@ -108,23 +109,24 @@ class HoldWatch(Sink):
             self._press.heading_rad = heading_rad
             self.last_state, estimated = record.state, pose[:2]
         self._tilt.saw(inputs.imu)
-        for name, sample, place in self._sightings(inputs):
-            self._leapt(name, sample, place, estimated)
-            self._travel.passed(name, inputs.t_ns, place)
+        passed, t_ns = self._travel.passed, inputs.t_ns
+        for name, among, told_by, is_place in self._tellers:
+            for sample in among(inputs):
+                place = told_by(sample)
+                if place is None:
+                    continue
+                if is_place:
+                    self._leapt(name, sample, place, estimated)
+                passed(name, t_ns, place)
 
     def passed_over(self, inputs: Inputs) -> None:
         """Take what has piled up before a run and goes to nobody else."""
         self._tilt.saw(inputs.imu)
-        for name, sample, place in self._sightings(inputs):
-            self._leapt(name, sample, place)
-
-    def _sightings(self, inputs: Inputs) -> Iterator[tuple[str, Any, Array]]:
-        """Samples that tell a place, or angles of joints, with what they tell."""
-        for name, among, told_by in self._tellers:
-            for sample in among(inputs):
+        for name, among, told_by, is_place in self._tellers:
+            for sample in among(inputs) if is_place else ():
                 place = told_by(sample)
                 if place is not None:
-                    yield name, sample, place
+                    self._leapt(name, sample, place)
 
     def close(self) -> None:
         """Nothing to let go of."""
@@ -265,15 +267,14 @@ class HoldWatch(Sink):
                 self._leaps.begins_anew(name)
         values = [(sample, self._witnesses[name].value(sample)) for sample in samples]
         for sample, value in values:
-            if value is not None:
+            if value is not None and self._witnesses[name].is_place:
                 self._leapt(name, sample, value)
         return [value for _, value in values if value is not None]
 
     def _leapt(self, name: str, sample: Any, place: Array, estimated: Array | None = None) -> None:
         """What is told in another frame from now on is no way that the robot has gone."""
-        if self._witnesses[name].is_place:
-            for moved in self._leaps.follow(name, sample.stamp.t_ns, place, estimated):
-                self._travel.begins_anew(moved)
+        for moved in self._leaps.follow(name, sample.stamp.t_ns, place, estimated):
+            self._travel.begins_anew(moved)
 
     def _doubt(
         self, hold: ServoHold, trails: dict[str, Trail], seen: Collection[str], places: Collection[str]

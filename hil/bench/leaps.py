@@ -10,6 +10,7 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from operator import sub
 
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array
@@ -36,11 +37,10 @@ class _Told:
         estimated: (2,) m, where the estimate had the robot at its newest place; None where nothing did.
     """
 
-    def __init__(self) -> None:
-        self.seen: deque[tuple[int, Place]] = deque(maxlen=_KEPT)
-        self.step: Place = []
-        self.step_s = 1.0
-        self.estimated: Array | None = None
+    def __init__(self, t_ns: int, place: Place, estimated: Array | None) -> None:
+        self.seen: deque[tuple[int, Place]] = deque([(t_ns, place)], maxlen=_KEPT)
+        self.step, self.step_s = [0.0] * len(place), 1.0
+        self.estimated = estimated
 
 
 @dataclass(frozen=True)
@@ -90,21 +90,22 @@ class Leaps:
         here: Place = place.tolist()
         told = self._told.get(name)
         if told is None:
-            told = self._told[name] = _Told()
-        before_ns, before = told.seen[-1] if told.seen else (None, here)
-        if before_ns is not None and t_ns <= before_ns:
+            self._told[name] = _Told(t_ns, here, estimated)
+            return tuple(self._behind_gaps(t_ns))
+        before_ns, before = told.seen[-1]
+        if t_ns <= before_ns:
             return ()
         was = told.estimated
         if estimated is not None:
             told.estimated = estimated
-        step, leap = [a - b for a, b in zip(here, before, strict=True)], None
-        if before_ns is not None and t_ns - before_ns <= _GAP_NS:
+        step, leap = list(map(sub, here, before)), None
+        if t_ns - before_ns <= _GAP_NS:
             leap = self._step(told, step, (t_ns - before_ns) / NS_PER_S)
         else:
             told.step, told.step_s = [0.0] * len(here), 1.0
-            if before_ns is not None and was is not None and estimated is not None:
+            if was is not None and estimated is not None:
                 leap = _beyond(step, math.dist(estimated, was))
-            elif before_ns is not None:
+            else:
                 self._gaps[name] = _Gap(t_ns, step, dict(self._others(name, before_ns)))
         told.seen.append((t_ns, here))
         if leap is None and not self._gaps:
@@ -115,9 +116,9 @@ class Leaps:
     def _step(self, told: _Told, step: Place, dt_s: float) -> Place | None:
         """By how much it differs from the one before, where that is a leap."""
         before_s = told.step_s
-        beside = [a - b / before_s * dt_s for a, b in zip(step, told.step, strict=True)]
-        if math.hypot(*beside) > _SLACK_M + _PULL_M_S2 * dt_s**2:
-            return beside
+        as_before = [a / before_s * dt_s for a in told.step]
+        if math.dist(step, as_before) > _SLACK_M + _PULL_M_S2 * dt_s**2:
+            return list(map(sub, step, as_before))
         told.step, told.step_s = step, dt_s
         return None
 

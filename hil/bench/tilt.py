@@ -26,6 +26,7 @@ from hil.vocabulary.geometry import rotated
 from hil.vocabulary.signals import ImuSample, Status
 
 IMU = "imu"
+_OK = Status.OK
 APART_RAD = math.atan(LEAST_FRICTION)
 """24 deg: on a slope of that size tyres on the worst known surface begin to slide."""
 _CALM_M_S2 = 2.0
@@ -77,7 +78,9 @@ class TiltWatch:
     def saw(self, samples: Iterable[ImuSample]) -> None:
         """Take samples, oldest first; good ones count, those of the last second."""
         if self._there:
-            self._newest.extend(s for s in samples if s.status is Status.OK)
+            for sample in samples:
+                if sample.status is _OK:
+                    self._newest.append(sample)
 
     def forget(self) -> None:
         """Somebody may have carried the robot elsewhere since."""

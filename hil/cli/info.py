@@ -48,11 +48,13 @@ def _compile_others() -> None:
     from hil.bench import open_bench
     from hil.estimator.ahead import compile_beside
     from hil.estimator.smoother import load_smoother
+    from hil.robot.trajectories import line
 
     compile_beside()
     for plant in ("own",) if lacks("mujoco") else ("own", "mujoco"):
         with open_bench("emulated", overrides={"emulation.plant": plant}) as bench:
             bench.observe(0.1, feedback="odometry")
+            bench.make_brain(line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0)))
     load_smoother()
 
 

@@ -10,57 +10,19 @@ contradict each other.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 
-from hil.robot.kinematics import WheelGeometry, inverse
-from hil.vocabulary.geometry import Array, wrap
+from hil.controller import four_wheels as at
+from hil.controller.four_wheels import ModuleLimits, drive, optimize, steer
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.arithmetic import quick
+from hil.vocabulary.geometry import Array
 from hil.vocabulary.signals import WheelSetpoint
 
-_QUARTER_RAD = np.pi / 2.0
-_FOLLOWING = 0.9
+__all__ = ["ModuleLayer", "ModuleLimits", "optimize"]
 
-
-@dataclass(frozen=True)
-class ModuleLimits:
-    """Limits of a steered and driven wheel."""
-
-    speed_m_s: float = 0.122
-    steering_rad: float = 2.0944
-    steering_rate_rad_s: float = 5.0
-    still_speed_m_s: float = 0.002
-    flip_hysteresis_rad: float = 0.1047
-    contradiction_m_s: float = 0.004
-
-
-def optimize(
-    speed: float, angle_rad: float, measured_rad: float, limits: ModuleLimits
-) -> tuple[float, float]:
-    """Speed and the equivalent angle nearest to the measured one, within the steering range.
-
-    Never asks for a turn of more than a quarter plus the hysteresis unless the range forces it.
-
-    Args:
-        speed: of the wheel, signed, m/s.
-        angle_rad: steering angle wanted.
-        measured_rad: steering angle now.
-        limits: of the module.
-    """
-    near = measured_rad + wrap(angle_rad - measured_rad)
-    if abs(near - measured_rad) > _QUARTER_RAD + limits.flip_hysteresis_rad:
-        near, speed = near - math.copysign(math.pi, near - measured_rad), -speed
-    if abs(near) > limits.steering_rad:
-        near, speed = near - math.copysign(math.pi, near), -speed
-    return speed, near
-
-
-def desaturate(values: Sequence[float], limit: float) -> list[float]:
-    """All values scaled by one factor so that none exceeds the limit."""
-    peak = max(map(abs, values))
-    return list(values) if peak <= limit else [value * (limit / peak) for value in values]
+_SURELY = 0.999
+"""Below this share of a limit a number is below it in whichever order it was summed up."""
 
 
 class ModuleLayer:
@@ -77,82 +39,69 @@ class ModuleLayer:
 
     def __init__(self, geometry: WheelGeometry, limits: ModuleLimits, dt_s: float) -> None:
         self.geometry, self.limits, self.dt_s = geometry, limits, dt_s
+        self._reach_rad = limits.steering_rate_rad_s * dt_s
         p = geometry.projection()
-        self._contradicting = np.eye(8) - p @ np.linalg.pinv(p)
-        self._zeros = 2 * geometry.steering_zero_rad.tolist()
-        self._radius_m = geometry.radius_m.tolist()
+        self._vectors_of_twist, self._contradicting = p.T, np.eye(8) - p @ np.linalg.pinv(p)
+        n = self._numbers = np.zeros(at.SIZE)
+        n[at.ZERO : at.ZERO + 4], n[at.RADIUS : at.RADIUS + 4] = geometry.steering_zero_rad, geometry.radius_m
+        n[at.CONTRADICTING :] = self._contradicting.ravel()
+        self._wanted = np.zeros(8)
+        self._wanted_x, self._wanted_y = self._wanted[0::2], self._wanted[1::2]
+        self._speed, self._angle = n[at.SPEED : at.SPEED + 4], n[at.ANGLE : at.ANGLE + 4]
+        self._measured, self._rate = n[at.MEASURED : at.MEASURED + 4], n[at.RATE : at.RATE + 4]
+        self._held, self._sent = n[at.HELD : at.HELD + 4], n[at.SENT : at.SENT + 4]
+        self._turned, self._cosines = n[at.TURNED : at.TURNED + 12], n[at.COSINE : at.COSINE + 12]
+        self._headings, self._sines = self._turned[4:], n[at.SINE : at.SINE + 8]
+        self._next, self._rolled = n[at.NEXT : at.NEXT + 4], n[at.ROLLED : at.ROLLED + 16].reshape(2, 8)
+        self._steer = quick(steer, n, limits, self._reach_rad)
+        self._drive = quick(drive, n, limits, 1.0)
         self.reset()
 
     def reset(self) -> None:
         """Forget held and sent angles: they start again from the measured ones."""
-        self.following = False
-        self._held: list[float] | None = None
-        self._sent: list[float] | None = None
+        self.following = self._holds = False
 
     def hold(self, measured_rad: Array) -> WheelSetpoint:
         """Wheels at rest at the held, or else the measured, steering angles (4,), rad."""
-        held = measured_rad.tolist() if self._held is None else self._held
-        self._held = self._sent = held
+        self._begin(measured_rad)
+        self._sent[:] = self._held
         self.following = False
-        return WheelSetpoint(np.zeros(4), np.array(held))
+        return WheelSetpoint(np.zeros(4), self._held.copy())
+
+    def _begin(self, measured_rad: Array) -> None:
+        """Hold the measured angles where none are held yet."""
+        if not self._holds:
+            self._held[:] = self._sent[:] = measured_rad
+            self._holds = True
 
     def allocate(self, twist_body: Array, measured_rad: Array) -> WheelSetpoint:
         """Setpoint for a twist (3,) given the measured steering angles (4,).
 
-        Four values a step: plain floats are quicker than arrays, and give the same bits in sums and
-        products. Sine, cosine, angle, hypotenuse and matrix product stay numpy's, whose last bit may differ;
-        `dot` is the product of `@` at a third of its cost.
+        Sine, cosine, angle, hypotenuse and matrix product are numpy's, whose last bit may be another one than
+        machine code's; `dot` is the product of `@` at a third of its cost.
         """
-        measured: list[float] = measured_rad.tolist()
-        asked, target = self._wanted(twist_body, measured)
-        self._held = target
-        reach = self.limits.steering_rate_rad_s * self.dt_s
-        sent = measured if self._sent is None else self._sent
-        step = desaturate([goal - at for goal, at in zip(target, sent, strict=True)], reach)
-        self._sent = sent = [at + more for at, more in zip(sent, step, strict=True)]
-        widest = self.limits.steering_rad
-        bounded = sent
-        if max(sent) > widest or min(sent) < -widest:
-            bounded = [min(max(angle, -widest), widest) for angle in sent]
-        headings = [angle - zero for angle, zero in zip(measured + bounded, self._zeros, strict=True)]
-        error = [wrap(goal - now) for goal, now in zip(target, measured, strict=True)]
-        turned = np.array(error + headings)
-        cosines = np.cos(turned).tolist()
-        speed = [v * max(0.0, part) for v, part in zip(asked, cosines[:4], strict=True)]
-        speed = desaturate(speed, self.limits.speed_m_s)
-        speed = self._agreeing(speed, cosines[4:], np.sin(turned[4:]).tolist())
-        self.following = any(asked) and all(
-            [abs(v) >= _FOLLOWING * abs(wanted) for v, wanted in zip(speed, asked, strict=True)]
-        )
-        rates = [v / radius for v, radius in zip(speed, self._radius_m, strict=True)]
-        return WheelSetpoint(np.array(rates), np.array(bounded))
+        n, limits = self._numbers, self.limits
+        self._begin(measured_rad)
+        self._measured[:] = measured_rad
+        twist_body.dot(self._vectors_of_twist, self._wanted)
+        np.hypot(self._wanted_x, self._wanted_y, self._speed)
+        np.arctan2(self._wanted_y, self._wanted_x, self._angle)
+        self._steer(n, limits, self._reach_rad)
+        np.cos(self._turned, self._cosines)
+        np.sin(self._headings, self._sines)
+        slip, self.following = self._drive(n, limits, 1.0)
+        if not slip < _SURELY * limits.contradiction_m_s:
+            self._slow()
+        return WheelSetpoint(self._rate.copy(), self._next.copy())
 
-    def _wanted(self, twist_body: Array, measured: list[float]) -> tuple[list[float], list[float]]:
-        """Signed speeds (4,) and angles (4,) of a twist (3,): those nearest to the measured angles."""
-        goals = list(measured if self._held is None else self._held)
-        speeds, angles = (values.tolist() for values in inverse(self.geometry, twist_body))
-        for i in range(4):
-            if speeds[i] < self.limits.still_speed_m_s:
-                speeds[i] = 0.0
-            else:
-                speeds[i], goals[i] = optimize(speeds[i], angles[i], measured[i], self.limits)
-        return speeds, goals
-
-    def _agreeing(self, speed: list[float], cosines: list[float], sines: list[float]) -> list[float]:
-        """Speeds (4,) scaled by one factor so that no wheel slips by more than the limit.
+    def _slow(self) -> None:
+        """Slow all wheels alike, so that none slips by more than the limit.
 
         What a wheel slips is what the rigid-body motion that fits all wheels best, by least squares,
         leaves of its velocity; at the angles that the wheels have and at those that they are sent to.
-
-        Args:
-            speed: of the wheels, m/s.
-            cosines: (8,) of the wheels' headings at the first angles, then at the others.
-            sines: (8,) of the same.
         """
-        u: list[float] = []
-        for v, cosine, sine in zip(speed + speed, cosines, sines, strict=True):
-            u += (v * cosine, v * sine)
-        left = np.array(u).reshape(2, 8).dot(self._contradicting).reshape(8, 2)
+        left = self._rolled.dot(self._contradicting).reshape(8, 2)
         peak = max(np.hypot(left[:, 0], left[:, 1]).tolist())
         limit = self.limits.contradiction_m_s
-        return speed if peak <= limit else [v * (limit / peak) for v in speed]
+        if peak > limit:
+            _, self.following = self._drive(self._numbers, self.limits, limit / peak)

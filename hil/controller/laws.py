@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from functools import lru_cache
+from struct import Struct
 from typing import Protocol
 
 import numpy as np
@@ -16,6 +17,8 @@ import numpy as np
 from hil.vocabulary.geometry import Array, Three, rotation2, wrap
 from hil.vocabulary.signals import Reference, RobotState
 
+_NINE = Struct("9d")
+"""Packs numbers into an array in a third of the time that a new array of them takes."""
 _STEADY_S = 5.0
 """The gains are computed backwards from this long after the end of the path: at its end they are steady."""
 
@@ -29,8 +32,13 @@ def pose_error(state: RobotState, reference: Reference) -> Three:
 
 def beyond(error: Three, dead_zone: Three) -> Three:
     """The part of an error that exceeds a dead zone; zero inside, continuous at its edge."""
-    ahead, left, turn = [e - min(max(e, -zone), zone) for e, zone in zip(error, dead_zone, strict=True)]
-    return ahead, left, turn
+    (ahead, left, turn), (ahead_zone, left_zone, turn_zone) = error, dead_zone
+    return ahead - within(ahead, ahead_zone), left - within(left, left_zone), turn - within(turn, turn_zone)
+
+
+def within(value: float, limit: float) -> float:
+    """The number between -limit and limit that is nearest."""
+    return limit if value > limit else -limit if value < -limit else value
 
 
 class Law(Protocol):
@@ -176,26 +184,33 @@ class OptimalLaw(Law):
         self._gains = gains_along((*omegas, *beyond_the_end), dt_s, lag_s, weights)[:steps]
         self._dt_s, self._clamp, self._decay = dt_s, clamp, float(np.exp(-dt_s / lag_s))
         self._integrates = weights[1] > 0.0
+        self._z = np.zeros(9)
+        self._packed_z = self._z.data
         self.reset()
 
     def reset(self) -> None:
         """Empty integral and lag states."""
-        self._integral, self._lagged = [0.0] * 3, [0.0] * 3
+        self._integral: Three = (0.0, 0.0, 0.0)
+        self._lagged: Three = (0.0, 0.0, 0.0)
 
     def twist(self, error: Three, reference: Reference) -> Array:
         """Body twist (3,): feed-forward plus optimal correction."""
-        k = min(max(round(reference.t_s / self._dt_s), 0), len(self._gains) - 1)
-        correction: Array = self._gains[k].dot((*error, *self._integral, *self._lagged))
+        k, last = round(reference.t_s / self._dt_s), len(self._gains) - 1
+        k = 0 if k < 0 else last if k > last else k
+        _NINE.pack_into(self._packed_z, 0, *error, *self._integral, *self._lagged)
+        correction: Array = self._gains[k].dot(self._z)
         keep, take = self._decay, 1.0 - self._decay
-        pairs = zip(self._lagged, correction.tolist(), strict=True)
-        self._lagged = [keep * lagged + take * new for lagged, new in pairs]
+        (x, y, turn), (new_x, new_y, new_turn) = self._lagged, correction.tolist()
+        self._lagged = keep * x + take * new_x, keep * y + take * new_y, keep * turn + take * new_turn
         return reference.twist_body + correction
 
     def learn(self, error: Three) -> None:
         """One step of the integral over the error, within its clamp."""
         if self._integrates:
-            grown = [i + e * self._dt_s for i, e in zip(self._integral, error, strict=True)]
-            self._integral = [min(max(i, -self._clamp), self._clamp) for i in grown]
+            dt_s, most, (x, y, turn) = self._dt_s, self._clamp, self._integral
+            ahead, left, turned = error
+            grown = x + ahead * dt_s, y + left * dt_s, turn + turned * dt_s
+            self._integral = within(grown[0], most), within(grown[1], most), within(grown[2], most)
 
 
 def _without_integral(model: tuple[Array, Array]) -> tuple[Array, Array]:

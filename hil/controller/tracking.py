@@ -60,7 +60,7 @@ class TrackingController(Controller):
         error = pose_error(state, reference)
         outside = beyond(error, self._dead_zone)
         twist = self._law.twist(outside, reference)
-        if not all(map(math.isfinite, (*error, *twist.tolist()))):  # of what is not finite, no error is
+        if not math.isfinite(sum(error) + sum(twist.tolist())):  # of what is not finite, no error is
             raise SafetyStop("not_finite", "state, reference or gains are not finite")
         at_goal = (
             reference.done

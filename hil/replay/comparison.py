@@ -19,7 +19,7 @@ from hil.config.estimator import EstimatorConfig
 from hil.estimator.consistency import autocorrelation, nees
 from hil.recording.runs import RecordedRun
 from hil.ring.motion import HELD_S, Motion
-from hil.ring.own_parts import estimated, reset_estimator
+from hil.ring.own_parts import asked, reset_estimator
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.blame import of_a_script
 from hil.vocabulary.choices import COMPARED, ESTIMATORS
@@ -70,7 +70,8 @@ def estimate(records: Sequence[CycleRecord], estimator: Estimator, start: RobotS
         UsageError: an estimator of one's own has returned no state, or a wrong one.
     """
     reset_estimator(estimator, start)
-    return Motion(tuple(_with_state(r, estimated(estimator, r.measurements)) for r in records))
+    estimate = asked(estimator)
+    return Motion(tuple(_with_state(r, estimate(r.measurements)) for r in records))
 
 
 def _with_state(r: CycleRecord, state: RobotState) -> CycleRecord:

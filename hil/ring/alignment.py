@@ -28,7 +28,8 @@ from hil.vocabulary.signals import (
 )
 
 _MIN_IN_PLANE_GRAVITY_M_S2 = 1.0
-_ALL_OK, _ALL_VALID = (Status.OK,) * 8, (True,) * 4
+_OK = Status.OK
+_ALL_OK, _ALL_VALID = (_OK,) * 8, (True,) * 4
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,7 @@ class Alignment:
         self._zero = np.array(parameters.steer_zero_rad, dtype=np.float64)
         self._signs = np.concatenate([self._drive_sign, self._steer_sign])
         self._zeros = np.concatenate([np.zeros(4), self._zero])
+        self._as_they_are = bool((self._signs == 1.0).all()) and not self._zeros.any()
         self._poses = PoseAlignment(parameters.tracker, parameters.tracker_scale)
         self.reset()
 
@@ -77,45 +79,38 @@ class Alignment:
     def measure(self, inputs: Inputs) -> Measurements:
         """Body measurements of one cycle's inputs; unusable samples are left out or marked."""
         return Measurements(
-            cycle=inputs.cycle,
-            t_ns=inputs.t_ns,
-            wheels=tuple([self._wheels(s) for s in inputs.servos]),
-            gyro=tuple([self._gyro(s) for s in inputs.imu if s.status is Status.OK]),
-            **self._poses.measure(inputs),
+            inputs.cycle,
+            inputs.t_ns,
+            tuple([self._wheels(s) for s in inputs.servos]),
+            tuple([self._gyro(s) for s in inputs.imu if s.status is _OK]),
+            *self._poses.measure(inputs),
         )
 
     def to_servos(self, setpoint: WheelSetpoint) -> ServoSetpoint:
         """Servo goals of a body setpoint."""
+        if self._as_they_are:
+            return ServoSetpoint(setpoint.wheel_rate_rad_s, setpoint.steering_rad + self._zero)
         return ServoSetpoint(
-            drive_velocity_rad_s=self._drive_sign * setpoint.wheel_rate_rad_s,
-            steer_position_rad=self._steer_sign * setpoint.steering_rad + self._zero,
+            self._drive_sign * setpoint.wheel_rate_rad_s,
+            self._steer_sign * setpoint.steering_rad + self._zero,
         )
 
     def _wheels(self, sample: ServoSample) -> WheelMeasurement:
         valid = _ALL_VALID
         if sample.status != _ALL_OK:
-            ok = [status is Status.OK for status in sample.status]
+            ok = [status is _OK for status in sample.status]
             valid = (ok[0] and ok[4], ok[1] and ok[5], ok[2] and ok[6], ok[3] and ok[7])
-        angles = self._signs * (sample.position_rad - self._zeros)
-        return WheelMeasurement(
-            stamp=sample.stamp,
-            wheel_angle_rad=angles[:4],
-            wheel_rate_rad_s=self._drive_sign * sample.velocity_rad_s[:4],
-            steering_rad=angles[4:],
-            valid=valid,
-        )
+        angles, rates = sample.position_rad, sample.velocity_rad_s[:4]
+        if not self._as_they_are:
+            angles, rates = self._signs * (angles - self._zeros), self._drive_sign * rates
+        return WheelMeasurement(sample.stamp, angles[:4], rates, angles[4:], valid)
 
     def _gyro(self, sample: ImuSample) -> GyroMeasurement:
         mount = self.parameters.imu.rotation_wxyz
-        rate = rotated(mount, sample.gyro_rad_s.tolist())
-        up = rotated(mount, sample.gravity_m_s2.tolist())
+        _, _, yaw_rate = rotated(mount, sample.gyro_rad_s.tolist())
+        up_x, up_y, _ = rotated(mount, sample.gravity_m_s2.tolist())
         acceleration = rotated(mount, sample.linear_acceleration_m_s2.tolist())
         heading = math.nan
-        if self.parameters.on_wall and math.hypot(up[0], up[1]) > _MIN_IN_PLANE_GRAVITY_M_S2:
-            heading = self._heading.follow(math.atan2(-up[1], up[0]))
-        return GyroMeasurement(
-            stamp=sample.stamp,
-            yaw_rate_rad_s=rate[2],
-            gravity_heading_rad=heading,
-            acceleration_m_s2=np.array(acceleration[:2]),
-        )
+        if self.parameters.on_wall and math.hypot(up_x, up_y) > _MIN_IN_PLANE_GRAVITY_M_S2:
+            heading = self._heading.follow(math.atan2(-up_y, up_x))
+        return GyroMeasurement(sample.stamp, yaw_rate, heading, np.array(acceleration[:2]))

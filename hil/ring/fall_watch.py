@@ -7,6 +7,7 @@ import math
 from hil.vocabulary.interfaces import Blame
 from hil.vocabulary.signals import Inputs, Status
 
+_OK = Status.OK
 _SAMPLES = 3
 
 
@@ -29,11 +30,11 @@ class FallWatch:
     def judge(self, inputs: Inputs, stop: Blame) -> None:
         """Look at one cycle's samples; `stop` is called with the reason to stop."""
         for imu in inputs.imu:
-            if imu.status is Status.OK:
+            if imu.status is _OK:
                 light = math.hypot(*imu.specific_force_m_s2.tolist()) < self._lightest_m_s2
                 self._weightless = self._weightless + 1 if light else 0
         for tracker in inputs.tracker:
-            if tracker.status is Status.OK:
+            if tracker.status is _OK:
                 fast = math.hypot(*tracker.velocity_m_s.tolist()) > self._fastest_m_s
                 self._sliding = self._sliding + 1 if fast else 0
         if self._weightless >= _SAMPLES:

@@ -89,7 +89,9 @@ class FilterWatch:
         figures = state.diagnostics
         misfit, before = figures.get("nis_mean_tracker", 1.0), self._mean
         self._mean = misfit
-        self._largest_m = max(self._largest_m, figures.get("innovation_tracker_m", 0.0))
+        innovation_m = figures.get("innovation_tracker_m", 0.0)
+        if innovation_m > self._largest_m:
+            self._largest_m = innovation_m
         if anew or misfit < _CALM:
             self._misfit, self._largest_m = anew, 0.0
         if misfit == before or refused or self._misfit:  # the same: no pose has come

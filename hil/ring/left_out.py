@@ -11,6 +11,9 @@ _MEASURED = {"tracker": "tracker", "imu": "gyro", "mocap": "mocap"}
 """Fields of `Measurements` by device."""
 
 
+UNSHAKEN = (0.0, 0.0)
+
+
 class LeftOut:
     """Of one run.
 
@@ -31,7 +34,7 @@ class LeftOut:
         self._names: set[str] = set()
         self.begin()
 
-    def begin(self, off: tuple[float, float] = (0.0, 0.0)) -> None:
+    def begin(self, off: tuple[float, float] = UNSHAKEN) -> None:
         """A new cycle; `off`: by how much the estimate may be off (m, rad) for other reasons."""
         self.shaken = off
 

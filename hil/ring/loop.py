@@ -16,8 +16,9 @@ import numpy as np
 
 from hil.ring.adhesion import LETTING_GO
 from hil.ring.alignment import Alignment
+from hil.ring.left_out import UNSHAKEN
 from hil.ring.loop_timing import Laps, LoopStatistics
-from hil.ring.own_parts import controlled, estimated, own_name, reset_estimator
+from hil.ring.own_parts import asked, controlled, own_name, reset_estimator
 from hil.ring.rig import Rig
 from hil.ring.supervisor import Supervisor
 from hil.vocabulary.clock import NS_PER_S, Clock
@@ -98,6 +99,14 @@ class Brain:
         self._t0_ns: int | None = None
         self._steering = np.zeros(4)
         self._states: dict[str, RobotState] = {}
+        self._ask()
+
+    def _ask(self) -> None:
+        """Find out how each part is asked: those of one's own are checked."""
+        self._estimate = asked(self.estimator)
+        self._observe = {name: asked(observer) for name, observer in self.observers.items()}
+        self._unknown = [name for name, observer in self.observers.items() if own_name(observer)]
+        self._checks_controller = bool(own_name(self.controller))
 
     def reset(self, state: RobotState) -> None:
         """Start a run from a known state; the reference's time starts with the next cycle."""
@@ -110,6 +119,7 @@ class Brain:
             reset_estimator(estimator, state)
         if self.controller is not None:
             self.controller.reset()
+        self._ask()
 
     def decide(self, inputs: Inputs, lap: Lap = _untimed) -> Decision:
         """Steps 2 to 7.
@@ -128,25 +138,24 @@ class Brain:
         measurements = self.alignment.measure(inputs)  # 3
         events = self.supervisor.check(inputs, measurements)  # 2: by what they mean, too
         left_out = self.supervisor.left_out
-        if any(left_out.shaken):
+        if left_out.shaken != UNSHAKEN:
             self._doubt(*left_out.shaken)
         believed = left_out.believed(measurements)
-        state = self._states[_OWN] = estimated(self.estimator, believed)  # 4
+        state = self._states[_OWN] = self._estimate(believed)  # 4
         if figures := self.supervisor.figures():
             state = RobotState(
                 state.t_ns, state.pose_body_in_wall, state.twist_body, state.covariance,
                 {**state.diagnostics, **figures},
             )  # fmt: skip
-        others = {name: estimated(observer, believed) for name, observer in self.observers.items()}
+        others = {name: observe(believed) for name, observe in self._observe.items()}
         self._states.update(others)
         lap("estimate")
         if self.reference_at is not None:
             self.reference = self.reference_at((inputs.t_ns - self._t0_ns) / NS_PER_S)  # 5
         reference = self.reference
         events += self.supervisor.guard(state, reference)
-        for name, other in others.items():
-            if own_name(self.observers[name]):
-                events += self.supervisor.notice(name, other, inputs.t_ns)
+        for name in self._unknown:
+            events += self.supervisor.notice(name, others[name], inputs.t_ns)
         setpoint = self._control(state, reference, measurements)  # 6
         setpoint = self.supervisor.limit(setpoint)  # 7
         command = self.alignment.to_servos(setpoint)
@@ -172,12 +181,14 @@ class Brain:
         wheels = self._complete(measurements.wheels[-1]) if measurements.wheels else None
         if self.controller is None or reference is None or wheels is None:
             return WheelSetpoint(np.zeros(4), self._steering.copy())
-        return controlled(self.controller, measurements.cycle, state, reference, wheels)
+        if self._checks_controller:
+            return controlled(self.controller, measurements.cycle, state, reference, wheels)
+        return self.controller.update(state, reference, wheels)
 
     def _complete(self, wheels: WheelMeasurement) -> WheelMeasurement:
         """Newest wheels; where a steering angle was not read, with the last one that was."""
         steering = wheels.steering_rad
-        if not all(map(math.isfinite, steering.tolist())):
+        if not math.isfinite(sum(steering.tolist())):
             steering = np.where(np.isfinite(steering), steering, self._steering)
             wheels = replace(wheels, steering_rad=steering)
         self._steering = steering
@@ -243,7 +254,8 @@ class ControlLoop:
     def cycle(self, deadline_ns: int) -> CycleRecord:
         """One pass through the ring; `timing_ns["sinks"]` of a record is the previous cycle's."""
         start_ns = self.clock.now_ns()
-        lap = Laps(self.clock, start_ns)
+        laps = Laps(self.clock, start_ns)
+        lap = laps.done
         inputs = self.rig.read(self._cycle)  # 1
         lap("read")
         try:
@@ -254,7 +266,7 @@ class ControlLoop:
         if self.brain.controller is not None and self.rig.servos is not None:
             self.rig.servos.command(decision.command)  # 8
         lap("write")
-        timing = {**lap.timing_ns, "lateness": start_ns - deadline_ns, "sinks": self._sinks_ns}
+        timing = {**laps.timing_ns, "lateness": start_ns - deadline_ns, "sinks": self._sinks_ns}
         record = CycleRecord(
             self._cycle, deadline_ns, start_ns, inputs, decision.measurements, decision.state,
             decision.reference, decision.setpoint, decision.command, decision.events, decision.observers,
@@ -263,7 +275,7 @@ class ControlLoop:
         for sink in self.sinks:  # 9
             sink.write(record)
         lap("sinks")
-        self._count(start_ns, deadline_ns, lap)
+        self._count(start_ns, deadline_ns, laps.timing_ns)
         return record
 
     def _rest(self) -> None:
@@ -279,8 +291,8 @@ class ControlLoop:
                 self._stopped(Inputs(self._cycle, self.clock.now_ns()), error, source=OUTSIDE)
                 raise error
 
-    def _count(self, start_ns: int, deadline_ns: int, lap: Laps) -> None:
-        lateness_ns, durations = start_ns - deadline_ns, lap.timing_ns
+    def _count(self, start_ns: int, deadline_ns: int, durations: Mapping[str, int]) -> None:
+        lateness_ns = start_ns - deadline_ns
         self.statistics.cycles += 1
         self.statistics.late += lateness_ns > self.late_ns
         self.statistics.add({**durations, "work": sum(durations.values()), "lateness": lateness_ns})

@@ -19,23 +19,36 @@ class Distribution:
 
     def __init__(self) -> None:
         self._counts = [0] * _BINS
-        self._total_ns = self.worst_ns = self.count = 0
-        self._last_ns = self._last_bin = 0
+        self._total_ns = self.worst_ns = self._count = 0
+        self._last_ns = self._again = 0
 
     def add(self, value_ns: int) -> None:
         """Count one duration; below 1 ns counts as 1 ns. In virtual time most are as the one before."""
         if value_ns != self._last_ns:
+            self._count_last()
             self._last_ns = value_ns
-            self._last_bin = min(int(math.log(max(1, value_ns)) / _BIN), _BINS - 1)
             self.worst_ns = max(self.worst_ns, value_ns)
-        self._counts[self._last_bin] += 1
-        self._total_ns += value_ns
-        self.count += 1
+        self._again += 1
+
+    def _count_last(self) -> None:
+        """Put the latest duration where it belongs, as often as it came."""
+        place = min(int(math.log(max(1, self._last_ns)) / _BIN), _BINS - 1)
+        self._counts[place] += self._again
+        self._total_ns += self._again * self._last_ns
+        self._count += self._again
+        self._again = 0
+
+    @property
+    def count(self) -> int:
+        """How many were counted."""
+        self._count_last()
+        return self._count
 
     @property
     def mean_ns(self) -> float:
         """Mean of what was counted."""
-        return self._total_ns / max(1, self.count)
+        count = self.count
+        return self._total_ns / max(1, count)
 
     def quantile_ns(self, share: float) -> float:
         """Duration that a share (0 to 1) of what was counted does not exceed; 0 when empty."""
@@ -86,11 +99,11 @@ class Laps:
     """Stopwatch of one cycle: how long each section took, ns."""
 
     def __init__(self, clock: Clock, start_ns: int) -> None:
-        self._clock, self._last_ns = clock, start_ns
+        self._now_ns, self._last_ns = clock.now_ns, start_ns
         self.timing_ns: dict[str, int] = {}
 
-    def __call__(self, section: str) -> None:
+    def done(self, section: str) -> None:
         """A section is done."""
-        now_ns = self._clock.now_ns()
+        now_ns = self._now_ns()
         self.timing_ns[section] = now_ns - self._last_ns
         self._last_ns = now_ns

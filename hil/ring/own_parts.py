@@ -9,10 +9,10 @@ asked as they are.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from copy import copy
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NoReturn, TypeVar
 
 import numpy as np
@@ -49,14 +49,15 @@ def reset_estimator(estimator: Estimator, state: RobotState) -> None:
     estimator.reset(_copied(state, _STATE) if own_name(estimator) else state)
 
 
-def estimated(estimator: Estimator, measurements: Measurements) -> RobotState:
-    """What an estimator makes of one cycle's measurements.
+def asked(estimator: Estimator) -> Callable[[Measurements], RobotState]:
+    """What takes one cycle's measurements and returns what the estimator makes of them.
 
-    Raises:
-        UsageError: one's own has returned no state, or one whose fields are not what they should be.
+    It raises `UsageError` where one's own returns no state, or one whose fields are not what they should be.
     """
-    if not own_name(estimator):
-        return estimator.update(measurements)
+    return partial(_checked, estimator) if own_name(estimator) else estimator.update
+
+
+def _checked(estimator: Estimator, measurements: Measurements) -> RobotState:
     given = replace(
         measurements,
         wheels=_sealed(measurements.wheels),
@@ -75,13 +76,11 @@ def estimated(estimator: Estimator, measurements: Measurements) -> RobotState:
 def controlled(
     controller: Controller, cycle: int, state: RobotState, reference: Reference, wheels: WheelMeasurement
 ) -> WheelSetpoint:
-    """What a controller makes of one cycle.
+    """What a controller of one's own makes of one cycle.
 
     Raises:
-        UsageError: one's own has returned no wheel setpoints, or wrong ones.
+        UsageError: it has returned no wheel setpoints, or wrong ones.
     """
-    if not own_name(controller):
-        return controller.update(state, reference, wheels)
     found = controller.update(*_sealed((state, reference, wheels)))
     wrong = _wrong_arrays(found, WheelSetpoint, _SETPOINT)
     if wrong is not None:

@@ -44,9 +44,10 @@ class PaceWatch:
                 f"the control loop stood still for {gap_ns / NS_PER_S:.1f} s: this program was stopped, or "
                 "the computer had no time for it. Look for what else ran, then start the motion again",
             )
-        elif self._cycle_ns and gap_ns > max(_PAUSE_NS, _PAUSE_CYCLES * self._cycle_ns):
+        elif self._cycle_ns and gap_ns > _PAUSE_NS and gap_ns > _PAUSE_CYCLES * self._cycle_ns:
             self._ended_ns, self._lasted_ns = t_ns, gap_ns
-        self._cycle_ns = min(gap_ns, self._cycle_ns or gap_ns)
+        if gap_ns < self._cycle_ns or not self._cycle_ns:
+            self._cycle_ns = gap_ns
 
     def beside(self, t_ns: int) -> str:
         """What is to be said beside a stop for another reason; empty where no pause came before it."""

@@ -7,12 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.vocabulary.geometry import Four, Three, conjugated, multiplied, rotated, wrap, yaw_of_quat
+from hil.vocabulary.arithmetic import Vector, quick
+from hil.vocabulary.geometry import Three, conjugated, multiplied, rotated, wrap
 from hil.vocabulary.signals import Inputs, MocapSample, PoseMeasurement, Status, TrackerSample
 
 _FARTHEST_M = 1000.0
 _NOWHERE = np.full(3, np.nan)
+_OK, _RESET = Status.OK, Status.RESET
 _USABLE = (Status.OK, Status.LOW_CONFIDENCE, Status.JUMP)
+
+# A camera (15,): where it is on the body and how it is turned there, the scale of its distances, where it
+# began and how it was turned then, conjugated.
+_PLACE, _TURN, _SCALE, _START, _BACK = 0, 3, 7, 8, 11
 
 
 @dataclass(frozen=True)
@@ -51,8 +57,8 @@ class PoseAlignment:
     """
 
     def __init__(self, mount: Mount, scale: float) -> None:
-        self._mount, self._scale = mount, scale
-        self._unmounted = conjugated(mount.rotation_wxyz)
+        self._camera = np.array((*mount.position_m, *mount.rotation_wxyz, scale, *[0.0] * 7))
+        self._seen_from = quick(_seen_from, self._camera, *[0.0] * 7)
         self.reset()
 
     def reset(self) -> None:
@@ -62,15 +68,12 @@ class PoseAlignment:
 
     def _forget_start(self) -> None:
         self._tracker_yaw = Unwrapped()
-        self._start: tuple[Three, Four] | None = None  # where the camera began, and its attitude, conjugated
+        self._began = False
 
-    def measure(self, inputs: Inputs) -> dict[str, tuple[PoseMeasurement, ...]]:
-        """Measurements by the names that they have in `Measurements`."""
+    def measure(self, inputs: Inputs) -> tuple[tuple[PoseMeasurement, ...], tuple[PoseMeasurement, ...]]:
+        """Measurements of the camera, and those of motion capture."""
         camera = [self._tracker(s) for s in inputs.tracker]
-        return {
-            "tracker": tuple([m for m in camera if m is not None]),
-            "mocap": tuple([self._mocap(s) for s in inputs.mocap]),
-        }
+        return tuple([m for m in camera if m is not None]), tuple([self._mocap(s) for s in inputs.mocap])
 
     def _tracker(self, sample: TrackerSample) -> PoseMeasurement | None:
         """The body's pose in the frame of the first good one; None without a usable one.
@@ -79,60 +82,80 @@ class PoseAlignment:
         the vertical by any angle. It begins with the next good pose; the reset itself is told as a pose that
         is not valid.
         """
-        if sample.status is Status.RESET:
+        status = sample.status
+        if status is _RESET:
             self._forget_start()
-            return PoseMeasurement(sample.stamp, "tracker", _NOWHERE, sample.confidence, valid=False)
-        if sample.status not in _USABLE:
+            return PoseMeasurement(sample.stamp, "tracker", _NOWHERE, sample.confidence, False)
+        if status not in _USABLE:
             return None
         px, py, pz = sample.position_m.tolist()
-        turned = sample.quaternion_wxyz.tolist()
-        if not (_is_near(px, py, pz) and _is_attitude(turned)):
-            return None
-        if self._start is None:
-            if sample.status is not Status.OK:
+        w, x, y, z = sample.quaternion_wxyz.tolist()
+        if not self._began:
+            if status is not _OK or not _is_pose(px, py, pz, w, x, y, z):
                 return None
-            self._start = ((px, py, pz), conjugated(turned))
-        (sx, sy, sz), back = self._start
-        mount_m, mount_wxyz = self._mount.position_m, self._mount.rotation_wxyz
-        turn = multiplied(mount_wxyz, multiplied(multiplied(back, turned), self._unmounted))
-        scale = self._scale
-        way = ((px - sx) / scale, (py - sy) / scale, (pz - sz) / scale)
-        moved = rotated(mount_wxyz, rotated(back, way))
-        lever = rotated(turn, mount_m)
-        yaw = self._tracker_yaw.follow(yaw_of_quat(turn))
-        return PoseMeasurement(
-            stamp=sample.stamp,
-            source="tracker",
-            pose=np.array([mount_m[0] + moved[0] - lever[0], mount_m[1] + moved[1] - lever[1], yaw]),
-            quality=sample.confidence,
-            valid=sample.status is Status.OK,
-        )
+            self._began = True
+            self._camera[_START:] = (px, py, pz, *conjugated((w, x, y, z)))
+        x_m, y_m, yaw_rad = self._seen_from(self._camera, px, py, pz, w, x, y, z)
+        if math.isnan(yaw_rad):
+            return None
+        pose = np.array((x_m, y_m, self._tracker_yaw.follow(yaw_rad)))
+        return PoseMeasurement(sample.stamp, "tracker", pose, sample.confidence, status is _OK)
 
     def _mocap(self, sample: MocapSample) -> PoseMeasurement:
-        x, y, _ = sample.position_m.tolist()
-        turned = sample.quaternion_wxyz.tolist()
-        valid = sample.status is Status.OK and sample.tracking_valid
-        valid = valid and _is_near(x, y) and _is_attitude(turned)
-        yaw = self._mocap_yaw.follow(yaw_of_quat(turned)) if valid else math.nan
-        return PoseMeasurement(
-            stamp=sample.stamp,
-            source="mocap",
-            pose=np.array([x, y, yaw]),
-            quality=3 if valid else 0,
-            valid=valid,
-        )
+        x_m, y_m, _ = sample.position_m.tolist()
+        w, x, y, z = sample.quaternion_wxyz.tolist()
+        valid = sample.status is _OK and sample.tracking_valid
+        valid = valid and _is_pose(x_m, y_m, 0.0, w, x, y, z)
+        yaw = self._mocap_yaw.follow(_yaw(w, z)) if valid else math.nan
+        return PoseMeasurement(sample.stamp, "mocap", np.array((x_m, y_m, yaw)), 3 if valid else 0, valid)
 
 
-def _is_near(x_m: float, y_m: float, z_m: float = 0.0) -> bool:
-    """Whether a position can be one: finite, and on any wall that there is."""
+def _is_pose(x_m: float, y_m: float, z_m: float, w: float, x: float, y: float, z: float) -> bool:
+    """Whether it can be one: on any wall that there is, and turned by a unit quaternion as devices send them.
+
+    What is none would spoil every later heading.
+    """
     return (
         -_FARTHEST_M < x_m < _FARTHEST_M
         and -_FARTHEST_M < y_m < _FARTHEST_M
         and -_FARTHEST_M < z_m < _FARTHEST_M
+        and 0.9 < w * w + x * x + y * y + z * z < 1.1
     )
 
 
-def _is_attitude(quaternion_wxyz: list[float]) -> bool:
-    """Whether it is a unit quaternion as devices send them; what is not would spoil every later heading."""
-    w, x, y, z = quaternion_wxyz
-    return 0.9 < w * w + x * x + y * y + z * z < 1.1
+def _yaw(w: float, z: float) -> float:
+    """As `yaw_of_quat` of a quaternion with these parts."""
+    return wrap(2.0 * math.atan2(z, w))
+
+
+def _seen_from(
+    camera: Vector, px: float, py: float, pz: float, w: float, x: float, y: float, z: float
+) -> Three:
+    """The body beside where it was when the camera began, in the body's axes of then.
+
+    Args:
+        camera: (15,).
+        px: position of the camera in its own frame, m.
+        py: to the left.
+        pz: upwards.
+        w: attitude of the camera in its own frame.
+        x: of the quaternion.
+        y: of the quaternion.
+        z: of the quaternion.
+
+    Returns:
+        x and y (m) and heading (rad); NaN where the camera tells no pose.
+    """
+    if not _is_pose(px, py, pz, w, x, y, z):
+        return math.nan, math.nan, math.nan
+    place = (camera[_PLACE], camera[_PLACE + 1], camera[_PLACE + 2])
+    mounted = (camera[_TURN], camera[_TURN + 1], camera[_TURN + 2], camera[_TURN + 3])
+    back = (camera[_BACK], camera[_BACK + 1], camera[_BACK + 2], camera[_BACK + 3])
+    scale = camera[_SCALE]
+    way = (
+        (px - camera[_START]) / scale, (py - camera[_START + 1]) / scale, (pz - camera[_START + 2]) / scale
+    )  # fmt: skip
+    turn = multiplied(mounted, multiplied(multiplied(back, (w, x, y, z)), conjugated(mounted)))
+    moved, lever = rotated(mounted, rotated(back, way)), rotated(turn, place)
+    x_m, y_m = place[0] + moved[0] - lever[0], place[1] + moved[1] - lever[1]
+    return x_m, y_m, _yaw(turn[0], turn[3])

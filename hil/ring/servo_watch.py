@@ -53,7 +53,7 @@ class ServoWatch:
         self._complete_ns: int | None = None
         self._missed: dict[int, tuple[int, Status]] = {}
         self._last_rad, self._last_ns = [math.nan] * 8, [0] * 8
-        self._outside: tuple[float, ...] = (math.nan,) * 4
+        self._outside = [math.nan] * 4
         self._slipped: tuple[int, str] | None = None
 
     def judge(self, inputs: Inputs, events: list[Event], stop: Blame) -> None:
@@ -114,15 +114,15 @@ class ServoWatch:
 
     def _check_turning(self, angles: list[float], t_ns: int, stop: Blame) -> None:
         """A wheel that is asked to turn and reports the same angle is blocked, or its servo is stuck."""
-        blocked = False
-        for i in range(4):
-            since_ns, angle = self._asked_since_ns[i], angles[i]
-            if abs(self.asked_rad_s[i]) < _BLOCKED_RATE_RAD_S or not math.isfinite(angle):
-                self._asked_since_ns[i] = None
-            elif since_ns is None or abs(angle - self._asked_at_rad[i]) > _BLOCKED_RAD:
-                self._asked_since_ns[i], self._asked_at_rad[i] = t_ns, angle
-            else:
-                blocked |= t_ns - since_ns > _BLOCKED_NS
+        blocked, all_since_ns, at_rad = False, self._asked_since_ns, self._asked_at_rad
+        for i, asked_rad_s in enumerate(self.asked_rad_s):
+            since_ns, angle = all_since_ns[i], angles[i]
+            if -_BLOCKED_RATE_RAD_S < asked_rad_s < _BLOCKED_RATE_RAD_S or not math.isfinite(angle):
+                all_since_ns[i] = None
+            elif since_ns is None or abs(angle - at_rad[i]) > _BLOCKED_RAD:
+                all_since_ns[i], at_rad[i] = t_ns, angle
+            elif t_ns - since_ns > _BLOCKED_NS:
+                blocked = True
         if blocked:
             stop("blocked", self.standing(t_ns, _BLOCKED_NS))
 
@@ -137,23 +137,27 @@ class ServoWatch:
         return f"{', '.join(found)}: blocked, or its servo repeats itself" if found else ""
 
     def _check_steps(
-        self, sample: ServoSample, angles: list[float], outside: tuple[float, ...], events: list[Event]
+        self, sample: ServoSample, angles: list[float], outside: list[float], events: list[Event]
     ) -> None:
         """A servo that reports a step which no motor can make has an encoder that slips."""
-        t_ns = sample.stamp.t_ns
-        steps = [new - old for new, old in zip(angles, self._last_rad, strict=True)]
-        if sample.status == _ALL_OK and not (max(steps) > STEP_RAD or min(steps) < -STEP_RAD):
-            self._last_rad, self._last_ns = angles, [t_ns] * 8
-            return
-        for j, step_rad in enumerate(steps):
+        t_ns, last_rad = sample.stamp.t_ns, self._last_rad
+        if sample.status == _ALL_OK:
+            for j in range(8):
+                if not -STEP_RAD <= angles[j] - last_rad[j] <= STEP_RAD:
+                    break
+            else:
+                self._last_rad, self._last_ns = angles, [t_ns] * 8
+                return
+        for j in range(8):
             if sample.status[j] is Status.OK:
+                step_rad = angles[j] - last_rad[j]
                 dt_s = max(t_ns - self._last_ns[j], 0) / NS_PER_S
                 self._last_rad[j], self._last_ns[j] = angles[j], t_ns
                 if abs(step_rad) > STEP_RAD + FASTEST_RAD_S * dt_s:
                     self._leapt(j, step_rad, dt_s, t_ns, outside, events)
 
     def _leapt(
-        self, j: int, step_rad: float, dt_s: float, t_ns: int, outside: tuple[float, ...], events: list[Event]
+        self, j: int, step_rad: float, dt_s: float, t_ns: int, outside: list[float], events: list[Event]
     ) -> None:
         """Tell of a leap, beside what the external encoder of a steering axis did since `outside`."""
         said = f"{self._names[j]} reports a step of {step_rad:+.2f} rad in {1e3 * dt_s:.0f} ms"
@@ -164,9 +168,11 @@ class ServoWatch:
         self._slipped = (t_ns, before + said)
 
 
-def _outside(samples: tuple[EncoderSample, ...], before: tuple[float, ...]) -> tuple[float, ...]:
+def _outside(samples: tuple[EncoderSample, ...], before: list[float]) -> list[float]:
     """Newest known external angles (4,)."""
     if not samples:
         return before
     angles: list[float] = samples[-1].angle_rad.tolist()
-    return tuple([a if math.isfinite(a) else b for a, b in zip(angles, before, strict=True)])
+    if math.isfinite(sum(angles)):
+        return angles
+    return [a if math.isfinite(a) else b for a, b in zip(angles, before, strict=True)]

@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.signals import Event, Inputs, Status, samples_of, worst
 
 _OK = Status.OK
 _WINDOW_NS = 1_000_000_000
+_NEVER_NS = 1 << 62
 _HOST_SHARE = 0.85
 """Of what a healthy sensor delivers: a host that is busy besides loses some by itself."""
 _PUNCTUAL = 0.97
@@ -46,16 +46,16 @@ class _Stream:
     def __init__(self, name: str, healthy: Healthy) -> None:
         self.name, self.healthy, self.among = name, healthy, samples_of(name)
         self.punctual = _PUNCTUAL * healthy.loop_hz
-        self.settled_ns: int | None = None
+        self.settled_ns = _NEVER_NS
         self.learns = math.isnan(healthy.rate_hz)
         self.most = 0.0 if self.learns else healthy.rate_hz * _WINDOW_NS / NS_PER_S
         self.sparse = self.late = False
-        self.begin(0)
+        self.begin(_NEVER_NS)
 
     def begin(self, t_ns: int) -> None:
         """A new window."""
         self.good, self.cycles, self.ends_ns = 0, 0, t_ns + _WINDOW_NS
-        self.youngest_ns: int | None = None
+        self.youngest_ns = _NEVER_NS
 
 
 class StreamWatch:
@@ -77,37 +77,31 @@ class StreamWatch:
         """Look at one cycle's samples; what is noticed is added to `events`."""
         t_ns = inputs.t_ns
         for stream in self._streams:
-            good = [s for s in stream.among(inputs) if s.status is _OK or worst(s) is _OK]
-            if good:
-                self._count(stream, t_ns, good)
+            for sample in stream.among(inputs):
+                if sample.status is _OK or worst(sample) is _OK:
+                    age_ns = t_ns - sample.stamp.t_ns
+                    if t_ns >= stream.settled_ns:
+                        stream.good += 1
+                        if age_ns < stream.youngest_ns:
+                            stream.youngest_ns = age_ns
+                    elif stream.settled_ns == _NEVER_NS:
+                        stream.settled_ns = t_ns + _SETTLED_NS
+                        stream.begin(stream.settled_ns)
             stream.cycles += 1
-            if stream.settled_ns is not None and t_ns >= stream.ends_ns:
+            if t_ns >= stream.ends_ns:
                 if stream.cycles >= stream.punctual:
                     self._conclude(stream, t_ns, events)
                 stream.begin(t_ns)
-
-    def _count(self, stream: _Stream, t_ns: int, good: list[Any]) -> None:
-        """Take the good samples of a cycle."""
-        if stream.settled_ns is None:
-            stream.settled_ns = t_ns + _SETTLED_NS
-            stream.begin(stream.settled_ns)
-        if t_ns < stream.settled_ns:
-            return
-        stream.good += len(good)
-        for sample in good:
-            age_ns = t_ns - sample.stamp.t_ns
-            if stream.youngest_ns is None or age_ns < stream.youngest_ns:
-                stream.youngest_ns = age_ns
 
     def _conclude(self, stream: _Stream, t_ns: int, events: list[Event]) -> None:
         """The end of a window."""
         name, healthy = stream.name, stream.healthy
         sparse = stream.good < _HOST_SHARE * healthy.delivered * stream.most
-        late = stream.youngest_ns is not None and stream.youngest_ns > nanoseconds(healthy.age_s)
+        late = stream.good > 0 and stream.youngest_ns > nanoseconds(healthy.age_s)
         if sparse and not stream.sparse and stream.good:
             said = f"sends {stream.good} good samples a second instead of {stream.most:.0f}"
             events.append(Event(t_ns, "warning", name, said))
-        if late and not stream.late and stream.youngest_ns is not None:
+        if late and not stream.late:
             said = f"its samples are {stream.youngest_ns / NS_PER_S:.3f} s old or more when they arrive"
             events.append(Event(t_ns, "warning", name, said))
         stream.sparse, stream.late = sparse, late

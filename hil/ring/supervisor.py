@@ -93,11 +93,6 @@ class Checks:
     lost_after_s: Mapping[str, float] = field(default_factory=dict)
 
 
-def _finite(values: list[float]) -> bool:
-    """Whether every value is a number."""
-    return all(map(math.isfinite, values))
-
-
 class Supervisor:
     """Watches one run.
 
@@ -124,6 +119,7 @@ class Supervisor:
         self._streams = StreamWatch(self.checks.healthy)
         self.left_out = LeftOut(self.checks.estimated, on_wall=limits.on_wall)
         self.doubted: dict[str, bool] = {}
+        self._widest_rad = limits.steering_limit_rad + 1e-9
         self._filter, self._pace, self._observers = FilterWatch(), PaceWatch(), ObserverCheck()
         self._fall = FallWatch(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s)
         watches = (self._filter, self.checks.estimate, self.checks.wheels)
@@ -191,14 +187,15 @@ class Supervisor:
         most_m = most_rad = 0.0
         for watch in self._unsettling:
             off_m, off_rad = watch.take_off()
-            most_m, most_rad = max(most_m, off_m), max(most_rad, off_rad)
+            most_m = off_m if off_m > most_m else most_m
+            most_rad = off_rad if off_rad > most_rad else most_rad
         self.left_out.begin((most_m, most_rad))
 
     def _check_camera(self, t_ns: int) -> None:
         """Who is driven past a blind camera goes by odometry alone, which slips unseen."""
-        needed = self.checks.needs_camera and "tracker" not in self.left_out
-        silence = self._samples.silence("tracker", t_ns) if needed else ""
-        if silence:
+        if not self.checks.needs_camera or "tracker" in self.left_out:
+            return
+        if silence := self._samples.silence("tracker", t_ns):
             self._blame(
                 "stale_tracker",
                 f"no usable pose of the camera {silence}, which the estimate that is followed needs: check "
@@ -278,14 +275,16 @@ class Supervisor:
         x_m, y_m, heading_rad = state.pose_body_in_wall.tolist()
         if self.checks.hold is not None:
             self.checks.hold.heading_rad = heading_rad
-        if self.limits.on_wall and abs(wrap(heading_rad)) > self.limits.heading_limit_rad:
+        steepest = self.limits.heading_limit_rad
+        upright = not self.limits.on_wall or -steepest <= heading_rad <= steepest
+        if not upright and abs(wrap(heading_rad)) > steepest:
             found["heading"] = (
                 f"heading {math.degrees(heading_rad):.1f} deg exceeds "
-                f"{math.degrees(self.limits.heading_limit_rad):.1f} deg: the robot would lose its hold"
+                f"{math.degrees(steepest):.1f} deg: the robot would lose its hold"
             )
         if reference is not None:
-            wanted_x_m, wanted_y_m, _ = wanted = reference.pose_in_wall.tolist()
-            if not _finite(wanted):
+            wanted_x_m, wanted_y_m, wanted_rad = reference.pose_in_wall.tolist()
+            if not math.isfinite(wanted_x_m + wanted_y_m + wanted_rad):
                 raise SafetyStop("not_finite", "the reference is not finite")
             error_m = math.hypot(wanted_x_m - x_m, wanted_y_m - y_m)
             if error_m > self.limits.tracking_error_limit_m:
@@ -326,14 +325,14 @@ class Supervisor:
         """
         rates: list[float] = setpoint.wheel_rate_rad_s.tolist()
         angles: list[float] = setpoint.steering_rad.tolist()
-        if not _finite(rates + angles):
+        if not math.isfinite(sum(rates) + sum(angles)):
             raise SafetyStop("not_finite", "a setpoint is not finite")
-        if max(map(abs, angles)) > self.limits.steering_limit_rad + 1e-9:
+        if max(angles) > self._widest_rad or min(angles) < -self._widest_rad:
             told_deg = np.degrees(angles).round(1).tolist()
             raise SafetyStop("steering_limit", f"steering setpoint {told_deg} deg")
-        peak = max(map(abs, rates))
-        if peak > self.limits.wheel_rate_limit_rad_s:
-            slowed = setpoint.wheel_rate_rad_s * (self.limits.wheel_rate_limit_rad_s / peak)
+        fastest = self.limits.wheel_rate_limit_rad_s
+        if max(rates) > fastest or min(rates) < -fastest:
+            slowed = setpoint.wheel_rate_rad_s * (fastest / max(map(abs, rates)))
             setpoint, rates = WheelSetpoint(slowed, setpoint.steering_rad), slowed.tolist()
         self._servos.asked_rad_s = rates
         return setpoint

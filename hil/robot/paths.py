@@ -82,7 +82,8 @@ class Segment:
 
     def at(self, t_s: float) -> tuple[Pose, Pose, Pose]:
         """Pose, velocity and acceleration, in wall axes, at a time within the segment."""
-        u = min(max(t_s / self.duration_s, 0.0), 1.0)
+        u = t_s / self.duration_s
+        u = 0.0 if u < 0.0 else 1.0 if u > 1.0 else u
         if self.law == "quintic":
             s, ds, dds = _quintic(u, self.duration_s)
         else:

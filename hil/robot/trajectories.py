@@ -11,7 +11,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
 from typing import Any
 
@@ -144,8 +144,16 @@ def _checked(value: ArrayLike, name: str) -> Array:
     return found
 
 
+@lru_cache(maxsize=4)
+def _into_body(heading_rad: float) -> Array:
+    """(2, 2), read only, takes wall vectors to the body; along most paths the heading stays as it is."""
+    turn = rotation2(-heading_rad)
+    turn.setflags(write=False)
+    return turn
+
+
 def _reference(t_s: float, pose: Pose, velocity: Pose, acceleration: Pose, done: bool) -> Reference:
-    ahead, left = rotation2(-pose[2]).dot(velocity[:2]).tolist()
+    ahead, left = _into_body(pose[2]).dot(velocity[:2]).tolist()
     twist = np.array((ahead, left, velocity[2]))
     return Reference(t_s, np.array(pose), twist, np.array(acceleration), done)
 

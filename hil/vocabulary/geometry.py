@@ -40,7 +40,7 @@ def wrap_array(angle_rad: ArrayLike) -> Array:
 def rotation2(theta_rad: float) -> Array:
     """2x2 rotation matrix that takes body vectors to the frame in which `theta_rad` is measured."""
     c, s = math.cos(theta_rad), math.sin(theta_rad)
-    return np.array([[c, -s], [s, c]])
+    return np.array((c, -s, s, c)).reshape(2, 2)
 
 
 def se2_exp(delta: ArrayLike) -> Array:

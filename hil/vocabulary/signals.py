@@ -45,6 +45,7 @@ class Status(str, enum.Enum):
 
 
 _OK = Status.OK
+_ALL_OK = (_OK,) * len(SERVOS)
 
 
 @quickly_made
@@ -84,7 +85,7 @@ class ServoSample:
     @property
     def ok(self) -> bool:
         """Whether all eight servos answered."""
-        return all(s is Status.OK for s in self.status)
+        return self.status == _ALL_OK
 
 
 @quickly_made
@@ -283,10 +284,9 @@ def worst(sample: Any) -> Status:
     status: Status | tuple[Status, ...] = sample.status
     if not isinstance(status, tuple):
         return status
-    for state in status:
-        if state is not _OK:
-            return state
-    return _OK
+    if status.count(_OK) == len(status):
+        return _OK
+    return next(state for state in status if state is not _OK)
 
 
 KINDS = tuple(f.name for f in fields(Inputs) if f.name not in ("cycle", "t_ns", "health", "added"))

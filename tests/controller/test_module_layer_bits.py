@@ -1,11 +1,13 @@
-"""The module layer in plain floats beside the same in arrays: not a bit may differ."""
+"""The module layer as machine code, and as plain Python, beside the same in arrays: not a bit may differ."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.controller.allocation import ModuleLayer, ModuleLimits, optimize
 from hil.robot.kinematics import WheelGeometry, inverse, wheel_vectors
+from hil.vocabulary import arithmetic
 from hil.vocabulary.geometry import wrap_array
 
 CAD = WheelGeometry.nominal()
@@ -46,14 +48,33 @@ class ArrayLayer:
         speed = scaled(speed, np.hypot(left[:, 0::2], left[:, 1::2]).max(), limits.contradiction_m_s)
         return speed / g.radius_m, bounded
 
+    def hold(self):
+        self.sent = self.held
+        return self.held
+
+
+@pytest.fixture(scope="module", params=["machine code", "plain Python"])
+def module_layer(request):
+    """What makes a module layer, as it is with and without numba."""
+    if request.param == "machine code":
+        pytest.importorskip("numba", reason="machine code needs the extra `fast`")
+        return ModuleLayer
+
+    def interpreted(*arguments):
+        with pytest.MonkeyPatch.context() as without:
+            without.setattr(arithmetic, "is_installed", lambda extra: False)
+            return ModuleLayer(*arguments)
+
+    return interpreted
+
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=40)
-def test_plain_floats_give_the_bits_of_arrays(seed):
-    """So that what was recorded can be repeated: a run by arrays and one by floats do not differ at all."""
+def test_the_module_layer_gives_the_bits_of_arrays(module_layer, seed):
+    """So that what was recorded can be repeated: a run by arrays and one by the layer do not differ."""
     rng = np.random.default_rng(seed)
     geometry = CAD.with_vector(np.concatenate([CAD.vector()[:12], rng.uniform(-0.05, 0.05, 4)]))
-    mine, theirs = (layer(geometry, ModuleLimits(), DT) for layer in (ModuleLayer, ArrayLayer))
+    mine, theirs = (layer(geometry, ModuleLimits(), DT) for layer in (module_layer, ArrayLayer))
     steering = rng.uniform(-2.0, 2.0, 4)
     for k in range(120):
         if k % 30 == 0:
@@ -63,3 +84,5 @@ def test_plain_floats_give_the_bits_of_arrays(seed):
         assert np.array_equal(out.wheel_rate_rad_s, rates)
         assert np.array_equal(out.steering_rad, angles)
         steering = steering + rng.uniform(0.2, 0.8) * (out.steering_rad - steering)
+        if k % 30 == 20 and rng.integers(0, 2):
+            assert np.array_equal(mine.hold(steering).steering_rad, theirs.hold())

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.config.control import ControlConfig
+from hil.controller import four_wheels as at
 from hil.controller import make_controller
-from hil.controller.allocation import ModuleLayer, ModuleLimits, desaturate, optimize
+from hil.controller.allocation import ModuleLayer, ModuleLimits, optimize
 from hil.controller.laws import NonlinearLaw, OptimalLaw, beyond, lag_model, pose_error, riccati_gains
 from hil.robot.kinematics import WheelGeometry, forward, wheel_vectors
 from hil.robot.trajectories import circle, line
@@ -135,7 +136,11 @@ def test_module_oracles_of_wpimath():
     limits = ModuleLimits(steering_rad=3.0, flip_hysteresis_rad=0.0)
     speed, angle = optimize(1.0, 2.5, 0.0, limits)
     assert (speed, angle) == (-1.0, pytest.approx(2.5 - math.pi))
-    np.testing.assert_allclose(desaturate([0.5, 0.3, 0.2, 0.1], 0.28), [0.28, 0.168, 0.112, 0.056])
+    n = np.zeros(at.SIZE)
+    n[at.ASKED : at.ASKED + 4], n[at.RADIUS : at.RADIUS + 4] = [0.5, 0.3, 0.2, 0.1], 1.0
+    n[at.COSINE : at.COSINE + 12] = 1.0
+    at.drive(n, ModuleLimits(speed_m_s=0.28), 1.0)
+    np.testing.assert_allclose(n[at.GIVEN : at.GIVEN + 4], [0.28, 0.168, 0.112, 0.056])
 
 
 @given(st.floats(-3.14, 3.14), st.floats(-2.09, 2.09))

@@ -12,6 +12,7 @@ from hil.config.loading import load_bench
 from hil.ring.alignment import Alignment, AlignmentParameters
 from hil.ring.poses import AT_ORIGIN, Mount, PoseAlignment
 from hil.ring.supervisor import Checks, SafetyLimits, Supervisor
+from hil.vocabulary import arithmetic
 from hil.vocabulary.errors import ConfigError, SafetyStop
 from hil.vocabulary.geometry import (
     quat_conjugate,
@@ -429,12 +430,27 @@ def test_a_camera_at_the_origin_tells_the_bodys_own_way_and_motion_capture_its_q
     for x_m in (0.0, 0.2):
         turn = np.array(quat_from_yaw(2.0 * x_m))
         camera = TrackerSample(STAMP, np.array([x_m, -x_m, 0.0]), turn, none, none, 3)
-        measured = alignment.measure(Inputs(0, 0, tracker=(camera,)))
-    np.testing.assert_allclose(measured["tracker"][0].pose, [0.2, -0.2, 0.4], atol=1e-12)
+        (measured,), _ = alignment.measure(Inputs(0, 0, tracker=(camera,)))
+    np.testing.assert_allclose(measured.pose, [0.2, -0.2, 0.4], atol=1e-12)
     for tracked, quality in ((True, 3), (False, 0)):
         seen = MocapSample(STAMP, np.array([0.1, 0.2, 0.0]), one, tracked, 0.0, 0.0)
-        (found,) = alignment.measure(Inputs(0, 0, mocap=(seen,)))["mocap"]
+        _, (found,) = alignment.measure(Inputs(0, 0, mocap=(seen,)))
         assert (found.valid, found.quality) == (tracked, quality)
+
+
+def test_a_pose_of_the_camera_is_the_same_with_and_without_machine_code(monkeypatch):
+    pytest.importorskip("numba", reason="machine code needs the extra `fast`")
+    rng = np.random.default_rng(3)
+    attitudes = rng.standard_normal((300, 4))
+    attitudes /= np.linalg.norm(attitudes, axis=1)[:, None]
+    mount = Mount(tuple(rng.normal(size=3).tolist()), tuple(attitudes[0].tolist()))
+    compiled = PoseAlignment(mount, 1.02)
+    monkeypatch.setattr(arithmetic, "is_installed", lambda extra: False)
+    interpreted, none = PoseAlignment(mount, 1.02), np.zeros(3)
+    for attitude in attitudes[1:]:
+        camera = Inputs(0, 0, tracker=(TrackerSample(STAMP, rng.normal(size=3), attitude, none, none, 3),))
+        ((one,), _), ((other,), _) = compiled.measure(camera), interpreted.measure(camera)
+        assert one.pose.tobytes() == other.pose.tobytes()
 
 
 def test_a_camera_of_which_only_the_place_is_named_looks_along_the_bodys_axes():
@@ -443,5 +459,5 @@ def test_a_camera_of_which_only_the_place_is_named_looks_along_the_bodys_axes():
     for yaw in (0.0, 0.4, 0.8):
         turn = np.array(quat_from_yaw(yaw))
         camera = TrackerSample(STAMP, quat_rotate(turn, (0.1, 0.05, 0.0)), turn, none, none, 3)
-        (measured,) = alignment.measure(Inputs(0, 0, tracker=(camera,)))["tracker"]
+        (measured,), _ = alignment.measure(Inputs(0, 0, tracker=(camera,)))
         np.testing.assert_allclose(measured.pose, [0.0, 0.0, yaw], atol=1e-12)

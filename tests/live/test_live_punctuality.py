@@ -58,7 +58,7 @@ def test_laps_add_up_to_the_cycle():
     lap = Laps(clock, 0)
     for t_ns, name in ((3, "read"), (10, "estimate"), (11, "control")):
         clock.t_ns = t_ns
-        lap(name)
+        lap.done(name)
     assert lap.timing_ns == {"read": 3, "estimate": 7, "control": 1}
 
 
