@@ -61,7 +61,8 @@ class SteppedBody(Plant):
         self._motion, self._headings = (
             _view(self._state[at : at + size]) for at, size in ((k.BODY, 8), (k.HEADING, 4))
         )
-        self._views = tuple(_view(self._state[at : at + 8]) for at in (k.ANGLE, k.RATE, k.AMPS))
+        angle, rate, amps = (_view(self._state[at : at + 8]) for at in (k.ANGLE, k.RATE, k.AMPS))
+        self._views = angle, rate, amps
 
     @abstractmethod
     def _integrate(self, n: int, adhesion_factor: float) -> None:
@@ -165,8 +166,7 @@ class SteppedBody(Plant):
 
     def joints(self) -> tuple[Array, Array, Array]:
         """Read-only views of position (8,), velocity (8,) and current (8,)."""
-        position, rate, current = self._views
-        return position, rate, current
+        return self._views
 
     def truth(self) -> PlantState:
         """A frozen copy of everything, at `t_ns`; made once per internal step."""

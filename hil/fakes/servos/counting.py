@@ -6,13 +6,13 @@ when somebody looks.
 
 from __future__ import annotations
 
-from hil.fakes.arithmetic import Rows
+from hil.fakes.arithmetic import Rows, Vector
 
 # Rows of the scales (3, 8): counts per rad, velocity counts per count of a span, counts per A.
 PER_RAD, PER_SPAN, PER_A = range(3)
 
-# Rows of what is measured now (2, 8): angles in rad and currents in A.
-ANGLES, CURRENTS = range(2)
+# Rows of what the servos show (3, 8): encoders, velocities and currents.
+SHOWN_COUNTS, SHOWN_VELOCITIES, SHOWN_CURRENTS = range(3)
 
 OLD, SPAN = 3, 19
 """How old the firmware's velocity is, and over how many points of the grid it is taken."""
@@ -35,11 +35,14 @@ def count(history: Rows, dither: Rows, scales: Rows, first: int, last: int) -> N
             values[j] = float(round(values[j] * per_rad[j] + added[j]))
 
 
-def show(now: Rows, history: Rows, dither: Rows, scales: Rows, first: int, row: int, shown: Rows) -> None:
+def show(
+    angles: Vector, amps: Vector, history: Rows, dither: Rows, scales: Rows, first: int, row: int, shown: Rows
+) -> None:
     """Encoders, velocities and currents in the servos' counts, truncated towards zero.
 
     Args:
-        now: (2, 8).
+        angles: (8,) rad.
+        amps: (8,) A.
         history: (n, 8), which it changes.
         dither: (n, 8) counts.
         scales: (3, 8).
@@ -48,9 +51,9 @@ def show(now: Rows, history: Rows, dither: Rows, scales: Rows, first: int, row: 
         shown: (3, 8) whole numbers: the result.
     """
     count(history, dither, scales, first, row)
-    angles, amps, added = now[ANGLES], now[CURRENTS], dither[row]
+    added = dither[row]
     newer, older = history[row - OLD], history[row - OLD - SPAN]
-    counts, velocities, currents = shown[0], shown[1], shown[2]
+    counts, velocities, currents = shown[SHOWN_COUNTS], shown[SHOWN_VELOCITIES], shown[SHOWN_CURRENTS]
     per_rad, per_span, per_a = scales[PER_RAD], scales[PER_SPAN], scales[PER_A]
     for j in range(8):
         counts[j] = round(angles[j] * per_rad[j] + added[j])
