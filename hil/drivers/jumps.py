@@ -77,5 +77,5 @@ class JumpTest:
             return False
         (aw, ax, ay, az), (bw, bx, by, bz) = after[2], before[2]
         overlap = abs(aw * bw + ax * bx + ay * by + az * bz)
-        turn_rad = 2.0 * math.acos(min(1.0, overlap))
+        turn_rad = 2.0 * math.acos(overlap) if overlap < 1.0 else 0.0
         return turn_rad <= self._angle_rad + self._rate_rad_s * dt_s

@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable
 from copy import copy
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import can
 
@@ -21,6 +21,7 @@ from hil.fakes.fault import STRIKES, Supported
 from hil.fakes.world import NEVER_NS, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import UsageError
+from hil.vocabulary.records import named
 
 WIRE_FAULTS: Supported = {
     "drop": STRIKES,
@@ -37,20 +38,20 @@ _OVERHEAD_BITS, _STUFFING = 47, 1.1
 _CHANNELS: dict[str, CanChannel] = {}
 
 
-class CanFrame:
-    """A data frame that has crossed the wire, with the names of `can.Message`; nobody changes it.
+class CanFrame(NamedTuple):
+    """A data frame that has crossed the wire, with the names of `can.Message`.
 
     Attributes:
         timestamp: arrival on the world's clock, s.
-        arbitration_id, is_extended_id, data: as of `can.Message`.
+        arbitration_id, data, is_extended_id, is_remote_frame, is_error_frame: as of `can.Message`.
     """
 
-    __slots__ = ("arbitration_id", "data", "is_extended_id", "timestamp")
-    is_remote_frame = is_error_frame = False
-
-    def __init__(self, timestamp: float, frame_id: int, data: bytes, extended: bool) -> None:
-        self.timestamp, self.arbitration_id = timestamp, frame_id
-        self.data, self.is_extended_id = data, extended
+    timestamp: float
+    arbitration_id: int
+    data: bytes
+    is_extended_id: bool
+    is_remote_frame: bool = False
+    is_error_frame: bool = False
 
     @property
     def dlc(self) -> int:
@@ -123,7 +124,8 @@ class CanChannel:
             self.send(message, t_ns, sender=sender)
             return
         arrival_ns = self._crossed_ns(extended, len(data), t_ns)
-        self._hand_over(arrival_ns, CanFrame(arrival_ns / NS_PER_S, frame_id, data, extended), sender)
+        frame = named(CanFrame, (arrival_ns / NS_PER_S, frame_id, data, extended, False, False))
+        self._hand_over(arrival_ns, frame, sender)
 
     def send(self, message: can.Message, t_ns: int, *, sender: deque[Heard] | None = None) -> None:
         """Put any frame on the bus, which is the channel's from now on; everybody but the sender hears it."""

@@ -59,7 +59,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         self._bus_error = ""
         self._resumed_at = 0
         self._identity: dict[str, str] = {}
-        self._fail_ns = nanoseconds(config.fail_after_s)
+        self._fail_ns, self._yellow_mode = nanoseconds(config.fail_after_s), config.yellow_mode
         self._over_ns = max(_OVER_NS, nanoseconds(1.0 / config.rate_hz))
         self._forget()
 
@@ -287,7 +287,7 @@ class As5045Encoders(Sensor[EncoderSample]):
     def _finish(self, host_ns: int) -> EncoderSample | None:
         """The sample of the present set; None while start-up garbage is dropped."""
         assert self._sequence is not None
-        self._finished, words = self._sequence, self._words
+        words, self._finished = self._words, self._sequence
         self._sequence = None
         t_ns, node_ns, restarted = self._timeline.update(self._finished, self._time_raw, self._arrival_ns)
         if restarted:
@@ -296,10 +296,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         if self._discard > 0:
             self._discard -= 1
             return None
-        angles, status = decode_words(words, yellow_mode=self._config.yellow_mode)
+        angles, status = decode_words(words, yellow_mode=self._yellow_mode)
         return EncoderSample(
-            stamp=Stamp(t_ns=t_ns, host_ns=host_ns, seq=self._timeline.sequence, device_ns=node_ns),
-            angle_rad=np.array(angles),
-            status=status,
-            raw_word=tuple(words),
+            Stamp(t_ns, host_ns, self._timeline.sequence, node_ns), np.array(angles), status, tuple(words)
         )

@@ -63,7 +63,7 @@ class As5045Chip:
         self.offset_rad = 0.0
         self._held = 0
 
-    def word(self, angle_rad: float, noise: float, *, started: bool = True) -> int:
+    def word(self, angle_rad: float, noise: float, started: bool = True) -> int:
         """The word for a true axis angle; `noise` is a standard normal number."""
         theta = self._sign * angle_rad + self._zero_rad + self.offset_rad
         a1, p1, a2, p2, sigma = self._errors

@@ -17,6 +17,7 @@ from hil.fakes.imu.output import EMPTY, LENGTH, encode
 from hil.fakes.imu.sensors import ImuTruthOptions, InertialSensors, matrix, product, remap
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, Scheduled, World
+from hil.vocabulary.records import named
 
 __all__ = ["SUPPORTED_FAULTS", "Bno055Chip"]
 
@@ -90,7 +91,7 @@ class Bno055Chip(SerialChip, Scheduled):
     def on_due(self, t_ns: int) -> None:
         """Sense and publish one set of outputs."""
         mode, sensors = self._mode, self.sensors
-        faults = None if self._faults.none else self._faults
+        faults = None if self._faults.plan.empty else self._faults
         period_ns = round(1e9 / mode.rate_hz * self._stretch * (faults.slowness(t_ns) if faults else 1.0))
         self._due_ns = t_ns + period_ns
         if faults is not None:
@@ -117,11 +118,14 @@ class Bno055Chip(SerialChip, Scheduled):
             self._parser.reset()
             return []
         replies = self.poll(t_ns)
-        ready_ns = t_ns + _ANSWER_NS + self._faults.delay_ns(t_ns)
+        faults = None if self._faults.plan.empty else self._faults
+        ready_ns = t_ns + _ANSWER_NS + (0 if faults is None else faults.delay_ns(t_ns))
         for request in self._parser.feed(data, t_ns):
-            answer = self._faults.spoil(self._answer(request, t_ns), t_ns)
+            answer = self._answer(request, t_ns)
+            if faults is not None:
+                answer = faults.spoil(answer, t_ns)
             if answer:
-                replies.append(Reply(ready_ns, answer))
+                replies.append(named(Reply, (ready_ns, answer)))
         return replies
 
     def poll(self, t_ns: int) -> list[Reply]:
@@ -151,7 +155,7 @@ class Bno055Chip(SerialChip, Scheduled):
 
     def _power(self, t_ns: int) -> bool:
         """Follow power faults; True while the chip has no power or is booting."""
-        if self._faults.none:
+        if self._faults.plan.empty:
             return False
         boot_ns = self._faults.boot_at_ns(t_ns)
         if boot_ns is not None:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from hil.vocabulary.records import named
+
 WRITE_SUCCESS, WRITE_FAIL, INVALID_ADDRESS, WRITE_DISABLED = 0x01, 0x03, 0x04, 0x05
 WRONG_START, BUS_OVERRUN, MAX_LENGTH, MIN_LENGTH, CHARACTER_TIMEOUT = 0x06, 0x07, 0x08, 0x09, 0x0A
 
@@ -87,7 +89,7 @@ class RequestParser:
             return self._drop(len(buffer) if writing else 4, MAX_LENGTH)
         if not writing:
             del buffer[:4]
-            return Request(register, length)
+            return named(Request, (register, length, None, 0))
         if len(buffer) < 4 + length:
             return None
         payload = bytes(buffer[4 : 4 + length])

@@ -21,9 +21,10 @@ from hil.fakes.servos.goal_place import GoalPlace
 from hil.fakes.servos.memory import ControlTable
 from hil.fakes.servos.motion import STEP, Trajectory
 from hil.fakes.servos.position import PositionRegister
+from hil.vocabulary.records import named
 
 OFF = JointCommand()
-_made, _FREE = JointCommand._make, math.inf
+_FREE = math.inf
 _WITH_POSITION = (POSITION, EXTENDED, CURRENT_POSITION)
 _REVERSE, _TIMED = 1, 4
 _REVERSE_FIRMWARE, _TIMED_FIRMWARE = 38, 42
@@ -130,11 +131,13 @@ class Axis:
             if trajectory.ongoing or trajectory.velocity != raw:
                 trajectory.turn(raw, place.acceleration, timed=self._timed)
                 goal = self.position.sign * self.share * trajectory.velocity * self._rad_s
-                self._plant.command(self._joint, _made(("velocity", goal, _FREE, _FREE, place.duty)))
+                command = named(JointCommand, ("velocity", goal, _FREE, _FREE, place.duty))
+                self._plant.command(self._joint, command)
         elif trajectory.ongoing or trajectory.position != raw:
             trajectory.move(raw, place.acceleration, place.velocity, timed=self._timed)
             goal = self.position.joint_rad(trajectory.position)
-            self._plant.command(self._joint, _made(("position", goal, _FREE, _FREE, place.duty)))
+            command = named(JointCommand, ("position", goal, _FREE, _FREE, place.duty))
+            self._plant.command(self._joint, command)
 
     def _there_already(self, name: str, raw: int) -> bool:
         """Whether a goal is what the motor is being asked for anyway."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,7 +25,7 @@ class GoalPlace:
         data: what was written there last.
         name: of the goal's register.
         first, end: the register's own bytes.
-        signed: whether it is.
+        count: raw count of the bytes.
         low, high: raw counts between which it is taken.
         acceleration, velocity: raw counts of the profile in force.
         motor: how the motor follows this goal alone; None where the mode asks for more, or does not use it.
@@ -36,7 +37,7 @@ class GoalPlace:
     name: str
     first: int
     end: int
-    signed: bool
+    count: Callable[[bytes], tuple[int]]
     low: int
     high: int
     acceleration: int
@@ -66,6 +67,6 @@ def goal_place(table: ControlTable, mode: int, plan: Plan, address: int, data: b
     acceleration, velocity = get("profile_acceleration"), get("profile_velocity")
     duty = abs(get("goal_pwm") / table.model.full_pwm)
     return GoalPlace(
-        address, data, register.name, register.address, register.end, register.signed,
-        low, high, acceleration, velocity, motor, duty,
+        address, data, register.name, register.address, register.end,
+        table.layout.unpack[register.name][0].unpack, low, high, acceleration, velocity, motor, duty,
     )  # fmt: skip

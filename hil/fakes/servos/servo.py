@@ -201,8 +201,10 @@ class Servo:
             return False
         if data == goal.data and not self.axis.trajectory.ongoing:
             return True
-        raw = int.from_bytes(data, "little", signed=goal.signed)
-        if len(data) != len(goal.data) or not goal.low <= raw <= goal.high:
+        if len(data) != len(goal.data):
+            return False
+        (raw,) = goal.count(data)
+        if not goal.low <= raw <= goal.high:
             return False
         goal.data = data
         self.table.data[goal.first : goal.end] = data

@@ -51,7 +51,7 @@ class TrackerFaults(DeviceFaults):
     @property
     def idle(self) -> bool:
         """Whether there is nothing to ask for: no fault is planned, and none has left its mark."""
-        return self.none and not self._off
+        return self.plan.empty and not self._off
 
     def silent(self, t_ns: int) -> bool:
         """Whether no pose is made now."""

@@ -118,7 +118,7 @@ class T265(Scheduled):
 
     def on_due(self, t_ns: int) -> None:
         """Deliver what has arrived, then expose."""
-        if not self._faults.none and self._unplugged(t_ns):
+        if not self._faults.plan.empty and self._unplugged(t_ns):
             return
         while self._travelling and self._travelling[0][0] <= t_ns:
             frame = self._travelling.popleft()[1]
