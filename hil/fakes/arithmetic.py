@@ -36,8 +36,8 @@ def rows(block: Array) -> Rows:
     return block if is_installed("fast") else block.tolist()
 
 
-def octets(data: bytes) -> Octets:
-    """Bytes that arithmetic may read and change."""
+def octets(data: bytes) -> Any:
+    """Bytes that arithmetic may read and change (`Octets`), in the form of a buffer."""
     return np.frombuffer(data, np.uint8).copy() if is_installed("fast") else bytearray(data)
 
 

@@ -78,7 +78,9 @@ class Serial(SerialBase):
 
     def read(self, size: int = 1, /) -> bytes:
         """Wait for `size` bytes, at most `timeout`; raises `SerialException` when unplugged."""
-        line = self._opened()
+        line = self._line
+        if line is None or not line.faults.empty:
+            line = self._opened()
         world = line.world
         out = line.take(size)
         if len(out) >= size:
@@ -94,7 +96,8 @@ class Serial(SerialBase):
                 raise SerialException("nothing will ever arrive on this line")
             world.advance_to(step_ns)
             out += line.take(size - len(out))
-        self._opened()
+        if not line.faults.empty:
+            self._opened()
         return out
 
     def write(self, data: Any, /) -> int:

@@ -12,7 +12,6 @@ the chain: somebody else leads the next read, and the guilty one is then known.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from hil.config.servos import ServosConfig
@@ -21,7 +20,7 @@ from hil.drivers.servos.packets import NO_ANSWER, Answer, GroupRead
 from hil.drivers.servos.registers import CYCLE_FIELDS, FULL_FIELDS, FULL_LEVEL, Fields, RegisterMap
 from hil.drivers.servos.roll_call import RollCall
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
-from hil.vocabulary.records import quickly_made
+from hil.vocabulary.records import named
 from hil.vocabulary.signals import Status
 
 _DEAD_AFTER = 3
@@ -32,9 +31,7 @@ _FULL_LEVELS = (FULL_LEVEL,) * 8
 ALL_OK = (Status.OK,) * 8
 
 
-@quickly_made
-@dataclass(frozen=True)
-class Reading:
+class Reading(NamedTuple):
     """One read of all eight.
 
     Attributes:
@@ -189,7 +186,8 @@ class CycleReader:
             return None
         if self._missed != _NONE_MISSED:
             self._missed = list(_NONE_MISSED)
-        return Reading(registers, ALL_OK, _NO_ALERT, exchange.taken_ns, exchange.received_ns, full)
+        values = (registers, ALL_OK, _NO_ALERT, exchange.taken_ns, exchange.received_ns, full, ())
+        return named(Reading, values)
 
     def _group(self, kind: _Kind, joints: tuple[int, ...]) -> tuple[GroupRead, float]:
         found = self._groups.get((kind, joints))

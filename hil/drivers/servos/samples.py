@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import struct
 from collections.abc import Sequence
+from operator import sub
 
 import numpy as np
 
@@ -44,7 +45,7 @@ class Samples:
         self._upkeep, self._clock, self._device = upkeep, clock, device
         model, read = registers.model, registers.from_block
         self._scales = np.repeat((model.rad_per_count, model.rad_s_per_count, model.a_per_count), 8)
-        self._zeros = np.repeat((float(model.zero_counts), 0.0, 0.0), 8)
+        self._zeros = (model.zero_counts,) * 8
         self.turns, self.doubtful = MultiTurnCounter(model), False
         self._registers: Sequence[int] = [read(b, "present_position") for b in blocks]
         self._alert = [0] * 8
@@ -92,8 +93,10 @@ class Samples:
     def _in_si(self, counts: Sequence[int], reading: Reading) -> Array:
         """(24,) positions in rad, velocities in rad/s, currents in A."""
         rows = reading.registers
-        values: Array = np.frombuffer(_DOUBLES(*counts, *rows["velocity"], *rows["current"])) - self._zeros
-        values *= self._scales
+        from_zero = map(sub, counts, self._zeros)
+        values: Array = (
+            np.frombuffer(_DOUBLES(*from_zero, *rows["velocity"], *rows["current"])) * self._scales
+        )
         return values
 
     def _follow(self, reading: Reading) -> tuple[Sequence[int], np.ndarray]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import math
+import struct
 from collections import deque
 from collections.abc import Mapping
 from math import hypot
@@ -48,6 +49,7 @@ _FARTHEST_M = 1000.0
 _FASTEST = 100.0
 _NORM_LOW, _NORM_HIGH = 0.98, 1.02
 _RESTART_FRAMES = 200
+_DOUBLES = struct.Struct("13d").pack
 _OK, _WITHOUT_VALUES = Status.OK, (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.NOT_TRACKED)
 
 _Raw = tuple[Any, ...]
@@ -277,7 +279,7 @@ class T265Tracker(Sensor[TrackerSample]):
             status = Status.STALE
         elif self._restarted and status is Status.JUMP:
             status, self._restarted = Status.RESET, False
-        values = np.array(raw[4:])
+        values = np.frombuffer(bytearray(_DOUBLES(*raw[4:])))
         if status in _WITHOUT_VALUES:
             values[:] = np.nan
         stamp = Stamp(t_ns, host_ns, self._seq_base + number, device_ns)

@@ -23,9 +23,6 @@ from hil.fakes.faults import Once
 from hil.fakes.world import Scheduled, World
 from hil.vocabulary.signals import WHEELS
 
-_word = As5045Chip.word
-_STARTED, _STARTING = (True,) * 4, (False,) * 4
-
 AXIS_FAULTS: Supported = {
     "off": (),
     "stuck": (),
@@ -132,7 +129,7 @@ class EncoderNode(Scheduled):
             return
         steering = self._world.plant.steering_rad()
         started = t_ns - self._boot_ns >= START_UP_NS
-        words = list(map(_word, self.chips, steering, noise, _STARTED if started else _STARTING))
+        words = [chip.word(steering[k], noise[k], started) for k, chip in enumerate(self.chips)]
         if self._first_set:
             self._first_set = False
             words = [int(w) for w in self._rng.integers(0, 1 << 18, 4)]

@@ -27,6 +27,8 @@ _ANSWER_NS = 100_000
 _CELSIUS = 27.0
 _HISTORY = 256
 _BAUD_TOLERANCE = 0.03
+_HEADS = tuple(bytes((0xBB, length)) for length in range(reg.SIZE + 1))
+"""Of an answer to a read, by its length."""
 
 
 class Bno055Chip(SerialChip, Scheduled):
@@ -171,21 +173,21 @@ class Bno055Chip(SerialChip, Scheduled):
             return uart.status(uart.INVALID_ADDRESS)
         if self._overrun > 0.0 and self._rng.random() < self._overrun_now():
             return uart.status(uart.BUS_OVERRUN)
-        return bytes((0xBB, request.length)) + self._read(request.register, request.length, t_ns)
+        return _HEADS[request.length] + self._read(request.register, request.length, t_ns)
 
     def _overrun_now(self) -> float:
         if not self._mode.fusion:
             return 0.0
         return self._overrun if self._mode.magnetometer else 0.2 * self._overrun
 
-    def _read(self, register: int, length: int, t_ns: int) -> bytes:
+    def _read(self, register: int, length: int, t_ns: int) -> bytearray:
         page = self._pages[self._page]
         page[reg.PAGE_ID] = self._page
         if self._page == 0:
             running = self._mode is not reg.MODES[reg.CONFIG] and t_ns >= self._switched_ns
             state = reg.STATUS_FUSION if self._mode.fusion else reg.STATUS_NO_FUSION
             page[reg.SYS_STATUS] = state if running else reg.STATUS_IDLE
-        return bytes(page[register : register + length])
+        return page[register : register + length]
 
     def _write(self, register: int, data: bytes, t_ns: int) -> bytes:
         end = register + len(data)

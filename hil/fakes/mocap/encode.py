@@ -153,8 +153,9 @@ class _Template:
         frame, places, (i, j, m, n) = self._frame, self._places[k], self._labels[k]
         _, identifier, position_m, rotation_xyzw, (a, b, c, d), error_m, tracked = body
         rest = _MARKER_SIZE_M, _SOLVED, error_m
-        _POINTS.pack_into(frame, places.points, *a, *b, *c, *d)
-        _POINTS.pack_into(frame, places.points_in_all, *a, *b, *c, *d)
+        points = _POINTS.pack(*a, *b, *c, *d)
+        for place in (places.points, places.points_in_all):
+            frame[place : place + len(points)] = points
         _BODY.pack_into(frame, places.body, identifier, *position_m, *rotation_xyzw, error_m, tracked)
         _LABELLED.pack_into(frame, places.labelled, i, *a, *rest, j, *b, *rest, m, *c, *rest, n, *d, *rest)
         self._known[k] = body

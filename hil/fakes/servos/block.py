@@ -38,6 +38,7 @@ class MotionBlock:
         head = protocol.fast_head(1 + size)
         self._head_crc, self._begins = checksum(head), len(head)
         self._reply = octets(head + bytes(size))
+        self._bytes = memoryview(self._reply)
         self._members = [(s, s.axis.position, s.joint) for s in servos]
         known = [(s.joint, p.sign, p.shift - HALF_WORD, s.alert, s.id) for s, p, _ in self._members]
         self._known = rows(np.array(known, dtype=np.int64))
@@ -58,7 +59,7 @@ class MotionBlock:
         for servo, position, j in self._members:
             position.encoder, servo.velocity = counts[j], velocities[j]
         self._answer(shown, self._known, self._crcs, self._head_crc, self._begins, self._reply)
-        return bytes(self._reply)
+        return self._bytes.tobytes()
 
 
 @cache
@@ -101,6 +102,10 @@ class GoalBlock:
             return False
         for k, address, servo, trajectory in self._takers:
             goal, data = servo.goal, values[k]
-            if goal is None or address != goal.address or data != goal.data or trajectory.ongoing:
+            if (
+                goal is None
+                or address != goal.address
+                or ((data != goal.data or trajectory.ongoing) and not servo.rewrite(goal, data))
+            ):
                 servo.write(address, data)
         return True

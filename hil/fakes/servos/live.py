@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.fakes.arithmetic import Rows, listed
+from hil.fakes.arithmetic import Rows, copied, listed
 from hil.fakes.servos.faulty import ServoFaults
 from hil.fakes.servos.sensing import Sensing
 from hil.fakes.servos.servo import Servo
@@ -30,6 +30,7 @@ class LiveRegisters:
         """Measure now; from the first call on, this is what the servos know until the next."""
         self._holding = True
         self._measure()
+        self._measured = copied(self._measured)
 
     def measured(self, t_ns: int) -> tuple[Rows, list[list[int]]]:
         """What servos without a fault show now, (3, 8) by joint, and the same as lists.

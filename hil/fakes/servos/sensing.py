@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hil.config.servo_models import ServoModel
-from hil.fakes.arithmetic import Rows, copied, listed, quick, rows
+from hil.fakes.arithmetic import Rows, listed, quick, rows
 from hil.fakes.plant_api import Plant
 from hil.fakes.servos.counting import OLD, PER_RAD, PER_SPAN, SHOWN_COUNTS, SPAN, show
 from hil.vocabulary.geometry import Array
@@ -50,6 +50,7 @@ class Sensing:
         self._draw()
         at_rest = [float(round(a * s[PER_RAD])) for a, s in zip(plant.joints()[0], scales, strict=True)]
         self._history = rows(np.tile(at_rest, (_ROWS, 1)))
+        self._places: list[Any] = [row if isinstance(row, list) else memoryview(row) for row in self._history]
         self._row = self.ticks = 0
         self._raw_from = 1
         self._shown = rows(np.zeros((3, 8), dtype=np.int64))
@@ -70,7 +71,8 @@ class Sensing:
             self._draw()
             row = self._raw_from = 0
         self._row = row
-        self._history[row] = self._measured()[0]
+        angles = self._plant.joints()[0]
+        self._places[row][:] = angles.tolist() if self._in_python else angles
 
     def _measured(self) -> tuple[Any, Any]:
         """Angles (8,) and currents (8,) now."""
@@ -84,9 +86,9 @@ class Sensing:
         self._raw_from = row + 1
 
     def measure(self) -> Rows:
-        """`counts` and `velocity` now, and Present Current in its counts: (3, 8)."""
+        """`counts` and `velocity` now, and Present Current in its counts: (3, 8), until the next call."""
         self._count()
-        return copied(self._shown)
+        return self._shown
 
     def counts(self, age_ns: int = 0) -> list[int]:
         """Encoder counts now (live), or as they were on the grid `age_ns` ago."""
