@@ -58,18 +58,15 @@ class JumpTest:
         pose = (t_s, position_m, quaternion_wxyz)
         known = self._believed
         if self._trusting if known is None else self._continues(known, pose):
-            self._believe(pose)
+            self._believed, self._candidate, self._agreeing = pose, None, 0
             return False
         agrees = self._candidate is not None and self._continues(self._candidate, pose)
         self._agreeing = self._agreeing + 1 if agrees else 1
         self._candidate = pose
         if self._agreeing > self._reaccept_after:
-            self._believe(pose)
+            self._believed, self._candidate, self._agreeing = pose, None, 0
             return False
         return True
-
-    def _believe(self, pose: _Pose) -> None:
-        self._believed, self._candidate, self._agreeing = pose, None, 0
 
     def _continues(self, before: _Pose, after: _Pose) -> bool:
         (t_s, position_m, (aw, ax, ay, az)), (before_s, before_m, (bw, bx, by, bz)) = after, before

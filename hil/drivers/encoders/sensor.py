@@ -24,6 +24,7 @@ from hil.vocabulary.signals import EncoderSample, Stamp
 
 _LOG = logging.getLogger(__name__)
 
+_array = np.array
 _MOST_FRAMES = 1024
 _MOST_PASSED_OVER = 256
 _ERROR_COUNTS = 16
@@ -298,5 +299,5 @@ class As5045Encoders(Sensor[EncoderSample]):
             return None
         angles, status = decode_words(words, yellow_mode=self._yellow_mode)
         return EncoderSample(
-            Stamp(t_ns, host_ns, self._timeline.sequence, node_ns), np.array(angles), status, tuple(words)
+            Stamp(t_ns, host_ns, self._timeline.sequence, node_ns), _array(angles), status, tuple(words)
         )

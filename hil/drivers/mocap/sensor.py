@@ -27,6 +27,7 @@ _LOG = logging.getLogger(__name__)
 _NORM_LOW, _NORM_HIGH = 0.98, 1.02
 _FARTHEST_M = 1000.0
 _LONGEST_UP_S, _LONGEST_LATENCY_S = 5_000_000_000, 10
+_array = np.array
 _NAN7 = (math.nan,) * 7
 _OK, _WITHOUT_POSE = Status.OK, (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.NOT_TRACKED)
 _REMEDY = (
@@ -133,7 +134,11 @@ class NatNetMocap(Sensor[MocapSample]):
         session = self._session
         if session is None:
             raise used_while_closed(self.name, self._port)
-        samples = tuple([self._sample(*found) for found in session.frames()])
+        samples, useful = [], False
+        for found in session.frames():
+            sample = self._sample(*found)
+            samples.append(sample)
+            useful = useful or sample.status not in USELESS
         now_ns = self._clock.now_ns()
         session.keep_alive(now_ns)
         if samples:
@@ -141,11 +146,11 @@ class NatNetMocap(Sensor[MocapSample]):
         elif now_ns - self._heard_ns > self._reconnect_ns:
             self._heard_ns = now_ns
             session.connect()
-        if any([sample.status not in USELESS for sample in samples]):
+        if useful:
             self._good_ns = now_ns
         elif now_ns - self._good_ns > self._fail_ns:
             raise self._silent(nothing_usable("frame", now_ns - self._good_ns, samples))
-        return samples
+        return tuple(samples)
 
     @property
     def _port(self) -> str:
@@ -202,7 +207,7 @@ class NatNetMocap(Sensor[MocapSample]):
             status = Status.RESET
         if status in _WITHOUT_POSE:
             pose = _NAN7
-        values = np.array(pose)
+        values = _array(pose)
         tracked, error_m = (False, math.nan) if body is None else (body.tracked, body.marker_error_m)
         return MocapSample(stamp, values[:3], values[3:], tracked, latency_s, error_m, status)
 

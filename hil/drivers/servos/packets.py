@@ -230,7 +230,7 @@ class GoalWrite:
         parts[1::2] = goals
         told = self._pack(*parts)
         data = self._begin + told
-        if _TO_STUFF in data[_CODE_AT:]:
+        if data.find(_TO_STUFF, _CODE_AT) >= 0:
             return instruction(BROADCAST, self._code, self._prefix + told)
         crc: int = crc16.umts(data)
         return data + crc.to_bytes(2, "little")

@@ -21,7 +21,7 @@ from hil.vocabulary.signals import SERVOS, ServoSample, Stamp, Status
 _LOG = logging.getLogger(__name__)
 
 _NO_ALERT: tuple[int, ...] = (0,) * 8
-_DOUBLES = struct.Struct("24d").pack
+_floats, _DOUBLES = np.frombuffer, struct.Struct("24d").pack
 
 
 class Samples:
@@ -94,9 +94,7 @@ class Samples:
         """(24,) positions in rad, velocities in rad/s, currents in A."""
         rows = reading.registers
         from_zero = map(sub, counts, self._zeros)
-        values: Array = (
-            np.frombuffer(_DOUBLES(*from_zero, *rows["velocity"], *rows["current"])) * self._scales
-        )
+        values: Array = _floats(_DOUBLES(*from_zero, *rows["velocity"], *rows["current"])) * self._scales
         return values
 
     def _follow(self, reading: Reading) -> tuple[Sequence[int], np.ndarray]:

@@ -49,7 +49,7 @@ _FARTHEST_M = 1000.0
 _FASTEST = 100.0
 _NORM_LOW, _NORM_HIGH = 0.98, 1.02
 _RESTART_FRAMES = 200
-_DOUBLES = struct.Struct("13d").pack
+_floats, _DOUBLES = np.frombuffer, struct.Struct("13d").pack
 _OK, _WITHOUT_VALUES = Status.OK, (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.NOT_TRACKED)
 
 _Raw = tuple[Any, ...]
@@ -279,7 +279,7 @@ class T265Tracker(Sensor[TrackerSample]):
             status = Status.STALE
         elif self._restarted and status is Status.JUMP:
             status, self._restarted = Status.RESET, False
-        values = np.frombuffer(bytearray(_DOUBLES(*raw[4:])))
+        values = _floats(bytearray(_DOUBLES(*raw[4:])))
         if status in _WITHOUT_VALUES:
             values[:] = np.nan
         stamp = Stamp(t_ns, host_ns, self._seq_base + number, device_ns)
@@ -293,20 +293,21 @@ class T265Tracker(Sensor[TrackerSample]):
         self._restarted = True
 
     def _status(self, raw: _Raw, confidence: int, t_ns: int) -> Status:
-        pose, position_m, quaternion_wxyz = raw[4:11], raw[4:7], raw[7:11]
-        norm, distance_m, fastest = hypot(*quaternion_wxyz), hypot(*position_m), hypot(*raw[11:])
+        _, _, _, _, x, y, z, qw, qx, qy, qz, vx, vy, vz, wx, wy, wz = raw
+        norm, distance_m = hypot(qw, qx, qy, qz), hypot(x, y, z)
+        fastest = hypot(vx, vy, vz, wx, wy, wz)
         if not (_NORM_LOW < norm < _NORM_HIGH and distance_m < _FARTHEST_M and fastest < _FASTEST):
             if not all(map(math.isfinite, raw[4:])):
                 return Status.NOT_FINITE
             fastest = max(map(abs, raw[11:]))
             if not (_NORM_LOW < norm < _NORM_HIGH and distance_m < _FARTHEST_M and fastest < _FASTEST):
                 return Status.IMPLAUSIBLE
-        if self._stuck.stuck(pose, raw[0]):
+        if self._stuck.stuck(raw[4:11], raw[0]):
             return Status.FROZEN
         if confidence <= 0:
             return Status.NOT_TRACKED
         if confidence < _USABLE_CONFIDENCE:
             return Status.LOW_CONFIDENCE
-        if self._jumps.jumped(t_ns / NS_PER_S, position_m, quaternion_wxyz):
+        if self._jumps.jumped(t_ns / NS_PER_S, (x, y, z), (qw, qx, qy, qz)):
             return Status.JUMP
         return _OK

@@ -7,6 +7,7 @@ follow from the requests and the world's truth alone.
 
 from __future__ import annotations
 
+import struct
 from collections import deque
 
 from hil.fakes.imu import registers as reg
@@ -27,6 +28,7 @@ _ANSWER_NS = 100_000
 _CELSIUS = 27.0
 _HISTORY = 256
 _BAUD_TOLERANCE = 0.03
+_PUT = struct.Struct(f"{LENGTH}s").pack_into
 _HEADS = tuple(bytes((0xBB, length)) for length in range(reg.SIZE + 1))
 """Of an answer to a read, by its length."""
 
@@ -105,7 +107,8 @@ class Bno055Chip(SerialChip, Scheduled):
             sensed = faults.distort(sensed, t_ns)
         block = encode(sensed, mode, self._pages[0][reg.UNIT_SEL], self._calibration_byte(mode), _CELSIUS)
         self._history.append((t_ns, block))
-        self._pages[0][reg.DATA : reg.DATA + LENGTH] = self._faults.shown(block, self._history, t_ns)
+        shown = block if faults is None else self._faults.shown(block, self._history, t_ns)
+        _PUT(self._pages[0], reg.DATA, shown)
 
     def reset(self, t_ns: int) -> None:
         """Power was cycled: the chip is silent while it boots, then in CONFIG mode."""

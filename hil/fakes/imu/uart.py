@@ -62,6 +62,15 @@ class RequestParser:
     def feed(self, data: bytes, t_ns: int) -> list[Request]:
         """Requests completed by `data`, whose last byte arrived at `t_ns`."""
         self._last_ns = t_ns
+        if (
+            not self._buffer
+            and len(data) == 4
+            and data[0] == 0xAA
+            and data[1] == 1
+            and 0 < data[3] <= LONGEST
+        ):
+            self._in_noise = False
+            return [named(Request, (data[2], data[3], None, 0))]
         self._buffer += data
         found: list[Request] = []
         while self._buffer:
@@ -89,7 +98,7 @@ class RequestParser:
             return self._drop(len(buffer) if writing else 4, MAX_LENGTH)
         if not writing:
             del buffer[:4]
-            return named(Request, (register, length, None, 0))
+            return Request(register, length)
         if len(buffer) < 4 + length:
             return None
         payload = bytes(buffer[4 : 4 + length])

@@ -116,10 +116,10 @@ class Axis:
             return
         get = self._table.get
         if name == "goal_velocity" and mode == VELOCITY:
-            trajectory.turn(raw, get("profile_acceleration"), timed=self._timed)
+            trajectory.turn(raw, get("profile_acceleration"), self._timed)
         elif name == "goal_position" and mode in _WITH_POSITION:
             acceleration, velocity = get("profile_acceleration"), get("profile_velocity")
-            trajectory.move(raw, acceleration, velocity, timed=self._timed)
+            trajectory.move(raw, acceleration, velocity, self._timed)
         self.drive()
 
     def pursue_again(self, place: GoalPlace, raw: int) -> None:
@@ -129,12 +129,12 @@ class Axis:
             self.pursue(place.name, raw)
         elif place.motor == "velocity":
             if trajectory.ongoing or trajectory.velocity != raw:
-                trajectory.turn(raw, place.acceleration, timed=self._timed)
+                trajectory.turn(raw, place.acceleration, self._timed)
                 goal = self.position.sign * self.share * trajectory.velocity * self._rad_s
                 command = named(JointCommand, ("velocity", goal, _FREE, _FREE, place.duty))
                 self._plant.command(self._joint, command)
         elif trajectory.ongoing or trajectory.position != raw:
-            trajectory.move(raw, place.acceleration, place.velocity, timed=self._timed)
+            trajectory.move(raw, place.acceleration, place.velocity, self._timed)
             goal = self.position.joint_rad(trajectory.position)
             command = named(JointCommand, ("position", goal, _FREE, _FREE, place.duty))
             self._plant.command(self._joint, command)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import struct
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,8 +24,8 @@ class GoalPlace:
         address: where it begins.
         data: what was written there last.
         name: of the goal's register.
-        first, end: the register's own bytes.
-        count: raw count of the bytes.
+        first: the register's first byte.
+        form: how its bytes are read and written.
         low, high: raw counts between which it is taken.
         acceleration, velocity: raw counts of the profile in force.
         motor: how the motor follows this goal alone; None where the mode asks for more, or does not use it.
@@ -36,8 +36,7 @@ class GoalPlace:
     data: bytes
     name: str
     first: int
-    end: int
-    count: Callable[[bytes], tuple[int]]
+    form: struct.Struct
     low: int
     high: int
     acceleration: int
@@ -66,7 +65,7 @@ def goal_place(table: ControlTable, mode: int, plan: Plan, address: int, data: b
     get, motor = table.get, _MOTORS.get((register.name, mode))
     acceleration, velocity = get("profile_acceleration"), get("profile_velocity")
     duty = abs(get("goal_pwm") / table.model.full_pwm)
+    form, first = table.layout.unpack[register.name]
     return GoalPlace(
-        address, data, register.name, register.address, register.end,
-        table.layout.unpack[register.name][0].unpack, low, high, acceleration, velocity, motor, duty,
-    )  # fmt: skip
+        address, data, register.name, first, form, low, high, acceleration, velocity, motor, duty
+    )

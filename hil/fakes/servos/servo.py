@@ -201,11 +201,11 @@ class Servo:
             return True
         if len(data) != len(goal.data):
             return False
-        (raw,) = goal.count(data)
+        (raw,) = goal.form.unpack(data)
         if not goal.low <= raw <= goal.high:
             return False
         goal.data = data
-        self.table.data[goal.first : goal.end] = data
+        goal.form.pack_into(self.table.data, goal.first, raw)
         self.axis.pursue_again(goal, raw)
         return True
 
