@@ -10,7 +10,7 @@ from __future__ import annotations
 from hil.config.servo_models.codes import WATCHDOG_STEP_S
 from hil.fakes.servos import protocol
 from hil.fakes.servos.audience import Audience, answers_most, reads_fast
-from hil.fakes.servos.block import MotionBlock
+from hil.fakes.servos.block import MotionBlock, answering
 from hil.fakes.servos.faulty import BUS_FAULTS, ServoFaults
 from hil.fakes.servos.group import GROUP_READS, Wanted, write_parts
 from hil.fakes.servos.live import LiveRegisters
@@ -66,6 +66,7 @@ class ServoBus(SerialChip, Scheduled):
             servo.boot(0, encoder[servo.joint])
             servo.busy_until_ns = 0
         self._parser = InstructionParser()
+        answering()
         self._baud = 0
         self._processing_ns = round(options.processing_s * 1e9)
         self._due_ns = GRID_NS
