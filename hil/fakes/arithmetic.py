@@ -41,6 +41,11 @@ def octets(data: bytes) -> Any:
     return np.frombuffer(data, np.uint8).copy() if is_installed("fast") else bytearray(data)
 
 
+def places(block: Rows) -> list[Any]:
+    """What takes other numbers for each row, as a whole: `place[:] = numbers`."""
+    return [row if isinstance(row, list) else memoryview(row) for row in block]
+
+
 def copied(block: Rows) -> Rows:
     """The same numbers in a block of their own."""
     return block.copy() if isinstance(block, np.ndarray) else [list(row) for row in block]

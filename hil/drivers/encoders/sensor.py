@@ -24,7 +24,7 @@ from hil.vocabulary.signals import EncoderSample, Stamp
 
 _LOG = logging.getLogger(__name__)
 
-_array = np.array
+_array = np.array  # in a name of our own: looking it up in numpy takes longer
 _MOST_FRAMES = 1024
 _MOST_PASSED_OVER = 256
 _ERROR_COUNTS = 16
@@ -288,7 +288,7 @@ class As5045Encoders(Sensor[EncoderSample]):
     def _finish(self, host_ns: int) -> EncoderSample | None:
         """The sample of the present set; None while start-up garbage is dropped."""
         assert self._sequence is not None
-        words, self._finished = self._words, self._sequence
+        self._finished, words = self._sequence, self._words
         self._sequence = None
         t_ns, node_ns, restarted = self._timeline.update(self._finished, self._time_raw, self._arrival_ns)
         if restarted:

@@ -6,10 +6,13 @@ when somebody looks.
 
 from __future__ import annotations
 
-from hil.fakes.arithmetic import Rows, Vector
+from hil.fakes.arithmetic import Rows
 
 # Rows of the scales (3, 8): counts per rad, velocity counts per count of a span, counts per A.
 PER_RAD, PER_SPAN, PER_A = range(3)
+
+# Rows of what is measured now (2, 8): angles in rad and currents in A.
+ANGLES, CURRENTS = range(2)
 
 # Rows of what the servos show (3, 8): encoders, velocities and currents.
 SHOWN_COUNTS, SHOWN_VELOCITIES, SHOWN_CURRENTS = range(3)
@@ -35,14 +38,11 @@ def count(history: Rows, dither: Rows, scales: Rows, first: int, last: int) -> N
             values[j] = float(round(values[j] * per_rad[j] + added[j]))
 
 
-def show(
-    angles: Vector, amps: Vector, history: Rows, dither: Rows, scales: Rows, first: int, row: int, shown: Rows
-) -> None:
+def show(now: Rows, history: Rows, dither: Rows, scales: Rows, first: int, row: int, shown: Rows) -> None:
     """Encoders, velocities and currents in the servos' counts, truncated towards zero.
 
     Args:
-        angles: (8,) rad.
-        amps: (8,) A.
+        now: (2, 8).
         history: (n, 8), which it changes.
         dither: (n, 8) counts.
         scales: (3, 8).
@@ -51,7 +51,7 @@ def show(
         shown: (3, 8) whole numbers: the result.
     """
     count(history, dither, scales, first, row)
-    added = dither[row]
+    angles, amps, added = now[ANGLES], now[CURRENTS], dither[row]
     newer, older = history[row - OLD], history[row - OLD - SPAN]
     counts, velocities, currents = shown[SHOWN_COUNTS], shown[SHOWN_VELOCITIES], shown[SHOWN_CURRENTS]
     per_rad, per_span, per_a = scales[PER_RAD], scales[PER_SPAN], scales[PER_A]

@@ -7,12 +7,10 @@ zero, reads half a count low, as the authors' recordings show. It does not depen
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from hil.config.servo_models import ServoModel
-from hil.fakes.arithmetic import Rows, listed, quick, rows
+from hil.fakes.arithmetic import Rows, listed, places, quick, rows
 from hil.fakes.plant_api import Plant
 from hil.fakes.servos.counting import OLD, PER_RAD, PER_SPAN, SHOWN_COUNTS, SPAN, show
 from hil.vocabulary.geometry import Array
@@ -50,13 +48,12 @@ class Sensing:
         self._draw()
         at_rest = [float(round(a * s[PER_RAD])) for a, s in zip(plant.joints()[0], scales, strict=True)]
         self._history = rows(np.tile(at_rest, (_ROWS, 1)))
-        self._places: list[Any] = [row if isinstance(row, list) else memoryview(row) for row in self._history]
         self._row = self.ticks = 0
         self._raw_from = 1
-        self._shown = rows(np.zeros((3, 8), dtype=np.int64))
-        self._in_python = isinstance(self._shown, list)
-        angles, amps = self._measured()
-        self._show = quick(show, angles, amps, self._history, self._dither, self._scales, 0, 0, self._shown)
+        self._now, self._shown = rows(np.zeros((2, 8))), rows(np.zeros((3, 8), dtype=np.int64))
+        self._show = quick(show, self._now, self._history, self._dither, self._scales, 0, 0, self._shown)
+        self._in_python = isinstance(self._now, list)
+        self._places, (self._angles, self._amps) = places(self._history), places(self._now)
 
     def _draw(self) -> None:
         """Dither of the next samples of the grid, counts."""
@@ -74,15 +71,12 @@ class Sensing:
         angles = self._plant.joints()[0]
         self._places[row][:] = angles.tolist() if self._in_python else angles
 
-    def _measured(self) -> tuple[Any, Any]:
-        """Angles (8,) and currents (8,) now."""
-        angles, _, amps = self._plant.joints()
-        return (angles.tolist(), amps.tolist()) if self._in_python else (angles, amps)
-
     def _count(self) -> None:
         """Make counts of the angles in the history from `_raw_from` on, and of those now."""
-        row, (angles, amps) = self._row, self._measured()
-        self._show(angles, amps, self._history, self._dither, self._scales, self._raw_from, row, self._shown)
+        row, (angles, _, amps) = self._row, self._plant.joints()
+        self._angles[:] = angles.tolist() if self._in_python else angles
+        self._amps[:] = amps.tolist() if self._in_python else amps
+        self._show(self._now, self._history, self._dither, self._scales, self._raw_from, row, self._shown)
         self._raw_from = row + 1
 
     def measure(self) -> Rows:
