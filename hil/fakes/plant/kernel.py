@@ -351,6 +351,6 @@ def advance(n: int, adhesion_factor: float, c: Array, s: Array, q: Array) -> Non
 
 
 def advance_all(n: int, adhesion_factor: float, numbers: Array) -> None:
-    """As `advance`, with state, commands and constants one behind the other: an argument takes time, too."""
+    """As `advance`, of one vector (178 + n,): state, commands, constants. An argument takes time, too."""
     state, commands, constants = numbers[:STATE_SIZE], numbers[STATE_SIZE:CONSTANTS], numbers[CONSTANTS:]
     advance(n, adhesion_factor, constants, state, commands)
