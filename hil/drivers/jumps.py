@@ -58,24 +58,21 @@ class JumpTest:
         pose = (t_s, position_m, quaternion_wxyz)
         known = self._believed
         if self._trusting if known is None else self._continues(known, pose):
-            self._believe(pose)
+            self._believed, self._candidate, self._agreeing = pose, None, 0
             return False
         agrees = self._candidate is not None and self._continues(self._candidate, pose)
         self._agreeing = self._agreeing + 1 if agrees else 1
         self._candidate = pose
         if self._agreeing > self._reaccept_after:
-            self._believe(pose)
+            self._believed, self._candidate, self._agreeing = pose, None, 0
             return False
         return True
 
-    def _believe(self, pose: _Pose) -> None:
-        self._believed, self._candidate, self._agreeing = pose, None, 0
-
     def _continues(self, before: _Pose, after: _Pose) -> bool:
-        dt_s = abs(after[0] - before[0])
-        if math.dist(after[1], before[1]) > self._distance_m + self._speed_m_s * dt_s:
+        (t_s, position_m, (aw, ax, ay, az)), (before_s, before_m, (bw, bx, by, bz)) = after, before
+        dt_s = abs(t_s - before_s)
+        if math.dist(position_m, before_m) > self._distance_m + self._speed_m_s * dt_s:
             return False
-        (aw, ax, ay, az), (bw, bx, by, bz) = after[2], before[2]
         overlap = abs(aw * bw + ax * bx + ay * by + az * bz)
-        turn_rad = 2.0 * math.acos(min(1.0, overlap))
+        turn_rad = 2.0 * math.acos(overlap) if overlap < 1.0 else 0.0
         return turn_rad <= self._angle_rad + self._rate_rad_s * dt_s

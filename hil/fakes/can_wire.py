@@ -12,8 +12,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from copy import copy
-from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import can
 
@@ -21,6 +20,7 @@ from hil.fakes.fault import STRIKES, Supported
 from hil.fakes.world import NEVER_NS, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import UsageError
+from hil.vocabulary.records import named
 
 WIRE_FAULTS: Supported = {
     "drop": STRIKES,
@@ -31,26 +31,26 @@ WIRE_FAULTS: Supported = {
     "baud_mismatch": (),
 }
 
-_QUEUE = 4096
+_QUEUE, _MOST_BYTES = 4096, 64
 _OVERHEAD_BITS, _STUFFING = 47, 1.1
 
 _CHANNELS: dict[str, CanChannel] = {}
 
 
-class CanFrame:
-    """A data frame that has crossed the wire, with the names of `can.Message`; nobody changes it.
+class CanFrame(NamedTuple):
+    """A data frame that has crossed the wire, with the names of `can.Message`.
 
     Attributes:
         timestamp: arrival on the world's clock, s.
-        arbitration_id, is_extended_id, data: as of `can.Message`.
+        arbitration_id, data, is_extended_id, is_remote_frame, is_error_frame: as of `can.Message`.
     """
 
-    __slots__ = ("arbitration_id", "data", "is_extended_id", "timestamp")
-    is_remote_frame = is_error_frame = False
-
-    def __init__(self, timestamp: float, frame_id: int, data: bytes, extended: bool) -> None:
-        self.timestamp, self.arbitration_id = timestamp, frame_id
-        self.data, self.is_extended_id = data, extended
+    timestamp: float
+    arbitration_id: int
+    data: bytes
+    is_extended_id: bool
+    is_remote_frame: bool = False
+    is_error_frame: bool = False
 
     @property
     def dlc(self) -> int:
@@ -75,6 +75,10 @@ class CanChannel:
         self, world: World, name: str = "hil", *, bitrate: int = 500_000, device: str = "encoders"
     ) -> None:
         self.world, self.name, self.bitrate, self._device = world, name, bitrate, device
+        self._takes_ns = [
+            [_takes_ns(extended, dlc, bitrate) for dlc in range(_MOST_BYTES + 1)]
+            for extended in (False, True)
+        ]
         self.faults = world.faults.of(device)
         self._listeners: list[tuple[deque[Heard], Callable[[], None] | None]] = []
         self._rng = world.rng(f"can.{device}")
@@ -123,7 +127,12 @@ class CanChannel:
             self.send(message, t_ns, sender=sender)
             return
         arrival_ns = self._crossed_ns(extended, len(data), t_ns)
-        self._hand_over(arrival_ns, CanFrame(arrival_ns / NS_PER_S, frame_id, data, extended), sender)
+        frame = named(CanFrame, (arrival_ns / NS_PER_S, frame_id, data, extended, False, False))
+        for queue, told in self._listeners:
+            if queue is not sender:
+                queue.append((arrival_ns, frame))
+                if told is not None:
+                    told()
 
     def send(self, message: can.Message, t_ns: int, *, sender: deque[Heard] | None = None) -> None:
         """Put any frame on the bus, which is the channel's from now on; everybody but the sender hears it."""
@@ -135,22 +144,17 @@ class CanChannel:
                 return
             message, copies = spoilt
         message.timestamp = arrival_ns / NS_PER_S
-        for _ in range(copies):
-            self._hand_over(arrival_ns, message, sender)
+        for queue, told in self._listeners * copies:
+            if queue is not sender:
+                queue.append((arrival_ns, message))
+                if told is not None:
+                    told()
 
     def _crossed_ns(self, extended: bool, dlc: int, t_ns: int) -> int:
         """When a frame that is sent now has crossed the bus."""
         begins_ns = t_ns if t_ns > self._free_ns else self._free_ns
-        self._free_ns = begins_ns + _takes_ns(extended, dlc, self.bitrate)
+        self._free_ns = begins_ns + self._takes_ns[extended][dlc]
         return self._free_ns
-
-    def _hand_over(self, arrival_ns: int, frame: CanFrame | can.Message, sender: deque[Heard] | None) -> None:
-        """A frame that has been sent, to everybody but its sender."""
-        for queue, told in self._listeners:
-            if queue is not sender:
-                queue.append((arrival_ns, frame))
-                if told is not None:
-                    told()
 
     def check_plugged(self) -> None:
         """Raise as a CAN adapter does that has been pulled out."""
@@ -260,7 +264,6 @@ class WorldBus(can.BusABC):
         return [{"interface": "hil", "channel": name} for name in _CHANNELS]
 
 
-@lru_cache(maxsize=64)
 def _takes_ns(extended: bool, dlc: int, bitrate: int) -> int:
     """How long a frame is on the bus."""
     bits = (_OVERHEAD_BITS + 20 * extended + 8 * dlc) * _STUFFING

@@ -175,21 +175,24 @@ class DeviceFaults:
         plan: of the world.
         name: of the device.
         rng: for faults that strike at random.
+
+    Attributes:
+        plan: what concerns it; whoever asks at every step looks at `plan.empty` itself, which is `none`.
     """
 
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
-        self._plan, self._name, self._rng = plan.of(name), name, rng
+        self.plan, self._name, self._rng = plan.of(name), name, rng
         self._once = Once()
         self._off = False
 
     @property
     def none(self) -> bool:
         """Whether no fault is planned for the device, nor has been."""
-        return self._plan.empty
+        return self.plan.empty
 
     def find(self, kind: str, t_ns: int) -> Fault | None:
         """The active fault of that kind."""
-        return None if self._plan.empty else self._plan.find(self._name, kind, t_ns)
+        return None if self.plan.empty else self.plan.find(self._name, kind, t_ns)
 
     def news(self, kind: str, t_ns: int) -> Fault | None:
         """A fault that acts once and has not been asked about before."""

@@ -25,6 +25,8 @@ class Serial(SerialBase):
     """A pyserial port whose far end is an emulated chip."""
 
     _line: SerialLine | None = None
+    _timeout: float | None
+    _baudrate: int
     _break_state = _rts_state = _dtr_state = False
 
     def open(self) -> None:
@@ -41,6 +43,7 @@ class Serial(SerialBase):
         line.discard()  # as a kernel does with what came while nobody had the port open
         self._line = line
         self.is_open = True
+        self._reconfigure_port()
 
     def close(self) -> None:
         """Give the line back. Idempotent."""
@@ -50,7 +53,8 @@ class Serial(SerialBase):
         self.is_open = False
 
     def _reconfigure_port(self, *args: Any, **kwargs: Any) -> None:
-        return None
+        """Take over what has been set."""
+        self._wait_ns = NEVER_NS if self._timeout is None else max(nanoseconds(self._timeout), _LOOK_NS)
 
     def _opened(self) -> SerialLine:
         if self._line is None:
@@ -74,32 +78,33 @@ class Serial(SerialBase):
 
     def read(self, size: int = 1, /) -> bytes:
         """Wait for `size` bytes, at most `timeout`; raises `SerialException` when unplugged."""
-        line = self._opened()
+        line = self._line
+        if line is None or not line.faults.empty:
+            line = self._opened()
         world = line.world
         out = line.take(size)
         if len(out) >= size:
             return out
-        if self.timeout is None:
-            deadline_ns = NEVER_NS
-        else:
-            wait_ns = nanoseconds(self.timeout)
-            deadline_ns = world.now_ns + (wait_ns if wait_ns > _LOOK_NS else _LOOK_NS)
+        deadline_ns = world.now_ns + self._wait_ns
         while len(out) < size and world.now_ns < deadline_ns:
-            step_ns = min(line.next_event_ns(size - len(out)), deadline_ns)
+            step_ns = line.next_event_ns(size - len(out))
+            if step_ns > deadline_ns:
+                step_ns = deadline_ns
             if step_ns >= NEVER_NS:
                 step_ns = world.next_due_ns()
             if step_ns >= NEVER_NS:
                 raise SerialException("nothing will ever arrive on this line")
             world.advance_to(step_ns)
             out += line.take(size - len(out))
-        self._opened()
+        if not line.faults.empty:
+            self._opened()
         return out
 
     def write(self, data: Any, /) -> int:
         """Hand bytes to the adapter; returns at once."""
-        payload = bytes(data)
+        payload = data if isinstance(data, bytes) else bytes(data)
         if payload:
-            self._opened().send(payload, self.baudrate)
+            self._opened().send(payload, self._baudrate)
         return len(payload)
 
     def flush(self) -> None:

@@ -156,7 +156,8 @@ class SerialLine(Scheduled):
         """Let the chip hear what has arrived, and take its answers."""
         while self._out and self._out[0][0] <= t_ns:
             _, data, baud = self._out.popleft()
-            replies = self.chip.receive(data, t_ns, self._heard(baud, t_ns))
+            heard = baud if self.faults.empty else self._heard(baud, t_ns)
+            replies = self.chip.receive(data, t_ns, heard)
             if replies:
                 self._answer(replies, baud, t_ns)
         if self._polls and self.chip.next_poll_ns() <= t_ns:
@@ -168,15 +169,16 @@ class SerialLine(Scheduled):
             raise Unplugged(f"the adapter of {self.name} is gone")
 
     def _heard(self, baud: int, t_ns: int) -> int:
-        if self.faults.empty or self.faults.find(self.chip.name, "baud_mismatch", t_ns) is None:
+        if self.faults.find(self.chip.name, "baud_mismatch", t_ns) is None:
             return baud
         return round(baud * _WRONG_BAUD_FACTOR)
 
     def _answer(self, replies: list[Reply], baud: int, t_ns: int) -> None:
-        for reply in replies:
-            for data in (reply.data,) if self.faults.empty else self._spoil(reply.data, t_ns):
-                ready_ns, free_ns = reply.ready_ns, self._in_free_ns
-                self._deliver(data, ready_ns if ready_ns > free_ns else free_ns, baud)
+        faultless = self.faults.empty
+        for ready_ns, data in replies:
+            for piece in (data,) if faultless else self._spoil(data, t_ns):
+                free_ns = self._in_free_ns
+                self._deliver(piece, ready_ns if ready_ns > free_ns else free_ns, baud)
 
     def _deliver(self, data: bytes, start_ns: int, baud: int) -> None:
         """Put a paced answer into the host's buffer, in the adapter's packets."""

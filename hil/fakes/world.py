@@ -5,8 +5,8 @@ virtual time `VirtualClock.sleep_until_ns` moves the world; in real time the emu
 `advance_to` with the monotonic clock. World time starts at 0 in both cases, so the order of events
 and every random number depend on the seed alone.
 
-When each part is due stands in a list. A part that `tells` says when its entry has to change; any other
-one is asked before every step.
+The parts stand in a list in the order in which they are due. A part that `tells` says when its place in it
+has to change; any other one is asked before every step.
 
 What a part raises is a defect of it. It is raised once; from then on the part is silent, as a device is that
 has died, so that whoever closes the bench can still look after the robot with the others.
@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import zlib
 from abc import abstractmethod
+from bisect import insort
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -68,6 +69,7 @@ class World:
         self.faults = faults if faults is not None else FaultPlan()
         self._parts: list[Scheduled] = []
         self._due_ns: list[int] = []
+        self._order: list[tuple[int, int]] = []
         self._places: dict[int, int] = {}
         self._asked: list[tuple[int, Scheduled]] = []
         self.now_ns = 0
@@ -80,7 +82,9 @@ class World:
             part = self.enclose(part)
         place, tells = len(self._parts), getattr(part, "tells", False)
         self._parts.append(part)
-        self._due_ns.append(part.next_due_ns() if tells else NEVER_NS)
+        due_ns = part.next_due_ns() if tells else NEVER_NS
+        self._due_ns.append(due_ns)
+        insort(self._order, (due_ns, place))
         self._places[id(part)] = place
         if not tells:
             self._asked.append((place, part))
@@ -89,13 +93,21 @@ class World:
         """A part that `tells` will be due at another time than it has said."""
         place = self._places.get(id(part))
         if place is not None:
-            self._due_ns[place] = part.next_due_ns()
+            self._move(place, part.next_due_ns())
+
+    def _move(self, place: int, due_ns: int) -> None:
+        """Put a part where it belongs among the others."""
+        before_ns, order = self._due_ns[place], self._order
+        if due_ns != before_ns:
+            self._due_ns[place] = due_ns
+            order.remove((before_ns, place))
+            insort(order, (due_ns, place))
 
     def _ask(self) -> None:
         """Find out when those are due who do not tell."""
         for place, part in self._asked:
             try:
-                self._due_ns[place] = part.next_due_ns()
+                self._move(place, part.next_due_ns())
             except Exception as error:
                 self._broken(place, error)
                 raise
@@ -106,7 +118,7 @@ class World:
             self._parts[place].broken = True
             self._places.pop(id(self._parts[place]), None)
             self._asked = [one for one in self._asked if one[0] != place]
-            self._due_ns[place] = NEVER_NS
+            self._move(place, NEVER_NS)
 
     def rng(self, name: str) -> np.random.Generator:
         """An independent random stream for a named device, fixed by the world's seed."""
@@ -120,18 +132,26 @@ class World:
         """Move the world to `t_ns`, letting every part act at its own time on the way."""
         if t_ns < self.now_ns:
             return
-        parts, due_ns, asked, plant = self._parts, self._due_ns, self._asked, self.plant
+        parts, due_ns, order, asked, plant = self._parts, self._due_ns, self._order, self._asked, self.plant
         if asked:
             self._ask()
-        while due_ns and (first_ns := min(due_ns)) <= t_ns:
-            if first_ns > self.now_ns:
-                self.now_ns = first_ns
-            now_ns, place = self.now_ns, due_ns.index(first_ns)
+        while order and (first := order[0])[0] <= t_ns:
+            now_ns, place = first
+            if now_ns > self.now_ns:
+                self.now_ns = now_ns
+            else:
+                now_ns = self.now_ns
             part = parts[place]
             plant.advance(now_ns)
             try:
                 part.on_due(now_ns)
-                due_ns[place] = part.next_due_ns()
+                next_ns = part.next_due_ns()
+                if order[0] is first:
+                    del order[0]
+                    insort(order, (next_ns, place))
+                    due_ns[place] = next_ns
+                else:  # what it did has brought another part forward, or itself
+                    self._move(place, next_ns)
             except Exception as error:
                 self._broken(place, error)
                 raise
@@ -142,7 +162,7 @@ class World:
     def next_due_ns(self) -> int:
         """World time of the earliest planned action."""
         self._ask()
-        return min(self._due_ns, default=NEVER_NS)
+        return self._order[0][0] if self._order else NEVER_NS
 
 
 def random_stream(seed: int, name: str) -> np.random.Generator:
@@ -197,7 +217,9 @@ class VirtualClock(Clock):
     def _act(self, t_ns: int) -> None:
         world = self._world
         while self._planned:
-            first = min(self._planned, key=lambda planned: planned.due_ns)
+            first = self._planned[0]
+            for other in self._planned[1:]:
+                first = other if other.due_ns < first.due_ns else first
             if first.due_ns > t_ns:
                 return
             world.advance_to(first.due_ns)

@@ -12,6 +12,10 @@ from hil.vocabulary.interfaces import Actuators, Device, Holding, Sensor
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import KINDS, Inputs
 
+_NOTHING: tuple[Any, ...] = ()
+_UNHEARD = {kind: _NOTHING for kind in KINDS if kind != "servos"}
+"""Samples of each kind of sensor that this package knows, in the order of `Inputs`, before it is read."""
+
 
 @dataclass
 class Rig:
@@ -56,15 +60,17 @@ class Rig:
     def read(self, cycle: int) -> Inputs:
         """Drain every device once, the others while the servos answer; `t_ns` is when the reading began."""
         t_ns = self.clock.now_ns()
-        known: dict[str, tuple[Any, ...]] = {}
+        servos, read, health = self.servos, _NOTHING, _NOTHING
+        if servos is not None:
+            servos.ask()
+        known = _UNHEARD.copy()
         added: dict[str, tuple[Any, ...]] = {}
-        if self.servos:
-            self.servos.ask()
         for kind, sensor in self.sensors.items():
-            (known if kind in KINDS else added)[kind] = sensor.read()
-        if self.servos:
-            known["servos"], known["health"] = self.servos.read(), self.servos.read_health()
-        return Inputs(cycle, t_ns, added=added, **known)
+            (known if kind in _UNHEARD else added)[kind] = sensor.read()
+        if servos is not None:
+            read, health = servos.read(), servos.read_health()
+        values: tuple[Any, ...] = (cycle, t_ns, read, health, *known.values(), added)
+        return Inputs(*values)
 
     def brace(self) -> None:
         """Have what holds the robot hold as firmly as it may. Never raises."""

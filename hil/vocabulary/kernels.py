@@ -81,10 +81,13 @@ def _jitted(function: F, kept_as: str, **options: bool) -> Any:
         function.__qualname__ = name
 
 
-def compiled_with_parts(function: F) -> F:
+def compiled_with_parts(function: F, *, long: bool = True) -> F:
     """Compile a plain function with the plain functions that it calls; these stay plain for everyone else.
 
-    Other threads run while it does: for kernels that take milliseconds.
+    Args:
+        function: what to compile.
+        long: it takes milliseconds: other threads run while it does. Letting them in and waiting for them
+            takes time, too, as much as a short kernel.
 
     Raises:
         ImportError: numba is not installed.
@@ -94,7 +97,7 @@ def compiled_with_parts(function: F) -> F:
 
     for part in parts(function):
         register_jitable(part)
-    made: F = _jitted(function, "_nogil", nogil=True)
+    made: F = _jitted(function, "_nogil", nogil=True) if long else _jitted(function, "_short")
     return made
 
 
@@ -122,12 +125,13 @@ def machine_code(function: F, *arguments: Any) -> F:
     """A plain function as machine code for the types of these arguments, with the functions that it calls.
 
     It must be called with these types and no others: what is given does not look. numba's own choice by the
-    types of every call takes four times as long, as long as half a step of the physics.
+    types of every call takes four times as long, as long as half a step of the physics. Other threads wait
+    while it runs.
 
     Raises:
         ImportError, TypeError: as for `compiled_with_parts`.
     """
-    made: Any = compiled_with_parts(function)
+    made: Any = compiled_with_parts(function, long=False)
     compile_for(made, *arguments)
     (found,) = made.overloads.values()
     return cast(F, found.entry_point)

@@ -21,7 +21,8 @@ def quickly_made(cls: type[T]) -> type[T]:
     assert not hasattr(cls, "__post_init__")
     assert all(f.init for f in found)
     made = {f.name: f.default_factory for f in found if f.default_factory is not MISSING}
-    known: dict[str, Any] = {"_set": object.__setattr__, "_missing": MISSING}
+    attributes = next(base.__dict__["__dict__"] for base in cls.__mro__ if "__dict__" in base.__dict__)
+    known: dict[str, Any] = {"_set": attributes.__set__, "_missing": MISSING}
     arguments, values = [], []
     for f in found:
         argument, value = f.name, f.name
@@ -34,7 +35,7 @@ def quickly_made(cls: type[T]) -> type[T]:
             argument = f"{f.name}=_default_{f.name}"
         arguments.append(argument)
         values.append(f"{f.name!r}: {value}")
-    source = f"def __init__(self, {', '.join(arguments)}):\n _set(self, '__dict__', {{{', '.join(values)}}})"
+    source = f"def __init__(self, {', '.join(arguments)}):\n _set(self, {{{', '.join(values)}}})"
     exec(source, known)  # as `dataclasses` does
     before, made_at_once = cls.__init__, known["__init__"]
     made_at_once.__qualname__, made_at_once.__annotations__ = before.__qualname__, before.__annotations__

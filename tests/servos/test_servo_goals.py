@@ -59,7 +59,7 @@ def test_a_servo_of_many_turns_holds_where_it_is(register):
 
 def test_holding_forgets_what_was_followed():
     one, write = goals()
-    one.follow(ServoSetpoint(np.full(4, 2.0), np.full(4, 0.5)), np.zeros(8, dtype=np.int64))
+    one.follow(ServoSetpoint(np.full(4, 2.0), np.full(4, 0.5)), (0,) * 8)
     one.hold(np.array([0, 0, 0, 0, 2048, 2000, 2100, 2048 + 4096]))
     assert one.packet() == write.packet(np.array([0, 0, 0, 0, 2048, 2000, 2100, 2048]))
 
@@ -83,7 +83,7 @@ def test_goals_that_are_no_numbers_leave_the_old_ones(bad):
     one, write = goals()
     rates = np.array([bad, 0, 0, 0])
     with pytest.raises(UsageError, match="not finite"):
-        one.follow(ServoSetpoint(rates, np.zeros(4)), np.zeros(8, dtype=np.int64))
+        one.follow(ServoSetpoint(rates, np.zeros(4)), (0,) * 8)
     assert one.packet() == write.packet(np.array([0, 0, 0, 0, 2048, 2048, 2048, 2048]))
 
 

@@ -9,6 +9,7 @@ from servo_client import RAD_PER_COUNT
 
 from hil.drivers.servos import packets
 from hil.drivers.servos.packets import GoalWrite, GroupRead, find_statuses, instruction
+from hil.drivers.servos.registers import Fields
 from hil.fakes.servos import protocol
 from hil.vocabulary.signals import Status
 
@@ -84,20 +85,19 @@ def test_the_driver_reads_the_vendors_replies():
         (1, packets.Answer(Status.OK, 0, bytes.fromhex("A6000000"))),
         (1, packets.Answer(Status.OK, 0, b"")),
     ]
-    group = GroupRead((3, 7, 4), 132, 4, fast=True)
-    fields = np.dtype([("position", "<i4")])
-    assert group.quick(SAID["fast_sync_read"], fields)["position"].tolist() == [166, 2079, 1023]
+    group = GroupRead((3, 7, 4), 132, 4, fast=True, fields=Fields({"position": "i"}))
+    assert group.quick(SAID["fast_sync_read"]) == {"position": (166, 2079, 1023)}
     answers = group.answers(b"\xff\xff" + SAID["fast_sync_read"])
     assert [answers[i].data.hex() for i in (3, 7, 4)] == ["a6000000", "1f080000", "ff030000"]
 
 
 def test_each_checksum_of_a_fast_reply_covers_all_before_it():
-    group = GroupRead((3, 7, 4), 132, 4, fast=True)
+    group = GroupRead((3, 7, 4), 132, 4, fast=True, fields=Fields({"position": "i"}))
     data = bytearray(SAID["fast_sync_read"])
     data[20] ^= 1
     answers = group.answers(bytes(data))
     assert [answers[i].status for i in (3, 7, 4)] == [Status.OK, Status.CRC, Status.CRC]
-    assert group.quick(bytes(data), np.dtype([("position", "<i4")])) is None
+    assert group.quick(bytes(data)) is None
 
 
 def test_backup_and_restore_take_the_vendors_packets(wire):
@@ -142,3 +142,15 @@ def test_goals_go_out_in_one_packet_either_way(wire):
     read = [s.table.get("goal_velocity" if s.joint < 4 else "goal_position") for s in bench.bus.servos]
     assert read == goals.tolist()
     assert len(GoalWrite(range(1, 9), 224).packet(goals)) == 54
+
+
+def test_goals_that_look_like_a_header_are_stuffed(wire):
+    bench = wire()
+    goals = [0, 0, 0, 0, 0x00FDFFFF, 2048, 2048, 2048]
+    addresses = [104] * 4 + [116] * 4
+    heads = zip(range(1, 9), addresses, goals, strict=True)
+    told = b"".join(bytes((i, a, 0, 4, 0)) + goal.to_bytes(4, "little") for i, a, goal in heads)
+    packet = GoalWrite(range(1, 9), addresses).packet(goals)
+    assert packet == instruction(0xFE, 0x93, told)
+    assert len(packet) == 83
+    assert bench.send(packet) == b""

@@ -26,7 +26,19 @@ def _meaning(flags: int, yellow_mode: bool) -> Status:
     return Status.OK
 
 
-_STATUS = {yellow: tuple(_meaning(flags, yellow) for flags in range(64)) for yellow in (False, True)}
+def _meanings(yellow_mode: bool) -> tuple[tuple[Status, ...], tuple[Status, ...]]:
+    """Status by the lower six bits, where the upper twelve have an even and an odd number of ones."""
+    known = [_meaning(flags, yellow_mode) for flags in range(64)]
+    even, odd = (
+        tuple(Status.PARITY if (flags.bit_count() + ones) & 1 else known[flags] for flags in range(64))
+        for ones in (0, 1)
+    )
+    return even, odd
+
+
+_STATUS = {yellow: _meanings(yellow) for yellow in (False, True)}
+_ODD = bytes(counts.bit_count() & 1 for counts in range(COUNTS))
+_OK = Status.OK
 
 
 _ANGLES_RAD = tuple(
@@ -37,13 +49,12 @@ _ANGLES_RAD = tuple(
 
 def decode_words(words: Sequence[int], *, yellow_mode: bool) -> tuple[list[float], tuple[Status, ...]]:
     """As `decode_word` for several; -1 stands for a word that has not come."""
-    meaning, ok, parity, timeout = _STATUS[yellow_mode], Status.OK, Status.PARITY, Status.TIMEOUT
+    meanings, ok = _STATUS[yellow_mode], _OK
     angles, statuses = [], []
     for word in words:
-        status = meaning[word & 0x3F]
-        if word.bit_count() & 1:
-            status = parity if word >= 0 else timeout
-        angles.append(_ANGLES_RAD[word >> 6] if status is ok else math.nan)
+        counts = word >> 6
+        status = meanings[_ODD[counts]][word & 0x3F] if word >= 0 else Status.TIMEOUT
+        angles.append(_ANGLES_RAD[counts] if status is ok else math.nan)
         statuses.append(status)
     return angles, tuple(statuses)
 

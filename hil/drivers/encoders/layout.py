@@ -6,6 +6,8 @@ of the cost of a general decode (a test holds the two against each other).
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -45,26 +47,30 @@ class FrameLayout:
     time_lsb_s: float
 
     @cached_property
-    def _alike(
-        self,
-    ) -> tuple[Literal["little", "big"], tuple[int, ...], tuple[tuple[int, int, int], ...]] | None:
-        """Byte order, shifts and masks of counter and time, and of each word; None where orders differ."""
-        sequence, time = self.sequence, self.time
-        if len({sequence.order, time.order, *(field.order for _, field in self.words)}) > 1:
-            return None
-        heads = (sequence.shift, sequence.mask, time.shift, time.mask)
-        return sequence.order, heads, tuple((wheel, f.shift, f.mask) for wheel, f in self.words)
+    def _alike(self) -> tuple[Callable[[bytes | bytearray], tuple[int]], tuple[int, ...]] | None:
+        """How a frame of two words in eight bytes, all in one byte order, is read; None for any other.
 
-    def decode(self, data: bytes | bytearray) -> tuple[int, int, list[tuple[int, int]]]:
+        Its bytes as one number; then wheel, shift and mask of each word, shift and mask of counter and time.
+        """
+        sequence, time = self.sequence, self.time
+        orders = {sequence.order, time.order, *(field.order for _, field in self.words)}
+        if len(orders) > 1 or len(self.words) != 2 or self.length != 8:
+            return None
+        (left, one), (right, other) = self.words
+        words = (left, one.shift, one.mask, right, other.shift, other.mask)
+        number = struct.Struct("<Q" if sequence.order == "little" else ">Q").unpack
+        return number, (*words, sequence.shift, sequence.mask, time.shift, time.mask)
+
+    def decode(self, data: bytes | bytearray) -> tuple[int, int, Sequence[tuple[int, int]]]:
         """Raw sequence number, node time and (wheel index, word) of a frame's data."""
         alike = self._alike
         if alike is None:
             words = [(wheel, field.take(data)) for wheel, field in self.words]
             return self.sequence.take(data), self.time.take(data), words
-        order, (sequence_at, sequence_mask, time_at, time_mask), places = alike
-        value = int.from_bytes(data, order)
-        words = [(wheel, value >> shift & mask) for wheel, shift, mask in places]
-        return value >> sequence_at & sequence_mask, value >> time_at & time_mask, words
+        number, (left, shift, mask, right, shift_2, mask_2, at, sequence_mask, time_at, time_mask) = alike
+        (value,) = number(data)
+        pair = (left, value >> shift & mask), (right, value >> shift_2 & mask_2)
+        return value >> at & sequence_mask, value >> time_at & time_mask, pair
 
 
 def load_layout(config: EncodersConfig) -> dict[int, FrameLayout]:

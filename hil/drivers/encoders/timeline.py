@@ -21,6 +21,7 @@ class NodeTimeline:
         self._lsb_ns = time_lsb_s * NS_PER_S
         self._wrap = time_mask + 1
         self._wrap_ns = round(self._wrap * self._lsb_ns)
+        self._half_ns = self._wrap_ns // 2
         self._started = False
         self._sequence_raw = self._time_raw = self._host_ns = self._node_ns = 0
         self._offset_ns = 0.0
@@ -38,7 +39,9 @@ class NodeTimeline:
             return self._forward(host_ns, host_ns), self._node_ns, False
         elapsed_ns = host_ns - self._host_ns
         node_step_ns = round((time_raw - self._time_raw) % self._wrap * self._lsb_ns)
-        node_step_ns += round((elapsed_ns - node_step_ns) / self._wrap_ns) * self._wrap_ns
+        behind_ns = elapsed_ns - node_step_ns
+        if behind_ns >= self._half_ns or behind_ns <= -self._half_ns:
+            node_step_ns += round(behind_ns / self._wrap_ns) * self._wrap_ns
         step = (sequence - self._sequence_raw) & self._sequence_mask
         if abs(node_step_ns - elapsed_ns) > _RESTART_NS or node_step_ns < 0:
             before = self.sequence

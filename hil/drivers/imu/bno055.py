@@ -31,6 +31,7 @@ _SYSTEM_ERROR = 0x01
 
 _OUTAGE_AFTER = 3
 _RECHECK_NS = 50_000_000
+_OK = Status.OK
 _WITHOUT_VALUES = (Status.RESET, Status.STARTING)
 
 
@@ -45,7 +46,7 @@ class Bno055Imu(Sensor[ImuSample]):
     name = "imu"
 
     def __init__(self, config: Bno055Config, clock: Clock) -> None:
-        self._config, self._clock = config, clock
+        self._config, self._clock, self._prefetch = config, clock, config.prefetch
         self._link: Link | None = None
         self._identity: dict[str, str] = {}
         self._mode = MODES[config.fusion_mode]
@@ -121,7 +122,7 @@ class Bno055Imu(Sensor[ImuSample]):
         if now_ns < self._next_poll_ns or link.under_way(self._patience_ns):
             return ()
         try:
-            if self._suspicious or (now_ns >= self._next_check_ns and not self._config.prefetch):
+            if self._suspicious or (now_ns >= self._next_check_ns and not self._prefetch):
                 self._check(link, now_ns)
                 now_ns = self._clock.now_ns()
             budget_ns = 0 if self._failures else self._retry_ns
@@ -133,7 +134,7 @@ class Bno055Imu(Sensor[ImuSample]):
             return (self._failed(error),)
         self._failures = 0
         sample = self._sample(link, data[: burst.LENGTH])
-        if self._config.prefetch:
+        if self._prefetch:
             self._ask_ahead(link)
         return (sample,)
 
@@ -184,7 +185,7 @@ class Bno055Imu(Sensor[ImuSample]):
         return self._empty(error.status, now_ns)
 
     def _judge(self, status: Status, now_ns: int, error: ExchangeError | None = None) -> None:
-        if status is Status.OK:
+        if status is _OK:
             self._good_ns = now_ns
         elif now_ns - self._good_ns > nanoseconds(self._config.fail_after_s):
             reason = error.reason if error is not None else f"last status {status.value}"
@@ -198,7 +199,7 @@ class Bno055Imu(Sensor[ImuSample]):
 
     def _stamp(self, host_ns: int, age_ns: int) -> Stamp:
         self._sequence += 1
-        return Stamp(t_ns=host_ns - age_ns, host_ns=host_ns, seq=self._sequence)
+        return Stamp(host_ns - age_ns, host_ns, self._sequence)
 
     def _empty(self, status: Status, now_ns: int) -> ImuSample:
         return burst.empty(self._stamp(now_ns, 0), status)
@@ -220,7 +221,7 @@ class Bno055Imu(Sensor[ImuSample]):
         if self._system_error:
             return Status.HARDWARE_ERROR
         status = burst.judge(counts)
-        if status is not Status.OK:
+        if status is not _OK:
             self._suspicious = now_ns - self._checked_ns > _RECHECK_NS
         elif stuck:
             return Status.FROZEN

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
 from typing import TypeAlias
 
 from hil.config.mocap import MocapConfig
@@ -26,6 +25,7 @@ _MOST_DATAGRAMS = 4096
 _MOST_WASTED = 256
 _OTHER_SOURCE_AFTER_NS = 1_000_000_000
 _OLD_FRAMES = 1000
+_FRAME = Message.FRAME.value
 _RESTART_NS = 250_000_000
 
 NewFrame: TypeAlias = tuple[Frame, int, bool]
@@ -67,7 +67,7 @@ class Session:
         self._seen: dict[int, tuple[float, int, int]] = {}
         self._source: Address | None = None
         self._source_ns = 0
-        self._alive_ns = clock.now_ns()
+        self._alive_ns, self._keepalive_ns = clock.now_ns(), nanoseconds(config.keepalive_s)
         self._ports: list[DatagramPort] = []
         try:
             self._ports.append(datagrams(None, 0))
@@ -111,14 +111,13 @@ class Session:
 
     def keep_alive(self, now_ns: int) -> None:
         """Tell a unicast server from time to time that somebody listens."""
-        if self._config.multicast is None and now_ns - self._alive_ns >= nanoseconds(
-            self._config.keepalive_s
-        ):
+        if now_ns - self._alive_ns >= self._keepalive_ns and self._config.multicast is None:
             self._alive_ns = now_ns
             self._send(request(Message.KEEPALIVE))
 
-    def frames(self) -> Iterator[NewFrame]:
+    def frames(self) -> list[NewFrame]:
         """New frames that have arrived, with their arrival and whether the server has begun anew."""
+        found: list[NewFrame] = []
         wasted, repeated = 0, self.repeated
         for port in self._ports:
             for _ in range(_MOST_DATAGRAMS):
@@ -133,10 +132,11 @@ class Session:
                 wasted += frame is None
                 if frame is not None:
                     self.taken += 1
-                    yield frame[0], datagram.arrived_ns, frame[1]
+                    found.append((frame[0], datagram.arrived_ns, frame[1]))
         copies = self.repeated - repeated if self.repeated <= self.taken else 0
         if wasted >= _MOST_WASTED and wasted > 2 * copies:
             self._flooded()
+        return found
 
     def _flooded(self) -> None:
         self.floods += 1
@@ -158,11 +158,11 @@ class Session:
             _LOG.debug("a request to %s:%d did not leave (%s)", *self._address, error)
 
     def _take(self, datagram: Datagram) -> tuple[Frame, bool] | None:
-        if datagram.sender[0] != self._config.server:
+        if datagram.sender[0] != self._address[0]:
             self.strangers += 1
             return None
         message, payload = split(datagram.data)
-        if message == Message.FRAME:
+        if message == _FRAME:
             return self._frame(payload, datagram)
         if datagram.sender != self._address:
             self.strangers += 1

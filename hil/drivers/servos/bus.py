@@ -15,8 +15,9 @@ from dynamixel_sdk import (
 from hil.drivers.servos import packets
 from hil.drivers.servos.packets import ALERT, ERROR_NUMBER, ERROR_TEXT, Answer, GroupRead
 from hil.drivers.servos.port import PortLost, ServoPort
-from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
+from hil.vocabulary.clock import NS_PER_S, Clock
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
+from hil.vocabulary.records import named
 from hil.vocabulary.signals import Status
 
 T = TypeVar("T")
@@ -147,10 +148,10 @@ class Bus:
 
     def asked(self) -> bool:
         """Whether an answer can be fetched; one that was asked for too long ago is forgotten."""
-        sent_ns = self._asked.sent_ns if self._asked else self._ahead.sent_ns if self._ahead else None
-        if sent_ns is None:
+        asked = self._ahead if self._asked is None else self._asked
+        if asked is None:
             return False
-        if self._clock.now_ns() - sent_ns > _OLDEST_NS:
+        if self._clock.now_ns() - asked.sent_ns > _OLDEST_NS:
             self._asked = self._ahead = None
             return False
         return True
@@ -179,14 +180,14 @@ class Bus:
     def _ask(self, group: GroupRead, timeout_s: float, after: bytes = b"") -> _Asked:
         sent_ns = self._clock.now_ns() + self.port.backlog_ns()
         if after:
-            sent_ns += nanoseconds(self.port.wire_s(len(after)))
+            sent_ns += self.port.wire_ns(len(after))
         self.traffic_ns = sent_ns
         try:
             self.port.clearPort()
             self.port.writePort(after + group.request)
         except PortLost:
             pass  # who waits for the answer will see
-        return _Asked(group, sent_ns, sent_ns + round(timeout_s * NS_PER_S))
+        return named(_Asked, (group, sent_ns, sent_ns + round(timeout_s * NS_PER_S)))
 
     def _fetch(self, asked: _Asked) -> Exchange:
         clock, group = self._clock, asked.group
@@ -198,18 +199,23 @@ class Bus:
         except PortLost:
             clock.sleep_until_ns(asked.deadline_ns)
         received_ns = clock.now_ns()
-        return Exchange(data, asked.sent_ns, received_ns, self._taken_ns(asked, len(data), received_ns))
+        taken_ns = self._taken_ns(asked, len(data), received_ns)
+        return named(Exchange, (data, asked.sent_ns, received_ns, taken_ns))
 
     def _taken_ns(self, asked: _Asked, count: int, received_ns: int) -> int:
         """When the servos heard the request: after the wire, and half of what a round trip costs.
 
         That cost (a network, drivers) is the smallest seen: an answer may have waited to be fetched.
         """
-        heard_ns = asked.sent_ns + round(self.port.wire_s(len(asked.group.request)) * NS_PER_S)
-        round_trip_ns = max(0, received_ns - heard_ns - self.port.answer_ns(count))
-        if count == asked.group.expected:
-            self._round_trip_ns = round_trip_ns = min(round_trip_ns, self._round_trip_ns)
-        return heard_ns + min(round_trip_ns, self._round_trip_ns) // 2
+        heard_ns = asked.sent_ns + self.port.wire_ns(len(asked.group.request))
+        round_trip_ns, least_ns = received_ns - heard_ns - self.port.answer_ns(count), self._round_trip_ns
+        if round_trip_ns < 0:
+            round_trip_ns = 0
+        if round_trip_ns >= least_ns:
+            round_trip_ns = least_ns
+        elif count == asked.group.expected:
+            self._round_trip_ns = round_trip_ns
+        return heard_ns + round_trip_ns // 2
 
     def _more(self, group: GroupRead, data: bytes, deadline_ns: int) -> bytes:
         """Go on receiving when noise, an echo or stuffing has made the answer longer."""

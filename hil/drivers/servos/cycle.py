@@ -11,33 +11,31 @@ the chain: somebody else leads the next read, and the guilty one is then known.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from hil.config.servos import ServosConfig
 from hil.drivers.servos.bus import Bus, Exchange
 from hil.drivers.servos.packets import NO_ANSWER, Answer, GroupRead
-from hil.drivers.servos.registers import CYCLE_FIELDS, FULL_FIELDS, FULL_LEVEL, RegisterMap
+from hil.drivers.servos.registers import CYCLE_FIELDS, FULL_FIELDS, FULL_LEVEL, Fields, RegisterMap
 from hil.drivers.servos.roll_call import RollCall
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
-from hil.vocabulary.records import quickly_made
+from hil.vocabulary.records import named
 from hil.vocabulary.signals import Status
 
 _DEAD_AFTER = 3
 _AGE_NS = 2_500_000
 _ALL = tuple(range(8))
 _NONE_MISSED = [0] * 8
+_FULL_LEVELS = (FULL_LEVEL,) * 8
 ALL_OK = (Status.OK,) * 8
 
 
-@quickly_made
-@dataclass(frozen=True)
-class Reading:
+class Reading(NamedTuple):
     """One read of all eight.
 
     Attributes:
-        registers: (8,) structured `CYCLE_FIELDS` or `FULL_FIELDS`; zero where `status` is not OK.
+        registers: raw counts (8,) of `CYCLE_FIELDS` or `FULL_FIELDS` by name; 0 where `status` is not OK.
         status: per servo, before hardware errors are looked into; `RESET` where a full look has found
             the map of indirect addresses gone.
         alert: whether the alert bit was set, per servo.
@@ -46,7 +44,7 @@ class Reading:
         revived: joints that answer again after having been left out.
     """
 
-    registers: np.ndarray
+    registers: Mapping[str, Sequence[int]]
     status: tuple[Status, ...]
     alert: tuple[bool, ...]
     taken_ns: int
@@ -55,13 +53,11 @@ class Reading:
     revived: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True)
-class _Kind:
+class _Kind(NamedTuple):
     """Which registers a read asks for."""
 
     address: int
-    length: int
-    fields: np.dtype[np.void]
+    fields: Fields
 
 
 _NO_ALERT = (False,) * 8
@@ -100,11 +96,11 @@ class CycleReader:
         self._order = list(_ALL)
         self._missed = list(_NONE_MISSED)
         self._dead: dict[int, int] = {}
-        self._cycle = _Kind(registers.cycle_address, registers.cycle_length, CYCLE_FIELDS)
+        self._cycle = _Kind(registers.cycle_address, CYCLE_FIELDS)
         self._full = (
-            _Kind(registers.audit_data, FULL_FIELDS.itemsize, FULL_FIELDS)
+            _Kind(registers.audit_data, FULL_FIELDS)
             if mapped
-            else _Kind(registers.torque, registers.direct_full_length, registers.direct_full_fields)
+            else _Kind(registers.torque, registers.direct_full_fields)
         )
         self._groups: dict[tuple[_Kind, tuple[int, ...]], tuple[GroupRead, float]] = {}
         self._kind, self._asked = self._cycle, _ALL[:0]
@@ -182,21 +178,23 @@ class CycleReader:
         self, kind: _Kind, group: GroupRead, exchange: Exchange, order: tuple[int, ...]
     ) -> Reading | None:
         """The reading of a clean answer of all eight."""
-        rows = group.quick(exchange.data, kind.fields)
-        if rows is None or order != _ALL:
+        registers = group.quick(exchange.data)
+        if registers is None or order != _ALL:
             return None
         full = kind is not self._cycle
-        if full and (rows["level"] != FULL_LEVEL).any():
+        if full and registers["level"] != _FULL_LEVELS:
             return None
         if self._missed != _NONE_MISSED:
             self._missed = list(_NONE_MISSED)
-        return Reading(rows, ALL_OK, _NO_ALERT, exchange.taken_ns, exchange.received_ns, full)
+        values = (registers, ALL_OK, _NO_ALERT, exchange.taken_ns, exchange.received_ns, full, ())
+        return named(Reading, values)
 
     def _group(self, kind: _Kind, joints: tuple[int, ...]) -> tuple[GroupRead, float]:
         found = self._groups.get((kind, joints))
         if found is None:
             ids = [self._ids[j] for j in joints]
-            group = GroupRead(ids, kind.address, kind.length, fast=self.fast)
+            fields = kind.fields
+            group = GroupRead(ids, kind.address, fields.length, fast=self.fast, fields=fields)
             delays = 1 if self.fast else len(ids)
             timeout_s = self._bus.port.reply_s(len(group.request), group.expected, delays)
             found = self._groups[kind, joints] = (group, timeout_s)
@@ -283,18 +281,18 @@ class CycleReader:
         self, kind: _Kind, exchange: Exchange, answers: dict[int, Answer], revived: tuple[int, ...]
     ) -> Reading:
         full = kind is not self._cycle
-        registers = np.zeros(8, dtype=FULL_FIELDS if full else CYCLE_FIELDS)
+        registers = {name: [0] * 8 for name in kind.fields.names}
         status, alert = [Status.TIMEOUT] * 8, [False] * 8
         for j, answer in answers.items():
             status[j] = answer.status
             if answer.status is not Status.OK:
                 continue
-            row = np.frombuffer(answer.data, kind.fields)[0]
+            row = kind.fields.of(answer.data)
             if full and row["level"] != FULL_LEVEL:
                 status[j] = Status.RESET
                 continue
-            for name in registers.dtype.names or ():
-                registers[name][j] = row[name]
+            for name, raw in row.items():
+                registers[name][j] = raw
             alert[j] = bool(answer.error & 0x80)
         return Reading(
             registers, tuple(status), tuple(alert), exchange.taken_ns, exchange.received_ns, full, revived

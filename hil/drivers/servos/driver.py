@@ -42,6 +42,7 @@ from hil.vocabulary.interfaces import Actuators
 from hil.vocabulary.signals import SERVOS, ServoHealth, ServoHold, ServoSample, ServoSetpoint, Status
 
 _LOG = logging.getLogger(__name__)
+_OK = Status.OK
 
 _PAUSE_NS = 200_000_000
 _READ_ATTEMPTS = 3
@@ -64,7 +65,7 @@ class DynamixelServos(Actuators):
 
     def __init__(self, config: ServosConfig, clock: Clock) -> None:
         self.restarts: Counter[str] = Counter()
-        self._config, self._clock = config, clock
+        self._config, self._clock, self._prefetch = config, clock, config.prefetch
         self._bus: Bus | None = None
         self._identity: dict[str, str] = {}
         self._watchdog_ns = nanoseconds(config.watchdog_s)
@@ -190,9 +191,9 @@ class DynamixelServos(Actuators):
             restarted = self._audit(reading)
         self._paused = False
         sample = self._samples.sample(reading, restarted)
-        self._doubtful |= self._samples.doubtful or Status.OK not in sample.status
+        self._doubtful |= self._samples.doubtful or _OK not in sample.status
         self._outage.note(sample.status, sample.alert, sample.stamp.host_ns)
-        if self._config.prefetch and not self._commanded:
+        if self._prefetch and not self._commanded:
             self._cycle.ask(full=self._look_closely())
         self._commanded = False
         self._caretaker.attended(sample.stamp.host_ns)
@@ -280,7 +281,7 @@ class DynamixelServos(Actuators):
             self._goals.follow(setpoint, self._samples.turns.offset)
             self._commanded = True
             packet = self._goals.packet()
-            if self._config.prefetch:
+            if self._prefetch:
                 self._cycle.ask(full=self._look_closely(), after=packet)
             else:
                 bus.send(packet)

@@ -43,7 +43,7 @@ class Goals:
         write: GoalWrite,
         device: str,
     ) -> None:
-        self._config, self._write, self._device = config, write, device
+        self._limit_rad, self._write, self._device = config.steer_limit_rad, write, device
         self._model, read = registers.model, registers.from_block
         self._rad_s, self._rad = self._model.rad_s_per_count, self._model.rad_per_count
         top = np.array([read(b, "velocity_limit") for b in blocks[:4]], dtype=np.int64)
@@ -55,15 +55,14 @@ class Goals:
             self._low[4:] = [read(b, "min_position_limit") for b in blocks[4:]]
             self._high[4:] = [read(b, "max_position_limit") for b in blocks[4:]]
         steering = [read(b, "present_position") for b in blocks[4:]]
-        self._lowest: list[int] = self._low.tolist()
-        self._highest: list[int] = self._high.tolist()
+        self._limits = list(zip(self._low.tolist(), self._high.tolist(), strict=True))
         self._raw = [0, 0, 0, 0, *steering]
 
     def packet(self) -> bytes:
         """The one write of a control cycle."""
         return self._write.packet(self._raw)
 
-    def follow(self, setpoint: ServoSetpoint, offset: np.ndarray) -> None:
+    def follow(self, setpoint: ServoSetpoint, offset: Sequence[int]) -> None:
         """Take a setpoint, clipped.
 
         Args:
@@ -73,18 +72,19 @@ class Goals:
         Raises:
             UsageError: a goal is not a number.
         """
-        limit_rad, rad, zero_counts = self._config.steer_limit_rad, self._rad, self._model.zero_counts
+        limit_rad, rad, zero_counts = self._limit_rad, self._rad, self._model.zero_counts
         goals = [v / self._rad_s for v in setpoint.drive_velocity_rad_s.tolist()]
-        for angle, lost in zip(setpoint.steer_position_rad.tolist(), offset[4:].tolist(), strict=True):
+        for j, angle in enumerate(setpoint.steer_position_rad.tolist(), 4):
             if not -limit_rad <= angle <= limit_rad:
                 angle = min(max(angle, -limit_rad), limit_rad)
-            goals.append(angle / rad + (zero_counts - lost))
+            goals.append(angle / rad + (zero_counts - offset[j]))
         if not all(map(math.isfinite, goals)):
             raise UsageError(f"{self._device}: a goal is not finite: {setpoint}")
-        self._raw = [
-            raw if low <= (raw := round(goal)) <= high else low if raw < low else high
-            for goal, low, high in zip(goals, self._lowest, self._highest, strict=True)
-        ]
+        raw = list(map(round, goals))
+        for j, (low, high) in enumerate(self._limits):
+            if not low <= raw[j] <= high:
+                raw[j] = low if raw[j] < low else high
+        self._raw = raw
 
     def rest(self) -> None:
         """Wheels at rest, the steering's goals as they are."""

@@ -45,7 +45,7 @@ class HealthWatch:
         self._kept = (
             ServoHealth(
                 Stamp(reading.taken_ns, reading.received_ns, self._sequence),
-                np.where(known, rows["voltage"] * self._volt, np.nan),
+                np.where(known, np.array(rows["voltage"]) * self._volt, np.nan),
                 np.where(known, rows["temperature"], np.nan),
                 reading.status,
             ),

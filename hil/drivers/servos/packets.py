@@ -10,11 +10,10 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
-import numpy as np
 from fastcrc import crc16
 
+from hil.drivers.servos.registers import Fields
 from hil.vocabulary.signals import Status
 
 BROADCAST = 0xFE
@@ -29,6 +28,8 @@ ERROR_TEXT = {
     7: "does not let the register be written now",
 }
 _HEADER = b"\xff\xff\xfd\x00"
+_TO_STUFF, _CODE_AT = b"\xff\xff\xfd", 7
+"""What must not appear behind a packet's length, and where its instruction stands."""
 _STATUS = 0x55
 _SYNC_READ, _SYNC_WRITE, _FAST_SYNC_READ = 0x82, 0x83, 0x8A
 _BULK_WRITE = 0x93
@@ -52,7 +53,7 @@ BAD_CHECKSUM = Answer(Status.CRC)
 
 def instruction(servo_id: int, code: int, parameters: bytes = b"") -> bytes:
     """An instruction packet."""
-    body = (bytes((code,)) + parameters).replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+    body = (bytes((code,)) + parameters).replace(_TO_STUFF, _TO_STUFF + b"\xfd")
     data = _HEADER + bytes((servo_id,)) + (len(body) + 2).to_bytes(2, "little") + body
     crc: int = crc16.umts(data)
     return data + crc.to_bytes(2, "little")
@@ -93,25 +94,24 @@ def find_statuses(data: bytes) -> list[tuple[int, Answer]]:
     return found
 
 
-@lru_cache(maxsize=8)
-def _fast_layout(fields: np.dtype[np.void]) -> np.dtype[np.void]:
-    return np.dtype([("error", "u1"), ("id", "u1"), ("registers", fields), ("crc", "<u2")])
-
-
-@lru_cache(maxsize=8)
-def _plain_layout(fields: np.dtype[np.void]) -> np.dtype[np.void]:
-    return np.dtype([("head", "V8"), ("error", "u1"), ("registers", fields), ("crc", "<u2")])
-
-
 class GroupRead:
     """One sync read of the same registers of several servos, plain or fast.
+
+    Args:
+        ids: of the servos, in the order asked.
+        address: of the first register.
+        length: bytes.
+        fast: whether they answer in one packet.
+        fields: the registers, for `quick`.
 
     Attributes:
         request: the packet, built once.
         expected: bytes of a complete answer without stuffing.
     """
 
-    def __init__(self, ids: Sequence[int], address: int, length: int, *, fast: bool) -> None:
+    def __init__(
+        self, ids: Sequence[int], address: int, length: int, *, fast: bool, fields: Fields | None = None
+    ) -> None:
         self.ids, self.length, self.fast = tuple(ids), length, fast
         where = address.to_bytes(2, "little") + length.to_bytes(2, "little")
         code = _FAST_SYNC_READ if fast else _SYNC_READ
@@ -124,6 +124,10 @@ class GroupRead:
         self._ids, self._no_errors = bytes(self.ids), bytes(count)
         tail = (length + 4).to_bytes(2, "little") + bytes((_STATUS,))
         self._heads = [_HEADER + bytes((i,)) + tail for i in self.ids]
+        if fields is not None:
+            head, before = ("8x", "2x") if fast else ("", "9x")
+            self._unpack = struct.Struct("<" + head + f"{before}{fields.form}2x" * count).unpack
+            self._places = [(name, slice(k, None, len(fields.names))) for k, name in enumerate(fields.names)]
 
     def plausible(self, data: bytes) -> bool:
         """Whether the bytes have the length and the heads of a complete answer without stuffing."""
@@ -134,13 +138,8 @@ class GroupRead:
         step = self.length + _STATUS_OVERHEAD
         return all(data[k * step : k * step + _FAST_HEAD] == head for k, head in enumerate(self._heads))
 
-    def quick(self, data: bytes, fields: np.dtype[np.void]) -> np.ndarray | None:
-        """All servos' registers, in the order asked, of a clean answer without alerts; else None.
-
-        Args:
-            data: what was received.
-            fields: layout of the registers, `length` bytes.
-        """
+    def quick(self, data: bytes) -> dict[str, tuple[int, ...]] | None:
+        """Raw counts of all servos by register, in the order asked, of a clean answer without alerts."""
         if not self.plausible(data):
             return None
         step = self.length + (_FAST_OVERHEAD if self.fast else _STATUS_OVERHEAD)
@@ -149,15 +148,13 @@ class GroupRead:
         if self.fast:
             if crc16.umts(data[:-2]) != data[-2] | data[-1] << 8 or data[_FAST_HEAD + 1 :: step] != self._ids:
                 return None
-            rows = np.frombuffer(data, _fast_layout(fields), offset=_FAST_HEAD)
         else:
             for k in range(0, self.expected, step):
                 end = k + step - 2
                 if crc16.umts(data[k:end]) != data[end] | data[end + 1] << 8:
                     return None
-            rows = np.frombuffer(data, _plain_layout(fields))
-        registers: np.ndarray = rows["registers"]
-        return registers
+        values = self._unpack(data)
+        return {name: values[place] for name, place in self._places}
 
     def answers(self, data: bytes) -> dict[int, Answer]:
         """Answer of every servo asked, whatever arrived."""
@@ -222,10 +219,18 @@ class GoalWrite:
                 for servo_id, address in zip(ids, addresses, strict=True)
             ]
         self._parts: list[bytes | int] = [value for head in heads for value in (head, 0)]
-        self._layout = struct.Struct("<" + "".join(f"{len(head)}si" for head in heads))
+        self._pack = struct.Struct("<" + "".join(f"{len(head)}si" for head in heads)).pack
+        usual = instruction(BROADCAST, self._code, self._prefix + self._pack(*self._parts))
+        begins = _CODE_AT + 1 + len(self._prefix)
+        self._begin = usual[:begins]
 
     def packet(self, goals: Sequence[int]) -> bytes:
         """The packet for eight raw goals."""
         parts = self._parts
         parts[1::2] = goals
-        return instruction(BROADCAST, self._code, self._prefix + self._layout.pack(*parts))
+        told = self._pack(*parts)
+        data = self._begin + told
+        if data.find(_TO_STUFF, _CODE_AT) >= 0:
+            return instruction(BROADCAST, self._code, self._prefix + told)
+        crc: int = crc16.umts(data)
+        return data + crc.to_bytes(2, "little")

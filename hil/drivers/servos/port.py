@@ -56,6 +56,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         self._sent_ns = 0
         self._deadline_ns = 0
         self._timeout_s = -1.0
+        self._on_wire_ns: dict[int, int] = {}
 
     def open(self, device: str) -> None:
         """Open the port; one that is gone is waited for: a pulled adapter may come back.
@@ -88,6 +89,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         except PORT_ERRORS as error:
             raise PortLost(str(error)) from None
         self.baudrate = baudrate
+        self._on_wire_ns.clear()
         return True
 
     def closePort(self) -> None:
@@ -98,6 +100,13 @@ class ServoPort(PortHandler):  # type: ignore[misc]
     def wire_s(self, count: int) -> float:
         """Time of `count` bytes on the wire."""
         return count * _BITS / self.baudrate
+
+    def wire_ns(self, count: int) -> int:
+        """Time of `count` bytes on the wire, ns."""
+        found = self._on_wire_ns.get(count)
+        if found is None:
+            found = self._on_wire_ns[count] = nanoseconds(self.wire_s(count))
+        return found
 
     @contextmanager
     def patient(self) -> Iterator[None]:
@@ -141,9 +150,9 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         """Send; raises `PortLost`."""
         now_ns = self._clock.now_ns()
         begins_ns = now_ns if now_ns > self._sent_ns else self._sent_ns
-        self._sent_ns = begins_ns + nanoseconds(len(packet) * _BITS / self.baudrate)
+        self._sent_ns = begins_ns + self.wire_ns(len(packet))
         try:
-            sent: int = self.ser.write(bytes(packet))
+            sent: int = self.ser.write(packet if isinstance(packet, bytes) else bytes(packet))
         except PORT_ERRORS as error:
             raise PortLost(str(error)) from None
         return sent

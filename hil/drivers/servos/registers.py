@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from itertools import pairwise
 
-import numpy as np
-
 from hil.config.servo_models import Register, ServoModel
-
-CYCLE_FIELDS = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
-"""What every cycle reads."""
 
 FULL_LEVEL = 2
 """Return level at which a servo answers everything; a full look through a lost map shows zero instead."""
@@ -20,17 +16,53 @@ _GOAL_LENGTH = 4
 _CYCLE = ("present_current", "present_velocity", "present_position")
 _HEALTH = ("present_input_voltage", "present_temperature")
 _FULL = {
-    "torque": ("u1", "torque_enable"),
-    "watchdog": ("u1", "bus_watchdog"),
-    "error": ("u1", "hardware_error_status"),
-    "level": ("u1", "status_return_level"),
-    "current": ("<i2", _CYCLE[0]),
-    "velocity": ("<i4", _CYCLE[1]),
-    "position": ("<i4", _CYCLE[2]),
-    "voltage": ("<u2", _HEALTH[0]),
-    "temperature": ("u1", _HEALTH[1]),
+    "torque": ("B", "torque_enable"),
+    "watchdog": ("B", "bus_watchdog"),
+    "error": ("B", "hardware_error_status"),
+    "level": ("B", "status_return_level"),
+    "current": ("h", _CYCLE[0]),
+    "velocity": ("i", _CYCLE[1]),
+    "position": ("i", _CYCLE[2]),
+    "voltage": ("H", _HEALTH[0]),
+    "temperature": ("B", _HEALTH[1]),
 }
-FULL_FIELDS = np.dtype([(name, kind) for name, (kind, _) in _FULL.items()])
+
+
+class Fields:
+    """Registers in one range of bytes.
+
+    Args:
+        kinds: code of each as `struct` has it, by name, in the order of the range.
+        places: where each begins in the range; one behind the other where left out.
+        length: bytes of the range; up to the end of the last register where left out.
+
+    Attributes:
+        names: in the order of the range.
+        length: bytes of the range.
+        form: of the range, as `struct` has it.
+    """
+
+    def __init__(
+        self, kinds: Mapping[str, str], places: Mapping[str, int] | None = None, length: int = 0
+    ) -> None:
+        self.names, at, form = tuple(kinds), 0, []
+        for name, kind in kinds.items():
+            place = at if places is None else places[name]
+            form.append(f"{place - at}x{kind}")
+            at = place + struct.calcsize(kind)
+        self.length = length or at
+        self.form = "".join(form) + f"{self.length - at}x"
+        self._unpack = struct.Struct("<" + self.form).unpack
+
+    def of(self, data: bytes) -> dict[str, int]:
+        """Raw counts by name in `length` bytes."""
+        return dict(zip(self.names, self._unpack(data), strict=True))
+
+
+CYCLE_FIELDS = Fields({"current": "h", "velocity": "i", "position": "i"})
+"""What every cycle reads."""
+
+FULL_FIELDS = Fields({name: kind for name, (kind, _) in _FULL.items()})
 """What a full look shows, as the indirect data have it, one behind the other."""
 
 
@@ -43,7 +75,7 @@ class RegisterMap:
         cycle_address, cycle_length: current, velocity and position, one range.
         indirect_address: of the first; what they point at stands at `goal_data` and on.
         audit_data, direct_audit, direct_audit_length: of an audit, through the indirect data and without.
-        direct_full_length, direct_full_fields: of a full look without the indirect data, from `torque` on.
+        direct_full_fields: of a full look without the indirect data, from `torque` on.
     """
 
     def __init__(self, model: ServoModel) -> None:
@@ -60,14 +92,10 @@ class RegisterMap:
         self.goal_data = table["indirect_data_1"].address
         self.audit_data = self.goal_data + _GOAL_LENGTH
         self.direct_audit, self.direct_audit_length = self.torque, self.watchdog - self.torque + 1
-        self.direct_full_length = sum(self._health) - self.torque
-        self.direct_full_fields = np.dtype(
-            {
-                "names": list(_FULL),
-                "formats": [kind for kind, _ in _FULL.values()],
-                "offsets": [table[register].address - self.torque for _, register in _FULL.values()],
-                "itemsize": self.direct_full_length,
-            }
+        places = {name: table[register].address - self.torque for name, (_, register) in _FULL.items()}
+        names = sorted(places, key=places.__getitem__)
+        self.direct_full_fields = Fields(
+            {name: _FULL[name][0] for name in names}, places, sum(self._health) - self.torque
         )
 
     def indirect_map(self, goal_address: int) -> bytes:

@@ -184,8 +184,8 @@ class Upkeep:
         rows = reading.registers
         for joint, status in enumerate(reading.status):
             if status is Status.OK:
-                self.hardware_error[joint] = int(rows["error"][joint])
-                state[joint] = (int(rows["torque"][joint]), int(rows["watchdog"][joint]))
+                self.hardware_error[joint] = rows["error"][joint]
+                state[joint] = (rows["torque"][joint], rows["watchdog"][joint])
             elif status is Status.RESET:
                 self.hardware_error[joint] = 0
                 state[joint] = (0, 0)
@@ -235,18 +235,18 @@ class Upkeep:
 
     def trouble(self, reading: Reading) -> dict[str, str]:
         """What keeps a servo from holding, by name, from a full look that `judge` has seen."""
-        armed, found = self._config.watchdog_count, {}
+        armed, rows, found = self._config.watchdog_count, reading.registers, {}
         for joint, status in enumerate(reading.status):
-            row, reason = reading.registers[joint], ""
+            reason = ""
             if status is Status.RESET:
                 reason = "restarted, torque is off"
             elif status is not Status.OK:
                 reason = status.value
             elif self.hardware_error[joint]:
                 reason = f"hardware error: {hardware_error_text(self.hardware_error[joint])}"
-            elif not row["torque"]:
+            elif not rows["torque"][joint]:
                 reason = "torque is off"
-            elif row["watchdog"] != armed:
+            elif rows["watchdog"][joint] != armed:
                 reason = "its bus watchdog has tripped"
             if reason:
                 found[SERVOS[joint]] = f"ID {self._ids[joint]}: {reason}"

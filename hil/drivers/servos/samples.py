@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import struct
 from collections.abc import Sequence
+from operator import sub
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from hil.vocabulary.signals import SERVOS, ServoSample, Stamp, Status
 _LOG = logging.getLogger(__name__)
 
 _NO_ALERT: tuple[int, ...] = (0,) * 8
+_floats, _DOUBLES = np.frombuffer, struct.Struct("24d").pack
 
 
 class Samples:
@@ -41,20 +44,24 @@ class Samples:
     ) -> None:
         self._upkeep, self._clock, self._device = upkeep, clock, device
         model, read = registers.model, registers.from_block
-        scales = (model.rad_per_count, model.rad_s_per_count, model.a_per_count)
-        self._rad, self._rad_s, self._ampere = (np.full(8, scale) for scale in scales)
-        self._zero_counts = np.full(8, model.zero_counts, dtype=np.int64)
+        self._scales = np.repeat((model.rad_per_count, model.rad_s_per_count, model.a_per_count), 8)
+        self._zeros = (model.zero_counts,) * 8
         self.turns, self.doubtful = MultiTurnCounter(model), False
-        self._registers = np.array([read(b, "present_position") for b in blocks], dtype=np.int64)
+        self._registers: Sequence[int] = [read(b, "present_position") for b in blocks]
         self._alert = [0] * 8
         self._sequence = 0
 
     def registers(self, reading: Reading | None = None) -> np.ndarray:
         """(8,) position registers as last known, with those of a reading that is not yet sampled."""
-        if reading is None:
-            return self._registers
-        now, seen = reading.registers["position"].astype(np.int64), _seen(reading)
-        return now if seen is EVERYBODY else np.where(seen, now, self._registers)
+        return np.array(self._registers if reading is None else self._known(reading), dtype=np.int64)
+
+    def _known(self, reading: Reading) -> Sequence[int]:
+        """Position registers (8,) of a reading; of who has not answered, as last known."""
+        now = reading.registers["position"]
+        if reading.status is ALL_OK:
+            return now
+        seen = _seen(reading).tolist()
+        return [new if there else old for new, there, old in zip(now, seen, self._registers, strict=True)]
 
     def sample(self, reading: Reading, restarted: tuple[int, ...]) -> ServoSample:
         """The sample of a reading.
@@ -64,11 +71,10 @@ class Samples:
             restarted: joints that were found to have started over, and have been set up again.
         """
         self._sequence += 1
-        stamp = Stamp(t_ns=reading.taken_ns, host_ns=self._clock.now_ns(), seq=self._sequence)
-        rows = reading.registers
-        velocity = rows["velocity"] * self._rad_s
-        current = rows["current"] * self._ampere
-        position, jumped = self._follow(reading)
+        stamp = Stamp(reading.taken_ns, self._clock.now_ns(), self._sequence)
+        counts, jumped = self._follow(reading)
+        values = self._in_si(counts, reading)
+        position, velocity, current = values[0:8], values[8:16], values[16:24]
         status, alert = reading.status, _NO_ALERT
         self.doubtful = bool(reading.revived)
         if status is not ALL_OK or restarted or jumped is not NOBODY or any(self._alert):
@@ -79,17 +85,23 @@ class Samples:
 
     def position(self, reading: Reading) -> Array:
         """(8,) rad of a reading that becomes no sample; NaN where a servo did not answer."""
-        position, _ = self._follow(reading)
+        counts, _ = self._follow(reading)
+        position = self._in_si(counts, reading)[0:8]
         position[~_seen(reading)] = np.nan
         return position
 
-    def _follow(self, reading: Reading) -> tuple[Array, np.ndarray]:
-        """Positions (8,) rad that count on, and which servos have started over."""
-        self._registers = self.registers(reading)
-        seen = _seen(reading)
-        raw = self._registers if seen is EVERYBODY else reading.registers["position"].astype(np.int64)
-        counts, jumped = self.turns.follow(raw, reading.registers["velocity"], seen, reading.taken_ns)
-        return (counts - self._zero_counts) * self._rad, jumped
+    def _in_si(self, counts: Sequence[int], reading: Reading) -> Array:
+        """(24,) positions in rad, velocities in rad/s, currents in A."""
+        rows = reading.registers
+        from_zero = map(sub, counts, self._zeros)
+        values: Array = _floats(_DOUBLES(*from_zero, *rows["velocity"], *rows["current"])) * self._scales
+        return values
+
+    def _follow(self, reading: Reading) -> tuple[Sequence[int], np.ndarray]:
+        """Positions (8,) in counts that go on, and which servos have started over."""
+        rows = reading.registers
+        self._registers = self._known(reading)
+        return self.turns.follow(rows["position"], rows["velocity"], _seen(reading), reading.taken_ns)
 
     def _judge(
         self, reading: Reading, restarted: tuple[int, ...], jumped: np.ndarray

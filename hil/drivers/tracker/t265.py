@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import logging
 import math
+import struct
 from collections import deque
 from collections.abc import Mapping
+from math import hypot
 from typing import Any
 
 import numpy as np
@@ -47,8 +49,12 @@ _FARTHEST_M = 1000.0
 _FASTEST = 100.0
 _NORM_LOW, _NORM_HIGH = 0.98, 1.02
 _RESTART_FRAMES = 200
+_floats, _DOUBLES = np.frombuffer, struct.Struct("13d").pack
+_OK, _WITHOUT_VALUES = Status.OK, (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.NOT_TRACKED)
 
-_Raw = tuple[float, ...]
+_Raw = tuple[Any, ...]
+"""Arrival in ns, number, milliseconds on the device's axis, confidence; position, attitude, velocity and rate
+in robot axes."""
 
 
 class T265Tracker(Sensor[TrackerSample]):
@@ -250,13 +256,14 @@ class T265Tracker(Sensor[TrackerSample]):
         except VENDOR_ERRORS:
             self.malformed += 1
             return
-        if len(self._queue) == self._config.queue_length:
+        queue = self._queue
+        if len(queue) == queue.maxlen:
             self.overflowed += 1
-        self._queue.append(raw)
+        queue.append(raw)
 
     def _sample(self, raw: _Raw) -> TrackerSample | None:
         """The sample of one pose; None when its number is not new."""
-        host_ns, number, timestamp_ms, confidence = int(raw[0]), int(raw[1]), raw[2], int(raw[3])
+        host_ns, number, timestamp_ms, confidence = raw[:4]
         if number <= self._number:
             if timestamp_ms <= self._timestamp_ms and self._number - number <= _RESTART_FRAMES:
                 self.repeated += 1
@@ -268,22 +275,15 @@ class T265Tracker(Sensor[TrackerSample]):
             device_ns = round(timestamp_ms * _NS_PER_MS)
             t_ns, credible = self._clock_map.map(device_ns, host_ns)
         status = self._status(raw, confidence, t_ns)
-        if status is Status.OK and (not credible or host_ns - t_ns > self._stale_ns):
+        if status is _OK and (not credible or host_ns - t_ns > self._stale_ns):
             status = Status.STALE
         elif self._restarted and status is Status.JUMP:
             status, self._restarted = Status.RESET, False
-        values = np.array(raw[4:])
-        if status in (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.NOT_TRACKED):
+        values = _floats(bytearray(_DOUBLES(*raw[4:])))
+        if status in _WITHOUT_VALUES:
             values[:] = np.nan
-        return TrackerSample(
-            stamp=Stamp(t_ns=t_ns, host_ns=host_ns, seq=self._seq_base + number, device_ns=device_ns),
-            position_m=values[0:3],
-            quaternion_wxyz=values[3:7],
-            velocity_m_s=values[7:10],
-            angular_velocity_rad_s=values[10:13],
-            confidence=confidence,
-            status=status,
-        )
+        stamp = Stamp(t_ns, host_ns, self._seq_base + number, device_ns)
+        return TrackerSample(stamp, values[0:3], values[3:7], values[7:10], values[10:13], confidence, status)
 
     def _begin_again(self, number: int) -> None:
         """The camera counts from the beginning, in another frame: its first usable pose says so."""
@@ -293,20 +293,21 @@ class T265Tracker(Sensor[TrackerSample]):
         self._restarted = True
 
     def _status(self, raw: _Raw, confidence: int, t_ns: int) -> Status:
-        pose = raw[4:11]
-        norm, distance_m, fastest = math.hypot(*pose[3:]), math.hypot(*pose[:3]), math.hypot(*raw[11:])
+        _, _, _, _, x, y, z, qw, qx, qy, qz, vx, vy, vz, wx, wy, wz = raw
+        norm, distance_m = hypot(qw, qx, qy, qz), hypot(x, y, z)
+        fastest = hypot(vx, vy, vz, wx, wy, wz)
         if not (_NORM_LOW < norm < _NORM_HIGH and distance_m < _FARTHEST_M and fastest < _FASTEST):
             if not all(map(math.isfinite, raw[4:])):
                 return Status.NOT_FINITE
             fastest = max(map(abs, raw[11:]))
             if not (_NORM_LOW < norm < _NORM_HIGH and distance_m < _FARTHEST_M and fastest < _FASTEST):
                 return Status.IMPLAUSIBLE
-        if self._stuck.stuck(pose, int(raw[0])):
+        if self._stuck.stuck(raw[4:11], raw[0]):
             return Status.FROZEN
         if confidence <= 0:
             return Status.NOT_TRACKED
         if confidence < _USABLE_CONFIDENCE:
             return Status.LOW_CONFIDENCE
-        if self._jumps.jumped(t_ns / NS_PER_S, pose[:3], pose[3:]):
+        if self._jumps.jumped(t_ns / NS_PER_S, (x, y, z), (qw, qx, qy, qz)):
             return Status.JUMP
-        return Status.OK
+        return _OK

@@ -14,6 +14,8 @@ OCF, COF, LIN, MAG_INC, MAG_DEC = 0x20, 0x10, 0x08, 0x04, 0x02
 COUNTS = 4096
 START_UP_NS = 20_000_000
 _COUNTS_PER_RAD = COUNTS / (2.0 * math.pi)
+_ODD = bytes(bits.bit_count() & 1 for bits in range(COUNTS))
+"""Whether the number of ones is odd."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ class As5045Chip:
         self.offset_rad = 0.0
         self._held = 0
 
-    def word(self, angle_rad: float, noise: float, *, started: bool = True) -> int:
+    def word(self, angle_rad: float, noise: float, started: bool = True) -> int:
         """The word for a true axis angle; `noise` is a standard normal number."""
         theta = self._sign * angle_rad + self._zero_rad + self.offset_rad
         a1, p1, a2, p2, sigma = self._errors
@@ -71,5 +73,7 @@ class As5045Chip:
         flags = self.flags
         if not flags & COF:
             self._held = floor(seen * _COUNTS_PER_RAD + 0.5) % COUNTS
-        word = self._held << 6 | (OCF if started else 0) | flags
-        return word | (word.bit_count() & 1)
+        held = self._held
+        if started:
+            flags |= OCF
+        return held << 6 | flags | (_ODD[held] ^ _ODD[flags])

@@ -129,9 +129,7 @@ class EncoderNode(Scheduled):
             return
         steering = self._world.plant.steering_rad()
         started = t_ns - self._boot_ns >= START_UP_NS
-        words = [
-            chip.word(a, n, started=started) for chip, a, n in zip(self.chips, steering, noise, strict=False)
-        ]
+        words = [chip.word(steering[k], noise[k], started) for k, chip in enumerate(self.chips)]
         if self._first_set:
             self._first_set = False
             words = [int(w) for w in self._rng.integers(0, 1 << 18, 4)]

@@ -33,17 +33,18 @@ class SelfCalibration:
         self._attitudes: set[tuple[int, int, int]] = set()
         self._headings: set[int] = set()
         self._restored = {"accelerometer": False, "gyroscope": False, "magnetometer": False}
+        self._levels: tuple[int, int, int] | None = None
 
     def restore(self, sensor: str, values: Vector) -> None:
         """A client wrote the last byte of one sensor's offsets."""
         setattr(self, sensor, list(values))
         self._restored[sensor] = True
+        self._levels = None
 
-    def learn(
-        self, *, still: bool, dt_s: float, up: Vector, heading_octant: int, truth: SensorOffsets
-    ) -> None:
+    def learn(self, still: bool, dt_s: float, up: Vector, heading_octant: int, truth: SensorOffsets) -> None:
         """One fusion step; `up` is the unit vertical in sensor axes, (3,)."""
         if still:
+            self._levels = None
             self._still_s += dt_s
             gain = min(1.0, dt_s / _GYRO_LEVEL_S)
             self.gyroscope = [
@@ -52,12 +53,14 @@ class SelfCalibration:
         x, y, z = up
         attitude = _side(x), _side(y), _side(z)
         if attitude not in self._attitudes:
+            self._levels = None
             self._attitudes.add(attitude)
             if len(self._attitudes) > 1 and not self._restored["accelerometer"]:
                 self.accelerometer = [
                     a + 0.5 * (b - a) for a, b in zip(self.accelerometer, truth.accelerometer, strict=True)
                 ]
         if heading_octant not in self._headings:
+            self._levels = None
             self._headings.add(heading_octant)
             if not self._restored["magnetometer"]:
                 self.magnetometer = [
@@ -65,7 +68,12 @@ class SelfCalibration:
                 ]
 
     def levels(self) -> tuple[int, int, int]:
-        """(accelerometer, gyroscope, magnetometer), each 0..3."""
+        """(accelerometer, gyroscope, magnetometer), each 0..3; worked out when something has changed."""
+        if self._levels is None:
+            self._levels = self._earned()
+        return self._levels
+
+    def _earned(self) -> tuple[int, int, int]:
         attitudes = len(self._attitudes) - 1 + _RESTORED_ATTITUDES * self._restored["accelerometer"]
         headings = len(self._headings) - 1 + _RESTORED_ATTITUDES * self._restored["magnetometer"]
         still_s = self._still_s + _GYRO_LEVEL_S * self._restored["gyroscope"]

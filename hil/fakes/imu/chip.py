@@ -7,6 +7,7 @@ follow from the requests and the world's truth alone.
 
 from __future__ import annotations
 
+import struct
 from collections import deque
 
 from hil.fakes.imu import registers as reg
@@ -17,6 +18,7 @@ from hil.fakes.imu.output import EMPTY, LENGTH, encode
 from hil.fakes.imu.sensors import ImuTruthOptions, InertialSensors, matrix, product, remap
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, Scheduled, World
+from hil.vocabulary.records import named
 
 __all__ = ["SUPPORTED_FAULTS", "Bno055Chip"]
 
@@ -26,6 +28,9 @@ _ANSWER_NS = 100_000
 _CELSIUS = 27.0
 _HISTORY = 256
 _BAUD_TOLERANCE = 0.03
+_PUT = struct.Struct(f"{LENGTH}s").pack_into
+_HEADS = tuple(bytes((0xBB, length)) for length in range(reg.SIZE + 1))
+"""Of an answer to a read, by its length."""
 
 
 class Bno055Chip(SerialChip, Scheduled):
@@ -90,7 +95,7 @@ class Bno055Chip(SerialChip, Scheduled):
     def on_due(self, t_ns: int) -> None:
         """Sense and publish one set of outputs."""
         mode, sensors = self._mode, self.sensors
-        faults = None if self._faults.none else self._faults
+        faults = None if self._faults.plan.empty else self._faults
         period_ns = round(1e9 / mode.rate_hz * self._stretch * (faults.slowness(t_ns) if faults else 1.0))
         self._due_ns = t_ns + period_ns
         if faults is not None:
@@ -102,7 +107,8 @@ class Bno055Chip(SerialChip, Scheduled):
             sensed = faults.distort(sensed, t_ns)
         block = encode(sensed, mode, self._pages[0][reg.UNIT_SEL], self._calibration_byte(mode), _CELSIUS)
         self._history.append((t_ns, block))
-        self._pages[0][reg.DATA : reg.DATA + LENGTH] = self._faults.shown(block, self._history, t_ns)
+        shown = block if faults is None else self._faults.shown(block, self._history, t_ns)
+        _PUT(self._pages[0], reg.DATA, shown)
 
     def reset(self, t_ns: int) -> None:
         """Power was cycled: the chip is silent while it boots, then in CONFIG mode."""
@@ -117,11 +123,14 @@ class Bno055Chip(SerialChip, Scheduled):
             self._parser.reset()
             return []
         replies = self.poll(t_ns)
-        ready_ns = t_ns + _ANSWER_NS + self._faults.delay_ns(t_ns)
+        faults = None if self._faults.plan.empty else self._faults
+        ready_ns = t_ns + _ANSWER_NS + (0 if faults is None else faults.delay_ns(t_ns))
         for request in self._parser.feed(data, t_ns):
-            answer = self._faults.spoil(self._answer(request, t_ns), t_ns)
+            answer = self._answer(request, t_ns)
+            if faults is not None:
+                answer = faults.spoil(answer, t_ns)
             if answer:
-                replies.append(Reply(ready_ns, answer))
+                replies.append(named(Reply, (ready_ns, answer)))
         return replies
 
     def poll(self, t_ns: int) -> list[Reply]:
@@ -151,7 +160,7 @@ class Bno055Chip(SerialChip, Scheduled):
 
     def _power(self, t_ns: int) -> bool:
         """Follow power faults; True while the chip has no power or is booting."""
-        if self._faults.none:
+        if self._faults.plan.empty:
             return False
         boot_ns = self._faults.boot_at_ns(t_ns)
         if boot_ns is not None:
@@ -167,21 +176,21 @@ class Bno055Chip(SerialChip, Scheduled):
             return uart.status(uart.INVALID_ADDRESS)
         if self._overrun > 0.0 and self._rng.random() < self._overrun_now():
             return uart.status(uart.BUS_OVERRUN)
-        return bytes((0xBB, request.length)) + self._read(request.register, request.length, t_ns)
+        return _HEADS[request.length] + self._read(request.register, request.length, t_ns)
 
     def _overrun_now(self) -> float:
         if not self._mode.fusion:
             return 0.0
         return self._overrun if self._mode.magnetometer else 0.2 * self._overrun
 
-    def _read(self, register: int, length: int, t_ns: int) -> bytes:
+    def _read(self, register: int, length: int, t_ns: int) -> bytearray:
         page = self._pages[self._page]
         page[reg.PAGE_ID] = self._page
         if self._page == 0:
             running = self._mode is not reg.MODES[reg.CONFIG] and t_ns >= self._switched_ns
             state = reg.STATUS_FUSION if self._mode.fusion else reg.STATUS_NO_FUSION
             page[reg.SYS_STATUS] = state if running else reg.STATUS_IDLE
-        return bytes(page[register : register + length])
+        return page[register : register + length]
 
     def _write(self, register: int, data: bytes, t_ns: int) -> bytes:
         end = register + len(data)

@@ -208,13 +208,9 @@ class InertialSensors:
         """Calibrate from how the chip stands and moves."""
         _, _, theta, vx, vy, w, _, _, tilt = body
         s, c, st, ct = math.sin(theta), math.cos(theta), math.sin(tilt), math.cos(tilt)
-        self.calibration.learn(
-            still=abs(w) < _STILL_RATE_RAD_S and abs(vx) + abs(vy) < _STILL_SPEED_M_S,
-            dt_s=dt_s,
-            up=apply(self._out_of_body, (st * c, -st * s, ct)),
-            heading_octant=math.floor(theta * 4.0 / math.pi) % 8,
-            truth=self.true_offsets,
-        )
+        still = abs(w) < _STILL_RATE_RAD_S and abs(vx) + abs(vy) < _STILL_SPEED_M_S
+        up, octant = apply(self._out_of_body, (st * c, -st * s, ct)), math.floor(theta * 4.0 / math.pi) % 8
+        self.calibration.learn(still, dt_s, up, octant, self.true_offsets)
 
     def _leave_offsets(self) -> None:
         """What calibration has left of the offsets, output axes; worked out when it has learnt something."""

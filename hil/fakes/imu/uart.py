@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from hil.vocabulary.records import named
+
 WRITE_SUCCESS, WRITE_FAIL, INVALID_ADDRESS, WRITE_DISABLED = 0x01, 0x03, 0x04, 0x05
 WRONG_START, BUS_OVERRUN, MAX_LENGTH, MIN_LENGTH, CHARACTER_TIMEOUT = 0x06, 0x07, 0x08, 0x09, 0x0A
 
@@ -60,6 +62,15 @@ class RequestParser:
     def feed(self, data: bytes, t_ns: int) -> list[Request]:
         """Requests completed by `data`, whose last byte arrived at `t_ns`."""
         self._last_ns = t_ns
+        if (
+            not self._buffer
+            and len(data) == 4
+            and data[0] == 0xAA
+            and data[1] == 1
+            and 0 < data[3] <= LONGEST
+        ):
+            self._in_noise = False
+            return [named(Request, (data[2], data[3], None, 0))]
         self._buffer += data
         found: list[Request] = []
         while self._buffer:

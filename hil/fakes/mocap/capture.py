@@ -67,7 +67,7 @@ class CaptureVolume:
         """Bodies that are defined, the other one first."""
         return (self._other.name, self._other.identifier), (self._body, self._body_id)
 
-    def see(self, motion: BodyMotion, t_ns: int, *, hidden: bool = False) -> tuple[SeenBody, SeenBody]:
+    def see(self, motion: BodyMotion, t_ns: int, hidden: bool = False) -> tuple[SeenBody, SeenBody]:
         """Both bodies at an exposure; a hidden body keeps its last pose and is not tracked."""
         if not self._row:
             self._draws, self._row = rows(self._rng.standard_normal((_BLOCK, DRAWS))), _BLOCK

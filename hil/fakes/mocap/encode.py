@@ -16,6 +16,7 @@ _HEAD = struct.Struct("<HH")
 _INT = struct.Struct("<i")
 _PAIR = struct.Struct("<iI")
 _POINTS, _BODY = struct.Struct("<12f"), struct.Struct("<i3f4ffh")
+_PACKED = struct.Struct(f"{_POINTS.size}s")
 _LABELLED = struct.Struct("<" + 4 * "i3ffhf")
 _SUFFIX = struct.Struct("<IId3QHi")
 _MARKER_SIZE_M = 0.014
@@ -153,8 +154,9 @@ class _Template:
         frame, places, (i, j, m, n) = self._frame, self._places[k], self._labels[k]
         _, identifier, position_m, rotation_xyzw, (a, b, c, d), error_m, tracked = body
         rest = _MARKER_SIZE_M, _SOLVED, error_m
-        _POINTS.pack_into(frame, places.points, *a, *b, *c, *d)
-        _POINTS.pack_into(frame, places.points_in_all, *a, *b, *c, *d)
+        points = _POINTS.pack(*a, *b, *c, *d)
+        _PACKED.pack_into(frame, places.points, points)
+        _PACKED.pack_into(frame, places.points_in_all, points)
         _BODY.pack_into(frame, places.body, identifier, *position_m, *rotation_xyzw, error_m, tracked)
         _LABELLED.pack_into(frame, places.labelled, i, *a, *rest, j, *b, *rest, m, *c, *rest, n, *d, *rest)
         self._known[k] = body

@@ -11,6 +11,7 @@ from collections import deque
 from typing import NamedTuple, Protocol
 
 from hil.fakes.world import World
+from hil.vocabulary.records import named
 
 Address = tuple[str, int]
 
@@ -63,7 +64,7 @@ class WorldPort:
     def receive(self) -> Arrival | None:
         """The oldest datagram that has arrived, or None."""
         queue = self.queue
-        if queue and queue[0].arrived_ns <= self._network.now_ns:
+        if queue and queue[0].arrived_ns <= self._network.world.now_ns:
             return queue.popleft()
         return None
 
@@ -81,15 +82,10 @@ class WorldNetwork(Outlet):
     """
 
     def __init__(self, server: Served, world: World) -> None:
-        self._server, self._world = server, world
+        self._server, self.world = server, world
         self._ports: list[WorldPort] = []
         self._server_host = _HOST
         self._next = _FIRST_FREE_PORT
-
-    @property
-    def now_ns(self) -> int:
-        """World time."""
-        return self._world.now_ns
 
     def open(self, group: str | None, number: int) -> WorldPort:
         """A port; raises `OSError` when the number is taken (groups can be shared)."""
@@ -111,7 +107,7 @@ class WorldNetwork(Outlet):
             raise OSError(errno.EBADF, "the port is closed")
         if address[1] == self._server.command_port:
             self._server_host = address[0]
-            self._server.receive(data, (_HOST, port.number), self, self.now_ns)
+            self._server.receive(data, (_HOST, port.number), self, self.world.now_ns)
 
     def joined(self, group: str) -> bool:
         """Whether a port listens to the group."""
@@ -124,4 +120,5 @@ class WorldNetwork(Outlet):
         for port in self._ports:
             if port.number == number and host == (_HOST if port.group is None else port.group):
                 last_ns = port.queue[-1].arrived_ns if port.queue else 0
-                port.queue.append(Arrival(data, sender, max(ready_ns, last_ns)))
+                arrived_ns = ready_ns if ready_ns > last_ns else last_ns
+                port.queue.append(named(Arrival, (data, sender, arrived_ns)))

@@ -19,6 +19,7 @@ from hil.fakes.mocap.options import MocapTruthOptions
 from hil.fakes.world import Scheduled, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import UsageError
+from hil.vocabulary.records import named
 
 __all__ = ["SUPPORTED_FAULTS", "NatNetServer"]
 
@@ -97,6 +98,8 @@ class NatNetServer(Scheduled):
         self._faults = MocapFaults(world.faults, name, self._rng)
         self._volume = CaptureVolume(self._options, self._rng, body=body, body_id=body_id, up_axis=up_axis)
         self._stretch = 1.0 + 1e-6 * self._options.clock_ppm * float(self._rng.standard_normal())
+        self._latency_ticks = round(self._options.latency_s * CLOCK_HZ)
+        self._receive_ticks = round(_RECEIVED_SHARE * self._latency_ticks)
         self._frames = encode.Frames()
         self._network = WorldNetwork(self, world)
         self._outlets: list[Outlet] = [self._network]
@@ -132,23 +135,25 @@ class NatNetServer(Scheduled):
 
     def on_due(self, t_ns: int) -> None:
         """Expose, and send the frame."""
-        faults = self._faults
-        if not faults.none and faults.restarted(t_ns):
+        faults, options = None if self._faults.plan.empty else self._faults, self._options
+        if faults is not None and faults.restarted(t_ns):
             self._clients.clear()
             self._start(t_ns)
             self._due_ns = t_ns + _BOOT_NS
             return
-        period_ns = NS_PER_S / self._options.rate_hz / self._stretch * faults.slowness(t_ns)
-        self._due_ns = t_ns + round(period_ns)
+        slowness = 1.0 if faults is None else faults.slowness(t_ns)
+        self._due_ns = t_ns + round(NS_PER_S / options.rate_hz / self._stretch * slowness)
         self._number += 1
-        seen = self._volume.see(self._world.plant.body(), t_ns, hidden=faults.hidden(t_ns))
-        bodies = seen if faults.none else faults.distort(seen, t_ns)
+        hidden = faults is not None and faults.hidden(t_ns)
+        seen = self._volume.see(self._world.plant.body(), t_ns, hidden)
+        bodies = seen if faults is None else faults.distort(seen, t_ns)
         self._last = (self._number, bodies, self._times(t_ns))
         jitter = self._rng.standard_exponential()
-        if self._volume.in_gap(t_ns) or faults.silent(t_ns):
+        if self._volume.in_gap(t_ns) or (faults is not None and faults.silent(t_ns)):
             return
-        late_s = self._options.latency_s + self._options.transit_s + self._options.jitter_s * jitter
-        self._stream(max(self._arrived_ns, t_ns + nanoseconds(late_s + self._stall_s())), t_ns)
+        late_s = options.latency_s + options.transit_s + options.jitter_s * jitter
+        ready_ns = t_ns + nanoseconds(late_s + self._stall_s())
+        self._stream(ready_ns if ready_ns > self._arrived_ns else self._arrived_ns, t_ns)
 
     def receive(self, data: bytes, client: Address, outlet: Outlet, t_ns: int) -> None:
         """Take one request and answer it."""
@@ -177,10 +182,8 @@ class NatNetServer(Scheduled):
     def _times(self, t_ns: int) -> encode.FrameTimes:
         up_s = (t_ns - self._started_ns) * 1e-9 * self._stretch
         exposure = round(up_s * CLOCK_HZ)
-        latency = round(self._options.latency_s * CLOCK_HZ)
-        return encode.FrameTimes(
-            up_s, exposure, exposure + round(_RECEIVED_SHARE * latency), exposure + latency
-        )
+        received, sent = exposure + self._receive_ticks, exposure + self._latency_ticks
+        return named(encode.FrameTimes, (up_s, exposure, received, sent))
 
     def _stream(self, ready_ns: int, t_ns: int) -> None:
         self._arrived_ns = ready_ns
@@ -210,7 +213,7 @@ class NatNetServer(Scheduled):
 
     def _send(self, packet: bytes, destination: Address, outlet: Outlet, ready_ns: int, t_ns: int) -> None:
         faults = self._faults
-        if faults.none:
+        if faults.plan.empty:
             outlet.deliver(ready_ns, packet, destination)
         elif not faults.cut_off(t_ns):
             for data in faults.spoil(packet, t_ns):

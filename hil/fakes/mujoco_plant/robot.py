@@ -75,7 +75,7 @@ class MujocoRobot(SteppedBody):
         self._step_parameters = np.zeros(8)
         data = built.data
         self._vectors = (
-            constants, self._state, self._commands, self._step_parameters, built.indices, data.qpos,
+            self._constants, self._state, self._commands, self._step_parameters, built.indices, data.qpos,
             data.qvel, data.ctrl, built.model.pair_friction,
         )  # fmt: skip
         self._prepare, self._finish = _kernels()

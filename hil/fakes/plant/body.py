@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from typing import Any
 
 import numpy as np
 
@@ -25,7 +26,6 @@ _MODES = {
     "pwm": k.MODE_PWM,
     "current": k.MODE_CURRENT,
 }
-_GOAL = k.GOAL
 
 
 class SteppedBody(Plant):
@@ -52,8 +52,10 @@ class SteppedBody(Plant):
         self._faults = plan.of("plant")
         self._step_ns, self._steps = step_ns, 0
         self._ahead_ns = step_ns  # before that no step more is whole
-        self._constants, self._state = constants, np.zeros(k.STATE_SIZE)
-        self._commands = np.zeros(k.COMMANDS_SIZE)
+        self._numbers = np.concatenate((np.zeros(k.CONSTANTS), constants))
+        self._state, self._commands = self._numbers[: k.STATE_SIZE], self._numbers[k.STATE_SIZE : k.CONSTANTS]
+        self._constants = self._numbers[k.CONSTANTS :]
+        self._goals: Any = self._commands.data[k.GOAL : k.GOAL + 8]
         self._commands[k.RATE_LIMIT : k.DUTY_LIMIT] = np.inf
         self._commands[k.DUTY_LIMIT :] = 1.0
         self._asked: list[tuple[str, float, float, float] | None] = [None] * 8
@@ -61,7 +63,8 @@ class SteppedBody(Plant):
         self._motion, self._headings = (
             _view(self._state[at : at + size]) for at, size in ((k.BODY, 8), (k.HEADING, 4))
         )
-        self._views = tuple(_view(self._state[at : at + 8]) for at in (k.ANGLE, k.RATE, k.AMPS))
+        angle, rate, amps = (_view(self._state[at : at + 8]) for at in (k.ANGLE, k.RATE, k.AMPS))
+        self._views = angle, rate, amps
 
     @abstractmethod
     def _integrate(self, n: int, adhesion_factor: float) -> None:
@@ -93,7 +96,7 @@ class SteppedBody(Plant):
         asked, goal, rate_limit, amps_limit, duty_limit = command
         how, possible = (asked, rate_limit, amps_limit, duty_limit), 0 <= joint < 8 and math.isfinite(goal)
         if possible and how == self._asked[joint]:
-            self._commands[_GOAL + joint] = goal
+            self._goals[joint] = goal
             return
         if not (possible and rate_limit >= 0.0 and amps_limit >= 0.0 and duty_limit >= 0.0):
             raise UsageError(
@@ -165,8 +168,7 @@ class SteppedBody(Plant):
 
     def joints(self) -> tuple[Array, Array, Array]:
         """Read-only views of position (8,), velocity (8,) and current (8,)."""
-        position, rate, current = self._views
-        return position, rate, current
+        return self._views
 
     def truth(self) -> PlantState:
         """A frozen copy of everything, at `t_ns`; made once per internal step."""

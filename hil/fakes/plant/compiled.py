@@ -1,6 +1,6 @@
 """Which way the physics runs: compiled by numba where that is installed, interpreted otherwise.
 
-Both run the one `kernel.advance`; interpreted, the arrays are unpacked into lists first, which plain
+Both run the one `kernel.advance`; interpreted, the numbers are unpacked into lists first, which plain
 Python indexes three times quicker.
 """
 
@@ -15,7 +15,7 @@ from hil.fakes.plant import kernel
 from hil.vocabulary.extras import is_installed
 from hil.vocabulary.geometry import Array
 
-Advance = Callable[[int, float, Array, Array, Array], None]
+Advance = Callable[[int, float, Array], None]
 
 
 @cache
@@ -27,15 +27,15 @@ def compiled_advance() -> Advance:
     """
     from hil.vocabulary.kernels import machine_code
 
-    vectors = (np.zeros(size) for size in (kernel.PATCHES, kernel.STATE_SIZE, kernel.COMMANDS_SIZE))
-    return machine_code(kernel.advance, 0, 1.0, *vectors)
+    return machine_code(kernel.advance_all, 0, 1.0, np.zeros(kernel.CONSTANTS + kernel.PATCHES))
 
 
-def interpreted_advance(n: int, adhesion_factor: float, c: Array, s: Array, q: Array) -> None:
-    """The same physics in plain Python, on the vectors `c` (n,), `s` (138,) and `q` (40,) of the kernel."""
-    state = s.tolist()
-    kernel.advance(n, adhesion_factor, c.tolist(), state, q.tolist())
-    s[:] = state
+def interpreted_advance(n: int, adhesion_factor: float, numbers: Array) -> None:
+    """The same physics in plain Python, on the vector (178 + n,) of `kernel.advance_all`."""
+    values = numbers.tolist()
+    state, commands = values[: kernel.STATE_SIZE], values[kernel.STATE_SIZE : kernel.CONSTANTS]
+    kernel.advance(n, adhesion_factor, values[kernel.CONSTANTS :], state, commands)
+    numbers[: kernel.STATE_SIZE] = state
 
 
 def choose_advance(compiled: bool | None) -> Advance:

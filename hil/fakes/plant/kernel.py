@@ -54,6 +54,9 @@ STATE_SIZE = 138
 MODE, GOAL, RATE_LIMIT, AMPS_LIMIT, DUTY_LIMIT = range(0, 40, 8)
 COMMANDS_SIZE = 40
 
+CONSTANTS = STATE_SIZE + COMMANDS_SIZE
+"""Where the constants begin in the vector of `advance_all`."""
+
 PASSES = 4
 
 
@@ -345,3 +348,9 @@ def advance(n: int, adhesion_factor: float, c: Array, s: Array, q: Array) -> Non
         after_x, after_y = origin_velocity(c, s)
         x, y = (after_x - before_x) / c[DT], (after_y - before_y) / c[DT]
         s[ACCELERATION], s[ACCELERATION + 1] = cosine * x + sine * y, cosine * y - sine * x
+
+
+def advance_all(n: int, adhesion_factor: float, numbers: Array) -> None:
+    """As `advance`, of one vector (178 + n,): state, commands, constants. An argument takes time, too."""
+    state, commands, constants = numbers[:STATE_SIZE], numbers[STATE_SIZE:CONSTANTS], numbers[CONSTANTS:]
+    advance(n, adhesion_factor, constants, state, commands)

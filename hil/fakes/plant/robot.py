@@ -56,7 +56,7 @@ class WallRobot(SteppedBody):
         self._integrate(0, 1.0)  # loads the compiled code now
 
     def _integrate(self, n: int, adhesion_factor: float) -> None:
-        self._advance(n, adhesion_factor, self._constants, self._state, self._commands)
+        self._advance(n, adhesion_factor, self._numbers)
 
     def bristle_deflection_m(self) -> Array:
         """Elastic deflection of the contacts (4, 2), wall axes: where contact energy is stored."""

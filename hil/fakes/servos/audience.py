@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hil.fakes.servos import protocol
+from hil.fakes.servos.answering import FORM
 from hil.fakes.servos.block import GoalBlock, MotionBlock
 from hil.fakes.servos.group import Wanted
 from hil.fakes.servos.options import ServoBusOptions
@@ -88,12 +89,13 @@ class Audience:
         able = [s for s in self._listeners or () if reads_fast(s)]
         by_id = {s.id: s for s in able}
         chain = [by_id[servo_id] for servo_id, _, _ in wanted if servo_id in by_id]
+        rows = [s.table.layout.motion for s in chain]
         if (
             0 < len(chain) == len(wanted)
             and len(by_id) == len(able)
             and all(
-                (s.table.layout.motion.address, s.table.layout.motion.size) == (address, length)
-                for s, (_, address, length) in zip(chain, wanted, strict=True)
+                (row.address, row.size, row.form) == (address, length, FORM)
+                for row, (_, address, length) in zip(rows, wanted, strict=True)
             )
         ):
             self._motions[instruction.parameters] = MotionBlock(chain, wanted)

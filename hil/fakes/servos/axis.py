@@ -21,9 +21,10 @@ from hil.fakes.servos.goal_place import GoalPlace
 from hil.fakes.servos.memory import ControlTable
 from hil.fakes.servos.motion import STEP, Trajectory
 from hil.fakes.servos.position import PositionRegister
+from hil.vocabulary.records import named
 
 OFF = JointCommand()
-_made, _FREE = JointCommand._make, math.inf
+_FREE = math.inf
 _WITH_POSITION = (POSITION, EXTENDED, CURRENT_POSITION)
 _REVERSE, _TIMED = 1, 4
 _REVERSE_FIRMWARE, _TIMED_FIRMWARE = 38, 42
@@ -115,10 +116,10 @@ class Axis:
             return
         get = self._table.get
         if name == "goal_velocity" and mode == VELOCITY:
-            trajectory.turn(raw, get("profile_acceleration"), timed=self._timed)
+            trajectory.turn(raw, get("profile_acceleration"), self._timed)
         elif name == "goal_position" and mode in _WITH_POSITION:
             acceleration, velocity = get("profile_acceleration"), get("profile_velocity")
-            trajectory.move(raw, acceleration, velocity, timed=self._timed)
+            trajectory.move(raw, acceleration, velocity, self._timed)
         self.drive()
 
     def pursue_again(self, place: GoalPlace, raw: int) -> None:
@@ -128,13 +129,15 @@ class Axis:
             self.pursue(place.name, raw)
         elif place.motor == "velocity":
             if trajectory.ongoing or trajectory.velocity != raw:
-                trajectory.turn(raw, place.acceleration, timed=self._timed)
+                trajectory.turn(raw, place.acceleration, self._timed)
                 goal = self.position.sign * self.share * trajectory.velocity * self._rad_s
-                self._plant.command(self._joint, _made(("velocity", goal, _FREE, _FREE, place.duty)))
+                command = named(JointCommand, ("velocity", goal, _FREE, _FREE, place.duty))
+                self._plant.command(self._joint, command)
         elif trajectory.ongoing or trajectory.position != raw:
-            trajectory.move(raw, place.acceleration, place.velocity, timed=self._timed)
+            trajectory.move(raw, place.acceleration, place.velocity, self._timed)
             goal = self.position.joint_rad(trajectory.position)
-            self._plant.command(self._joint, _made(("position", goal, _FREE, _FREE, place.duty)))
+            command = named(JointCommand, ("position", goal, _FREE, _FREE, place.duty))
+            self._plant.command(self._joint, command)
 
     def _there_already(self, name: str, raw: int) -> bool:
         """Whether a goal is what the motor is being asked for anyway."""

@@ -7,11 +7,16 @@ parse and a look at those goals that differ, and the reply to the read one loop 
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 
+import numpy as np
+
+from hil.fakes.arithmetic import Rows, octets, quick, rows
 from hil.fakes.servos import protocol
+from hil.fakes.servos.answering import answer
 from hil.fakes.servos.group import Wanted
-from hil.fakes.servos.position import HALF_WORD, WORD
+from hil.fakes.servos.position import HALF_WORD
 from hil.fakes.servos.protocol import Instruction, checksum
 from hil.fakes.servos.servo import Servo
 
@@ -29,36 +34,41 @@ class MotionBlock:
 
     def __init__(self, servos: Sequence[Servo], wanted: Wanted) -> None:
         self.delay_ns = max(s.delay_ns for s in servos)
-        self._head = protocol.fast_head(1 + sum(length + 4 for _, _, length in wanted))
-        self._head_crc = checksum(self._head)
-        self._pack = struct.Struct("<" + "".join(f"2s{s.table.layout.motion.form}" for s in servos)).pack
-        self._unpack = struct.Struct("".join(f"{2 + length}s" for _, _, length in wanted)).unpack
-        self._members = [
-            (s, s.axis.position, bytes((s.alert, s.id)), s.joint, s.axis.position.sign, s.axis.position.shift)
-            for s in servos
-        ]
+        size = sum(length + 4 for _, _, length in wanted)
+        head = protocol.fast_head(1 + size)
+        self._head_crc, self._begins = checksum(head), len(head)
+        self._reply = octets(head + bytes(size))
+        self._bytes = memoryview(self._reply)
+        self._members = [(s, s.axis.position, s.joint) for s in servos]
+        known = [(s.joint, p.sign, p.shift - HALF_WORD, s.alert, s.id) for s, p, _ in self._members]
+        self._known = rows(np.array(known, dtype=np.int64))
+        self._crcs = rows(_crcs())
+        self._answer = answering()
 
-    def reply(self, counts: list[int], velocities: list[int], currents: list[int]) -> bytes:
+    def reply(self, shown: Rows, listed: Sequence[Sequence[int]]) -> bytes:
         """The whole reply; the servos sense what they show.
 
         Args:
-            counts: (8,) encoders, by joint.
-            velocities: (8,) in the servos' counts.
-            currents: (8,) in the servos' counts.
+            shown: (3, 8) encoders, velocities and currents in the servos' counts, by joint.
+            listed: the same as lists.
         """
-        values: list[bytes | int] = []
-        for servo, position, head, j, sign, shift in self._members:
-            encoder, velocity = counts[j], velocities[j]
-            position.encoder, servo.velocity = encoder, velocity
-            values += head, sign * currents[j], sign * velocity, (sign * encoder + shift) % WORD - HALF_WORD
-        crc, tail, pieces = self._head_crc, b"", [self._head]
-        for own in self._unpack(self._pack(*values)):
-            piece = tail + own
-            crc = checksum(piece, crc)
-            tail = crc.to_bytes(2, "little")
-            pieces.append(piece)
-        pieces.append(tail)
-        return b"".join(pieces)
+        counts, velocities, _ = listed
+        for servo, position, j in self._members:
+            position.encoder, servo.velocity = counts[j], velocities[j]
+        self._answer(shown, self._known, self._crcs, self._head_crc, self._begins, self._reply)
+        return self._bytes.tobytes()
+
+
+def answering() -> Callable[..., None]:
+    """`answer`, compiled if it can be; an emulated bus has it loaded before anybody waits for an answer."""
+    block: np.ndarray = np.zeros((3, 8), dtype=np.int64)
+    return quick(answer, rows(block), rows(block), rows(block[0]), 0, 0, octets(b"\0"))
+
+
+@cache
+def _crcs() -> np.ndarray:
+    """Checksums (256,) of each byte alone."""
+    return np.array([checksum(bytes((k,))) for k in range(256)], dtype=np.int64)
 
 
 class GoalBlock:
@@ -95,6 +105,10 @@ class GoalBlock:
             return False
         for k, address, servo, trajectory in self._takers:
             goal, data = servo.goal, values[k]
-            if goal is None or address != goal.address or data != goal.data or trajectory.ongoing:
+            if (
+                goal is None
+                or address != goal.address
+                or ((data != goal.data or trajectory.ongoing) and not servo.rewrite(goal, data))
+            ):
                 servo.write(address, data)
         return True

@@ -10,7 +10,7 @@ from __future__ import annotations
 from hil.config.servo_models.codes import WATCHDOG_STEP_S
 from hil.fakes.servos import protocol
 from hil.fakes.servos.audience import Audience, answers_most, reads_fast
-from hil.fakes.servos.block import MotionBlock
+from hil.fakes.servos.block import MotionBlock, answering
 from hil.fakes.servos.faulty import BUS_FAULTS, ServoFaults
 from hil.fakes.servos.group import GROUP_READS, Wanted, write_parts
 from hil.fakes.servos.live import LiveRegisters
@@ -24,6 +24,7 @@ from hil.fakes.servos.thermal import ThermalModel
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import Scheduled, World
 from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.records import named
 
 _SLOW_TICKS = 25
 _WATCHDOG_STEP_NS = nanoseconds(WATCHDOG_STEP_S)
@@ -65,6 +66,7 @@ class ServoBus(SerialChip, Scheduled):
             servo.boot(0, encoder[servo.joint])
             servo.busy_until_ns = 0
         self._parser = InstructionParser()
+        answering()
         self._baud = 0
         self._processing_ns = round(options.processing_s * 1e9)
         self._due_ns = GRID_NS
@@ -81,7 +83,7 @@ class ServoBus(SerialChip, Scheduled):
         """One tick of the grid."""
         self._due_ns = t_ns + GRID_NS
         self._sensing.tick()
-        if not self._faults.none:
+        if not self._faults.plan.empty:
             self._follow_faults(t_ns)
         for axis in self._axes:
             if axis.trajectory.ongoing:
@@ -102,13 +104,13 @@ class ServoBus(SerialChip, Scheduled):
 
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
         """Answer instruction packets; servos set to another baud rate hear noise."""
-        if not self._faults.none:
+        if not self._faults.plan.empty:
             self._follow_faults(t_ns)
         if baud != self._baud:
             self._parser.reset()
             self._baud = baud
             self._audience.forget()
-        first_ns = t_ns - max(0, len(data) - 1) * 10_000_000_000 // baud
+        first_ns = t_ns - (len(data) - 1) * 10_000_000_000 // baud if data else t_ns
         found = self._parser.feed(data, first_ns, t_ns)
         if len(found) == 1:
             return self._execute(found[0], t_ns)
@@ -132,7 +134,7 @@ class ServoBus(SerialChip, Scheduled):
             wanted = GROUP_READS[instruction.code](instruction)
             if instruction.code not in _FAST:
                 return self._read_in_turn(wanted, listeners, t_ns)
-            if self._faults.none:
+            if self._faults.plan.empty:
                 self._audience.keep_motion(instruction, wanted)
             return self._fast_read(wanted, listeners, t_ns)
         if instruction.code in (protocol.SYNC_WRITE, protocol.BULK_WRITE):
@@ -167,7 +169,7 @@ class ServoBus(SerialChip, Scheduled):
         sender = servo.id if servo_id is None else servo_id
         data = protocol.status(sender, error | servo.alert, parameters)
         ready_ns = t_ns + self._processing_ns + servo.delay_ns
-        if self._faults.none:
+        if self._faults.plan.empty:
             return [Reply(ready_ns, data)]
         if self._faults.silent(servo.joint, t_ns):
             return []
@@ -196,7 +198,7 @@ class ServoBus(SerialChip, Scheduled):
         for servo_id, address, data in parts:
             for servo in self._audience.addressed(servo_id, listeners):
                 servo.write(address, data)
-        if self._faults.none:
+        if self._faults.plan.empty:
             self._audience.keep_goals(instruction, parts)
 
     def _read_in_turn(self, wanted: Wanted, listeners: list[Servo], t_ns: int) -> list[Reply]:
@@ -223,12 +225,12 @@ class ServoBus(SerialChip, Scheduled):
     def _read_motion(self, block: MotionBlock, t_ns: int) -> list[Reply]:
         """The fast sync read of every cycle, from servos that have answered it before: all in one go."""
         ready_ns = t_ns + self._processing_ns + block.delay_ns
-        return [Reply(ready_ns, block.reply(*self._live.measured(t_ns)))]
+        return [named(Reply, (ready_ns, block.reply(*self._live.measured(t_ns))))]
 
     def _fast_read(self, wanted: Wanted, listeners: list[Servo], t_ns: int) -> list[Reply]:
         """Fast sync and bulk read: one packet that the servos write together."""
         able = [s for s in listeners if reads_fast(s)]
-        if not self._faults.none:
+        if not self._faults.plan.empty:
             able = [s for s in able if not self._faults.silent(s.joint, t_ns)]
         by_id = {s.id: s for s in able}
         parts, places = [], []

@@ -14,6 +14,9 @@ PER_RAD, PER_SPAN, PER_A = range(3)
 # Rows of what is measured now (2, 8): angles in rad and currents in A.
 ANGLES, CURRENTS = range(2)
 
+# Rows of what the servos show (3, 8): encoders, velocities and currents.
+SHOWN_COUNTS, SHOWN_VELOCITIES, SHOWN_CURRENTS = range(3)
+
 OLD, SPAN = 3, 19
 """How old the firmware's velocity is, and over how many points of the grid it is taken."""
 
@@ -50,7 +53,7 @@ def show(now: Rows, history: Rows, dither: Rows, scales: Rows, first: int, row: 
     count(history, dither, scales, first, row)
     angles, amps, added = now[ANGLES], now[CURRENTS], dither[row]
     newer, older = history[row - OLD], history[row - OLD - SPAN]
-    counts, velocities, currents = shown[0], shown[1], shown[2]
+    counts, velocities, currents = shown[SHOWN_COUNTS], shown[SHOWN_VELOCITIES], shown[SHOWN_CURRENTS]
     per_rad, per_span, per_a = scales[PER_RAD], scales[PER_SPAN], scales[PER_A]
     for j in range(8):
         counts[j] = round(angles[j] * per_rad[j] + added[j])

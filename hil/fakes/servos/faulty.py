@@ -43,6 +43,9 @@ class ServoFaults:
     `wrong,angle_rad=`; `wrong` and `jump,angle_rad=` (once), `slow,answer_s=` answers late,
     `delayed,delay_s=` shows old measurements, `intermittent,period_s=,duty=` is silent for that part of
     each period, `drop` and `corrupt` per reply with `probability=`.
+
+    Attributes:
+        plan: what concerns bus and servos; whoever asks at every step looks at `plan.empty`, which is `none`.
     """
 
     def __init__(
@@ -55,7 +58,7 @@ class ServoFaults:
     ) -> None:
         self._rng, self._models = rng, models
         self._names = [(bus, f"servo.{SERVOS[j]}", f"servo.{ids[j]}") for j in range(len(ids))]
-        self._plan = plan.of(*chain.from_iterable(self._names))
+        self.plan = plan.of(*chain.from_iterable(self._names))
         self._once = Once()
         self._frozen: dict[int, Measured] = {}
         self._slid: dict[int, tuple[int, float]] = {}
@@ -66,22 +69,22 @@ class ServoFaults:
     @property
     def none(self) -> bool:
         """Whether no fault of any servo is planned, nor has been."""
-        return self._plan.empty
+        return self.plan.empty
 
     def acting(self, t_ns: int) -> bool:
         """Whether any fault of bus or servos acts now."""
-        return self._plan.acting(t_ns)
+        return self.plan.acting(t_ns)
 
     def find(self, joint: int, kind: str, t_ns: int) -> Fault | None:
         """The active fault of that kind on a servo under any of its names.
 
         `drop` and `corrupt` of the whole bus are the line's affair.
         """
-        if not self._plan.has(kind):
+        if not self.plan.has(kind):
             return None
         names = self._names[joint]
         for name in names[1:] if kind in _LINE_ONLY else names:
-            fault = self._plan.find(name, kind, t_ns)
+            fault = self.plan.find(name, kind, t_ns)
             if fault is not None:
                 return fault
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from typing import Literal
 
@@ -23,8 +24,8 @@ class GoalPlace:
         address: where it begins.
         data: what was written there last.
         name: of the goal's register.
-        first, end: the register's own bytes.
-        signed: whether it is.
+        first: the register's first byte.
+        form: how its bytes are read and written.
         low, high: raw counts between which it is taken.
         acceleration, velocity: raw counts of the profile in force.
         motor: how the motor follows this goal alone; None where the mode asks for more, or does not use it.
@@ -35,8 +36,7 @@ class GoalPlace:
     data: bytes
     name: str
     first: int
-    end: int
-    signed: bool
+    form: struct.Struct
     low: int
     high: int
     acceleration: int
@@ -65,7 +65,7 @@ def goal_place(table: ControlTable, mode: int, plan: Plan, address: int, data: b
     get, motor = table.get, _MOTORS.get((register.name, mode))
     acceleration, velocity = get("profile_acceleration"), get("profile_velocity")
     duty = abs(get("goal_pwm") / table.model.full_pwm)
+    form, first = table.layout.unpack[register.name]
     return GoalPlace(
-        address, data, register.name, register.address, register.end, register.signed,
-        low, high, acceleration, velocity, motor, duty,
-    )  # fmt: skip
+        address, data, register.name, first, form, low, high, acceleration, velocity, motor, duty
+    )

@@ -42,7 +42,7 @@ class Trajectory:
         self._goal, self._top, self._slope = position, math.inf, math.inf
         self.shape, self.ongoing, self._turning = STEP, False, False
 
-    def turn(self, goal: int, acceleration: int, *, timed: bool) -> None:
+    def turn(self, goal: int, acceleration: int, timed: bool) -> None:
         """A new velocity goal."""
         self._goal, self._turning, self.shape = float(goal), True, STEP
         if not acceleration:
@@ -52,7 +52,7 @@ class Trajectory:
         self._slope = change / (acceleration * _MS) if timed else acceleration * self._ramp_scale
         self.ongoing = change > 0.0
 
-    def move(self, goal: int, acceleration: int, velocity: int, *, timed: bool) -> None:
+    def move(self, goal: int, acceleration: int, velocity: int, timed: bool) -> None:
         """A new position goal, from wherever the trajectory is."""
         self._goal, self._turning = float(goal), False
         distance = abs(goal - self.position)

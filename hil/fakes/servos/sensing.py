@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from hil.config.servo_models import ServoModel
-from hil.fakes.arithmetic import listed, put, quick, rows
+from hil.fakes.arithmetic import Rows, listed, places, quick, rows
 from hil.fakes.plant_api import Plant
-from hil.fakes.servos.counting import ANGLES, CURRENTS, OLD, PER_RAD, PER_SPAN, SPAN, show
+from hil.fakes.servos.counting import OLD, PER_RAD, PER_SPAN, SHOWN_COUNTS, SPAN, show
 from hil.vocabulary.geometry import Array
 
 GRID_NS = 4_000_000
@@ -52,6 +52,8 @@ class Sensing:
         self._raw_from = 1
         self._now, self._shown = rows(np.zeros((2, 8))), rows(np.zeros((3, 8), dtype=np.int64))
         self._show = quick(show, self._now, self._history, self._dither, self._scales, 0, 0, self._shown)
+        self._in_python = isinstance(self._now, list)
+        self._places, (self._angles, self._amps) = places(self._history), places(self._now)
 
     def _draw(self) -> None:
         """Dither of the next samples of the grid, counts."""
@@ -66,27 +68,27 @@ class Sensing:
             self._draw()
             row = self._raw_from = 0
         self._row = row
-        put(self._history, row, self._plant.joints()[0])
+        angles = self._plant.joints()[0]
+        self._places[row][:] = angles.tolist() if self._in_python else angles
 
     def _count(self) -> None:
         """Make counts of the angles in the history from `_raw_from` on, and of those now."""
-        now, row = self._now, self._row
-        angles, _, amps = self._plant.joints()
-        put(now, ANGLES, angles)
-        put(now, CURRENTS, amps)
-        self._show(now, self._history, self._dither, self._scales, self._raw_from, row, self._shown)
+        row, (angles, _, amps) = self._row, self._plant.joints()
+        self._angles[:] = angles.tolist() if self._in_python else angles
+        self._amps[:] = amps.tolist() if self._in_python else amps
+        self._show(self._now, self._history, self._dither, self._scales, self._raw_from, row, self._shown)
         self._raw_from = row + 1
 
-    def measure(self) -> tuple[list[int], list[int], list[int]]:
-        """`counts` and `velocity` now, and Present Current in its counts."""
+    def measure(self) -> Rows:
+        """`counts` and `velocity` now, and Present Current in its counts: (3, 8), until the next call."""
         self._count()
-        counts, velocities, currents = listed(self._shown)
-        return counts, velocities, currents
+        return self._shown
 
     def counts(self, age_ns: int = 0) -> list[int]:
         """Encoder counts now (live), or as they were on the grid `age_ns` ago."""
         if not age_ns:
-            return self.measure()[0]
+            self._count()
+            return listed(self._shown)[SHOWN_COUNTS]
         self._count()
         return [int(n) for n in self._history[(self._row - min(age_ns, HISTORY_NS) // GRID_NS) % _ROWS]]
 

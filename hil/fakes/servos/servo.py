@@ -167,7 +167,8 @@ class Servo:
 
     def write(self, address: int, data: bytes, *, dry: bool = False) -> int:
         """Write registers with all effects (`dry`: only check); the error number."""
-        if not dry and self._rewrite(address, data):
+        goal = None if dry else self.goal
+        if goal is not None and address == goal.address and self.rewrite(goal, data):
             return protocol.OK
         try:
             plan = self.table.plan(address, len(data))
@@ -194,18 +195,17 @@ class Servo:
             and not self.axis.trajectory.ongoing
         )
 
-    def _rewrite(self, address: int, data: bytes) -> bool:
-        """Write a goal where one was written last; False where it is to be looked at closely."""
-        goal = self.goal
-        if goal is None or address != goal.address:
-            return False
+    def rewrite(self, goal: GoalPlace, data: bytes) -> bool:
+        """Write a goal where `goal` was written last; False where it is to be looked at closely."""
         if data == goal.data and not self.axis.trajectory.ongoing:
             return True
-        raw = int.from_bytes(data, "little", signed=goal.signed)
-        if len(data) != len(goal.data) or not goal.low <= raw <= goal.high:
+        if len(data) != len(goal.data):
+            return False
+        (raw,) = goal.form.unpack(data)
+        if not goal.low <= raw <= goal.high:
             return False
         goal.data = data
-        self.table.data[goal.first : goal.end] = data
+        goal.form.pack_into(self.table.data, goal.first, raw)
         self.axis.pursue_again(goal, raw)
         return True
 

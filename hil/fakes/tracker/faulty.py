@@ -48,11 +48,6 @@ class TrackerFaults(DeviceFaults):
         self._frozen: PoseFrame | None = None
         plan.declare(name, SUPPORTED_FAULTS)
 
-    @property
-    def idle(self) -> bool:
-        """Whether there is nothing to ask for: no fault is planned, and none has left its mark."""
-        return self.none and not self._off
-
     def silent(self, t_ns: int) -> bool:
         """Whether no pose is made now."""
         if self._off:

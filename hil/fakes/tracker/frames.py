@@ -5,18 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
-from hil.fakes.tracker.odometry import CameraPose
+from hil.fakes.tracker.odometry import CameraPose, Quaternion, Vector
 from hil.fakes.tracker.wheel_input import WheelInput
+from hil.vocabulary.records import named
 
 MODEL = "Intel RealSense T265"
 
 
-class PoseData:
+class PoseData(NamedTuple):
     """As `rs.pose`: camera axes, world given by gravity and the first view."""
 
-    def __init__(self, pose: CameraPose, confidence: int) -> None:
-        self.translation, self.velocity, self.rotation, self.angular_velocity = pose
-        self.tracker_confidence = self.mapper_confidence = confidence
+    translation: Vector
+    velocity: Vector
+    rotation: Quaternion
+    angular_velocity: Vector
+    tracker_confidence: int
+    mapper_confidence: int
 
 
 class PoseFrame(NamedTuple):
@@ -45,7 +49,7 @@ class PoseFrame(NamedTuple):
 
     def get_pose_data(self) -> PoseData:
         """The pose."""
-        return PoseData(self.pose, self.confidence)
+        return named(PoseData, (*self.pose, self.confidence, self.confidence))
 
 
 FrameCallback = Callable[[PoseFrame], None]

@@ -142,11 +142,11 @@ class VisualOdometry:
         x, y, theta, vx, vy, omega, _, _, tilt = body
         c, s = math.cos(theta), math.sin(theta)
         mx, my, _ = self._mount_m
-        arm = c * mx - s * my, s * mx + c * my
-        in_wall = x + arm[0], y + arm[1]
-        speed = c * vx - s * vy - omega * arm[1], s * vx + c * vy + omega * arm[0]
+        arm_x, arm_y = c * mx - s * my, s * mx + c * my
+        wall_x, wall_y = x + arm_x, y + arm_y
+        along, left = c * vx - s * vy - omega * arm_y, s * vx + c * vy + omega * arm_x
         if not self._started:
-            self._start(theta, tilt, in_wall)
+            self._start(theta, tilt, (wall_x, wall_y))
         told_x = told_y = weight = 0.0
         if by_wheels is not None:
             wheels, weight = by_wheels
@@ -156,8 +156,8 @@ class VisualOdometry:
             self._draws, self._row = rows(self._rng.standard_normal((_BLOCK, DRAWS))), _BLOCK
         self._row -= 1
         told = self._step(
-            theta, omega, *in_wall, *speed, math.hypot(*speed), dt_s, scale * self.scale, told_x, told_y,
-            weight, self._draws, self._row, self._errors, self._world, self._state,
+            theta, omega, wall_x, wall_y, along, left, math.hypot(along, left), dt_s, scale * self.scale,
+            told_x, told_y, weight, self._draws, self._row, self._errors, self._world, self._state,
         )  # fmt: skip
         position, velocity = named(Vector, told[:3]), named(Vector, told[3:6])
         rotation, rate = named(Quaternion, told[6:10]), named(Vector, told[10:])

@@ -67,6 +67,7 @@ class T265(Scheduled):
         )
         self.serial = f"{int(self._rng.integers(0, 10**12)):012d}"
         self._epoch_ms = 1.6e12 + round(float(self._rng.uniform(0.0, 1e10)))
+        self._fast_m2_s2 = self._options.fast_m_s**2
         self._stretch = 1.0 + 1e-6 * self._options.clock_ppm * float(self._rng.standard_normal())
         self._period_ns = NS_PER_S / RATE_HZ * self._stretch
         self._faults = TrackerFaults(world.faults, name, self._rng)
@@ -118,7 +119,7 @@ class T265(Scheduled):
 
     def on_due(self, t_ns: int) -> None:
         """Deliver what has arrived, then expose."""
-        if not self._faults.none and self._unplugged(t_ns):
+        if not self._faults.plan.empty and self._unplugged(t_ns):
             return
         while self._travelling and self._travelling[0][0] <= t_ns:
             frame = self._travelling.popleft()[1]
@@ -151,7 +152,7 @@ class T265(Scheduled):
 
     def _expose(self, t_ns: int) -> None:
         options = self._options
-        faults = None if self._faults.idle else self._faults
+        faults = None if self._faults.plan.empty else self._faults
         if faults is not None and faults.restarted(t_ns):
             self._restart(t_ns)
             return
@@ -172,7 +173,7 @@ class T265(Scheduled):
             return
         timestamp_ms = self._epoch_ms + t_ns / _NS_PER_MS / self._stretch
         frame = named(PoseFrame, (number, timestamp_ms, pose, self._confidence(body, t_ns)))
-        late_ns = nanoseconds(options.latency_s + options.jitter_s * jitter)
+        late_ns = round((options.latency_s + options.jitter_s * jitter) * NS_PER_S)
         if faults is not None:
             late_ns += faults.lateness_ns(t_ns)
         if t_ns + late_ns > self._arrived_ns:
@@ -188,7 +189,7 @@ class T265(Scheduled):
         rate = self._options.relocalisations_per_s
         if rate > 0.0 and self.settings[_JUMPS] and self._rng.random() < rate * dt_s:
             self.odometry.jump(self._options.relocalisation_m)
-        distance_m = 0.0 if self._faults.idle else self._faults.jump_m(t_ns)
+        distance_m = 0.0 if self._faults.plan.empty else self._faults.jump_m(t_ns)
         if distance_m:
             self.odometry.jump(distance_m)
 
@@ -196,7 +197,7 @@ class T265(Scheduled):
         """Low while the map is young and after fast motion."""
         vx, vy, omega = body.v_x_m_s, body.v_y_m_s, body.omega_rad_s
         options = self._options
-        if abs(omega) > options.fast_rad_s or vx * vx + vy * vy > options.fast_m_s**2:
+        if abs(omega) > options.fast_rad_s or vx * vx + vy * vy > self._fast_m2_s2:
             self._shaken_until_ns = t_ns + nanoseconds(options.shaken_s)
         if t_ns < self._shaken_until_ns:
             return 1
