@@ -13,7 +13,7 @@ from hil.bench.blueprint import Blueprint
 from hil.config.loading import load_bench
 from hil.recording.cdr import octet_array, octets_of, string, text_of
 from hil.recording.frames import FrameTree
-from hil.recording.ros_messages import messages, topics_with, transforms
+from hil.recording.ros_messages import CycleMessages, topics_with, transforms
 from hil.recording.urdf import urdf
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.kinds import kinds
@@ -25,15 +25,18 @@ STORE = get_typestore(Stores.ROS2_HUMBLE)
 HEADER = Blueprint(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
 
 
+def messages(k):
+    return CycleMessages(KINDS, FrameTree(HEADER)).of(driving_record(k))
+
+
 @pytest.mark.parametrize("k", [0, 3, 400])
 def test_rosbags_reads_and_reproduces_every_byte(k):
-    seen, frames = set(), FrameTree(HEADER)
+    seen = set()
     mixed = [
-        ("/tf_static", 0, transforms(0, frames.fixed)),
-        ("/tf", 0, transforms(0, frames.moving(driving_record(k)))),
+        ("/tf_static", 0, transforms(0, FrameTree(HEADER).fixed)),
         ("/robot_description", 0, string(urdf(HEADER))),
     ]
-    for topic, _, data in [*messages(driving_record(k), KINDS), *mixed]:
+    for topic, _, data in [*messages(k), *mixed]:
         message = STORE.deserialize_cdr(data, TOPICS[topic])
         assert bytes(STORE.serialize_cdr(message, TOPICS[topic])) == data
         seen.add(topic)
@@ -41,7 +44,7 @@ def test_rosbags_reads_and_reproduces_every_byte(k):
 
 
 def by_topic(k):
-    return {t: STORE.deserialize_cdr(data, TOPICS[t]) for t, _, data in messages(driving_record(k), KINDS)}
+    return {t: STORE.deserialize_cdr(data, TOPICS[t]) for t, _, data in messages(k)}
 
 
 def test_values_arrive_where_ros_expects_them():
