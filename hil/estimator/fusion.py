@@ -171,12 +171,9 @@ class FusionEstimator(Estimator):
         h, now = self.history, self._now
         begin = h.enter(self._intake.stage(measurements, h.base_ns), measurements.t_ns)
         self.engine.run(h, begin, self._zero_ns, measurements.t_ns, now)
+        figures = self._diagnostics(measurements.t_ns) if self._diagnosed else {}
         return RobotState(
-            t_ns=measurements.t_ns,
-            pose_body_in_wall=now.pose.copy(),
-            twist_body=now.twist.copy(),
-            covariance=now.covariance.copy(),
-            diagnostics=self._diagnostics(measurements.t_ns) if self._diagnosed else {},
+            measurements.t_ns, now.pose.copy(), now.twist.copy(), now.covariance.copy(), figures
         )
 
     def _diagnostics(self, t_ns: int) -> dict[str, float]:

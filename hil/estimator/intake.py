@@ -44,6 +44,14 @@ class Staged:
         self.data = np.zeros((room, ROW_FLOATS))
         self.memory = self.t_ns.data, self.numbers.data, self.seqs.data, self.data.data
 
+    def doubled(self) -> Staged:
+        """Twice the room, with what is in this one."""
+        room = len(self.t_ns)
+        other = Staged(2 * room)
+        other.t_ns[:room], other.numbers[:room], other.seqs[:room] = self.t_ns, self.numbers, self.seqs
+        other.data[:room] = self.data
+        return other
+
 
 class Intake:
     """Checks samples and puts them into rows; stamps pass the sensor clocks."""
@@ -67,14 +75,11 @@ class Intake:
 
     def stage(self, measurements: Measurements, oldest_ns: int) -> Staged:
         """Usable samples of a cycle; good until the next call."""
-        came = [samples(measurements) for _, _, samples, _, _ in self._sensors]
-        staged, many = self._staged, sum(map(len, came))
-        if many > len(staged.t_ns):
-            staged = self._staged = Staged(2 * many)
-        (stamps, numbers, seqs, rows), count = staged.memory, 0
+        staged, count = self._staged, 0
+        stamps, numbers, seqs, rows = staged.memory
         newest_ns, last_ns = measurements.t_ns + self._future_ns, self.last_ns
-        for (number, name, _, pack, fill), samples in zip(self._sensors, came, strict=True):
-            for sample in samples:
+        for number, name, samples, pack, fill in self._sensors:
+            for sample in samples(measurements):
                 row = pack(sample)
                 if isinstance(row, str):
                     self.refused[row] += 1
@@ -88,6 +93,9 @@ class Intake:
                 else:
                     if t_ns > last_ns.get(name, t_ns - 1):
                         last_ns[name] = t_ns
+                    if count == len(stamps):
+                        staged = self._staged = staged.doubled()
+                        stamps, numbers, seqs, rows = staged.memory
                     stamps[count], numbers[count], seqs[count] = t_ns, number, stamp.seq
                     fill(rows, count * _ROW_BYTES, *row)
                     count += 1

@@ -183,10 +183,9 @@ def pack(sample: WheelMeasurement) -> Sequence[float] | str:
     if not turned.shape == steered.shape == rates.shape == _FOUR or len(valid) != 4:
         return "shape"
     angles = turned.tolist() + steered.tolist()
-    sizes = list(map(abs, angles))
-    if not sum(sizes) < FARTHEST_RAD:
+    if not sum(map(abs, angles)) < FARTHEST_RAD:
         for i in range(4):
-            if not (sizes[i] < FARTHEST_RAD and sizes[4 + i] < FARTHEST_RAD):
+            if not (abs(angles[i]) < FARTHEST_RAD and abs(angles[4 + i]) < FARTHEST_RAD):
                 valid[i] = False
     return angles + rates.tolist() + valid if any(valid) else "not_finite"
 
