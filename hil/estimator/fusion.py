@@ -183,7 +183,7 @@ class FusionEstimator(Estimator):
         values[_AT_SAG] = -values[_AT_SLIP_UP]
         values[_AT_SCALE_SIGMA] = math.sqrt(max(variance_of(SCALE, SCALE), 0.0))
         values[_AT_SAG_SIGMA] = math.sqrt(max(variance_of(SLIP_X, SLIP_X), 0.0))
-        values += map(float, intake.refused.values())
+        values += intake.refused.values()
         out = dict(zip(_NAMES, values, strict=True))
         _, _, late, duplicate = self.history.marks.tolist()
         out["rejected_late"] += late

@@ -68,8 +68,8 @@ class Intake:
         self.reset()
 
     def reset(self) -> None:
-        """Forget counts and clocks."""
-        self.refused = dict.fromkeys(REASONS, 0)
+        """Forget counts, which are numbers as figures are, and clocks."""
+        self.refused = dict.fromkeys(REASONS, 0.0)
         self.clocks: Mapping[str, SensorClock] = {sensor.NAME: SensorClock() for sensor in SENSORS}
         self.last_ns: dict[str, int] = {}
 
@@ -82,14 +82,14 @@ class Intake:
             for sample in samples(measurements):
                 row = pack(sample)
                 if isinstance(row, str):
-                    self.refused[row] += 1
+                    self.refused[row] += 1.0
                     continue
                 stamp = sample.stamp
                 t_ns = self._corrected_ns(name, stamp) if self._estimated else stamp.t_ns
                 if t_ns <= oldest_ns:
-                    self.refused["late"] += 1
+                    self.refused["late"] += 1.0
                 elif t_ns > newest_ns:
-                    self.refused["future"] += 1
+                    self.refused["future"] += 1.0
                 else:
                     if t_ns > last_ns.get(name, t_ns - 1):
                         last_ns[name] = t_ns

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -74,6 +76,21 @@ def test_values_arrive_where_ros_expects_them():
     assert len(encoders.velocity) == len(encoders.effort) == 0
     assert found["/hil/events"].level == 30
     assert found["/hil/events"].msg == "stale for 0.5 s"
+
+
+def test_a_planar_covariance_has_its_places_in_that_of_six():
+    record, covariance = driving_record(3), np.arange(1.0, 37.0).reshape(6, 6)
+    state = replace(record.state, covariance=covariance, twist_body=np.array([0.1, 0.2, 0.3]))
+    sent = CycleMessages(KINDS, FrameTree(HEADER)).of(replace(record, state=state))
+    (data,) = [data for topic, _, data in sent if topic == "/odom"]
+    odom = STORE.deserialize_cdr(data, TOPICS["/odom"])
+    for found, part in ((odom.pose, covariance[:3, :3]), (odom.twist, covariance[3:, 3:])):
+        whole = np.zeros((6, 6))
+        whole[np.ix_((0, 1, 5), (0, 1, 5))] = part
+        np.testing.assert_array_equal(found.covariance, whole.ravel())
+    velocity = odom.twist.twist
+    assert (velocity.linear.x, velocity.linear.y, velocity.angular.z) == (0.1, 0.2, 0.3)
+    assert (velocity.linear.z, velocity.angular.x, velocity.angular.y) == (0.0, 0.0, 0.0)
 
 
 @given(payload=st.binary(max_size=300))
