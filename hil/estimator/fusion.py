@@ -57,7 +57,10 @@ _FIGURES = {
     "gravity_offset_rad": _STATE + OFFSET,
 }  # fmt: skip
 _PLACES = np.array(tuple(_FIGURES.values()))
-_REJECTED = {name: f"rejected_{name}" for name in REASONS}
+_NAMES = (*_FIGURES, *(f"rejected_{reason}" for reason in REASONS))
+_AT_SAG, _AT_SCALE_SIGMA, _AT_SAG_SIGMA, _AT_SLIP_UP = map(
+    _NAMES.index, ("sag_m_s", "scale_sigma", "sag_sigma_m_s", "slip_up_m_s")
+)
 _AGES = {sensor.NAME: f"age_{sensor.NAME}_s" for sensor in SENSORS}
 
 
@@ -65,9 +68,10 @@ class Now:
     """The newest state and sensor memory, at the time of the cycle.
 
     Attributes:
-        figures: memory, state and what is derived of them, as the diagnostics pick from it.
+        figures: memory, state and gates, as the diagnostics pick from it, and room for what they derive.
         x, p: (20,) and (20, 20); x is a part of `figures`.
         m: (1,), a part of `figures`.
+        pose, twist, covariance: (3,), (3,) and (6, 6), parts of x and p.
     """
 
     def __init__(self) -> None:
@@ -75,6 +79,7 @@ class Now:
         self.m: Records = self.figures[:_STATE].view(MEMORY)
         self.x = self.figures[_STATE : _STATE + STATES]
         self.p = np.zeros((STATES, STATES))
+        self.pose, self.twist, self.covariance = self.x[POSE], self.x[TWIST], self.p[:MOTION, :MOTION]
 
 
 class Engine(Protocol):
@@ -166,24 +171,21 @@ class FusionEstimator(Estimator):
         h, now = self.history, self._now
         begin = h.enter(self._intake.stage(measurements, h.base_ns), measurements.t_ns)
         self.engine.run(h, begin, self._zero_ns, measurements.t_ns, now)
+        figures = self._diagnostics(measurements.t_ns) if self._diagnosed else {}
         return RobotState(
-            t_ns=measurements.t_ns,
-            pose_body_in_wall=now.x[POSE].copy(),
-            twist_body=now.x[TWIST].copy(),
-            covariance=now.p[:MOTION, :MOTION].copy(),
-            diagnostics=self._diagnostics(measurements.t_ns) if self._diagnosed else {},
+            measurements.t_ns, now.pose.copy(), now.twist.copy(), now.covariance.copy(), figures
         )
 
     def _diagnostics(self, t_ns: int) -> dict[str, float]:
         """Figures by name, in this order: what the sensors said, what was refused, ages."""
-        now, intake, figures = self._now, self._intake, self._now.figures
-        figures[_SAG] = -now.x[SLIP_X]
-        figures[_SCALE_SIGMA] = math.sqrt(max(now.p.item(SCALE, SCALE), 0.0))
-        figures[_SAG_SIGMA] = math.sqrt(max(now.p.item(SLIP_X, SLIP_X), 0.0))
-        out: dict[str, float] = dict(zip(_FIGURES, figures.take(_PLACES).tolist(), strict=True))
+        intake, variance_of = self._intake, self._now.p.item
+        values: list[float] = self._now.figures.take(_PLACES).tolist()
+        values[_AT_SAG] = -values[_AT_SLIP_UP]
+        values[_AT_SCALE_SIGMA] = math.sqrt(max(variance_of(SCALE, SCALE), 0.0))
+        values[_AT_SAG_SIGMA] = math.sqrt(max(variance_of(SLIP_X, SLIP_X), 0.0))
+        values += intake.refused.values()
+        out = dict(zip(_NAMES, values, strict=True))
         _, _, late, duplicate = self.history.marks.tolist()
-        for name, count in intake.refused.items():
-            out[_REJECTED[name]] = float(count)
         out["rejected_late"] += late
         out["rejected_duplicate"] += duplicate
         if self.config.time.clock == "estimated":

@@ -176,6 +176,7 @@ class History:
         self.p = np.zeros((capacity, STATES, STATES))
         self.m: Records = np.zeros(capacity, MEMORY)
         self.marks = np.zeros(4, dtype=np.int64)
+        self._marks, self._stamps = self.marks.data, self.t_ns.data
 
     def reset(self, t_ns: int, x: Array, p: Array, m: Records) -> None:
         """Forget everything and start from one state (20,), covariance (20, 20) and memory (1,)."""
@@ -187,17 +188,20 @@ class History:
     @property
     def first(self) -> int:
         """Ring slot of the base, event 0."""
-        return self.marks.item(FIRST)
+        first: int = self._marks[FIRST]
+        return first
 
     @property
     def count(self) -> int:
         """Number of events, the base among them."""
-        return self.marks.item(COUNT)
+        count: int = self._marks[COUNT]
+        return count
 
     @property
     def base_ns(self) -> int:
         """Stamp of the oldest state that can be returned to."""
-        return self.t_ns.item(self.first)
+        base_ns: int = self._stamps[self._marks[FIRST]]
+        return base_ns
 
     @property
     def newest(self) -> int:

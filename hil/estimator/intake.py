@@ -6,18 +6,24 @@ Each sensor packs its own samples. Counts are by reason and part of the diagnost
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Callable, Mapping
+from operator import attrgetter
+
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.clocks import SensorClock
 from hil.estimator.layout import ROW, ROW_FLOATS, Ints
-from hil.estimator.records import part_of
+from hil.estimator.records import FLOAT_BYTES, part_of
 from hil.estimator.sensors import SENSORS
+from hil.estimator.sensors.sensor import Sensor
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.signals import Measurements, Stamp
 
 REASONS = ("not_finite", "implausible", "shape", "late", "future", "duplicate")
 _ROOM = 64
+_ROW_BYTES = FLOAT_BYTES * ROW_FLOATS
 
 
 class Staged:
@@ -27,6 +33,7 @@ class Staged:
         count: how many there are.
         t_ns, numbers, seqs: (room,) stamps, numbers of sensors, sequence numbers.
         data: (room, floats of a row) event rows.
+        memory: of the four, to write into: a number takes a fifth of the time that it takes numpy.
     """
 
     def __init__(self, room: int) -> None:
@@ -35,6 +42,15 @@ class Staged:
         self.numbers: Ints = np.zeros(room, dtype=np.int64)
         self.seqs: Ints = np.zeros(room, dtype=np.int64)
         self.data = np.zeros((room, ROW_FLOATS))
+        self.memory = self.t_ns.data, self.numbers.data, self.seqs.data, self.data.data
+
+    def doubled(self) -> Staged:
+        """Twice the room, with what is in this one."""
+        room = len(self.t_ns)
+        other = Staged(2 * room)
+        other.t_ns[:room], other.numbers[:room], other.seqs[:room] = self.t_ns, self.numbers, self.seqs
+        other.data[:room] = self.data
+        return other
 
 
 class Intake:
@@ -44,7 +60,7 @@ class Intake:
         self._future_ns = nanoseconds(config.time.future_s)
         self._estimated = config.time.clock == "estimated"
         self._sensors = [
-            (number, sensor.NAME, sensor.pack, part_of(ROW, sensor.NAME))
+            (number, sensor.NAME, attrgetter(sensor.NAME), sensor.pack, _filling(sensor))
             for number, sensor in enumerate(SENSORS, start=1)
             if sensor.is_used(config)
         ]
@@ -52,46 +68,49 @@ class Intake:
         self.reset()
 
     def reset(self) -> None:
-        """Forget counts and clocks."""
-        self.refused = dict.fromkeys(REASONS, 0)
-        self.clocks = {sensor.NAME: SensorClock() for sensor in SENSORS}
+        """Forget counts, which are numbers as figures are, and clocks."""
+        self.refused = dict.fromkeys(REASONS, 0.0)
+        self.clocks: Mapping[str, SensorClock] = {sensor.NAME: SensorClock() for sensor in SENSORS}
         self.last_ns: dict[str, int] = {}
 
     def stage(self, measurements: Measurements, oldest_ns: int) -> Staged:
         """Usable samples of a cycle; good until the next call."""
-        came = [getattr(measurements, name) for _, name, _, _ in self._sensors]
-        staged, many = self._staged, sum(map(len, came))
-        if many > len(staged.t_ns):
-            staged = self._staged = Staged(2 * many)
-        staged.count = 0
-        staged.data[:many] = 0.0
-        newest_ns = measurements.t_ns + self._future_ns
-        for (number, name, pack, part), samples in zip(self._sensors, came, strict=True):
-            for sample in samples:
-                reason = pack(sample, staged.data[staged.count, part])
-                if reason:
-                    self.refused[reason] += 1
-                    staged.data[staged.count] = 0.0
+        staged, count = self._staged, 0
+        stamps, numbers, seqs, rows = staged.memory
+        newest_ns, last_ns = measurements.t_ns + self._future_ns, self.last_ns
+        for number, name, samples, pack, fill in self._sensors:
+            for sample in samples(measurements):
+                row = pack(sample)
+                if isinstance(row, str):
+                    self.refused[row] += 1.0
+                    continue
+                stamp = sample.stamp
+                t_ns = self._corrected_ns(name, stamp) if self._estimated else stamp.t_ns
+                if t_ns <= oldest_ns:
+                    self.refused["late"] += 1.0
+                elif t_ns > newest_ns:
+                    self.refused["future"] += 1.0
                 else:
-                    self._keep(staged, number, name, sample.stamp, oldest_ns, newest_ns)
+                    if t_ns > last_ns.get(name, t_ns - 1):
+                        last_ns[name] = t_ns
+                    if count == len(stamps):
+                        staged = self._staged = staged.doubled()
+                        stamps, numbers, seqs, rows = staged.memory
+                    stamps[count], numbers[count], seqs[count] = t_ns, number, stamp.seq
+                    fill(rows, count * _ROW_BYTES, *row)
+                    count += 1
+        staged.count = count
         return staged
 
-    def _keep(
-        self, staged: Staged, number: int, name: str, stamp: Stamp, oldest_ns: int, newest_ns: int
-    ) -> None:
-        """Let the row in that was filled last, unless it is from another time."""
-        t_ns, last_ns = stamp.t_ns, self.last_ns
-        if self._estimated:
-            clock = self.clocks[name]
-            clock.add(t_ns, stamp.host_ns)
-            t_ns += clock.correction_ns(t_ns)
-        if t_ns <= oldest_ns:
-            self.refused["late"] += 1
-        elif t_ns > newest_ns:
-            self.refused["future"] += 1
-        else:
-            if t_ns > last_ns.get(name, t_ns - 1):
-                last_ns[name] = t_ns
-            k = staged.count
-            staged.t_ns[k], staged.numbers[k], staged.seqs[k] = t_ns, number, stamp.seq
-            staged.count = k + 1
+    def _corrected_ns(self, name: str, stamp: Stamp) -> int:
+        """A stamp as the host's clock would have it; the sensor's clock is followed by it."""
+        clock = self.clocks[name]
+        clock.add(stamp.t_ns, stamp.host_ns)
+        return stamp.t_ns + clock.correction_ns(stamp.t_ns)
+
+
+def _filling(sensor: Sensor) -> Callable[..., None]:
+    """What writes a sensor's floats into memory as a whole event row, which is zero elsewhere."""
+    part = part_of(ROW, sensor.NAME)
+    before, behind = FLOAT_BYTES * part.start, FLOAT_BYTES * (ROW_FLOATS - part.stop)
+    return struct.Struct(f"{before}x{part.stop - part.start}d{behind}x").pack_into

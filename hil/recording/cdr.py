@@ -93,9 +93,15 @@ class CdrWriter:
 
 
 class Doubles(NamedTuple):
-    """That many numbers of eight bytes, in a `CdrForm`."""
+    """Numbers of eight bytes, in a `CdrForm`.
+
+    Attributes:
+        number: how many the message has.
+        places: of those that are given, in rising order; the others are zero. None: all are given.
+    """
 
     number: int
+    places: tuple[int, ...] | None = None
 
 
 TIME = None
@@ -110,7 +116,7 @@ class CdrForm:
 
     Attributes:
         pack: makes the message of its time on the bench clock (ns), wall-clock time at the zero of that clock
-            (ns), and a sequence of numbers for each `Doubles` that is not empty.
+            (ns), and a sequence of numbers for each `Doubles`.
     """
 
     def __init__(self, *parts: str | int | Doubles | None) -> None:
@@ -120,12 +126,15 @@ class CdrForm:
         groups: list[str] = []
         begun = 0
 
-        def fill(code: str, value: tuple[str, ...], size: int) -> None:
+        def fill(code: str, values_of_it: tuple[str, ...], size: int) -> None:
             """What has been written since the last time or number stays as it is, then comes a value."""
             nonlocal begun
-            fixed.append(cdr.bytes()[begun:])
-            form.append(f"{len(fixed[-1])}s{code}")
-            values.extend((f"fixed_{len(fixed)}", *value))
+            if len(cdr.bytes()) > begun:
+                fixed.append(cdr.bytes()[begun:])
+                form.append(f"{len(fixed[-1])}s")
+                values.append(f"fixed_{len(fixed)}")
+            form.append(code)
+            values.extend(values_of_it)
             cdr.raw(bytes(size))
             begun = len(cdr.bytes())
 
@@ -136,24 +145,34 @@ class CdrForm:
                 cdr.u32(part)
             elif part is TIME:
                 cdr.align(4)
-                fill("iI", ("*time",), _TIME.size)
-            elif part.number:
-                cdr.align(8)
+                fill("iI", ("seconds", "nanoseconds"), _TIME.size)
+            else:
                 groups.append(f"numbers_{len(groups)}")
-                fill(f"{part.number}d", (f"*{groups[-1]}",), 8 * part.number)
+                if part.number:
+                    cdr.align(8)
+                    fill(_code(part), (f"*{groups[-1]}",), 8 * part.number)
         fill("", (), 0)
         source = (
             f"def pack({', '.join(('t_ns', 'wall_ns', *groups))}):\n"
-            " time = seconds(t_ns + wall_ns)\n"
+            " t_ns += wall_ns\n"
+            " seconds, nanoseconds = divmod(t_ns, second) if 0 <= t_ns < latest else clipped(t_ns)\n"
             f" return pack_all({', '.join(values)})"
         )
         self.pack = _packing(source, struct.Struct("".join(form)), fixed)
 
 
+def _code(part: Doubles) -> str:
+    """Code in `struct` of numbers, with padding, which is zero, where none is given."""
+    if part.places is None:
+        return f"{part.number}d"
+    given = ["d" if place in part.places else "8x" for place in range(part.number)]
+    return "".join(given)
+
+
 def _packing(source: str, layout: struct.Struct, fixed: list[bytes]) -> Callable[..., bytes]:
     """The function `pack` of a form, from its source."""
     scope: dict[str, Any] = {f"fixed_{number}": raw for number, raw in enumerate(fixed, start=1)}
-    scope |= {"seconds": _seconds, "pack_all": layout.pack}
+    scope |= {"second": NS_PER_S, "latest": _LATEST_NS, "clipped": _seconds, "pack_all": layout.pack}
     exec(source, scope)  # as `dataclasses` does
     pack: Callable[..., bytes] = scope["pack"]
     return pack
@@ -216,13 +235,12 @@ def joints(
     t_ns: int, names: tuple[str, ...], values: tuple[Array | tuple[float, ...], ...], wall_ns: int
 ) -> bytes:
     """`sensor_msgs/JointState`; `values` are positions, velocities and efforts, (n,) each."""
-    form = _joint_form(names, tuple([len(column) for column in values]))
-    given = [column if isinstance(column, tuple) else column.tolist() for column in values if len(column)]
-    return form.pack(t_ns, wall_ns, *given)
+    at, rate, effort = [column if isinstance(column, tuple) else column.tolist() for column in values]
+    return _joint_form(names, len(at), len(rate), len(effort)).pack(t_ns, wall_ns, at, rate, effort)
 
 
 @lru_cache(maxsize=64)
-def _joint_form(names: tuple[str, ...], lengths: tuple[int, ...]) -> CdrForm:
+def _joint_form(names: tuple[str, ...], *lengths: int) -> CdrForm:
     columns: list[int | Doubles] = []
     for length in lengths:
         columns += (length, Doubles(length))
@@ -231,7 +249,8 @@ def _joint_form(names: tuple[str, ...], lengths: tuple[int, ...]) -> CdrForm:
 
 def pose_stamped(t_ns: int, frame: str, position_m: Array, quaternion_wxyz: Array, wall_ns: int = 0) -> bytes:
     """`geometry_msgs/PoseStamped` of a position (3,) m and a quaternion (4,)."""
-    return _pose_form(frame).pack(t_ns, wall_ns, (*position_m.tolist(), *xyzw(quaternion_wxyz)))
+    w, x, y, z = quaternion_wxyz.tolist()
+    return _pose_form(frame).pack(t_ns, wall_ns, (*position_m.tolist(), x, y, z, w))
 
 
 @lru_cache(maxsize=64)

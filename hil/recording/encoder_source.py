@@ -12,7 +12,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from hil.recording.cycle_layout import CODES, Layout
+from hil.recording.cycle_layout import CODES, DTYPES, SHAPES, Layout
+from hil.recording.value_encoders import FEW, array_head
 
 Fields = Sequence[tuple[str, Layout]]
 
@@ -94,6 +95,15 @@ class EncoderSource:
             self._line(f"parts += ({', '.join(self._waiting)},)")
             self._waiting = []
 
+    def _count(self, value: str) -> None:
+        """Write how many items there are, together with numbers that wait."""
+        number = self._local(f"len({value})")
+        if self._numbers:
+            self._numbers.append(("I", number))
+        else:
+            packed = self._packed(("I", number))
+            self._waiting.append(f"counts[{number}] if {number} < {FEW} else {packed}")
+
     def _bytes(self, *expressions: str) -> None:
         self._pack()
         self._waiting += expressions
@@ -128,10 +138,15 @@ class EncoderSource:
     def _str(self, value: str) -> None:
         self._bytes(f"text({value})")
 
-    def _array(self, value: str) -> None:
+    def _array(self, value: str, shape: tuple[int, ...] = ()) -> None:
+        """Write an array; one of a single row of a length that is known is told by fewer looks."""
         value, head = self._local(value), self._name("head")
-        self._line(f"if type({value}) is ndarray and {value}.dtype is double:")
-        self._line(f"    {head}, {value} = heads[{value}.shape], {value}.tobytes()")
+        known, found = "", f"heads[{value}.shape]"
+        if len(shape) == 1:
+            known, found = f" and {value}.ndim == 1 and len({value}) == {shape[0]}", f"row_of_{shape[0]}"
+            self.constants[found] = array_head(DTYPES[b"d"], shape)
+        self._line(f"if type({value}) is ndarray and {value}.dtype is double{known}:")
+        self._line(f"    {head}, {value} = {found}, {value}.tobytes()")
         self._line("else:")
         self._line(f"    {head}, {value} = array({value})")
         self._bytes(head, value)
@@ -143,7 +158,10 @@ class EncoderSource:
     def _class(self, name: str, value: str) -> None:
         value = self._local(value)
         for field, layout in self._classes[name]:
-            self._value(layout, f"{value}.{field}")
+            if layout == "array":
+                self._array(f"{value}.{field}", SHAPES.get(name, {}).get(field, ()))
+            else:
+                self._value(layout, f"{value}.{field}")
 
     def _enum(self, name: str, value: str) -> None:
         self._bytes(f"{self._codes[name]}[{value}._value_]")
@@ -152,7 +170,7 @@ class EncoderSource:
         """Tuples of samples by kind: a function for each kind's class, written after this one."""
         encoders = self._name("encoders")
         value, kind, samples = self._local(value), self._name("kind"), self._name("samples")
-        self._bytes(f"counts[len({value})]")
+        self._count(value)
         with self._block(f"for {kind}, {samples} in {value}.items():"):
             self._bytes(f"text({kind})")
             self._append()
@@ -162,18 +180,26 @@ class EncoderSource:
         table = ", ".join(f"{kind!r}: {name}" for kind, name in names.items())
         self._tables.append(f"{encoders} = {{{table}}}")
 
+    def _remembering(self, made_by: str, value: str) -> None:
+        """Write a value by a function of its own, which remembers the value before."""
+        encode = self._name("encode")
+        self._tables.append(f"{encode} = {made_by}")
+        self._bytes(f"{encode}({value})")
+
     def _tuple(self, layout: Layout, value: str) -> None:
         if not isinstance(layout, str) and layout[0] == "enum":
-            members = self._name("members")
-            self._tables.append(f"{members} = members_of({self._codes[layout[1]]})")
-            self._bytes(f"{members}({value})")
+            self._remembering(f"members_of({self._codes[layout[1]]})", value)
             return
         value = self._local(value)
-        if code := _code_of(layout):
+        code = _code_of(layout)
+        if code in ("q", "?"):
+            self._remembering(f"whole_row_of({code!r})", value)
+            return
+        if code:
             self._bytes(f"row({code!r}, len({value}))(len({value}), *{value})")
             return
         item = self._name("item")
-        self._bytes(f"counts[len({value})]")
+        self._count(value)
         with self._block(f"for {item} in {value}:"):
             self._value(layout, item)
 
@@ -192,10 +218,10 @@ class EncoderSource:
 
     def _mapping(self, layout: Layout, value: str) -> None:
         if code := _code_of(layout):
-            self._bytes(f"pairs({value}, {code!r})")
+            self._remembering(f"pairs_of({code!r})", value)
             return
         value, key, item = self._local(value), self._name("key"), self._name("item")
-        self._bytes(f"counts[len({value})]")
+        self._count(value)
         with self._block(f"for {key}, {item} in {value}.items():"):
             self._bytes(f"text({key})")
             self._value(layout, item)

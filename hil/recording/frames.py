@@ -16,7 +16,7 @@ import numpy as np
 
 from hil.vocabulary.clock import WallOffset
 from hil.vocabulary.geometry import Array, conjugated, multiplied, rotated
-from hil.vocabulary.signals import WHEELS, CycleRecord, RobotState, Status, TrackerSample
+from hil.vocabulary.signals import WHEELS, CycleRecord, Status, TrackerSample
 
 WALL, BODY, CAMERA, CAMERA_START, CAPTURE = "wall", "body", "tracker", "tracker_start", "mocap"
 VIRTUAL, MONOTONIC = "virtual", "monotonic"
@@ -76,26 +76,28 @@ class FrameTree:
 
     Attributes:
         fixed: frames that never move.
+        camera_start: where the camera began, in this run; None until that is known.
     """
 
     def __init__(self, header: Mapping[str, Any]) -> None:
         self.fixed = fixed_frames(header)
+        self.camera_start: Frame | None = None
         self._camera = next((f for f in self.fixed if f.child == CAMERA), None)
-        self._camera_start: Frame | None = None
         self._latest_cycle = -1
 
-    def moving(self, record: CycleRecord) -> tuple[Frame, ...]:
-        """Frames that this cycle moves; none where nothing was estimated."""
+    def follow(self, record: CycleRecord) -> bool:
+        """Whether a cycle moves the body: not where nothing was estimated. Looks where the camera began."""
         if record.cycle <= self._latest_cycle:
-            self._camera_start = None
+            self.camera_start = None
         self._latest_cycle = record.cycle
-        if not _finite(record.state.pose_body_in_wall):
-            return ()
-        body = _body(record.state)
-        if self._camera_start is None and self._camera is not None:
+        x_m, y_m, theta_rad = record.state.pose_body_in_wall.tolist()
+        if not (math.isfinite(x_m) and math.isfinite(y_m) and math.isfinite(theta_rad)):
+            return False
+        if self.camera_start is None and self._camera is not None:
             good = (s for s in record.inputs.tracker if s.status is Status.OK and _is_known(s))
-            self._camera_start = next((_start_of(body, self._camera, s) for s in good), None)
-        return (body,) if self._camera_start is None else (body, self._camera_start)
+            body = Frame(WALL, BODY, (x_m, y_m, 0.0), _turned(theta_rad))
+            self.camera_start = next((_start_of(body, self._camera, s) for s in good), None)
+        return True
 
 
 def _finite(values: Array) -> bool:
@@ -106,10 +108,9 @@ def _is_known(sample: TrackerSample) -> bool:
     return _finite(sample.position_m) and _finite(sample.quaternion_wxyz)
 
 
-def _body(state: RobotState) -> Frame:
-    x_m, y_m, theta_rad = state.pose_body_in_wall.tolist()
-    axes = (math.cos(0.5 * theta_rad), 0.0, 0.0, math.sin(0.5 * theta_rad))
-    return Frame(WALL, BODY, (x_m, y_m, 0.0), axes)
+def _turned(theta_rad: float) -> tuple[float, ...]:
+    """Quaternion of a turn about z."""
+    return math.cos(0.5 * theta_rad), 0.0, 0.0, math.sin(0.5 * theta_rad)
 
 
 def _start_of(body: Frame, camera: Frame, sample: TrackerSample) -> Frame:

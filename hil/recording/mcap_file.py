@@ -15,7 +15,7 @@ from hil.recording.cdr import octet_array, string
 from hil.recording.cycle_codec import CycleEncoder
 from hil.recording.cycle_layout import describe
 from hil.recording.frames import FrameTree, recorded_offset
-from hil.recording.ros_messages import Message, messages, topics_with, transforms
+from hil.recording.ros_messages import CycleMessages, Message, topics_with, transforms
 from hil.recording.urdf import urdf
 from hil.vocabulary.clock import NS_PER_S, MonotonicClock, WallOffset
 from hil.vocabulary.errors import ConfigError
@@ -152,10 +152,11 @@ class RecordingFile:
         self._frames = FrameTree(header)
         self._description = urdf(header) if "geometry" in header else ""
         self._file = _WholeWrites(path)
-        self._kinds = _recorded(header)
-        own = tuple(kind for kind in self._kinds if kind.name not in KINDS)
+        recorded = _recorded(header)
+        own = tuple(kind for kind in recorded if kind.name not in KINDS)
         self._encoder = CycleEncoder(own)
-        topics = topics_with(self._kinds)
+        self._messages = CycleMessages(recorded, self._frames, self._wall_ns)
+        topics = topics_with(recorded)
         self._flushed_ns: int | None = None
         self._safe_bytes = 0
         self.flushed = self.unflushed = 0
@@ -203,10 +204,7 @@ class RecordingFile:
         if self._flushed_ns is None:
             self._flushed_ns = now_ns
             self._add(now_ns, self._first(now_ns))
-        moving, t_ns = self._frames.moving(record), record.state.t_ns
-        if moving:
-            self._add(now_ns, [("/tf", t_ns, transforms(t_ns, moving, self._wall_ns))])
-        self._add(now_ns, messages(record, self._kinds, self._wall_ns))
+        self._add(now_ns, self._messages.of(record))
         if not 0 <= now_ns - self._flushed_ns < _FLUSH_NS:
             self._flushed_ns = now_ns
             self.flush()

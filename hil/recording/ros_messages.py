@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
 from itertools import chain
 
 from hil.recording.cdr import TIME, CdrForm, CdrWriter, Doubles
-from hil.recording.frames import BODY, WALL, Frame
+from hil.recording.frames import BODY, CAMERA_START, WALL, Frame, FrameTree
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import DeviceKind
-from hil.vocabulary.signals import CycleRecord, Event, Reference, RobotState
+from hil.vocabulary.signals import CycleRecord, Event, RobotState, samples_of
 
 Message = tuple[str, int, bytes]
 """Topic, time of measurement (bench clock, ns), CDR bytes."""
@@ -30,10 +29,23 @@ TOPICS = {
 """Topics that belong to no device, with their types."""
 
 _LOG_LEVEL = {"debug": 10, "info": 20, "warning": 30, "error": 40, "fatal": 50}
-_ZEROS = (0.0,) * 18
-_ODOMETRY = CdrForm(TIME, WALL, BODY, Doubles(7 + 36 + 6 + 36))
+_PLANAR = (0, 1, 5, 6, 7, 11, 30, 31, 35)
+"""Of a covariance of six (36 numbers), those of x, y and the turn about z."""
+_ODOMETRY = CdrForm(
+    TIME, WALL, BODY, Doubles(7), Doubles(36, _PLANAR), Doubles(6, (0, 1, 5)), Doubles(36, _PLANAR)
+)
 _REFERENCE = CdrForm(TIME, WALL, Doubles(7))
 _CLOCK = CdrForm(TIME)
+
+
+def _transform_form(*names: tuple[str, str]) -> CdrForm:
+    """Form of a `tf2_msgs/TFMessage`: seven numbers for each frame, which is named after its parent."""
+    parts = chain.from_iterable((TIME, parent, child, Doubles(7)) for parent, child in names)
+    return CdrForm(len(names), *parts)
+
+
+_BODY_ALONE = _transform_form((WALL, BODY))
+_BODY_AND_CAMERA = _transform_form((WALL, BODY), (WALL, CAMERA_START))
 
 
 def topics_with(kinds: Sequence[DeviceKind]) -> dict[str, str]:
@@ -43,18 +55,14 @@ def topics_with(kinds: Sequence[DeviceKind]) -> dict[str, str]:
 
 def transforms(t_ns: int, frames: tuple[Frame, ...], wall_ns: int = 0) -> bytes:
     """`tf2_msgs/TFMessage`."""
-    form = _transform_form(tuple([(frame.parent, frame.child) for frame in frames]))
-    places = []
-    for frame in frames:
-        w, x, y, z = frame.quaternion_wxyz
-        places.append((*frame.position_m, x, y, z, w))
-    return form.pack(t_ns, wall_ns, *places)
+    form = _transform_form(*((frame.parent, frame.child) for frame in frames))
+    return form.pack(t_ns, wall_ns, *map(_spatial_pose, frames))
 
 
-@lru_cache(maxsize=64)
-def _transform_form(names: tuple[tuple[str, str], ...]) -> CdrForm:
-    parts = chain.from_iterable((TIME, parent, child, Doubles(7)) for parent, child in names)
-    return CdrForm(len(names), *parts)
+def _spatial_pose(frame: Frame) -> tuple[float, ...]:
+    """Position, and quaternion in the order of ROS."""
+    w, x, y, z = frame.quaternion_wxyz
+    return (*frame.position_m, x, y, z, w)
 
 
 def _planar_pose(pose: Array) -> tuple[float, ...]:
@@ -63,29 +71,13 @@ def _planar_pose(pose: Array) -> tuple[float, ...]:
     return x_m, y_m, 0.0, 0.0, 0.0, math.sin(0.5 * theta_rad), math.cos(0.5 * theta_rad)
 
 
-def _spatial_covariance(planar: Array) -> tuple[float, ...]:
-    """Covariance of six (36 numbers) from that (3, 3) of x, y and the turn about z."""
-    (xx, xy, xt), (yx, yy, yt), (tx, ty, tt) = planar.tolist()
-    return (
-        xx, xy, 0.0, 0.0, 0.0, xt,
-        yx, yy, 0.0, 0.0, 0.0, yt,
-        *_ZEROS,
-        tx, ty, 0.0, 0.0, 0.0, tt,
+def _odometry(state: RobotState, place: Sequence[float], wall_ns: int) -> bytes:
+    """`nav_msgs/Odometry` of an estimate: pose (7,) in the wall frame, twist in the body frame."""
+    x, y, turn, ahead, left, spin = state.covariance.tolist()
+    return _ODOMETRY.pack(
+        state.t_ns, wall_ns, place, (*x[:3], *y[:3], *turn[:3]),
+        state.twist_body.tolist(), (*ahead[3:], *left[3:], *spin[3:]),
     )  # fmt: skip
-
-
-def odometry(state: RobotState, wall_ns: int = 0) -> bytes:
-    """`nav_msgs/Odometry` of an estimate: pose in the wall frame, twist in the body frame."""
-    v_x, v_y, omega = state.twist_body.tolist()
-    numbers = (
-        *_planar_pose(state.pose_body_in_wall), *_spatial_covariance(state.covariance[:3, :3]),
-        v_x, v_y, 0.0, 0.0, 0.0, omega, *_spatial_covariance(state.covariance[3:6, 3:6]),
-    )  # fmt: skip
-    return _ODOMETRY.pack(state.t_ns, wall_ns, numbers)
-
-
-def _reference(t_ns: int, reference: Reference, wall_ns: int) -> bytes:
-    return _REFERENCE.pack(t_ns, wall_ns, _planar_pose(reference.pose_in_wall))
 
 
 def log(event: Event, wall_ns: int = 0) -> bytes:
@@ -101,22 +93,41 @@ def log(event: Event, wall_ns: int = 0) -> bytes:
     return cdr.bytes()
 
 
-def messages(record: CycleRecord, kinds: Sequence[DeviceKind], wall_ns: int = 0) -> Iterator[Message]:
-    """ROS 2 messages of one cycle.
+class CycleMessages:
+    """ROS 2 messages of the cycles of a recording.
 
     Args:
-        record: the cycle.
         kinds: of the devices whose samples are wanted.
+        frames: of the recording; follows its cycles.
         wall_ns: wall-clock time at the bench clock's zero; the messages' own stamps are wall-clock time.
     """
-    inputs = record.inputs
-    yield "/clock", record.start_ns, _CLOCK.pack(record.start_ns, wall_ns)
-    for kind in kinds:
-        for topic in kind.topics:
-            for sample in inputs.of(kind.name):
-                yield topic.name, sample.stamp.t_ns, topic.encode(sample, wall_ns)
-    yield "/odom", record.state.t_ns, odometry(record.state, wall_ns)
-    if record.reference is not None:
-        yield "/reference", inputs.t_ns, _reference(inputs.t_ns, record.reference, wall_ns)
-    for event in record.events:
-        yield "/hil/events", event.t_ns, log(event, wall_ns)
+
+    def __init__(self, kinds: Sequence[DeviceKind], frames: FrameTree, wall_ns: int = 0) -> None:
+        self._frames, self._wall_ns = frames, wall_ns
+        self._topics = [
+            (topic.name, samples_of(kind.name), topic.encode) for kind in kinds for topic in kind.topics
+        ]
+
+    def of(self, record: CycleRecord) -> Iterator[Message]:
+        """Messages of one cycle, made as they are asked for; cycles come in their order."""
+        inputs, state, wall_ns = record.inputs, record.state, self._wall_ns
+        place = _planar_pose(state.pose_body_in_wall)
+        if self._frames.follow(record):
+            yield "/tf", state.t_ns, self._moving(state.t_ns, place)
+        yield "/clock", record.start_ns, _CLOCK.pack(record.start_ns, wall_ns)
+        for topic, samples, encode in self._topics:
+            for sample in samples(inputs):
+                yield topic, sample.stamp.t_ns, encode(sample, wall_ns)
+        yield "/odom", state.t_ns, _odometry(state, place, wall_ns)
+        if record.reference is not None:
+            place = _planar_pose(record.reference.pose_in_wall)
+            yield "/reference", inputs.t_ns, _REFERENCE.pack(inputs.t_ns, wall_ns, place)
+        for event in record.events:
+            yield "/hil/events", event.t_ns, log(event, wall_ns)
+
+    def _moving(self, t_ns: int, place: Sequence[float]) -> bytes:
+        """`tf2_msgs/TFMessage` of the body's place (7,), and of where the camera began once that is known."""
+        start = self._frames.camera_start
+        if start is None:
+            return _BODY_ALONE.pack(t_ns, self._wall_ns, place)
+        return _BODY_AND_CAMERA.pack(t_ns, self._wall_ns, place, _spatial_pose(start))

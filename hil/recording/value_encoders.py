@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import chain
 from typing import Any
 
 import numpy as np
 
-from hil.recording.cycle_layout import ARRAY_HEADS, COUNT, DTYPES, FLOAT, INT
+from hil.recording.cycle_layout import ARRAY_HEADS, COUNT, DTYPES
 
 Parts = list[bytes]
+FEW = 64
+"""How many counts, from 0, are kept as bytes."""
 
 _DOUBLE = np.dtype("<f8")
 _CHARS = {dtype: char for char, dtype in DTYPES.items()}
@@ -43,7 +45,8 @@ text = lru_cache(maxsize=4096)(_text)
 """A text: the same names and words come back every cycle."""
 
 
-def _array_head(dtype: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
+def array_head(dtype: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
+    """What precedes the values of an array."""
     return ARRAY_HEADS[len(shape)].pack(_CHARS[dtype], len(shape), *shape)
 
 
@@ -52,7 +55,7 @@ def array(value: Any) -> tuple[bytes, bytes]:
     given = np.asarray(value)
     if given.dtype not in _CHARS:
         given = given.astype(np.int64 if given.dtype.kind in "iu" else np.float64)
-    return _array_head(given.dtype, given.shape), given.tobytes()
+    return array_head(given.dtype, given.shape), given.tobytes()
 
 
 @lru_cache(maxsize=256)
@@ -61,20 +64,40 @@ def row(code: str, count: int) -> Callable[..., bytes]:
     return struct.Struct(f"<I{count}{code}").pack
 
 
-@lru_cache(maxsize=256)
-def _pairs(names: tuple[str, ...], code: str) -> tuple[Callable[..., bytes], list[Any]]:
-    """What packs numbers by name, and its values with the names filled in."""
-    raw = [text(name) for name in names]
-    whole = struct.Struct("<I" + "".join(f"{len(r)}s{code}" for r in raw))
-    return whole.pack, [len(raw), *chain.from_iterable((r, 0) for r in raw)]
+def whole_row_of(code: str) -> Callable[[tuple[int, ...]], bytes]:
+    """What writes a tuple of whole numbers or truth values; most are as the one before."""
+    last: tuple[int, ...] = ()
+    encoded = COUNT.pack(0)
+
+    def encode(value: tuple[int, ...]) -> bytes:
+        nonlocal last, encoded
+        if value != last:
+            encoded = row(code, len(value))(len(value), *value)
+            last = value
+        return encoded
+
+    return encode
 
 
-def pairs(value: Mapping[str, float], code: str) -> bytes:
-    """Numbers by name."""
-    pack, filled = _pairs(tuple(value), code)
-    values = filled.copy()
-    values[2::2] = value.values()
-    return pack(*values)
+def pairs_of(code: str) -> Callable[[Mapping[str, float]], bytes]:
+    """What writes numbers by name; most have the names of those before."""
+    last: tuple[str, ...] = ()
+    pack = COUNT.pack
+    filled: list[Any] = [0]
+
+    def encode(value: Mapping[str, float]) -> bytes:
+        nonlocal last, pack, filled
+        names = tuple(value)
+        if names != last:
+            raw = [text(name) for name in names]
+            pack = struct.Struct("<I" + "".join(f"{len(r)}s{code}" for r in raw)).pack
+            filled = [len(raw), *chain.from_iterable((r, 0) for r in raw)]
+            last = names
+        values = filled.copy()
+        values[2::2] = value.values()
+        return pack(*values)
+
+    return encode
 
 
 def members_of(codes: Mapping[Any, bytes]) -> Callable[[tuple[Any, ...]], bytes]:
@@ -96,18 +119,29 @@ def members_of(codes: Mapping[Any, bytes]) -> Callable[[tuple[Any, ...]], bytes]
     return encode
 
 
+_TAGGED: Mapping[type, Callable[[Any], bytes]] = {
+    bool: partial(struct.Struct("<c?").pack, b"b"),
+    int: partial(struct.Struct("<cq").pack, b"i"),
+    float: partial(struct.Struct("<cd").pack, b"f"),
+}
+"""What writes a number or truth value with its tag."""
+
+
 def free(value: Any, parts: Parts) -> None:
     """One value of a free mapping, tagged by its kind; a kind without a tag is kept as its text."""
-    if type(value) is np.ndarray and value.dtype is _DOUBLE:
+    kind = type(value)
+    if kind is np.ndarray and value.dtype is _DOUBLE:
         parts += (b"a", _HEADS[value.shape], value.tobytes())
+    elif kind in _TAGGED:
+        parts.append(_TAGGED[kind](value))
     elif value is None:
         parts.append(b"n")
-    elif isinstance(value, (bool, np.bool_)):
-        parts.append(b"b\x01" if value else b"b\x00")
+    elif isinstance(value, np.bool_):
+        parts.append(_TAGGED[bool](value))
     elif isinstance(value, (int, np.integer)):
-        parts.append(b"i" + INT.pack(int(value)))
+        parts.append(_TAGGED[int](int(value)))
     elif isinstance(value, (float, np.floating)):
-        parts.append(b"f" + FLOAT.pack(float(value)))
+        parts.append(_TAGGED[float](float(value)))
     elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
         parts += (b"a", *array(value))
     elif isinstance(value, (tuple, list)):
@@ -123,13 +157,13 @@ def free(value: Any, parts: Parts) -> None:
         parts.append(b"s" + _text(str(value)))
 
 
-_HEADS = _Made(lambda shape: _array_head(_DOUBLE, shape))
+_HEADS = _Made(lambda shape: array_head(_DOUBLE, shape))
 BY_NAME: Mapping[str, Any] = {
     "ndarray": np.ndarray,
     "double": _DOUBLE,
     "heads": _HEADS,
-    "counts": _Made(COUNT.pack),
-    **{function.__name__: function for function in (array, row, pairs, members_of, free)},
+    "counts": [COUNT.pack(number) for number in range(FEW)],
+    **{f.__name__: f for f in (array, row, whole_row_of, pairs_of, members_of, free)},
     "text": text,
 }
 """What the generated source calls."""

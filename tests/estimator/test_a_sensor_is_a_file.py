@@ -54,11 +54,8 @@ def values(config, geometry, surface):
     return {"heading": 0.01**2}
 
 
-def pack(sample, row):
-    if not math.isfinite(sample.heading_rad):
-        return "not_finite"
-    row[0] = sample.heading_rad
-    return ""
+def pack(sample):
+    return (sample.heading_rad,) if math.isfinite(sample.heading_rad) else "not_finite"
 
 
 @compiled

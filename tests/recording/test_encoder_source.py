@@ -9,10 +9,12 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 from mcap_cases import CYCLE_RECORDS, driving_record
 
 from hil.recording.cycle_codec import CycleEncoder
 from hil.recording.cycle_layout import MAGIC, describe
+from hil.recording.value_encoders import FEW
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import DeviceKind
 from hil.vocabulary.signals import Event, Stamp, Status
@@ -106,6 +108,22 @@ def test_records_are_written_as_their_layout_says(record):
     assert CycleEncoder().encode(record) == whole(record)
 
 
+@settings(max_examples=30)
+@given(records=st.lists(CYCLE_RECORDS, min_size=2, max_size=4))
+def test_what_an_encoder_remembers_of_records_before_changes_nothing(records):
+    encoder = CycleEncoder()
+    assert [encoder.encode(record) for record in records * 2] == [whole(record) for record in records * 2]
+
+
+@pytest.mark.parametrize("many", [FEW - 1, FEW, FEW + 1])
+def test_any_number_of_items_is_counted(many):
+    record = driving_record(3)
+    events = tuple(Event(k, "info", "here", "") for k in range(many))
+    samples = record.inputs.imu[:1] * many
+    other = dataclasses.replace(record, events=events, inputs=dataclasses.replace(record.inputs, imu=samples))
+    assert CycleEncoder().encode(other) == whole(other)
+
+
 def test_samples_of_other_packages_and_other_estimators_are_too():
     encoder, record = CycleEncoder((KIND,)), driving_record(3)
     good, bad = Cell(3.7, (Status.OK,) * 3), Cell(None, (Status.CRC, Status.OK))
@@ -123,9 +141,13 @@ def test_samples_of_other_packages_and_other_estimators_are_too():
 
 
 @pytest.mark.parametrize(
-    "given", [[0.5, 1.0, 2.0], np.arange(3), np.arange(3, dtype=np.float32), np.ones(3) > 0]
-)
-def test_arrays_of_other_types_are_written_as_what_they_are(given):
+    "given",
+    [
+        [0.5, 1.0, 2.0], np.arange(3), np.arange(3, dtype=np.float32), np.ones(3) > 0, np.ones(4),
+        np.ones((3, 1)), np.ones((0, 3)), np.float64(1.0),
+    ],
+)  # fmt: skip
+def test_arrays_of_other_types_and_shapes_are_written_as_what_they_are(given):
     record = driving_record(3)
     other = dataclasses.replace(record, state=dataclasses.replace(record.state, twist_body=given))
     same = dataclasses.replace(record, state=dataclasses.replace(record.state, twist_body=np.asarray(given)))

@@ -9,8 +9,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from hil.bench.blueprint import Blueprint
 from hil.config.loading import load_bench
-from hil.recording.frames import FrameTree
-from hil.recording.ros_messages import messages, topics_with
+from hil.recording.frames import BODY, WALL, FrameTree
+from hil.recording.ros_messages import CycleMessages, topics_with
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.kinds import kinds
 
@@ -29,10 +29,10 @@ def test_every_panel_is_placed_once():
 
 
 def test_every_plotted_path_leads_to_a_number_of_a_recording():
-    recorded = {}
+    recorded, messages = {}, CycleMessages(KINDS, FrameTree({}))
     for k in range(10):
         recorded |= {topic: STORE.deserialize_cdr(data, TOPICS[topic])
-                     for topic, _, data in messages(driving_record(k), KINDS)}  # fmt: skip
+                     for topic, _, data in messages.of(driving_record(k))}  # fmt: skip
     paths = [p["value"] for name, config in LAYOUT["configById"].items() if name.startswith("Plot!")
              for p in config["paths"]]  # fmt: skip
     assert len(paths) > 20
@@ -53,5 +53,6 @@ def test_scene_and_log_show_topics_and_frames_that_there_are():
     assert shown | {LAYOUT["configById"]["RosOut!events"]["topicToRender"]} <= set(TOPICS)
     header = Blueprint(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
     tree = FrameTree(header)
-    known = {name for f in (*tree.fixed, *tree.moving(driving_record(0))) for name in (f.parent, f.child)}
+    assert tree.follow(driving_record(0))
+    known = {WALL, BODY} | {name for f in (*tree.fixed, tree.camera_start) for name in (f.parent, f.child)}
     assert {scene["followTf"], scene["fixedFrame"], layers["grid"]["frameId"]} <= known

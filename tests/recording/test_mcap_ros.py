@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,7 +15,7 @@ from hil.bench.blueprint import Blueprint
 from hil.config.loading import load_bench
 from hil.recording.cdr import octet_array, octets_of, string, text_of
 from hil.recording.frames import FrameTree
-from hil.recording.ros_messages import messages, topics_with, transforms
+from hil.recording.ros_messages import CycleMessages, topics_with, transforms
 from hil.recording.urdf import urdf
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.kinds import kinds
@@ -25,15 +27,18 @@ STORE = get_typestore(Stores.ROS2_HUMBLE)
 HEADER = Blueprint(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
 
 
+def messages(k):
+    return CycleMessages(KINDS, FrameTree(HEADER)).of(driving_record(k))
+
+
 @pytest.mark.parametrize("k", [0, 3, 400])
 def test_rosbags_reads_and_reproduces_every_byte(k):
-    seen, frames = set(), FrameTree(HEADER)
+    seen = set()
     mixed = [
-        ("/tf_static", 0, transforms(0, frames.fixed)),
-        ("/tf", 0, transforms(0, frames.moving(driving_record(k)))),
+        ("/tf_static", 0, transforms(0, FrameTree(HEADER).fixed)),
         ("/robot_description", 0, string(urdf(HEADER))),
     ]
-    for topic, _, data in [*messages(driving_record(k), KINDS), *mixed]:
+    for topic, _, data in [*messages(k), *mixed]:
         message = STORE.deserialize_cdr(data, TOPICS[topic])
         assert bytes(STORE.serialize_cdr(message, TOPICS[topic])) == data
         seen.add(topic)
@@ -41,7 +46,7 @@ def test_rosbags_reads_and_reproduces_every_byte(k):
 
 
 def by_topic(k):
-    return {t: STORE.deserialize_cdr(data, TOPICS[t]) for t, _, data in messages(driving_record(k), KINDS)}
+    return {t: STORE.deserialize_cdr(data, TOPICS[t]) for t, _, data in messages(k)}
 
 
 def test_values_arrive_where_ros_expects_them():
@@ -71,6 +76,21 @@ def test_values_arrive_where_ros_expects_them():
     assert len(encoders.velocity) == len(encoders.effort) == 0
     assert found["/hil/events"].level == 30
     assert found["/hil/events"].msg == "stale for 0.5 s"
+
+
+def test_a_planar_covariance_has_its_places_in_that_of_six():
+    record, covariance = driving_record(3), np.arange(1.0, 37.0).reshape(6, 6)
+    state = replace(record.state, covariance=covariance, twist_body=np.array([0.1, 0.2, 0.3]))
+    sent = CycleMessages(KINDS, FrameTree(HEADER)).of(replace(record, state=state))
+    (data,) = [data for topic, _, data in sent if topic == "/odom"]
+    odom = STORE.deserialize_cdr(data, TOPICS["/odom"])
+    for found, part in ((odom.pose, covariance[:3, :3]), (odom.twist, covariance[3:, 3:])):
+        whole = np.zeros((6, 6))
+        whole[np.ix_((0, 1, 5), (0, 1, 5))] = part
+        np.testing.assert_array_equal(found.covariance, whole.ravel())
+    velocity = odom.twist.twist
+    assert (velocity.linear.x, velocity.linear.y, velocity.angular.z) == (0.1, 0.2, 0.3)
+    assert (velocity.linear.z, velocity.angular.x, velocity.angular.y) == (0.0, 0.0, 0.0)
 
 
 @given(payload=st.binary(max_size=300))

@@ -7,6 +7,7 @@ the less certain the harder the body is accelerated.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -97,7 +98,7 @@ def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> di
     }  # fmt: skip
 
 
-def pack(sample: GyroMeasurement, row: Array) -> str:
+def pack(sample: GyroMeasurement) -> Sequence[float] | str:
     """Event row (4,); an acceleration beyond any robot takes the gravity heading with it."""
     pull = np.asarray(sample.acceleration_m_s2, dtype=np.float64)
     if pull.shape != _TWO:
@@ -110,8 +111,7 @@ def pack(sample: GyroMeasurement, row: Array) -> str:
         return "implausible"
     if not (abs(ahead) < _HARDEST_M_S2 and abs(left) < _HARDEST_M_S2):
         heading, ahead, left = math.nan, 0.0, 0.0
-    row[:] = rate, heading, ahead, left
-    return ""
+    return rate, heading, ahead, left
 
 
 @inner

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -27,7 +28,7 @@ class PoseRow(Record):
     valid: float
 
 
-def pack_pose(sample: PoseMeasurement, row: Array) -> str:
+def pack_pose(sample: PoseMeasurement) -> Sequence[float] | str:
     """Event row (5,) of a pose."""
     pose = np.asarray(sample.pose)
     if pose.shape != _THREE:
@@ -35,10 +36,9 @@ def pack_pose(sample: PoseMeasurement, row: Array) -> str:
     x_m, y_m, heading_rad = pose.tolist()
     if not math.isfinite(x_m + y_m + heading_rad):
         return "not_finite"
-    if max(abs(x_m), abs(y_m)) > FARTHEST_M or abs(heading_rad) > FARTHEST_RAD:
+    if abs(x_m) > FARTHEST_M or abs(y_m) > FARTHEST_M or abs(heading_rad) > FARTHEST_RAD:
         return "implausible"
-    row[:] = x_m, y_m, heading_rad, sample.quality, sample.valid
-    return ""
+    return x_m, y_m, heading_rad, sample.quality, sample.valid
 
 
 @inner

@@ -11,7 +11,7 @@ the smoother carries back. Units are those of the state and of the rows.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 from hil.config.estimator import EstimatorConfig
@@ -140,8 +140,8 @@ class Sensor(Protocol):
     def values(self, config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> Mapping[str, Any]:
         """Values of `Parameters`."""
 
-    def pack(self, sample: Any, row: Array) -> str:
-        """Write a sample into the floats (n,) of `Row`, all zero before; why it is refused, or ""."""
+    def pack(self, sample: Any) -> Sequence[float] | str:
+        """The floats (n,) of `Row` of a sample, or why it is refused."""
 
     def admit(self, t_ns: float, m: Any, row: Any, par: Any) -> int:
         """One of `REFUSED` (and counted), `USED`, `NEW_FRAME`, `DUPLICATE`."""

@@ -14,6 +14,7 @@ wheels say before it is compared; c and kappa are what is left of it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import numpy as np
@@ -175,20 +176,18 @@ def is_used(config: EstimatorConfig) -> bool:
     return True
 
 
-def pack(sample: WheelMeasurement, row: Array) -> str:
+def pack(sample: WheelMeasurement) -> Sequence[float] | str:
     """Event row (16,) of a servo read; a wheel beyond any robot is marked, not the sample refused."""
     turned, steered = np.asarray(sample.wheel_angle_rad), np.asarray(sample.steering_rad)
     rates, valid = np.asarray(sample.wheel_rate_rad_s), list(sample.valid)
     if not turned.shape == steered.shape == rates.shape == _FOUR or len(valid) != 4:
         return "shape"
     angles = turned.tolist() + steered.tolist()
-    sizes = list(map(abs, angles))
-    if not sum(sizes) < FARTHEST_RAD:
+    if not sum(map(abs, angles)) < FARTHEST_RAD:
         for i in range(4):
-            if not (sizes[i] < FARTHEST_RAD and sizes[4 + i] < FARTHEST_RAD):
+            if not (abs(angles[i]) < FARTHEST_RAD and abs(angles[4 + i]) < FARTHEST_RAD):
                 valid[i] = False
-    row[:] = angles + rates.tolist() + valid
-    return "" if any(valid) else "not_finite"
+    return angles + rates.tolist() + valid if any(valid) else "not_finite"
 
 
 @inner
