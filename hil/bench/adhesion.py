@@ -15,7 +15,7 @@ from hil.config.adhesion import AdhesionConfig, MotorConfig
 from hil.config.bench import BenchConfig
 from hil.config.kept_motor import KeptMotorConfig
 from hil.drivers.adhesion.keeper import client
-from hil.drivers.adhesion.keeper.client import Status
+from hil.drivers.adhesion.keeper.client import Status, of_whom
 from hil.drivers.adhesion.keeper.door import keepers
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.clock import MonotonicClock, nanoseconds
@@ -32,6 +32,7 @@ __all__ = [
     "keeper_spec",
     "keeper_status",
     "kept_specs",
+    "of_whom",
     "other_keepers",
     "switch_off",
     "switch_on",
@@ -214,12 +215,12 @@ def switch_off(spec: Spec, confirmed_by: str, *, say: Say) -> Status | None:
         return status
 
 
-def described(status: Mapping[str, Any]) -> str:
-    """One line about a kept fan."""
+def described(status: Mapping[str, Any], spec: Spec) -> str:
+    """One line about a kept fan, or propellers."""
     sent, report = status["sent"], status["report"]
     parts = [status["state"] + (f" at {sent[0]} {sent[1]:.3g}" if sent else "")]
     units = (
-        ("erpm", "electrical 1/min", 0),
+        ("erpm", "1/min" if spec.dialect == "dronecan" else "electrical 1/min", 0),
         ("current_a", "A", 1),
         ("input_v", "V", 1),
         ("fet_c", "degC", 0),

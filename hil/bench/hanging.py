@@ -135,7 +135,7 @@ class Hanging:
         end_ns = self._clock.now_ns() + _PATIENCE_NS
         while (now_ns := self._clock.now_ns()) < end_ns:
             force_n = self._look()
-            if force_n < limit_n or not math.isfinite(force_n) or not self._pushes(thrust_n):
+            if force_n < limit_n or not math.isfinite(force_n) or not self._pushes(limits, thrust_n):
                 steady_ns = None
             elif steady_ns is None:
                 steady_ns = now_ns
@@ -144,8 +144,10 @@ class Hanging:
                 return limit_n
             self._clock.sleep_until_ns(now_ns + _STEP_NS)
         told = self._told() or "nothing measured"
-        if not self._pushes(thrust_n):
+        if not self._pushes(limits, thrust_n):
             told += f", and pushed up with {self._push_n:.1f} N of {thrust_n:.1f}"
+            if limits.pushes_too_much(self._push_n):
+                told += " by their speed: a lost blade, a loose propeller, or a miscounted speed"
         raise SafetyStop(
             "adhesion",
             f"the robot is not pressed on the wall: {told}; {limit_n:.1f} N are the least on this surface. "
@@ -167,14 +169,14 @@ class Hanging:
         wanted = limits.has_fan + (limits.zero_n is not None)
         return min(self._seen_n.values()) if len(self._seen_n) == wanted else math.nan
 
-    def _pushes(self, thrust_n: float) -> bool:
+    def _pushes(self, limits: AdhesionLimits, thrust_n: float) -> bool:
         """Whether propellers that report their speed push as they were asked to."""
         if self._propellers is None:
             return True
         for sample in self._samples("thrust"):
             if sample.status is Status.OK:
                 self._push_n = self._propellers.force_at_n(sample.throttle)
-        return self._push_n >= _PUSHES * thrust_n
+        return self._push_n >= _PUSHES * thrust_n and not limits.pushes_too_much(self._push_n)
 
     def _samples(self, name: str) -> Any:
         device = self._rig.get(name)

@@ -148,6 +148,11 @@ class PressWatch:
                 self._push = sample.stamp.t_ns, push_n
         if self._push is None or now_ns - self._push[0] > self._stale_ns:
             return 0.0, " without the propellers: their controllers are silent and may have let go"
+        if limits.pushes_too_much(self._push[1]):
+            return 0.0, (
+                f" without the propellers: they report {self._push[1]:.1f} N, more than the "
+                f"{limits.nominal_thrust_n:.1f} N that they are to give, so that what they give is not known"
+            )
         return self._push[1], f" with the {self._push[1]:.1f} N that the propellers report"
 
     def feels(self, now_ns: int) -> bool:

@@ -99,8 +99,10 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
         click.echo(json.dumps({**_told(specs, found), "confirmed_by": why}))
         return EXIT_PASS
     for kind, spec in specs.items():
-        idle = "it has no keeper; nothing was running that could be stopped"
-        click.echo(f"{spec.name}: " + (idle if found[kind] is None else f"off ({why})"))
+        status, told = found[kind], "it has no keeper; nothing was running that could be stopped"
+        if status is not None:
+            told = f"off ({why})" + (f", by the keeper{other}" if (other := adhesion.of_whom(status)) else "")
+        click.echo(f"{spec.name}: {told}")
     return EXIT_PASS
 
 
@@ -108,14 +110,14 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
 @_BENCH
 @JSON
 def show_status(bench: str, as_json: bool) -> int:
-    """How fan and propellers run, and who keeps them; ends with 3 where nobody keeps one of them.
+    """How fan and propellers run, and who keeps them; ends with 3 where nobody keeps one, or does not tell.
 
     Example: hil adhesion status --bench my.toml
     """
     from hil.bench import adhesion
 
     specs = adhesion.kept_specs(_config(bench))
-    found = {kind: adhesion.keeper_status(spec) for kind, spec in specs.items()}
+    found = {kind: _asked(spec) for kind, spec in specs.items()}
     if as_json:
         click.echo(json.dumps(_told(specs, found)))
     else:
@@ -124,32 +126,50 @@ def show_status(bench: str, as_json: bool) -> int:
     return _all_kept(found)
 
 
-def _all_kept(found: Mapping[str, Status | None]) -> int:
-    """Exit code: whether everything that holds the robot has a keeper; what has none is named on stderr."""
+def _asked(spec: Spec) -> Status | DeviceError | None:
+    """What a keeper says, or why it does not; None where there is none."""
+    from hil.bench import adhesion
+
+    try:
+        return adhesion.keeper_status(spec)
+    except DeviceError as error:
+        return error
+
+
+def _all_kept(found: Mapping[str, Status | DeviceError | None]) -> int:
+    """Exit code: whether everything that holds the robot has a keeper that tells how; else why, on stderr."""
+    code = EXIT_PASS
     for kind, status in found.items():
-        if status is None:
-            click.echo(f"hil: {kind} has no keeper: nobody commands it now", err=True)
-    return EXIT_DEVICE if None in found.values() else EXIT_PASS
+        if status is None or isinstance(status, DeviceError):
+            code, told = EXIT_DEVICE, status or f"{kind} has no keeper: nobody commands it now"
+            click.echo(f"hil: {told}", err=True)
+    return code
 
 
-def _told(specs: Mapping[str, Spec], found: Mapping[str, Status | None]) -> dict[str, object]:
+def _told(specs: Mapping[str, Spec], found: Mapping[str, Status | DeviceError | None]) -> dict[str, object]:
     """What is kept, for a program: the fan as `fan` and `keeper`, propellers by their kind."""
-    own = {kind: {"name": spec.name, "keeper": found[kind]} for kind, spec in specs.items()}
+    plain = {kind: None if isinstance(status, DeviceError) else status for kind, status in found.items()}
+    own = {kind: {"name": spec.name, "keeper": plain[kind]} for kind, spec in specs.items()}
     fan = own.pop("adhesion", None)
     return {**({} if fan is None else {"fan": fan["name"], "keeper": fan["keeper"]}), **own}
 
 
-def _show(spec: Spec, status: Status | None) -> None:
+def _show(spec: Spec, status: Status | DeviceError | None) -> None:
     from hil.bench import adhesion
 
+    if isinstance(status, DeviceError):
+        click.echo(f"{spec.name}: its keeper does not tell how it runs")
+        return
     if status is None:
         starter = "`hil adhesion on`" if spec.device == "adhesion" else "`hil run`"
         click.echo(f"{spec.name}: no keeper; {starter} starts one")
         return
     since = time.strftime("%Y-%m-%d %H:%M", time.localtime(status["since"]))
-    click.echo(f"{spec.name}: {adhesion.described(status)}")
+    click.echo(f"{spec.name}: {adhesion.described(status, spec)}")
     behind = f"process {status['understudy']}" if status["understudy"] else "none"
-    click.echo(f"kept by process {status['pid']} since {since}, understudy: {behind}")
+    click.echo(
+        f"kept by process {status['pid']}{adhesion.of_whom(status)} since {since}, understudy: {behind}"
+    )
     click.echo(f"log: {status['log'] or 'that of its service'}")
 
 
@@ -169,10 +189,13 @@ def watch(bench: str, every_s: float, duration_s: float | None) -> int:
     specs = adhesion.kept_specs(_config(bench))
     end_s = None if duration_s is None else time.monotonic() + duration_s
     while True:
-        found = {kind: adhesion.keeper_status(spec) for kind, spec in specs.items()}
+        found = {kind: _asked(spec) for kind, spec in specs.items()}
         for kind, status in found.items():
             which = f"{kind}: " if len(specs) > 1 else ""
-            told = "no keeper" if status is None else adhesion.described(status)
+            if isinstance(status, DeviceError):
+                told = "its keeper does not tell how it runs"
+            else:
+                told = "no keeper" if status is None else adhesion.described(status, specs[kind])
             click.echo(f"{time.strftime('%H:%M:%S')} {which}{told}")
         if end_s is not None and time.monotonic() + every_s > end_s:
             return _all_kept(found)
@@ -193,9 +216,9 @@ def keep(bench: str, propellers: bool) -> int:
 
     specs = adhesion.kept_specs(_config(bench))
     if (spec := specs.get("thrust" if propellers else "adhesion")) is None:
-        missing = "propellers" if propellers else "fan"
+        missing, wanted = ("propellers", "propellers on VESCs") if propellers else ("fan", "a fan on CAN")
         raise UsageError(
-            f"{bench} has no {missing} that can be kept", expected=f"a {missing} on CAN, not emulated here",
+            f"{bench} has no {missing} that can be kept", expected=f"{wanted}, not emulated here",
             remedy="leave out --propellers" if propellers else "add [adhesion] to the bench file",
         )  # fmt: skip
     if adhesion.keeper_status(spec) is not None:

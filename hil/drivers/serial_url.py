@@ -14,6 +14,7 @@ import grp
 import os
 import queue
 import socket
+import stat
 import warnings
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from hil.vocabulary.port_users import named, programs_with
 RFC2217 = "rfc2217://"
 BY_ID = Path("/dev/serial/by-id")
 """Links to serial ports by their adapters' serial numbers."""
+_GROUP_BITS = stat.S_IRGRP | stat.S_IWGRP
 _NOBODY_THERE = (errno.ENOENT, errno.ENODEV, errno.ENXIO)
 
 
@@ -132,7 +134,7 @@ def cannot_open(device: str, url: str, error: Exception, *, expected: str) -> De
     number = getattr(error, "errno", None)
     remedy = "check the cable and the port name; `hil discover` lists ports"
     if number == errno.EACCES:
-        remedy = f"sudo usermod -aG {_group(url)} $USER, then log in again"
+        remedy = _permission(url)
     elif number in _NOBODY_THERE and "://" not in url:
         remedy = _elsewhere(url, BY_ID)
     elif number in (errno.EBUSY, errno.EAGAIN):
@@ -158,12 +160,19 @@ def _present(by_id: Path) -> str:
     return f"plugged in now: {told}" if told else f"`hil discover` lists ports, {by_id} shows no adapter"
 
 
-def _group(port: str) -> str:
-    """The group that may use a port."""
-    try:
-        return grp.getgrgid(os.stat(port).st_gid).gr_name
-    except (OSError, KeyError):
-        return "dialout"
+def _permission(port: str) -> str:
+    """How to get leave to use a port: by its group, or by a rule where that would not do."""
+    group, mode = "dialout", _GROUP_BITS
+    with contextlib.suppress(OSError, KeyError):
+        found = os.stat(port)
+        group, mode = grp.getgrgid(found.st_gid).gr_name, stat.S_IMODE(found.st_mode)
+    if group != "root" and mode & _GROUP_BITS == _GROUP_BITS:
+        return f"sudo usermod -aG {group} $USER, then log in again"
+    return (
+        f"it is of group {group} with mode {mode:04o}, so that to join that group is no help: have a udev "
+        "rule give it to group dialout; `hil doctor --bench FILE --fix` prints the rules, docs/computer.md, "
+        '"Ports", says where they go; then sudo usermod -aG dialout $USER, and log in again'
+    )
 
 
 def open_serial(

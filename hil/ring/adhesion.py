@@ -3,6 +3,7 @@
 The force is what the load cells say without their zeros, and what a fan of this speed gives; the smaller one
 counts, and the two are held against each other and against what the battery gives. The robot stops while
 there is still a margin to stop with: at a limit above the need, and earlier where the force is falling.
+Propellers that turn faster than they are to push less than their speed says: that stops it, too.
 """
 
 from __future__ import annotations
@@ -24,8 +25,10 @@ _POWER_OF_SPEED = 3.0
 _SAME_SHARE, _SAME_RAD = 0.005, 0.002
 _WEAK_PUSH = 0.85
 """Share of the push that propellers are to give below which a stop speaks of them."""
+_EXCESS_SHARE, _LEAST_EXCESS = 0.15, 0.02
+"""Push beyond what propellers are to give that is too much: as a share of that, at least of full push."""
 _OK = Status.OK
-LETTING_GO = ("adhesion", "utilisation")
+LETTING_GO = ("adhesion", "utilisation", "thrust_disagree")
 """Reasons to stop for which more force is what helps."""
 
 
@@ -86,6 +89,15 @@ class AdhesionLimits:
             return math.nan
         return self.full_thrust_n * sample.throttle**2
 
+    def pushes_too_much(self, push_n: float) -> bool:
+        """Whether propellers report so much more push than they are to give that it cannot be the push.
+
+        A propeller turns faster than it is asked to when nothing brakes it, or when its speed is miscounted.
+        """
+        wanted_n = self.nominal_thrust_n
+        too_much_n = wanted_n + max(_EXCESS_SHARE * wanted_n, _LEAST_EXCESS * self.full_thrust_n)
+        return self.reports_thrust and push_n > too_much_n
+
     def power_n(self, sample: AdhesionSample) -> float:
         """Force by what the battery gives: power goes with the cube of the speed."""
         watts = sample.input_a * sample.input_v
@@ -114,7 +126,7 @@ class AdhesionWatch:
         """Forget the past."""
         self.heading_rad = 0.0
         self.figures: dict[str, float] = {}
-        self._thrust_n = self.limits.nominal_thrust_n
+        self._thrust_n = self._reported_push_n = self.limits.nominal_thrust_n
         self._cells_n = self._speed_n = math.nan
         self._worked_out_at = (math.nan, math.nan, math.nan)
         self._needed_n = self._most = 0.0
@@ -125,6 +137,7 @@ class AdhesionWatch:
         self._began_ns: int | None = None
         self._cells_trend, self._speed_trend = ForceTrend(), ForceTrend()
         self._apart_ns: int | None = None
+        self._excess_ns: int | None = None
         self._trouble = ""
         self._fan: AdhesionSample | None = None
 
@@ -145,6 +158,7 @@ class AdhesionWatch:
             return
         self._judge_force(force_n, stop)
         self._compare(inputs.t_ns, stop)
+        self._judge_push(stop)
         if self._fan is not None:
             self._judge_controller(self._fan, force_n, stop)
 
@@ -173,7 +187,17 @@ class AdhesionWatch:
         for push in inputs.thrust:
             push_n = self.limits.push_n(push)
             if math.isfinite(push_n):
-                self._thrust_n, self._thrust_ns = push_n, push.stamp.t_ns
+                self._take_push(push_n, push.stamp.t_ns)
+
+    def _take_push(self, push_n: float, t_ns: int) -> None:
+        """What the propellers report; more than they are to give holds nothing."""
+        self._reported_push_n, self._thrust_ns = push_n, t_ns
+        if not self.limits.pushes_too_much(push_n):
+            self._thrust_n, self._excess_ns = push_n, None
+            return
+        self._thrust_n = self.limits.nominal_thrust_n
+        if self._excess_ns is None:
+            self._excess_ns = t_ns
 
     def _fresh(self, t_ns: int, stop: Blame) -> bool:
         """Whether everybody who measures the force has been heard lately."""
@@ -311,6 +335,18 @@ class AdhesionWatch:
         else:
             told += f", its power {power_n:.1f} N: the reported speed is wrong"
         stop("adhesion_disagree", f"{told}; `hil run adhesion_check` at rest")
+
+    def _judge_push(self, stop: Blame) -> None:
+        """Propellers that have reported too much push for a while: what they give is not known."""
+        if self._excess_ns is None or (self._thrust_ns or 0) - self._excess_ns < _DISAGREE_NS:
+            return
+        stop(
+            "thrust_disagree",
+            f"the propellers report {self._reported_push_n:.1f} N of push, more than the "
+            f"{self.limits.nominal_thrust_n:.1f} N that they are to give: they turn faster than asked, and "
+            "what they really give is not known; look for a lost blade or a loose propeller, then at the "
+            "motors' speed sensing, and at what else commands their controllers",
+        )
 
     def _judge_controller(self, fan: AdhesionSample, force_n: float, stop: Blame) -> None:
         """Battery and heat of the fan."""

@@ -21,8 +21,12 @@ from hil.bench.adhesion import keeper_spec, kept_specs
 from hil.bench.drivers import make_rig
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.drivers.adhesion.keeper import client
+from hil.drivers.adhesion.keeper import client, link
 from hil.drivers.adhesion.keeper.core import SetPoint
+from hil.drivers.adhesion.keeper.deputy import KeptByProcess
+from hil.drivers.adhesion.keeper.door import Peer, of_another
+from hil.drivers.adhesion.keeper.kept import finding
+from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.emulated_bus import is_emulated
 from hil.vocabulary.errors import DeviceError, UsageError
@@ -221,6 +225,74 @@ def test_keep_is_a_keeper_in_the_foreground_that_no_signal_ends(at_wire, hil):
             process.kill()
 
 
+def test_status_tells_of_the_fan_where_the_propellers_keeper_is_another_users(at_wire, hil, monkeypatch):
+    _, spec, path = at_wire
+    with path.open("a") as file:
+        file.write(
+            f'[thrust]\nmodel = "vesc"\ninterface = "{spec.interface}"\nchannel = "{spec.channel}"\n'
+            f"controller_ids = [2, 3]\noptions = {{ port = {spec.options['port']}, hop_limit = 0 }}\n"
+        )
+    ask = adhesion.keeper_status
+
+    def refused(one):
+        if one.device == "thrust":
+            raise of_another(one, "root", "user robot (1000)")
+        return ask(one)
+
+    monkeypatch.setattr(adhesion, "keeper_status", refused)
+    with client.find_or_start(spec):
+        code, out, err = hil("adhesion", "status", "--bench", path)
+        assert (code, f"{spec.name}: idle" in out) == (3, True)
+        assert ": its keeper does not tell how it runs" in out
+        assert err.startswith("hil: thrust at ")
+        assert "the propellers' keeper belongs to root, and this program to user robot (1000)" in err
+        code, out, _ = hil("adhesion", "status", "--bench", path, "--json")
+        told = json.loads(out)
+        assert (code, told["keeper"]["state"], told["thrust"]["keeper"]) == (3, "idle", None)
+        code, out, _ = hil("adhesion", "watch", "--bench", path, "--duration", "0.1")
+        assert (code, "adhesion: idle" in out) == (3, True)
+        assert "thrust: its keeper does not tell how it runs" in out
+
+
+def test_whose_keeper_it_is_is_told_where_it_is_another_users(at_wire, hil, monkeypatch):
+    _, spec, path = at_wire
+    with client.find_or_start(spec):
+        assert " of user" not in hil("adhesion", "status", "--bench", path)[1]
+        monkeypatch.setattr(client.os, "getuid", lambda: 0)
+        for module in (client, link):
+            monkeypatch.setattr(module, "peer", lambda connection: Peer(7, 54321))
+        assert " of user 54321 since " in hil("adhesion", "status", "--bench", path)[1]
+        _, out, _ = hil("adhesion", "off", "--bench", path, "--tethered")
+        assert out.endswith("), by the keeper of user 54321\n")
+        said = []
+        deputy = KeptByProcess(spec, MonotonicClock(), say=said.append)
+        deputy.open()
+        found = finding("adhesion", deputy)
+        deputy.close()
+        assert said == [f"the fan's keeper is one of user 54321, process {deputy.status()['pid']}"]
+        assert found.found.endswith("; it is one of user 54321")
+
+
+def test_a_speed_is_called_electrical_where_the_controller_counts_it_so():
+    status = {
+        "state": "keeping", "sent": ("duty", 0.5), "report": {"erpm": 9000.0}, "report_age_s": 0.0,
+        "worst_gap_s": 0.05, "bus_error": "",
+    }  # fmt: skip
+    assert "9000 electrical 1/min" in adhesion.described(status, Spec("socketcan", "can0", 7))
+    details = {"esc_index": 0, "node_id": 120, "rpm_per_v": 1750.0}
+    dronecan = Spec("socketcan", "can0", 7, dialect="dronecan", details=details)
+    assert ", 9000 1/min" in adhesion.described(status, dronecan)
+
+
+def test_propellers_that_need_no_keeper_are_told_what_does(at_wire, hil):
+    _, _, path = at_wire
+    with path.open("a") as file:
+        file.write('[thrust]\nport = "/dev/ttyACM0"\n')
+    code, _, err = hil("adhesion", "keep", "--bench", path, "--propellers")
+    assert code == 2
+    assert "no propellers that can be kept; expected propellers on VESCs, not emulated here" in err
+
+
 def test_the_service_is_started_by_a_command_that_there_is():
     unit = configparser.ConfigParser(strict=False, interpolation=None)
     unit.optionxform = str
@@ -379,8 +451,12 @@ def test_a_fan_that_a_bench_commands_is_left_to_it(at_wire, hil):
 
 SETS = """
 import sys
-from hil.drivers.adhesion.keeper import client
+from hil.drivers.adhesion.keeper import client, link
 from hil.drivers.adhesion.keeper.core import SetPoint
+from hil.drivers.adhesion.keeper.deputy import KeptByProcess
+from hil.drivers.adhesion.keeper.door import Peer, of_another
+from hil.drivers.adhesion.keeper.kept import finding
+from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.keeper.spec import Spec
 
 spec = Spec.from_json(sys.argv[1])

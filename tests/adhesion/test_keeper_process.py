@@ -2,13 +2,15 @@
 
 import json
 import os
+import re
 import signal
 import socket
 import stat
 import subprocess
 import sys
+import threading
 import time
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import pytest
 from kills import end_keeper
@@ -53,6 +55,24 @@ def emulating(spec):
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as emulator:
         emulator.stdout.readline()
         yield emulator
+
+
+@contextmanager
+def answering(spec, answers):
+    """A door that gives one answer after another, to whoever asks."""
+    listener, left = Door(spec), list(answers)
+    ended = threading.Event()
+
+    def serve():
+        while not ended.is_set():
+            listener.serve(0.01, lambda asked, who: left.pop(0))
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    yield
+    ended.set()
+    thread.join()
+    listener.close()
 
 
 def log_and_understudy(connection, spec, but=None):
@@ -198,19 +218,110 @@ def test_two_fans_on_one_bus_have_two(keeper):
     Door(Spec(spec.interface, spec.channel, 8, options=spec.options)).close()
 
 
-def test_another_user_is_neither_answered_nor_believed(wire, monkeypatch):
+@pytest.mark.parametrize(
+    ("asks", "owns", "may"),
+    [(0, 0, True), (0, 1000, True), (1000, 1000, True), (1000, 0, False), (1000, 1001, False)],
+)
+def test_a_keeper_talks_to_its_own_user_and_to_root(asks, owns, may):
+    assert door.may_ask(asks, owns) is may
+
+
+def test_another_users_keeper_is_not_asked_and_named_with_the_remedy_and_its_end(wire, monkeypatch):
+    _, spec = wire
+    monkeypatch.setattr(client, "may_ask", lambda uid, owner: False)
+    monkeypatch.setattr(client, "peer", lambda connection: door.Peer(7, 54321))
+    told = "keeper belongs to user 54321, and this program to "
+    with closing(Door(spec)), pytest.raises(DeviceError, match=told) as caught:
+        client.connect(spec)
+    assert "run this as user 54321, or as root; a keeper that is no service ends 30 s" in caught.value.remedy
+
+
+@pytest.mark.parametrize("asked_before_it_is_let_in", [True, False])
+def test_who_is_turned_away_is_told_why_and_not_answered(wire, monkeypatch, asked_before_it_is_let_in):
     _, spec = wire
     listener = Door(spec)
-    monkeypatch.setattr(client, "trusted", lambda uid: False)
-    with pytest.raises(DeviceError, match="belongs to another user"):
-        client.connect(spec)
-    monkeypatch.setattr(client, "trusted", lambda uid: True)
-    monkeypatch.setattr(door, "trusted", lambda uid: False)
-    with client.connect(spec) as refused:
+    monkeypatch.setattr(door, "may_ask", lambda uid, owner: False)
+
+    def turn_away():
         listener.serve(1.0, lambda asked, who: pytest.fail("it was answered"))
-        listener.serve(0.1, lambda asked, who: pytest.fail("it was answered"))
-        assert refused.recv(10) == b""
+
+    with client.connect(spec) as refused:
+        if asked_before_it_is_let_in:
+            refused.send(b'{"do": "status"}')
+        turn_away()
+        if asked_before_it_is_let_in:
+            told = json.loads(refused.recv(door.MOST_BYTES))["error"]
+            assert (told["exit_code"], "keeper belongs to " in told["message"]) == (3, True)
+            assert refused.recv(10) == b""
+        else:
+            with pytest.raises(DeviceError, match=r"the fan's keeper belongs to .*, and this program"):
+                client.ask(refused, {"do": "status"}, spec)
     listener.close()
+
+
+def test_a_keeper_that_many_talk_to_says_so(wire):
+    _, spec = wire
+    listener = Door(spec)
+    crowd = []
+    for _ in range(33):
+        crowd.append(client.connect(spec))
+        listener.serve(1.0, lambda asked, who: {})
+    with pytest.raises(DeviceError, match=r"talks to 32 programs already.*end programs that talk to it"):
+        client.ask(crowd[-1], {"do": "status"}, spec)
+    for one in crowd:
+        one.close()
+    listener.close()
+
+
+def test_an_understudy_that_there_is_no_room_for_knows_nothing(wire):
+    _, spec = wire
+    told = [{"state": "keeping", "pid": 1}, {"error": {"message": "no room"}}]
+    with answering(spec, told):
+        assert understudy.stand_beside(spec) == {"state": "keeping", "pid": 1}
+
+
+as_root = pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
+BECOME_NOBODY = "os.setgroups([]); os.setgid(65534); os.setuid(65534)"
+"""Once everything is imported: what it is imported from need not be readable for everybody."""
+
+
+@as_root
+def test_root_asks_the_keeper_of_another_user_and_is_told_whose_it_is(wire):
+    _, spec = wire
+    code = (
+        "import os, sys, can.interfaces.udp_multicast; from hil.drivers.adhesion.keeper.process import main; "
+        f"{BECOME_NOBODY}; main([sys.argv[1], '--stay'])"
+    )
+    command, quiet = [sys.executable, "-c", code, spec.to_json()], subprocess.DEVNULL
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=quiet, cwd="/") as process:
+        try:
+            assert json.loads(process.stdout.readline()) == {"pid": process.pid}
+            with client.connect(spec) as connection:
+                status = set_when_heard(connection, spec)
+                assert (status["state"], status["uid"]) == ("keeping", 65534)
+                assert re.fullmatch(r" of user (\w+ \()?65534\)?", client.of_whom(status))
+                off = client.ask(connection, client.off_request("a test"), spec)
+                assert off["state"] == "ending"
+        finally:
+            process.kill()
+
+
+@as_root
+def test_another_user_is_told_that_the_keeper_is_roots(keeper):
+    _, spec, _ = keeper
+    code = (
+        "import os, sys; from hil.drivers.adhesion.keeper import client, spec; "
+        f"{BECOME_NOBODY}; client.connect(spec.Spec.from_json(sys.argv[1]))"
+    )
+    command = [sys.executable, "-c", code, spec.to_json()]
+    done = subprocess.run(command, capture_output=True, text=True, cwd="/", check=False)
+    assert "the fan's keeper belongs to root, and this program to user " in done.stderr
+    assert "run this as root" in done.stderr
+
+
+def test_a_keeper_of_ones_own_is_not_named_as_anothers(keeper):
+    _, spec, connection = keeper
+    assert client.of_whom(client.ask(connection, {"do": "status"}, spec)) == ""
 
 
 def test_a_bus_that_is_not_there_is_told_to_who_starts_it(tmp_path, monkeypatch):

@@ -2,7 +2,7 @@
 
 import math
 import re
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from worlds import duty_frame, heard, send
 
 import hil
 from hil.bench.discover import Discovery
+from hil.bench.hanging import Hanging
 from hil.bench.settings import thrust_wanted_n
 from hil.config.adhesion import VescConfig
 from hil.config.loading import load_bench
@@ -288,6 +289,68 @@ def test_a_stop_for_want_of_force_names_propellers_that_report_too_little_push(f
         re.search(r"the propellers report (\d+\.\d) N of the 22\.3 N that", str(caught.value))[1]
     )
     assert 0.0 < reported_n < 0.85 * wanted_n
+
+
+def stopped_by(fault, overrides=ON_VESCS):
+    """The stop of a climb with a fault of the propellers, and the bench after it."""
+    with hil.open_bench("emulated", seed=1, faults=(fault,), overrides=overrides) as bench:
+        with pytest.raises(SafetyStop) as caught:
+            bench.drive(CLIMB, feedback="odometry")
+        t_ns = bench.clock.now_ns()
+    return caught.value, t_ns, bench
+
+
+def test_propellers_that_turn_faster_than_asked_stop_the_robot_and_count_as_no_push():
+    stop, t_ns, bench = stopped_by("thrust:wrong@1.5,factor=1.3")
+    assert stop.reason == "thrust_disagree"
+    told = r"propellers report 37\.\d N of push, more than the 22\.3 N that .* lost blade .*speed sensing"
+    assert re.search(told, str(stop))
+    assert 1.7 * S < t_ns < 2.5 * S
+    assert not bench.truth().fallen
+    assert "without the propellers: they report 37." in bench.held.why
+    assert "so that what they give is not known" in bench.held.why
+
+
+def test_too_much_push_for_less_than_a_quarter_of_a_second_stops_nothing():
+    faults = ("thrust:wrong@1.5+0.2,factor=1.3",)
+    with hil.open_bench("emulated", seed=1, faults=faults, overrides=ON_VESCS) as bench:
+        motion = bench.drive(CLIMB, feedback="odometry")
+    assert bench.held.state == "HELD"
+    reported = [39.7 * s.throttle**2 for r in motion.records for s in r.inputs.thrust]
+    assert max(reported) > 37.0
+
+
+@pytest.mark.parametrize("seed", [1, 5])
+@pytest.mark.parametrize("fault", [None, "thrust:brownout@1.5+0.1", "thrust:reset@1.5", "thrust:slow@1"])
+def test_a_supply_that_dips_is_no_propeller_that_turns_too_fast(seed, fault):
+    faults, throttles = () if fault is None else (fault,), []
+    opened = hil.open_bench("emulated", seed=seed, faults=faults, overrides=ON_VESCS)
+    with opened as bench, suppress(SafetyStop):
+        bench.drive(
+            CLIMB,
+            feedback="odometry",
+            on_cycle=lambda record: throttles.extend(s.throttle for s in record.inputs.thrust),
+        )
+    assert max(throttles) ** 2 * 39.7 < 1.05 * 22.3
+
+
+def test_propellers_that_run_faster_than_a_bench_wants_are_slowed_before_anything_moves():
+    """They go on as the last bench had them; the next one wants less."""
+    fast = {"thrust.force_n": 22.3, "emulation.thrust.start": "off"}
+    with hil.open_bench("emulated", seed=1, overrides={**ON_VESCS, **fast}) as bench:
+        propellers = bench.rig.get("thrust")
+        propellers.set_force_n(39.0)
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 3 * S)
+        Hanging(bench.config, bench.rig, bench.clock).hold()
+        motion = bench.drive(CLIMB, feedback="odometry")
+    assert max(s.throttle for r in motion.records for s in r.inputs.thrust) ** 2 * 39.7 < 1.15 * 22.3
+
+
+def test_propellers_that_turn_too_fast_from_the_start_are_named_before_anything_moves():
+    bench = hil.open_bench("emulated", seed=1, faults=("thrust:wrong@0,factor=1.3",), overrides=ON_VESCS)
+    with pytest.raises(SafetyStop, match=r"pushed up with 37\.\d N of 22\.3 by their speed: a lost blade"):
+        bench.__enter__()
+    assert bench.world.plant.by_hand
 
 
 def test_a_stop_that_the_fan_alone_causes_says_nothing_of_propellers():

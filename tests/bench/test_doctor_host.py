@@ -1,5 +1,6 @@
 """What the machine does to a bench, on a fake `/sys` and `/proc`: each finding, and each remedy followed."""
 
+import grp
 import os
 import re
 import subprocess
@@ -195,12 +196,39 @@ def test_rules_are_printed_or_written(tmp_path, capsys):
     assert "--fix" in capsys.readouterr().err
 
 
-def test_a_port_that_is_refused_names_the_group_and_the_program(machine):
+def refused_at(port):
+    """The remedy for a port without permission."""
+    return cannot_open("servos", str(port), PermissionError(13, "denied"), expected="a servo").remedy
+
+
+@pytest.mark.parametrize(
+    ("group", "mode", "joins"),
+    [
+        ("dialout", 0o660, True),
+        ("plugdev", 0o644, False),
+        ("plugdev", 0o666, True),
+        ("dialout", 0o600, False),
+        ("dialout", 0o640, False),
+        ("root", 0o600, False),
+        ("root", 0o660, False),
+    ],
+)
+def test_to_join_a_group_is_advised_only_where_it_may_use_the_port(tmp_path, monkeypatch, group, mode, joins):
+    port = tmp_path / "ttyUSB0"
+    port.touch()
+    port.chmod(mode)
+    monkeypatch.setattr(grp, "getgrgid", lambda gid: SimpleNamespace(gr_name=group))
+    remedy = refused_at(port)
+    if joins:
+        assert remedy == f"sudo usermod -aG {group} $USER, then log in again"
+    else:
+        assert f"of group {group} with mode {mode:04o}" in remedy
+        assert "have a udev rule give it to group dialout; `hil doctor --bench FILE --fix` prints" in remedy
+        assert re.findall(r"usermod -aG (\S+)", remedy) == ["dialout"]
+
+
+def test_a_port_that_is_in_use_names_the_program(machine):
     port = str(machine.port)
-    group = os.stat(port).st_gid
-    refused = cannot_open("servos", port, PermissionError(13, "denied"), expected="a servo")
-    assert re.match(r"sudo usermod -aG \S+ \$USER", refused.remedy)
-    assert group == 0 or "root" not in refused.remedy
     with open(port) as held, subprocess.Popen(["sleep", "60"], stdin=held) as other:
         try:
             assert [p.pid for p in programs_with(str(machine.stable))] == [other.pid]

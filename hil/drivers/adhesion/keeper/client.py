@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import pwd
 import re
 import select
 import socket
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.door import MOST_BYTES, address, peer, trusted
+from hil.drivers.adhesion.keeper.door import MOST_BYTES, address, may_ask, of_another, peer, user
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.emulated_bus import is_emulated
 from hil.vocabulary.errors import EXIT_USAGE, DeviceError, UsageError
@@ -51,13 +52,24 @@ def connect(spec: Spec) -> socket.socket | None:
             spec.device, f"{spec.whose} keeper cannot be reached ({error})", port=spec.name,
             remedy="end programs that talk to it and try again",
         ) from None  # fmt: skip
-    if not trusted(owner):
+    if not may_ask(os.getuid(), owner):
         connection.close()
-        raise DeviceError(
-            spec.device, f"{spec.whose} keeper belongs to another user ({owner})", port=spec.name,
-            expected=f"user {os.getuid()} or root", remedy="run both as the same user",
-        )  # fmt: skip
+        raise of_another(spec, _named(owner), _named(os.getuid()))
     return connection
+
+
+def _named(uid: int) -> str:
+    """A user by name and number; by number alone where nobody knows the name."""
+    try:
+        return "root" if uid == 0 else f"user {pwd.getpwuid(uid).pw_name} ({uid})"
+    except KeyError:
+        return user(uid)
+
+
+def of_whom(status: Status) -> str:
+    """` of user robot (1000)`, as a message about another user's keeper goes on; empty for one of ours."""
+    uid = status.get("uid", os.getuid())
+    return "" if uid == os.getuid() else f" of {_named(uid)}"
 
 
 def _queue(connection: socket.socket, spec: Spec) -> None:
@@ -73,13 +85,14 @@ def _queue(connection: socket.socket, spec: Spec) -> None:
 
 
 def ask(connection: socket.socket, request: Mapping[str, object], spec: Spec) -> Status:
-    """Ask and wait for the answer.
+    """Ask and wait for the answer; the status has `uid` besides, the user that the keeper runs as.
 
     Raises:
         UsageError, DeviceError: it was refused, or the keeper does not answer.
     """
     try:
-        connection.send(json.dumps(request).encode())
+        with contextlib.suppress(BrokenPipeError):  # who is turned away is told why before
+            connection.send(json.dumps(request).encode())
         packet = connection.recv(MOST_BYTES)
         if not packet:
             raise ConnectionResetError("it hung up")
@@ -87,7 +100,7 @@ def ask(connection: socket.socket, request: Mapping[str, object], spec: Spec) ->
         raise DeviceError(
             spec.device, f"{spec.whose} keeper does not answer ({error})", port=spec.name, remedy=_REMEDY
         ) from None
-    return understood(packet, spec)
+    return {**understood(packet, spec), "uid": peer(connection).uid}
 
 
 def understood(packet: bytes, spec: Spec) -> Status:

@@ -19,6 +19,7 @@ from hil.drivers.adhesion.keeper.client import (
     ask,
     connect,
     find_or_start,
+    of_whom,
     off_request,
     set_request,
     understood,
@@ -96,6 +97,8 @@ class KeptByProcess(Kept):
         except DeviceError:
             self._beat.close()
             raise
+        if other := of_whom(self._status):
+            self._say(f"{self._spec.whose} keeper is one{other}, process {self._status['pid']}")
         now_ns = self._clock.now_ns()
         self._link, self._closed = Link(link, now_ns), False
         self._end = self._clock.schedule(self._task, now_ns)
@@ -205,7 +208,7 @@ class KeptByProcess(Kept):
             return
         asked, packet = answer
         try:
-            self._status = understood(packet, self._spec)
+            self._status = {**understood(packet, self._spec), "uid": link.uid}
         except DeviceError as error:
             if t_ns < self._wish_until_ns:
                 return

@@ -1,9 +1,10 @@
-"""The keeper's socket: one JSON object a packet, from programs of the same user only.
+"""The keeper's socket: one JSON object a packet, from programs of the same user and of root.
 
 Its name is in Linux' abstract space and says which fan is kept. So it belongs to one process at a time, of
 whatever user; it vanishes with that process; and it does not vanish with a folder, as a socket file in
 `/run/user` does when its owner logs out. It is visible where the CAN interface is: both belong to a network
-namespace. Both ends look at the kernel's word for who the other is, and talk to their own user and root.
+namespace. Both ends take the kernel's word for who the other is. A keeper answers its own user and root, and
+tells anybody else why not; a program asks a keeper of its own user, and one of root asks any.
 
 Asked `{"do": "status"}`, `{"do": "set", "quantity": q, "value": v}` or `{"do": "off", "confirmed_by": why}`
 a keeper answers with its status, or with `{"error": {message, expected, remedy, exit_code}}`.
@@ -26,6 +27,8 @@ from hil.vocabulary.errors import DeviceError, HilError, UsageError, reason_of
 
 MOST_BYTES = 8192
 HOW_TO_ASK = 'send one JSON object a packet; docs/adhesion.md, "The socket", shows each'
+IDLE_S = 30.0
+"""A keeper without a fan to keep ends when nobody has talked to it for so long, unless it is a service."""
 _MOST_CLIENTS = 32
 _MOST_AT_ONCE = 16
 _PEER = struct.Struct("3i")
@@ -66,9 +69,30 @@ def peer(connection: socket.socket) -> Peer:
     return Peer(pid, uid)
 
 
-def trusted(uid: int) -> bool:
-    """Whether a user may talk to us, or be talked to: ourselves and root."""
-    return uid in (0, os.getuid())
+def may_ask(uid: int, owner: int) -> bool:
+    """Whether programs of a user may ask a keeper of another: its own, and root's."""
+    return uid in (0, owner)
+
+
+def user(uid: int) -> str:
+    """A user, as messages call it: by number, as a look for its name may take longer than a keeper has."""
+    return "root" if uid == 0 else f"user {uid}"
+
+
+def of_another(spec: Spec, owner: str, asker: str) -> DeviceError:
+    """The refusal that a program gets of another user's keeper.
+
+    Args:
+        spec: what is kept.
+        owner: the user that the keeper runs as.
+        asker: the user that the program runs as.
+    """
+    return DeviceError(
+        spec.device, f"{spec.whose} keeper belongs to {owner}, and this program to {asker}", port=spec.name,
+        expected=f"a keeper of {asker}, or a program of root",
+        remedy=f"run this as {owner}" + ("" if owner == "root" else ", or as root")
+        + f"; a keeper that is no service ends {IDLE_S:g} s after the last program has left a motor at rest",
+    )  # fmt: skip
 
 
 class TakenError(DeviceError):
@@ -84,7 +108,7 @@ class Door:
     """
 
     def __init__(self, spec: Spec, left: Left = lambda pid: None) -> None:
-        self._left = left
+        self._spec, self._left = spec, left
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             self._listener.bind(address(spec))
@@ -120,12 +144,25 @@ class Door:
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
             connection, _ = self._listener.accept()
-            if self.clients >= _MOST_CLIENTS or not trusted(peer(connection).uid):
-                connection.close()
-                return
             connection.setblocking(False)
+            refused = self._refused(peer(connection).uid)
+            if refused is not None:
+                _turn_away(connection, refused)
+                return
             self._ready.register(connection, selectors.EVENT_READ)
             self.clients += 1
+
+    def _refused(self, uid: int) -> DeviceError | None:
+        """Why a program of a user is not let in; None where it is."""
+        spec = self._spec
+        if not may_ask(uid, os.getuid()):
+            return of_another(spec, user(os.getuid()), user(uid))
+        if self.clients >= _MOST_CLIENTS:
+            return DeviceError(
+                spec.device, f"{spec.whose} keeper talks to {self.clients} programs already", port=spec.name,
+                expected=f"at most {_MOST_CLIENTS}", remedy="end programs that talk to it and try again",
+            )  # fmt: skip
+        return None
 
     def _answer(self, connection: socket.socket, answer: Answer) -> None:
         """Answer one packet; whoever hangs up, or does not read, is let go."""
@@ -140,6 +177,15 @@ class Door:
             connection.close()
             self.clients -= 1
             self._left(pid)
+
+
+def _turn_away(connection: socket.socket, why: DeviceError) -> None:
+    """Say why and hang up; what was asked is read first, or the kernel would throw the answer away."""
+    with connection:
+        with contextlib.suppress(OSError):
+            connection.recv(MOST_BYTES)
+        with contextlib.suppress(OSError):
+            connection.send(json.dumps({"error": _described(why)}).encode())
 
 
 def _answered(packet: bytes, who: Peer, answer: Answer) -> bytes:

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Protocol
 
-from hil.drivers.adhesion.keeper.client import Status
+from hil.drivers.adhesion.keeper.client import Status, of_whom
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.clock import Clock
@@ -55,8 +55,11 @@ _DOES = {
 def finding(name: str, kept: Kept | None) -> Finding:
     """What the doctor tells of who keeps a device running."""
     trouble = "it is closed" if kept is None else kept.trouble()
-    state = "idle" if kept is None else str(kept.status().get("state", "idle"))
+    status: Status = {} if kept is None else kept.status()
+    does = _DOES[str(status.get("state", "idle"))] + (
+        f"; it is one{other}" if (other := of_whom(status)) else ""
+    )
     return Finding(
-        name, "keeper", "warning" if trouble else "ok", trouble or _DOES[state],
+        name, "keeper", "warning" if trouble else "ok", trouble or does,
         "a process of its own", "`hil adhesion status` says more",
     )  # fmt: skip

@@ -6,7 +6,7 @@ import json
 import socket
 from collections.abc import Mapping
 
-from hil.drivers.adhesion.keeper.door import MOST_BYTES
+from hil.drivers.adhesion.keeper.door import MOST_BYTES, peer
 
 Request = Mapping[str, object]
 
@@ -21,6 +21,7 @@ class Link:
     Attributes:
         since_ns: when it began; `answered_ns` when the keeper last answered.
         asked: what it has not answered yet.
+        uid: the user that the keeper runs as.
     """
 
     def __init__(self, connection: socket.socket, t_ns: int) -> None:
@@ -28,6 +29,7 @@ class Link:
         self._socket = connection
         self.since_ns = self.answered_ns = t_ns
         self.asked: Request | None = None
+        self.uid = peer(connection).uid
 
     def ask(self, request: Request) -> None:
         """Ask, unless an answer is awaited; raises `OSError` where the keeper has hung up."""

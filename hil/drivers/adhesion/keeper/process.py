@@ -22,7 +22,7 @@ from typing import Any
 from hil.drivers.adhesion.keeper.beat import Beat, open_bus
 from hil.drivers.adhesion.keeper.client import KEEPER, Status
 from hil.drivers.adhesion.keeper.core import Keeper, SetPoint
-from hil.drivers.adhesion.keeper.door import HOW_TO_ASK, Door, Peer, TakenError
+from hil.drivers.adhesion.keeper.door import HOW_TO_ASK, IDLE_S, Door, Peer, TakenError
 from hil.drivers.adhesion.keeper.log import Log
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.keeper.surviving import be_deaf, detach, harden
@@ -31,7 +31,7 @@ from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.emulated_bus import Emulation
 from hil.vocabulary.errors import EXIT_DEVICE, HilError, UsageError
 
-_IDLE_NS = nanoseconds(30.0)
+_IDLE_NS = nanoseconds(IDLE_S)
 _REPEAT_NS = nanoseconds(60.0)
 _NAME_FREE_S = 0.002
 _LOOK_NS = nanoseconds(0.5)

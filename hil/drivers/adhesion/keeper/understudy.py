@@ -37,10 +37,12 @@ def stand_beside(spec: Spec) -> client.Status:
             try:
                 connection.send(request)
                 packet = connection.recv(MOST_BYTES)
-                if packet and not select.select([connection], [], [], _ASK_S)[0]:
-                    latest = json.loads(packet)
-                    continue
-                return json.loads(packet) if packet else latest
+                said = json.loads(packet) if packet else {}
+                if "error" in said:  # it has no room for one more
+                    return latest
+                latest = said or latest
+                if not packet or select.select([connection], [], [], _ASK_S)[0]:
+                    return latest
             except OSError:
                 return latest
 
