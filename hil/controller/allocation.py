@@ -15,7 +15,7 @@ import numpy as np
 from hil.controller import four_wheels as at
 from hil.controller.four_wheels import ModuleLimits, drive, optimize, steer
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.arithmetic import quick
+from hil.vocabulary.arithmetic import on_array
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.signals import WheelSetpoint
 
@@ -53,8 +53,8 @@ class ModuleLayer:
         self._turned, self._cosines = n[at.TURNED : at.TURNED + 12], n[at.COSINE : at.COSINE + 12]
         self._headings, self._sines = self._turned[4:], n[at.SINE : at.SINE + 8]
         self._next, self._rolled = n[at.NEXT : at.NEXT + 4], n[at.ROLLED : at.ROLLED + 16].reshape(2, 8)
-        self._steer = quick(steer, n, limits, self._reach_rad)
-        self._drive = quick(drive, n, limits, 1.0)
+        self._steer = on_array(steer, n, limits, self._reach_rad)
+        self._drive = on_array(drive, n, limits, 1.0)
         self.reset()
 
     def reset(self) -> None:

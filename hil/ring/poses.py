@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.vocabulary.arithmetic import Vector, quick
+from hil.vocabulary.arithmetic import Vector, on_array
 from hil.vocabulary.geometry import Three, conjugated, multiplied, rotated, wrap
 from hil.vocabulary.signals import Inputs, MocapSample, PoseMeasurement, Status, TrackerSample
 
@@ -58,7 +58,7 @@ class PoseAlignment:
 
     def __init__(self, mount: Mount, scale: float) -> None:
         self._camera = np.array((*mount.position_m, *mount.rotation_wxyz, scale, *[0.0] * 7))
-        self._seen_from = quick(_seen_from, self._camera, *[0.0] * 7)
+        self._seen_from = on_array(_seen_from, self._camera, *[0.0] * 7)
         self.reset()
 
     def reset(self) -> None:

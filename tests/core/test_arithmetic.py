@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.config.servo_models import DEFAULT_MODEL, servo_model
-from hil.fakes import arithmetic
+from hil.vocabulary import arithmetic
 from hil.fakes.imu import output, registers
 from hil.fakes.imu.sample import counts
 from hil.fakes.imu.sensors import ImuTruthOptions, InertialSensors, Sensed, matrix

@@ -7,7 +7,6 @@ import struct
 from collections.abc import Callable
 from functools import cache
 
-from hil.fakes.arithmetic import quick
 from hil.fakes.imu.registers import (
     UNIT_ANDROID,
     UNIT_EULER_RAD,
@@ -18,6 +17,7 @@ from hil.fakes.imu.registers import (
 )
 from hil.fakes.imu.sample import GRAVITY_M_S2, Counts, Outputs, counts
 from hil.fakes.imu.sensors import Sensed
+from hil.vocabulary.arithmetic import quick
 
 _BLOCK = struct.Struct("<22hbB")
 LENGTH = _BLOCK.size

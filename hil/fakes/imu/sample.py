@@ -1,4 +1,4 @@
-"""One set of outputs of the emulated BNO055, in flat vectors (`hil.fakes.arithmetic`).
+"""One set of outputs of the emulated BNO055, in flat vectors (`hil.vocabulary.arithmetic`).
 
 It is sensed, fused and counted. All numbers stand in three vectors in SI units (magnetic field in uT) at the
 places named below: the chip as it is built, what calibration has left of its offsets, and the fusion's state.
@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 
-from hil.fakes.arithmetic import Rows, Vector
 from hil.fakes.plant_api import BodyMotion
+from hil.vocabulary.arithmetic import Rows, Vector
 from hil.vocabulary.geometry import Four, Three, multiplied
 
 GRAVITY_M_S2 = 9.80665

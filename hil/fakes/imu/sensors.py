@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.fakes.arithmetic import quick, rows, vector
 from hil.fakes.imu import sample
 from hil.fakes.imu.calibration import SelfCalibration, SensorOffsets, Vector
 from hil.fakes.imu.registers import Mode
 from hil.fakes.plant_api import BodyMotion
+from hil.vocabulary.arithmetic import quick, rows, vector
 from hil.vocabulary.geometry import Four as Quaternion
 from hil.vocabulary.records import named
 

@@ -6,10 +6,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hil.fakes.arithmetic import Rows, quick, rows
 from hil.fakes.mocap.options import MocapTruthOptions
 from hil.fakes.mocap.seeing import DRAWS, seen_at
 from hil.fakes.plant_api import BodyMotion
+from hil.vocabulary.arithmetic import Rows, quick, rows
 from hil.vocabulary.geometry import Four, Three
 from hil.vocabulary.records import named
 

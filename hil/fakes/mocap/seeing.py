@@ -1,4 +1,4 @@
-"""A rigid body as the cameras see it, in flat vectors (`hil.fakes.arithmetic`).
+"""A rigid body as the cameras see it, in flat vectors (`hil.vocabulary.arithmetic`).
 
 Poses are made in the wall frame (z out of the surface) and turned into the streamed axes: Motive's
 y-up stream has y out of the calibrated ground plane, so that (x, y, z) of the wall is (x, z, -y) there.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from hil.fakes.arithmetic import Rows
+from hil.vocabulary.arithmetic import Rows
 from hil.vocabulary.geometry import Four, Three
 
 DRAWS = 7

@@ -1,4 +1,4 @@
-"""The fast reply of the servos to the read of every cycle, in flat vectors (`hil.fakes.arithmetic`).
+"""The fast reply of the servos to the read of every cycle, in flat vectors (`hil.vocabulary.arithmetic`).
 
 Each servo writes its piece behind those of the others: alert, ID, current, velocity, position, and a checksum
 that covers all bytes before it.
@@ -6,8 +6,8 @@ that covers all bytes before it.
 
 from __future__ import annotations
 
-from hil.fakes.arithmetic import Octets, Row, Rows
 from hil.fakes.servos.counting import SHOWN_COUNTS, SHOWN_CURRENTS, SHOWN_VELOCITIES
+from hil.vocabulary.arithmetic import Octets, Row, Rows
 
 FORM = "hii"
 """Of current, velocity and position, as `struct` has it."""

@@ -12,13 +12,13 @@ from functools import cache
 
 import numpy as np
 
-from hil.fakes.arithmetic import Rows, octets, quick, rows
 from hil.fakes.servos import protocol
 from hil.fakes.servos.answering import answer
 from hil.fakes.servos.group import Wanted
 from hil.fakes.servos.position import HALF_WORD
 from hil.fakes.servos.protocol import Instruction, checksum
 from hil.fakes.servos.servo import Servo
+from hil.vocabulary.arithmetic import Rows, octets, quick, rows
 
 
 class MotionBlock:

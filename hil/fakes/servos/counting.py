@@ -1,4 +1,4 @@
-"""Counts of the eight servos, in flat vectors (`hil.fakes.arithmetic`).
+"""Counts of the eight servos, in flat vectors (`hil.vocabulary.arithmetic`).
 
 Their history holds angles as they were on the grid, a row of eight for each of its points; they become counts
 when somebody looks.
@@ -6,7 +6,7 @@ when somebody looks.
 
 from __future__ import annotations
 
-from hil.fakes.arithmetic import Rows
+from hil.vocabulary.arithmetic import Rows
 
 # Rows of the scales (3, 8): counts per rad, velocity counts per count of a span, counts per A.
 PER_RAD, PER_SPAN, PER_A = range(3)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from hil.fakes.arithmetic import Rows, copied, listed
 from hil.fakes.servos.faulty import ServoFaults
 from hil.fakes.servos.sensing import Sensing
 from hil.fakes.servos.servo import Servo
 from hil.fakes.servos.thermal import ThermalModel
+from hil.vocabulary.arithmetic import Rows, copied, listed
 
 
 class LiveRegisters:

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from hil.config.servo_models import ServoModel
-from hil.fakes.arithmetic import Rows, listed, places, quick, rows
 from hil.fakes.plant_api import Plant
 from hil.fakes.servos.counting import OLD, PER_RAD, PER_SPAN, SHOWN_COUNTS, SPAN, show
+from hil.vocabulary.arithmetic import Rows, listed, places, quick, rows
 from hil.vocabulary.geometry import Array
 
 GRID_NS = 4_000_000

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.fakes.arithmetic import quick, rows, vector
 from hil.fakes.plant_api import BodyMotion
 from hil.fakes.tracker.options import TrackerTruthOptions
 from hil.fakes.tracker.step import DRAWS, LAST_X, LAST_Y, POSITION, STATE_SIZE, WORLD_SIZE, step
+from hil.vocabulary.arithmetic import quick, rows, vector
 from hil.vocabulary.geometry import (
     Array,
     quat_conjugate,

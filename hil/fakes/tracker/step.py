@@ -1,4 +1,4 @@
-"""One step of the emulated visual odometry, in flat vectors (`hil.fakes.arithmetic`).
+"""One step of the emulated visual odometry, in flat vectors (`hil.vocabulary.arithmetic`).
 
 All numbers stand in three vectors in SI units at the places named below: what errs, the levelled world as
 `VisualOdometry` has fixed it, and the state.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from hil.fakes.arithmetic import Rows, Vector
+from hil.vocabulary.arithmetic import Rows, Vector
 
 # What errs (7,).
 (
