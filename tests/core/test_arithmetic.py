@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from hil.config.servo_models import DEFAULT_MODEL, servo_model
-from hil.vocabulary import arithmetic
 from hil.fakes.imu import output, registers
 from hil.fakes.imu.sample import counts
 from hil.fakes.imu.sensors import ImuTruthOptions, InertialSensors, Sensed, matrix
@@ -18,6 +17,7 @@ from hil.fakes.servos.answering import answer
 from hil.fakes.servos.sensing import Sensing
 from hil.fakes.tracker.odometry import VisualOdometry
 from hil.fakes.tracker.options import TrackerTruthOptions
+from hil.vocabulary import arithmetic
 
 pytest.importorskip("numba", reason="machine code needs the extra `fast`")
 UNITS = (0x00, 0x80, registers.UNIT_MG | registers.UNIT_RAD_S | registers.UNIT_EULER_RAD)
