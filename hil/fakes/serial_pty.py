@@ -41,14 +41,14 @@ class SerialPty(Face):
         return self._line.next_arrival_ns()
 
     def on_due(self, t_ns: int) -> None:
-        """Hand arrived bytes to the terminal; what a client never reads is lost and counted."""
+        """Hand arrived bytes to the terminal; those far too late, or never read, are lost and counted."""
         data = self._line.take(_CHUNK)
         if not self._open:
             return
-        try:
-            written = os.write(self._master, data)
-        except BlockingIOError:
-            written = 0
+        written = 0
+        if not self.behind:
+            with contextlib.suppress(BlockingIOError):
+                written = os.write(self._master, data)
         self.lost += len(data) - written
 
     def filenos(self) -> list[int]:

@@ -5,7 +5,8 @@ soon as the kernel reports them. One thread, no sleeping beyond the next planned
 
 A process that got no processor time catches up in short pieces, and takes what has arrived meanwhile
 between them. In one piece a controller would wait in vain for commands that have long been there, and let the
-robot go.
+robot go. What a chip that is far behind answers is lost meanwhile: its client would take the past for the
+present, and see a robot that leaps as soon as the world has caught up.
 """
 
 from __future__ import annotations
@@ -21,12 +22,20 @@ from hil.vocabulary.clock import NS_PER_S, Clock
 
 _LONGEST_WAIT_S = 0.05
 _PIECE_NS = 20_000_000
+_BEHIND_NS = 50_000_000
+"""Who waits for an answer has given up by then."""
 _TOO_SHORT_TO_SLEEP_S = 80e-6
 _WARM_UP_NS = 3_000_000
 
 
 class Face(Scheduled, Protocol):
-    """An emulated device's connection to the outside: PTY, socket or CAN interface."""
+    """An emulated device's connection to the outside: PTY, socket or CAN interface.
+
+    Attributes:
+        behind: set by the server while the world is far behind its clock.
+    """
+
+    behind: bool = False
 
     @abstractmethod
     def filenos(self) -> list[int]:
@@ -111,13 +120,12 @@ class EmulationServer:
         """
         for error in self.world.failures.values():
             raise error
-        if not self._waiting:
-            self.world.advance_to(self._reached_ns())
+        caught_up = self._waiting or self._advance()
         owners = {fd: face for face in self.faces.values() for fd in face.filenos()}
         wait_s = _LONGEST_WAIT_S
         if not self._waiting:
             wait_s = (self.world.next_due_ns() - self._now_ns()) / NS_PER_S
-            if wait_s < _TOO_SHORT_TO_SLEEP_S:
+            if wait_s < _TOO_SHORT_TO_SLEEP_S or not caught_up:
                 wait_s = 0.0
         watched = [*owners, *self._lifeline]
         readable, _, _ = select.select(watched, [], [], min(max(wait_s, 0.0), _LONGEST_WAIT_S))
@@ -126,9 +134,9 @@ class EmulationServer:
                 self._running = bool(os.read(fd, 1))
                 self._begin()
                 continue
-            t_ns = self.world.now_ns if self._waiting else self._reached_ns()
-            self.world.advance_to(t_ns)
-            owners[fd].on_readable(fd, t_ns)
+            if not self._waiting:
+                self._advance()
+            owners[fd].on_readable(fd, self.world.now_ns)
 
     def _begin(self) -> None:
         if self._waiting:
@@ -142,6 +150,16 @@ class EmulationServer:
     def _now_ns(self) -> int:
         return self.clock.now_ns() - self._start_ns
 
-    def _reached_ns(self) -> int:
-        """Now, or as far on the way there as the world may go before it listens again."""
-        return min(self._now_ns(), self.world.now_ns + _PIECE_NS)
+    def _advance(self) -> bool:
+        """Go to now, or as far on the way there as the world may go before it listens again.
+
+        Returns:
+            Whether the world has reached now.
+        """
+        now_ns = self._now_ns()
+        reached_ns = min(now_ns, self.world.now_ns + _PIECE_NS)
+        behind = now_ns - reached_ns > _BEHIND_NS
+        for face in self.faces.values():
+            face.behind = behind
+        self.world.advance_to(reached_ns)
+        return reached_ns == now_ns

@@ -320,3 +320,47 @@ def test_an_emulator_that_was_starved_hears_what_came_meanwhile_before_its_time_
     server.close()
     silence_ns = np.diff([begin_ns, *face.taken_ns, begin_ns + nanoseconds(4.0)])
     assert silence_ns.max() <= nanoseconds(0.05)
+
+
+class Speaker(Echo):
+    """Notes whether it was told, at each tick, that the world is far behind."""
+
+    def __init__(self):
+        super().__init__()
+        self.told = []
+
+    def on_due(self, t_ns):
+        super().on_due(t_ns)
+        self.told.append(self.behind)
+
+
+def test_devices_are_told_while_the_world_is_far_behind():
+    """What a chip says of the past would be taken for the present."""
+    clock, face = JumpingClock(), Speaker()
+    server = EmulationServer(World(StillPlant()), clock, {"echo": face})
+    clock.t_ns += nanoseconds(0.04)
+    while server.world.now_ns < nanoseconds(0.04):
+        server.step()
+    assert set(face.told) == {False}
+    face.told.clear()
+    clock.t_ns += nanoseconds(0.3)
+    while server.world.now_ns < nanoseconds(0.34):
+        server.step()
+    clock.t_ns += nanoseconds(0.01)
+    server.step()
+    server.close()
+    face.far.close()
+    late = face.told.count(True)
+    assert face.told == [True] * late + [False] * (len(face.told) - late)
+    assert 0.2 <= late * 0.005 <= 0.25
+
+
+def test_a_world_in_which_nothing_is_planned_keeps_up_with_the_clock():
+    face = Listener()
+    clock = MonotonicClock()
+    server = EmulationServer(World(StillPlant()), clock, {"fan": face})
+    begin_ns, world_ns = clock.now_ns(), server.world.now_ns
+    while clock.now_ns() < begin_ns + nanoseconds(0.5):
+        server.step()
+    server.close()
+    assert server.world.now_ns - world_ns > nanoseconds(0.4)

@@ -271,6 +271,23 @@ def test_a_terminal_that_nobody_reads_loses_and_counts():
     assert face.endpoint()["port"] == ""
 
 
+def test_what_a_chip_says_far_too_late_is_lost_and_counted():
+    """A client would take it for the answer to what it has asked since."""
+    world = World(Still())
+    line = SerialLine(world, Echo())
+    face = SerialPty(line)
+    try:
+        with serial.Serial(face.endpoint()["port"], 115_200, timeout=0.0) as port:
+            for face.behind, heard in ((True, b""), (False, b"LATE")):
+                line.send(b"late", 115_200)
+                world.advance_to(world.now_ns + 20_000_000)
+                face.on_due(world.now_ns)
+                assert port.read(10) == heard
+        assert face.lost == 4
+    finally:
+        face.close()
+
+
 def test_a_terminal_event_without_bytes_is_nothing():
     face = SerialPty(SerialLine(World(Still()), Echo()))
     try:
