@@ -85,10 +85,10 @@ class Parameters(BaseModel):
 def age_limit_ms(name: str, config: BenchConfig) -> float:
     """How old a device's samples may be on arrival: its transport time, and one cycle where samples wait.
 
-    Encoder frames wait for the loop in a queue, and so do prefetched samples.
+    Frames of a CAN bus wait for the loop in a queue, and so do prefetched samples.
     """
     device = config.devices().get(name)
-    waits = name == "encoders" or bool(getattr(device, "prefetch", False))
+    waits = device is not None and device.waits_for_loop()
     return 1e3 * kinds()[name].age_s + (1e3 / config.loop.rate_hz if waits else 0.0)
 
 

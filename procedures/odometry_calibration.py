@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from hil.bench.settings import geometry_of
+from hil.bench.settings import geometry_of, motion_limits
 from hil.calibration.artefact import calibration_file, save_calibration
 from hil.calibration.calibrate import Calibration
 from hil.calibration.evaluation import evaluate
@@ -46,6 +46,7 @@ from hil.procedures.parts.odometry_rounds import (
     tell_gain,
     worth_another,
 )
+from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.versions import versions
 
 _SIMILAR_MM = 0.5
@@ -133,6 +134,7 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     """Rounds as far as they are certain, and the references of one repetition."""
+    _check_turns(p, config)
     start, geometry = config.environment.start_pose, geometry_of(config)
     driven = tuple(followed(m, start, p.sizes, geometry, config) for m in p.motions)
     for number in range(1, p.min_rounds + 1):
@@ -153,6 +155,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 def run(ctx: Context) -> None:
     """Odometry calibration: collect, optimise, re-collect with the new parameters, validate."""
     p: Parameters = ctx.parameters
+    _check_turns(p, ctx.source.config)
     with Workers(p.processes) as workers:
         rounds, results, best = _rounds(ctx, workers)
         file = _round_file(ctx, best) if best else ctx.source.calibration
@@ -175,6 +178,19 @@ def run(ctx: Context) -> None:
         show(ctx, rounds, fresh, result, p.method, p.compared_methods)
         judged = score(fresh.recordings, fresh.odometry.geometry, result.setting)
         _install(ctx, replace(result, validation={"fresh_run": judged}))
+
+
+def _check_turns(p: Parameters, config: BenchConfig) -> None:
+    """Refuse motions that turn further than a wall allows, from whatever heading they begin."""
+    limit_rad = motion_limits(config).heading_limit_rad
+    turning = [name for name in p.motions if not name.startswith("line")]
+    if limit_rad is not None and turning and math.pi * p.turns > limit_rad:
+        raise ConfigError(
+            f"odometry_calibration on the bench {config.name!r}, which is on a wall: "
+            f"{', '.join(turning)} turn the robot by {360.0 * p.turns:.3g} deg",
+            expected=f"headings of at most {math.degrees(limit_rad):.3g} deg to either side",
+            remedy="choose the bench of the floor",
+        )
 
 
 def _rounds(ctx: Context, workers: Workers) -> tuple[list[Driven], list[Calibration], int]:

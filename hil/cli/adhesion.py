@@ -154,18 +154,26 @@ def _told(specs: Mapping[str, Spec], found: Mapping[str, Status | DeviceError | 
     return {**({} if fan is None else {"fan": fan["name"], "keeper": fan["keeper"]}), **own}
 
 
-def _show(spec: Spec, status: Status | DeviceError | None) -> None:
+def _how(spec: Spec, status: Status | DeviceError | None) -> str:
+    """How it runs, in words."""
     from hil.bench import adhesion
 
     if isinstance(status, DeviceError):
-        click.echo(f"{spec.name}: its keeper does not tell how it runs")
-        return
+        return "its keeper does not tell how it runs"
+    return "no keeper" if status is None else adhesion.described(status, spec)
+
+
+def _show(spec: Spec, status: Status | DeviceError | None) -> None:
+    from hil.bench import adhesion
+
+    told = f"{spec.name}: {_how(spec, status)}"
     if status is None:
         starter = "`hil adhesion on`" if spec.device == "adhesion" else "`hil run`"
-        click.echo(f"{spec.name}: no keeper; {starter} starts one")
+        told += f"; {starter} starts one"
+    click.echo(told)
+    if status is None or isinstance(status, DeviceError):
         return
     since = time.strftime("%Y-%m-%d %H:%M", time.localtime(status["since"]))
-    click.echo(f"{spec.name}: {adhesion.described(status, spec)}")
     behind = f"process {status['understudy']}" if status["understudy"] else "none"
     click.echo(
         f"kept by process {status['pid']}{adhesion.of_whom(status)} since {since}, understudy: {behind}"
@@ -192,11 +200,7 @@ def watch(bench: str, every_s: float, duration_s: float | None) -> int:
         found = {kind: _asked(spec) for kind, spec in specs.items()}
         for kind, status in found.items():
             which = f"{kind}: " if len(specs) > 1 else ""
-            if isinstance(status, DeviceError):
-                told = "its keeper does not tell how it runs"
-            else:
-                told = "no keeper" if status is None else adhesion.described(status, specs[kind])
-            click.echo(f"{time.strftime('%H:%M:%S')} {which}{told}")
+            click.echo(f"{time.strftime('%H:%M:%S')} {which}{_how(specs[kind], status)}")
         if end_s is not None and time.monotonic() + every_s > end_s:
             return _all_kept(found)
         time.sleep(every_s)

@@ -49,6 +49,10 @@ class CanConfig(DeviceConfig):
         """The bus, as messages call it."""
         return bus_name(self.interface, self.channel, self.options)
 
+    def waits_for_loop(self) -> bool:
+        """Frames come when their sender likes, and stay in a queue until the loop takes them."""
+        return True
+
     def table(self, **found: Any) -> dict[str, Any]:
         """Its table in a bench file, with what was found; how long discovery waited is no part of it."""
         waited = {"open_timeout_s"}

@@ -30,6 +30,13 @@ class DeviceConfig(Strict):
 
     backend: Literal["real", "emulated"] = "real"
 
+    def waits_for_loop(self) -> bool:
+        """Whether samples wait up to a cycle for the loop to take them, which makes them so much older.
+
+        Those that are asked for a cycle ahead (`prefetch`) do.
+        """
+        return bool(getattr(self, "prefetch", False))
+
     def timeouts_s(self) -> float:
         """What all its time-outs come to: so long its driver may take for a device that does not answer."""
         given = (value for name, value in self if name.endswith("timeout_s"))

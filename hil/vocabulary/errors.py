@@ -13,6 +13,8 @@ import math
 from collections.abc import Iterable
 from numbers import Real
 
+from hil.vocabulary.digits import digits_apart
+
 EXIT_PASS = 0
 EXIT_LIMIT_FAILED = 1
 EXIT_USAGE = 2
@@ -132,8 +134,9 @@ class TrajectoryError(HilError, ValueError):
         remedy: str = "slow the motion down or change its shape",
     ) -> None:  # fmt: skip
         self.t_s, self.quantity, self.value, self.limit = t_s, quantity, value, limit
+        digits = digits_apart(value, (limit,))
         super().__init__(
-            f"{message}: {quantity} is {value:.4g} at t = {t_s:.3f} s",
+            f"{message}: {quantity} is {value:.{digits}g} at t = {t_s:.3f} s",
             expected=f"at most {limit:.4g}",
             remedy=remedy,
         )

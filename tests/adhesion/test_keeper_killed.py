@@ -21,8 +21,10 @@ from kills import (
     wait_until,
 )
 
+from hil.drivers.adhesion.keeper import client, deputy
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.deputy import KeptByProcess
+from hil.drivers.adhesion.keeper.door import of_another
 from hil.vocabulary.clock import MonotonicClock
 
 MOST_S = 0.2
@@ -81,6 +83,62 @@ def test_a_bench_that_ends_hands_the_fan_to_a_new_keeper_first(wire):
     time.sleep(0.3)
     assert max(fan.gaps_s(since_s)) <= spec.timeout_s / 2
     assert fan.duty == HELD_DUTY
+
+
+def test_a_bench_goes_on_by_itself_where_the_next_keeper_is_another_users(wire, monkeypatch, caplog):
+    """Root starts a keeper just when that of the bench's user dies."""
+    fan, spec = wire
+    roots, said = True, []
+
+    def met(one):
+        if roots:
+            raise of_another(one, "root", "user robot (1000)")
+        return client.connect(one)
+
+    kept = KeptByProcess(spec, MonotonicClock(), say=said.append)
+    kept.open()
+    wait_until(lambda: kept.status().get("report"), "the fan's report")
+    kept.set(SetPoint("duty", HELD_DUTY))
+    wait_until(lambda: fan.duty == HELD_DUTY, "the set-point")
+    since_s = time.time()
+    monkeypatch.setattr(deputy, "connect", met)
+    for pid in wait_until(lambda: both(spec), "an understudy"):
+        os.kill(pid, signal.SIGKILL)
+    ended, refused = "the fan's keeper has ended", "keeper belongs to root, and this program to user robot"
+    wait_until(lambda: refused in kept.trouble(), "the other keeper to be told")
+    time.sleep(0.5)
+    assert kept.trouble().startswith(f"{ended}: the bench commands the fan itself; adhesion at ")
+    assert [ended in said[0], refused in said[1], len(said)] == [True, True, 2]
+    assert keeper_pid(spec) is None
+    assert [record for record in caplog.records if record.exc_info] == []
+    roots = False
+    wait_until(lambda: not kept.trouble(), "a keeper of one's own")
+    assert "taken over again" in said[-1]
+    kept.close()
+    assert max(fan.gaps_s(since_s)) <= spec.timeout_s / 2
+    assert fan.duty == HELD_DUTY
+
+
+def test_a_bench_that_ends_beside_another_users_keeper_waits_for_none_and_says_so(wire, monkeypatch):
+    fan, spec = wire
+    said = []
+    kept = KeptByProcess(spec, MonotonicClock(), say=said.append)
+    kept.open()
+    wait_until(lambda: kept.status().get("report"), "the fan's report")
+    kept.set(SetPoint("duty", HELD_DUTY))
+    wait_until(lambda: fan.duty == HELD_DUTY, "the set-point")
+
+    def met(one):
+        raise of_another(one, "root", "user robot (1000)")
+
+    monkeypatch.setattr(deputy, "connect", met)
+    for pid in wait_until(lambda: both(spec), "an understudy"):
+        os.kill(pid, signal.SIGKILL)
+    wait_until(lambda: "belongs to root" in kept.trouble(), "the other keeper to be told")
+    begun_s = time.monotonic()
+    kept.close()
+    assert time.monotonic() - begun_s < 5.0
+    assert "is left to a keeper that this program cannot ask" in said[-1]
 
 
 def test_a_keeper_that_hangs_is_stood_in_for(wire):

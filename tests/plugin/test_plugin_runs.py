@@ -246,6 +246,12 @@ def test_samples_that_were_asked_for_ahead_may_be_a_cycle_older():
     assert oldest_s(source.config, "tracker") == pytest.approx(0.25)
 
 
+def test_samples_that_wait_for_the_loop_in_a_queue_may_be_a_cycle_older():
+    slow = BenchSource("emulated", overrides={"loop.rate_hz": 25.0, "thrust.model": "vesc"})
+    assert oldest_s(slow.config, "thrust") == pytest.approx(0.065)
+    assert oldest_s(BenchSource("emulated").config, "thrust") == pytest.approx(0.025)
+
+
 @pytest.mark.usefixtures("started_commands")
 def test_fixtures_and_markers_on_the_emulated_bench(run):
     result, found = run("-rs", "-p", "no:cacheprovider", "-W", "error", "--hil-seed=7", test_all=FIXTURES)

@@ -122,15 +122,39 @@ def test_the_age_allowed_follows_from_rate_and_asking_ahead(rate_hz, ahead):
     assert limits["imu.age"] == 20.0 + period_ms
 
 
-def ages_ms(overrides):
+@pytest.mark.parametrize("rate_hz", [100.0, 50.0])
+def test_frames_on_can_may_be_a_cycle_older(rate_hz):
+    on_can = {"thrust.model": "vesc", "load_cells.model": "hx711_can", "adhesion.model": "dronecan"}
+    in_lines = {"thrust.model": "teensy", "load_cells.model": "hx711_line"}
+    period_ms = 1e3 / rate_hz
+    for models, cycles in ((on_can, 1), (in_lines, 0)):
+        config = load_bench("emulated", overrides={"loop.rate_hz": rate_hz, **models})
+        limits = {m.name: m.high for m in measurements(Parameters(), config)}
+        assert limits["thrust.age"] == 5.0 + cycles * period_ms
+        assert limits["load_cells.age"] == 20.0 + cycles * period_ms
+        assert limits["adhesion.age"] == 10.0 + period_ms
+
+
+@pytest.mark.parametrize("fan", ["vesc", "dronecan"])
+@pytest.mark.parametrize("propellers", ["teensy", "vesc"])
+@pytest.mark.parametrize("rate_hz", [100.0, 50.0])
+def test_what_holds_the_robot_is_young_enough_whenever_it_reports(fan, propellers, rate_hz):
+    """A seed chooses when in a cycle controllers report; where they report slower that phase stays."""
+    overrides = {"adhesion.model": fan, "thrust.model": propellers, "loop.rate_hz": rate_hz}
+    holding = ("adhesion", "thrust", "load_cells")
+    for seed in (1, 2, 3, 4, 5):
+        found = ages_ms(overrides, holding, seed=seed)
+        assert {name: age for name, (age, limit) in found.items() if not 0.0 <= age <= limit} == {}
+
+
+def ages_ms(overrides, names=("servos", "encoders", "imu", "mocap"), seed=0):
     """(age at rest, age allowed) by device, as bring_up judges them."""
-    with open_bench("emulated", overrides={"tracker": None, **overrides}) as bench:
+    with open_bench("emulated", seed=seed, overrides={"tracker": None, **overrides}) as bench:
         stand(bench)
         motion, config = bench.observe(1.0, feedback="odometry"), bench.config
     limits = {m.name: m.high for m in measurements(Parameters(), config)}
     return {
-        name: (1e3 * judge_stream(name, motion, config).age_s[0], limits[f"{name}.age"])
-        for name in ("servos", "encoders", "imu", "mocap")
+        name: (1e3 * judge_stream(name, motion, config).age_s[0], limits[f"{name}.age"]) for name in names
     }
 
 

@@ -13,6 +13,7 @@ from hil.calibration.calibrate import calibrate
 from hil.calibration.evaluation import position_rmse, track_all
 from hil.calibration.problem import make_setting
 from hil.calibration.versions import Shelf
+from hil.procedure.dry_run import dry_run
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import load_procedure
 from hil.procedures.odometry_calibration import Parameters
@@ -28,6 +29,7 @@ from hil.procedures.parts.odometry_rounds import (
 from hil.recording.plain_csv import read_plain
 from hil.report.run_page import write_run_page
 from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import ConfigError
 
 SMALL = {
     "motions": "line_x,line_y,rotation_ccw", "repetitions": 2, "validation_repetitions": 1,
@@ -47,6 +49,28 @@ def test_what_was_found_drives_better_and_passes(small):
     assert small.values["position_rmse_after"] < 2.0
     assert small.values["rejected_share"] == small.values["rejected_recordings"] / 6
     small.assert_held()
+
+
+@pytest.mark.parametrize("propellers", ["teensy", "vesc"])
+def test_turns_on_a_wall_are_refused_before_anything_is_opened(tmp_path, propellers):
+    used = watched("odometry_calibration", bench="emulated", overrides={"thrust.model": propellers})
+    told = r"circle_ccw, rotation_cw turn the robot by 180 deg.* at most 15 deg"
+    procedure = load_procedure("odometry_calibration")
+    settings = procedure.settings({}, quick=True)
+    with pytest.raises(ConfigError, match=told):
+        dry_run(procedure, used, settings)
+    options = RunOptions(
+        tmp_path / "run", MonotonicClock(), "2026-01-01T00:00:00", settings, operator=Nobody()
+    )
+    result = run_procedure(procedure, used, options)
+    assert (result.error.kind, result.exit_code) == ("ConfigError", 2), result.error
+    assert not used.benches
+
+
+def test_turns_that_a_wall_allows_are_planned_there():
+    settings = {"motions": "line_x,rotation_ccw,rotation_cw", "turns": 0.04, "line_m": 0.35}
+    plan = dry_run(load_procedure("odometry_calibration"), plain_source("emulated"), settings)
+    assert plan["trajectories_checked"] == 3
 
 
 def test_every_recording_of_every_round_is_there_and_readable(small):
@@ -146,10 +170,10 @@ def test_two_processes_record_the_same_bytes_as_one(tmp_path):
     assert not (tmp_path / "1" / "calibration.toml").exists()
 
 
-def plain_source():
+def plain_source(bench="emulated_floor"):
     from hil.procedure import BenchSource
 
-    return BenchSource("emulated_floor")
+    return BenchSource(bench)
 
 
 def test_what_may_be_rejected_is_a_share_of_all_rounds_that_were_fitted():

@@ -105,6 +105,8 @@ def test_a_refusal_names_the_first_time_and_value():
         check(ALL[0], CAD, MotionLimits(x_range_m=(0.0, 1.0), wheel_acceleration_m_s2=1.0))
     with pytest.raises(TrajectoryError, match="-y on the wall"):
         check(tr.line(ORIGIN, [0, -1.0, 0]), CAD, MotionLimits(y_range_m=(-0.5, 1.0)))
+    with pytest.raises(TrajectoryError, match=r" is 1\.00002 at .*; expected at most 1;"):
+        check(tr.line([-0.5003, 0, 0], [-1.0003, 0, 0]), CAD, MotionLimits(x_range_m=(-1.0, 5.0)))
     nowhere = tr.Segment(tr.Straight((0.0, 0.0, 0.0), (1.0, 0.0, math.nan)), 5.0)
     with pytest.raises(TrajectoryError, match="reference"):
         check(tr.Trajectory("nowhere", (nowhere,)), CAD, MotionLimits())

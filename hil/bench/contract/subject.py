@@ -118,9 +118,9 @@ def due(bench: Bench, kind: str, samples: list[Any], duration_s: float) -> float
 
 
 def oldest_s(config: BenchConfig, kind: str) -> float:
-    """How old a healthy device's samples may be, s: a cycle more where they are asked for a cycle ahead."""
-    ahead = bool(getattr(config.devices()[kind], "prefetch", False))
-    return _OLDER * kinds()[kind].age_s + ahead / config.loop.rate_hz
+    """How old a healthy device's samples may be, s: a cycle more where they wait for the loop."""
+    waits = config.devices()[kind].waits_for_loop()
+    return _OLDER * kinds()[kind].age_s + waits / config.loop.rate_hz
 
 
 def judged(device: str, promise: str, check: Callable[[], str]) -> Finding:

@@ -2,8 +2,8 @@
 
 The bench's link to the keeper is looked at twenty times a second, beside whatever the bench does. When the
 keeper hangs up, is silent or no longer reaches the bus, the bench sends the same set-point itself, at once;
-it starts a new keeper, and steps back when that one has taken over. A fan that was emulated and is gone needs
-neither.
+it starts a new keeper, and steps back when that one has taken over. Where a keeper has come that does not
+talk to this user, the bench goes on by itself. A fan that was emulated and is gone needs none of it.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class KeptByProcess(Kept):
         self._status: Status = {}
         self._wish: Request | None = None
         self._refused: HilError | None = None
-        self._in_for = self._trouble = ""
+        self._in_for = self._shut_out = self._trouble = ""
         self._wish_until_ns = self._next_beat_ns = self._next_try_ns = 0
         self._beat = Beat(self._spec, Keeper(self._spec, adopts=False), _LOG.info)
 
@@ -134,10 +134,13 @@ class KeptByProcess(Kept):
         if self._closed or self._end is None:
             return
         give_up_ns = self._clock.now_ns() + nanoseconds(_HAND_OVER_S)
-        while self._stands_in() and self._clock.now_ns() < give_up_ns:
+        while self._stands_in() and not self._shut_out and self._clock.now_ns() < give_up_ns:
             self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
         if self._stands_in():
-            self._say(f"the bench ends and {self._spec.noun} has no keeper: it stops. Secure the robot")
+            left = "has no keeper: it stops"
+            if self._shut_out:
+                left = "is left to a keeper that this program cannot ask: look with `hil adhesion status`"
+            self._say(f"the bench ends and {self._spec.noun} {left}. Secure the robot")
         self._end()
         with self._lock:
             self._closed = True
@@ -180,9 +183,10 @@ class KeptByProcess(Kept):
         else:
             self._ask(self._link)
         if self._in_for:
-            self._trouble = "; ".join(text for text in (self._in_for, self._beat.bus_error) if text)
+            told = (self._in_for, self._shut_out, self._beat.bus_error)
+            self._trouble = "; ".join(text for text in told if text)
         else:
-            self._trouble = str(self._refused or self._status.get("bus_error", ""))
+            self._trouble = str(self._refused or self._shut_out or self._status.get("bus_error", ""))
 
     def _amiss(self, t_ns: int) -> str:
         """What is wrong with the keeper; empty for nothing."""
@@ -256,7 +260,8 @@ class KeptByProcess(Kept):
         trouble = f"{self._spec.bus} was emulated and is gone: {self._spec.noun} has no keeper"
         if self._trouble != trouble:
             self._say(trouble)
-        self._link, self._status, self._in_for, self._trouble = None, {}, "", trouble
+        self._link, self._status, self._in_for, self._shut_out = None, {}, "", ""
+        self._trouble = trouble
         self._beat.keeper = Keeper(self._spec, adopts=False)
 
     def _obey(self, wish: Request, t_ns: int) -> None:
@@ -284,7 +289,14 @@ class KeptByProcess(Kept):
 
     def _look_for_another(self, t_ns: int) -> None:
         """Find the understudy, or a keeper that somebody else has started; or start one."""
-        found = connect(self._spec)
+        if self._shut_out and t_ns < self._next_try_ns:
+            return
+        try:
+            found = connect(self._spec)
+        except DeviceError as error:
+            self._stay_out(t_ns, error)
+            return
+        self._shut_out = ""
         if found is not None:
             self._link, self._status = Link(found, t_ns), {"state": "idle"}
             if self._starting is not None:
@@ -299,6 +311,15 @@ class KeptByProcess(Kept):
         elif t_ns >= self._next_try_ns:
             self._starting = Starting(self._spec, emulated=self._emulation.known)
             self._next_try_ns = t_ns + _AGAIN_NS
+
+    def _stay_out(self, t_ns: int, why: DeviceError) -> None:
+        """There is a keeper that does not talk to us: told once, and asked again now and then."""
+        self._next_try_ns = t_ns + _AGAIN_NS
+        if self._shut_out != why.message:
+            self._shut_out = why.message
+            self._say(str(why))
+        if self._starting is not None and self._starting.said(0.0) is not None:
+            self._starting = None
 
     def _our_wish(self) -> Request | None:
         """What a new keeper is to do, beside what it takes over by itself."""
