@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -38,6 +39,7 @@ _FRAME_MOVED_M = 0.005
 """Motion capture whose frame has moved further does not tell where the robot stands."""
 _RECORDED = ("t_ns", "pose_body_in_wall", "steering_true_rad", "normal_load_n", "slip_m_s", "fallen")
 """Of an emulated robot's truth, what its recordings keep (`PlantState`)."""
+_recorded = attrgetter(*_RECORDED)
 
 OnCycle = Callable[[CycleRecord], None]
 Until = Callable[[CycleRecord], bool]
@@ -98,7 +100,7 @@ class Bench(HeldRig):
     def _recorded_truth(self) -> Mapping[str, object] | None:
         """What of `truth` goes into the records."""
         truth = self.truth()
-        return None if truth is None else {name: getattr(truth, name) for name in _RECORDED}
+        return None if truth is None else dict(zip(_RECORDED, _recorded(truth), strict=True))
 
     def settle(self, duration_s: float = _SETTLE_S) -> Array:
         """Rest, and return the pose (3,) as `measured_pose` does.

@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from hil.ring.dead_reckoning import Kept, Track, WheelTrack, moved
+from hil.ring.dead_reckoning import Kept, Track, WheelTrack, moved, rolled
 from hil.ring.doubts import CAMERA, STEP_NS, WHEELS, Party, Relocalisation, Sum
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.signals import PoseMeasurement
@@ -168,7 +168,7 @@ class CaptureCheck:
         h = self.allowed
         true, turned = moved(was, seen)
         rolling, turning = moved(before, now)
-        far, loose = ((b - a).real for a, b in zip(before[2:], now[2:], strict=True))
+        far, loose = rolled(before, now)
         if self._leaps[1].jumped(t_ns, abs(true - rolling), abs(turned - turning)):
             return
         self.ways_m[1] += far

@@ -78,6 +78,11 @@ def moved(before: Kept, now: Kept) -> tuple[complex, float]:
     return (now[0] - before[0]) * cmath.rect(1.0, -before[1].real), (now[1] - before[1]).real
 
 
+def rolled(before: Kept, now: Kept) -> tuple[float, float]:
+    """Rolled way and contradiction (m) between two values of a `WheelTrack`."""
+    return (now[2] - before[2]).real, (now[3] - before[3]).real
+
+
 class WheelTrack(Track):
     """Keeps place (m, complex), heading (rad), rolled way (m) and contradiction (m): all sums.
 

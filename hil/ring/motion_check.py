@@ -12,7 +12,7 @@ import cmath
 from dataclasses import dataclass, replace
 
 from hil.ring.capture_check import CaptureCheck, Seen
-from hil.ring.dead_reckoning import GyroTrack, Kept, WheelTrack, moved
+from hil.ring.dead_reckoning import GyroTrack, Kept, WheelTrack, moved, rolled
 from hil.ring.doubts import CAMERA, STEP_NS, WHEELS, Doubt, Party, Relocalisation, Sum
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S
@@ -180,7 +180,7 @@ class MotionCheck:
         way = (now.place - before.place) * cmath.rect(1.0, -before.heading_rad)
         turn = now.heading_rad - before.heading_rad
         rolling, turning = moved(before.wheels, now.wheels)
-        path, loose = ((b - a).real for a, b in zip(before.wheels[2:], now.wheels[2:], strict=True))
+        path, loose = rolled(before.wheels, now.wheels)
         if self._leap.jumped(now.t_ns, abs(way - rolling), abs(turn - turning)):
             return False
         self._way_m += path
@@ -207,7 +207,7 @@ class MotionCheck:
         if before is None or not 0 < t_ns - before[0] < _GAP_NS or not self._gyro.covers(before[0]):
             return False
         h, dt_s = self.honest, (t_ns - before[0]) / NS_PER_S
-        turning, path, loose = ((a - b).real for a, b in zip(wheels[1:], before[1][1:], strict=True))
+        turning, (path, loose) = (wheels[1] - before[1][1]).real, rolled(before[1], wheels)
         turned = (gyro[0] - before[2][0]).real
         allowed = h.turn * abs(turning) + h.turn_rad_m * path + loose / self._arm_m
         self._wheels_gyro.add(

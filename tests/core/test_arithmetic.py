@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hil.config.servo_models import DEFAULT_MODEL, servo_model
+from hil.fakes.encoders import as5045
 from hil.fakes.imu import output, registers
 from hil.fakes.imu.sample import counts
 from hil.fakes.imu.sensors import ImuTruthOptions, InertialSensors, Sensed, matrix
@@ -180,6 +181,27 @@ def test_the_servos_answer_the_same_with_and_without_machine_code(twice, draws):
             said = b"".join(protocol.fast_status(parts, 1 + 8 * 14))
             assert interpreted(counts) == said
             assert compiled(counts) == said
+
+
+@pytest.mark.parametrize("flags", [0, as5045.MAG_INC, as5045.COF])
+def test_the_encoders_say_the_same_with_and_without_machine_code(twice, draws, flags):
+    chips, block = [], draws.standard_normal((400, 5))
+    for _ in range(4):
+        once, errors = draws.normal(0.0, 0.1, (2, 2)).tolist()
+        chips += as5045.chip(once=once, twice=errors, noise_rad=0.01, sign=-1, zero_rad=draws.normal())
+    chips[as5045.CHIP_SIZE + as5045.FLAGS] = flags
+
+    def make():
+        numbers, noise = arithmetic.vector(chips), arithmetic.rows(block)
+        said = arithmetic.quick(as5045.words, numbers, 0.0, 0.0, 0.0, 0.0, noise, 0, 0)
+        return lambda angles, row, more: said(numbers, *angles, noise, row, more)
+
+    compiled, plain = twice(make)
+    for row in range(400):
+        angles, more = draws.normal(0.0, 5.0, 4).tolist(), as5045.OCF if row > 3 else 0
+        words = plain(angles, row, more)
+        assert compiled(angles, row, more) == words
+        assert words == tuple(as5045.with_parity(word) for word in words)
 
 
 def test_the_servos_measure_what_their_firmware_does():

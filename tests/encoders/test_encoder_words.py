@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.drivers.encoders import decode_word
-from hil.fakes.encoders.as5045 import COF, LIN, MAG_DEC, MAG_INC, OCF, As5045Chip, with_parity
+from hil.fakes.encoders.as5045 import COF, FLAGS, LIN, MAG_DEC, MAG_INC, OCF, chip, with_parity, word
 from hil.vocabulary.signals import Status
 
 GOLDEN_FILE = Path(__file__).parents[1] / "golden" / "as5045_words.json"
@@ -38,25 +38,25 @@ def test_any_single_flipped_bit_breaks_parity(word, bit):
 
 @given(st.floats(-20, 20))
 def test_chip_and_decoder_agree_to_half_a_count(angle):
-    found, status = decode_word(As5045Chip().word(angle, 0.0))
+    found, status = decode_word(word(chip(), 0, angle, 0.0, OCF))
     assert status is Status.OK
     assert abs(math.remainder(found - angle, 2 * math.pi)) <= math.pi / 4096 + 1e-9
     assert -math.pi <= found < math.pi
 
 
 def test_an_eccentric_magnet_errs_once_and_twice_per_turn():
-    chip = As5045Chip(once=(0.02, 0.4), twice=(0.005, -1.0))
+    eccentric = chip(once=(0.02, 0.4), twice=(0.005, -1.0))
     for k in range(64):
         theta = 2 * math.pi * k / 64
-        found = decode_word(chip.word(theta, 0.0))[0]
+        found = decode_word(word(eccentric, 0, theta, 0.0, OCF))[0]
         expected = 0.02 * math.sin(theta + 0.4) + 0.005 * math.sin(2 * theta - 1.0)
         assert math.remainder(found - theta, 2 * math.pi) == pytest.approx(expected, abs=0.0008)
 
 
 def test_after_a_cordic_overflow_the_last_good_angle_is_held():
-    chip = As5045Chip()
-    before = chip.word(1.0, 0.0) >> 6
-    chip.flags = COF
-    assert chip.word(2.0, 0.0) >> 6 == before
-    chip.flags = LIN
-    assert chip.word(2.0, 0.0) >> 6 != before
+    one = chip()
+    before = word(one, 0, 1.0, 0.0, OCF) >> 6
+    one[FLAGS] = COF
+    assert word(one, 0, 2.0, 0.0, OCF) >> 6 == before
+    one[FLAGS] = LIN
+    assert word(one, 0, 2.0, 0.0, OCF) >> 6 != before

@@ -13,6 +13,8 @@ from hil.vocabulary.signals import MocapSample, Status
 
 __all__ = ["KIND"]
 
+_OK = Status.OK
+
 
 def _pose(sample: MocapSample, wall_ns: int) -> bytes:
     """`geometry_msgs/PoseStamped` in the capture frame."""
@@ -20,7 +22,7 @@ def _pose(sample: MocapSample, wall_ns: int) -> bytes:
 
 
 def _place(sample: MocapSample) -> Array | None:
-    return sample.position_m if sample.status is Status.OK and sample.tracking_valid else None
+    return sample.position_m if sample.status is _OK and sample.tracking_valid else None
 
 
 KIND = DeviceKind(

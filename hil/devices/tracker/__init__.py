@@ -12,6 +12,8 @@ from hil.vocabulary.signals import Status, TrackerSample
 
 __all__ = ["KIND"]
 
+_OK = Status.OK
+
 
 def _pose(sample: TrackerSample, wall_ns: int) -> bytes:
     """`geometry_msgs/PoseStamped` in the camera's start frame."""
@@ -20,7 +22,7 @@ def _pose(sample: TrackerSample, wall_ns: int) -> bytes:
 
 
 def _place(sample: TrackerSample) -> Array | None:
-    return sample.position_m if sample.status is Status.OK else None
+    return sample.position_m if sample.status is _OK else None
 
 
 KIND = DeviceKind(

@@ -8,14 +8,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from math import floor, sin
+
+from hil.vocabulary.arithmetic import Rows, Vector
 
 OCF, COF, LIN, MAG_INC, MAG_DEC = 0x20, 0x10, 0x08, 0x04, 0x02
 COUNTS = 4096
 START_UP_NS = 20_000_000
 _COUNTS_PER_RAD = COUNTS / (2.0 * math.pi)
-_ODD = bytes(bits.bit_count() & 1 for bits in range(COUNTS))
-"""Whether the number of ones is odd."""
+
+# Numbers of a chip: amplitude and phase of its error once and twice per turn, noise, sign and zero of its
+# mount, how far the magnet has turned in its seat (horn slip); status bits without OCF, set by a magnet that
+# is too far or too near, and the counts that it holds.
+ONCE, ONCE_PHASE, TWICE, TWICE_PHASE, NOISE, SIGN, ZERO, OFFSET, FLAGS, HELD = range(10)
+CHIP_SIZE = 10
 
 
 @dataclass(frozen=True)
@@ -41,39 +46,68 @@ def with_parity(word: int) -> int:
     return word | (word.bit_count() & 1)
 
 
-class As5045Chip:
-    """One encoder chip.
+def chip(
+    *,
+    once: tuple[float, float] = (0.0, 0.0),
+    twice: tuple[float, float] = (0.0, 0.0),
+    noise_rad: float = 0.0,
+    sign: int = 1,
+    zero_rad: float = 0.0,
+) -> list[float]:
+    """Numbers of one chip (`CHIP_SIZE`,).
 
-    Attributes:
-        flags: status bits without OCF; set by a magnet that is too far or too near.
-        offset_rad: how far the magnet has turned in its seat (horn slip).
+    Args:
+        once: amplitude and phase (rad) of the error of an eccentric magnet, once per turn.
+        twice: of that twice per turn.
+        noise_rad: standard deviation of the transition noise.
+        sign: how the magnet is mounted.
+        zero_rad: where its zero lies.
     """
+    return [*once, *twice, noise_rad, sign, zero_rad, 0.0, 0.0, 0.0]
 
-    def __init__(
-        self,
-        *,
-        once: tuple[float, float] = (0.0, 0.0),
-        twice: tuple[float, float] = (0.0, 0.0),
-        noise_rad: float = 0.0,
-        sign: int = 1,
-        zero_rad: float = 0.0,
-    ) -> None:
-        """`once` and `twice` are (amplitude rad, phase rad) of the eccentricity error."""
-        self._errors = (*once, *twice, noise_rad)
-        self._sign, self._zero_rad = sign, zero_rad
-        self.flags = 0
-        self.offset_rad = 0.0
-        self._held = 0
 
-    def word(self, angle_rad: float, noise: float, started: bool = True) -> int:
-        """The word for a true axis angle; `noise` is a standard normal number."""
-        theta = self._sign * angle_rad + self._zero_rad + self.offset_rad
-        a1, p1, a2, p2, sigma = self._errors
-        seen = theta + a1 * sin(theta + p1) + a2 * sin(2.0 * theta + p2) + sigma * noise
-        flags = self.flags
-        if not flags & COF:
-            self._held = floor(seen * _COUNTS_PER_RAD + 0.5) % COUNTS
-        held = self._held
-        if started:
-            flags |= OCF
-        return held << 6 | flags | (_ODD[held] ^ _ODD[flags])
+def word(chips: Vector, at: int, angle_rad: float, noise: float, more: int) -> int:
+    """The word of one chip.
+
+    Args:
+        chips: (`CHIP_SIZE` n,).
+        at: where the chip's numbers begin.
+        angle_rad: true angle of the axis.
+        noise: a standard normal number.
+        more: status bits beside those of the magnet: OCF once it has started.
+    """
+    theta = chips[at + SIGN] * angle_rad + chips[at + ZERO] + chips[at + OFFSET]
+    once = chips[at + ONCE] * math.sin(theta + chips[at + ONCE_PHASE])
+    twice = chips[at + TWICE] * math.sin(2.0 * theta + chips[at + TWICE_PHASE])
+    seen = theta + once + twice + chips[at + NOISE] * noise
+    flags = int(chips[at + FLAGS]) | more
+    if not flags & COF:
+        chips[at + HELD] = math.floor(seen * _COUNTS_PER_RAD + 0.5) % COUNTS
+    bits = int(chips[at + HELD]) << 6 | flags
+    ones = bits ^ bits >> 9
+    ones ^= ones >> 1 ^ ones >> 2 ^ ones >> 3 ^ ones >> 4 ^ ones >> 5 ^ ones >> 6 ^ ones >> 7 ^ ones >> 8
+    return bits | ones & 1
+
+
+def words(
+    chips: Vector, a_rad: float, b_rad: float, c_rad: float, d_rad: float, noise: Rows, row: int, more: int
+) -> tuple[int, ...]:
+    """Words of four chips whose axes stand so; see `word`.
+
+    Args:
+        chips: (4 `CHIP_SIZE`,).
+        a_rad: angle of the first axis.
+        b_rad: of the second.
+        c_rad: of the third.
+        d_rad: of the fourth.
+        noise: (n, 4 or more) standard normal numbers.
+        row: which of them count.
+        more: status bits.
+    """
+    drawn = noise[row]
+    return (
+        word(chips, 0, a_rad, drawn[0], more),
+        word(chips, CHIP_SIZE, b_rad, drawn[1], more),
+        word(chips, 2 * CHIP_SIZE, c_rad, drawn[2], more),
+        word(chips, 3 * CHIP_SIZE, d_rad, drawn[3], more),
+    )

@@ -7,20 +7,26 @@ DBC. It samples on its own clock, with jitter, and restarts its counters when it
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Protocol
+
+import numpy as np
 
 from hil.fakes.can_wire import WIRE_FAULTS
 from hil.fakes.encoders.as5045 import (
+    CHIP_SIZE,
     COUNTS,
+    OCF,
+    OFFSET,
     START_UP_NS,
-    As5045Chip,
     EncoderTruthOptions,
+    chip,
     with_parity,
+    words,
 )
 from hil.fakes.fault import PERIODIC, STRIKES, Fault, Supported
 from hil.fakes.faults import Once
 from hil.fakes.world import Scheduled, World
+from hil.vocabulary.arithmetic import quick, rows, vector
 from hil.vocabulary.signals import WHEELS
 
 AXIS_FAULTS: Supported = {
@@ -90,7 +96,8 @@ class EncoderNode(Scheduled):
         self._ids = tuple(frame_id + node_id for frame_id in FRAME_IDS)
         self._rng = world.rng(name)
         options = options if options is not None else EncoderTruthOptions()
-        self.chips = tuple(self._chip(options, s, z) for s, z in zip(sign, zero_rad, strict=True))
+        chips = [self._chip(options, s, z) for s, z in zip(sign, zero_rad, strict=True)]
+        self._chips = vector([number for numbers in chips for number in numbers])
         self._axes = tuple(f"encoder.{wheel}" for wheel in WHEELS)
         self._plan = world.faults.of(name, *self._axes)
         self._rate_hz = max(1, round(rate_hz))
@@ -98,7 +105,8 @@ class EncoderNode(Scheduled):
         self._period_ns = round(1e9 / rate_hz * (1.0 + 1e-6 * clock_ppm))
         self._rate_error = 1.0 - 1e-6 * clock_ppm
         self._jitter_ns = 1e9 * jitter_s
-        self._noise: Iterator[list[float]] = iter(())
+        self._noise, self._late, self._row = rows(np.zeros((1, 5))), [0.0], 0
+        self._words = quick(words, self._chips, 0.0, 0.0, 0.0, 0.0, self._noise, 0, 0)
         self._once = Once()
         self._frozen: dict[str, int] = {}
         self._dead = self._first_set = False
@@ -115,30 +123,30 @@ class EncoderNode(Scheduled):
 
     def on_due(self, t_ns: int) -> None:
         """Sample the four chips and send two frames."""
-        noise = self._draw()
+        row = self._draw()
         faulty = not self._plan.empty
         slow = self._plan.find(self.name, "slow", t_ns) if faulty else None
         period_ns = self._period_ns
         if slow is not None:
             period_ns = round(period_ns * slow.slowness)
-        grid_ns, late = self._grid_ns + period_ns, abs(noise[4])
+        grid_ns, late = self._grid_ns + period_ns, abs(self._late[row])
         self._grid_ns = grid_ns = grid_ns if grid_ns > t_ns else t_ns
         due_ns = grid_ns + round((late if late < 3.0 else 3.0) * self._jitter_ns)
         self._due_ns = due_ns if due_ns > t_ns else t_ns + 1
         if faulty and self._power(t_ns):
             return
-        steering = self._world.plant.steering_rad()
-        started = t_ns - self._boot_ns >= START_UP_NS
-        words = [chip.word(steering[k], noise[k], started) for k, chip in enumerate(self.chips)]
+        started = OCF if t_ns - self._boot_ns >= START_UP_NS else 0
+        a, b, c, d = self._world.plant.steering_rad()
+        told = self._words(self._chips, a, b, c, d, self._noise, row, started)
         if self._first_set:
             self._first_set = False
-            words = [int(w) for w in self._rng.integers(0, 1 << 18, 4)]
+            told = tuple(self._rng.integers(0, 1 << 18, 4).tolist())
         send_ns = t_ns
         if faulty:
-            words = [self._spoil(axis, word, t_ns) for axis, word in enumerate(words)]
+            told = tuple([self._spoil(axis, word, t_ns) for axis, word in enumerate(told)])
             delayed = self._plan.find(self.name, "delayed", t_ns)
             send_ns += delayed.delay_ns(_DELAY_S) if delayed is not None else 0
-        self._send(words, t_ns, send_ns)
+        self._send(told, t_ns, send_ns)
 
     def reset(self, t_ns: int) -> None:
         """Power was cycled: counters restart, the first words are garbage."""
@@ -149,21 +157,20 @@ class EncoderNode(Scheduled):
         self._sequence = 0
         self._first_set = True
 
-    def _chip(self, options: EncoderTruthOptions, sign: int, zero_rad: float) -> As5045Chip:
+    def _chip(self, options: EncoderTruthOptions, sign: int, zero_rad: float) -> list[float]:
         a1, a2 = (float(a) for a in self._rng.normal(0.0, (options.once_rad, options.twice_rad)))
         p1, p2 = (float(p) for p in self._rng.uniform(-math.pi, math.pi, 2))
-        return As5045Chip(
-            once=(a1, p1), twice=(a2, p2), noise_rad=options.noise_rad, sign=sign, zero_rad=zero_rad
-        )
+        return chip(once=(a1, p1), twice=(a2, p2), noise_rad=options.noise_rad, sign=sign, zero_rad=zero_rad)
 
-    def _draw(self) -> list[float]:
-        row = next(self._noise, None)
-        if row is None:
-            self._noise = iter(self._rng.standard_normal((_BLOCK, 5)).tolist())
-            row = next(self._noise)
-        return row
+    def _draw(self) -> int:
+        """Row of the drawn numbers that counts now."""
+        if not self._row:
+            drawn = self._rng.standard_normal((_BLOCK, 5))
+            self._noise, self._late, self._row = rows(drawn), drawn[:, 4].tolist(), _BLOCK
+        self._row -= 1
+        return _BLOCK - 1 - self._row
 
-    def _send(self, words: list[int], t_ns: int, send_ns: int) -> None:
+    def _send(self, words: tuple[int, ...], t_ns: int, send_ns: int) -> None:
         node_ns = round((t_ns - self._boot_ns) * self._rate_error)
         tail = (self._sequence & 0xFF) << 36 | (node_ns // _TIME_LSB_NS & _TIME_MASK) << 44
         self._sequence += 1
@@ -219,7 +226,7 @@ class EncoderNode(Scheduled):
         if kind == "corrupt" and fault.strikes(self._rng):
             return word ^ 1 << int(self._rng.integers(0, 18))
         if kind == "jump" and self._once.news((name, kind), fault) is not None:
-            self.chips[axis].offset_rad += fault.option("angle_rad", _SLIP_RAD)
+            self._chips[axis * CHIP_SIZE + OFFSET] += fault.option("angle_rad", _SLIP_RAD)
         return word
 
 

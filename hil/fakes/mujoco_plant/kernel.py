@@ -2,7 +2,7 @@
 
 Plain Python on indexed numbers, compiled by numba where that is installed. The servos are those of the own
 plant (`hil.fakes.plant.kernel`: firmware, motor, limits, play), with its vectors `c` (106 + 5 per patch,),
-`s` (138,) and `q` (40,); body and wheels are MuJoCo's, `qpos` (nq,) and `qvel` (nv,), found by the indices
+`s` (144,) and `q` (40,); body and wheels are MuJoCo's, `qpos` (nq,) and `qvel` (nv,), found by the indices
 `a` (28,). `friction` (4, 5) is that of the wheels' contacts. A steering servo takes its fork along: the
 torque of a step is what brings it to where servo and play want it at the step's end. On a spring, however
 stiff, it would overshoot whenever the play is taken up. A drive servo turns its wheel by its torque.
@@ -24,11 +24,13 @@ from hil.fakes.plant.kernel import (
     GRAVITY,
     HEADING,
     KT,
+    ORIGIN,
     PATCHES,
     RADIUS,
     RATE,
     SLID,
     SLIP,
+    TWIST,
     VELOCITY,
     WHEEL_X,
     WHEEL_Y,
@@ -111,6 +113,16 @@ def finish(c: Array, s: Array, a: Array, qpos: Array, qvel: Array) -> None:
     x, y = (s[VELOCITY] - before_x) / c[DT], (s[VELOCITY + 1] - before_y) / c[DT]
     cosine, sine = math.cos(s[BODY + 2]), math.sin(s[BODY + 2])
     s[ACCELERATION], s[ACCELERATION + 1] = cosine * x + sine * y, cosine * y - sine * x
+    look_from_origin(s)
+
+
+def look_from_origin(s: Array) -> None:
+    """Pose of the body's origin, which is MuJoCo's body itself, and its twist in body axes."""
+    cosine, sine = math.cos(s[BODY + 2]), math.sin(s[BODY + 2])
+    s[ORIGIN], s[ORIGIN + 1], s[ORIGIN + 2] = s[BODY], s[BODY + 1], s[BODY + 2]
+    s[TWIST] = cosine * s[VELOCITY] + sine * s[VELOCITY + 1]
+    s[TWIST + 1] = cosine * s[VELOCITY + 1] - sine * s[VELOCITY]
+    s[TWIST + 2] = s[VELOCITY + 2]
 
 
 def look_at_body(s: Array, qpos: Array, qvel: Array) -> None:

@@ -23,7 +23,6 @@ from hil.fakes.plant.body import SteppedBody, checked_pose
 from hil.fakes.plant.parameters import TrueParameters
 from hil.fakes.plant.robot import GRAVITY_M_S2, make_constants
 from hil.fakes.plant.surfaces import Patch
-from hil.fakes.plant_api import BodyMotion, PlantState
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import ConfigError, DeviceError
 from hil.vocabulary.extras import is_installed
@@ -169,6 +168,7 @@ class MujocoRobot(SteppedBody):
         data.qpos[a[mk.DRIVE_Q : mk.DRIVE_Q + 4]] = 0.0
         data.qpos[a[mk.STEER_Q : mk.STEER_Q + 4]] = self._state[k.HEADING : k.HEADING + 4]
         self._state[k.BODY : k.VELOCITY + 3] = [*pose, 0.0, 0.0, 0.0]
+        mk.look_from_origin(self._state)
         self._mujoco.mj_forward(model, data)
 
     def _integrate(self, n: int, adhesion_factor: float) -> None:
@@ -216,20 +216,16 @@ class MujocoRobot(SteppedBody):
             out[self._built.wheel_of[int(geom)]] = value
         return out
 
-    def body(self) -> BodyMotion:
-        """How the origin of the body moves; MuJoCo's velocities are in wall axes."""
-        x, y, theta, vx, vy, turn, ax, ay = self._motion.tolist()
-        c, n = math.cos(theta), math.sin(theta)
-        return BodyMotion(x, y, theta, c * vx + n * vy, c * vy - n * vx, turn, ax, ay, self.tilt_rad)
-
     def steering_rad(self) -> list[float]:
         """True heading of each fork in the body frame, wheel order."""
         steer = self._built.indices[mk.STEER_Q : mk.STEER_Q + 4]
         return self._built.data.qpos[steer].tolist()  # type: ignore[no-any-return]
 
-    def _look(self) -> PlantState:
-        self._state[k.LOAD : k.LOAD + 4] = 0.0 if self._state[k.FALLEN] else self._loads_n()
-        return super()._look()
+    def _seen(self) -> Array:
+        s = super()._seen()
+        s[k.HEADING : k.HEADING + 4] = self.steering_rad()
+        s[k.LOAD : k.LOAD + 4] = 0.0 if s[k.FALLEN] else self._loads_n()
+        return s
 
 
 @cache

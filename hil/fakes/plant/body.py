@@ -18,6 +18,7 @@ from hil.fakes.plant.parameters import TrueParameters
 from hil.fakes.plant_api import BodyMotion, HoldingForces, JointCommand, Plant, PlantState
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.geometry import Array, ArrayLike
+from hil.vocabulary.records import named
 
 _MODES = {
     "off": k.MODE_OFF,
@@ -26,6 +27,12 @@ _MODES = {
     "pwm": k.MODE_PWM,
     "current": k.MODE_CURRENT,
 }
+
+_MOTION = slice(k.ORIGIN, k.ORIGIN + 8)
+_POSE, _TWIST = slice(k.ORIGIN, k.ORIGIN + 3), slice(k.TWIST, k.TWIST + 3)
+_ACCELERATION = slice(k.ACCELERATION, k.ACCELERATION + 2)
+_ANGLE, _RATE, _AMPS = (slice(at, at + 8) for at in (k.ANGLE, k.RATE, k.AMPS))
+_HEADING, _LOAD, _SLIP = slice(k.HEADING, k.HEADING + 4), slice(k.LOAD, k.LOAD + 4), slice(k.SLIP, k.SLIP + 8)
 
 
 class SteppedBody(Plant):
@@ -60,19 +67,17 @@ class SteppedBody(Plant):
         self._commands[k.DUTY_LIMIT :] = 1.0
         self._asked: list[tuple[str, float, float, float] | None] = [None] * 8
         self._truth: PlantState | None = None
-        self._motion, self._headings = (
-            _view(self._state[at : at + size]) for at, size in ((k.BODY, 8), (k.HEADING, 4))
-        )
-        angle, rate, amps = (_view(self._state[at : at + 8]) for at in (k.ANGLE, k.RATE, k.AMPS))
+        self._motion, self._headings = (_view(self._state[at]) for at in (_MOTION, _HEADING))
+        angle, rate, amps = (_view(self._state[at]) for at in (_ANGLE, _RATE, _AMPS))
         self._views = angle, rate, amps
 
     @abstractmethod
     def _integrate(self, n: int, adhesion_factor: float) -> None:
         """Go `n` internal steps on."""
 
-    @abstractmethod
     def body(self) -> BodyMotion:
         """How the body's origin moves."""
+        return named(BodyMotion, (*self._motion.tolist(), self.tilt_rad))
 
     def steering_rad(self) -> list[float]:
         """True heading of each wheel in the body frame, wheel order."""
@@ -80,7 +85,8 @@ class SteppedBody(Plant):
 
     def adhesion_n(self) -> float:
         """The fan's force as it acts now."""
-        return float(self._constants[k.ADHESION]) * self._adhesion_factor(self._steps)
+        force_n: float = self._constants.item(k.ADHESION)
+        return force_n if self._faults.empty else force_n * self._adhesion_factor(self._steps)
 
     @property
     def t_ns(self) -> int:
@@ -177,26 +183,18 @@ class SteppedBody(Plant):
         return self._truth
 
     def _look(self) -> PlantState:
-        s = self._state.copy()
-        s[k.BODY : k.BODY + 8] = self.body()[:8]
-        s[k.HEADING : k.HEADING + 4] = self.steering_rad()
+        s = self._seen()
         s.setflags(write=False)
         return PlantState(
-            t_ns=self.t_ns,
-            pose_body_in_wall=s[k.BODY : k.BODY + 3],
-            twist_body=s[k.VELOCITY : k.VELOCITY + 3],
-            acceleration_body=s[k.ACCELERATION : k.ACCELERATION + 2],
-            joint_position_rad=s[k.ANGLE : k.ANGLE + 8],
-            joint_velocity_rad_s=s[k.RATE : k.RATE + 8],
-            joint_current_a=s[k.AMPS : k.AMPS + 8],
-            steering_true_rad=s[k.HEADING : k.HEADING + 4],
-            normal_load_n=s[k.LOAD : k.LOAD + 4],
-            slip_m_s=s[k.SLIP : k.SLIP + 8].reshape(4, 2),
-            tilt_rad=self.tilt_rad,
-            fallen=bool(s[k.FALLEN]),
-            adhesion_n=self.adhesion_n(),
-            thrust_n=float(self._constants[k.THRUST]),
-        )
+            self.t_ns, s[_POSE], s[_TWIST], s[_ACCELERATION], s[_ANGLE], s[_RATE], s[_AMPS], s[_HEADING],
+            s[_LOAD], s[_SLIP].reshape(4, 2), self.tilt_rad, s.item(k.FALLEN) != 0.0, self.adhesion_n(),
+            self._constants.item(k.THRUST),
+        )  # fmt: skip
+
+    def _seen(self) -> Array:
+        """A copy of the state, with what else can be seen of the robot."""
+        seen: Array = self._state.copy()
+        return seen
 
 
 def checked_pose(pose: ArrayLike) -> Array:

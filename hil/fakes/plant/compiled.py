@@ -31,7 +31,7 @@ def compiled_advance() -> Advance:
 
 
 def interpreted_advance(n: int, adhesion_factor: float, numbers: Array) -> None:
-    """The same physics in plain Python, on the vector (178 + n,) of `kernel.advance_all`."""
+    """The same physics in plain Python, on the vector (184 + n,) of `kernel.advance_all`."""
     values = numbers.tolist()
     state, commands = values[: kernel.STATE_SIZE], values[kernel.STATE_SIZE : kernel.CONSTANTS]
     kernel.advance(n, adhesion_factor, values[kernel.CONSTANTS :], state, commands)

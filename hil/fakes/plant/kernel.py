@@ -13,7 +13,7 @@ Plain Python on indexed numbers, written once: interpreted on lists, or compiled
   part is passive in this scheme, so that no step creates energy.
 
 Joints: drives FL BL BR FR, then steers. All numbers stand in three flat vectors in SI units, at
-the places named below: constants `c` (106 + 5 per patch,), state `s` (138,), commands `q` (40,). Named
+the places named below: constants `c` (106 + 5 per patch,), state `s` (144,), commands `q` (40,). Named
 tuples of arrays were four times slower to pass.
 """
 
@@ -38,17 +38,17 @@ LOAD_MAP = 46
 KT, KE, OHM, JOINT_INERTIA, COULOMB, VISCOUS = range(58, 106, 8)
 PATCHES = 106
 
-# State `s`: body (x, y of the centre of mass, heading), its velocity, acceleration of the origin, whether
-# it has fallen, how far it has slid with no wheel holding;
+# State `s`: body (x, y of the centre of mass, heading) and its velocity, wall axes; pose of the origin, with
+# its twist and acceleration in body axes; whether it has fallen, how far it has slid with no wheel holding;
 # eight per joint; x, y per wheel; four per wheel, of which the last rows are scratch of one step.
-BODY, VELOCITY, ACCELERATION, FALLEN, SLID = 0, 3, 6, 8, 9
-ANGLE, RATE, AMPS, INTEGRAL, REFERENCE = range(10, 50, 8)
-BRISTLE, SLIP = 50, 58
+BODY, VELOCITY, ORIGIN, TWIST, ACCELERATION, FALLEN, SLID = 0, 3, 6, 9, 12, 14, 15
+ANGLE, RATE, AMPS, INTEGRAL, REFERENCE = range(16, 56, 8)
+BRISTLE, SLIP = 56, 64
 (
     HEADING, USE, LOAD, NEXT_SHARE, SHARE, COSINE, SINE, ARM_X, ARM_Y, GRIP, ALONG, ALONG_SLOPE, ACROSS,
     ACROSS_SLOPE, BRANCH, FREE, COMPLIANCE, SPIN,
-) = range(66, 138, 4)  # fmt: skip
-STATE_SIZE = 138
+) = range(72, 144, 4)  # fmt: skip
+STATE_SIZE = 144
 
 # Commands `q`: eight per joint.
 MODE, GOAL, RATE_LIMIT, AMPS_LIMIT, DUTY_LIMIT = range(0, 40, 8)
@@ -323,6 +323,17 @@ def origin_velocity(c: Array, s: Array) -> tuple[float, float]:
     return s[VELOCITY] + s[VELOCITY + 2] * y, s[VELOCITY + 1] - s[VELOCITY + 2] * x
 
 
+def look_from_origin(c: Array, s: Array) -> None:
+    """Pose of the body's origin, and its twist in body axes."""
+    cosine, sine = math.cos(s[BODY + 2]), math.sin(s[BODY + 2])
+    x, y, vx, vy, turn = c[COM_X], c[COM_Y], s[VELOCITY], s[VELOCITY + 1], s[VELOCITY + 2]
+    s[ORIGIN], s[ORIGIN + 1] = s[BODY] - (cosine * x - sine * y), s[BODY + 1] - (sine * x + cosine * y)
+    s[ORIGIN + 2] = s[BODY + 2]
+    s[TWIST] = cosine * vx + sine * vy + turn * y
+    s[TWIST + 1] = cosine * vy - sine * vx - turn * x
+    s[TWIST + 2] = turn
+
+
 def advance(n: int, adhesion_factor: float, c: Array, s: Array, q: Array) -> None:
     """Integrate `n` steps; `acceleration` is the origin's mean over the last one, body axes."""
     before_x, before_y = 0.0, 0.0
@@ -348,9 +359,10 @@ def advance(n: int, adhesion_factor: float, c: Array, s: Array, q: Array) -> Non
         after_x, after_y = origin_velocity(c, s)
         x, y = (after_x - before_x) / c[DT], (after_y - before_y) / c[DT]
         s[ACCELERATION], s[ACCELERATION + 1] = cosine * x + sine * y, cosine * y - sine * x
+    look_from_origin(c, s)
 
 
 def advance_all(n: int, adhesion_factor: float, numbers: Array) -> None:
-    """As `advance`, of one vector (178 + n,): state, commands, constants. An argument takes time, too."""
+    """As `advance`, of one vector (184 + n,): state, commands, constants. An argument takes time, too."""
     state, commands, constants = numbers[:STATE_SIZE], numbers[STATE_SIZE:CONSTANTS], numbers[CONSTANTS:]
     advance(n, adhesion_factor, constants, state, commands)

@@ -14,10 +14,8 @@ from hil.fakes.plant.body import SteppedBody, checked_pose
 from hil.fakes.plant.compiled import choose_advance
 from hil.fakes.plant.parameters import TrueParameters, draw, nominal_parameters
 from hil.fakes.plant.surfaces import Patch, Surface, find_surface
-from hil.fakes.plant_api import BodyMotion
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array, ArrayLike
-from hil.vocabulary.records import named
 
 GRAVITY_M_S2 = 9.81
 FALL_SLIDE_M = 0.05
@@ -61,26 +59,6 @@ class WallRobot(SteppedBody):
     def bristle_deflection_m(self) -> Array:
         """Elastic deflection of the contacts (4, 2), wall axes: where contact energy is stored."""
         return np.array(self._state[k.BRISTLE : k.BRISTLE + 8]).reshape(4, 2)
-
-    def body(self) -> BodyMotion:
-        """How the origin of the body moves; the physics follow the centre of mass."""
-        x, y, theta, vx, vy, turn, ax, ay = self._motion.tolist()
-        c, n = math.cos(theta), math.sin(theta)
-        com_x, com_y, _ = self.parameters.centre_of_mass_m
-        return named(
-            BodyMotion,
-            (
-                x - (c * com_x - n * com_y),
-                y - (n * com_x + c * com_y),
-                theta,
-                c * vx + n * vy + turn * com_y,
-                c * vy - n * vx - turn * com_x,
-                turn,
-                ax,
-                ay,
-                self.tilt_rad,
-            ),
-        )
 
 
 def _start(p: TrueParameters, pose: Array) -> Array:
