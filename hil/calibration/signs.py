@@ -44,8 +44,10 @@ def check_signs(recordings: Sequence[Recording], nominal: Nominal) -> None:
     than 0.3 of both with the sign changed: no geometry, slip or noise does both. Raises `DataError`.
     """
     strides = _Strides(reduce_recordings(recordings, _BLOCK_S), nominal.geometry)
-    wrong = strides.missed(strides.rolled(), strides.moved()) > _WRONG
-    explained = {words: wrong & (share < _RIGHT) for words, share in _changed(strides).items()}
+    rolled, moved = strides.rolled(), strides.moved()
+    wrong = strides.missed(rolled, moved) > _WRONG
+    changed = _changed(strides, rolled, moved)
+    explained = {words: wrong & (share < _RIGHT) for words, share in changed.items()}
     best = max(np.count_nonzero(found) for found in explained.values())
     if not best:
         for one in recordings:
@@ -131,9 +133,8 @@ class _Strides:
         return _share(rolled * self._weight, moved * self._weight)
 
 
-def _changed(strides: _Strides) -> dict[str, Array]:
-    """Share (R,) that the wheels would miss, by what would have to change."""
-    rolled, moved = strides.rolled(), strides.moved()
+def _changed(strides: _Strides, rolled: Array, moved: Array) -> dict[str, Array]:
+    """Share (R,) that the wheels would miss, by what would have to change; moves (R, S, 3) unchanged."""
     pairs = {
         "the wheel angles (phi) had the other sign": (strides.rolled(-1.0), moved),
         "the steering (delta) had the other sign": (strides.rolled(_MIRRORED), moved),

@@ -13,7 +13,7 @@ from hil.estimator.conditioning import condition, guard, joint_nis
 from hil.estimator.layout import EventRow, Ints, Memory, Parameters
 from hil.estimator.process import advance_linear
 from hil.estimator.records import Records
-from hil.estimator.retraction import carry, follow, is_unsure, lean, settle
+from hil.estimator.retraction import carry, follow, is_lost, is_unsure, lean, settle
 from hil.estimator.sensors import (
     BENT,
     GATED_TOGETHER,
@@ -45,7 +45,7 @@ def advance(x: Array, p: Array, dt_s: float, par: Parameters, points: Points, no
     """Prediction of a state (20,) and its covariance (20, 20) by `dt_s` >= 0, in place; `nominal` (2,)."""
     if dt_s <= 0.0:
         return
-    if points is None:
+    if points is None or is_lost(p, dt_s):
         advance_linear(x, p, dt_s, par.process, nominal)
     else:
         advance_unscented(x, p, dt_s, par, points, nominal)
@@ -70,7 +70,7 @@ def moments(
         cross: (8, 20) filled with their covariance with the state.
         own: (8, 8) filled with their covariance.
     """
-    if points is not None and BENT[number]:
+    if points is not None and BENT[number] and not is_lost(p, 0.0):
         moments_unscented(number, x, p, aux, par, points, count, mean, cross, own)
         return
     predicted(number, x, aux, par, mean)
@@ -105,7 +105,8 @@ def compare(
         return
     nis[:] = -1.0
     put(before, x)
-    unsure = points is None and is_unsure(number, p)
+    linear = points is None or is_lost(p, 0.0)
+    unsure = linear and is_unsure(number, p)
     if unsure:
         spread = np.zeros((STATES, STATES))
         settle(number, before, p, z, var, aux, count, par, x, spread, nu, cross, own, w.h[:])
@@ -131,7 +132,7 @@ def compare(
         carry(point, x, p)
     else:
         condition(x, p, nu, cross, own, var, count, gate, nis)
-        if points is None:
+        if linear:
             follow(before, x)
             carry(before, x, p)
     m.accepted += account(number, m, shown, nis, var, count, gate, par.filter.samples)

@@ -48,7 +48,8 @@ Bools = npt.NDArray[np.bool_]
 
 compare, innovation = entry(events.compare), entry(sensors.innovation)
 move, transition = entry(motion.move), entry(motion.transition)
-is_unsure, follow, carry = entry(retraction.is_unsure), entry(retraction.follow), entry(retraction.carry)
+is_lost, is_unsure = entry(retraction.is_lost), entry(retraction.is_unsure)
+follow, carry = entry(retraction.follow), entry(retraction.carry)
 
 
 def _symmetric(p: Array) -> Array:
@@ -168,7 +169,7 @@ def noise_at(x: Array, dt_s: float, par: Records) -> Array:
 
 
 class FilterpyEngine(Engine):
-    """Runs events through filterpy's EKF or UKF."""
+    """Runs events through filterpy's EKF or UKF; both have the EKF, for headings that are lost."""
 
     def __init__(self, par: Records, config: EstimatorConfig) -> None:
         by, process, n = par[0].filter, par[0].process, STATES
@@ -176,15 +177,11 @@ class FilterpyEngine(Engine):
         self._scale, self._nominal = 0.0, np.zeros(2)
         self._gate_row, self._gate_pose = float(by.gate_row), float(by.gate_pose)
         self._unscented = config.kind == "ukf"
-        if self._unscented:
-            points = MerweScaledSigmaPoints(
-                n, config.alpha, config.beta, config.kappa, sqrt_method=upper_root
-            )
-            self._filter: Any = UnscentedKalmanFilter(n, ROWS, 1.0, hx=None, fx=self._moved, points=points)
-        else:
-            self._filter = ExtendedKalmanFilter(n, ROWS)
-            self._filter.predict_x = self._predict_mean
-            self._step_s = 0.0
+        points = MerweScaledSigmaPoints(n, config.alpha, config.beta, config.kappa, sqrt_method=upper_root)
+        self._by_points: Any = UnscentedKalmanFilter(n, ROWS, 1.0, hx=None, fx=self._moved, points=points)
+        self._by_slopes: Any = ExtendedKalmanFilter(n, ROWS)
+        self._by_slopes.predict_x = self._predict_mean
+        self._step_s = 0.0
 
     def run(self, history: History, begin: int, zero_ns: int, now_ns: int, now: Now) -> None:
         """Event by event, in Python."""
@@ -206,10 +203,11 @@ class FilterpyEngine(Engine):
         """Filterpy's prediction of the state (20,) and its covariance (20, 20), in place."""
         if dt_s <= 0.0:
             return
-        f = self._filter
+        unscented = self._draws_points(p, dt_s)
+        f = self._by_points if unscented else self._by_slopes
         f.x, f.P, self._scale = x.copy(), p.copy(), float(x[SCALE])
         f.Q = noise_at(x, dt_s, self._par)
-        if self._unscented:
+        if unscented:
             f.predict(dt=dt_s, UT=centred_transform)
         else:
             f.F = transition(x, dt_s, self._slip_s, self._scaled, self._nominal)
@@ -217,13 +215,16 @@ class FilterpyEngine(Engine):
             f.predict()
         x[:], p[:] = f.x, _symmetric(f.P)
 
+    def _draws_points(self, p: Array, dt_s: float = 0.0) -> bool:
+        return self._unscented and not is_lost(p, dt_s)
+
     def _moved(self, x: Array, dt_s: float) -> Array:
         out = np.array(x)
         move(out, dt_s, self._slip_s, self._scaled, self._scale, self._nominal)
         return out
 
     def _predict_mean(self, u: float = 0.0) -> None:
-        move(self._filter.x, self._step_s, self._slip_s, self._scaled, self._scale, self._nominal)
+        move(self._by_slopes.x, self._step_s, self._slip_s, self._scaled, self._scale, self._nominal)
 
     def _take(self, number: int, t_ns: float, x: Array, p: Array, m: Records, row: Records) -> None:
         """As a sample of `events.run`, with the comparison on filterpy.
@@ -232,7 +233,7 @@ class FilterpyEngine(Engine):
         """
         r = Rows(np.zeros(ROWS), np.zeros(ROWS), np.zeros(AUX), 0)
         use, r.count = before(number, t_ns, m, row, self._par, r.z, r.var, r.aux)
-        if r.count > 0 and not self._unscented and is_unsure(number, p):
+        if r.count > 0 and not self._draws_points(p) and is_unsure(number, p):
             compare(number, t_ns, x, p, m[0], row[0], self._par[0], None)
         elif r.count > 0:
             self._compare(number, x, p, m, r)
@@ -266,8 +267,8 @@ class FilterpyEngine(Engine):
     def _innovation(self, number: int, x: Array, p: Array, r: Rows) -> tuple[Array, Array]:
         """Predicted rows (8,), zero beyond the count, and the covariance of the innovation."""
         noise, mean = np.diag(r.var[: r.count]), np.zeros(ROWS)
-        if self._unscented:
-            f = self._filter
+        if self._draws_points(p):
+            f = self._by_points
             points = f.points_fn.sigma_points(x, p)
             seen = self._seen(number, points, r)
             mean[: r.count], s = centred_transform(seen, f.Wm, f.Wc, noise)
@@ -278,9 +279,10 @@ class FilterpyEngine(Engine):
 
     def _update(self, number: int, x: Array, p: Array, r: Rows, nu: Array, used: list[int]) -> None:
         """Filterpy's update with the innovation already wrapped; sigma points drawn anew."""
-        f, noise = self._filter, np.diag(r.var[used])
+        unscented, noise = self._draws_points(p), np.diag(r.var[used])
+        f = self._by_points if unscented else self._by_slopes
         f.x, f.P = x.copy(), p.copy()
-        if self._unscented:
+        if unscented:
             f.residual_z = np.subtract
             f.sigmas_f = f.points_fn.sigma_points(f.x, f.P)
             seen = np.ascontiguousarray(self._seen(number, f.sigmas_f, r)[:, used])
@@ -300,6 +302,6 @@ class FilterpyEngine(Engine):
             )
         before = x.copy()
         x[:], p[:] = f.x, _symmetric(f.P)
-        if not self._unscented:
+        if not unscented:
             follow(before, x)
             carry(before, x, p)

@@ -10,34 +10,18 @@ from hil.vocabulary.errors import UsageError
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.signals import RobotState
 
-UKF_HEADING_RAD = 0.15
-"""From this standard deviation of the first heading on the UKF is refused."""
-
 
 def start_of(config: EstimatorConfig, surface: str, state: RobotState) -> tuple[Array, Array]:
     """State (20,) and covariance (20, 20) of a filter that starts from a known state.
 
     Raises:
-        UsageError: the state is not finite, its covariance is not a covariance, or its heading is known
-            too badly for a UKF.
+        UsageError: the state is not finite or its covariance is not a covariance.
     """
     check_state(state)
-    _check_heading(config, state)
     x, p = np.zeros(STATES), np.diag(prior_variances(config, surface))
     x[POSE], x[TWIST] = state.pose_body_in_wall, state.twist_body
     p[:MOTION, :MOTION] = 0.5 * (state.covariance + state.covariance.T)
     return x, p
-
-
-def _check_heading(config: EstimatorConfig, state: RobotState) -> None:
-    """Refuse what the UKF is not made for: headings spread so far that their positions are a banana."""
-    sigma_rad = float(np.sqrt(max(state.covariance[2, 2], 0.0)))
-    if config.kind == "ukf" and sigma_rad >= UKF_HEADING_RAD:
-        raise UsageError(
-            f"start state: its heading is known to {sigma_rad:.2g} rad, with which the UKF ends far off",
-            expected=f"less than {UKF_HEADING_RAD:g} rad",
-            remedy='estimator.kind = "ekf" (the default) finds the heading',
-        )  # fmt: skip
 
 
 def check_state(state: RobotState) -> None:

@@ -1,6 +1,4 @@
-"""A start whose heading is known to 0.2 or 0.5 rad only: the default filter finds it and says how well."""
-
-from dataclasses import replace
+"""A start whose heading is known to 0.2 or 0.5 rad only: both filters find it and say how well."""
 
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from hil.estimator.consistency import nees
 from hil.estimator.simulated_sensors import InertialErrors, Path, cycles, inertial, wheel_samples
 from hil.estimator.smoother import smooth
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.errors import UsageError
 from hil.vocabulary.geometry import compose
 from hil.vocabulary.signals import PoseMeasurement, RobotState, Stamp
 
@@ -58,12 +55,12 @@ def followed(config, parts, start):
     return [estimator.update(m) for m in parts]
 
 
-def assert_found(sigma_rad, trials, first_m):
+def assert_found(sigma_rad, trials, first_m, kind="ekf"):
     """Position RMSE <= 15 mm and NEES <= 4 (3 is ideal) at the end."""
     squared, errors = [], []
     for seed in range(trials):
         parts, start, path = drive(sigma_rad, seed, first_m=first_m)
-        last = followed(CONFIG, parts, start)[-1]
+        last = followed(CONFIG.model_copy(update={"kind": kind}), parts, start)[-1]
         error = last.pose_body_in_wall - path.at(np.array([last.t_ns * 1e-9]))[0]
         errors.append(np.hypot(*error[:2]))
         squared.append(nees(error[None], last.covariance[None, :3, :3])[0])
@@ -72,37 +69,41 @@ def assert_found(sigma_rad, trials, first_m):
     assert np.mean(squared) <= 4.0
 
 
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
 @pytest.mark.parametrize(("sigma_rad", "first_m"), [(0.2, 0.0), (0.2, 1.0), (0.5, 1.0)])
-def test_a_heading_that_is_not_known_is_found(sigma_rad, first_m):
-    """An additive EKF and a UKF gate the positions out after a metre, and end 300 mm off (0.2 rad)."""
-    assert_found(sigma_rad, 10, first_m)
+def test_a_heading_that_is_not_known_is_found(kind, sigma_rad, first_m):
+    """An additive EKF and a UKF by points alone gate positions out after a metre: 300 mm off (0.2 rad)."""
+    assert_found(sigma_rad, 10, first_m, kind)
+
+
+def test_the_ukf_finds_one_that_is_known_to_seven_degrees():
+    """It took such a start, by points alone, and lost the robot in some of 60: RMSE 117 mm, NEES 35."""
+    assert_found(0.12, 30, 1.0, "ukf")
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
 @pytest.mark.parametrize("sigma_rad", [0.1, 0.2, 0.5])
 @pytest.mark.parametrize("first_m", [0.0, 1.0])
-def test_a_heading_that_is_not_known_is_found_in_60_trials(sigma_rad, first_m):
-    assert_found(sigma_rad, 60, first_m)
+def test_a_heading_that_is_not_known_is_found_in_60_trials(kind, sigma_rad, first_m):
+    assert_found(sigma_rad, 60, first_m, kind)
 
 
-def test_the_ukf_says_that_it_is_not_made_for_it():
-    estimator = make_estimator(
-        CONFIG.model_copy(update={"kind": "ukf"}), WheelGeometry.nominal(), surface="floor"
-    )
-    state = RobotState(0, np.zeros(3), np.zeros(3), np.diag([1e-6, 1e-6, 0.2**2, 1e-6, 1e-6, 1e-6]))
-    with pytest.raises(UsageError, match=r"heading is known to 0.2 rad.*ekf"):
-        estimator.reset(state)
-    estimator.reset(replace(state, covariance=np.diag([1e-6, 1e-6, 0.1**2, 1e-6, 1e-6, 1e-6])))
-
-
-def test_both_engines_and_the_smoother_agree_on_it():
-    parts, start, path = drive(0.5, 3, seconds=4.0, first_m=0.5)
-    states = followed(CONFIG, parts, start)
-    other = followed(CONFIG.model_copy(update={"engine": "filterpy"}), parts, start)
-    smoothed = smooth(CONFIG, WheelGeometry.nominal(), "floor", parts, start)
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+def test_both_engines_agree_on_it(kind):
+    parts, start, _ = drive(0.5, 3, seconds=4.0, first_m=0.5)
+    config = CONFIG.model_copy(update={"kind": kind})
+    states = followed(config, parts, start)
+    other = followed(config.model_copy(update={"engine": "filterpy"}), parts, start)
     for a, b in zip(states, other, strict=True):
         assert np.allclose(a.pose_body_in_wall, b.pose_body_in_wall, atol=1e-8)
         assert np.allclose(a.covariance, b.covariance, atol=1e-8)
+
+
+def test_the_smoother_agrees_on_it():
+    parts, start, path = drive(0.5, 3, seconds=4.0, first_m=0.5)
+    states = followed(CONFIG, parts, start)
+    smoothed = smooth(CONFIG, WheelGeometry.nominal(), "floor", parts, start)
     assert np.allclose(smoothed[-1].pose_body_in_wall, states[-1].pose_body_in_wall, atol=1e-9)
     first = smoothed[5]
     error = first.pose_body_in_wall - path.at(np.array([first.t_ns * 1e-9]))[0]

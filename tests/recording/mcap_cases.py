@@ -32,6 +32,17 @@ from hil.vocabulary.signals import (
     WheelSetpoint,
 )
 
+MAPPING = """
+schema = 1
+[wheels]
+topic = "/wheels"
+drive = ["w1", "w2", "w3", "w4"]
+steer = ["s1", "s2", "s3", "s4"]
+drive_sign = [1, 1, -1, -1]
+[truth]
+topic = "/vicon"
+"""
+"""Of another robot's bag, whose right wheels count backwards."""
 PERIOD_NS = 10_000_000
 OK8, OK4 = (Status.OK,) * 8, (Status.OK,) * 4
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 from mcap.writer import Writer as McapWriter
+from mcap_cases import MAPPING
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from test_mcap_topics import MAPPING
 
 from hil.cli import main
 from hil.recording.names import motion_of
@@ -76,13 +76,6 @@ def write(folder, found):
             lane, kind = lanes[topic]
             writer.write(lane, log_ns, STORE.serialize_cdr(message, kind))
     return folder
-
-
-@pytest.fixture
-def topics(tmp_path):
-    path = tmp_path / "topics.toml"
-    path.write_text(MAPPING)
-    return path
 
 
 def read(folder, topics):

@@ -7,6 +7,7 @@ import sqlite3
 
 import numpy as np
 import pytest
+from mcap_cases import MAPPING
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -14,16 +15,6 @@ from hil.cli import main
 from hil.recording.frame_check import broken_frames
 from hil.robot.kinematics import NOMINAL_RADIUS_M
 
-MAPPING = """
-schema = 1
-[wheels]
-topic = "/wheels"
-drive = ["w1", "w2", "w3", "w4"]
-steer = ["s1", "s2", "s3", "s4"]
-drive_sign = [1, 1, -1, -1]
-[truth]
-topic = "/vicon"
-"""
 RATE_HZ = 50
 SPEED_M_S = 0.1
 
@@ -65,13 +56,6 @@ def write_bag(folder, storage=StoragePlugin.MCAP, speed_m_s=SPEED_M_S):
             )  # fmt: skip
             writer.write(truth, t_ns, store.serialize_cdr(message, pose.__msgtype__))
     return folder
-
-
-@pytest.fixture
-def topics(tmp_path):
-    path = tmp_path / "topics.toml"
-    path.write_text(MAPPING)
-    return path
 
 
 @pytest.fixture

@@ -15,8 +15,8 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Attachment, Chunk, ChunkIndex
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
-from mcap_cases import driving_record
-from test_mcap_topics import MAPPING, write_bag
+from mcap_cases import MAPPING, driving_record
+from test_mcap_topics import write_bag
 
 from hil.cli import main
 from hil.recording import unpacking
