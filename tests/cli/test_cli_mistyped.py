@@ -74,7 +74,7 @@ def test_a_mistyped_fault_is_refused_before_anything_is_opened(refused, unopened
     [
         ("0,0,0\n0,0,0\n", "line 3 repeats the waypoint before it"),
         ("0,0,0\n1e9,0,0\n", "line 3 holds 1e+09, 0, 0"),
-        ("0,0,0\n90,0,0\n", "x on the wall (m) is 5 at"),
+        ("0,0,0\n90,0,0\n", "x on the wall (m) is 5.0003 at"),
         ("0,0,0\n0,0,1\n", "heading on the wall (rad)"),
         ("\n".join(f"{k % 2},0,0" for k in range(200_000)), "holds more than 10000 waypoints"),
     ],

@@ -13,7 +13,8 @@ from hil.config.encoders import SHIPPED_DBC, EncodersConfig
 from hil.drivers.encoders import As5045Encoders, decode_word
 from hil.fakes.can_wire import CanChannel
 from hil.fakes.encoders import EncoderNode
-from hil.fakes.encoders.as5045 import As5045Chip, with_parity
+from hil.fakes.encoders.as5045 import OCF, chip, with_parity
+from hil.fakes.encoders.as5045 import word as word_of
 from hil.fakes.faults import FaultPlan
 from hil.fakes.world import Scheduled, VirtualClock, World
 from hil.vocabulary.signals import WHEELS, Status
@@ -107,7 +108,7 @@ class NodeOnTheWire(Scheduled):
 
     def __init__(self, world, channel, library, **options):
         self._world, self._channel, self.silent = world, channel, False
-        self._chips = [As5045Chip() for _ in WHEELS]
+        self._chips = [chip() for _ in WHEELS]
         self.board = HostBoard(library, **options)
         self._start_ns = self.board.t_ns
         world.add(self)
@@ -119,7 +120,7 @@ class NodeOnTheWire(Scheduled):
     def on_due(self, t_ns):
         board, angles = self.board, self._world.plant.steering_rad()
         board.t_ns = self._start_ns + t_ns
-        board.chips.words = [chip.word(a, 0.0) for chip, a in zip(self._chips, angles, strict=True)]
+        board.chips.words = [word_of(c, 0, a, 0.0, OCF) for c, a in zip(self._chips, angles, strict=True)]
         assert board.poll()
         for frame_id, data in board.sent:
             if not self.silent:
