@@ -31,6 +31,23 @@ MOST_S = 0.2
 FEW, MANY = 3, 100
 
 
+def commanding(fan, spec):
+    """A bench that commands the fan, and a list of what it says."""
+    said = []
+    kept = KeptByProcess(spec, MonotonicClock(), say=said.append)
+    kept.open()
+    wait_until(lambda: kept.status().get("report"), "the fan's report")
+    kept.set(SetPoint("duty", HELD_DUTY))
+    wait_until(lambda: fan.duty == HELD_DUTY, "the set-point")
+    return kept, said
+
+
+def kill_both(spec):
+    """Kill the keeper and its understudy."""
+    for pid in wait_until(lambda: both(spec), "an understudy"):
+        os.kill(pid, signal.SIGKILL)
+
+
 @pytest.mark.parametrize("count", [FEW, pytest.param(MANY, marks=pytest.mark.long)])
 def test_a_killed_bench_leaves_the_fan_as_it_was(wire, count):
     fan, spec = wire
@@ -66,15 +83,9 @@ def test_all_killed_and_the_controller_lets_go_after_its_time_out(wire):
 
 def test_a_bench_that_ends_hands_the_fan_to_a_new_keeper_first(wire):
     fan, spec = wire
-    said = []
-    kept = KeptByProcess(spec, MonotonicClock(), say=said.append)
-    kept.open()
-    wait_until(lambda: kept.status().get("report"), "the fan's report")
-    kept.set(SetPoint("duty", HELD_DUTY))
-    wait_until(lambda: fan.duty == HELD_DUTY, "the set-point")
+    kept, said = commanding(fan, spec)
     since_s = time.time()
-    for pid in wait_until(lambda: both(spec), "an understudy"):
-        os.kill(pid, signal.SIGKILL)
+    kill_both(spec)
     wait_until(kept.trouble, "the loss to be told")
     assert "the bench commands the fan itself" in kept.trouble()
     kept.close()
@@ -88,22 +99,17 @@ def test_a_bench_that_ends_hands_the_fan_to_a_new_keeper_first(wire):
 def test_a_bench_goes_on_by_itself_where_the_next_keeper_is_another_users(wire, monkeypatch, caplog):
     """Root starts a keeper just when that of the bench's user dies."""
     fan, spec = wire
-    roots, said = True, []
+    roots = True
 
     def met(one):
         if roots:
             raise of_another(one, "root", "user robot (1000)")
         return client.connect(one)
 
-    kept = KeptByProcess(spec, MonotonicClock(), say=said.append)
-    kept.open()
-    wait_until(lambda: kept.status().get("report"), "the fan's report")
-    kept.set(SetPoint("duty", HELD_DUTY))
-    wait_until(lambda: fan.duty == HELD_DUTY, "the set-point")
+    kept, said = commanding(fan, spec)
     since_s = time.time()
     monkeypatch.setattr(deputy, "connect", met)
-    for pid in wait_until(lambda: both(spec), "an understudy"):
-        os.kill(pid, signal.SIGKILL)
+    kill_both(spec)
     ended, refused = "the fan's keeper has ended", "keeper belongs to root, and this program to user robot"
     wait_until(lambda: refused in kept.trouble(), "the other keeper to be told")
     time.sleep(0.5)
@@ -121,19 +127,13 @@ def test_a_bench_goes_on_by_itself_where_the_next_keeper_is_another_users(wire, 
 
 def test_a_bench_that_ends_beside_another_users_keeper_waits_for_none_and_says_so(wire, monkeypatch):
     fan, spec = wire
-    said = []
-    kept = KeptByProcess(spec, MonotonicClock(), say=said.append)
-    kept.open()
-    wait_until(lambda: kept.status().get("report"), "the fan's report")
-    kept.set(SetPoint("duty", HELD_DUTY))
-    wait_until(lambda: fan.duty == HELD_DUTY, "the set-point")
+    kept, said = commanding(fan, spec)
 
     def met(one):
         raise of_another(one, "root", "user robot (1000)")
 
     monkeypatch.setattr(deputy, "connect", met)
-    for pid in wait_until(lambda: both(spec), "an understudy"):
-        os.kill(pid, signal.SIGKILL)
+    kill_both(spec)
     wait_until(lambda: "belongs to root" in kept.trouble(), "the other keeper to be told")
     begun_s = time.monotonic()
     kept.close()

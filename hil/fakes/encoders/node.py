@@ -164,11 +164,11 @@ class EncoderNode(Scheduled):
 
     def _draw(self) -> int:
         """Row of the drawn numbers that counts now."""
-        if not self._row:
+        self._row += 1
+        if self._row == len(self._late):
             drawn = self._rng.standard_normal((_BLOCK, 5))
-            self._noise, self._late, self._row = rows(drawn), drawn[:, 4].tolist(), _BLOCK
-        self._row -= 1
-        return _BLOCK - 1 - self._row
+            self._noise, self._late, self._row = rows(drawn), drawn[:, 4].tolist(), 0
+        return self._row
 
     def _send(self, words: tuple[int, ...], t_ns: int, send_ns: int) -> None:
         node_ns = round((t_ns - self._boot_ns) * self._rate_error)

@@ -24,18 +24,17 @@ from hil.fakes.plant.kernel import (
     GRAVITY,
     HEADING,
     KT,
-    ORIGIN,
     PATCHES,
     RADIUS,
     RATE,
     SLID,
     SLIP,
-    TWIST,
     VELOCITY,
     WHEEL_X,
     WHEEL_Y,
     finish_joint,
     follow_references,
+    look_from_origin,
     steer_joint,
 )  # fmt: skip
 from hil.vocabulary.geometry import Array
@@ -113,16 +112,7 @@ def finish(c: Array, s: Array, a: Array, qpos: Array, qvel: Array) -> None:
     x, y = (s[VELOCITY] - before_x) / c[DT], (s[VELOCITY + 1] - before_y) / c[DT]
     cosine, sine = math.cos(s[BODY + 2]), math.sin(s[BODY + 2])
     s[ACCELERATION], s[ACCELERATION + 1] = cosine * x + sine * y, cosine * y - sine * x
-    look_from_origin(s)
-
-
-def look_from_origin(s: Array) -> None:
-    """Pose of the body's origin, which is MuJoCo's body itself, and its twist in body axes."""
-    cosine, sine = math.cos(s[BODY + 2]), math.sin(s[BODY + 2])
-    s[ORIGIN], s[ORIGIN + 1], s[ORIGIN + 2] = s[BODY], s[BODY + 1], s[BODY + 2]
-    s[TWIST] = cosine * s[VELOCITY] + sine * s[VELOCITY + 1]
-    s[TWIST + 1] = cosine * s[VELOCITY + 1] - sine * s[VELOCITY]
-    s[TWIST + 2] = s[VELOCITY + 2]
+    look_from_origin(s, 0.0, 0.0)
 
 
 def look_at_body(s: Array, qpos: Array, qvel: Array) -> None:

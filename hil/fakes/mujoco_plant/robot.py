@@ -168,7 +168,7 @@ class MujocoRobot(SteppedBody):
         data.qpos[a[mk.DRIVE_Q : mk.DRIVE_Q + 4]] = 0.0
         data.qpos[a[mk.STEER_Q : mk.STEER_Q + 4]] = self._state[k.HEADING : k.HEADING + 4]
         self._state[k.BODY : k.VELOCITY + 3] = [*pose, 0.0, 0.0, 0.0]
-        mk.look_from_origin(self._state)
+        k.look_from_origin(self._state, 0.0, 0.0)
         self._mujoco.mj_forward(model, data)
 
     def _integrate(self, n: int, adhesion_factor: float) -> None:

@@ -323,10 +323,10 @@ def origin_velocity(c: Array, s: Array) -> tuple[float, float]:
     return s[VELOCITY] + s[VELOCITY + 2] * y, s[VELOCITY + 1] - s[VELOCITY + 2] * x
 
 
-def look_from_origin(c: Array, s: Array) -> None:
-    """Pose of the body's origin, and its twist in body axes."""
+def look_from_origin(s: Array, x: float, y: float) -> None:
+    """Pose of the body's origin, and its twist in body axes, in which `s` follows the point (x, y)."""
     cosine, sine = math.cos(s[BODY + 2]), math.sin(s[BODY + 2])
-    x, y, vx, vy, turn = c[COM_X], c[COM_Y], s[VELOCITY], s[VELOCITY + 1], s[VELOCITY + 2]
+    vx, vy, turn = s[VELOCITY], s[VELOCITY + 1], s[VELOCITY + 2]
     s[ORIGIN], s[ORIGIN + 1] = s[BODY] - (cosine * x - sine * y), s[BODY + 1] - (sine * x + cosine * y)
     s[ORIGIN + 2] = s[BODY + 2]
     s[TWIST] = cosine * vx + sine * vy + turn * y
@@ -359,7 +359,7 @@ def advance(n: int, adhesion_factor: float, c: Array, s: Array, q: Array) -> Non
         after_x, after_y = origin_velocity(c, s)
         x, y = (after_x - before_x) / c[DT], (after_y - before_y) / c[DT]
         s[ACCELERATION], s[ACCELERATION + 1] = cosine * x + sine * y, cosine * y - sine * x
-    look_from_origin(c, s)
+    look_from_origin(s, c[COM_X], c[COM_Y])
 
 
 def advance_all(n: int, adhesion_factor: float, numbers: Array) -> None:
