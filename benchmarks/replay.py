@@ -47,9 +47,9 @@ def record(path: Path, seconds: float, observers: tuple[str, ...]) -> float:
 
 def verified(path: Path) -> None:
     """All that `hil replay --verify` compares; raises where a bit differs."""
-    for told in verify_recording(open_recording(path)):
-        if told["difference"] is not None:
-            raise SystemExit(f"{path}: {told['difference']}")
+    for run in verify_recording(open_recording(path))["runs"]:
+        if run["difference"] is not None:
+            raise SystemExit(f"{path}: {run['difference']}")
 
 
 def compared(path: Path) -> None:

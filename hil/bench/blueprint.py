@@ -28,6 +28,7 @@ from hil.robot.motion_limits import check
 from hil.robot.trajectories import Trajectory
 from hil.vocabulary.choices import ESTIMATORS, LAWS
 from hil.vocabulary.errors import UsageError
+from hil.vocabulary.fingerprint import fingerprint
 from hil.vocabulary.interfaces import Controller, Estimator
 from hil.vocabulary.versions import versions
 
@@ -75,6 +76,7 @@ class Blueprint:
             "calibration": self.calibration,
             "seed": self.seed,
             "versions": self.versions(),
+            "arithmetic": fingerprint(),
         }
 
     def make_brain(

@@ -15,6 +15,7 @@ from hil.vocabulary.beside import beside, end_with_parent
 from hil.vocabulary.collector import seldom
 from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE, HilError
 from hil.vocabulary.extras import MODULES, how_to_install, lacks, packages
+from hil.vocabulary.fingerprint import fingerprint
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.versions import version_of
 
@@ -91,17 +92,21 @@ def command(compiling: bool, as_json: bool) -> int:
         devices = _devices()
     except HilError as error:
         problem = str(error)
-    code = EXIT_USAGE if problem else EXIT_PASS
+    code, arithmetic = EXIT_USAGE if problem else EXIT_PASS, fingerprint()
     if as_json:
         ours = {"hil": __version__, "python": platform.python_version(), "platform": host}
         usable = {name: not why for name, why in missing.items()}
         lacking = {"extras_lack": {name: why for name, why in missing.items() if why}}
         told = {**lacking, "devices": devices, **({"problem": problem} if problem else {})}
-        click.echo(json.dumps({**ours, "packages": found, "extras": usable, **told}))
+        told = {"packages": found, "arithmetic": arithmetic, "extras": usable, **told}
+        click.echo(json.dumps({**ours, **told}))
         return code
     click.echo(f"hil {__version__}, Python {platform.python_version()}, {host}")
     for name, version in found.items():
         click.echo(f"  {name:16} {version}")
+    click.echo("arithmetic:")
+    for name, value in arithmetic.items():
+        click.echo(f"  {name:16} {value}")
     click.echo("extras:")
     for name, why in missing.items():
         click.echo(f"  {name:16} {f'no: {why}' if why else 'yes'}")

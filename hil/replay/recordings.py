@@ -146,6 +146,7 @@ def open_recording(
     try:
         made = _bench(config, _geometry(header), calibration, header, recorded=bench is None)
         dict(header.get("versions", {}))
+        dict(header.get("arithmetic", {}))
     except HilError:
         raise
     except (TypeError, ValueError, OverflowError) as error:

@@ -1,10 +1,13 @@
-"""Whether a recording repeats: its inputs go through the brain again, and every bit is held against it."""
+"""Whether a recording repeats: its inputs are decided upon again and every number is compared.
+
+Where the same arithmetic decides, every bit must be equal. Where it is another one, numbers may differ within
+the limits of `hil.replay.agreement`.
+"""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
 from typing import Any
 
 from hil.bench.blueprint import Blueprint
@@ -13,26 +16,23 @@ from hil.recording.compare import first_difference
 from hil.recording.cycle_codec import DECIDED
 from hil.recording.cycle_decoder import StoredCycle
 from hil.recording.runs import RecordedRun, RunStart, read_stored_cycles
+from hil.replay.agreement import LIMITS, Agreement, same_text
 from hil.replay.recordings import OpenedRecording
-from hil.ring.loop import OUTSIDE, Brain, Decision
+from hil.ring.loop import OUTSIDE, Brain
 from hil.robot.trajectories import Trajectory
 from hil.vocabulary.choices import ESTIMATORS, LAWS
 from hil.vocabulary.collector import without_collector
 from hil.vocabulary.errors import SafetyStop, UsageError
-from hil.vocabulary.signals import CycleRecord, Inputs, Reference, RobotState
+from hil.vocabulary.fingerprint import fingerprint
+from hil.vocabulary.signals import CycleRecord, Inputs, Reference
 
-FIELDS = DECIDED
-ESTIMATION = ("measurements", "state", "reference", "events")
-_REWORDED = (" tells a step of ", " reports a step of ")
-"""What recordings up to version 0.1 say of a servo whose encoder slips, and what is said now."""
-
-
-@dataclass(frozen=True)
-class Mismatch:
-    """First place in which a replay differs from its recording."""
-
-    cycle: int
-    field: str
+IDENTICAL, AGREES, DIFFERS = "identical", "agrees", "differs"
+"""Verdicts, from best to worst."""
+FLIP = (
+    "one refused sample or one event that falls to the other side of its threshold is more than the limits "
+    "allow, and everything after it differs, too: such a single flip may be the other arithmetic's"
+)
+"""What to know of a difference that was found under another arithmetic."""
 
 
 class RecordedReferences:
@@ -53,70 +53,53 @@ class RecordedReferences:
         return reference
 
 
-def verify(
-    records: Iterable[CycleRecord], brain: Brain, start: RobotState, fields: tuple[str, ...] = FIELDS
-) -> Mismatch | None:
-    """Whether a brain decides on the recorded inputs exactly what was recorded.
+def verify_cycle(
+    cycle: CycleRecord | StoredCycle, brain: Brain, agreement: Agreement, *, exact: bool
+) -> tuple[str, str]:
+    """Let a brain decide on one recorded cycle, the next of its run, and compare.
+
+    A stored cycle is compared with the decision as bytes; it is only read where they differ.
 
     Args:
-        records: one run from its first cycle.
+        cycle: as recorded.
         brain: put together as for the run.
-        start: state that the run was started from.
-        fields: what to hold against the recording; `ESTIMATION` for a brain without the controller.
+        agreement: takes the differences.
+        exact: whether every bit must be equal.
 
     Returns:
-        The first difference, or None if every bit agrees.
-    """
-    brain.reset(start)
-    return next(filter(None, (verify_cycle(record, brain, fields) for record in records)), None)
-
-
-def verify_cycle(
-    cycle: CycleRecord | StoredCycle, brain: Brain, fields: tuple[str, ...] = FIELDS
-) -> Mismatch | None:
-    """Let a brain decide on one recorded cycle, the next of its run; its first difference.
-
-    A stored cycle is held against the decision as bytes; it is only read where they differ.
+        Verdict, and the first difference in words where that is `differs`.
     """
     if cycle.inputs == Inputs(cycle.cycle, cycle.inputs.t_ns) and _from_outside(_read(cycle)):
-        return None
+        return IDENTICAL, ""
     try:
         decision = brain.decide(cycle.inputs)
     except SafetyStop as stop:
-        record = _read(cycle)
-        if [e.message for e in record.events] == [str(stop)]:
-            return None
-        return Mismatch(cycle.cycle, f"events: replay stopped the robot: {stop}")
-    if isinstance(cycle, StoredCycle) and fields == FIELDS and cycle.holds(decision):
-        return None
-    cycle = _read(cycle)
-    if decision.observers and not cycle.observers:
-        decision = _as_once(decision)
-    recorded = {name: getattr(cycle, name) for name in fields}
-    found = first_difference(recorded, {name: getattr(decision, name) for name in fields})
-    return None if found is None else Mismatch(cycle.cycle, found)
+        return _compare_stop(_read(cycle), str(stop), exact=exact)
+    if isinstance(cycle, StoredCycle) and cycle.holds(decision):
+        return IDENTICAL, ""
+    recorded = {name: getattr(_read(cycle), name) for name in DECIDED}
+    decided = {name: getattr(decision, name) for name in DECIDED}
+    difference = first_difference(recorded, decided)
+    if difference is None:
+        return IDENTICAL, ""
+    beyond = agreement.take(recorded, decided)
+    if exact:
+        return DIFFERS, difference
+    return (AGREES, "") if beyond is None else (DIFFERS, beyond)
 
 
-def _as_once(decision: Decision) -> Decision:
-    """A decision as recordings up to version 0.1 keep it: observers as figures among the diagnostics."""
-    figures = dict(decision.state.diagnostics)
-    for name, state in decision.observers.items():
-        (x_m, y_m, theta_rad), covariance = state.pose_body_in_wall.tolist(), state.covariance
-        figures |= {
-            f"{name}_x_m": x_m, f"{name}_y_m": y_m, f"{name}_theta_rad": theta_rad,
-            f"{name}_xx_m2": covariance.item(0, 0), f"{name}_xy_m2": covariance.item(0, 1),
-            f"{name}_yy_m2": covariance.item(1, 1),
-        }  # fmt: skip
-    return replace(decision, state=replace(decision.state, diagnostics=figures), observers={})
+def _compare_stop(record: CycleRecord, stop: str, *, exact: bool) -> tuple[str, str]:
+    """As `verify_cycle`, of a cycle in which the brain stops the robot."""
+    said = [event.message for event in record.events]
+    if said == [stop]:
+        return IDENTICAL, ""
+    if not exact and len(said) == 1 and same_text(said[0], stop):
+        return AGREES, ""
+    return DIFFERS, f"events: replay stopped the robot: {stop}"
 
 
 def _read(cycle: CycleRecord | StoredCycle) -> CycleRecord:
-    """A record, its events in the words of today."""
-    record = cycle.record if isinstance(cycle, StoredCycle) else cycle
-    if not any(_REWORDED[0] in event.message for event in record.events):
-        return record
-    events = tuple(replace(event, message=event.message.replace(*_REWORDED)) for event in record.events)
-    return replace(record, events=events)
+    return cycle.record if isinstance(cycle, StoredCycle) else cycle
 
 
 def _from_outside(record: CycleRecord) -> bool:
@@ -147,47 +130,55 @@ def rebuild(bench: Blueprint, start: RunStart) -> Brain:
 
 
 class RunCheck:
-    """Whether a run repeats bit for bit, told cycle by cycle, so that none has to be kept.
+    """Whether a run repeats, cycle by cycle, so that none has to be kept.
 
     Args:
         bench: of its making.
         start: how it began, None where the recording does not say.
+        exact: whether every bit must be equal, as with the arithmetic of its making.
 
     Attributes:
-        told: `cycles`, `verified` (field names), `references` (`computed`, `recorded` or `none`) and
-            `difference`: the first one in words, None without.
+        result: `cycles`, `verdict`, `verified` (field names), `references` (`computed`, `recorded` or
+            `none`) and `difference`: the first one beyond what `exact` allows in words, None without.
+        agreement: the largest differences.
     """
 
-    def __init__(self, bench: Blueprint, start: RunStart | None) -> None:
-        self.told: dict[str, Any] = {
-            "cycles": 0, "verified": [], "references": "none", "difference": None
+    def __init__(self, bench: Blueprint, start: RunStart | None, *, exact: bool = True) -> None:
+        self.result: dict[str, Any] = {
+            "cycles": 0, "verdict": IDENTICAL, "verified": [], "references": "none", "difference": None
         }  # fmt: skip
+        self.agreement, self._exact = Agreement(), exact
         self._latest: int | None = None
         problem = "the recording does not say how this run began" if start is None else _foreign(start)
         if start is None or problem:
-            self.told["difference"] = problem
+            self._differs(problem)
             return
         self._brain = rebuild(bench, start)
         self._given = self._brain.reference_at if _are_recorded(self._brain) else None
         if self._brain.reference_at is not None:
-            self.told["references"] = "computed" if self._given is None else "recorded"
-        self.told["verified"] = list(FIELDS)
+            self.result["references"] = "computed" if self._given is None else "recorded"
+        self.result["verified"] = list(DECIDED)
         self._brain.reset(start.state)
 
     def take(self, record: CycleRecord | StoredCycle) -> None:
-        """Hold the next cycle against what the brain makes of it; after a difference only count."""
-        self.told["cycles"] += 1
-        if self.told["difference"] is not None:
+        """Compare the next cycle with what the brain makes of it; after a difference only count."""
+        self.result["cycles"] += 1
+        if self.result["difference"] is not None:
             return
         if self._latest is not None and record.cycle != self._latest + 1:
-            self.told["difference"] = f"cycle {record.cycle}: the cycles before it were not recorded"
+            self._differs(f"cycle {record.cycle}: the cycles before it were not recorded")
             return
         self._latest = record.cycle
         if isinstance(self._given, RecordedReferences):
-            self._given.add(record.record if isinstance(record, StoredCycle) else record)
-        found = verify_cycle(record, self._brain)
-        if found is not None:
-            self.told["difference"] = f"cycle {found.cycle}: {found.field}"
+            self._given.add(_read(record))
+        verdict, difference = verify_cycle(record, self._brain, self.agreement, exact=self._exact)
+        if verdict == DIFFERS:
+            self._differs(f"cycle {record.cycle}: {difference}")
+        elif verdict == AGREES:
+            self.result["verdict"] = AGREES
+
+    def _differs(self, difference: str) -> None:
+        self.result |= {"verdict": DIFFERS, "difference": difference}
 
 
 def _foreign(start: RunStart) -> str:
@@ -205,18 +196,23 @@ def _are_recorded(brain: Brain) -> bool:
 
 
 def verify_run(bench: Blueprint, run: RecordedRun) -> dict[str, Any]:
-    """Whether a run repeats bit for bit; see `RunCheck.told`."""
+    """Whether a run repeats bit for bit; see `RunCheck.result`."""
     check = RunCheck(bench, run.start)
     with without_collector():
         for record in run.records:
             check.take(record)
-    return check.told
+    return check.result
 
 
-def verify_recording(opened: OpenedRecording, number: int | None = None) -> list[dict[str, Any]]:
-    """Whether every run of a recording repeats, or one by its number; see `RunCheck.told`.
+def verify_recording(opened: OpenedRecording, number: int | None = None) -> dict[str, Any]:
+    """Whether every run of a recording repeats, or one by its number.
 
     A recording of ours is read, decided upon and let go of in one pass, whatever its length.
+
+    Returns:
+        `verdict` (the worst of all runs), `recorded_with` and `verified_with` (fingerprints of the
+        arithmetic), `largest` (difference by quantity) beside `limits`, `runs` (`RunCheck.result` of each),
+        and with another arithmetic a `remark`.
 
     Raises:
         DataError: there are no cycles.
@@ -227,15 +223,35 @@ def verify_recording(opened: OpenedRecording, number: int | None = None) -> list
             f"{opened.path}: not a recording of this bench: there is nothing to verify",
             expected="an .mcap recording that a run or `hil live` has made", remedy="leave --verify out",
         )  # fmt: skip
-    told, check, latest, count = [], None, -1, 0
+    recorded_with, here = dict(opened.header.get("arithmetic", {})), fingerprint()
+    checks, check, latest, count = list[RunCheck](), None, -1, 0
     with without_collector():
         for k, start, record in read_stored_cycles(opened.path, opened.problems):
             count = k + 1
             if number is not None and k != number:
                 continue
             if check is None or k != latest:
-                check, latest = RunCheck(opened.bench, start), k
-                told.append(check.told)
+                check, latest = RunCheck(opened.bench, start, exact=recorded_with == here), k
+                checks.append(check)
             check.take(record)
     opened.must_hold(count, number)
-    return told
+    return {
+        **_summary(checks),
+        "recorded_with": recorded_with, "verified_with": here,
+        "runs": [check.result for check in checks],
+        **({} if recorded_with == here else {"remark": FLIP}),
+    }  # fmt: skip
+
+
+def _summary(checks: list[RunCheck]) -> dict[str, Any]:
+    """Verdict over several runs, and the largest difference of each quantity in any of them."""
+    verdicts = {check.result["verdict"] for check in checks}
+    found = [check.agreement.largest for check in checks]
+    largest = {
+        name: max(one.get(name, 0.0) for one in found) for name in LIMITS if any(name in f for f in found)
+    }
+    return {
+        "verdict": next(v for v in (DIFFERS, AGREES, IDENTICAL) if v in verdicts),
+        "largest": largest,
+        "limits": {name: {"value": limit.value, "unit": limit.unit} for name, limit in LIMITS.items()},
+    }

@@ -1,4 +1,4 @@
-"""The page that compares estimators on a recording: how far each is off, and how sure it was of itself."""
+"""The pages of a replayed recording: estimators compared (how far off, how sure), or decisions verified."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -34,6 +34,11 @@ _SURE = (
     ("rejected_gyro", "gyro left out", 1.0), ("rejected_tracker", "camera left out", 1.0),
 )  # fmt: skip
 _NAMES = {"recorded": "as recorded", "ekf": "EKF", "ukf": "UKF"}
+_VERDICTS = {
+    "identical": "Every measurement, estimate, reference, setpoint, command and event repeats bit for bit.",
+    "agrees": "Recording and replay were computed by different arithmetic. They agree within the limits.",
+    "differs": "The replay differs from the recording.",
+}
 _IDEAL_NEES = 3.0
 _LEAST_NEES, _MOST_NEES = 1e-2, 1e6
 _SAME_M = 1e-9
@@ -78,6 +83,39 @@ def write_replay_page(
                "columns count measurements that were refused."),
     ]  # fmt: skip
     return write_overview(path, Overview(title, _sentence(numbers), figures, tables, warnings, facts))
+
+
+def write_verification_page(
+    path: Path, title: str, found: Mapping[str, Any], warnings: Sequence[str] = ()
+) -> Path:
+    """Write the page of a verified recording; returns its path.
+
+    Args:
+        path: HTML file.
+        title: heading.
+        found: `hil.replay.verification.verify_recording`.
+        warnings: what could not be read.
+
+    Raises:
+        DataError: the file cannot be written.
+    """
+    runs = [
+        [str(k), str(run["cycles"]), run["verdict"], run["difference"] or "none"]
+        for k, run in enumerate(found["runs"])
+    ]
+    tables = [Table("Runs", ["run", "cycles", "verdict", "first difference"], runs)]
+    if found["verdict"] != "identical":
+        limits = found["limits"]
+        rows = [
+            [name, f"{value:.2g}", f"{limits[name]['value']:g}", limits[name]["unit"]]
+            for name, value in found["largest"].items()
+        ]
+        head = ["quantity", "largest difference", "limit", "unit"]
+        tables.append(Table("Largest differences", head, rows, found.get("remark", "") if rows else ""))
+    then, here = found["recorded_with"], found["verified_with"]
+    rows = [[key, then.get(key, "unknown"), value] for key, value in here.items()]
+    tables.append(Table("Arithmetic", ["of", "recorded with", "verified with"], rows))
+    return write_overview(path, Overview(title, _VERDICTS[found["verdict"]], [], tables, warnings))
 
 
 def _sentence(numbers: Numbers) -> str:

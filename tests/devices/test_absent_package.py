@@ -6,10 +6,9 @@ import subprocess
 import sys
 
 import pytest
-from installing import EXAMPLE, ROOT, environment
+from installing import EXAMPLE, environment
 from mcap.reader import make_reader
 
-OLD = ROOT / "tests" / "recording" / "data" / "recorded_by_0_1_0.mcap"
 TWIN = """
 from dataclasses import replace
 from typing import Literal
@@ -135,13 +134,6 @@ def test_a_recording_of_a_model_that_is_absent_names_its_package(package, stand,
     assert done.code == 2
     assert "imu.twin (hil-twin 1.0)" in done.said
     assert "install hil-twin 1.0 from where you got it" in done.said
-
-
-@pytest.mark.parametrize("installed", [True, False])
-def test_a_recording_from_before_packages_is_read(installed, rangefinder, hil):
-    done = hil("replay", OLD, "--run", 0, packages=[rangefinder] if installed else [])
-    assert done.code == 0, done.out + done.said
-    assert "odometry" in done.out
 
 
 def test_a_package_that_renamed_a_key_is_named_with_both_versions(package, stand, hil, tmp_path):

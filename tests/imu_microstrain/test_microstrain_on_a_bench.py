@@ -133,9 +133,9 @@ def test_a_recording_of_it_replays_bit_for_bit(tmp_path):
         bench.drive(CLIMB, feedback="ekf")
     recording = open_recording(path)
     assert isinstance(recording.bench.config.of(MicrostrainConfig), MicrostrainConfig)
-    told = verify_recording(recording, None)
-    assert sum(run["cycles"] for run in told) > 390
-    assert all(run["difference"] is None for run in told)
+    found = verify_recording(recording)
+    assert found["verdict"] == "identical"
+    assert sum(run["cycles"] for run in found["runs"]) > 390
 
 
 def test_a_fault_of_it_is_seen_and_survived():

@@ -88,7 +88,7 @@ def test_the_summary_says_what_happened(driven):
 def test_a_real_time_recording_repeats_bit_for_bit(driven):
     folder, _ = driven
     code, told = verified(folder / "run.mcap")
-    assert (code, told["identical"]) == (0, True)
+    assert (code, told["verdict"]) == (0, "identical")
     assert [r["references"] for r in told["runs"]] == ["none", "computed"]
     assert told["changed_versions"] == {}
 
@@ -127,7 +127,7 @@ def test_velocity_commands_move_and_silence_stops(tmp_path):
     assert np.allclose(references[-1].twist_body, 0.0)
     assert references[-1].pose_in_wall[0] > references[0].pose_in_wall[0] + 0.01
     assert abs(references[-1].pose_in_wall[1] - references[0].pose_in_wall[1]) < 0.002
-    assert verified(tmp_path / "run.mcap")[1]["identical"]
+    assert verified(tmp_path / "run.mcap")[1]["verdict"] == "identical"
 
 
 def _moved(path):
@@ -158,7 +158,7 @@ def test_a_signal_holds_the_robot_and_tells_all(tmp_path, name):
     assert summary["timing"]["cycles"] > 0
     records = list(read_cycles(tmp_path / "run.mcap"))
     assert all(r.reference is None for r in records)
-    assert verified(tmp_path / "run.mcap")[1]["identical"]
+    assert verified(tmp_path / "run.mcap")[1]["verdict"] == "identical"
 
 
 @pytest.mark.parametrize("names", ["SIGINT SIGINT SIGINT", "SIGTERM SIGHUP"])
@@ -213,7 +213,7 @@ def test_every_session_is_recorded_under_its_date_unless_told_otherwise(tmp_path
     told = json.loads(out)["recording"]
     assert told["path"] == str(path.relative_to(tmp_path))
     assert told["written"] == sum(1 for _ in read_cycles(path)) > 0
-    assert verified(path)[1]["identical"]
+    assert verified(path)[1]["verdict"] == "identical"
 
     process = live(tmp_path, "--duration", "0.5", "--no-record")
     out, err = process.communicate(timeout=LIMIT_S)
