@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 EXTRAS := fast rerun parquet campaign mujoco test lint docs
 CLIMB := out/demo/recording_x_line_ekf_seed_1
 
-.PHONY: help demo demo-calibration docs site dist notebooks pictures test test-slowest test-long lint lock bench clean
+.PHONY: help demo demo-calibration docs site dist notebooks pictures test test-slowest test-long test-portable lint lock bench clean
 
 help:
 	@echo "make demo       the robot climbs an emulated wall: report, recording, Rerun file, replay"
@@ -18,6 +18,7 @@ help:
 	@echo "make test       run the default test suite"
 	@echo "make test-slowest  run it and list the twenty slowest tests"
 	@echo "make test-long  run the tests that take minutes, too"
+	@echo "make test-portable  run what depends on numbers as other processors would compute (SHORT=1: a part)"
 	@echo "make lint       ruff, mypy --strict, import-linter"
 	@echo "make docs       write docs/bench-file.md, docs/faults.md and the pictures of rooms and robot afresh"
 	@echo "make site       build the documentation site in out/site, every warning an error"
@@ -76,6 +77,10 @@ test-slowest: $(BIN)/.installed
 
 test-long: $(BIN)/.installed
 	$(BIN)/python -m pytest -m "long or not long" --hypothesis-profile thorough --timeout 3600
+
+test-portable: export PYTHONDONTWRITEBYTECODE :=
+test-portable: $(BIN)/.installed
+	@$(BIN)/python tests/portable.py $(if $(SHORT),--short)
 
 lint: $(BIN)/.installed
 	$(BIN)/ruff check .

@@ -29,8 +29,8 @@ from hil.vocabulary.signals import CycleRecord, Inputs, Reference
 IDENTICAL, AGREES, DIFFERS = "identical", "agrees", "differs"
 """Verdicts, from best to worst."""
 FLIP = (
-    "one refused sample or one event that falls to the other side of its threshold is more than the limits "
-    "allow, and everything after it differs, too: such a single flip may be the other arithmetic's"
+    "One refused sample or one event on the other side of its threshold is more than the limits allow, and "
+    "what follows differs, too. Such a flip may come from the other arithmetic alone."
 )
 """What to know of a difference that was found under another arithmetic."""
 

@@ -114,7 +114,7 @@ def write_verification_page(
         tables.append(Table("Largest differences", head, rows, found.get("remark", "") if rows else ""))
     then, here = found["recorded_with"], found["verified_with"]
     rows = [[key, then.get(key, "unknown"), value] for key, value in here.items()]
-    tables.append(Table("Arithmetic", ["of", "recorded with", "verified with"], rows))
+    tables.append(Table("Arithmetic", ["part", "recorded with", "verified with"], rows))
     return write_overview(path, Overview(title, _VERDICTS[found["verdict"]], [], tables, warnings))
 
 
