@@ -3,7 +3,6 @@
 import errno
 import gc
 import os
-import signal
 import subprocess
 from collections import Counter
 from pathlib import Path
@@ -17,6 +16,7 @@ from hypothesis import settings
 from hil.recording import mcap_file
 from tests import warm
 from tests.lanes import ALONE, REAL_TIME, THINNED, WIRED, files
+from tests.signals import as_a_program_begins
 
 settings.register_profile("hil", deadline=None, max_examples=50)
 settings.register_profile("thorough", deadline=None, max_examples=500)
@@ -27,8 +27,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def pytest_configure(config):
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as shells start what runs in the background
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    as_a_program_begins()
     config.addinivalue_line("markers", "real_time: waits for a clock; not beside tests that keep a core busy")
     config.addinivalue_line(
         "markers", "alone: judges the clock, or needs a port of the host; nothing beside it"

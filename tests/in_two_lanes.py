@@ -4,11 +4,15 @@ Tests in virtual time keep every core busy, but give way at once to the others, 
 these at a time, then one after the other those that judge the clock or need a port of the host. What the
 lane in virtual time says is shown when the others are through.
 
+Each lane has a session of its own: a terminal that is closed reaches no test, and under `nohup` the run goes
+on. Ctrl-C, SIGTERM and, without `nohup`, SIGHUP end all of them.
+
     python tests/in_two_lanes.py [FOLDER FOR JUNIT FILES]
 """
 
 import contextlib
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -26,6 +30,7 @@ ON_A_CLOCK = (
 HANGING = ("-o", "faulthandler_timeout=960", "-o", "faulthandler_exit_on_timeout=true")
 """A test that no signal reaches, in code of a library say, ends its process and is named as failed."""
 _LOOK_S = 0.5
+_ENDING_S = 20.0
 
 
 def command(folder, name, *options):
@@ -54,23 +59,46 @@ def show(log, lane):
             time.sleep(_LOOK_S)
 
 
+def start(lane, **how):
+    """A lane that no signal of the terminal reaches."""
+    return subprocess.Popen(lane, start_new_session=True, **how)
+
+
+def end(lane):
+    """End a lane with all that it has started, if it still runs."""
+    if lane.poll() is None:
+        os.killpg(lane.pid, signal.SIGINT)
+        try:
+            lane.wait(_ENDING_S)
+        except subprocess.TimeoutExpired:
+            os.killpg(lane.pid, signal.SIGKILL)
+    return lane.wait()
+
+
+def leave(number, _frame):
+    """What ends this process ends it in order."""
+    sys.exit(128 + number)
+
+
 def main(folder=None):
     """Run all of them; returns 1 where a test failed."""
-    with tempfile.TemporaryDirectory() as scratch:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, leave)
+    with tempfile.TemporaryDirectory() as scratch, contextlib.ExitStack() as lanes:
         path = Path(scratch) / "virtual.log"
         with path.open("wb") as written, path.open("rb") as log:
-            lane = subprocess.Popen(
-                command(folder, *VIRTUAL), stdout=written, stderr=subprocess.STDOUT, start_new_session=True,
-                preexec_fn=give_way,
-            )  # fmt: skip
-            try:
-                codes = [subprocess.call(command(folder, *lane_on_a_clock)) for lane_on_a_clock in ON_A_CLOCK]
-                show(log, lane)
-            finally:
-                if lane.poll() is None:
-                    lane.terminate()
-                codes_of_all = lane.wait()
-    return int(any((*codes, codes_of_all)))
+            virtual = start(
+                command(folder, *VIRTUAL), stdout=written, stderr=subprocess.STDOUT, preexec_fn=give_way
+            )
+            lanes.callback(end, virtual)
+            codes = []
+            for options in ON_A_CLOCK:
+                lane = start(command(folder, *options))
+                lanes.callback(end, lane)
+                codes.append(lane.wait())
+            show(log, virtual)
+    return int(any((*codes, virtual.wait())))
 
 
 if __name__ == "__main__":

@@ -119,12 +119,17 @@ def command(
 
 
 def _end_when_asked(stop: Callable[[], None], *, only_by_sigterm: bool) -> None:
-    """A signal ends the server in order; one from the terminal does not where only SIGTERM may."""
+    """A signal ends the server in order; one from the terminal does not where only SIGTERM may.
+
+    Under `nohup` a closed terminal ends nothing.
+    """
 
     def leave(signum: int, frame: FrameType | None) -> None:
         stop()
 
     for number in _ENDS:
+        if number == signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
+            continue
         signal.signal(number, signal.SIG_IGN if only_by_sigterm and number in _OF_A_TERMINAL else leave)
 
 

@@ -10,14 +10,12 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
 from importlib import resources
 from urllib.parse import quote
 
 import pytest
 
 from hil.cli import main
-from hil.procedure.campaign.spread import _ended_once
 
 SCRIPT = '''
 """A procedure of a moment."""
@@ -376,10 +374,3 @@ def test_a_scheduler_that_does_not_answer(campaign):
     code, _, said = campaign("--seeds", "0", "--scheduler", "nonsense://1", "--out", "o")
     assert code == 2
     assert "Dask scheduler 'nonsense://1' does not answer" in said
-
-
-def test_a_second_ctrl_c_does_not_break_into_the_end_of_the_workers():
-    before, ended = signal.getsignal(signal.SIGINT), ExitStack()
-    ended.callback(os.kill, os.getpid(), signal.SIGINT)
-    _ended_once(ended)
-    assert signal.getsignal(signal.SIGINT) is before

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -32,7 +33,7 @@ def reader(tmp_path_factory):
     for name, words in PROGRAMS.items():
         program = target / "bin" / name
         program.parent.mkdir(exist_ok=True)
-        program.write_text(f'#!/bin/sh\nexec {sys.executable} {words}"$@"\n')
+        program.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} {words}"$@"\n')
         program.chmod(0o755)
     (target / "pip.conf").write_text(
         f"[install]\ntarget = {target}\nno-index = true\nno-deps = true\nno-build-isolation = false\n"

@@ -62,7 +62,7 @@ def rule(line):
     """How a line is tried: a shell line that ends soon, or None for one that another test runs as printed."""
     line = line.split("#")[0].strip()
     if line.startswith("make "):
-        return f"make -C {ROOT} -n {line.removeprefix('make ')}"
+        return f"make -C {shlex.quote(str(ROOT))} -n {line.removeprefix('make ')}"
     if "-m pip install -e" in line:
         return None  # is what `make` does
     if line.startswith("python -m pip wheel"):
@@ -92,7 +92,7 @@ def folder(tmp_path_factory):
     shutil.copy(ROOT / "hil" / "config" / "profiles" / "emulated.toml", place / "my.toml")
     (place / "bin").mkdir()
     python = place / "bin" / "python"
-    python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+    python.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} "$@"\n')
     python.chmod(0o755)
     subprocess.run(["git", "clone", "--quiet", ROOT, place / "source"], check=True)
     assert main(["demo-data", str(place / "recordings"), "--repetitions", "1"]) == 0

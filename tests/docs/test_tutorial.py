@@ -1,6 +1,7 @@
 """The tutorial works as printed: each file is saved, each line is run in order, in an empty folder."""
 
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +15,8 @@ BLOCK = re.compile(
 )
 
 
-RUN = {"hil": f"{sys.executable} -m hil ", "python": f"{sys.executable} "}
+PYTHON = shlex.quote(sys.executable)
+RUN = {"hil": f"{PYTHON} -m hil ", "python": f"{PYTHON} "}
 STOPS = {"hil run climb.py --fault tracker:off@1"}
 """Lines of which the page says that they end with exit code 3."""
 

@@ -74,7 +74,7 @@ def test_python_cans_logger_records_the_bus(served, tmp_path):
     where = served["can"]
     file = tmp_path / "bus.asc"
     with subprocess.Popen(
-        [sys.executable, "-c", LOGGER, "-i", where["interface"], "-c", where["channel"], "-f", file,
+        [sys.executable, "-u", "-c", LOGGER, "-i", where["interface"], "-c", where["channel"], "-f", file,
          "--bus-kwargs", f"port={where['port']}"],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     ) as logger:  # fmt: skip

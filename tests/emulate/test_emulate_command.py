@@ -10,6 +10,7 @@ import serial
 from emulators import END_S, emulator
 
 from hil.cli import main
+from hil.cli.emulate import _end_when_asked
 from hil.fakes.standard_can import DEFAULT_PORT
 
 
@@ -69,6 +70,19 @@ def test_it_ends_in_order_and_takes_its_ports_with_it(three, how):
     assert [line.split()[:3] for line in process.stderr] == [["at", "the", "start"], ["at", "the", "end"]]
     with pytest.raises(AssertionError, match="no answer"):
         chip_id(endpoint)
+
+
+@pytest.mark.parametrize(("inherited", "ends"), [(signal.SIG_DFL, True), (signal.SIG_IGN, False)])
+def test_under_nohup_a_closed_terminal_does_not_end_it(inherited, ends):
+    former = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    signal.signal(signal.SIGHUP, inherited)
+    try:
+        _end_when_asked(lambda: None, only_by_sigterm=False)
+        assert callable(signal.getsignal(signal.SIGTERM))
+        assert callable(signal.getsignal(signal.SIGHUP)) == ends
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)
 
 
 def test_a_second_one_works_beside_the_first(served, emulate):

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -18,8 +19,9 @@ def test_the_block_works_as_printed(tmp_path, page):
     (block,) = re.findall(r"^```sh\n(hil emulate --out.*?)^```", text, re.DOTALL | re.MULTILINE)
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     (tmp_path / "bin").mkdir()
+    python = shlex.quote(sys.executable)
     for name, call in (("hil", "-m hil "), ("python", "")):
-        (tmp_path / "bin" / name).write_text(f'#!/bin/sh\nexec {sys.executable} {call}"$@"\n')
+        (tmp_path / "bin" / name).write_text(f'#!/bin/sh\nexec {python} {call}"$@"\n')
         (tmp_path / "bin" / name).chmod(0o755)
     environment = {"PATH": f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
     done = subprocess.run(

@@ -62,7 +62,8 @@ def test_an_extra_for_another_python_says_which(monkeypatch):
 
 def test_without_pip_the_line_is_for_uv(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    assert how_to_install("parquet").startswith(f"install it with: uv pip install --python {sys.executable} ")
+    words = shlex.split(how_to_install("parquet").removeprefix("install it with: "))
+    assert words[:5] == ["uv", "pip", "install", "--python", sys.executable]
 
 
 @pytest.fixture

@@ -11,13 +11,13 @@ import importlib
 import logging
 import signal
 import tempfile
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from multiprocessing.resource_tracker import ensure_running
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from hil.procedure.campaign.ending import Strikes, close_once, take_back
 from hil.procedure.campaign.parcel import Parcel
 from hil.vocabulary.errors import Aborted, UsageError
 from hil.vocabulary.extras import how_to_install
@@ -79,14 +79,23 @@ def spread(
             done(_settled(work(job), job, lost))
         return
     check_dask()
-    with _client(min(workers, len(jobs)), scheduler) as client, ExitStack() as stack:
+    with (
+        _client(min(workers, len(jobs)), scheduler) as client,
+        Strikes() as strikes,
+        ExitStack() as stack,
+    ):
         from distributed import as_completed
 
         if scheduler:
             _make_ready(client, scheduler, parcel, stack)
         futures = {client.submit(work, job, retries=_RETRIES, pure=False): job for job in jobs}
         try:
-            for future in (ended := as_completed(list(futures))):
+            ended = as_completed(list(futures))
+            while True:
+                with strikes.heard():
+                    future = next(ended, None)
+                if future is None:
+                    break
                 if future.cancelled():
                     raise Aborted(f"Dask scheduler {scheduler!r} has gone", remedy="go on with --resume")
                 job, error = futures[future], future.exception()
@@ -99,7 +108,7 @@ def spread(
                     done(_settled(result, job, lost))
                 future.release()
         except BaseException:
-            client.cancel(list(futures), force=True)
+            take_back(client, list(futures))
             raise
 
 
@@ -146,49 +155,45 @@ def check_dask() -> None:
 
 @contextmanager
 def _client(workers: int, scheduler: str) -> Iterator[Client]:
+    for name in ("distributed", "distributed.client"):  # Dask gives both a level of their own
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    with ExitStack() as stack:
+        client = _connected(scheduler, stack) if scheduler else _with_workers(workers, stack)
+        try:
+            yield client
+        finally:
+            close_once(stack)
+
+
+def _connected(scheduler: str, stack: ExitStack) -> Client:
+    """A client of a cluster elsewhere, until `stack` ends."""
+    from distributed import Client
+
+    try:
+        return stack.enter_context(Client(scheduler, timeout=10))
+    except (OSError, ValueError) as error:
+        raise UsageError(
+            f"Dask scheduler {scheduler!r} does not answer ({error})",
+            remedy="start `dask scheduler`, and give the address that it prints",
+        ) from None
+
+
+def _with_workers(workers: int, stack: ExitStack) -> Client:
+    """A client of processes here, until `stack` ends."""
     from dask import config
     from distributed import Client, LocalCluster
 
-    for name in ("distributed", "distributed.client"):  # Dask gives both a level of their own
-        logging.getLogger(name).setLevel(logging.CRITICAL)
-    if scheduler:
-        try:
-            client = Client(scheduler, timeout=10)
-        except (OSError, ValueError) as error:
-            raise UsageError(
-                f"Dask scheduler {scheduler!r} does not answer ({error})",
-                remedy="start `dask scheduler`, and give the address that it prints",
-            ) from None
-        with client:
-            yield client
-        return
     options: dict[str, Any] = {
         "n_workers": workers, "threads_per_worker": 1, "processes": True, "host": "127.0.0.1",
         "dashboard_address": "127.0.0.1:0", "silence_logs": logging.CRITICAL, "memory_limit": 0,
     }  # fmt: skip
-    with ExitStack() as stack:
-        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hil-campaign-"))
-        try:
-            with _interrupts_put_off(), config.set(_UNWATCHED):
-                cluster = stack.enter_context(LocalCluster(local_directory=folder, **options))
-                client = stack.enter_context(Client(cluster))
-        except (RuntimeError, OSError) as error:  # a worker that was killed before it had begun
-            raise Aborted(f"the workers did not start ({error})", remedy="go on with --resume") from None
-        try:
-            yield client
-        finally:
-            _ended_once(stack)
-
-
-def _ended_once(stack: ExitStack) -> None:
-    """End the workers; a second Ctrl-C meanwhile only made Dask wait for them in vain, 10 s long."""
-    here = threading.current_thread() is threading.main_thread()
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN) if here else None
+    folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hil-campaign-"))
     try:
-        stack.close()
-    finally:
-        if here:
-            signal.signal(signal.SIGINT, before)
+        with _interrupts_put_off(), config.set(_UNWATCHED):
+            cluster = stack.enter_context(LocalCluster(local_directory=folder, **options))
+            return stack.enter_context(Client(cluster))
+    except (RuntimeError, OSError) as error:  # a worker that was killed before it had begun
+        raise Aborted(f"the workers did not start ({error})", remedy="go on with --resume") from None
 
 
 @contextmanager
