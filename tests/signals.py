@@ -1,4 +1,4 @@
-"""Signals as a program begins with them, whoever started the tests.
+"""Signals as a program begins with them, however the tests were started.
 
 `nohup` leaves SIGHUP ignored, a shell SIGINT and SIGQUIT of what runs in its background, others leave signals
 blocked: all of that would be handed on to every command that a test starts.

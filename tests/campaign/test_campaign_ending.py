@@ -1,4 +1,4 @@
-"""Work on Dask that a signal ends: it strikes where Dask is not at work, and nobody is missed afterwards."""
+"""Work on Dask that a signal ends: it strikes where Dask is not at work, and no job is left behind."""
 
 import os
 import signal
