@@ -31,6 +31,8 @@ help:
 $(BIN)/.installed: pyproject.toml $(LOCK)
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || \
 	{ echo "CPython 3.10 to 3.13 is needed: set PYTHON=/path/to/python3"; exit 2; }
+	@test -z "$(LOCK)" || case $$(uname -sm) in "Linux x86_64" | "Linux aarch64") ;; \
+	*) echo "$(LOCK) is for Linux on x86_64 and aarch64: try make LOCK="; exit 2;; esac
 	$(PYTHON) -m venv $(VENV)
 ifneq ($(OLDEST),)
 	$(PIP) uv
@@ -116,7 +118,8 @@ pictures: $(BIN)/.installed
 
 lock: $(BIN)/.installed
 	$(PIP) uv
-	$(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.10 --generate-hashes \
+	$(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.10 --only-binary :all: \
+	--generate-hashes \
 	--custom-compile-command "make lock" $(EXTRAS:%=--extra %) \
 	pyproject.toml requirements/build.in -o $(LOCK)
 
