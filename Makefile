@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 EXTRAS := fast rerun parquet campaign mujoco test lint docs
 CLIMB := out/demo/recording_x_line_ekf_seed_1
 
-.PHONY: help demo demo-calibration docs site dist notebooks pictures test test-slowest test-long test-portable lint lock bench clean
+.PHONY: help demo demo-calibration docs site dist notebooks pictures test test-slowest test-long test-portable test-aarch64 lint lock bench clean
 
 help:
 	@echo "make demo       the robot climbs an emulated wall: report, recording, Rerun file, replay"
@@ -19,6 +19,7 @@ help:
 	@echo "make test-slowest  run it and list the twenty slowest tests"
 	@echo "make test-long  run the tests that take minutes, too"
 	@echo "make test-portable  run what depends on numbers as other processors would compute (SHORT=1: a part)"
+	@echo "make test-aarch64  the bench on an emulated aarch64 computer (Debian on x86-64; takes an hour)"
 	@echo "make lint       ruff, mypy --strict, import-linter"
 	@echo "make docs       write docs/bench-file.md, docs/faults.md and the pictures of rooms and robot afresh"
 	@echo "make site       build the documentation site in out/site, every warning an error"
@@ -83,6 +84,10 @@ test-long: $(BIN)/.installed
 test-portable: export PYTHONDONTWRITEBYTECODE :=
 test-portable: $(BIN)/.installed
 	@$(BIN)/python tests/portable.py $(if $(SHORT),--short)
+
+test-aarch64: $(BIN)/.installed
+	$(PIP) uv
+	$(BIN)/python tests/on_aarch64.py
 
 lint: $(BIN)/.installed
 	$(BIN)/ruff check .
