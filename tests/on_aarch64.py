@@ -46,6 +46,7 @@ _APT = """
 APT::Architecture "arm64";
 APT::Architectures { "arm64"; "amd64"; };
 APT::Install-Recommends "false";
+APT::Sandbox::User "root";
 Dir::State "FOLDER/state";
 Dir::State::status "FOLDER/state/status";
 Dir::Cache "FOLDER/cache";
