@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 EXTRAS := fast rerun parquet campaign mujoco test lint docs
 CLIMB := out/demo/recording_x_line_ekf_seed_1
 
-.PHONY: help demo demo-calibration docs site dist notebooks pictures test test-slowest test-long test-portable lint lock bench clean
+.PHONY: help demo demo-calibration docs site dist notebooks pictures test test-slowest test-long test-portable test-aarch64 lint lock bench clean
 
 help:
 	@echo "make demo       the robot climbs an emulated wall: report, recording, Rerun file, replay"
@@ -19,6 +19,7 @@ help:
 	@echo "make test-slowest  run it and list the twenty slowest tests"
 	@echo "make test-long  run the tests that take minutes, too"
 	@echo "make test-portable  run what depends on numbers as other processors would compute (SHORT=1: a part)"
+	@echo "make test-aarch64  the bench on an emulated aarch64 computer (Debian on x86-64; takes an hour)"
 	@echo "make lint       ruff, mypy --strict, import-linter"
 	@echo "make docs       write docs/bench-file.md, docs/faults.md and the pictures of rooms and robot afresh"
 	@echo "make site       build the documentation site in out/site, every warning an error"
@@ -31,6 +32,8 @@ help:
 $(BIN)/.installed: pyproject.toml $(LOCK)
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || \
 	{ echo "CPython 3.10 to 3.13 is needed: set PYTHON=/path/to/python3"; exit 2; }
+	@test -z "$(LOCK)" || case $$(uname -sm) in "Linux x86_64" | "Linux aarch64") ;; \
+	*) echo "$(LOCK) is for Linux on x86_64 and aarch64: try make LOCK="; exit 2;; esac
 	$(PYTHON) -m venv $(VENV)
 ifneq ($(OLDEST),)
 	$(PIP) uv
@@ -82,6 +85,10 @@ test-portable: export PYTHONDONTWRITEBYTECODE :=
 test-portable: $(BIN)/.installed
 	@$(BIN)/python tests/portable.py $(if $(SHORT),--short)
 
+test-aarch64: $(BIN)/.installed
+	$(PIP) uv
+	$(BIN)/python tests/on_aarch64.py
+
 lint: $(BIN)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -116,7 +123,8 @@ pictures: $(BIN)/.installed
 
 lock: $(BIN)/.installed
 	$(PIP) uv
-	$(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.10 --generate-hashes \
+	$(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.10 --only-binary :all: \
+	--generate-hashes \
 	--custom-compile-command "make lock" $(EXTRAS:%=--extra %) \
 	pyproject.toml requirements/build.in -o $(LOCK)
 

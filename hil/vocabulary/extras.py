@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import shlex
 import sys
-from contextlib import suppress
 from importlib import metadata, util
 from typing import TYPE_CHECKING
 
@@ -46,19 +45,19 @@ def lacks(extra: str) -> str:
     """What keeps an extra from being used in this Python; empty where it can be.
 
     That its module can be imported is not enough: one of another version may no longer do what it is for.
+    One that was built by hand, where there is no wheel, belongs to no installed package and is believed.
     """
     if not is_installed(extra):
         return "not installed"
-    wanted = _behind(extra)
+    wanted = [r for r in _behind(extra) if _is_package(r.name)]
     fitting = [r for r in wanted if _fits(r, extra)]
     if wanted and not fitting:
         needed = ", ".join(map(str, wanted)).replace(f' and extra == "{extra}"', "")
         return f"this Python cannot have it: {needed}"
     for requirement in fitting:
-        with suppress(metadata.PackageNotFoundError):
-            found = metadata.version(requirement.name)
-            if not requirement.specifier.contains(found, prereleases=True):
-                return f"{requirement.name} {found} is installed; it needs {_plain(requirement)}"
+        found = metadata.version(requirement.name)
+        if not requirement.specifier.contains(found, prereleases=True):
+            return f"{requirement.name} {found} is installed; it needs {_plain(requirement)}"
     return ""
 
 
@@ -79,6 +78,14 @@ def how_to_install(extra: str) -> str:
 
 def _behind(extra: str) -> list[Requirement]:
     return [r for r in _requirements() if f'extra == "{extra}"' in str(r.marker)]
+
+
+def _is_package(name: str) -> bool:
+    try:
+        metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
 
 
 def _fits(requirement: Requirement, extra: str) -> bool:

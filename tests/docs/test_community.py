@@ -91,16 +91,11 @@ def other_motion_capture():
     return [m.name for m in kinds()["mocap"].models] == ["natnet"]
 
 
-def locked_for_aarch64():
-    return "aarch64" not in (ROOT / "requirements" / "ci.lock").read_text()
-
-
 OPEN = {
     "a quick form of `grid_scan`": quick_scan,
     "recordings for MATLAB and Octave": export_to_mat,
     "arrows that can be read off a page": arrows_on_a_page,
     "motion capture by another maker": other_motion_capture,
-    "locked packages for aarch64": locked_for_aarch64,
 }
 
 

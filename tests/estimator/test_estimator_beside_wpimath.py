@@ -8,9 +8,6 @@ its own accuracy test ships, and with those that do best on this very stream.
 import numpy as np
 import pytest
 from scipy.optimize import minimize
-from wpimath.estimator import SwerveDrive4PoseEstimator
-from wpimath.geometry import Pose2d, Rotation2d, Translation2d
-from wpimath.kinematics import SwerveDrive4Kinematics, SwerveModulePosition
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator import make_estimator
@@ -25,6 +22,10 @@ from hil.vocabulary.signals import (
     WheelMeasurement,
 )
 
+_estimator, _geometry, _kinematics = (
+    pytest.importorskip(f"wpimath.{name}", reason="robotpy-wpimath has no wheel for this computer")
+    for name in ("estimator", "geometry", "kinematics")
+)
 DT_S, STEPS, LATE = 0.02, 436, 13
 X, Y = np.array([1.0, 1.0, -1.0, -1.0]), np.array([1.0, -1.0, -1.0, 1.0])
 RADIUS_M = 0.05
@@ -62,23 +63,25 @@ SHIPPED = (0.45, 0.45, 0.45)
 
 def theirs(distances, angles, headings, vision, vision_sigma):
     """Only the ratio of vision to odometry sigmas counts, axis by axis, so odometry's stay at 0.1."""
-    kinematics = SwerveDrive4Kinematics(
-        *[Translation2d(float(x), float(y)) for x, y in zip(X, Y, strict=True)]
+    kinematics = _kinematics.SwerveDrive4Kinematics(
+        *[_geometry.Translation2d(float(x), float(y)) for x, y in zip(X, Y, strict=True)]
     )
 
     def modules(k):
         pairs = zip(distances[k].tolist(), angles[k].tolist(), strict=True)
-        return tuple(SwerveModulePosition(d, Rotation2d(a)) for d, a in pairs)
+        return tuple(_kinematics.SwerveModulePosition(d, _geometry.Rotation2d(a)) for d, a in pairs)
 
-    filter_ = SwerveDrive4PoseEstimator(
-        kinematics, Rotation2d(0.0), modules(0), Pose2d(), (0.1, 0.1, 0.1), vision_sigma
+    filter_ = _estimator.SwerveDrive4PoseEstimator(
+        kinematics, _geometry.Rotation2d(0.0), modules(0), _geometry.Pose2d(), (0.1, 0.1, 0.1), vision_sigma
     )
     out, waiting = [np.zeros(2)], list(vision)
     for k in range(1, STEPS + 1):
         while waiting and waiting[0][0] + LATE <= k:
             at, z = waiting.pop(0)
-            filter_.addVisionMeasurement(Pose2d(float(z[0]), float(z[1]), Rotation2d(float(z[2]))), at * DT_S)
-        pose = filter_.updateWithTime(k * DT_S, Rotation2d(headings[k]), modules(k))
+            filter_.addVisionMeasurement(
+                _geometry.Pose2d(float(z[0]), float(z[1]), _geometry.Rotation2d(float(z[2]))), at * DT_S
+            )
+        pose = filter_.updateWithTime(k * DT_S, _geometry.Rotation2d(headings[k]), modules(k))
         out.append(np.array([pose.x, pose.y]))
     return np.array(out)
 

@@ -48,6 +48,14 @@ def test_each_extra_says_what_it_lacks(installed):
     }
 
 
+def test_a_library_built_by_hand_where_there_is_no_wheel_is_usable(installed, monkeypatch):
+    def version(name):
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "version", version)
+    assert extras.lacks("t265") == ""
+
+
 def test_readme_lists_every_extra_once():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
