@@ -47,7 +47,8 @@ def open_bench(
     Args:
         config: path of a bench file, name of a shipped profile, or a configuration.
         emulate: `all` or names of devices to emulate, whatever the file says.
-        seed: seed of the emulated world; the same seed gives the same run, bit for bit, in virtual time.
+        seed: seed of the emulated world; in virtual time the same seed gives the same run, bit for bit on the
+            same arithmetic (`hil info`).
         realtime: emulated devices in real time at the wire, in a process of their own.
         faults: for emulated devices: a spec (`imu:stuck@2+3`) or the path of a TOML timeline, or several;
             they come beside those of the configuration.

@@ -47,7 +47,7 @@ COMMANDS = {
     "info": "versions for a bug report",
     "list": "procedures, profiles, devices, faults and estimators that there are",
     "live": "the control-estimate loop in real time, with monitoring",
-    "replay": "re-run estimation on a recording, or prove that it repeats bit for bit",
+    "replay": "re-run estimation on a recording, or verify that what it decided repeats",
     "report": "the HTML page of a run, or a comparison of several",
     "results": "earlier runs: list, open, search, trends, delete",
     "robot": "the record of a robot: show, compare, apply and roll back its versions",

@@ -211,22 +211,30 @@ def _text(result: dict[str, Any]) -> str:
 
 def _verification_text(result: dict[str, Any]) -> str:
     from hil.vocabulary.fingerprint import differences
+    from hil.vocabulary.reading import printable
 
     words = {"identical": "identical in ", "agrees": "agrees within the limits in "}
     lines = [
-        f"run {i}: {r['cycles']} cycles, "
+        f"run {r['run']}: {r['cycles']} cycles, "
         + (r["difference"] or words[r["verdict"]] + ", ".join(r["verified"]))
-        for i, r in enumerate(result["runs"])
+        for r in result["runs"]
     ]
-    if result["verdict"] != "identical":
+    then, here = result["recorded_with"], result["verified_with"]
+    if result["verdict"] == "differs" and then == here:
+        lines.append("the same arithmetic as that of the recording: every bit has to be equal")
+    elif result["verdict"] != "identical":
         lines += [f"{'quantity':18} {'largest difference':>18}  limit"]
         for name, value in result["largest"].items():
             limit = result["limits"][name]
             lines.append(f"{name:18} {value:18.2g}  {limit['value']:g} {limit['unit']}")
-    if result["recorded_with"] != result["verified_with"]:
-        for key, (then, here) in differences(result["recorded_with"], result["verified_with"]).items():
-            lines.append(f"other arithmetic: {key} was {then}, here {here}")
-        if result["verdict"] == "differs":
-            lines.append(f"remark: {result['remark']}")
-    lines += [f"recorded with {k} {old}, now {new}" for k, (old, new) in result["changed_versions"].items()]
-    return "\n".join([f"verdict: {result['verdict']}", *lines])
+    if not then:
+        lines.append("the recording does not say by what arithmetic it was made")
+    else:
+        pairs = differences(then, here).items()
+        lines += [f"other arithmetic: {key} was {one}, here {other}" for key, (one, other) in pairs]
+    lines += [f"remark: {r['remark']}" for r in result["runs"] if "remark" in r]
+    changed = dict(result["changed_versions"])
+    if changed.pop("hil_sources", None):
+        lines.append("this package's own source code has changed since the recording")
+    lines += [f"recorded with {k} {old}, now {new}" for k, (old, new) in changed.items()]
+    return printable("\n".join([f"verdict: {result['verdict']}", *lines]))

@@ -100,13 +100,13 @@ def first_difference(a: Any, b: Any, where: str = "") -> str | None:
         return _array_difference(a, b, where)
     if isinstance(a, tuple) and isinstance(b, tuple):
         if len(a) != len(b):
-            return f"{where}: {len(a)} entries and {len(b)}"
+            return f"{where}: was {len(a)} entries, now {len(b)}"
         return _first(((str(i), x, y) for i, (x, y) in enumerate(zip(a, b, strict=True))), where)
     if isinstance(a, Mapping) and isinstance(b, Mapping):
         if set(a) != set(b):
             return f"{where}: only in one of them: {', '.join(sorted(map(str, set(a) ^ set(b))))}"
         return _first(((str(key), a[key], b[key]) for key in a), where)
-    return None if _same(a, b) else f"{where}: {a!r} and {b!r}"
+    return None if _same(a, b) else f"{where}: was {a!r}, now {b!r}"
 
 
 def _same(a: Any, b: Any) -> bool:
@@ -130,10 +130,10 @@ def _first(pairs: Any, where: str) -> str | None:
 
 def _array_difference(a: Any, b: Any, where: str) -> str | None:
     if a.shape != b.shape or a.dtype != b.dtype:
-        return f"{where}: {a.dtype}{a.shape} and {b.dtype}{b.shape}"
+        return f"{where}: was {a.dtype}{a.shape}, now {b.dtype}{b.shape}"
     if a.tobytes() == b.tobytes():
         return None
     for index in np.ndindex(a.shape):
         if a[index].tobytes() != b[index].tobytes():
-            return f"{where}{list(index)}: {a[index].item()!r} and {b[index].item()!r}"
+            return f"{where}{list(index)}: was {a[index].item()!r}, now {b[index].item()!r}"
     return None

@@ -79,10 +79,13 @@ class Agreement:
 
     Attributes:
         largest: by name in `LIMITS`, in the unit given there; only quantities of which there was a number.
+        flip: the first difference of the latest cycle that is no number's: a flag, a count, an event. None
+            without.
     """
 
     def __init__(self) -> None:
         self.largest: dict[str, float] = {}
+        self.flip: str | None = None
 
     def take(self, recorded: Mapping[str, Any], decided: Mapping[str, Any]) -> str | None:
         """Take one cycle.
@@ -94,6 +97,7 @@ class Agreement:
         Returns:
             The first field beyond its limit with both values, or None.
         """
+        self.flip = None
         return self._first(((name, recorded[name], decided[name]) for name in recorded), "", ())
 
     def _first(self, fields: Fields, where: str, quantities: tuple[str, ...]) -> str | None:
@@ -110,13 +114,13 @@ class Agreement:
         fields = _fields(a, b)
         if fields is not None:
             return self._first(fields, where, quantities)
-        if not quantities:
-            return first_difference(a, b, where)
-        if isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and a.shape == b.shape:
+        if quantities and isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and a.shape == b.shape:
             return self._compare_arrays(a, b, where, quantities)
-        if isinstance(a, float) and isinstance(b, float):
+        if quantities and isinstance(a, float) and isinstance(b, float):
             return self._judge(quantities[0], difference(a, b, LIMITS[quantities[0]]), a, b, where)
-        return first_difference(a, b, where)
+        found = first_difference(a, b, where)
+        self.flip = self.flip or found
+        return found
 
     def _compare_arrays(self, a: Array, b: Array, where: str, quantities: tuple[str, ...]) -> str | None:
         recorded, decided = a.ravel().tolist(), b.ravel().tolist()
@@ -139,7 +143,12 @@ class Agreement:
         self.largest[quantity] = max(self.largest.get(quantity, 0.0), size)
         if off <= limit.value:
             return None
-        return f"{where}: {a!r} and {b!r}, more than {limit.value:g} {limit.unit} apart"
+        found = f"{where}: was {a!r}, now {b!r}"
+        if math.isfinite(off):
+            return f"{found}, more than {limit.value:g} {limit.unit} apart"
+        if math.isfinite(a) and math.isfinite(b):
+            self.flip = self.flip or found
+        return found
 
 
 def difference(a: float, b: float, limit: Limit) -> float:

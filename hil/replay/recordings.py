@@ -146,11 +146,15 @@ def open_recording(
     try:
         made = _bench(config, _geometry(header), calibration, header, recorded=bench is None)
         dict(header.get("versions", {}))
-        dict(header.get("arithmetic", {}))
     except HilError:
         raise
     except (TypeError, ValueError, OverflowError) as error:
         raise DataError(str(path), f"has a header that cannot be used ({error})") from None
+    arithmetic = header.get("arithmetic", {})
+    if not isinstance(arithmetic, dict) or not all(isinstance(text, str) for text in arithmetic.values()):
+        raise DataError(
+            str(path), "has a header whose `arithmetic` cannot be used", expected="names, each with a text"
+        )
     return OpenedRecording(path, made, header, False, problems, lambda: read_runs(path, problems))
 
 

@@ -29,10 +29,10 @@ from hil.vocabulary.signals import CycleRecord, Inputs, Reference
 IDENTICAL, AGREES, DIFFERS = "identical", "agrees", "differs"
 """Verdicts, from best to worst."""
 FLIP = (
-    "One refused sample or one event on the other side of its threshold is more than the limits allow, and "
-    "what follows differs, too. Such a flip may come from the other arithmetic alone."
+    "A sample or an event that falls to the other side of its threshold is more than the limits allow, and "
+    "all that follows differs, too. Such a flip may come from the other arithmetic alone"
 )
-"""What to know of a difference that was found under another arithmetic."""
+"""What to know where a flag, a count or an event differs under another arithmetic."""
 
 
 class RecordedReferences:
@@ -136,16 +136,21 @@ class RunCheck:
         bench: of its making.
         start: how it began, None where the recording does not say.
         exact: whether every bit must be equal, as with the arithmetic of its making.
+        number: of the run in its recording.
 
     Attributes:
-        result: `cycles`, `verdict`, `verified` (field names), `references` (`computed`, `recorded` or
-            `none`) and `difference`: the first one beyond what `exact` allows in words, None without.
+        result: `run` (its number), `cycles`, `verdict`, `verified` (field names), `references` (`computed`,
+            `recorded` or `none`), `difference`: the first one beyond what `exact` allows in words, None
+            without; with another arithmetic a `remark` where a flag, a count or an event differs.
         agreement: the largest differences.
     """
 
-    def __init__(self, bench: Blueprint, start: RunStart | None, *, exact: bool = True) -> None:
+    def __init__(
+        self, bench: Blueprint, start: RunStart | None, *, exact: bool = True, number: int = 0
+    ) -> None:
         self.result: dict[str, Any] = {
-            "cycles": 0, "verdict": IDENTICAL, "verified": [], "references": "none", "difference": None
+            "run": number, "cycles": 0, "verdict": IDENTICAL, "verified": [], "references": "none",
+            "difference": None,
         }  # fmt: skip
         self.agreement, self._exact = Agreement(), exact
         self._latest: int | None = None
@@ -174,6 +179,9 @@ class RunCheck:
         verdict, difference = verify_cycle(record, self._brain, self.agreement, exact=self._exact)
         if verdict == DIFFERS:
             self._differs(f"cycle {record.cycle}: {difference}")
+            flip = self.agreement.flip
+            if flip is not None and not self._exact:
+                self.result["remark"] = f"{FLIP}: {flip}."
         elif verdict == AGREES:
             self.result["verdict"] = AGREES
 
@@ -211,8 +219,8 @@ def verify_recording(opened: OpenedRecording, number: int | None = None) -> dict
 
     Returns:
         `verdict` (the worst of all runs), `recorded_with` and `verified_with` (fingerprints of the
-        arithmetic), `largest` (difference by quantity) beside `limits`, `runs` (`RunCheck.result` of each),
-        and with another arithmetic a `remark`.
+        arithmetic), `largest` (difference by quantity) beside `limits`, and `runs` (`RunCheck.result` of
+        each).
 
     Raises:
         DataError: there are no cycles.
@@ -231,7 +239,8 @@ def verify_recording(opened: OpenedRecording, number: int | None = None) -> dict
             if number is not None and k != number:
                 continue
             if check is None or k != latest:
-                check, latest = RunCheck(opened.bench, start, exact=recorded_with == here), k
+                check = RunCheck(opened.bench, start, exact=recorded_with == here, number=k)
+                latest = k
                 checks.append(check)
             check.take(record)
     opened.must_hold(count, number)
@@ -239,7 +248,6 @@ def verify_recording(opened: OpenedRecording, number: int | None = None) -> dict
         **_summary(checks),
         "recorded_with": recorded_with, "verified_with": here,
         "runs": [check.result for check in checks],
-        **({} if recorded_with == here else {"remark": FLIP}),
     }  # fmt: skip
 
 

@@ -36,7 +36,7 @@ _SURE = (
 _NAMES = {"recorded": "as recorded", "ekf": "EKF", "ukf": "UKF"}
 _VERDICTS = {
     "identical": "Every measurement, estimate, reference, setpoint, command and event repeats bit for bit.",
-    "agrees": "Recording and replay were computed by different arithmetic. They agree within the limits.",
+    "agrees": "By different arithmetic, recording and replay differ in the last digits, within the limits.",
     "differs": "The replay differs from the recording.",
 }
 _IDEAL_NEES = 3.0
@@ -99,23 +99,30 @@ def write_verification_page(
     Raises:
         DataError: the file cannot be written.
     """
-    runs = [
-        [str(k), str(run["cycles"]), run["verdict"], run["difference"] or "none"]
-        for k, run in enumerate(found["runs"])
-    ]
-    tables = [Table("Runs", ["run", "cycles", "verdict", "first difference"], runs)]
-    if found["verdict"] != "identical":
+    runs = [[str(run["run"]), str(run["cycles"]), run["verdict"]] for run in found["runs"]]
+    tables = [Table("Runs", ["run", "cycles", "verdict"], runs)]
+    then, here = found["recorded_with"], found["verified_with"]
+    if found["verdict"] != "identical" and then != here:
         limits = found["limits"]
         rows = [
             [name, f"{value:.2g}", f"{limits[name]['value']:g}", limits[name]["unit"]]
             for name, value in found["largest"].items()
         ]
         head = ["quantity", "largest difference", "limit", "unit"]
-        tables.append(Table("Largest differences", head, rows, found.get("remark", "") if rows else ""))
-    then, here = found["recorded_with"], found["verified_with"]
+        tables.append(Table("Largest differences", head, rows))
     rows = [[key, then.get(key, "unknown"), value] for key, value in here.items()]
     tables.append(Table("Arithmetic", ["part", "recorded with", "verified with"], rows))
-    return write_overview(path, Overview(title, _VERDICTS[found["verdict"]], [], tables, warnings))
+    differ = [
+        f"Run {run['run']}, {run['difference']}. {run.get('remark', '')}"
+        for run in found["runs"]
+        if run["difference"] is not None
+    ]
+    said = _VERDICTS[found["verdict"]]
+    if differ and then == here:
+        said += " Both were computed by the same arithmetic, so every bit has to be equal."
+    elif not then:
+        said += " The recording does not say by what arithmetic it was made."
+    return write_overview(path, Overview(title, said, [], tables, [*differ, *warnings]))
 
 
 def _sentence(numbers: Numbers) -> str:

@@ -100,8 +100,11 @@ def _masked() -> set[str]:
 def _numba() -> str:
     if not is_installed("fast"):
         return "absent"
-    from llvmlite import binding
-    from numba.core import config
+    try:
+        from llvmlite import binding
+        from numba.core import config
+    except ImportError:
+        return f"{version_of('numba')} cannot be imported"
 
     llvm = ".".join(map(str, binding.llvm_version_info))
     target = config.CPU_NAME or binding.get_host_cpu_name()

@@ -45,8 +45,8 @@ def test_comparison_sees_a_single_bit():
     pose[2] = np.nextafter(pose[2], 1.0)
     other = dataclasses.replace(record, state=dataclasses.replace(record.state, pose_body_in_wall=pose))
     assert first_difference(record, other).startswith("state.pose_body_in_wall[2]: ")
-    assert first_difference({"a": 0.0}, {"a": -0.0}) == "a: 0.0 and -0.0"
-    assert first_difference((1, 2), (1,)) == ": 2 entries and 1"
+    assert first_difference({"a": 0.0}, {"a": -0.0}) == "a: was 0.0, now -0.0"
+    assert first_difference((1, 2), (1,)) == ": was 2 entries, now 1"
     assert first_difference(1, True) is not None
     assert first_difference(np.zeros(2), np.zeros(2, dtype=np.float32)) is not None
 
