@@ -4,6 +4,8 @@ REAL_TIME = (
     "adhesion/test_adhesion_command.py", "adhesion/test_keeper_of_an_emulated_fan.py",
     "adhesion/test_keeper_process.py",
     "adhesion_dronecan/test_dronecan_node_at_the_wire.py",
+    "cli/test_closed_output.py::test_a_command_with_the_robot_in_hand",
+    "cli/test_unforeseen.py::test_a_closed_standard_input",
     "devices/test_guide.py", "emulate/", "live/test_live_command.py",
     "bench/test_bench_assembly.py::test_servos_are_asked_ahead_in_real_time",
     "bench/test_doctor_discover_setup.py::test_discover_without_an_answer",

@@ -3,6 +3,10 @@
 An emulator that another program keeps from its core for a moment answers late: a chip does not.
 """
 
+import tomli_w
+
+from hil.config.loading import load_bench
+
 PATIENT = {
     "safety.servo_stale_s": 2.0,
     "servos.fail_after_s": 5.0,
@@ -13,3 +17,11 @@ PATIENT = {
 
 FANLESS = {"adhesion": None, "thrust": None, "load_cells": None}
 """For tests of something else: nobody waits for a fan; the emulated robot is pressed on its wall anyway."""
+
+
+def patient_bench(folder, profile):
+    """A bench file like a shipped profile, for a busy computer and without a fan."""
+    config = load_bench(profile, overrides={**PATIENT, **FANLESS})
+    path = folder / "bench.toml"
+    path.write_bytes(tomli_w.dumps(config.model_dump(mode="json", by_alias=True, exclude_none=True)).encode())
+    return path

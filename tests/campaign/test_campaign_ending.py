@@ -70,7 +70,7 @@ def test_jobs_are_taken_back_before_the_client_leaves(tmp_path):
 
     def interrupted(number):
         done.append(number)
-        if len(done) == 20:
+        if len(done) == 5:
             raise KeyboardInterrupt
 
     with distributed.LocalCluster(
@@ -79,7 +79,7 @@ def test_jobs_are_taken_back_before_the_client_leaves(tmp_path):
     ) as cluster:  # fmt: skip
         with pytest.raises(KeyboardInterrupt):
             spread(
-                job, range(2000), lost=lambda number, reason: number, done=interrupted,
+                job, range(400), lost=lambda number, reason: number, done=interrupted,
                 scheduler=cluster.scheduler_address,
             )  # fmt: skip
         assert not cluster.scheduler.tasks

@@ -10,6 +10,7 @@ import pytest
 
 from hil.calibration.synthetic import hidden_robot, simulate
 from hil.recording.plain_csv import write_plain
+from tests.patience import patient_bench
 
 SCRIPT = """
 import sys
@@ -83,7 +84,8 @@ def test_a_command_that_only_reports_ends_with_what_it_found_whoever_reads(folde
 
 
 def test_a_command_with_the_robot_in_hand_whose_reader_has_gone_ends_with_4(folder):
-    code, _, errors = hil(folder, *COMMANDS["live"], output="gone")
+    patient_bench(folder, "emulated_floor")
+    code, _, errors = hil(folder, "live", "--bench", "bench.toml", "--duration", "0.5", output="gone")
     assert code == 4
     assert "the output cannot be written any more (Broken pipe)" in errors
     assert "not needed: on the floor" in errors, "how the robot was left is said where somebody may read it"

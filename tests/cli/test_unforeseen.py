@@ -8,6 +8,7 @@ import pytest
 
 from hil import bench as benches
 from hil.cli import main
+from tests.patience import patient_bench
 
 SCRIPT = """
 from hil.procedure import Measurement, procedure
@@ -83,11 +84,16 @@ def test_a_name_that_no_file_can_have_is_refused_in_a_line(case, folder, capsys,
 
 
 @pytest.mark.parametrize(
-    "words", [["run", "short.py", "--json"], ["live", "--duration", "0.3", "--no-record", "--json"]]
+    "words",
+    [
+        ["run", "short.py", "--json"],
+        ["live", "--bench", "bench.toml", "--duration", "0.3", "--no-record", "--json"],
+    ],
 )
 @pytest.mark.usefixtures("warm_commands")
 def test_a_closed_standard_input_is_an_empty_one(words, folder):
     """As a service or a container may have it."""
+    patient_bench(folder, "emulated")
     command = ["sh", "-c", 'exec "$@" <&-', "sh", sys.executable, "-m", "hil", *words]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr

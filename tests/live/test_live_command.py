@@ -19,7 +19,7 @@ from hil.cli import main
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.recording.mcap_reader import read_cycles
-from tests.patience import FANLESS, PATIENT
+from tests.patience import PATIENT, patient_bench
 
 SQUARE = "x,y,theta\n0,0,0\n0.06,0,0\n0.06,0.04,0\n"
 LIMIT_S = 600.0
@@ -32,10 +32,7 @@ pytestmark = [
 
 def live(folder, *options, **process):
     """A running `hil live` in a folder, on an emulated bench that allows for a busy host."""
-    bench = folder / "bench.toml"
-    config = load_bench("emulated", overrides={**PATIENT, **FANLESS})
-    tree = config.model_dump(mode="json", by_alias=True, exclude_none=True)
-    bench.write_bytes(tomli_w.dumps(tree).encode())
+    bench = patient_bench(folder, "emulated")
     return subprocess.Popen(
         [sys.executable, "-m", "hil.cli", "live", "--bench", str(bench), *options, "--json"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder, **process,

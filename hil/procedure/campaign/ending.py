@@ -6,6 +6,7 @@ its jobs still run is reported missing with each result: both end as tracebacks 
 
 from __future__ import annotations
 
+import logging
 import signal
 import threading
 from collections.abc import Iterator, Sequence
@@ -68,6 +69,7 @@ def take_back(client: Client, futures: Sequence[Future]) -> None:
             if any(event.get("action") == "cancel" for _, event in client.get_events(client.id)):
                 return
             threading.Event().wait(_LOOK_S)
+    logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)  # that who has left is gone is no news
 
 
 def close_once(stack: ExitStack) -> None:
