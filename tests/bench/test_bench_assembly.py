@@ -29,6 +29,10 @@ def log_hash(motion):
     return hashlib.sha256(pickle.dumps(told)).hexdigest()
 
 
+LATE = ("good samples a second", "old or more when they arrive")
+"""What a bench says of samples that come late: the emulator shares this computer, which may be busy."""
+
+
 def test_a_seed_decides_every_bit_of_a_run():
     first, again, other = drive(1), drive(1), drive(2)
     assert log_hash(first) == log_hash(again)
@@ -157,8 +161,8 @@ def test_the_same_drive_at_the_wire_in_real_time():
         motion = bench.drive(STRAIGHT, hold_s=0.5)
         measured = motion.mocap[np.isfinite(motion.mocap[:, 0])][-1]
         assert np.linalg.norm(motion.estimate[-1][:2] - measured[:2]) < 0.01
-        starved = "good samples a second"  # the emulator shares this computer, and may send late
-        assert [e.message for e in motion.events if starved not in e.message] == []
+        said = [e.message for e in motion.events]
+        assert [message for message in said if not any(late in message for late in LATE)] == []
 
 
 def test_a_mix_of_real_and_emulated_devices(emulator, tmp_path):
