@@ -45,6 +45,8 @@ _CALM_M_S2 = 2.0
 """By how much the mean of what an accelerometer feels may differ from gravity: data sheets allow 0.8."""
 _ALL_NS = 2 * WINDOW_NS
 """So long at the most it is waited for all that have begun to see the robot."""
+_SLOW_NS = nanoseconds(1.5)
+"""So long for an IMU that has begun to show the tilt: a busy computer hears it late."""
 _MOVED_M = 0.001
 _UNSEEN_M = 0.005
 """What a robot that is held may move after its stop."""
@@ -178,7 +180,8 @@ class HoldWatch(Sink):
             unpressed = self._press.doubt(self._clock.now_ns(), sees_slide=bool(places))
             doubt = self._doubt(hold, trails, seen, places) or unpressed or self._doubt_of_floor()
             early = hold.t_ns - began_ns < _ALL_NS
-            unsure = early and not self._on_wall and not self._tilt.known
+            slow = self._tilt.begun and hold.t_ns - began_ns < _SLOW_NS
+            unsure = (early or slow) and not self._on_wall and not self._tilt.known
             if unsure or (early and any(trail.fills(hold.t_ns) for trail in trails.values())):
                 doubt = doubt or "not all that see the robot have seen it for long enough"
             if not hold.wanted and not unsure:

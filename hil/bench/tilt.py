@@ -91,6 +91,11 @@ class TiltWatch:
         """Whether enough has been seen to judge, or there is nobody to wait for."""
         return not self._there or len(self._fresh()) == _SAMPLES
 
+    @property
+    def begun(self) -> bool:
+        """Whether some has been seen, and too little yet to judge: on a busy computer samples come late."""
+        return self._there and 0 < len(self._fresh()) < _SAMPLES
+
     def _fresh(self) -> list[ImuSample]:
         newest = self._newest
         return [s for s in newest if newest[-1].stamp.t_ns - s.stamp.t_ns <= _FRESH_NS]
