@@ -7,7 +7,7 @@ Every other package is the aarch64 wheel of `requirements/ci.lock`, checked by i
 
 There run `hil info`, a short drive on emulated devices, `--verify` of the drive that this computer has
 recorded, and the tests of recording and estimator; here `--verify` of the drive recorded there. Both verdicts
-have to be `agrees`. Of the tests those in LEFT_OUT are not run: qemu takes hours for them.
+have to be `agrees`. Of the tests those in LEFT_OUT are not run: they would take longest.
 
     python tests/on_aarch64.py [TESTS]
 """
@@ -121,10 +121,10 @@ class Emulated:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.root, self._apt, self._wheels = folder / "root", folder / "apt", folder / "wheels"
+        self.root, self._apt = folder / "root", folder / "apt"
         environment = {
-            "PYTHONPATH": f"{self._wheels}:{ROOT}", "PYTHONPYCACHEPREFIX": folder / "pycache",
-            "PYTHONDONTWRITEBYTECODE": "", "NUMBA_CACHE_DIR": folder / "numba",
+            "PYTHONPYCACHEPREFIX": folder / "pycache", "PYTHONDONTWRITEBYTECODE": "",
+            "NUMBA_CACHE_DIR": folder / "numba",
         }  # fmt: skip
         self.computer = Computer(folder / "python", environment, folder / "drive_there")
 
@@ -147,7 +147,8 @@ class Emulated:
     def install(self) -> str:
         """Install the wheels, and have what starts a child process start it by qemu, too."""
         python = (self.root / "usr/bin/python3").readlink().name
-        uv = (sys.executable, "-m", "uv", "pip", "install", "--quiet", "--target", self._wheels, "--no-deps")
+        wheels = self.root / "usr/lib/python3/dist-packages"
+        uv = (sys.executable, "-m", "uv", "pip", "install", "--quiet", "--target", wheels, "--no-deps")
         run(
             *uv, "--require-hashes", "--only-binary", ":all:", "-r", "requirements/ci.lock",
             "--python-version", python.removeprefix("python"),
@@ -159,7 +160,7 @@ class Emulated:
         words = f'"{qemu}" -cpu {PROCESSOR} -L "{self.root}" "{self.root}/usr/bin/{python}"'
         started.write_text(f'#!/bin/sh\nexec {words} "$@"\n')
         started.chmod(0o755)
-        (self._wheels / "sitecustomize.py").write_text(f"import sys\nsys.executable = {str(started)!r}\n")
+        (wheels / "started_by_qemu.pth").write_text(f"import sys; sys.executable = {str(started)!r}\n")
         return run(qemu, "--version", kept=True).splitlines()[0] + ", " + self._version()
 
     def _version(self) -> str:
