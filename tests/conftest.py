@@ -11,15 +11,16 @@ from unittest import mock
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy comes; as the command line does
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from hil.recording import mcap_file
 from tests import warm
 from tests.lanes import ALONE, REAL_TIME, THINNED, WIRED, files
 from tests.signals import as_a_program_begins
 
-settings.register_profile("hil", deadline=None, max_examples=50)
-settings.register_profile("thorough", deadline=None, max_examples=500)
+PATIENT = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+settings.register_profile("hil", **PATIENT, max_examples=50)
+settings.register_profile("thorough", **PATIENT, max_examples=500)
 settings.load_profile("hil")
 gc.set_threshold(50_000, 20, 20)  # thousands of tests keep much alive in which there is no garbage
 _IN_REAL_TIME = files(*REAL_TIME, *WIRED)

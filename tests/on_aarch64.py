@@ -7,7 +7,7 @@ Every other package is the aarch64 wheel of `requirements/ci.lock`, checked by i
 
 There run `hil info`, a short drive on emulated devices, `--verify` of the drive that this computer has
 recorded, and the tests of recording and estimator; here `--verify` of the drive recorded there. Both verdicts
-have to be `agrees`. Of the tests those in LEFT_OUT are not run: qemu takes hours for them.
+have to be `agrees`. Of the tests those in LEFT_OUT are not run: they would take longest.
 
     python tests/on_aarch64.py [TESTS]
 """
@@ -28,6 +28,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("qemu-user-static:amd64", "python3:arm64", "libstdc++6:arm64", "libgomp1:arm64")
+PROCESSOR = "cortex-a76"
+"""What qemu 7.2 has that is next to a Jetson Orin's Cortex-A78AE: NEON, no SVE."""
 GLIBC = "2_35"
 """The oldest C library that wheels may ask for, of Ubuntu 22.04: what installs here installs on a Jetson."""
 DRIVE = (
@@ -119,10 +121,10 @@ class Emulated:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.root, self._apt, self._wheels = folder / "root", folder / "apt", folder / "wheels"
+        self.root, self._apt = folder / "root", folder / "apt"
         environment = {
-            "PYTHONPATH": f"{self._wheels}:{ROOT}", "PYTHONPYCACHEPREFIX": folder / "pycache",
-            "PYTHONDONTWRITEBYTECODE": "", "NUMBA_CACHE_DIR": folder / "numba",
+            "PYTHONPYCACHEPREFIX": folder / "pycache", "PYTHONDONTWRITEBYTECODE": "",
+            "NUMBA_CACHE_DIR": folder / "numba",
         }  # fmt: skip
         self.computer = Computer(folder / "python", environment, folder / "drive_there")
 
@@ -145,7 +147,8 @@ class Emulated:
     def install(self) -> str:
         """Install the wheels, and have what starts a child process start it by qemu, too."""
         python = (self.root / "usr/bin/python3").readlink().name
-        uv = (sys.executable, "-m", "uv", "pip", "install", "--quiet", "--target", self._wheels, "--no-deps")
+        wheels = self.root / "usr/lib/python3/dist-packages"
+        uv = (sys.executable, "-m", "uv", "pip", "install", "--quiet", "--target", wheels, "--no-deps")
         run(
             *uv, "--require-hashes", "--only-binary", ":all:", "-r", "requirements/ci.lock",
             "--python-version", python.removeprefix("python"),
@@ -154,14 +157,15 @@ class Emulated:
         run(*uv, "--no-build-isolation", "--editable", ROOT)
         qemu = self.root / "usr/bin/qemu-aarch64-static"
         started = self.computer.python
-        started.write_text(f'#!/bin/sh\nexec "{qemu}" -L "{self.root}" "{self.root}/usr/bin/{python}" "$@"\n')
+        words = f'"{qemu}" -cpu {PROCESSOR} -L "{self.root}" "{self.root}/usr/bin/{python}"'
+        started.write_text(f'#!/bin/sh\nexec {words} "$@"\n')
         started.chmod(0o755)
-        (self._wheels / "sitecustomize.py").write_text(f"import sys\nsys.executable = {str(started)!r}\n")
+        (wheels / "started_by_qemu.pth").write_text(f"import sys; sys.executable = {str(started)!r}\n")
         return run(qemu, "--version", kept=True).splitlines()[0] + ", " + self._version()
 
     def _version(self) -> str:
-        told = "import platform as p; print(f'Python {p.python_version()}, {p.libc_ver()[1]}, {p.machine()}')"
-        return run(self.computer.python, "-c", told, kept=True, **self.computer.environment).strip()
+        code = "import platform as p; print('Python', p.python_version(), *p.libc_ver(), p.machine())"
+        return run(self.computer.python, "-c", code, kept=True, **self.computer.environment).strip()
 
     def info(self) -> str:
         """`hil info` there has to name an aarch64 and its wheels' versions."""
@@ -171,11 +175,12 @@ class Emulated:
         if arithmetic["machine"] != "aarch64":
             raise StepFailed(f"it calls itself {arithmetic['machine']}")
         lacking = [name for name, there in found["extras"].items() if not there]
-        return f"numpy {arithmetic['numpy']}, numba {arithmetic['numba']}; without {', '.join(lacking)}"
+        shown = (f"{name} {arithmetic[name]}" for name in ("numpy", "blas", "libm", "numba"))
+        return f"{', '.join(shown)}; extras but {', '.join(lacking)}"
 
     def test(self, *wanted: str) -> str:
         """Run pytest there, on two cores; each test may take as long as it does."""
-        left_out = [f"--deselect={name}" for name in LEFT_OUT]
+        left_out = [f"--ignore={name}" for name in LEFT_OUT]
         options = ("-q", "-p", "no:cacheprovider", "-n", "2", "--timeout", "7200")
         self.computer.python_m("pytest", *options, *left_out, *(wanted or TESTS), kept=False)
         return "passed"
