@@ -94,7 +94,7 @@ class TiltWatch:
     @property
     def begun(self) -> bool:
         """Whether some has been seen, and too little yet to judge: on a busy computer samples come late."""
-        return self._there and 0 < len(self._fresh()) < _SAMPLES
+        return 0 < len(self._fresh()) < _SAMPLES
 
     def _fresh(self) -> list[ImuSample]:
         newest = self._newest

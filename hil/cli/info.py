@@ -92,14 +92,15 @@ def command(compiling: bool, as_json: bool) -> int:
         devices = _devices()
     except HilError as error:
         problem = str(error)
-    code, arithmetic = EXIT_USAGE if problem else EXIT_PASS, fingerprint()
+    code = EXIT_USAGE if problem else EXIT_PASS
+    arithmetic = fingerprint()
     if as_json:
         ours = {"hil": __version__, "python": platform.python_version(), "platform": host}
         usable = {name: not why for name, why in missing.items()}
         lacking = {"extras_lack": {name: why for name, why in missing.items() if why}}
         told = {**lacking, "devices": devices, **({"problem": problem} if problem else {})}
-        told = {"packages": found, "arithmetic": arithmetic, "extras": usable, **told}
-        click.echo(json.dumps({**ours, **told}))
+        computes = {"packages": found, "arithmetic": arithmetic}
+        click.echo(json.dumps({**ours, **computes, "extras": usable, **told}))
         return code
     click.echo(f"hil {__version__}, Python {platform.python_version()}, {host}")
     for name, version in found.items():

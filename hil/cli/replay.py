@@ -98,7 +98,7 @@ def command(
             raise UsageError("--verify cannot go with --estimator, --calibration or --rerun")
         result |= _verified(opened, number)
         if page is not None:
-            _write(page, result, lambda: _write_verification(page, opened, result))
+            _write(result, lambda: _write_verification(page, opened, result))
     else:
         runs = list(opened.runs) if number is None else [opened.run(number)]
         result["cycles"] = sum(len(r.records) for r in runs)
@@ -112,7 +112,7 @@ def command(
             click.echo(f"warning: {line}", err=True)
         unshown = _show(opened.bench, run, motions, view)
         if page is not None:
-            _write(page, result, lambda: _write_page(page, opened, motions, result))
+            _write(result, lambda: _write_page(page, opened, motions, result))
     result["problems"] = opened.problems
     for problem in opened.problems:
         click.echo(f"hil: {recording}: {problem}", err=True)
@@ -122,7 +122,7 @@ def command(
     return EXIT_LIMIT_FAILED if result.get("verdict") == "differs" else EXIT_PASS
 
 
-def _write(page: Path, result: dict[str, Any], write: Callable[[], object]) -> None:
+def _write(result: dict[str, Any], write: Callable[[], object]) -> None:
     """Write a page; what keeps it from being written costs none of the figures."""
     try:
         write()

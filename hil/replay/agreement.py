@@ -1,7 +1,7 @@
 """How far a replay may differ from its recording where the two were computed by different arithmetic.
 
 Rounding differs in the last digits between processors and libraries (`hil.vocabulary.fingerprint`). On whole
-recordings these digits stay small: `LIMITS` lies a thousand times above the largest difference that was
+recordings these digits stay small: `LIMITS` lies about a thousand times above the largest difference that was
 found, and well below what any sensor resolves. Everything that is not a number must be equal: events, which
 samples were used, flags, counts.
 """

@@ -231,7 +231,7 @@ def verify_recording(opened: OpenedRecording, number: int | None = None) -> dict
             f"{opened.path}: not a recording of this bench: there is nothing to verify",
             expected="an .mcap recording that a run or `hil live` has made", remedy="leave --verify out",
         )  # fmt: skip
-    recorded_with, here = dict(opened.header.get("arithmetic", {})), fingerprint()
+    recorded_with, here = opened.header.get("arithmetic", {}), fingerprint()
     checks, check, latest, count = list[RunCheck](), None, -1, 0
     with without_collector():
         for k, start, record in read_stored_cycles(opened.path, opened.problems):

@@ -11,6 +11,8 @@ import sys
 from importlib import metadata, util
 from typing import TYPE_CHECKING
 
+from hil.vocabulary.versions import ABSENT, version_of
+
 if TYPE_CHECKING:
     from packaging.requirements import Requirement
 
@@ -49,13 +51,13 @@ def lacks(extra: str) -> str:
     """
     if not is_installed(extra):
         return "not installed"
-    wanted = [r for r in _behind(extra) if _is_package(r.name)]
+    wanted = [r for r in _behind(extra) if version_of(r.name) != ABSENT]
     fitting = [r for r in wanted if _fits(r, extra)]
     if wanted and not fitting:
         needed = ", ".join(map(str, wanted)).replace(f' and extra == "{extra}"', "")
         return f"this Python cannot have it: {needed}"
     for requirement in fitting:
-        found = metadata.version(requirement.name)
+        found = version_of(requirement.name)
         if not requirement.specifier.contains(found, prereleases=True):
             return f"{requirement.name} {found} is installed; it needs {_plain(requirement)}"
     return ""
@@ -78,14 +80,6 @@ def how_to_install(extra: str) -> str:
 
 def _behind(extra: str) -> list[Requirement]:
     return [r for r in _requirements() if f'extra == "{extra}"' in str(r.marker)]
-
-
-def _is_package(name: str) -> bool:
-    try:
-        metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return False
-    return True
 
 
 def _fits(requirement: Requirement, extra: str) -> bool:

@@ -17,12 +17,16 @@ _PACKAGES = (
 )  # fmt: skip
 
 
+ABSENT = "absent"
+"""In place of the version of a package that is not installed."""
+
+
 def version_of(package: str) -> str:
     """Version of an installed package, else `absent`."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
-        return "absent"
+        return ABSENT
 
 
 @cache

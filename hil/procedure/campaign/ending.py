@@ -69,7 +69,7 @@ def take_back(client: Client, futures: Sequence[Future]) -> None:
             if any(event.get("action") == "cancel" for _, event in client.get_events(client.id)):
                 return
             threading.Event().wait(_LOOK_S)
-    logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)  # that who has left is gone is no news
+    logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)  # else each lost result is logged
 
 
 def close_once(stack: ExitStack) -> None:
