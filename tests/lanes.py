@@ -23,6 +23,7 @@ WIRED = (
 )  # fmt: skip
 """Where else tests talk to the `wire` or to an `emulator`: no other file is looked through for them."""
 ALONE = (
+    "adhesion/test_asking_commands.py",
     "adhesion/test_keeper_killed.py",
     "bench/test_bench_assembly.py::test_a_mix_of_real_and_emulated_devices",
     "bench/test_bench_assembly.py::test_the_same_drive_at_the_wire_in_real_time",

@@ -1,7 +1,8 @@
 """Looks for the devices of a bench and writes down what it found as a ready `bench.toml`.
 
 Serial ports are named by their USB serial number where the system offers that. Each port is asked
-by every model of the registry that a serial port may hold, those that answer quickly first.
+by every model of the registry that a serial port may hold, those that answer quickly first. What may hold the
+robot is left alone (`left_alone`), and what is written to the other ports can be told before.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ class Discovery:
         notes: what a person should know.
         missing: by kind that was looked for and did not answer, where that was.
         silent: ports that were named, at which nothing answered.
+        not_asked: ports to which nothing was written, and why.
     """
 
     sections: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -42,6 +44,7 @@ class Discovery:
     notes: list[str] = field(default_factory=list)
     missing: dict[str, str] = field(default_factory=dict)
     silent: list[str] = field(default_factory=list)
+    not_asked: dict[str, str] = field(default_factory=dict)
 
     def take(self, model: DeviceModel, found: Found) -> None:
         """Add a device that was found."""
@@ -72,10 +75,22 @@ def stable_name(port: str) -> str:
     return port
 
 
+def what_is_written() -> list[str]:
+    """What discovery writes to a serial port that it asks, in the order in which it does."""
+    return [model.ask_writes for model in _asking() if model.ask_writes]
+
+
+def _asking() -> list[DeviceModel]:
+    """The models that may be on a serial port, those that answer quickly first."""
+    models = (model for kind in kinds().values() for model in kind.models if model.ask is not None)
+    return sorted(models, key=lambda model: model.ask_after)
+
+
 def discover(
     clock: Clock,
     *,
     ports: Sequence[str] | None = None,
+    left_alone: Mapping[str, str] | None = None,
     given: Mapping[str, Sequence[Any]] | None = None,
     say: Say = lambda text: None,
     sysfs: Path = Path("/sys"),
@@ -85,18 +100,19 @@ def discover(
     Args:
         clock: for time-outs.
         ports: serial ports or pyserial URLs; all of this machine when None.
+        left_alone: ports among them to which nothing is written, and why.
         given: by kind, tables of devices to ask that are not on a serial port (CAN buses to listen on,
             capture servers); what the system itself offers otherwise.
         say: receives progress.
         sysfs: where the kernel tells of its devices.
     """
-    found = Discovery()
+    found = Discovery(not_asked=dict(left_alone or {}))
     models = [model for kind in kinds().values() for model in kind.models]
-    asking = sorted((m for m in models if m.ask is not None), key=lambda m: m.ask_after)
-    asked = serial_ports() if ports is None else list(ports)
+    listed = serial_ports() if ports is None else list(ports)
+    asked = [port for port in listed if port not in found.not_asked]
     for port in asked:
         say(f"asking {port}")
-        if not _ask_serial(found, port, clock, asking, say) and ports is not None:
+        if not _ask_serial(found, port, clock, _asking(), say) and ports is not None:
             found.silent.append(port)
     places: dict[str, list[str]] = {name: [] for name in kinds()}
     for model in models:
@@ -113,20 +129,16 @@ def discover(
                 say(f"found {model.title}")
     for name, kind in kinds().items():
         if name not in found.sections:
-            found.missing[name] = "; ".join(_where(kind.models, asked, places[name]))
+            where = f"asked {', '.join(asked)}" if asked else "no serial port was asked; name one with --port"
+            found.missing[name] = "; ".join(_where(kind.models, where, places[name]))
     return found
 
 
-def _where(models: Sequence[DeviceModel], ports: Sequence[str], told: Sequence[str]) -> list[str]:
+def _where(models: Sequence[DeviceModel], ports: str, told: Sequence[str]) -> list[str]:
     """Where a kind was looked for, and what would have it looked for elsewhere."""
     found = list(dict.fromkeys(told))
     if any(model.ask for model in models):
-        found.insert(
-            0,
-            f"asked {', '.join(ports)}"
-            if ports
-            else "this computer has no serial port; name one with --port",
-        )
+        found.insert(0, ports)
     searched = [model for model in models if model.search is not None]
     if not told and searched:
         on_bus = any(issubclass(model.config, CanConfig) for model in searched)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from dataclasses import asdict
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import JSON, OUT
+from hil.cli.options import JSON, OUT, FileName
 from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS
 
 if TYPE_CHECKING:
@@ -30,19 +31,28 @@ if TYPE_CHECKING:
     "--at", "places", multiple=True, metavar="KIND.KEY=VALUE",
     help="Where a device is, by a key of its table (repeatable); serial ports then need --port.",
 )  # fmt: skip
+@click.option("--bench", "benches", type=FileName(path_type=Path), multiple=True,
+              help="Bench file whose devices that hold the robot are left alone (repeatable); "
+              "those of this folder are, too.")  # fmt: skip
+@click.option("--on-stand", is_flag=True, help="The robot is on the floor or on a stand: do not ask.")
 @click.option("--out", type=OUT, help="Write the bench file here; never overwrites.")
 @JSON
 def command(
     ports: tuple[str, ...], buses: tuple[str, ...], mocap: str | None, places: tuple[str, ...],
-    out: Path | None, as_json: bool,
+    benches: tuple[Path, ...], on_stand: bool, out: Path | None, as_json: bool,
 ) -> int:  # fmt: skip
     """Ask everything that could be a device.
 
-    Ends with 3 when nothing answers, at all or at a --port that was named.
+    What is at a serial port is not known before it is asked, and a controller of propellers may slow down at
+    what it does not understand. So this says what it will write where, and asks whether the robot stands.
+    Ports that another program has open, or that belong to what holds a robot, are left alone.
+
+    Ends with 3 when nothing answers, at all or at a --port that was named; with 4 when the robot may hang.
 
     Example: hil discover --out my.toml
     """
-    from hil.bench.discover import discover
+    from hil.bench.discover import discover, serial_ports
+    from hil.bench.left_alone import ports_that_hold, why_left_alone
     from hil.vocabulary.clock import MonotonicClock
     from hil.vocabulary.errors import UsageError
     from hil.vocabulary.files import check_new_file, write_text
@@ -51,16 +61,18 @@ def command(
         raise UsageError("--port ''", expected="a serial port or a pyserial URL")
     if out is not None:
         check_new_file(out, "--out")
-    found = discover(
-        MonotonicClock(),
-        ports=ports if ports or places else None,
-        given=_given(mocap, buses, places),
-        say=lambda text: click.echo(f"hil: {text}", err=True),
-    )
+    given = _given(mocap, buses, places)
+    listed = ports if ports or places else tuple(serial_ports())
+    holding = ports_that_hold(benches, Path())
+    left_alone = {port: why for port in listed if (why := why_left_alone(port, holding))}
+    for port, why in left_alone.items():
+        _say(f"not asked: {port}: {why}")
+    _must_stand([port for port in listed if port not in left_alone], on_stand)
+    found = discover(MonotonicClock(), ports=listed, left_alone=left_alone, given=given, say=_say)
     for kind, where in found.missing.items():
-        click.echo(f"hil: not found: {kind}: {where}", err=True)
-    for port in found.silent:
-        click.echo(f"hil: nothing answered at {port}; check its name, power and cable", err=True)
+        _say(f"not found: {kind}: {where}")
+    for port in found.silent if ports else ():
+        _say(f"nothing answered at {port}; check its name, power and cable")
     text = found.to_toml()
     if out is not None and found.sections:
         write_text(out, text)
@@ -75,7 +87,35 @@ def command(
             f"hil: nothing answered; check power, cables and permissions (group dialout){unwritten}", err=True
         )
         return EXIT_DEVICE
-    return EXIT_DEVICE if found.silent else EXIT_PASS
+    return EXIT_DEVICE if ports and (found.silent or found.not_asked) else EXIT_PASS
+
+
+def _say(text: str) -> None:
+    click.echo(f"hil: {text}", err=True)
+
+
+def _must_stand(ports: list[str], on_stand: bool) -> None:
+    """Say what will be written where; raise `Aborted` unless somebody says that the robot stands."""
+    from hil.bench.discover import what_is_written
+    from hil.bench.left_alone import what_is_kept
+    from hil.procedure.operator import Terminal
+    from hil.vocabulary.errors import Aborted
+
+    if not ports:
+        return
+    for name in what_is_kept():
+        _say(f"a robot may hang by what runs now: {name} (hil adhesion status)")
+    _say(f"will write to {', '.join(ports)}: {'; '.join(what_is_written())}")
+    if on_stand:
+        return
+    question = "Is the robot on the floor or on a stand, so that nothing at these ports holds it? yes or no:"
+    remedy = "put it on a stand, then give --on-stand"
+    try:
+        answer = Terminal().ask(question)
+    except Aborted as error:
+        raise Aborted(f"nothing was asked: {error.message}", remedy=remedy) from None
+    if answer.strip().lower() not in ("y", "yes"):
+        raise Aborted("nothing was asked: the robot may hang", expected="yes", remedy=remedy)
 
 
 def _as_json(found: Discovery) -> dict[str, Any]:
@@ -88,6 +128,7 @@ def _as_json(found: Discovery) -> dict[str, Any]:
         "notes": found.notes,
         "missing": found.missing,
         "silent": found.silent,
+        "not_asked": found.not_asked,
     }
 
 
@@ -142,7 +183,7 @@ def _tables(places: tuple[str, ...]) -> dict[str, Any]:
     from hil.vocabulary.errors import UsageError
     from hil.vocabulary.kinds import kind_of, kinds
 
-    trees: dict[str, dict[str, str]] = {}
+    trees: dict[str, dict[str, Any]] = {}
     for text in places:
         where, equals, value = text.partition("=")
         name, _, key = where.partition(".")
@@ -150,7 +191,12 @@ def _tables(places: tuple[str, ...]) -> dict[str, Any]:
         if kind is None or not key or not equals or not any(model.search for model in kind.models):
             sought = [name for name, kind in kinds().items() if any(model.search for model in kind.models)]
             raise UsageError(f"--at {text!r}", expected=f"KIND.KEY=VALUE; kinds are {', '.join(sought)}")
-        trees.setdefault(kind.name, {})[key] = value
+        key, _, option = key.partition(".")
+        tree = trees.setdefault(kind.name, {})
+        if option:  # of a table within the table, as `options` of a CAN bus
+            tree[key] = {**(tree.get(key) or {}), option: _scalar(value)}
+        else:
+            tree[key] = value
     tables = {}
     for name, tree in trees.items():
         models = {model.name: model for model in kinds()[name].models}
@@ -166,3 +212,11 @@ def _tables(places: tuple[str, ...]) -> dict[str, Any]:
                 f"--at {where}: {first['msg']}", expected="one of " + ", ".join(model.config.model_fields)
             ) from None
     return tables
+
+
+def _scalar(text: str) -> bool | int | float | str:
+    """A value as a bench file would have it."""
+    for kind in (int, float):
+        with contextlib.suppress(ValueError):
+            return kind(text)
+    return {"true": True, "false": False}.get(text, text)

@@ -20,10 +20,11 @@ _ROLES = {"drive": {"operating_mode": 1}, "steer": {"operating_mode": 3}}
 @click.option("--new-baud", type=int, help="Baud rate that it gets.")
 @click.option("--role", type=click.Choice(sorted(_ROLES)), help="Operating mode for driving or steering.")
 @click.option("--register", "pairs", multiple=True, metavar="NAME=VALUE", help="Further EEPROM register.")
+@click.option("--dry-run", is_flag=True, help="Read and check what would change; write nothing.")
 @JSON
 def command(
     port: str, baud: int, servo_id: int, new_id: int | None, new_baud: int | None, role: str | None,
-    pairs: tuple[str, ...], as_json: bool,
+    pairs: tuple[str, ...], dry_run: bool, as_json: bool,
 ) -> int:  # fmt: skip
     """Set up one servo; the only command that writes EEPROM. Connect one new servo at a time.
 
@@ -34,17 +35,32 @@ def command(
     from hil.bench import set_up
     from hil.vocabulary.clock import MonotonicClock
 
+    _must_not_hold(port)
     registers = {"return_delay_time": 0, **(_ROLES[role] if role else {}), **dict(map(_pair, pairs))}
     found = set_up(
         port, MonotonicClock(), baud=baud, servo_id=servo_id, new_id=new_id, new_baud=new_baud,
-        registers=registers,
+        registers=registers, dry_run=dry_run,
     )  # fmt: skip
     if as_json:
-        click.echo(json.dumps({"port": port, "id": servo_id, "registers": found}))
+        told = {"port": port, "id": servo_id, "registers": found, "written": not dry_run}
+        click.echo(json.dumps(told))
     else:
         changes = (f"{name} {before} -> {after}" for name, (before, after) in found.items())
-        click.echo(f"servo {servo_id} at {port}: " + ", ".join(changes))
+        mark = "would write to " if dry_run else ""
+        click.echo(f"{mark}servo {servo_id} at {port}: " + ", ".join(changes))
     return EXIT_PASS
+
+
+def _must_not_hold(port: str) -> None:
+    """Refuse a port of which a bench file of this folder, or its USB ids, say that it holds the robot."""
+    from pathlib import Path
+
+    from hil.bench.left_alone import ports_that_hold, why_it_holds
+
+    if why := why_it_holds(port, ports_that_hold((), Path())):
+        raise UsageError(
+            f"--port {port}: {why}", expected="the port of the servos", remedy="`hil discover` finds it"
+        )
 
 
 def _pair(text: str) -> tuple[str, int]:

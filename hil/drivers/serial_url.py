@@ -3,13 +3,15 @@
 pyserial's network ports are made for terminals. Here a raw socket sends small packets at once instead
 of waiting for acknowledgements, and an RFC 2217 port negotiates with its server only when a line setting
 changes, not at every time-out that is set and every buffer that is cleared (50 ms each). A local port takes
-what has come without asking first whether something has.
+what has come without asking first whether something has. It belongs to one program at a time: the first that
+opens it locks it.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import grp
 import os
 import queue
@@ -17,7 +19,7 @@ import socket
 import stat
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import serial
 from serial import rfc2217
@@ -109,6 +111,61 @@ class LocalPort(_Local):  # type: ignore[misc]
         return sent + rest
 
 
+class SharedPort(LocalPort):
+    """A local port that several drivers of this program have open, and no other program.
+
+    A lock on a descriptor belongs to that descriptor, so that the drivers could not each have one: they use
+    one together.
+    """
+
+    _locks: ClassVar[dict[str, list[int]]] = {}
+    """By device path: the descriptor that holds the lock, and how many drivers rely on it."""
+    _locked = ""
+
+    def open(self) -> None:
+        """Lock the port, before any of its settings is changed, and open it.
+
+        Raises:
+            OSError: another program has locked it, or there is no such port.
+        """
+        path = os.path.realpath(self.port)
+        lock = self._locks.get(path)
+        if lock is None:
+            lock = self._locks[path] = [_locked(path), 0]
+        lock[1] += 1
+        self._locked = path
+        try:
+            super().open()
+        except BaseException:
+            self._unlock()
+            raise
+
+    def close(self) -> None:
+        """Close it; the last driver unlocks it. Idempotent."""
+        super().close()
+        self._unlock()
+
+    def _unlock(self) -> None:
+        path, self._locked = self._locked, ""
+        if not path:
+            return
+        lock = self._locks[path]
+        lock[1] -= 1
+        if not lock[1]:
+            os.close(self._locks.pop(path)[0])
+
+
+def _locked(path: str) -> int:
+    """A descriptor that keeps other programs out of a port; raises `OSError`."""
+    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
 def latency_timer(port: str, sysfs: Path = Path("/sys")) -> Path | None:
     """The file in which Linux keeps the latency timer (ms) of a USB adapter; None for other ports.
 
@@ -185,7 +242,8 @@ def open_serial(
         baud: bits per second; a raw socket's server must be set to it.
         timeout_s: of reads, in the port's own waiting.
         write_timeout_s: of writes, where the port has one.
-        shared: whether another driver may have the port open, too: one that only writes, one that only reads.
+        shared: whether another driver of this program may have the port open, too: one that only writes, one
+            that only reads.
 
     Raises:
         serial.SerialException, OSError, ValueError: as pyserial raises them.
@@ -198,10 +256,8 @@ def open_serial(
             remote.open()
         return remote
     if "://" not in url:
-        exclusive = None if shared else True
-        return LocalPort(
-            url, baudrate=baud, timeout=timeout_s, write_timeout=write_timeout_s, exclusive=exclusive
-        )
+        settings = {"baudrate": baud, "timeout": timeout_s, "write_timeout": write_timeout_s}
+        return SharedPort(url, **settings) if shared else LocalPort(url, exclusive=True, **settings)
     port = serial.serial_for_url(url, baudrate=baud, timeout=timeout_s, write_timeout=write_timeout_s)
     if url.lower().startswith("socket://"):
         connection = getattr(port, "_socket", None)

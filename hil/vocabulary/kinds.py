@@ -103,7 +103,9 @@ class DeviceModel:
         driver: makes the driver, closed, of config, clock and the parts of a `Connection` by name.
         emulate: makes the emulated device of a `hil.devices.emulated.Setting`; None where there is none.
         imperfections: gives the dataclass of what may be wrong with the emulated one: `[emulation.KIND]`.
-        ask: asks a serial port whether the model is there.
+        ask: asks a serial port whether the model is there. It changes no setting of a device.
+        ask_writes: what `ask` writes to the port, in words; empty where it only listens.
+        usb: (vendor, product) ids of adapters that are this model: `ask` of no model writes to them.
         search: looks for it elsewhere.
         ask_after: models with a smaller number are asked first: those that answer quickly.
         look: what `hil doctor` says of it beside the kind's own look; as `DeviceKind.look`.
@@ -120,6 +122,8 @@ class DeviceModel:
     emulate: Callable[[Any], Any] | None = None
     imperfections: Callable[[], type[Any]] | None = None
     ask: Callable[[str, Clock], Found | None] | None = None
+    ask_writes: str = ""
+    usb: tuple[tuple[int, int], ...] = ()
     search: Callable[[Search], Found | None] | None = None
     ask_after: int = 5
     look: Callable[[Any], Iterable[Finding]] | None = None

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 PROC = Path("/proc")
+_PTS = "/dev/pts/"
 
 
 class Program(NamedTuple):
@@ -29,11 +31,27 @@ def running(proc: Path = PROC) -> Iterator[Program]:
 def programs_with(port: str, proc: Path = PROC) -> list[Program]:
     """Other programs that have a port open; those of other users are seen by root only.
 
+    A program at the other end of a pseudo-terminal is what the port leads to, and not counted.
+
     Args:
         port: device path, or a link to one.
         proc: where the kernel tells of programs.
     """
-    return _with_open({os.path.realpath(port)}, proc)
+    path = os.path.realpath(port)
+    found = _with_open({path}, proc)
+    if not path.startswith(_PTS):
+        return found
+    return [program for program in found if not _is_other_end(proc / str(program.pid), path[len(_PTS) :])]
+
+
+def _is_other_end(program: Path, number: str) -> bool:
+    """Whether a program has the master of the pseudo-terminal of this number."""
+    with contextlib.suppress(OSError):
+        for description in (program / "fdinfo").iterdir():
+            with contextlib.suppress(OSError):
+                if f"tty-index:\t{number}\n" in description.read_text(errors="replace"):
+                    return True
+    return False
 
 
 def programs_with_udp(port: int, proc: Path = PROC) -> list[Program]:

@@ -37,6 +37,7 @@ def main():
             tell(
                 {
                     "fallen": bool(truth.fallen), "pose": pose, "adhesion_n": float(truth.adhesion_n),
+                    "thrust_n": float(truth.thrust_n),
                     "torque": [bool(servo.table.get("torque_enable")) for servo in bus.servos],
                     "turning": [told_to_turn(servo) for servo in bus.servos[:4]],
                     "wheels_rad_s": fastest[0], "steering_rad_s": fastest[1],

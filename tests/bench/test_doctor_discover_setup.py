@@ -193,7 +193,7 @@ def test_discover_says_what_it_did_not_find_and_where_it_looked(tmp_path, monkey
     assert "udpin" in found.missing["tracker"]
     assert found.silent == []
     none = discover(VirtualClock(world), ports=[], sysfs=tmp_path)
-    assert none.missing["servos"] == "this computer has no serial port; name one with --port"
+    assert none.missing["servos"] == "no serial port was asked; name one with --port"
 
 
 @pytest.mark.parametrize(
@@ -209,7 +209,7 @@ def test_discover_finds_everything_and_its_file_opens_a_healthy_bench(
     ports = ["--port", emulator["imu"]["port"], "--port", emulator["servos"]["port"]]
     others = ["--can", f"{can['interface']}:{can['channel']}:{can['port']}"]
     others += ["--mocap", f"127.0.0.1:{emulator['mocap']['command_port']}"]
-    assert main(["discover", *ports, *others, "--out", str(file), "--json"]) == 0
+    assert main(["discover", "--on-stand", *ports, *others, "--out", str(file), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert [s["servo_id"] for s in found["servos"]] == list(range(1, 9))
     assert {s["baud"] for s in found["servos"]} == {emulator["servos"]["baud"]}
@@ -222,11 +222,11 @@ def test_discover_finds_everything_and_its_file_opens_a_healthy_bench(
 
 
 def test_discover_names_a_port_at_which_nothing_answered_beside_one_where_something_did(monkeypatch, capsys):
-    answered = Discovery(sections={"imu": {"port": "/dev/imu"}}, silent=["/dev/nope"])
+    answered = Discovery(sections={"imu": {"port": "chip://imu"}}, silent=["chip://nope"])
     monkeypatch.setattr("hil.bench.discover.discover", lambda *_, **__: answered)
-    assert main(["discover", "--port", "/dev/imu", "--port", "/dev/nope"]) == 3
+    assert main(["discover", "--on-stand", "--port", "chip://imu", "--port", "chip://nope"]) == 3
     said = capsys.readouterr()
-    assert "hil: nothing answered at /dev/nope; check its name, power and cable" in said.err
+    assert "hil: nothing answered at chip://nope; check its name, power and cable" in said.err
     assert "[imu]" in said.out
 
 
@@ -239,7 +239,9 @@ def test_discover_tells_ports_that_hold_something_from_silent_ones(tmp_path, mon
 
 def test_discover_without_an_answer_and_with_nonsense(capsys, tmp_path):
     assert main(["discover", "--port", str(tmp_path / "no-port")]) == 3
-    assert "nothing answered" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "nothing answered" in said
+    assert f"not asked: {tmp_path / 'no-port'}: port cannot be opened (No such file or directory)" in said
     out = tmp_path / "found.toml"
     assert main(["discover", "--port", str(tmp_path / "no-port"), "--out", str(out), "--json"]) == 3
     said = capsys.readouterr()

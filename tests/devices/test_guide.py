@@ -94,7 +94,7 @@ def test_a_kind_of_ones_own_does_all_that_the_guide_says(reader, installed):
     told = reader("--fault rangefinder:off")
     assert "FAIL rangefinder" in told
     assert "FAIL: approach" in told
-    assert '[rangefinder]\nport = "/dev/' in reader("hil discover --port")
+    assert '[rangefinder]\nport = "/dev/' in reader("hil discover --on-stand")
 
 
 @pytest.mark.usefixtures("installed")
@@ -107,7 +107,7 @@ def test_the_example_passes_its_tests(reader):
 def test_every_block_of_the_guide_is_followed():
     followed = (
         "./my-imu", "pip install ./examples/rangefinder", "--rerun", "--fault rangefinder",
-        "hil discover --port", "cd examples", "./my-gap", "hil discover --at",
+        "hil discover --on-stand", "cd examples", "./my-gap", "hil discover --at",
     )  # fmt: skip
     assert [sum(key in block for key in followed) for block in BLOCKS] == [1] * len(followed)
 

@@ -121,7 +121,7 @@ def rule(line, robot):
         given = ON_THE_FLOOR if floor else ()  # as the page says before these lines
         return [*words, *given, *added]
     if words[0] == "discover":
-        where = ("--can", "udp_multicast:239.74.163.2", "--mocap", "127.0.0.1")
+        where = ("--on-stand", "--can", "udp_multicast:239.74.163.2", "--mocap", "127.0.0.1")
         return [*words, *(part for port in robot.ports() for part in ("--port", port)), *where]
     if words[0] == "setup":
         return [robot.ports()[0] if w == "/dev/ttyUSB0" else w for w in words]

@@ -1,4 +1,4 @@
-"""VESCs on CAN buses that somebody has named, or that the system has: for discovery."""
+"""VESCs on CAN buses that were named, or that the system has: for discovery."""
 
 from __future__ import annotations
 
@@ -14,13 +14,18 @@ C = TypeVar("C", bound=CanConfig)
 
 
 def controllers(search: Search, buses: Iterable[C]) -> Iterator[tuple[C, list[int]]]:
-    """Each bus with the ids of those that answer a ping or report, where there are any."""
+    """Each bus with the ids of those that answer a ping or report, where there are any.
+
+    Where a fan or propellers are kept running, the bus is only listened to.
+    """
+    from hil.drivers.adhesion.keeper.door import keepers
     from hil.drivers.adhesion.settings import Answers
     from hil.drivers.adhesion.who import ask_who
     from hil.drivers.can_link import CanLink
 
     for bus in buses:
-        search.say(f"asking for VESCs on {bus.interface}:{bus.channel}")
+        kept = any(name.startswith(f"{bus.bus}, ") for name in keepers())
+        search.say(f"{'listening' if kept else 'asking'} for VESCs on {bus.interface}:{bus.channel}")
         asked = VescConfig(
             interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, options=bus.options,
             open_timeout_s=SEARCH_S,
@@ -28,7 +33,7 @@ def controllers(search: Search, buses: Iterable[C]) -> Iterator[tuple[C, list[in
         link = CanLink("adhesion", asked, search.clock)
         try:
             link.open()
-            seen = ask_who(link, asked, search.clock, Answers())
+            seen = ask_who(link, asked, search.clock, Answers(), silent=kept)
         except HilError as error:
             search.say(str(error))
             continue

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from hil.config.imu import Bno055Config
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.interfaces import Sensor
-from hil.vocabulary.kinds import DeviceModel, Found, opens
+from hil.vocabulary.kinds import DeviceModel, Found
 from hil.vocabulary.signals import ImuSample
 
 if TYPE_CHECKING:
@@ -43,10 +43,10 @@ def _emulate(setting: Setting) -> EmulatedDevice:
 
 
 def _ask(port: str, clock: Clock) -> Found | None:
-    from hil.drivers.imu import Bno055Imu
+    from hil.drivers.imu.bno055 import answers
 
     config = Bno055Config(port=port, open_timeout_s=_OPEN_TIMEOUT_S)
-    return Found({"port": port}) if opens(Bno055Imu(config, clock)) else None
+    return Found({"port": port}) if answers(config, clock) else None
 
 
 BNO055 = DeviceModel(
@@ -58,5 +58,6 @@ BNO055 = DeviceModel(
     emulate=_emulate,
     imperfections=_imperfections,
     ask=_ask,
+    ask_writes="a request for the identity of a BNO055, at 115200 baud",
     ask_after=1,
 )

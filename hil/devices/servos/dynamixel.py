@@ -54,5 +54,6 @@ DYNAMIXEL = DeviceModel(
     emulate=_emulate,
     imperfections=_imperfections,
     ask=_ask,
+    ask_writes="a ping of all Dynamixel servos, at each of their baud rates",
     ask_after=9,
 )

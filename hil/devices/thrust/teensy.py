@@ -34,6 +34,10 @@ def _emulate(setting: Setting) -> EmulatedDevice:
     return Begun(on_serial_line(setting, chip), chip.begin_in_use)
 
 
+_PJRC = 0x16C0
+_PRODUCTS = (0x0483, 0x0487, 0x0489, 0x048A, 0x048B, 0x048C)
+"""Teensyduino's USB types with a serial port."""
+
 TEENSY = DeviceModel(
     kind="thrust",
     name="teensy",
@@ -42,4 +46,5 @@ TEENSY = DeviceModel(
     driver=_driver,
     emulate=_emulate,
     imperfections=_imperfections,
+    usb=tuple((_PJRC, product) for product in _PRODUCTS),
 )

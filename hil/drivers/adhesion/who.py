@@ -121,11 +121,22 @@ class Seen:
         return Finding(name, "firmware", "warning" if old else "ok", firmware, "5.03 or later", remedy)
 
 
-def ask_who(link: CanLink, config: VescConfig, clock: Clock, answers: Answers) -> Seen:
-    """Ping everybody, ask the controller how it is set, and listen until it is known or time is up."""
+def ask_who(
+    link: CanLink, config: VescConfig, clock: Clock, answers: Answers, *, silent: bool = False
+) -> Seen:
+    """Ping everybody, ask the controller how it is set, and listen until it is known or time is up.
+
+    Args:
+        link: open bus.
+        config: of the controller that is meant.
+        clock: the bench clock.
+        answers: receives how the controller is set.
+        silent: only listen.
+    """
     seen = Seen()
-    ping = ping_frame(EVERYBODY, config.own_id)
-    link.send(ping.id, ping.data, extended=True)
+    if not silent:
+        ping = ping_frame(EVERYBODY, config.own_id)
+        link.send(ping.id, ping.data, extended=True)
     asked, own = 0, config.controller_id
     end_ns = clock.now_ns() + nanoseconds(config.open_timeout_s)
     settled_ns: int | None = None

@@ -18,7 +18,7 @@ from hil.drivers.imu.link import ExchangeError, Link
 from hil.drivers.patience import used_while_closed
 from hil.drivers.stuck import StuckTest
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
-from hil.vocabulary.errors import DeviceTimeoutError
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.interfaces import Sensor
 from hil.vocabulary.signals import ImuSample, Stamp, Status
 
@@ -33,6 +33,24 @@ _OUTAGE_AFTER = 3
 _RECHECK_NS = 50_000_000
 _OK = Status.OK
 _WITHOUT_VALUES = (Status.RESET, Status.STARTING)
+
+
+def answers(config: Bno055Config, clock: Clock) -> bool:
+    """Whether a BNO055 is at a port. It is asked for its identity, and keeps its settings."""
+    try:
+        link = Link(config, clock, Bno055Imu.name)
+    except DeviceError:
+        return False
+    try:
+        with link.patient():
+            Chip(link, config, clock, Bno055Imu.name, None).identify(
+                clock.now_ns() + nanoseconds(config.open_timeout_s)
+            )
+    except DeviceError:
+        return False
+    finally:
+        link.close()
+    return True
 
 
 class Bno055Imu(Sensor[ImuSample]):

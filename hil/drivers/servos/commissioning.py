@@ -121,6 +121,7 @@ def set_up(
     new_id: int | None = None,
     new_baud: int | None = None,
     registers: Mapping[str, int] | None = None,
+    dry_run: bool = False,
 ) -> dict[str, tuple[int, int]]:
     """Write the EEPROM of one servo, register by register, each read back; never with torque on.
 
@@ -134,6 +135,7 @@ def set_up(
         new_id: which it shall have; written after the registers.
         new_baud: at which it shall listen; written last.
         registers: further EEPROM registers by name, raw counts.
+        dry_run: read and check only; nothing is written.
 
     Returns:
         (before, after) by name of every register that was asked for.
@@ -154,7 +156,10 @@ def set_up(
     line.open(_DEVICE)
     bus = Bus(line, clock, _DEVICE)
     try:
-        return _write_eeprom(bus, servo_id, wanted)
+        table, changes = _changes(bus, servo_id, wanted)
+        if not dry_run:
+            _write_eeprom(bus, servo_id, table, changes)
+        return changes
     finally:
         bus.close()
 
@@ -200,7 +205,10 @@ def _model_of(servo_id: int, block: bytes, port: str) -> ServoModel:
     return model
 
 
-def _write_eeprom(bus: Bus, servo_id: int, wanted: Mapping[str, int]) -> dict[str, tuple[int, int]]:
+def _changes(
+    bus: Bus, servo_id: int, wanted: Mapping[str, int]
+) -> tuple[Mapping[str, Register], dict[str, tuple[int, int]]]:
+    """Control table of a servo that may be set up, and what would change."""
     torque = shared_register("torque_enable")
     found = bus.read(servo_id, 0, torque.end)
     if found.status is not Status.OK:
@@ -227,8 +235,13 @@ def _write_eeprom(bus: Bus, servo_id: int, wanted: Mapping[str, int]) -> dict[st
             expected="a free ID",
             remedy="connect one servo at a time, or choose another ID",
         )
-    changes = {name: (from_block(found.data, table[name]), raw) for name, raw in wanted.items()}
-    for name in sorted(wanted, key=lambda n: (_LAST.index(n) + 1) if n in _LAST else 0):
+    return table, {name: (from_block(found.data, table[name]), raw) for name, raw in wanted.items()}
+
+
+def _write_eeprom(
+    bus: Bus, servo_id: int, table: Mapping[str, Register], changes: Mapping[str, tuple[int, int]]
+) -> None:
+    for name in sorted(changes, key=lambda n: (_LAST.index(n) + 1) if n in _LAST else 0):
         before, raw = changes[name]
         if before == raw:
             continue
@@ -241,7 +254,6 @@ def _write_eeprom(bus: Bus, servo_id: int, wanted: Mapping[str, int]) -> dict[st
         check = bus.read(servo_id, register.address, register.size)
         if check.status is not Status.OK or register.decode(check.data) != raw:
             raise bus.failure(check, f"servo {servo_id}: {name} = {raw} did not stay")
-    return changes
 
 
 def _rename(bus: Bus, servo_id: int, register: Register, raw: int) -> None:

@@ -67,5 +67,6 @@ TF_LUNA = DeviceModel(
     emulate=_emulate,
     imperfections=_imperfections,
     ask=_ask,
+    ask_writes="a request for the version of a TF-Luna, at 115200 baud",
     ask_after=2,
 )

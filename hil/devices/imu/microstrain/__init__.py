@@ -13,7 +13,7 @@ from hil.devices.imu.microstrain.config import MicrostrainConfig
 from hil.devices.imu.microstrain.look import look
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.interfaces import Sensor
-from hil.vocabulary.kinds import DeviceModel, Found, opens
+from hil.vocabulary.kinds import DeviceModel, Found
 from hil.vocabulary.signals import ImuSample
 
 if TYPE_CHECKING:
@@ -52,11 +52,11 @@ def _emulate(setting: Setting) -> EmulatedDevice:
 
 def _ask(port: str, clock: Clock) -> Found | None:
     """As delivered, and as fast as it can be set."""
-    from hil.devices.imu.microstrain.driver import MicrostrainImu
+    from hil.devices.imu.microstrain.dialogue import answers
 
     for baud in _BAUDS:
         config = MicrostrainConfig(port=port, baud=baud, open_timeout_s=_OPEN_TIMEOUT_S)
-        if opens(MicrostrainImu(config, clock)):
+        if answers(config, clock):
             return Found({"port": port} if baud == _BAUDS[0] else {"port": port, "baud": baud})
     return None
 
@@ -70,6 +70,7 @@ MICROSTRAIN = DeviceModel(
     emulate=_emulate,
     imperfections=_imperfections,
     ask=_ask,
+    ask_writes="a request for the identity of a MicroStrain sensor, at 115200 and 921600 baud",
     ask_after=2,
     look=look,
 )

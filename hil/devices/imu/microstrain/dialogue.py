@@ -6,6 +6,7 @@ is lost, and begins anew when the sensor stays silent in the middle: it may have
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
@@ -13,9 +14,13 @@ from typing import NamedTuple, TypeAlias
 
 from hil.devices.imu.microstrain import fields as f
 from hil.devices.imu.microstrain.config import MicrostrainConfig
-from hil.devices.imu.microstrain.packets import Field, Packet, encode
+from hil.devices.imu.microstrain.link import Link, LinkLostError, longest_packet_ns
+from hil.devices.imu.microstrain.packets import Field, Packet, PacketParser, encode
+from hil.vocabulary.clock import Clock, nanoseconds
+from hil.vocabulary.errors import DeviceError
 
 _TRIES = 5
+_LOOK_NS = 1_000_000
 _ANGLE_RAD = 1e-4
 _TRANSFORM_TRIES = 3
 _FARTHEST = 0.1
@@ -50,7 +55,7 @@ class UnsuitableError(Exception):
 
 @dataclass(frozen=True)
 class SetUp:
-    """A sensor that sends what the bench wants: who it is, and how often it measures."""
+    """Who a sensor is, and how often it sends what the bench wants; NaN where it was only asked."""
 
     info: f.DeviceInfo
     rate_hz: float
@@ -82,6 +87,12 @@ def set_up(config: MicrostrainConfig) -> Script:
     yield Command("data stream", f.THREE_DM, f.STREAM, bytes((f.WRITE, f.FILTER_DATA, 1)))
     yield Command("resume", f.BASE, f.RESUME)
     return SetUp(info, base_hz / decimation)
+
+
+def identified() -> Script:
+    """Find out who it is, and change nothing; a sensor that is streaming goes on."""
+    info = _identified((yield Command("device info", f.BASE, f.DEVICE_INFO, answer=f.DEVICE_INFO_REPLY)))
+    return SetUp(info, math.nan)
 
 
 def _identified(data: bytes) -> f.DeviceInfo:
@@ -208,3 +219,22 @@ def _answer(found: tuple[Field, ...], command: Command) -> bytes | None:
     if command.answer is None:
         return b""
     return next((field.data for field in found if field.descriptor == command.answer), None)
+
+
+def answers(config: MicrostrainConfig, clock: Clock) -> bool:
+    """Whether a MicroStrain sensor is at a port. It is asked for its identity, and keeps its settings."""
+    link, parser = Link(config, "imu"), PacketParser(longest_packet_ns(config))
+    dialogue = Dialogue(identified, link.send, nanoseconds(config.reply_timeout_s))
+    end_ns = clock.now_ns() + nanoseconds(config.open_timeout_s)
+    try:
+        link.open()
+        while dialogue.result is None and (now_ns := clock.now_ns()) < end_ns:
+            for packet in parser.feed(link.receive(), now_ns):
+                dialogue.take(packet)
+            dialogue.advance(now_ns)
+            clock.sleep_until_ns(now_ns + _LOOK_NS)
+    except (DeviceError, LinkLostError, RefusedError, UnsuitableError):
+        return False
+    finally:
+        link.close()
+    return dialogue.result is not None

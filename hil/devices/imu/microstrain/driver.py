@@ -15,8 +15,8 @@ from hil.devices.imu.microstrain import fields as f
 from hil.devices.imu.microstrain import readings
 from hil.devices.imu.microstrain.config import MicrostrainConfig
 from hil.devices.imu.microstrain.dialogue import Dialogue, RefusedError, SetUp, UnsuitableError, set_up
-from hil.devices.imu.microstrain.link import Link, LinkLostError
-from hil.devices.imu.microstrain.packets import BITS_PER_BYTE, LARGEST_BYTES, Packet, PacketParser
+from hil.devices.imu.microstrain.link import Link, LinkLostError, longest_packet_ns
+from hil.devices.imu.microstrain.packets import Packet, PacketParser
 from hil.drivers.device_clock import DeviceClock
 from hil.drivers.patience import used_while_closed
 from hil.drivers.stuck import StuckTest
@@ -57,8 +57,7 @@ class MicrostrainImu(Sensor[ImuSample]):
         self._opened = False
         self._identity: dict[str, str] = {}
         self._dialogue: Dialogue | None = None
-        largest_s = LARGEST_BYTES * BITS_PER_BYTE / config.baud
-        self._parser = PacketParser(nanoseconds(1.3 * largest_s))
+        self._parser = PacketParser(longest_packet_ns(config))
         self._device_clock = DeviceClock(nanoseconds(config.delay_s))
         self._stuck = StuckTest(config.stuck_after_s)
         self._fail_ns, self._stale_ns = nanoseconds(config.fail_after_s), nanoseconds(config.stale_after_s)

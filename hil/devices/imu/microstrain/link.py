@@ -5,12 +5,19 @@ from __future__ import annotations
 from typing import Any
 
 from hil.devices.imu.microstrain.config import MicrostrainConfig
+from hil.devices.imu.microstrain.packets import BITS_PER_BYTE, LARGEST_BYTES
 from hil.drivers.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
+from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.errors import DeviceError
 
 _EXPECTED = "a MicroStrain sensor at a serial port or pyserial URL"
 _CHUNK = 4096
 _WRITE_TIMEOUT_S = 0.1
+
+
+def longest_packet_ns(config: MicrostrainConfig) -> int:
+    """Longest time from the first to the last byte of a packet, ns."""
+    return nanoseconds(1.3 * LARGEST_BYTES * BITS_PER_BYTE / config.baud)
 
 
 class LinkLostError(Exception):
