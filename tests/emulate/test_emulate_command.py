@@ -10,8 +10,9 @@ import serial
 from emulators import END_S, emulator
 
 from hil.cli import main
-from hil.cli.emulate import _end_when_asked
 from hil.fakes.standard_can import DEFAULT_PORT
+
+ENDS = ("SIGINT", "SIGTERM", "SIGHUP", "lifeline")
 
 
 def chip_id(endpoint):
@@ -49,17 +50,17 @@ def test_group_and_channel_are_enough_for_a_can_client(served):
 
 
 @pytest.fixture(scope="module")
-def three():
-    """Three at once: they need seconds to start."""
+def several():
+    """Several at once: they need seconds to start."""
     with ExitStack() as stack:
-        running = [stack.enter_context(emulator("--only", "imu", "--lifeline")) for _ in range(3)]
+        running = [stack.enter_context(emulator("--only", "imu", "--lifeline")) for _ in ENDS]
         yield {r.process: r.endpoints()["imu"] for r in running}
 
 
-@pytest.mark.parametrize("how", ["SIGINT", "SIGTERM", "lifeline"])
-def test_it_ends_in_order_and_takes_its_ports_with_it(three, how):
-    process = next(p for p in three if p.poll() is None)
-    endpoint = three[process]
+@pytest.mark.parametrize("how", ENDS)
+def test_it_ends_in_order_and_takes_its_ports_with_it(several, how):
+    process = next(p for p in several if p.poll() is None)
+    endpoint = several[process]
     assert chip_id(endpoint) == 0xA0
     if how == "lifeline":
         process.stdin.close()
@@ -72,17 +73,18 @@ def test_it_ends_in_order_and_takes_its_ports_with_it(three, how):
         chip_id(endpoint)
 
 
-@pytest.mark.parametrize(("inherited", "ends"), [(signal.SIG_DFL, True), (signal.SIG_IGN, False)])
-def test_under_nohup_a_closed_terminal_does_not_end_it(inherited, ends):
-    former = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    signal.signal(signal.SIGHUP, inherited)
+def test_under_nohup_a_closed_terminal_does_not_end_it():
+    former = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        _end_when_asked(lambda: None, only_by_sigterm=False)
-        assert callable(signal.getsignal(signal.SIGTERM))
-        assert callable(signal.getsignal(signal.SIGHUP)) == ends
+        with emulator("--only", "imu", "--lifeline") as running:
+            endpoint = running.endpoints()["imu"]
+            running.process.send_signal(signal.SIGHUP)
+            assert chip_id(endpoint) == 0xA0
+            assert running.process.poll() is None
+            running.process.send_signal(signal.SIGTERM)
+            assert running.process.wait(END_S) == 0
     finally:
-        for number, handler in former.items():
-            signal.signal(number, handler)
+        signal.signal(signal.SIGHUP, former)
 
 
 def test_a_second_one_works_beside_the_first(served, emulate):
