@@ -57,6 +57,10 @@ COMMANDS = {
 }
 
 
+_COMPLETE = "_HIL_COMPLETE"
+"""Environment variable by which a shell asks for words: `bash_complete`, or `bash_source` for its script."""
+
+
 class LazyGroup(SuggestingGroup):
     """A click group that imports a command's module on first use."""
 
@@ -137,6 +141,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     return int(told["exit_code"])
 
 
+def _complete(asked: str) -> int:
+    from hil.cli.completion import answer
+
+    return answer(cli, _COMPLETE, asked)
+
+
 def script() -> None:
     """Console entry point."""
     seldom()
@@ -146,7 +156,8 @@ def script() -> None:
         click.echo(f"hil: {error}", err=True)
         sys.exit(EXIT_ABORTED)
     try:
-        code = main()
+        asked_by_shell = os.environ.get(_COMPLETE)
+        code = _complete(asked_by_shell) if asked_by_shell else main()
     except Aborted:  # even the message about an error finds no reader
         code = EXIT_ABORTED
     deaf_from_now_on()
