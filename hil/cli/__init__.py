@@ -18,10 +18,10 @@ import click
 
 from hil import __version__
 from hil.cli.options import PROGRESS, SuggestingGroup
-from hil.cli.output import Answered, Output, error_as_json
-from hil.vocabulary.blame import told as in_a_line
+from hil.cli.output import Answered, Output, error_as_json, tell_calls
 from hil.vocabulary.collector import seldom
 from hil.vocabulary.errors import EXIT_ABORTED, Aborted, DefectError, HilError, UsageError
+from hil.vocabulary.errors import told as in_a_line
 from hil.vocabulary.reading import printable
 from hil.vocabulary.stop_signals import deaf_from_now_on
 
@@ -115,8 +115,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         result = cli.main(args=words, prog_name="hil", standalone_mode=False, obj=answered)
     except HilError as error:
-        click.echo(printable(f"hil: {error}"), err=True)
         told = error_as_json(error)
+        tell_calls(told["frames"])
+        click.echo(printable(f"hil: {error}"), err=True)
     except click.exceptions.Exit as leave:
         return leave.exit_code
     except click.ClickException as error:
