@@ -4,6 +4,7 @@ import errno
 import gc
 import os
 import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 from unittest import mock
@@ -66,8 +67,8 @@ def public_data():
 
 @pytest.fixture(scope="module", autouse=True)
 def environment_kept():
-    """What a library sets for processes of its own, as Dask does, is not left to the next module."""
-    with mock.patch.dict(os.environ):
+    """What a library sets for its processes, and the folders of scripts, are not left to the next module."""
+    with mock.patch.dict(os.environ), mock.patch.object(sys, "path", list(sys.path)):
         yield
 
 

@@ -120,7 +120,7 @@ def _looks(
 
 
 def _failure(device: Device, check: str, error: HilError) -> Finding:
-    return Finding(device.name, check, "failure", error.message, error.expected, error.remedy)
+    return Finding.of_error(device.name, check, error)
 
 
 def _slowness_first(told: list[Finding], finding: Finding) -> Finding:

@@ -28,8 +28,8 @@ from hil.bench.overdue import (
     opening,
 )
 from hil.recording.cycle_layout import DTYPES, MAX_DIMENSIONS, SHAPES
-from hil.vocabulary.blame import OURS, PackageError, blamed, told
-from hil.vocabulary.errors import HilError
+from hil.vocabulary.blame import OURS, PackageError, blamed
+from hil.vocabulary.errors import HilError, told
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.interfaces import Device
 from hil.vocabulary.kinds import DeviceKind, DeviceModel

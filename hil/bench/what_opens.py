@@ -31,8 +31,6 @@ def open_what_can_be(
         except PackageError as error:
             if error.kind not in rest.devices():
                 raise
-            left_out.append(
-                Finding(error.kind, "open", "failure", error.message, error.expected, error.remedy)
-            )
+            left_out.append(Finding.of_error(error.kind, "open", error))
             emulation = rest.emulation.model_copy(update={error.kind: {}})
             rest = rest.model_copy(update={error.kind: None, "emulation": emulation})

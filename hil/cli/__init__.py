@@ -18,10 +18,10 @@ import click
 
 from hil import __version__
 from hil.cli.options import PROGRESS, SuggestingGroup
-from hil.cli.output import Answered, Output, error_as_json
-from hil.vocabulary.blame import told as in_a_line
+from hil.cli.output import Answered, Output, error_as_json, tell_calls
 from hil.vocabulary.collector import seldom
 from hil.vocabulary.errors import EXIT_ABORTED, Aborted, DefectError, HilError, UsageError
+from hil.vocabulary.errors import told as in_a_line
 from hil.vocabulary.reading import printable
 from hil.vocabulary.stop_signals import deaf_from_now_on
 
@@ -55,6 +55,10 @@ COMMANDS = {
     "setup": "write one servo's ID, baud rate and operating mode",
     "tune": "fit the estimator's noise to recordings with ground truth",
 }
+
+
+_COMPLETE = "_HIL_COMPLETE"
+"""Environment variable by which a shell asks for words: `bash_complete`, or `bash_source` for its script."""
 
 
 class LazyGroup(SuggestingGroup):
@@ -111,8 +115,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         result = cli.main(args=words, prog_name="hil", standalone_mode=False, obj=answered)
     except HilError as error:
-        click.echo(printable(f"hil: {error}"), err=True)
         told = error_as_json(error)
+        tell_calls(told["frames"])
+        click.echo(printable(f"hil: {error}"), err=True)
     except click.exceptions.Exit as leave:
         return leave.exit_code
     except click.ClickException as error:
@@ -137,6 +142,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     return int(told["exit_code"])
 
 
+def _complete(asked: str) -> int:
+    from hil.cli.completion import answer
+
+    return answer(cli, _COMPLETE, asked)
+
+
 def script() -> None:
     """Console entry point."""
     seldom()
@@ -146,7 +157,8 @@ def script() -> None:
         click.echo(f"hil: {error}", err=True)
         sys.exit(EXIT_ABORTED)
     try:
-        code = main()
+        asked_by_shell = os.environ.get(_COMPLETE)
+        code = _complete(asked_by_shell) if asked_by_shell else main()
     except Aborted:  # even the message about an error finds no reader
         code = EXIT_ABORTED
     deaf_from_now_on()

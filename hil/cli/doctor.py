@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from hil.cli.options import JSON, OUT, SEED, FiniteRange
+from hil.cli.output import tell_calls
 from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "failure": ("FAIL", "red")}
@@ -67,6 +68,7 @@ def command(
             if finding.level != "ok":
                 hints = [f"expected {finding.expected}"] * bool(finding.expected) + [finding.remedy]
                 click.echo(" " * (width + 6) + "; ".join(h for h in hints if h))
+        tell_calls(finding.frames)
     failed = [f for f in findings if f.level == "failure"]
     if as_json:
         result = {"bench": opened.config.name, "ok": not failed, "findings": [f.to_json() for f in findings]}

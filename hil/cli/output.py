@@ -17,7 +17,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from typing import Any
@@ -37,13 +37,34 @@ class Answered:
 
 
 def error_as_json(error: HilError) -> dict[str, Any]:
-    """What `--json` gives in place of a result: `message`, `expected`, `remedy` and `exit_code`."""
+    """What `--json` gives in place of a result: `message`, `expected`, `remedy`, `exit_code` and `frames`.
+
+    `frames` are those of the user's own code, as in `result.json`.
+    """
+    from hil.vocabulary.call_chain import as_json, chain_of
+
     return {
         "message": error.message,
         "expected": error.expected,
         "remedy": error.remedy,
         "exit_code": error.exit_code,
+        "frames": as_json(chain_of(error)),
     }
+
+
+def tell_calls(frames: Sequence[Mapping[str, Any]], where: str = "") -> None:
+    """Print on standard error the calls in the user's code that led to an error, if there are any.
+
+    Args:
+        frames: as in `result.json`.
+        where: the step, in words.
+    """
+    from hil.vocabulary.call_chain import in_words
+    from hil.vocabulary.reading import printable
+
+    if frames:
+        head = f"Calls in your code{where and ' '}{where}, the last one at the end:"
+        click.echo(printable(f"{head}\n{in_words(frames)}"), err=True)
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import click
 from hil.cli import start
 from hil.cli.attended import answers_option, operator, watching
 from hil.cli.options import FILE, JSON, OUT, SEED, results_folder
-from hil.cli.output import kept_for_json, tell_the_end
+from hil.cli.output import kept_for_json, tell_calls, tell_the_end
 from hil.cli.progress import reporting
 from hil.vocabulary.clock import local_time
 from hil.vocabulary.errors import HilError
@@ -119,6 +119,8 @@ def command(
         folder = results_folder(proc.name, out, JOURNAL if resume else None)
         with kept_for_json(as_json):
             result = _run(proc, source, folder, parameters, answers, resume, on_failure, interrupts)
+        for problem in filter(None, (result.error, *result.teardown_errors)):
+            tell_calls(problem.frames, problem.place)
         report, code = _report_of(result)
         if as_json:
             tree = result.to_json() | {"folder": str(result.folder), "report": report}

@@ -274,9 +274,7 @@ class _Running:
             raise
         except HilError as error:
             device = str(getattr(error, "device", "bench"))
-            stage.findings.append(
-                Finding(device, "open", "failure", error.message, error.expected, error.remedy)
-            )
+            stage.findings.append(Finding.of_error(device, "open", error))
         finally:
             self.held = bench.held.to_json() if bench.held is not None else None
         stage.end()

@@ -14,7 +14,7 @@ from hil.procedure.journal import PastRun
 from hil.procedure.measurements import Measurement, Verdict, worst
 from hil.procedure.parameters import as_dict
 from hil.procedure.results import Failure, Result, git_revision, judge
-from hil.vocabulary.blame import place_of
+from hil.vocabulary.call_chain import as_json, chain_of, place_of
 from hil.vocabulary.errors import EXIT_ABORTED, EXIT_DEVICE, EXIT_USAGE, Aborted, HilError
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
@@ -25,10 +25,13 @@ def failure(problem: BaseException, context: Context, where: str = "") -> Failur
     step, finished = (where, False) if where else _place(context)
     if isinstance(problem, HilError):
         code = EXIT_ABORTED if isinstance(problem, Aborted) else problem.exit_code
-        return Failure(type(problem).__name__, str(problem), step, code, finished)
+        frames = () if code == EXIT_ABORTED else as_json(chain_of(problem))
+        return Failure(type(problem).__name__, str(problem), step, code, finished, tuple(frames))
     no_room = isinstance(problem, OSError) and problem.errno in _NO_ROOM
     code = EXIT_ABORTED if no_room or isinstance(problem, KeyboardInterrupt) else EXIT_USAGE
-    return Failure(type(problem).__name__, f"{problem} ({place_of(problem)})", step, code, finished)
+    frames = as_json(chain_of(problem, shipped=True))
+    said = f"{problem} ({place_of(problem)})"
+    return Failure(type(problem).__name__, said, step, code, finished, tuple(frames))
 
 
 def _place(context: Context) -> tuple[str, bool]:

@@ -11,6 +11,7 @@ from hil.procedure.bench_source import BenchSource
 from hil.procedure.hold_history import HoldHistory
 from hil.procedure.path_history import PathHistory
 from hil.recording.mcap_writer import McapRecorder, OnFailure
+from hil.vocabulary.call_chain import keep_chain
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import DataError, HilError, RecordingError
 
@@ -112,7 +113,11 @@ def driven(sent: Sent[Any]) -> Driven:
             finally:
                 driven_s = (bench.clock.now_ns() - begin_ns) / NS_PER_S
     except HilError as caught:
+        keep_chain(caught)
         error = caught
+    except Exception as mistake:
+        keep_chain(mistake)
+        raise
     objection = None
     if recorder is not None:
         objection = recorder.objection()

@@ -12,6 +12,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from hil.procedure.measurements import Measurement, Verdict
+from hil.vocabulary.call_chain import in_words
 from hil.vocabulary.digits import digits_apart
 from hil.vocabulary.errors import EXIT_ABORTED, EXIT_LIMIT_FAILED, EXIT_PASS, DataError, reason_of
 from hil.vocabulary.files import put_whole
@@ -32,6 +33,7 @@ class Failure:
         step: in which step, or after which.
         exit_code: that it asks for.
         finished: that step was finished: the run ended between it and the next.
+        frames: the call chain through the user's own code, as `hil.vocabulary.call_chain.as_json` has it.
     """
 
     kind: str
@@ -39,10 +41,14 @@ class Failure:
     step: str
     exit_code: int
     finished: bool = False
+    frames: tuple[Mapping[str, Any], ...] = ()
 
     def to_json(self) -> dict[str, object]:
         """As in `result.json`."""
-        return {"type": self.kind, "message": self.message, "step": self.step, "finished": self.finished}
+        return {
+            "type": self.kind, "message": self.message, "step": self.step, "finished": self.finished,
+            "frames": list(self.frames),
+        }  # fmt: skip
 
     @property
     def place(self) -> str:
@@ -168,7 +174,8 @@ def junit(tree: Mapping[str, Any]) -> str:
     run = ElementTree.SubElement(suite, "testcase", classname=f"hil.{name}", name="run", time=duration)
     if broken:
         problem = tree["error"] or tree["teardown_errors"][0]
-        ElementTree.SubElement(run, "error", type=problem["type"], message=problem["message"])
+        told = ElementTree.SubElement(run, "error", type=problem["type"], message=problem["message"])
+        told.text = printable(in_words(problem["frames"])) or None
     for row in rows:
         case = ElementTree.SubElement(
             suite, "testcase", classname=f"hil.{name}", name=str(row["name"]), time="0"

@@ -26,11 +26,21 @@ class _Part(BaseModel):
     model_config = ConfigDict(extra="allow", allow_inf_nan=False)
 
 
+class _Frame(_Part):
+    file: str
+    line: int
+    function: str
+    code: str = ""
+    times: int = 1
+    raised: str = ""
+
+
 class _Problem(_Part):
     type: str
     message: str
     step: str = ""
     finished: bool = False
+    frames: list[_Frame] = []
 
 
 class _Held(_Part):

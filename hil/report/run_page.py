@@ -18,6 +18,7 @@ from hil.report.figures import figure_image
 from hil.report.pages import digits_of, duration, environment, outcome_words
 from hil.report.result_file import address, inside, own_file, read_result
 from hil.report.run_words import grouped, sentence
+from hil.vocabulary.call_chain import in_words
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.files import write_text
 from hil.vocabulary.reading import dotted
@@ -45,6 +46,7 @@ def write_run_page(folder: Path, out: Path | None = None) -> Path:
             run=tree,
             title=tree["procedure"].replace("_", " "),
             sentence=sentence(tree),
+            calls_in_words=in_words,
             groups=grouped(judged),
             reported=grouped([row for row in rows if row["tone"] == "reported"]),
             counts=counts(tree),

@@ -6,16 +6,14 @@ is wanted.
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, TypeVar
 
-from hil.vocabulary.errors import ConfigError, DeviceError, HilError
+from hil.vocabulary.call_chain import place_of
+from hil.vocabulary.errors import ConfigError, DeviceError, HilError, told
 
 OURS = "hil"
-_LONGEST = 300
 T = TypeVar("T")
 
 
@@ -28,18 +26,6 @@ class PackageError(DeviceError):
             f"{kind} ({package})", message, expected=expected,
             remedy=f"mend {package.split()[0]}, or install a version of it without this",
         )  # fmt: skip
-
-
-def told(error: BaseException) -> str:
-    """An exception in one line: its class and what it says."""
-    text = " ".join(str(error).split())
-    return f"{type(error).__name__}: {text[:_LONGEST]}" if text else type(error).__name__
-
-
-def place_of(error: BaseException) -> str:
-    """File and line from which an exception comes."""
-    frames = traceback.extract_tb(error.__traceback__)
-    return f"{Path(frames[-1].filename).name}, line {frames[-1].lineno}" if frames else "unknown place"
 
 
 @contextmanager

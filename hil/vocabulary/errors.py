@@ -20,6 +20,7 @@ EXIT_LIMIT_FAILED = 1
 EXIT_USAGE = 2
 EXIT_DEVICE = 3
 EXIT_ABORTED = 4
+_LONGEST = 300
 
 
 class HilError(Exception):
@@ -69,6 +70,12 @@ def reason_of(error: Exception) -> str:
     An `OSError` that a library raised may have no text of the system; then its own text counts, or its kind.
     """
     return getattr(error, "strerror", None) or str(error) or type(error).__name__
+
+
+def told(error: BaseException) -> str:
+    """An exception in one line: its class and what it says."""
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text[:_LONGEST]}" if text else type(error).__name__
 
 
 class ConfigError(HilError, ValueError):

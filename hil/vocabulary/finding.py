@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Literal
+from typing import Any, Literal
+
+from hil.vocabulary.errors import HilError
 
 Level = Literal["ok", "warning", "failure"]
 
@@ -16,6 +19,7 @@ class Finding:
         device: of the bench, or `bench`.
         check: what was looked at.
         found, expected, remedy: in words.
+        frames: of the package's code that failed, as `hil.vocabulary.call_chain.as_json` has them.
     """
 
     device: str
@@ -24,7 +28,16 @@ class Finding:
     found: str
     expected: str = ""
     remedy: str = ""
+    frames: tuple[Mapping[str, Any], ...] = ()
 
-    def to_json(self) -> dict[str, str]:
+    def to_json(self) -> dict[str, Any]:
         """As plain data."""
-        return {key: str(value) for key, value in asdict(self).items()}
+        return {key: list(v) if key == "frames" else str(v) for key, v in asdict(self).items()}
+
+    @classmethod
+    def of_error(cls, device: str, check: str, error: HilError) -> Finding:
+        """A failure that an error says."""
+        from hil.vocabulary.call_chain import as_json, chain_of
+
+        frames = tuple(as_json(chain_of(error)))
+        return cls(device, check, "failure", error.message, error.expected, error.remedy, frames)

@@ -1,14 +1,19 @@
-"""Runs a Python file of the user's as a module; what it raises is told as a fault of that file."""
+"""Runs a Python file of the user's as a module; what it raises is told as a fault of that file.
+
+As when Python runs it, its folder is the first in which modules are looked for, from then on.
+"""
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import sys
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType
 
-from hil.vocabulary.errors import ConfigError, HilError
+from hil.vocabulary.call_chain import place_of
+from hil.vocabulary.errors import ConfigError, HilError, told
 
 
 def run_file(path: Path) -> ModuleType:
@@ -20,13 +25,13 @@ def run_file(path: Path) -> ModuleType:
     try:
         return _load(f"hil_script_{path.stem}", path)
     except HilError as error:
-        raise ConfigError(f"{path}: {error}") from None
+        raise ConfigError(f"{path}: {error}") from error
     except SyntaxError as error:
         raise ConfigError(f"{path}: line {error.lineno}: {error.msg}") from None
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a script may raise anything, `sys.exit()` too
-        raise ConfigError(f"{path}: cannot be loaded ({type(error).__name__}: {error})") from error
+        raise ConfigError(f"{path}: cannot be loaded: {told(error)} ({place_of(error)})") from error
 
 
 class _AsItStands(SourceFileLoader):
@@ -42,5 +47,11 @@ def _load(name: str, path: Path) -> ModuleType:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
+    _look_for_modules_in(str(path.resolve().parent))
     spec.loader.exec_module(module)
     return module
+
+
+def _look_for_modules_in(folder: str) -> None:
+    sys.path[:] = [folder, *(place for place in sys.path if place != folder)]
+    importlib.invalidate_caches()  # a module may have been written since the folder was looked into

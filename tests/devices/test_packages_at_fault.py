@@ -81,6 +81,21 @@ def test_a_run_names_the_package(case, package, hil):
 
 
 @pytest.mark.usefixtures("bench")
+@pytest.mark.parametrize("words", [("run", "look.py", "--out", "out"), ("doctor", "--watch", "0.2")])
+def test_the_calls_in_a_package_are_told(words, package, hil):
+    source = PACKAGE + driver("def read(self): return deeper()") + "\ndef deeper(): return fail()\n"
+    folder = package("hil-evil", source, "ITEM")
+    done = hil(*words, "--bench", "bench.toml", "--json", packages=[folder])
+    told = json.loads(done.out)
+    problem = told["error"] if "error" in told else next(f for f in told["findings"] if f["frames"])
+    own = [f for f in problem["frames"] if f["file"].endswith("hil_evil.py")]
+    assert [frame["function"] for frame in own] == ["read", "deeper", "fail"]
+    assert own[-1]["code"] == 'raise RuntimeError("boom")'
+    for frame in own:
+        assert f'{frame["file"]}", line {frame["line"]}, in' in done.said
+
+
+@pytest.mark.usefixtures("bench")
 @pytest.mark.parametrize("part", ["identity", "look", "rate_hz"])
 def test_the_doctor_names_what_else_of_a_package_fails(part, package, hil):
     source = driver("identity = fail") if part == "identity" else f"ITEM = thing({part}=fail)\n"

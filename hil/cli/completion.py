@@ -1,0 +1,76 @@
+"""Answers a shell that completes a line: the request itself; the words are `hil.cli.words`.
+
+A line that is being typed is no place for messages. What goes wrong while words are looked for offers none.
+"""
+
+from __future__ import annotations
+
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+
+import click
+from click.shell_completion import BashComplete, CompletionItem, add_completion_class, get_completion_class
+
+from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE, UsageError
+
+_BREAKS = (":", "=")
+
+
+def answer(cli: click.Command, variable: str, asked: str) -> int:
+    """Print what a shell asks for: its completion script, or words.
+
+    Args:
+        cli: the command whose line is being typed.
+        variable: of the environment, by which the script asks.
+        asked: its value, such as `bash_source` or `bash_complete`.
+
+    Returns:
+        The exit code.
+    """
+    shell, _, what = asked.partition("_")
+    found = get_completion_class(shell)
+    if found is None or what not in ("source", "complete"):
+        error = UsageError(
+            f"{variable}={asked} is unknown", expected="bash_source, zsh_source or fish_source"
+        )
+        click.echo(f"hil: {error}", err=True)
+        return EXIT_USAGE
+    completion = found(cli, {}, "hil", variable)
+    if what == "source":
+        click.echo(completion.source())
+        return EXIT_PASS
+    words = ""
+    with redirect_stdout(StringIO()), redirect_stderr(StringIO()):  # scripts are run for their parameters
+        try:
+            words = completion.complete()
+        except (Exception, SystemExit):
+            return EXIT_PASS
+    if words:
+        click.echo(words)
+    return EXIT_PASS
+
+
+class _Bash(BashComplete):
+    """Bash takes `imu:stuck` and `--bench=lab` for several words, and replaces the last of them only."""
+
+    _begun = ""
+
+    def get_completion_args(self) -> tuple[list[str], str]:
+        """As click's, with the words put together again."""
+        args, incomplete = super().get_completion_args()
+        words: list[str] = []
+        for word in (*args, incomplete):
+            if words and (word in _BREAKS or words[-1].endswith(_BREAKS)) and not word.startswith("--"):
+                words[-1] += word
+            else:
+                words.append(word)
+        *args, incomplete = words
+        self._begun = incomplete[: max(map(incomplete.rfind, _BREAKS)) + 1]
+        return args, incomplete
+
+    def format_completion(self, item: CompletionItem[str]) -> str:
+        """As click's, without what stands before the last of bash's words."""
+        return f"{item.type},{item.value.removeprefix(self._begun)}"
+
+
+add_completion_class(_Bash)
