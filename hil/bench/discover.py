@@ -2,7 +2,7 @@
 
 Serial ports are named by their USB serial number where the system offers that. Each port is asked
 by every model of the registry that a serial port may hold, those that answer quickly first. What may hold the
-robot is left alone (`left_alone`), and what is written to the other ports can be told before.
+robot is left alone (`ports_not_asked`), and what is written to the other ports can be told before.
 """
 
 from __future__ import annotations

@@ -133,7 +133,7 @@ class HeldRig(Blueprint):
             if self.rig.servos is not None and self.rig.servos.identity():
                 self.held = self._hold.unseen("ended before anybody had looked")
                 self.rig.servos.stop()
-                self.held = self._hold.look(self.config.exit.look_after_s)
+                self.held = self._hold.look(self.config.exit.look_after_s, for_good=True)
                 if self.config.exit.policy == "release" and not self._steeper():
                     self.rig.servos.release()
                     self.held = self._hold.released()

@@ -159,26 +159,40 @@ class HoldWatch(Sink):
         """How far the frame has moved in which a kind of device measures places, as far as that was seen."""
         return self._leaps.size_m(name)
 
-    def look(self, limit_s: float) -> Held:
+    def look(self, limit_s: float, *, for_good: bool = False) -> Held:
         """Look after the robot until it is held, for `limit_s` at the most.
 
-        Never raises for what a device does: a sensor that fails is a witness less.
+        Beside propellers that report nothing it takes as much longer as they need to be known to go on. Never
+        raises for what a device does: a sensor that fails is a witness less.
+
+        Args:
+            limit_s: so long.
+            for_good: whether the bench ends now: what is held is sent nothing more.
         """
+        held = self._look(limit_s, for_good)
+        if not (for_good and held.state == "HELD"):
+            self._press.end()
+        return held
+
+    def _look(self, limit_s: float, for_good: bool) -> Held:
         servos = self._rig.servos
         if servos is None or not servos.identity():
             return self.unseen("no servos are open", wanted=False)
         began_ns = self._clock.now_ns()
         end_ns = began_ns + nanoseconds(limit_s)
         trails = {name: Trail() for name in self._witnesses}
-        self._press.begin(began_ns)
+        self._press.begin(for_good=for_good)
         self._felt_m_s2.clear()
         while True:
             hold = servos.look_after()
             self._see(hold, trails)
             seen = [name for name, trail in trails.items() if trail.full(hold.t_ns)]
             places = self._places(seen)
-            unpressed = self._press.doubt(self._clock.now_ns(), sees_slide=bool(places))
-            doubt = self._doubt(hold, trails, seen, places) or unpressed or self._doubt_of_floor()
+            doubt = self._doubt(hold, trails, seen, places)
+            unpressed = self._press.doubt(
+                self._clock.now_ns(), sees_slide=bool(places) and not doubt, moves=bool(places and doubt)
+            )
+            doubt = doubt or unpressed or self._doubt_of_floor()
             early = hold.t_ns - began_ns < _ALL_NS
             slow = self._tilt.begun and hold.t_ns - began_ns < _SLOW_NS
             unsure = (early or slow) and not self._on_wall and not self._tilt.known
@@ -196,7 +210,7 @@ class HoldWatch(Sink):
                 by_tether = "; on its tether, so nobody has to see whether it slides" if tether else ""
                 why = f"torque on, at rest by {rests}{pressed}{by_tether}{late}"
                 return self._verdict("HELD", why, seen)
-            if self._clock.now_ns() >= end_ns:
+            if self._clock.now_ns() >= end_ns and not self._press.waits:
                 return self._verdict("NOT HELD", doubt + late, seen)
             self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
 

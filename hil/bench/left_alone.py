@@ -1,108 +1,107 @@
-"""Which serial ports discovery must not write to, since something there may hold the robot.
+"""Whether propellers that report nothing understand what they are told, and go on without the bench.
 
-A port says nothing of what is behind it, and a controller of propellers may take any strange byte for an
-error and slow down. So a port is left alone where another program has it open, where a bench file has a
-device that holds the robot, and where the adapter itself is such a device by its USB ids.
+Nobody confirms their commands. A controller that does not understand them takes its throttle down, and the
+robot slides seconds later: they count once it has been seen at rest for as long as that. A bench that closes
+sends them nothing meanwhile, so that what is seen is what they do alone; a bench that goes on tells them
+their force again and again, because they may restart.
 """
 
 from __future__ import annotations
 
-import contextlib
-import os
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import Any
+import math
+from dataclasses import replace
 
-from serial.tools import list_ports
+from hil.config.thrust import ThrustConfig
+from hil.ring.rig import Rig
+from hil.robot.holding import Statics
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
 
-from hil.config.loading import load_bench
-from hil.drivers.adhesion.keeper.door import keepers
-from hil.drivers.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import DeviceModel, kinds
-from hil.vocabulary.port_users import named, programs_with
-from hil.vocabulary.reading import read_toml
-
-_BAUD = 115_200
-_WAIT_S = 0.1
+_UNTOLD_S = 0.6
+"""To look at propellers to which the bench sends nothing at all."""
+_BLIND_NS = nanoseconds(0.3)
+"""Nobody need see it for so long: a slide that has begun is seen after that, too."""
+_BETTER = 1.2
+"""So many times the friction that is believed a surface may have: on it a robot slides later."""
+_HALVINGS = 20
 
 
-def ports_that_hold(named_files: Sequence[Path], folder: Path) -> dict[str, str]:
-    """Serial ports at which bench files have a device that holds the robot: what it is, by device path.
+class LeftAlone:
+    """Of one bench.
 
     Args:
-        named_files: bench files that the user named.
-        folder: its bench files are heeded, too; those that cannot be read tell nothing.
-
-    Raises:
-        ConfigError: a file that was named is no bench file.
+        rig: its devices.
+        propellers: that report nothing; None where there are none that the bench knows how to reckon with.
+        asked_n: what they are asked for.
     """
-    for path in named_files:
-        load_bench(str(path))
-    trees = {path: read_toml(path) for path in named_files}
-    for path in sorted(folder.glob("*.toml")):
-        with contextlib.suppress(ConfigError):
-            trees.setdefault(path, read_toml(path))
-    return {port: f"{noun} of {path}" for path, tree in trees.items() for port, noun in _holding(tree)}
+
+    def __init__(self, rig: Rig, propellers: ThrustConfig | None, asked_n: float) -> None:
+        self._rig, self._propellers, self._asked_n = rig, propellers, asked_n
+        self._since_ns: int | None = None
+        self._seen_ns = 0
+        self._for_good = False
+
+    @property
+    def begun(self) -> bool:
+        """Whether the robot is seen at rest now, and they do not count yet, or do."""
+        return self._since_ns is not None
+
+    def begin(self, *, for_good: bool) -> None:
+        """A look begins; `for_good`: the bench closes, and leaves them alone."""
+        self.end()
+        self._for_good = for_good
+
+    def end(self) -> None:
+        """Let the bench go on telling them."""
+        if self._since_ns is not None:
+            self._since_ns = None
+            self._leave(alone=False)
+
+    def left_s(self, now_ns: int, *, rests: bool, moves: bool, least_n: float) -> float:
+        """How much longer the robot is to rest until they count; 0 once they do, `inf` while nobody sees.
+
+        Args:
+            now_ns: time.
+            rests: whether somebody sees the robot at rest; where not for a while, it begins anew.
+            moves: whether it is seen not to rest: then they are told their force again at once.
+            least_n: push below which the robot would slide; 0 where that is not known.
+        """
+        if not rests:
+            if moves or now_ns - self._seen_ns > _BLIND_NS:
+                self.end()
+            return math.inf
+        self._seen_ns = now_ns
+        if self._since_ns is None:
+            self._since_ns = now_ns
+            self._leave(alone=True)
+        return max(self._needs_s(least_n) - (now_ns - self._since_ns) / NS_PER_S, 0.0)
+
+    def _needs_s(self, least_n: float) -> float:
+        if self._rig.get("thrust") is None:
+            return _UNTOLD_S
+        known = self._propellers
+        return math.inf if known is None else known.gives_way_s(self._asked_n, least_n)
+
+    def _leave(self, *, alone: bool) -> None:
+        device = self._rig.get("thrust")
+        if self._for_good and device is not None and self._propellers is not None:
+            device.leave_alone(alone)
 
 
-def _holding(tree: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Port and noun of each device of a bench file that holds the robot and is on a serial port."""
-    for name, kind in kinds().items():
-        table = tree.get(name)
-        if not kind.holds or not isinstance(table, dict) or table.get("backend", "real") != "real":
-            continue
-        model = next((m for m in kind.models if m.name == table.get("model")), kind.models[0])
-        field = model.config.model_fields.get("port")
-        port = table.get("port", None if field is None else field.default)
-        if isinstance(port, str):
-            yield os.path.realpath(port) if "://" not in port else port, kind.noun
-
-
-def why_left_alone(port: str, holding: Mapping[str, str]) -> str:
-    """Why nothing may be written to a port; empty where something may.
+def least_push_n(statics: Statics, force_n: float, most_n: float, heading_rad: float) -> float:
+    """Push along the body below which a robot surely slides, on a surface that may be better than believed.
 
     Args:
-        port: device path, a link to one, or a pyserial URL.
-        holding: as `ports_that_hold` gives it.
+        statics: of robot and surface.
+        force_n: that presses it.
+        most_n: push with which it holds.
+        heading_rad: of the body on the surface.
     """
-    if (why := why_it_holds(port, holding)) or "://" in port:
-        return why
-    if others := programs_with(port):
-        return f"{named(others)} has it open"
-    return _cannot_be_opened(port)
-
-
-def why_it_holds(port: str, holding: Mapping[str, str]) -> str:
-    """Why a port is taken for one that holds the robot; empty where nothing says so.
-
-    Args:
-        port: device path, a link to one, or a pyserial URL.
-        holding: as `ports_that_hold` gives it.
-    """
-    path = port if "://" in port else os.path.realpath(port)
-    if path in holding:
-        return f"it is the port of the {holding[path]}"
-    model = _by_usb(path)
-    return f"by its USB ids it is a board that may be {model.title}" if model else ""
-
-
-def _by_usb(path: str) -> DeviceModel | None:
-    """The model that holds a robot and has the USB ids of a port's adapter."""
-    ids = next(((p.vid, p.pid) for p in list_ports.comports() if os.path.realpath(p.device) == path), None)
-    holding = (model for kind in kinds().values() if kind.holds for model in kind.models)
-    return next((model for model in holding if ids in model.usb), None)
-
-
-def _cannot_be_opened(port: str) -> str:
-    try:
-        let_go(open_serial(port, baud=_BAUD, timeout_s=_WAIT_S, write_timeout_s=_WAIT_S))
-    except PORT_ERRORS as error:
-        told = cannot_open(port, "", error, expected="a serial port")
-        return f"{told.message.removeprefix(f'{port}: ')}; {told.remedy}"
-    return ""
-
-
-def what_is_kept() -> list[str]:
-    """Fans and propellers that are kept running on this computer now, each by bus and controller."""
-    return keepers()
+    better = replace(statics, friction=_BETTER * statics.friction)
+    low_n, high_n = 0.0, most_n
+    if better.needed_n(low_n, heading_rad) <= force_n:
+        return 0.0
+    for _ in range(_HALVINGS):
+        middle_n = 0.5 * (low_n + high_n)
+        holds = better.needed_n(middle_n, heading_rad) <= force_n
+        low_n, high_n = (low_n, middle_n) if holds else (middle_n, high_n)
+    return low_n

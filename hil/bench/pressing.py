@@ -3,20 +3,23 @@
 A robot whose fan has just died still stands still. A controller that nobody hears may have let go of its
 motor, or will when its time-out ends, and the fan takes a second to run down. So a silent fan is no longer
 trusted until the load cells have felt enough force for longer than that, and a force that falls quickly is
-doubted before it is lost. Propellers carry a part of the weight: they count by what they report, those that
-report nothing only while somebody sees that the robot does not slide. Load cells do not feel their push.
+doubted before it is lost. Propellers carry a part of the weight: they count by what they report. Those that
+report nothing may not have understood it: they count once the robot has been seen at rest for as long as they
+would need to let it slide (`hil.bench.left_alone`). Load cells do not feel their push.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from hil.bench.settings import adhesion_limits, can_fall, pretended_holders
+from hil.bench.left_alone import LeftAlone, least_push_n
+from hil.bench.settings import adhesion_limits, can_fall, pretended_holders, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.config.kept_motor import KeptMotorConfig
+from hil.config.thrust import ThrustConfig
 from hil.ring.adhesion import AdhesionLimits
 from hil.ring.force_trend import ForceTrend
 from hil.ring.rig import Rig
@@ -27,8 +30,6 @@ from hil.vocabulary.signals import LoadCellSample, Status, worst
 
 RUN_DOWN_S = 1.0
 """A fan without current has lost more force than any reserve by then."""
-_WEAKENS_NS = nanoseconds(0.6)
-"""Propellers without current let a robot slide by then, and have not yet where one looks no longer."""
 MEASURES = ("adhesion", "load_cells")
 """Kinds whose samples tell a force."""
 FAN, _CELLS = "the fan's speed", "the load cells"
@@ -55,7 +56,13 @@ class PressWatch:
         rig: devices of the bench.
         limits: what they must feel; None where nothing reports a force, or nothing can let the robot fall.
         fan: of the bench, if its controller lets go by itself.
+        alone: of propellers that report nothing.
+        carried: whether such propellers carry a robot that can fall.
         pretended: fan and propellers that are emulated beside real servos: they hold no real robot.
+
+    Attributes:
+        heading_rad: of the body, as estimated last.
+        waits: whether propellers that are left alone are all that is still in doubt.
     """
 
     def __init__(
@@ -63,6 +70,8 @@ class PressWatch:
         rig: Rig,
         limits: AdhesionLimits | None,
         fan: KeptMotorConfig | None,
+        alone: LeftAlone,
+        carried: bool = False,
         pretended: Sequence[str] = (),
     ) -> None:
         self._rig, self._limits, self._pretended = rig, limits, tuple(pretended)
@@ -72,52 +81,69 @@ class PressWatch:
         self._trends: dict[str, ForceTrend] = {}
         self._push: tuple[int, float] | None = None
         self._enough_since_ns: int | None = None
-        self._began_ns = 0
+        self._alone, self._carried = alone, carried
         self.heading_rad = 0.0
+        self.waits = False
 
-    def begin(self, now_ns: int) -> None:
-        """A look begins: what was heard before it is out of date."""
-        self._began_ns = now_ns
+    def begin(self, *, for_good: bool = False) -> None:
+        """A look begins, the last one or not: what was heard before it is out of date."""
         self._forces.clear()
         self._trends.clear()
         self._push = None
         self._enough_since_ns = None
+        self._alone.begin(for_good=for_good)
 
-    def doubt(self, now_ns: int, *, sees_slide: bool) -> str:
+    def end(self) -> None:
+        """Nobody looks any more: propellers that were left alone are told their force again."""
+        self._alone.end()
+        self.waits = False
+
+    def doubt(self, now_ns: int, *, sees_slide: bool, moves: bool = False) -> str:
         """What speaks against a robot that is pressed on its wall for good; empty when nothing does.
 
         Args:
             now_ns: time.
             sees_slide: whether somebody who is believed sees places, and the robot at rest.
+            moves: whether the robot is seen not to rest.
         """
+        self.waits = False
         if self._limits is None:
-            return self._nothing_real()
+            return self._nothing_real() or self._unmeasured(now_ns, sees_slide, moves)
         for name in MEASURES:
             for who, t_ns, force_n in measured_n(self._limits, self._samples(name)):
                 if math.isfinite(force_n):
                     self._forces[who] = t_ns, force_n
                     self._trends.setdefault(who, ForceTrend()).follow(t_ns, force_n)
         fresh = self._fresh(now_ns)
-        push_n, without = self._counted_push(now_ns, sees_slide)
+        push_n, without = self._counted_push(now_ns, sees_slide, moves, fresh)
         least_n = self._limits.statics.needed_n(push_n, self.heading_rad)
         told = ", ".join(f"{force_n:.1f} N by {name}" for name, force_n in fresh.items())
         if not fresh or not min(fresh.values()) >= least_n:  # NaN is not enough either
-            self._enough_since_ns = None
             told = told or "nobody measures it"
+            whole_n = self._limits.statics.needed_n(self._limits.nominal_thrust_n, self.heading_rad)
+            self.waits = self._alone.begun and min(fresh.values(), default=0.0) >= whole_n
+            if self.waits:
+                self._outlasted(now_ns, fresh)
+            else:
+                self._enough_since_ns = None
             needed = f"{least_n:.1f} N are needed{without}"
             return f"what presses the robot on the wall: {told}; {needed}: secure the robot"
         for name, force_n in fresh.items():
             falling_n_s = -self._trends[name].slope_n_s()
             if not force_n - RUN_DOWN_S * falling_n_s >= least_n:
                 return f"the force by {name} falls by {falling_n_s:.0f} N/s; {told} so far: secure the robot"
-        if not self._limits.has_fan or FAN in fresh:
-            self._enough_since_ns = None
-            return ""
-        if self._enough_since_ns is None:
-            self._enough_since_ns = now_ns
-        if now_ns - self._enough_since_ns < self._outlasts_ns:
+        if not self._outlasted(now_ns, fresh):
             return f"the fan's controller is silent, it may have let go; {told} so far: secure the robot"
         return ""
+
+    def _outlasted(self, now_ns: int, fresh: Mapping[str, float]) -> bool:
+        """Whether a fan is heard, or has been pressing unheard for longer than one that has let go would."""
+        if not (self._limits and self._limits.has_fan) or FAN in fresh:
+            self._enough_since_ns = None
+            return True
+        if self._enough_since_ns is None:
+            self._enough_since_ns = now_ns
+        return now_ns - self._enough_since_ns >= self._outlasts_ns
 
     def _nothing_real(self) -> str:
         """What is said of a robot whose fan or propellers are emulated, and that nobody measures either."""
@@ -129,7 +155,19 @@ class PressWatch:
             "not emulate what holds a real robot; secure the robot"
         )
 
-    def _counted_push(self, now_ns: int, sees_slide: bool) -> tuple[float, str]:
+    def _unmeasured(self, now_ns: int, sees_slide: bool, moves: bool) -> str:
+        """What is said where propellers that report nothing carry it, and nobody measures what presses it."""
+        if not self._carried:
+            return ""
+        left_s = self._alone.left_s(now_ns, rests=sees_slide, moves=moves, least_n=0.0)
+        self.waits = self._alone.begun
+        if not left_s:
+            return ""
+        return f"what carries the robot is not measured: the propellers report nothing, and {_to_be_seen(left_s)}"
+
+    def _counted_push(
+        self, now_ns: int, sees_slide: bool, moves: bool, fresh: Mapping[str, float]
+    ) -> tuple[float, str]:
         """What the propellers push with for certain (N), and in words why that is not all."""
         limits = self._limits
         assert limits is not None
@@ -138,10 +176,7 @@ class PressWatch:
         if "thrust" in self._pretended:
             return 0.0, " without the propellers: they are emulated beside real servos"
         if not limits.reports_thrust:
-            if sees_slide and now_ns - self._began_ns >= _WEAKENS_NS:
-                return limits.nominal_thrust_n, ""
-            why = "it has not been seen at rest for long" if sees_slide else "nobody sees whether it slides"
-            return 0.0, f" without the propellers: they report nothing, and {why}"
+            return self._unheard_push(now_ns, sees_slide, moves, fresh)
         for sample in self._samples("thrust"):
             push_n = limits.push_n(sample)
             if math.isfinite(push_n):
@@ -154,6 +189,23 @@ class PressWatch:
                 f"{limits.nominal_thrust_n:.1f} N that they are to give, so that what they give is not known"
             )
         return self._push[1], f" with the {self._push[1]:.1f} N that the propellers report"
+
+    def _unheard_push(
+        self, now_ns: int, sees_slide: bool, moves: bool, fresh: Mapping[str, float]
+    ) -> tuple[float, str]:
+        """As `_counted_push`, of propellers that report nothing; not asked where the fan alone holds."""
+        limits = self._limits
+        assert limits is not None
+        statics, heading_rad, asked_n = limits.statics, self.heading_rad, limits.nominal_thrust_n
+        if fresh and min(fresh.values()) >= statics.needed_n(0.0, heading_rad):
+            return 0.0, ""
+        force_n = max(fresh.values(), default=0.0)
+        least_n = least_push_n(statics, force_n, asked_n, heading_rad)
+        rests = sees_slide and bool(fresh)
+        left_s = self._alone.left_s(now_ns, rests=rests, moves=moves, least_n=least_n)
+        if not left_s:
+            return asked_n, ""
+        return 0.0, f" without the propellers: they report nothing, and {_to_be_seen(left_s)}"
 
     def feels(self, now_ns: int) -> bool:
         """Whether load cells have just felt the force: enough of it, where nothing is doubted."""
@@ -185,6 +237,13 @@ class PressWatch:
             return ()
 
 
+def _to_be_seen(left_s: float) -> str:
+    """What propellers that report nothing still lack."""
+    if math.isfinite(left_s):
+        return f"the robot is to be seen at rest for {left_s:.1f} s more"
+    return "nobody sees whether it slides"
+
+
 def press_watch(config: BenchConfig, rig: Rig) -> PressWatch:
     """That of a bench: it looks at what presses a robot that hangs on a wall without a tether.
 
@@ -194,4 +253,8 @@ def press_watch(config: BenchConfig, rig: Rig) -> PressWatch:
     config = config.of_one_world()
     fan = config.of(AdhesionConfig)
     kept = fan if isinstance(fan, KeptMotorConfig) else None
-    return PressWatch(rig, adhesion_limits(config) if can_fall(config) else None, kept, pretended)
+    limits = adhesion_limits(config) if can_fall(config) else None
+    own, asked_n = config.of(ThrustConfig), thrust_wanted_n(config)
+    carried = can_fall(config) and asked_n > 0.0 and "thrust" in config.devices()
+    carried = carried and not isinstance(own, KeptMotorConfig)
+    return PressWatch(rig, limits, kept, LeftAlone(rig, own, asked_n), carried, pretended)

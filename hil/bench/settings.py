@@ -106,7 +106,7 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         needs_camera=follows and feedback != "odometry",
         steering=None if encoders is None else SteeringWatch(encoders, steer_ids),
         stops_by_steering=follows,
-        holders=tuple(kinds()[name].noun for name in config.devices() if kinds()[name].holds),
+        holders={name: kinds()[name].noun for name in config.devices() if kinds()[name].holds},
         healthy=healthy(config),
         gap_s={name: kinds()[name].gap_s for name in config.devices() if not kinds()[name].actuates},
         brought=frozenset(n for n in config.devices() if model_of(config, n).package != OURS),

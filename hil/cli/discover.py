@@ -52,7 +52,7 @@ def command(
     Example: hil discover --out my.toml
     """
     from hil.bench.discover import discover, serial_ports
-    from hil.bench.left_alone import ports_that_hold, why_left_alone
+    from hil.bench.ports_not_asked import ports_that_hold, why_not_asked
     from hil.vocabulary.clock import MonotonicClock
     from hil.vocabulary.errors import UsageError
     from hil.vocabulary.files import check_new_file, write_text
@@ -64,7 +64,7 @@ def command(
     given = _given(mocap, buses, places)
     listed = ports if ports or places else tuple(serial_ports())
     holding = ports_that_hold(benches, Path())
-    left_alone = {port: why for port in listed if (why := why_left_alone(port, holding))}
+    left_alone = {port: why for port in listed if (why := why_not_asked(port, holding))}
     for port, why in left_alone.items():
         _say(f"not asked: {port}: {why}")
     _must_stand([port for port in listed if port not in left_alone], on_stand)
@@ -97,7 +97,7 @@ def _say(text: str) -> None:
 def _must_stand(ports: list[str], on_stand: bool) -> None:
     """Say what will be written where; raise `Aborted` unless somebody says that the robot stands."""
     from hil.bench.discover import what_is_written
-    from hil.bench.left_alone import what_is_kept
+    from hil.bench.ports_not_asked import what_is_kept
     from hil.procedure.operator import Terminal
     from hil.vocabulary.errors import Aborted
 

@@ -55,7 +55,7 @@ def _must_not_hold(port: str) -> None:
     """Refuse a port of which a bench file of this folder, or its USB ids, say that it holds the robot."""
     from pathlib import Path
 
-    from hil.bench.left_alone import ports_that_hold, why_it_holds
+    from hil.bench.ports_not_asked import ports_that_hold, why_it_holds
 
     if why := why_it_holds(port, ports_that_hold((), Path())):
         raise UsageError(

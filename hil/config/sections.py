@@ -151,7 +151,8 @@ class ExitConfig(Strict):
     Attributes:
         policy: `hold` keeps torque on, `release` drops it: on a wall the robot then slides.
         look_after_s: how long a bench that closes goes on looking after a robot that is not held yet. Beside
-            propellers that report nothing a look takes 0.6 s.
+            propellers that report nothing a look takes as long as they would need to let the robot slide: 6 s
+            for the robot of the shipped profile.
     """
 
     policy: Literal["hold", "release"] = "hold"

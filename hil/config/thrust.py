@@ -10,6 +10,11 @@ from pydantic import Field
 from hil.config.device import DeviceConfig
 from hil.config.values import Patience, Within
 
+STEPS = 180
+"""Of a Teensy's throttle."""
+STEP_DOWN_S = 0.1
+_FOLLOWS_S = 0.6
+"""Propellers without pulses have let a robot slide by then, and it is seen."""
 Thrust = Annotated[float, Within(1.0, 500.0, "N of all propellers together")]
 
 
@@ -33,6 +38,20 @@ class ThrustConfig(DeviceConfig):
         """Force of a throttle 0..1."""
         return self.full_force_n * throttle**2
 
+    def gives_way_s(self, force_n: float, least_n: float) -> float:
+        """After which time a controller that has not understood its last command gives less than `least_n`.
+
+        A robot that has rested for so long while nothing was sent is held by what the controller does alone.
+
+        Args:
+            force_n: that it was asked for.
+            least_n: that the robot needs; 0 for all that the controller may take away.
+
+        Returns:
+            Time (s); `inf` where that is not known.
+        """
+        return math.inf
+
 
 class TeensyConfig(ThrustConfig):
     """A Teensy that turns lines into pulses for the propellers' controllers; it never answers.
@@ -50,3 +69,8 @@ class TeensyConfig(ThrustConfig):
     baud: int = Field(115_200, gt=0, le=12_000_000)
     repeat_s: Annotated[float, Within(0.02, 2.0, "a lost line lasts so long")] = 0.05
     write_timeout_s: Patience = 0.1
+
+    def gives_way_s(self, force_n: float, least_n: float) -> float:
+        """A line that it does not understand takes the throttle down by a step every 100 ms; none goes on."""
+        steps = math.ceil(STEPS * (self.throttle_for(force_n) - self.throttle_for(least_n)))
+        return STEP_DOWN_S * max(steps, 0) + _FOLLOWS_S

@@ -38,9 +38,11 @@ class EstimateWatch:
 
     Attributes:
         witness: the device whose word is needed.
+        accused: who may be wrong where the robot stops.
     """
 
     witness = CAPTURE.name
+    accused: tuple[str, ...] = ()
 
     def __init__(self, capture: CaptureCheck, *, follows: bool) -> None:
         self._capture, self._follows = capture, follows
@@ -135,6 +137,7 @@ class EstimateWatch:
         elif uncovered:
             self._off_m = _QUIET_M
         if beyond_m > _STOP_M and self._follows and (party := self._whom(off)) is not CAPTURE:
+            self.accused = (party.name, CAPTURE.name)
             stop("sensors_disagree", self._told(off / unit, beyond_m, party))
 
     def _whom(self, off: complex) -> Party:

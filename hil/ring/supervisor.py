@@ -9,14 +9,14 @@ on nothing else.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from hil.ring.adhesion import AdhesionWatch
 from hil.ring.crosscheck import SteeringWatch
-from hil.ring.doubts import Doubt
+from hil.ring.doubts import WHEELS, Doubt
 from hil.ring.estimate_watch import EstimateWatch
 from hil.ring.fall_watch import FallWatch
 from hil.ring.filter_watch import FilterWatch
@@ -31,6 +31,10 @@ from hil.ring.wheel_watch import WheelWatch
 from hil.vocabulary.errors import SafetyStop
 from hil.vocabulary.geometry import wrap
 from hil.vocabulary.signals import Event, Inputs, Measurements, Reference, RobotState, WheelSetpoint
+from hil.vocabulary.suspects import suspects_of, together
+
+_SAYS_SO = {"adhesion": "imu", "sliding": "tracker"}
+"""By what a robot is found to come off or to slide: the kind that says so."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,7 @@ class Checks:
         steering: external encoders against the servos; None without.
         stops_by_steering: whether a pose is followed.
         estimated: devices whose measurements the estimators use.
-        holders: what keeps the robot on its surface, as sentences call it.
+        holders: what keeps the robot on its surface: by kind, as sentences call it.
         healthy: how often and how soon the samples of sensors should come.
         gap_s: by sensor, longest time without a good sample that is still healthy.
         brought: sensors that other packages bring.
@@ -86,7 +90,7 @@ class Checks:
     stops_by_steering: bool = False
     estimated: frozenset[str] = frozenset(("tracker", "imu"))
     hold: AdhesionWatch | None = None
-    holders: tuple[str, ...] = ()
+    holders: Mapping[str, str] = field(default_factory=dict)
     healthy: Mapping[str, Healthy] = field(default_factory=dict)
     gap_s: Mapping[str, float] = field(default_factory=dict)
     brought: frozenset[str] = frozenset()
@@ -140,6 +144,7 @@ class Supervisor:
         self._observers.reset()
         self._pace.reset()
         self._causes: dict[str, str] = {}
+        self._accused: set[str] = set()
         self._now_ns: int | None = None
         self.left_out.reset()
         self.doubted.clear()
@@ -160,13 +165,14 @@ class Supervisor:
         """
         events = self._judge(inputs, measurements)
         if self._causes:
-            raise _stop_for(self._causes, self._pace.beside(inputs.t_ns))
+            raise _stop_for(self._causes, self._pace.beside(inputs.t_ns), self._accused)
         return events
 
     def _judge(self, inputs: Inputs, measurements: Measurements | None) -> tuple[Event, ...]:
         """Events of a cycle; `_causes` holds its conditions, the gravest first."""
         events: list[Event] = []
         self._causes, self._now_ns = {}, inputs.t_ns
+        self._accused.clear()
         self._begin()
         self._fall.judge(inputs, self._blame_hold)
         if self.checks.hold is not None:
@@ -217,11 +223,24 @@ class Supervisor:
     def _blame_hold(self, reason: str, message: str) -> None:
         """The robot has come off or slides: whatever holds it may be the cause."""
         self._blame(reason, message + self._look_at_holders("look"))
+        self._accused.update((*self._held_by, _SAYS_SO[reason]))
 
     def _look_at_holders(self, begin: str) -> str:
         """The advice to look at what holds the robot; empty where nothing does that is known of."""
-        holders = " and the ".join(self.checks.holders)
-        return f"; {begin} at the {holders}" if holders and self.limits.on_wall else ""
+        holders = " and the ".join(self._held_by.values())
+        return f"; {begin} at the {holders}" if holders else ""
+
+    @property
+    def _held_by(self) -> Mapping[str, str]:
+        """What lets a robot slide that gives too little: by kind; nothing where none can."""
+        return self.checks.holders if self.limits.on_wall else {}
+
+    def _may_slide(self, event: Event) -> Event:
+        """The same of wheels that tell more or less than others: they may slip, because the robot slides."""
+        if event.source != WHEELS.name or not self._held_by:
+            return event
+        told = event.message + self._look_at_holders("if it slides, look")
+        return replace(event, source=together((event.source, *self._held_by)), message=told)
 
     def _compare(self, inputs: Inputs, measurements: Measurements, events: list[Event]) -> None:
         """Hold sensors against each other."""
@@ -237,11 +256,9 @@ class Supervisor:
                 if checks.wheels is not None and doubt.may_slide:
                     checks.wheels.doubt()
                 if not doubt.grave:
-                    told = doubt.message
                     if doubt.unseen and checks.needs_camera:
                         self.left_out.shake(doubt)
-                        told += self._look_at_holders("if it slides, look")
-                    events.append(Event(inputs.t_ns, "warning", doubt.source, told))
+                    events.append(self._told(doubt, inputs.t_ns))
                 elif checks.stops_by_steering and self.left_out.can_do_without(doubt):
                     checks.motion.leave_out(doubt.source)
                     events.append(self.left_out.take(doubt, inputs.t_ns))
@@ -249,8 +266,17 @@ class Supervisor:
                     standing = self._servos.standing(inputs.t_ns)
                     if standing and "blocked" not in self._causes:
                         self._blame("blocked", standing)
-                    told = self._look_at_holders("if it slides, look") if doubt.may_slide else ""
-                    self._blame("sensors_disagree", doubt.message + told)
+                    told = self._told(doubt, inputs.t_ns)
+                    self._blame("sensors_disagree", told.message)
+                    self._accused.update(told.suspects)
+
+    def _told(self, doubt: Doubt, t_ns: int) -> Event:
+        """What is said of a doubt, and of whom: of two of whom nobody knows which is wrong, of both."""
+        names, told = [doubt.source, *([] if doubt.confirmed else [doubt.against])], doubt.message
+        if doubt.may_slide:
+            names += self._held_by
+            told += self._look_at_holders("if it slides, look")
+        return Event(t_ns, "warning", together(names), told)
 
     def _note(self, doubt: Doubt) -> None:
         """Whose word is in doubt: both of two, until others agree against one of them."""
@@ -272,6 +298,7 @@ class Supervisor:
         must_be_usable(state, self._now_ns)
         self._filter.judge(state, events)
         found: dict[str, str] = {}
+        accused: set[str] = set()
         x_m, y_m, heading_rad = state.pose_body_in_wall.tolist()
         if self.checks.hold is not None:
             self.checks.hold.heading_rad = heading_rad
@@ -294,9 +321,10 @@ class Supervisor:
             watch.judge(state, events, found.__setitem__)
             if "sensors_disagree" in found:
                 found["sensors_disagree"] += self._look_at_holders("if it slides, look")
+                accused.update((*watch.accused, *self._held_by))
         if found:
-            raise _stop_for(found, self._pace.beside(state.t_ns))
-        return tuple(events)
+            raise _stop_for(found, self._pace.beside(state.t_ns), accused)
+        return tuple(map(self._may_slide, events))
 
     def notice(self, observer: str, state: RobotState, now_ns: int) -> tuple[Event, ...]:
         """Judge an estimate that is not followed: it stops nothing, but is no longer silent.
@@ -342,7 +370,12 @@ def _ignore(reason: str, message: str) -> None:
     """What is told as an event is enough."""
 
 
-def _stop_for(causes: dict[str, str], beside: str) -> SafetyStop:
-    """One stop for all conditions that came together; its reason is the first, `beside` ends it."""
+def _stop_for(causes: dict[str, str], beside: str, accused: Iterable[str]) -> SafetyStop:
+    """One stop for all conditions that came together; its reason is the first, `beside` ends it.
+
+    `accused`: whom they name beside those whom their reasons do.
+    """
     (reason, message), *others = causes.items()
-    return SafetyStop(reason, "; ".join([message, *(f"also {k}: {v}" for k, v in others)]) + beside)
+    suspects = {*accused, *(name for also, _ in others for name in suspects_of(also))}
+    told = "; ".join([message, *(f"also {k}: {v}" for k, v in others)]) + beside
+    return SafetyStop(reason, told, sorted(suspects))

@@ -14,6 +14,7 @@ from collections.abc import Iterable
 from numbers import Real
 
 from hil.vocabulary.digits import digits_apart
+from hil.vocabulary.suspects import suspects_of
 
 EXIT_PASS = 0
 EXIT_LIMIT_FAILED = 1
@@ -171,12 +172,18 @@ class FaultNotSupportedError(UsageError):
 
 
 class SafetyStop(HilError, RuntimeError):
-    """The supervisor stopped the robot; `reason` is a short machine-readable word."""
+    """The supervisor stopped the robot.
+
+    Attributes:
+        reason: a short machine-readable word.
+        suspects: kinds of devices that may be the cause; empty where none is known.
+    """
 
     exit_code = EXIT_DEVICE
 
-    def __init__(self, reason: str, message: str) -> None:
+    def __init__(self, reason: str, message: str, suspects: Iterable[str] = ()) -> None:
         self.reason = reason
+        self.suspects = tuple(dict.fromkeys((*suspects, *suspects_of(reason))))
         super().__init__(f"robot stopped ({reason}): {message}")
 
 

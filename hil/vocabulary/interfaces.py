@@ -126,6 +126,13 @@ class Holding(Sensor[S_co], Protocol[S_co]):
         """Hold as firmly as it may: the robot is being lost. Never raises."""
         return
 
+    def leave_alone(self, alone: bool) -> None:
+        """Send nothing by itself while `alone`, as if the bench had ended; then go on. Never raises.
+
+        So it is seen whether the last command holds the robot without the bench.
+        """
+        return
+
 
 class Estimator(Protocol):
     """Pose estimation as a deterministic function of its inputs and its own state."""

@@ -18,6 +18,7 @@ from typing import Any
 
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.records import quickly_made
+from hil.vocabulary.suspects import SEPARATOR
 
 WHEELS = ("FL", "BL", "BR", "FR")
 SERVOS = tuple(f"drive_{w}" for w in WHEELS) + tuple(f"steer_{w}" for w in WHEELS)
@@ -426,12 +427,21 @@ class ServoSetpoint:
 @quickly_made
 @dataclass(frozen=True)
 class Event:
-    """Something worth telling: a fault, a rejected sample, a stop, a mode change."""
+    """Something worth telling: a fault, a rejected sample, a stop, a mode change.
+
+    `source` is the kind of the device that it is about. Where one of several kinds may be the cause, it holds
+    them all (`hil.vocabulary.suspects`).
+    """
 
     t_ns: int
     level: str
     source: str
     message: str
+
+    @property
+    def suspects(self) -> tuple[str, ...]:
+        """Kinds of devices that it is about."""
+        return tuple(self.source.split(SEPARATOR))
 
 
 @quickly_made

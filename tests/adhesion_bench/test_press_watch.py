@@ -6,15 +6,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from hil.bench.left_alone import LeftAlone, least_push_n
 from hil.bench.pressing import RUN_DOWN_S, PressWatch
 from hil.bench.settings import adhesion_limits
 from hil.config.loading import load_bench
+from hil.config.thrust import TeensyConfig, ThrustConfig
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.signals import LoadCellSample, Stamp, Status
 
 LIMITS = replace(adhesion_limits(load_bench("emulated")), nominal_thrust_n=0.0, zero_n=0.0)
 NEED_N = LIMITS.statics.needed_n(0.0, 0.0)
 STALE_S, TIMEOUT_S, STEP_S = LIMITS.stale_s, 0.5, 0.02
+TEENSY = TeensyConfig()
 WITHOUT = replace(LIMITS, nominal_thrust_n=20.0)
 REPORTS = replace(WITHOUT, reports_thrust=True, full_thrust_n=20.0)
 
@@ -22,18 +25,19 @@ REPORTS = replace(WITHOUT, reports_thrust=True, full_thrust_n=20.0)
 class Press:
     """A watch with devices that deliver what is put there, and a clock of its own."""
 
-    def __init__(self, limits=LIMITS):
+    def __init__(self, limits=LIMITS, propellers=TEENSY):
         self.waiting, self.t_s = {"adhesion": [], "load_cells": [], "thrust": []}, 100.0
-        self.watch = PressWatch(
-            SimpleNamespace(get=self._device), limits, SimpleNamespace(timeout_s=TIMEOUT_S)
-        )
-        self.watch.begin(self._ns())
+        self.alone = []
+        rig = SimpleNamespace(get=self._device)
+        alone = LeftAlone(rig, propellers, limits.nominal_thrust_n)
+        self.watch = PressWatch(rig, limits, SimpleNamespace(timeout_s=TIMEOUT_S), alone)
+        self.watch.begin(for_good=True)
 
     def _ns(self):
         return round(self.t_s * 1e9)
 
     def _device(self, name):
-        return SimpleNamespace(read=lambda: self._read(name))
+        return SimpleNamespace(read=lambda: self._read(name), leave_alone=self.alone.append)
 
     def _read(self, name):
         taken, self.waiting[name] = self.waiting[name], []
@@ -41,7 +45,7 @@ class Press:
             raise DeviceError(name, "does not answer")
         return taken
 
-    def doubt(self, *, fan=None, cells=None, push=None, sees_slide=True, after_s=STEP_S):
+    def doubt(self, *, fan=None, cells=None, push=None, sees_slide=True, moves=False, after_s=STEP_S):
         """What is doubted some time after the last time, when these forces, N, have just been measured."""
         self.t_s += after_s
         stamp = Stamp(self._ns(), self._ns(), 0)
@@ -54,7 +58,7 @@ class Press:
         if push is not None:
             throttle = (push / REPORTS.full_thrust_n) ** 0.5
             self.waiting["thrust"] = [SimpleNamespace(stamp=stamp, status=Status.OK, throttle=throttle)]
-        return self.watch.doubt(self._ns(), sees_slide=sees_slide)
+        return self.watch.doubt(self._ns(), sees_slide=sees_slide, moves=moves)
 
     def words(self):
         return self.watch.in_words(self._ns())
@@ -82,7 +86,7 @@ def test_what_was_heard_a_while_ago_is_no_force():
 def test_a_look_right_after_another_one_begins_anew():
     press = Press()
     assert press.doubt(fan=2.0 * NEED_N) == ""
-    press.watch.begin(press._ns())
+    press.watch.begin()
     assert "nobody measures it" in press.doubt(after_s=0.0)
 
 
@@ -120,16 +124,77 @@ def test_a_force_that_will_not_be_enough_once_the_fan_has_run_down_is_doubted_be
     assert any("the force by the fan's speed falls by" in doubt for doubt in doubts) is doubted
 
 
-def test_propellers_that_report_nothing_count_once_it_was_seen_for_long_enough_that_nothing_slides():
-    enough_n = 1.02 * WITHOUT.statics.needed_n(20.0, 0.0)
-    assert enough_n < 0.95 * NEED_N
-    press = Press(WITHOUT)
-    early = steady(press, 0.5, fan=enough_n)
-    assert all("has not been seen at rest for long" in doubt for doubt in early)
+ENOUGH_N = 1.02 * WITHOUT.statics.needed_n(20.0, 0.0)
+"""With the propellers, and not without."""
+
+
+def gives_way_s():
+    """So long it takes propellers whose throttle goes down by 10 steps a second until the robot slides."""
+    least_n = WITHOUT.nominal_thrust_n
+    while WITHOUT.statics.needed_n(least_n, 0.0) < ENOUGH_N:
+        least_n -= 0.1
+    return 18.0 * ((20.0 / TEENSY.full_force_n) ** 0.5 - (least_n / TEENSY.full_force_n) ** 0.5)
+
+
+def test_propellers_that_report_nothing_count_once_deaf_ones_would_have_let_the_robot_slide():
+    press, slides_s = Press(WITHOUT), gives_way_s()
+    early = steady(press, slides_s, fan=ENOUGH_N)
     assert all(f"{NEED_N:.1f} N are needed without the propellers" in doubt for doubt in early)
-    assert steady(press, 0.3, fan=enough_n)[-5:] == [""] * 5
-    assert "nobody sees whether it slides" in press.doubt(fan=enough_n, sees_slide=False)
+    assert press.watch.waits
+    assert press.alone == [True]
+    assert steady(press, 3.0, fan=ENOUGH_N)[-5:] == [""] * 5
+    assert press.alone == [True]
     assert press.words().endswith("the propellers report nothing")
+    press.watch.end()
+    assert press.alone == [True, False]
+
+
+def test_a_robot_that_moves_meanwhile_is_waited_for_anew_and_its_propellers_are_told_their_force_again():
+    press, slides_s = Press(WITHOUT), gives_way_s()
+    steady(press, slides_s, fan=ENOUGH_N)
+    assert press.doubt(fan=ENOUGH_N, sees_slide=False, moves=True)
+    assert press.alone == [True, False]
+    assert not press.watch.waits
+    assert all(steady(press, slides_s, fan=ENOUGH_N))
+
+
+@pytest.mark.parametrize(("blind_s", "goes_on"), [(0.2, True), (0.6, False)])
+def test_a_camera_that_is_blind_for_a_moment_does_not_begin_it_anew(blind_s, goes_on):
+    press = Press(WITHOUT)
+    steady(press, 1.0, fan=ENOUGH_N)
+    assert all(steady(press, blind_s, fan=ENOUGH_N, sees_slide=False))
+    assert press.watch.waits is goes_on
+    assert press.alone == ([True] if goes_on else [True, False])
+
+
+def test_a_bench_that_goes_on_tells_them_their_force_all_the_time():
+    press = Press(WITHOUT)
+    press.watch.begin(for_good=False)
+    assert steady(press, gives_way_s() + 3.0, fan=ENOUGH_N)[-1] == ""
+    assert True not in press.alone
+
+
+def test_propellers_of_which_nobody_knows_how_they_give_way_are_no_ground():
+    press = Press(WITHOUT, ThrustConfig())
+    assert all(steady(press, 60.0, fan=ENOUGH_N))
+
+
+def test_what_the_fan_alone_holds_needs_no_propellers():
+    press = Press(WITHOUT)
+    assert press.doubt(fan=1.02 * NEED_N, sees_slide=False) == ""
+    assert press.alone == []
+
+
+@pytest.mark.parametrize("force_n", [0.7 * NEED_N, 0.9 * NEED_N])
+def test_below_the_least_push_a_robot_slides_even_on_a_surface_that_is_a_little_better(force_n):
+    better = replace(LIMITS.statics, friction=1.1 * LIMITS.statics.friction)
+    least_n = least_push_n(LIMITS.statics, force_n, 20.0, 0.0)
+    assert least_n < 20.0
+    assert better.needed_n(0.99 * least_n, 0.0) > force_n
+
+
+def test_a_force_with_which_a_better_surface_holds_alone_leaves_no_push_that_it_needs():
+    assert least_push_n(LIMITS.statics, 0.95 * NEED_N, 20.0, 0.0) == 0.0
 
 
 def test_propellers_that_report_count_by_what_they_report_and_while_they_do():

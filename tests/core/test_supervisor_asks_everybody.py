@@ -121,12 +121,13 @@ def test_who_follows_no_pose_leaves_nobody_out():
 def test_a_slide_names_what_holds_the_robot():
     fast = TrackerSample(Stamp(0, 0, 0), np.zeros(3), np.zeros(4), np.array([0.0, 0.6, 0.0]), np.zeros(3), 3)
     for holders, end in (
-        (("fan", "propellers"), "no hold; look at the fan and the propellers"),
-        ((), "no hold"),
+        ({"adhesion": "fan", "thrust": "propellers"}, "no hold; look at the fan and the propellers"),
+        ({}, "no hold"),
     ):
         with pytest.raises(SafetyStop) as stop:
             cycle(supervisor(holders=holders), tracker=(fast,) * 3)
         assert stop.value.reason == "sliding"
+        assert set(stop.value.suspects) == {"tracker", *holders}
         assert str(stop.value).endswith(end)
 
 

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from hil.config.thrust import TeensyConfig
+from hil.config.thrust import STEPS, TeensyConfig
 from hil.drivers.patience import used_while_closed
 from hil.drivers.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
 from hil.vocabulary.clock import Clock, nanoseconds
@@ -23,7 +23,6 @@ from hil.vocabulary.signals import Stamp, Status, ThrustSample
 
 _LOG = logging.getLogger(__name__)
 
-STEPS = 180
 _SLACK_NS = 1_000_000
 _ALONE = 1.2
 """So many times the period after which a throttle is sent again, nobody reads."""
@@ -49,7 +48,7 @@ class TeensyThrust(Holding[ThrustSample]):
         self._sequence = 0
         self._talking = threading.Lock()
         self._end: Callable[[], None] | None = None
-        self._told = False
+        self._told = self._alone = False
 
     def open(self) -> None:
         """Open the port; raises `DeviceError`. Nothing can tell whether a Teensy listens."""
@@ -67,7 +66,7 @@ class TeensyThrust(Holding[ThrustSample]):
             expected = "the Teensy of the propellers at a serial port or pyserial URL"
             raise cannot_open(self.name, config.port, error, expected=expected) from None
         self._next_ns = self._clock.now_ns()
-        self._failing_ns, self._step = 0, None
+        self._failing_ns, self._step, self._alone = 0, None, False
         self._identity = {"model": "Teensy", "port": config.port, "baud": str(config.baud)}
 
     def close(self) -> None:
@@ -95,7 +94,8 @@ class TeensyThrust(Holding[ThrustSample]):
             return ()
         self._must_be_open()
         self._next_ns = max(self._next_ns + self._repeat_ns, now_ns - self._repeat_ns)
-        status = Status.OK if self._step is None or self._send(self._step) else Status.TIMEOUT
+        sent = self._alone or self._step is None or self._send(self._step)
+        status = Status.OK if sent else Status.TIMEOUT
         throttle = math.nan if self._step is None or status is not Status.OK else self._step / STEPS
         self._sequence += 1
         return (ThrustSample(Stamp(now_ns, now_ns, self._sequence), throttle, math.nan, status),)
@@ -123,13 +123,17 @@ class TeensyThrust(Holding[ThrustSample]):
         if self._end is None:
             self._end = self._clock.schedule(self._repeat, self._due_ns())
 
+    def leave_alone(self, alone: bool) -> None:
+        """Do not repeat the throttle while `alone`; without lines the firmware goes on as it was told last."""
+        self._alone = alone
+
     def _due_ns(self) -> int:
         """When the throttle has been left alone for too long."""
         return self._sent_ns + round(_ALONE * self._repeat_ns)
 
     def _repeat(self, now_ns: int) -> int:
         """Send the throttle again if nobody else has; when to look again."""
-        if now_ns >= self._due_ns() and self._step is not None:
+        if now_ns >= self._due_ns() and self._step is not None and not self._alone:
             try:
                 if self._send(self._step):
                     self._told = False

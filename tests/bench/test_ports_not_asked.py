@@ -14,7 +14,7 @@ import pytest
 
 from hil.bench.discover import what_is_written
 from hil.bench.emulation import build_world
-from hil.bench.left_alone import ports_that_hold, why_left_alone
+from hil.bench.ports_not_asked import ports_that_hold, why_not_asked
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.config.thrust import TeensyConfig
@@ -70,9 +70,9 @@ def held_open_elsewhere(path):
 
 def test_a_port_that_another_program_has_open_is_left_alone(port):
     path, _ = port
-    assert why_left_alone(path, {}) == ""
+    assert why_not_asked(path, {}) == ""
     with held_open_elsewhere(path) as other:
-        assert why_left_alone(path, {}) == f"sleep (process {other.pid}) has it open"
+        assert why_not_asked(path, {}) == f"sleep (process {other.pid}) has it open"
 
 
 def test_ports_of_propellers_are_known_by_bench_files(tmp_path, port):
@@ -83,11 +83,11 @@ def test_ports_of_propellers_are_known_by_bench_files(tmp_path, port):
     bench_file(tmp_path / "here", "lab.toml", path)
     (tmp_path / "here" / "broken.toml").write_text("[")
     known = ports_that_hold((), tmp_path / "here")
-    assert "propellers" in why_left_alone(path, known)
-    assert "propellers" in why_left_alone(str(link), known)
-    assert why_left_alone("socket://127.0.0.1:1", known) == ""
+    assert "propellers" in why_not_asked(path, known)
+    assert "propellers" in why_not_asked(str(link), known)
+    assert why_not_asked("socket://127.0.0.1:1", known) == ""
     named = bench_file(tmp_path, "far.toml", "socket://127.0.0.1:1")
-    assert "far.toml" in why_left_alone("socket://127.0.0.1:1", ports_that_hold((named,), tmp_path / "none"))
+    assert "far.toml" in why_not_asked("socket://127.0.0.1:1", ports_that_hold((named,), tmp_path / "none"))
     imu = bench_file(tmp_path, "imu.toml", path, kind="imu")
     assert ports_that_hold((imu,), tmp_path / "none") == {}
 
@@ -97,7 +97,7 @@ def test_a_teensy_is_known_by_its_usb_ids(port, monkeypatch):
     for ids, alone in [((0x16C0, 0x0483), True), ((0x0403, 0x6014), False)]:
         listed = [SimpleNamespace(device=path, vid=ids[0], pid=ids[1])]
         monkeypatch.setattr("serial.tools.list_ports.comports", lambda listed=listed: listed)
-        assert bool(why_left_alone(path, {})) == alone
+        assert bool(why_not_asked(path, {})) == alone
 
 
 def test_drivers_of_one_program_share_a_port_and_keep_other_programs_out(port):
