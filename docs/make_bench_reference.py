@@ -10,14 +10,15 @@ import inspect
 import re
 import sys
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
 
 from hil.config.bench import bench_model
-from hil.config.values import Within
+from hil.config.values import bounds_of
+from hil.devices.imperfections import ranges
 from hil.vocabulary.kinds import DeviceModel, kinds
 from hil.vocabulary.signals import KINDS
 
@@ -34,6 +35,8 @@ HEAD = """# The bench file
 One TOML file says everything about a bench. Unknown keys are errors, and every problem is reported at
 once with its dotted path. A device whose table is missing is a device that the bench lacks. Any key can
 be overridden for one run: `hil run PROCEDURE --set bench.loop.rate_hz=50`. Wheel order is FL, BL, BR, FR.
+Every number has a range, both ends included; outside it the file is refused. A slash parts the ranges of a
+list whose numbers differ.
 
 A whole bench can be three lines a device:
 
@@ -52,6 +55,7 @@ backend = "emulated"     # this one is not there yet
 `hil discover` prints such a file from what it finds. This page is written by
 `docs/make_bench_reference.py` from the configuration itself.
 """
+_COLUMNS = "\n| key | default | range | meaning |\n|---|---|---|---|\n"
 
 
 def page() -> str:
@@ -72,12 +76,14 @@ def _of(model: DeviceModel) -> str:
 
 def _options(device: str, of: str, options: type) -> Iterator[str]:
     """True imperfections of one emulated device: a dataclass."""
-    told = _told(options)
+    told, allowed = _told(options), ranges(options)
     yield f"\n## `[emulation.{device}]`{of}\n\n{inspect.cleandoc(options.__doc__ or '').splitlines()[0]}\n"
-    yield "\n| key | default | meaning |\n|---|---|---|\n"
+    yield _COLUMNS
     for field in dataclasses.fields(options):
         if field.default is not dataclasses.MISSING:
-            yield f"| `{field.name}` | `{_toml(field.default)}` | {told.get(field.name, '')} |\n"
+            range_text = _range(allowed.get(field.name, ()))
+            meaning = told.get(field.name, "")
+            yield f"| `{field.name}` | `{_toml(field.default)}` | {range_text} | {meaning} |\n"
 
 
 def _table(model: type[BaseModel], path: str, of: str = "") -> Iterator[str]:
@@ -93,17 +99,21 @@ def _table(model: type[BaseModel], path: str, of: str = "") -> Iterator[str]:
         default = (
             "required" if field.is_required() else f"`{_toml(field.get_default(call_default_factory=True))}`"
         )
-        meaning = told.get(field.alias or name, "") + "".join(
-            f" {bound.low:g} to {bound.high:g}." for bound in field.metadata if isinstance(bound, Within)
-        )
-        rows.append(f"| `{field.alias or name}` | {default} | {meaning} |\n")
+        bounds = [own.range_text() for _, own in bounds_of(field.annotation, field.metadata) if own]
+        meaning = told.get(field.alias or name, "")
+        rows.append(f"| `{field.alias or name}` | {default} | {_range(bounds)} | {meaning} |\n")
     if path:
         yield f"\n## `[{path}]`{of}\n\n"
         yield inspect.cleandoc(model.__doc__ or "").splitlines()[0] + "\n"
     if rows:
-        yield "\n| key | default | meaning |\n|---|---|---|\n" + "".join(rows)
+        yield _COLUMNS + "".join(rows)
     for inner, inner_path in nested:
         yield from _table(inner, inner_path)
+
+
+def _range(bounds: Sequence[str]) -> str:
+    """Bounds of a key's numbers: once where all are alike, else one after the other."""
+    return " / ".join(bounds if len(set(bounds)) > 1 else bounds[:1])
 
 
 def _model_of(annotation: Any) -> type[BaseModel] | None:

@@ -244,7 +244,7 @@ class Bench(HeldRig):
             records.append(record)
             if on_cycle is not None:
                 on_cycle(record)
-            return record.start_ns >= records[0].start_ns + duration_ns
+            return record.start_ns >= records[0].start_ns + duration_ns + brain.waited_ns
 
         self.run(brain, start, until)
         return Motion(tuple(records))

@@ -17,11 +17,13 @@ from hil.bench.settings import (
 )
 from hil.config.bench import BenchConfig
 from hil.config.estimator import EstimatorConfig
+from hil.config.servos import ServosConfig
 from hil.controller import make_controller
 from hil.controller.joint_script import JointScript, ScriptedController
 from hil.estimator import make_estimator
 from hil.ring.alignment import Alignment
 from hil.ring.loop import Brain
+from hil.ring.restart import Restart
 from hil.ring.supervisor import Supervisor
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import check
@@ -104,6 +106,10 @@ class Blueprint:
             if controller is not None:
                 control = control.model_copy(update={"law": controller})
             law = make_controller(control, self.geometry, trajectory, rate_hz=config.loop.rate_hz)
+        restart = self._restart()
+        reference_at = None
+        if trajectory is not None:
+            reference_at = trajectory.sample if restart is None else restart.paced(trajectory.sample)
         return Brain(
             Supervisor(
                 safety_limits(config),
@@ -112,8 +118,22 @@ class Blueprint:
             Alignment(self.alignment_parameters),
             self.make_estimator(feedback),
             law,
-            trajectory.sample if trajectory is not None else None,
+            reference_at,
             {name: self.make_estimator(name, diagnostics=False) for name in observers},
+            restart,
+        )
+
+    def _restart(self) -> Restart | None:
+        """How it goes on after a pause that its servos' watchdogs did not wait for."""
+        servos, control = self.config.of(ServosConfig), self.config.control
+        if servos is None or not servos.watchdog_s:
+            return None
+        return Restart(
+            servos.watchdog_s,
+            control.acceleration_m_s2,
+            control.wheel_speed_m_s,
+            control.servo_lag_s,
+            self.geometry.radius_m,
         )
 
     def make_estimator(self, kind: str, *, diagnostics: bool = True) -> Estimator:

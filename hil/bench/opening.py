@@ -19,7 +19,7 @@ from hil.bench.process import EmulatorProcess
 from hil.bench.settings import geometry_of, with_wheel_model
 from hil.bench.wheel_feed import with_wheel_sigma
 from hil.calibration.artefact import read_calibration
-from hil.calibration.versions import check_made_for
+from hil.calibration.versions import check_usable
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.fakes.fault import Fault, describe
@@ -140,7 +140,7 @@ def _calibrated(config: BenchConfig, given: str | Path | None) -> tuple[BenchCon
     if path is None:
         return config, {"geometry": geometry_of(config)}
     found = read_calibration(Path(path))
-    check_made_for(found, config, str(path))
+    check_usable(found, config, str(path))
     name = f"{Path(path).name} version {found.version}"
     told = {"geometry": found.geometry, "calibration": name, "fitted_with": found.model}
     return with_wheel_model(config, found.model), told

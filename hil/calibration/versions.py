@@ -212,6 +212,29 @@ def check_passed(file: CalibrationFile, path: str) -> None:
         )
 
 
+def check_usable(file: CalibrationFile, config: BenchConfig, path: str) -> None:
+    """Refuse a calibration that a bench may not use: another robot's, or one that failed its validation run.
+
+    One that had no such run (of `hil calibrate`) may be used, and a failed one where the bench asks for it.
+
+    Args:
+        file: the calibration.
+        config: bench that is to use it.
+        path: where it lies, for the message.
+
+    Raises:
+        ConfigError: names the file and what is wrong.
+    """
+    check_made_for(file, config, path)
+    if file.verdict == "FAIL" and not config.failed_calibration:
+        raise ConfigError(
+            f"{path}: version {file.version} failed its validation run (verdict FAIL)",
+            expected="a calibration that passed one",
+            remedy="calibrate with `hil run odometry_calibration`, go back with `hil calibration rollback`, "
+            "or use it all the same: failed_calibration = true in the bench file",
+        )
+
+
 def check_made_for(file: CalibrationFile, config: BenchConfig, path: str) -> None:
     """Refuse a calibration of another robot.
 

@@ -6,14 +6,13 @@ import math
 from collections.abc import Iterable
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
-
 from hil.config.can_bus import Claim
 from hil.config.device import DeviceConfig
 from hil.config.kept_motor import HIGHEST_DUTY, KeptMotorConfig
-from hil.config.values import Switch, Within
+from hil.config.values import PolePairs, Switch, Within
 
 VESC_ID = "VESC id"
+VescId = Annotated[int, Within(0, 254, "255 is everybody")]
 Force = Annotated[float, Within(1.0, 500.0, "N: more than a fan of this size gives, or less than any need")]
 
 
@@ -92,9 +91,9 @@ class VescConfig(MotorConfig):
     """
 
     model: Literal["vesc"] = "vesc"
-    controller_id: int = Field(1, ge=0, le=254)
-    own_id: int = Field(254, ge=0, le=254)
-    pole_pairs: int = Field(3, ge=1, le=50)
+    controller_id: VescId = 1
+    own_id: VescId = 254
+    pole_pairs: PolePairs = 3
 
     @property
     def counts_per_turn(self) -> int:

@@ -23,9 +23,9 @@ from hil.config.sections import (
     LoopConfig,
     RecordConfig,
     SafetyConfig,
-    Strict,
 )
 from hil.config.servos import ServosConfig
+from hil.config.values import Strict, Switch
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.kinds import DeviceKind, DeviceModel, added, kinds
 
@@ -42,11 +42,13 @@ class BenchConfig(Strict):
         name: of the bench, in every result and recording.
         calibration: path of the `calibration.toml` to apply; nominal geometry without one. Like every
             path in the file, a relative one starts at the file's folder.
+        failed_calibration: use a calibration also where its validation run ended in FAIL.
     """
 
     schema_version: Literal[1] = Field(alias="schema")
     name: str = Field(min_length=1)
     calibration: str | None = None
+    failed_calibration: Switch = False
     environment: EnvironmentConfig = EnvironmentConfig()
     loop: LoopConfig = LoopConfig()
     safety: SafetyConfig = SafetyConfig()

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field
 
 from hil.config.device import DeviceConfig
+from hil.config.values import Patience, Within
 from hil.vocabulary.emulated_bus import bus_name
 
 SEARCH_S = 0.5
 """So long discovery waits for a device on a bus."""
+
+
+Option = Annotated[bool | int | float | str, Within(-1e12, 1e12, "no option of an interface is larger")]
 
 
 class Claim(NamedTuple):
@@ -40,9 +44,9 @@ class CanConfig(DeviceConfig):
 
     interface: str = Field("socketcan", min_length=1)
     channel: str = Field("can0", min_length=1)
-    bitrate: int = Field(500_000, gt=0, le=1_000_000)
-    options: dict[str, bool | int | float | str] = Field(default_factory=dict)
-    open_timeout_s: float = Field(1.0, gt=0, le=30)
+    bitrate: Annotated[int, Within(10_000, 1_000_000, "bits per second of classical CAN")] = 500_000
+    options: dict[str, Option] = Field(default_factory=dict)
+    open_timeout_s: Patience = 1.0
 
     @property
     def bus(self) -> str:

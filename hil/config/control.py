@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
-
-from hil.config.values import HeadingLimit, Switch, WheelRate, Within
+from hil.config.values import HeadingLimit, Strict, Switch, WheelRate, Within
 from hil.vocabulary.choices import LawName
 
-Gain = Annotated[float, Within(0.0, 100.0, "1/s; beyond it a loop of 100 Hz overshoots in every cycle")]
+Gain = Annotated[
+    float,
+    Within(0.01, 100.0, "1/s; 0 corrects nothing, beyond 100 a loop of 100 Hz overshoots"),
+]
 DeadZone = Annotated[float, Within(0.0, 0.05, "a robot that far off (m, rad) has to be corrected")]
 Weight = Annotated[float, Within(1e-6, 1e6, "only the ratios of the weights count")]
 
 
-class ControlConfig(BaseModel):
+class ControlConfig(Strict):
     """Which law, its gains, the module layer and its limits.
 
     Attributes:
@@ -37,8 +38,6 @@ class ControlConfig(BaseModel):
         goal_position_m, goal_heading_rad: within these at the end, the robot is held.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
     law: LawName = "optimal"
     gains: tuple[Gain, Gain, Gain] = (4.0, 4.0, 3.0)
     dead_zone: tuple[DeadZone, DeadZone, DeadZone] = (1e-4, 1e-4, 5e-4)
@@ -49,9 +48,13 @@ class ControlConfig(BaseModel):
     integral_clamp: Annotated[float, Within(1e-4, 10.0, "m s, rad s; more winds up")] = 0.01
     servo_lag_s: Annotated[float, Within(0.001, 1.0, "a servo follows within a second")] = 0.1
     still_speed_m_s: Annotated[float, Within(0.0, 0.05, "faster than that, a wheel rolls")] = 0.002
-    flip_hysteresis_rad: float = Field(0.1047, ge=0, le=0.11)
+    flip_hysteresis_rad: Annotated[
+        float, Within(0.0, 0.11, "rad; beyond it a module meets its steering limit")
+    ] = 0.1047
     contradiction_m_s: Annotated[float, Within(1e-4, 0.5, "wheels are not faster than that")] = 0.004
-    steering_limit_rad: float = Field(2.0944, gt=1.6, le=3.0)
+    steering_limit_rad: Annotated[
+        float, Within(1.61, 3.0, "rad; less than a quarter turn reaches not every direction")
+    ] = 2.0944
     steering_rate_rad_s: WheelRate = 5.0
     wheel_speed_m_s: Annotated[float, Within(0.001, 3.5, "wheels of 0.5 m at 7 rad/s")] = 0.122
     acceleration_m_s2: Annotated[float, Within(0.001, 6.0, "friction 0.45 of 45 N moves 3.25 kg by 6")] = 0.2

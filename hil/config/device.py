@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field
-
-from hil.config.sections import Strict
-from hil.config.values import UnitQuaternion, Within
+from hil.config.values import Delay, Strict, UnitQuaternion, Within
 
 Metres = Annotated[float, Within(-5.0, 5.0, "m in the body")]
 Position = tuple[Metres, Metres, Metres]
@@ -69,7 +66,7 @@ class TrackerConfig(MountedConfig):
         latency_s: smallest time from exposure to the host, which no host clock can see.
     """
 
-    latency_s: float = Field(0.020, ge=0, le=0.5)
+    latency_s: Delay = 0.020
     scale: Annotated[float, Within(0.8, 1.25, "a camera that is further off is broken")] = 1.0
     scale_sigma: (
         Annotated[float, Within(1e-6, 0.2, "a scale less known than that was not measured")] | None

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from hil.config.can_bus import CanConfig, Claim
-from hil.config.values import Angle, Patience, Switch, Within
+from hil.config.values import Angle, FrameOffset, Patience, Signs, Switch, Within
 
 SHIPPED_DBC = Path(__file__).with_name("as5045.dbc")
 _SHIPPED_FRAMES = (0x1A0, 0x1A1, 0x1A2)
@@ -39,13 +39,13 @@ class EncodersConfig(CanConfig):
     model: Literal["as5045"] = "as5045"
     dbc: str | None = None
     signals: Names = ("AngleFL", "AngleBL", "AngleBR", "AngleFR")
-    node_id: int = Field(0, ge=0, le=0x3F)
-    rate_hz: float = Field(200.0, gt=0, le=1000)
-    sign: tuple[int, int, int, int] = (1, 1, 1, 1)
+    node_id: FrameOffset = 0
+    rate_hz: Annotated[float, Within(1.0, 1000.0, "sample sets per second")] = 200.0
+    sign: Signs = (1, 1, 1, 1)
     zero_rad: tuple[Angle, Angle, Angle, Angle] | None = None
     yellow_mode: Switch = False
     horn_slip_threshold_rad: Annotated[float, Within(0.001, 0.5, "a horn that slips further is off")] = 0.03
-    startup_discard: int = Field(1, ge=0, le=1000)
+    startup_discard: Annotated[int, Within(0, 1000, "sample sets; 1000 are five seconds")] = 1
     fail_after_s: Patience = 1.0
 
     @property
@@ -65,8 +65,6 @@ class EncodersConfig(CanConfig):
 
     @model_validator(mode="after")
     def _check(self) -> EncodersConfig:
-        if any(s not in (-1, 1) for s in self.sign):
-            raise ValueError("sign must hold only 1 and -1")
         if len(set(self.signals)) != 4:
             raise ValueError("signals must name four different signals")
         return self

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
-from hil.config.values import Within
+from hil.config.values import Angle, Strict, Within
 
 FLOOR_TILT_RAD = 0.1
 """Beyond it a robot whose wheels lose their grip slides: it stands on a wall, and is guarded as there."""
@@ -19,12 +19,11 @@ LEAST_FRICTION = 0.45
 SURFACES = tuple(FRICTION)
 """Surfaces that can be emulated; a real robot may stand on anything."""
 
-Metres = Annotated[float, Within(-1000.0, 1000.0, "m in the wall frame")]
+Metres = Annotated[float, Within(-100.0, 100.0, "m in the wall frame")]
 Range = tuple[Metres, Metres]
-Heading = Annotated[float, Within(-1000.0, 1000.0, "rad in the wall frame")]
 
 
-class EnvironmentConfig(BaseModel):
+class EnvironmentConfig(Strict):
     """Where the robot works; real and emulated alike.
 
     Attributes:
@@ -41,12 +40,10 @@ class EnvironmentConfig(BaseModel):
             so are references that leave it. Without them there is no bound.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
     surface: str = Field("melamine", min_length=1)
     tilt_rad: Annotated[float, Within(0.0, 3.1416, "0 floor, pi/2 wall, pi ceiling")] = math.pi / 2.0
     friction: Annotated[float, Within(0.05, 2.0, "rubber on anything")] | None = None
-    start_pose: tuple[Metres, Metres, Heading] = (0.0, 0.0, 0.0)
+    start_pose: tuple[Metres, Metres, Angle] = (0.0, 0.0, 0.0)
     x_range_m: Range | None = None
     y_range_m: Range | None = None
 

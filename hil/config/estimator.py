@@ -10,27 +10,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, model_validator
 
-from hil.config.values import Switch, Within
+from hil.config.values import Strict, Switch, Within
 from hil.vocabulary.choices import EstimatorName
 from hil.vocabulary.errors import ConfigError
 
 Share = Annotated[float, Within(-1.0, 1.0, "m or rad per rolled m")]
 PerMetre = tuple[Share, Share, Share]
-Sigma = Annotated[float, Within(1e-12, 100.0, "beyond it nothing is believed, or all")]
+Sigma = Annotated[float, Within(1e-9, 10.0, "beyond it nothing is believed, or all")]
 """A standard deviation that may not vanish."""
-Spread = Annotated[float, Within(0.0, 100.0, "beyond it nothing is believed")]
+Spread = Annotated[float, Within(0.0, 10.0, "beyond it nothing is believed")]
 """A standard deviation that may be 0: there is none of it."""
-Step = Annotated[float, Within(1e-6, 100.0, "m, rad, m/s or rad/s of a jump")]
+Scale = Annotated[float, Within(0.0, 0.2, "a scale less known than that was not measured")]
+Step = Annotated[float, Within(1e-4, 10.0, "m, rad, m/s or rad/s of a jump")]
 Threshold = Annotated[float, Within(0.1, 1000.0, "chi-squared; nothing is an outlier beyond 31 sigma")]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class ProcessNoise(_Strict):
+class ProcessNoise(Strict):
     """How the motion may change between measurements.
 
     Attributes:
@@ -41,7 +38,7 @@ class ProcessNoise(_Strict):
     angular_acceleration_rad_s2_sqrt_hz: Sigma = 0.2
 
 
-class WheelNoise(_Strict):
+class WheelNoise(Strict):
     """Wheel displacement between two servo reads, per wheel and component.
 
     Attributes:
@@ -64,10 +61,10 @@ class WheelNoise(_Strict):
     per_sqrt_s: Spread = 2.0e-5
     steering_m_rad: Spread = 5e-3
     longest_gap_s: Annotated[float, Within(0.001, 10.0, "s; the robot drives 1.2 m in 10 s")] = 0.5
-    friction_window_s: float = Field(0.3, gt=0, le=1.0)
+    friction_window_s: Annotated[float, Within(0.01, 1.0, "s; a few wheel steps")] = 0.3
 
 
-class SlipModel(_Strict):
+class SlipModel(Strict):
     """What the wheels cannot see; one table for the wall, one for the floor.
 
     Attributes:
@@ -87,7 +84,7 @@ class SlipModel(_Strict):
 
     slip_m_s: Spread
     slip_across_m_s: Spread = 1e-4
-    slip_time_s: float = Field(5.0, ge=0.5, le=60.0)
+    slip_time_s: Annotated[float, Within(0.5, 60.0, "s")] = 5.0
     creep: Spread
     creep_across: Spread = 0.002
     creep_per_sqrt_m: Spread = 0.01
@@ -99,7 +96,7 @@ class SlipModel(_Strict):
     known_right: PerMetre = (0.0, 0.0, 0.0)
 
 
-class GyroNoise(_Strict):
+class GyroNoise(Strict):
     """Inertial unit.
 
     Attributes:
@@ -119,7 +116,7 @@ class GyroNoise(_Strict):
     use_gravity: Switch = True
 
 
-class TrackerNoise(_Strict):
+class TrackerNoise(Strict):
     """Tracking camera, as a pose relative to a frame that was cloned from the robot's pose and drifts.
 
     Attributes:
@@ -140,16 +137,16 @@ class TrackerNoise(_Strict):
     drift_per_sqrt_m: Spread = 3e-3
     drift_per_sqrt_s: Spread = 1e-4
     yaw_drift_per_sqrt_s: Spread = 7e-4
-    scale_sigma: float = Field(0.005, ge=0, lt=0.2)
+    scale_sigma: Scale = 0.005
     baseline_s: Annotated[float, Within(0.0, 86400.0, "s; 0 for no end")] = 0.0
-    least_quality: int = Field(2, ge=0, le=3)
+    least_quality: Annotated[int, Within(0, 3, "a T265 has these confidences")] = 2
     jump_m: Step = 0.02
     jump_rad: Step = 0.05
     fastest_m_s: Step = 0.5
     fastest_rad_s: Step = 3.0
 
 
-class MocapNoise(_Strict):
+class MocapNoise(Strict):
     """Motion capture is ground truth and stays out of the estimate unless `use` is set.
 
     Attributes:
@@ -162,7 +159,7 @@ class MocapNoise(_Strict):
     heading_rad: Sigma = 2e-3
 
 
-class GateConfig(_Strict):
+class GateConfig(Strict):
     """chi-squared gates by degrees of freedom (0.999), and when a locked-out sensor is let in again.
 
     Attributes:
@@ -174,10 +171,10 @@ class GateConfig(_Strict):
     on: Switch = True
     one_dof: Threshold = 10.83
     three_dof: Threshold = 16.27
-    reanchor_after: int = Field(40, ge=2)
+    reanchor_after: Annotated[int, Within(2, 10_000, "samples; 10 000 are 50 s of a camera")] = 40
 
 
-class TimeConfig(_Strict):
+class TimeConfig(Strict):
     """Stamps and history.
 
     Attributes:
@@ -188,10 +185,10 @@ class TimeConfig(_Strict):
         nis_samples: length of the running mean of each sensor's normalised innovation.
     """
 
-    history_s: float = Field(2.0, ge=1.5, le=10.0)
+    history_s: Annotated[float, Within(1.5, 10.0, "s; some samples are 1 s late")] = 2.0
     future_s: Annotated[float, Within(0.0, 1.0, "s; a stamp so far ahead is wrong")] = 0.02
     clock: Literal["stamp", "estimated"] = "stamp"
-    nis_samples: int = Field(200, ge=10)
+    nis_samples: Annotated[int, Within(10, 100_000, "samples of a mean")] = 200
 
 
 _WALL = SlipModel(slip_m_s=0.002, creep=0.05)
@@ -218,7 +215,7 @@ _FREE_MOTION = {"acceleration_m_s2_sqrt_hz": 1.0, "angular_acceleration_rad_s2_s
 """Process noise that leaves the motion to the wheels; where they stand both shake the robot about as much."""
 
 
-class EstimatorConfig(_Strict):
+class EstimatorConfig(Strict):
     """`[estimator]` of the bench file.
 
     Attributes:
@@ -235,10 +232,10 @@ class EstimatorConfig(_Strict):
     kind: EstimatorName = "ekf"
     engine: Literal["compiled", "filterpy"] = "compiled"
     preset: Literal["recommended", "paper"] = "recommended"
-    alpha: float = Field(1e-3, gt=0, le=1)
+    alpha: Annotated[float, Within(1e-5, 1.0, "share of a standard deviation")] = 1e-3
     beta: Annotated[float, Within(-100.0, 100.0, "2 for a normal distribution")] = 2.0
     kappa: Annotated[float, Within(-100.0, 100.0, "0, or 3 less the number of states")] = 0.0
-    wheel_scale_sigma: float = Field(0.0, ge=0, lt=0.2)
+    wheel_scale_sigma: Scale = 0.0
     process: ProcessNoise = ProcessNoise()
     wheels: WheelNoise = WheelNoise()
     wall: SlipModel = _WALL

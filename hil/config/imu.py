@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from hil.config.device import ImuConfig, Position
-from hil.config.values import Freshness, Patience, Switch, Within
+from hil.config.values import Baud, Delay, Freshness, Patience, Switch, Within
 
-Byte = Annotated[int, Field(ge=0, le=255)]
+Byte = Annotated[int, Within(0, 255, "a register")]
 
 
 class Bno055Config(ImuConfig):
@@ -41,23 +42,23 @@ class Bno055Config(ImuConfig):
 
     model: Literal["bno055"] = "bno055"
     port: str = Field("/dev/ttyUSB0", min_length=1)
-    baud: int = Field(115_200, gt=0)
+    baud: Baud = 115_200
     fusion_mode: Literal["imu", "ndof", "ndof_fmc_off", "compass", "m4g"] = "imu"
     axis_map: Byte = 0x24
-    axis_sign: Annotated[int, Field(ge=0, le=7)] = 0x00
+    axis_sign: Annotated[int, Within(0, 7, "a bit for each axis")] = 0x00
     external_crystal: Switch = False
     mount_position_m: Position = (0.0655, 0.0, 0.098)
     calibration_file: str | None = None
     prefetch: Switch = False
-    reply_timeout_s: float = Field(0.010, gt=0, le=1)
-    retry_budget_s: float = Field(0.02, ge=0, le=1)
-    retry_gap_s: float = Field(0.002, ge=0, le=0.1)
-    open_timeout_s: float = Field(2.0, gt=0, le=30)
+    reply_timeout_s: Annotated[float, Within(0.001, 1.0, "s; a reply takes 3.5 ms")] = 0.010
+    retry_budget_s: Delay = 0.02
+    retry_gap_s: Delay = 0.002
+    open_timeout_s: Patience = 2.0
     check_period_s: Annotated[float, Within(0.01, 600.0, "a restarted chip must be found")] = 1.0
     fail_after_s: Patience = 3.0
     outage_poll_s: Annotated[float, Within(0.001, 10.0, "a sensor that is back must be seen soon")] = 0.05
     stuck_after_s: Freshness = 0.2
-    sample_age_s: float = Field(0.005, ge=0, le=0.1)
+    sample_age_s: Delay = 0.005
 
     @field_validator("axis_map")
     @classmethod
@@ -65,3 +66,15 @@ class Bno055Config(ImuConfig):
         if sorted((value >> shift) & 3 for shift in (0, 2, 4)) != [0, 1, 2] or value >> 6:
             raise ValueError(f"axis_map 0x{value:02X} is not a permutation of the axes, for example 0x24")
         return value
+
+    @model_validator(mode="after")
+    def _right_handed(self) -> Bno055Config:
+        """An even permutation with an even number of signs, or both odd (datasheet 3.4: rotations only)."""
+        axes = [(self.axis_map >> shift) & 3 for shift in (0, 2, 4)]
+        swaps = sum(a > b for a, b in combinations(axes, 2))
+        if (swaps + self.axis_sign.bit_count()) % 2:
+            raise ValueError(
+                f"axis_map 0x{self.axis_map:02X} with axis_sign 0x{self.axis_sign:02X} is a mirror image, "
+                "which no placement gives: change one bit of axis_sign, for example 0x24 with 0x00"
+            )
+        return self

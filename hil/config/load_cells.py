@@ -10,7 +10,7 @@ from pydantic import Field
 
 from hil.config.can_bus import CanConfig, Claim
 from hil.config.device import DeviceConfig
-from hil.config.values import Patience, Within
+from hil.config.values import Baud, FrameOffset, Patience, Within
 
 SHIPPED_DBC = Path(__file__).with_name("load_cells.dbc")
 _SHIPPED_FRAME = 0x1B0
@@ -36,9 +36,9 @@ class LoadCellsConfig(DeviceConfig):
         Annotated[float, Within(-0.01, 0.01, "N per count of 24 bits", smallest=1e-7)],
     ] = (5e-5, 5e-5)
     zero_n: Pair = (0.0, 0.0)
-    rate_hz: float = Field(80.0, gt=0, le=320)
+    rate_hz: Annotated[float, Within(1.0, 320.0, "samples per second of an HX711")] = 80.0
     largest_n: Annotated[float, Within(1.0, 5000.0, "N of one cell; 40 kg are 392 N")] = 392.0
-    open_timeout_s: float = Field(1.0, gt=0, le=30)
+    open_timeout_s: Patience = 1.0
     fail_after_s: Patience = 1.0
 
 
@@ -56,7 +56,7 @@ class CanCellsConfig(LoadCellsConfig, CanConfig):
     model: Literal["hx711_can"] = "hx711_can"
     dbc: str | None = None
     signals: tuple[str, str] = ("Cell1", "Cell2")
-    node_id: int = Field(0, ge=0, le=0x3F)
+    node_id: FrameOffset = 0
 
     @property
     def dbc_path(self) -> Path:
@@ -81,4 +81,4 @@ class LineCellsConfig(LoadCellsConfig):
 
     model: Literal["hx711_line"] = "hx711_line"
     port: str = Field("/dev/ttyACM0", min_length=1)
-    baud: int = Field(115_200, gt=0, le=12_000_000)
+    baud: Baud = 115_200

@@ -8,9 +8,9 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, field_validator
 
 from hil.config.device import DeviceConfig
-from hil.config.values import Freshness, Patience, Within
+from hil.config.values import Delay, Freshness, NetworkPort, Patience, PosesAgain, Within
 
-Port = Annotated[int, Field(ge=1, le=65535)]
+Body = Annotated[str | int, Within(0, 2**31 - 1, "a streaming id of Motive")]
 
 
 class MocapConfig(DeviceConfig):
@@ -42,24 +42,24 @@ class MocapConfig(DeviceConfig):
 
     model: Literal["natnet"] = "natnet"
     server: str = "127.0.0.1"
-    command_port: Port = 1510
-    data_port: Port = 1511
+    command_port: NetworkPort = 1510
+    data_port: NetworkPort = 1511
     multicast: str | None = None
     local_address: str | None = None
-    body: str | int = "robot"
+    body: Body = "robot"
     natnet_version: str | None = Field(None, pattern=r"^[34]\.\d$")
     up_axis: Literal["y", "z"] = "y"
-    transit_s: float = Field(0.0002, ge=0, le=0.1)
+    transit_s: Delay = 0.0002
     jump_distance_m: Annotated[float, Within(0.001, 1.0, "a jump of 1 m is one")] = 0.03
     jump_angle_rad: Annotated[float, Within(0.001, 1.0, "a jump of 1 rad is one")] = 0.1
     max_speed_m_s: Annotated[float, Within(0.01, 5.0, "the robot drives 0.13 m/s")] = 0.5
     max_rate_rad_s: Annotated[float, Within(0.01, 20.0, "the robot turns at 0.8 rad/s")] = 2.0
-    reaccept_after: int = Field(10, ge=1, le=10_000)
+    reaccept_after: PosesAgain = 10
     stale_after_s: Freshness = 0.5
     stuck_after_s: Freshness = 0.2
     keepalive_s: Patience = 1.0
     reconnect_after_s: Patience = 0.5
-    open_timeout_s: float = Field(3.0, gt=0, le=60)
+    open_timeout_s: Patience = 3.0
     fail_after_s: Patience = 2.0
 
     @field_validator("server", "multicast", "local_address")

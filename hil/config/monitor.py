@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
 from hil.config.device import Position
-from hil.config.values import UnitQuaternion, Within
+from hil.config.values import Strict, UnitQuaternion, Within
 
 MESHES = (".glb", ".gltf", ".obj", ".stl")
 
 
-class MonitorConfig(BaseModel):
+class MonitorConfig(Strict):
     """Looks of the robot in the three-dimensional view.
 
     Attributes:
@@ -23,8 +23,6 @@ class MonitorConfig(BaseModel):
         mesh_position_m, mesh_rotation_wxyz: the file's frame in the body (x forward, y left, z out of the
             surface, zero on the surface).
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     mesh: str | None = Field(None, min_length=1)
     mesh_unit_m: Annotated[float, Within(1e-6, 10.0, "0.001 for mm, 1 for m")] = 1.0

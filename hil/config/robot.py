@@ -11,20 +11,21 @@ from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import model_validator
 
 from hil.config.environment import LEAST_FRICTION
-from hil.config.values import Within
+from hil.config.values import Strict, Within
 from hil.robot.holding import GRAVITY_M_S2, Statics
 from hil.vocabulary.geometry import Array
 
 Place = Annotated[float, Within(-5.0, 5.0, "m from the body's origin")]
 Radius = Annotated[float, Within(0.001, 0.5, "m, for example 0.0254")]
 Length = Annotated[float, Within(0.001, 10.0, "m")]
+Height = Annotated[float, Within(0.0, 1.0, "m above the surface")]
 Wheels = tuple[Place, Place, Place, Place]
 
 
-class RobotConfig(BaseModel):
+class RobotConfig(Strict):
     """Nominal robot; body frame x forward, y left, wheels FL, BL, BR, FR; figures of arXiv 2509.04016.
 
     Attributes:
@@ -43,23 +44,21 @@ class RobotConfig(BaseModel):
         supply_v: servo supply.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
     name: str = ""
     wheel_x_m: Wheels = (0.1125, -0.1125, -0.1125, 0.1125)
     wheel_y_m: Wheels = (0.1125, 0.1125, -0.1125, -0.1125)
     wheel_radius_m: tuple[Radius, Radius, Radius, Radius] = (0.0254, 0.0254, 0.0254, 0.0254)
     mass_kg: Annotated[float, Within(0.1, 100.0, "kg; eight small servos move it")] = 3.25
-    centre_of_mass_m: tuple[Place, Place, Annotated[float, Field(ge=0, le=1)]] = (-0.049, -0.0065, 0.079)
+    centre_of_mass_m: tuple[Place, Place, Height] = (-0.049, -0.0065, 0.079)
     yaw_inertia_kg_m2: Annotated[float, Within(1e-5, 100.0, "kg m^2 about its normal")] = 0.045
     outline_m: tuple[Length, Length] = (0.38, 0.30)
-    edf_force_n: Annotated[float, Field(ge=0, le=1000)] = 45.0
-    thrust_compensation: Annotated[float, Field(ge=0, le=1.5)] = 0.7
-    thrust_imbalance: Annotated[float, Field(ge=-1, le=1)] = 0.0
+    edf_force_n: Annotated[float, Within(0.0, 1000.0, "N")] = 45.0
+    thrust_compensation: Annotated[float, Within(0.0, 1.5, "share of the weight")] = 0.7
+    thrust_imbalance: Annotated[float, Within(-1.0, 1.0, "share of the thrust")] = 0.0
     propeller_y_m: Length = 0.19
-    propeller_height_m: Annotated[float, Field(ge=0, le=1)] = 0.111
-    creep_ratio: Annotated[float, Field(gt=0, le=10)] = 0.7
-    supply_v: Annotated[float, Field(ge=9.5, le=30)] = 11.1
+    propeller_height_m: Height = 0.111
+    creep_ratio: Annotated[float, Within(0.01, 10.0, "share")] = 0.7
+    supply_v: Annotated[float, Within(9.5, 30.0, "V; Dynamixel servos take no other")] = 11.1
 
     @property
     def weight_n(self) -> float:

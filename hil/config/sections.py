@@ -4,17 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import field_validator
 
-from hil.config.values import Angle, HeadingLimit, Switch, WheelRate, Within
+from hil.config.values import Angle, HeadingLimit, Signs, Strict, Switch, WheelRate, Within
 
 Silence = Annotated[float, Within(0.01, 10.0, "after a longer silence it is too late to stop the robot")]
-
-
-class Strict(BaseModel):
-    """Base of the models here: unknown keys rejected, values frozen."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True, allow_inf_nan=False)
 
 
 class LoopConfig(Strict):
@@ -29,8 +23,8 @@ class LoopConfig(Strict):
 
     rate_hz: Annotated[float, Within(1.0, 1000.0, "cycles per second")] = 100.0
     late_after_s: Annotated[float, Within(1e-6, 1.0, "later than a second is no cycle")] = 0.001
-    fifo_priority: int | None = Field(None, ge=1, le=99)
-    cpu: int | None = Field(None, ge=0)
+    fifo_priority: Annotated[int, Within(1, 99, "SCHED_FIFO has these")] | None = None
+    cpu: Annotated[int, Within(0, 1023, "Linux numbers no more cores")] | None = None
 
 
 class SafetyConfig(Strict):
@@ -81,16 +75,9 @@ class AlignmentConfig(Strict):
         steer_zero_rad: servo angle at which the wheel points along body x (`hil run steering_zero` finds it).
     """
 
-    drive_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
-    steer_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
+    drive_sign: Signs = (1, 1, 1, 1)
+    steer_sign: Signs = (1, 1, 1, 1)
     steer_zero_rad: tuple[Angle, Angle, Angle, Angle] = (0.0, 0.0, 0.0, 0.0)
-
-    @model_validator(mode="after")
-    def _signs(self) -> AlignmentConfig:
-        for name in ("drive_sign", "steer_sign"):
-            if any(s not in (-1, 1) for s in getattr(self, name)):
-                raise ValueError(f"{name} must hold only 1 and -1")
-        return self
 
 
 class EmulationConfig(Strict):
@@ -118,7 +105,7 @@ class EmulationConfig(Strict):
     contact: Literal["creep", "holding"] | None = None
     mjcf: str | None = None
     randomise_truth: Switch = True
-    geometry_share: float = Field(1.0, ge=0.0, le=1.0)
+    geometry_share: Annotated[float, Within(0.0, 1.0, "a share of what is drawn")] = 1.0
     faults: tuple[str, ...] = ()
     replay: str | None = None
     replay_after_s: Annotated[float, Within(0.0, 3600.0, "s of the world")] = 4.0
@@ -136,7 +123,7 @@ class RecordConfig(Strict):
 
     folder: str | None = None
     without: tuple[str, ...] = ()
-    valid_days: int | None = Field(None, ge=1, le=36500)
+    valid_days: Annotated[int, Within(1, 36_500, "a hundred years")] | None = None
 
     @field_validator("without", mode="before")
     @classmethod
@@ -156,4 +143,4 @@ class ExitConfig(Strict):
     """
 
     policy: Literal["hold", "release"] = "hold"
-    look_after_s: float = Field(5.0, ge=1.0, le=3600.0)
+    look_after_s: Annotated[float, Within(1.0, 3600.0, "s; a look takes up to 0.6 s")] = 5.0

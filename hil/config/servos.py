@@ -17,9 +17,13 @@ from hil.config.servo_models.codes import (
 )
 from hil.config.values import Patience, Switch, WheelRate, Within
 
-Ids = tuple[int, int, int, int]
+Id = Annotated[int, Within(0, 252, "IDs of a DYNAMIXEL bus")]
+Ids = tuple[Id, Id, Id, Id]
+Register = Annotated[int, Within(-(2**31), 2**31 - 1, "counts of a register of up to four bytes")]
 
 _AHEAD_FROM_HZ = 100.0
+
+Turnaround = Annotated[float, Within(0.0, 0.1, "s; a cycle has 0.01 s")]
 
 STEER_MODES = {"position": POSITION, "extended": EXTENDED, "current_position": CURRENT_POSITION}
 _OWNED = (
@@ -60,26 +64,26 @@ class ServosConfig(DeviceConfig):
 
     model: Literal["dynamixel"] = "dynamixel"
     port: str = Field("/dev/ttyUSB0", min_length=1)
-    baud: int = 1_000_000
+    baud: Annotated[int, Within(9600, 4_500_000, "codes of the Baud Rate register")] = 1_000_000
     drive_ids: Ids = (1, 2, 3, 4)
     steer_ids: Ids = (5, 6, 7, 8)
     steer_mode: Literal["position", "extended", "current_position"] = "position"
-    fast_sync_read: Literal["auto"] | bool = "auto"
+    fast_sync_read: Literal["auto"] | Switch = "auto"
     prefetch: Switch | None = None
-    usb_latency_s: float = Field(0.001, ge=0, le=0.1)
-    return_delay_s: float = Field(0.0, ge=0, le=508e-6)
-    reply_slack_s: float = Field(0.0015, gt=0, le=0.1)
-    retry_budget_s: float = Field(0.003, ge=0, le=0.1)
+    usb_latency_s: Turnaround = 0.001
+    return_delay_s: Annotated[float, Within(0.0, 508e-6, "s; 254 steps of 2 us")] = 0.0
+    reply_slack_s: Annotated[float, Within(1e-5, 0.1, "s; a reply takes less than 1 ms")] = 0.0015
+    retry_budget_s: Turnaround = 0.003
     dead_poll_s: Annotated[float, Within(0.001, 10.0, "a servo that is back must be seen soon")] = 0.25
     fail_after_s: Patience = 2.0
-    watchdog_s: float = Field(0.08, ge=0, le=2.54)
+    watchdog_s: Annotated[float, Within(0.0, 2.54, "s; 127 steps of 20 ms")] = 0.08
     health_period_s: Patience = 1.0
-    model_number: int | None = None
-    min_firmware: int = Field(38, ge=0, le=255)
+    model_number: Annotated[int, Within(1, 65_535, "a register of two bytes")] | None = None
+    min_firmware: Annotated[int, Within(0, 255, "a register of one byte")] = 38
     velocity_limit_rad_s: WheelRate = 4.9
     steer_limit_rad: Annotated[float, Within(0.01, 12.5664, "two turns wind up any cable")] = 2.0944
-    drive_registers: dict[str, int] = Field(default_factory=dict)
-    steer_registers: dict[str, int] = Field(default_factory=dict)
+    drive_registers: dict[str, Register] = Field(default_factory=dict)
+    steer_registers: dict[str, Register] = Field(default_factory=dict)
 
     @property
     def ids(self) -> tuple[int, ...]:
@@ -136,8 +140,8 @@ class ServosConfig(DeviceConfig):
 
     @model_validator(mode="after")
     def _check(self) -> ServosConfig:
-        if len(set(self.ids)) != 8 or not all(0 <= i <= 252 for i in self.ids):
-            raise ValueError("drive_ids and steer_ids must be eight different IDs in 0..252")
+        if len(set(self.ids)) != 8:
+            raise ValueError("drive_ids and steer_ids must be eight different IDs")
         if self.steer_mode == "position" and self.steer_limit_rad > 3.14:
             raise ValueError("steer_limit_rad beyond 3.14 needs steer_mode extended")
         return self

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from hil.config.device import DeviceConfig
-from hil.config.values import Patience, Within
+from hil.config.values import Baud, Patience, Within
 
 STEPS = 180
 """Of a Teensy's throttle."""
@@ -66,7 +66,7 @@ class TeensyConfig(ThrustConfig):
 
     model: Literal["teensy"] = "teensy"
     port: str = Field("/dev/ttyACM0", min_length=1)
-    baud: int = Field(115_200, gt=0, le=12_000_000)
+    baud: Baud = 115_200
     repeat_s: Annotated[float, Within(0.02, 2.0, "a lost line lasts so long")] = 0.05
     write_timeout_s: Patience = 0.1
 

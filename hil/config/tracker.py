@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from hil.config.device import Position, TrackerConfig
-from hil.config.values import Freshness, Patience, Switch, Within
+from hil.config.values import Freshness, MostKept, NetworkPort, Patience, PosesAgain, Strict, Switch, Within
 
 
-class FeedEndpoint(BaseModel):
+class FeedEndpoint(Strict):
     """Where an emulated camera streams its poses (`hil emulate` prints it).
 
     Attributes:
@@ -18,10 +18,8 @@ class FeedEndpoint(BaseModel):
         port: UDP port.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
     host: str = Field("127.0.0.1", min_length=1)
-    port: int = Field(ge=1, le=65535)
+    port: NetworkPort
 
 
 class T265Config(TrackerConfig):
@@ -69,7 +67,7 @@ class T265Config(TrackerConfig):
     jump_angle_rad: Annotated[float, Within(0.001, 1.0, "a jump of 1 rad is one")] = 0.05
     max_speed_m_s: Annotated[float, Within(0.01, 5.0, "the robot drives 0.13 m/s")] = 0.5
     max_rate_rad_s: Annotated[float, Within(0.01, 20.0, "the robot turns at 0.8 rad/s")] = 2.0
-    reaccept_after: int = Field(20, ge=1, le=10_000)
+    reaccept_after: PosesAgain = 20
     mapping: Switch = False
     relocalisation: Switch = False
     pose_jumping: Switch = False
@@ -80,10 +78,10 @@ class T265Config(TrackerConfig):
     ) = None
     stale_after_s: Freshness = 0.5
     stuck_after_s: Freshness = 0.1
-    connect_timeout_s: float = Field(10.0, gt=0, le=60)
-    open_timeout_s: float = Field(5.0, gt=0, le=60)
+    connect_timeout_s: Patience = 10.0
+    open_timeout_s: Patience = 5.0
     fail_after_s: Patience = 2.0
-    queue_length: int = Field(1024, ge=8, le=100_000)
+    queue_length: MostKept = 1024
 
     @model_validator(mode="after")
     def _one_mind(self) -> T265Config:

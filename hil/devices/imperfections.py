@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import cache, partial
 from typing import Any, get_args, get_type_hints
 
+from hil.config.values import bounds_of
+
 BOUNDS: Mapping[str, tuple[float, float]] = {
     "leakage_s": (0.01, 3600.0), "supply_v": (1.0, 60.0),
     "_m_sqrt_m": (0.0, 1.0), "_rad_sqrt_s": (0.0, 1.0), "_m_s2": (0.0, 100.0), "_rad_s": (0.0, 100.0),
@@ -66,22 +68,47 @@ def _numbers(value: Any) -> Iterator[float]:
 
 
 def _not_finite(value: Any) -> str:
-    wrong = next((number for number in _numbers(value) if not math.isfinite(number)), None)
+    wrong = next((number for number in _numbers(value) if not -math.inf < number < math.inf), None)
     return "" if wrong is None else f"expected a finite number, found {wrong:g}"
 
 
 def _beyond(key: str, hint: Any, value: Any) -> str:
     numbers = list(_numbers(value))
-    if hasattr(hint, "__metadata__") or not numbers:
+    if not numbers or any(own is not None for _, own in bounds_of(hint)):
         return ""
     if key.endswith(_UNIT):
         norm = math.hypot(*numbers)
         return "" if _ROTATION_NORM[0] < norm < _ROTATION_NORM[1] else f"has norm {norm:.3g}, not 1"
+    unit = _of_the_unit(key, hint)
+    if unit is None:
+        return ""
+    low, high = unit
+    wrong = next((number for number in numbers if not low <= number <= high), None)
+    return "" if wrong is None else f"expected {low:g} to {high:g}, found {wrong!r}"
+
+
+def _of_the_unit(key: str, hint: Any) -> tuple[float, float] | None:
+    """Smallest and largest value by the end of a key; None for one that says no unit."""
     suffix = next((s for s in BOUNDS if key.endswith(s)), None)
     if suffix is None:
-        return ""
+        return None
     low, high = BOUNDS[suffix]
-    if suffix == "_m" and isinstance(value, (list, tuple)):
-        low = -high
-    wrong = next((number for number in numbers if not low <= number <= high), None)
-    return "" if wrong is None else f"expected {low:g} to {high:g}, found {wrong:g}"
+    return (-high if suffix == "_m" and len(list(bounds_of(hint))) > 1 else low), high
+
+
+def ranges(imperfections: type[Any]) -> dict[str, tuple[str, ...]]:
+    """Of every field with numbers, in words, what each may be; none for a number without bounds.
+
+    Args:
+        imperfections: dataclass of the device.
+    """
+    found: dict[str, tuple[str, ...]] = {}
+    for key, hint in _hints(imperfections).items():
+        numbers = [own for _, own in bounds_of(hint)]
+        unit = _of_the_unit(key, hint)
+        of_unit = "" if unit is None else f"{unit[0]:g} .. {unit[1]:g}"
+        if key.endswith(_UNIT):
+            found[key] = ("norm 1",)
+        elif numbers:
+            found[key] = tuple(of_unit if own is None else own.range_text() for own in numbers)
+    return found

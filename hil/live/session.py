@@ -13,6 +13,7 @@ import numpy as np
 from hil.bench import Bench
 from hil.bench.held import untouched
 from hil.bench.settings import motion_limits
+from hil.config.servos import ServosConfig
 from hil.live.commands import CommandLines
 from hil.live.lateness import LateWarning, advice
 from hil.live.references import MakeTrajectory
@@ -184,12 +185,13 @@ class LiveSession:
         return trajectory
 
     def _obey(self, lines: CommandLines, pose: Array) -> VelocityReference:
-        limits = motion_limits(self.bench.config)
+        limits, servos = motion_limits(self.bench.config), self.bench.config.of(ServosConfig)
         if limits.heading_limit_rad is not None:
             limits = replace(limits, heading_limit_rad=limits.heading_limit_rad - _HEADING_MARGIN_RAD)
         return VelocityReference(
-            lines, pose, self.bench.geometry.projection(), limits, dead_man_s=self.plan.dead_man_s
-        )
+            lines, pose, self.bench.geometry.projection(), limits, dead_man_s=self.plan.dead_man_s,
+            stops_after_s=servos.watchdog_s if servos is not None else 0.0,
+        )  # fmt: skip
 
     def _cycle(self, brain: Brain, trajectory: Trajectory | None, pose: Array) -> None:
         bench, plan = self.bench, self.plan
@@ -199,11 +201,11 @@ class LiveSession:
             told["references"] = "recorded"
         bench.add_sink(self._samples)
         start = RunStart(self.bench.start_state(pose), plan.feedback, law, plan.observers, told)
-        bench.run(brain, start, self._is_over(trajectory))
+        bench.run(brain, start, self._is_over(brain, trajectory))
         if self._stop.name:
             raise Aborted(f"ended by {self._stop.name}")
 
-    def _is_over(self, trajectory: Trajectory | None) -> Callable[[CycleRecord], bool]:
+    def _is_over(self, brain: Brain, trajectory: Trajectory | None) -> Callable[[CycleRecord], bool]:
         """The condition that ends the loop; notes the latest record and why it ended."""
         reason, length_ns = "", None
         if self.plan.duration_s is not None:
@@ -212,6 +214,9 @@ class LiveSession:
             reason, length_ns = "trajectory", nanoseconds(trajectory.duration_s + _HOLD_S)
         first_ns: list[int] = []
 
+        def waited_ns() -> int:
+            return brain.waited_ns if reason == "trajectory" else 0
+
         def over(record: CycleRecord) -> bool:
             self._last = record
             self._late.look(self.bench.statistics)
@@ -219,7 +224,7 @@ class LiveSession:
                 first_ns.append(record.start_ns)
             if self._stop.name:
                 self.ended = self._stop.name
-            elif length_ns is not None and record.start_ns >= first_ns[0] + length_ns:
+            elif length_ns is not None and record.start_ns >= first_ns[0] + length_ns + waited_ns():
                 self.ended = reason
             return bool(self.ended)
 

@@ -32,6 +32,8 @@ class VelocityReference:
         projection: P (8, 3) of the wheels, `WheelGeometry.projection()`.
         limits: wheel speed and acceleration that no command exceeds, and where the reference may go.
         dead_man_s: a command older than this counts as `stop`, with the ramp of the acceleration limit.
+        stops_after_s: without a cycle for longer the servos stop the wheels, and the reference starts again
+            from rest; 0 where they never do.
 
     Attributes:
         accepted, refused: lines understood and not.
@@ -46,9 +48,10 @@ class VelocityReference:
         limits: MotionLimits,
         *,
         dead_man_s: float = 0.5,
+        stops_after_s: float = 0.0,
     ) -> None:
         self._lines, self._projection, self._limits = lines, projection, limits
-        self._dead_man_s = dead_man_s
+        self._dead_man_s, self._stops_after_s = dead_man_s, stops_after_s
         self._pose = np.array(start_pose, dtype=np.float64)
         self._twist, self._wanted = np.zeros(3), np.zeros(3)
         self._t_s = self._heard_s = 0.0
@@ -56,8 +59,12 @@ class VelocityReference:
 
     def __call__(self, t_s: float) -> Reference:
         """Take what has come in, and move on."""
-        step_s = min(max(t_s - self._t_s, 0.0), _LONGEST_STEP_S)
+        gone_s = max(t_s - self._t_s, 0.0)
+        step_s = min(gone_s, _LONGEST_STEP_S)
         self._t_s = t_s
+        if 0.0 < self._stops_after_s < gone_s:
+            self._advance(self._stops_after_s)
+            self._twist, step_s = np.zeros(3), 0.0
         self._listen(t_s)
         before = rotation2(float(self._pose[2])) @ self._twist[:2]
         spin_before = float(self._twist[2])

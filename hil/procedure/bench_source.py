@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.calibration.artefact import read_calibration
-from hil.calibration.versions import check_made_for
+from hil.calibration.versions import check_usable
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.vocabulary.interfaces import Sink
@@ -114,13 +114,13 @@ class BenchSource:
         """File, version and SHA-256 of the calibration in use; None without one.
 
         Raises:
-            ConfigError: it cannot be read, or was made for another robot.
+            ConfigError: it cannot be read, was made for another robot, or failed.
         """
         path = self.calibration or (Path(self.config.calibration) if self.config.calibration else None)
         if path is None:
             return None
         file = read_calibration(path)
-        check_made_for(file, self.config, str(path))
+        check_usable(file, self.config, str(path))
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
         return {"path": str(path), "version": file.version, "created": file.created, "sha256": digest}
 

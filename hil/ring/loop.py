@@ -19,6 +19,7 @@ from hil.ring.alignment import Alignment
 from hil.ring.left_out import UNSHAKEN
 from hil.ring.loop_timing import Laps, LoopStatistics
 from hil.ring.own_parts import asked, controlled, own_name, reset_estimator
+from hil.ring.restart import Restart
 from hil.ring.rig import Rig
 from hil.ring.supervisor import Supervisor
 from hil.vocabulary.clock import NS_PER_S, Clock
@@ -76,6 +77,7 @@ class Brain:
     Args:
         reference_at: reference by seconds since the first cycle; None observes without moving.
         observers: further estimators that run on the same measurements; their states are recorded.
+        restart: how it goes on after the loop stood still; None where the wheels go on meanwhile.
 
     Attributes:
         estimator, controller, observers: may be exchanged before a run.
@@ -90,8 +92,9 @@ class Brain:
         controller: Controller | None = None,
         reference_at: ReferenceAt | None = None,
         observers: Mapping[str, Estimator] | None = None,
+        restart: Restart | None = None,
     ) -> None:
-        self.supervisor, self.alignment = supervisor, alignment
+        self.supervisor, self.alignment, self.restart = supervisor, alignment, restart
         self.estimator, self.controller = estimator, controller
         self.reference_at = reference_at
         self.observers = dict(observers or {})
@@ -115,6 +118,8 @@ class Brain:
         self._states = dict.fromkeys((_OWN, *self.observers), state)
         self.supervisor.reset()
         self.alignment.reset()
+        if self.restart is not None:
+            self.restart.reset()
         for estimator in (self.estimator, *self.observers.values()):
             reset_estimator(estimator, state)
         if self.controller is not None:
@@ -135,6 +140,8 @@ class Brain:
         self.reference = None
         if self._t0_ns is None:
             self._t0_ns = inputs.t_ns
+        if self.restart is not None:
+            self.restart.judge(inputs.t_ns)
         measurements = self.alignment.measure(inputs)  # 3
         events = self.supervisor.check(inputs, measurements)  # 2: by what they mean, too
         left_out = self.supervisor.left_out
@@ -182,8 +189,15 @@ class Brain:
         if self.controller is None or reference is None or wheels is None:
             return WheelSetpoint(np.zeros(4), self._steering.copy())
         if self._checks_controller:
-            return controlled(self.controller, measurements.cycle, state, reference, wheels)
-        return self.controller.update(state, reference, wheels)
+            setpoint = controlled(self.controller, measurements.cycle, state, reference, wheels)
+        else:
+            setpoint = self.controller.update(state, reference, wheels)
+        return setpoint if self.restart is None else self.restart.limit(setpoint, wheels)
+
+    @property
+    def waited_ns(self) -> int:
+        """By how much the reference is behind the clock, because the loop stood still."""
+        return 0 if self.restart is None else self.restart.waited_ns
 
     def _complete(self, wheels: WheelMeasurement) -> WheelMeasurement:
         """Newest wheels; where a steering angle was not read, with the last one that was."""

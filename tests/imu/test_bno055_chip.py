@@ -182,8 +182,11 @@ def test_a_wrong_baud_rate_is_silence(client, baud):
     assert client.send("AA 01 00 01") == "BB 01 A0"
 
 
-def test_an_impossible_axis_map_is_ignored(client):
-    client.send("AA 00 41 02 25 00")
+@pytest.mark.parametrize("axis_map", ["25", "00", "3F", "27"])
+def test_an_impossible_axis_map_leaves_the_register_and_the_axes_as_they_were(client, axis_map):
+    """Datasheet 3.4: "previous configuration will be restored in the register map"."""
+    client.send(f"AA 00 41 02 {axis_map} 00")
+    assert client.read(0x41, 2) == b"\x24\x00"
     client.send("AA 00 3D 01 08")
     x, y, z = struct.unpack("<3h", client.after(100).read(0x2E, 6))
     assert abs(x) > 950

@@ -21,10 +21,12 @@ def test_defaults_are_the_robot_of_the_paper():
         (Bno055Config, {"speed": 1}, "Extra inputs"),
         (Bno055Config, {"axis_map": 0x25}, "not a permutation"),
         (Bno055Config, {"axis_map": 0x64}, "not a permutation"),
+        (Bno055Config, {"axis_sign": 1}, "mirror image"),
+        (Bno055Config, {"axis_map": 0x21, "axis_sign": 0}, "mirror image"),
         (Bno055Config, {"mount_rotation_wxyz": (1, 1, 0, 0)}, "norm 1.41"),
         (Bno055Config, {"fusion_mode": "euler"}, "Input should be"),
         (EncodersConfig, {"speed": 1}, "Extra inputs"),
-        (EncodersConfig, {"sign": (1, 1, 2, 1)}, "only 1 and -1"),
+        (EncodersConfig, {"sign": (1, 1, 2, 1)}, "-1 or 1"),
         (EncodersConfig, {"signals": ("A", "A", "B", "C")}, "four different"),
     ],
 )

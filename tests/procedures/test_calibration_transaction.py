@@ -125,6 +125,28 @@ def test_a_calibration_of_another_robot_is_refused_everywhere(shelf, overrides, 
     assert not shelf.path.exists()
 
 
+def test_a_calibration_that_failed_is_used_only_where_the_bench_asks_for_it(shelf, capsys):
+    failed, untried = shelf.add(made(0.0257, "FAIL")), shelf.add(made(0.0258, ""))
+    in_the_file = load_bench("emulated_floor", overrides={"calibration": str(failed.path)})
+    for refused in (
+        lambda: open_bench(CONFIG, calibration=failed.path),
+        lambda: open_bench(in_the_file),
+        lambda: BenchSource(CONFIG, calibration=failed.path).describe_calibration(),
+    ):
+        with pytest.raises(ConfigError, match="failed") as caught:
+            refused()
+        assert str(failed.path) in str(caught.value)
+    command = ["run", "latency", "--bench", "emulated_floor", "--dry-run"]
+    assert main([*command, "--calibration", str(failed.path)]) == 2
+    assert "failed_calibration = true" in capsys.readouterr().err
+    assert main([*command, "--calibration", str(untried.path)]) == 0
+    asked = ["--set", "bench.failed_calibration=true", "--calibration", str(failed.path)]
+    assert main([*command, *asked]) == 0
+    wanted = load_bench("emulated_floor", overrides={"failed_calibration": True})
+    with open_bench(wanted, calibration=failed.path) as bench:
+        assert bench.geometry.radius_m.tolist() == [0.0257] * 4
+
+
 def test_a_bench_uses_what_is_in_place(shelf):
     shelf.apply(shelf.add(made(0.0257)).file.version)
     bench = open_bench("emulated_floor", overrides={"calibration": str(shelf.path)})

@@ -8,6 +8,7 @@ from typing import Annotated
 from hil.config.values import Within
 from hil.fakes.tether import Start
 
+StatusMessage = Annotated[int, Within(1, 6, "a VESC has status messages 1 to 6")]
 Rate = Annotated[float, Within(0.0, 1000.0, "messages per second")]
 
 
@@ -40,10 +41,10 @@ class AdhesionTruthOptions:
     timeout_s: float = 1.0
     rate_1_hz: Rate = 50.0
     rate_2_hz: Rate = 5.0
-    messages_1: tuple[int, ...] = (1,)
-    messages_2: tuple[int, ...] = (4, 5)
+    messages_1: tuple[StatusMessage, ...] = (1,)
+    messages_2: tuple[StatusMessage, ...] = (4, 5)
     firmware: str = "6.05"
-    twins: int = 0
+    twins: Annotated[int, Within(0, 10, "further controllers")] = 0
     pack_v: float = 23.4
     pack_ohm: float = 0.020
     pack_ah: Annotated[float, Within(0.01, 1000.0, "Ah")] = 10.0

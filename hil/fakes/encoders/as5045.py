@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
+from hil.config.values import Within
 from hil.vocabulary.arithmetic import Rows, Vector
 
 OCF, COF, LIN, MAG_INC, MAG_DEC = 0x20, 0x10, 0x08, 0x04, 0x02
@@ -21,6 +23,9 @@ _COUNTS_PER_RAD = COUNTS / (2.0 * math.pi)
 # is too far or too near, and the counts that it holds.
 ONCE, ONCE_PHASE, TWICE, TWICE_PHASE, NOISE, SIGN, ZERO, OFFSET, FLAGS, HELD = range(10)
 CHIP_SIZE = 10
+
+
+Byte = Annotated[int, Within(0, 255, "a byte of a frame")]
 
 
 @dataclass(frozen=True)
@@ -36,8 +41,8 @@ class EncoderTruthOptions:
     noise_rad: float = math.radians(0.06)
     once_rad: float = math.radians(0.3)
     twice_rad: float = math.radians(0.1)
-    firmware: int = 1
-    layout: int = 1
+    firmware: Byte = 1
+    layout: Byte = 1
 
 
 def with_parity(word: int) -> int:

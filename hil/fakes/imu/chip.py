@@ -15,7 +15,7 @@ from hil.fakes.imu import uart
 from hil.fakes.imu.faulty import SUPPORTED_FAULTS, ImuFaults
 from hil.fakes.imu.offsets import load_offsets, store_offsets
 from hil.fakes.imu.output import EMPTY, LENGTH, encode
-from hil.fakes.imu.sensors import ImuTruthOptions, InertialSensors, matrix, product, remap
+from hil.fakes.imu.sensors import ImuTruthOptions, InertialSensors, matrix, names_each_axis, product, remap
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, Scheduled, World
 from hil.vocabulary.records import named
@@ -225,6 +225,8 @@ class Bno055Chip(SerialChip, Scheduled):
             return self._trigger(value, t_ns)
         if address == reg.PWR_MODE and value & 0x03 == 0x03:
             return uart.WRITE_FAIL
+        if address == reg.AXIS_MAP and not names_each_axis(value):
+            return uart.WRITE_SUCCESS
         page[address] = value
         if address in (reg.AXIS_MAP, reg.AXIS_SIGN):
             self.sensors.set_remap(page[reg.AXIS_MAP], page[reg.AXIS_SIGN])

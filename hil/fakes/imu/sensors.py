@@ -103,6 +103,11 @@ def product(a: Matrix, b: Matrix) -> Matrix:
     return transpose((columns[0], columns[1], columns[2]))
 
 
+def names_each_axis(axis_map: int) -> bool:
+    """Whether a map is valid; another leaves register and axes as they were (datasheet 3.4)."""
+    return sorted((axis_map >> shift) & 3 for shift in (0, 2, 4)) == [0, 1, 2]
+
+
 def remap(axis_map: int, axis_sign: int) -> Matrix:
     """Signed permutation of registers 0x41 and 0x42: sensor axes from chip axes (datasheet 3.4)."""
     rows: list[Vector] = []
@@ -175,9 +180,7 @@ class InertialSensors:
         self._state[sample.YAW_ERROR] += angle_rad
 
     def set_remap(self, axis_map: int, axis_sign: int) -> None:
-        """Take over the axis registers; a map that names an axis twice is ignored, as on the chip."""
-        if sorted((axis_map >> shift) & 3 for shift in (0, 2, 4)) != [0, 1, 2]:
-            return
+        """Take over the axis registers; the map names each axis once."""
         self._remap = remap(axis_map, axis_sign)
         out_in_body = product(self._chip_in_body, transpose(self._remap))
         self._out_of_body = transpose(out_in_body)

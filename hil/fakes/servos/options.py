@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator
 
 from hil.config.servo_models import (
     DEFAULT_MODEL,
@@ -17,6 +17,7 @@ from hil.config.servo_models import (
     servo_models,
 )
 from hil.config.servo_models.codes import BAUD_CODES
+from hil.config.values import Baud, Within
 
 _BATTERY_V = 11.1
 _MODES = 16
@@ -51,11 +52,11 @@ def _in_eeprom(value: Mapping[str, int]) -> Mapping[str, int]:
     return value
 
 
-Id = Annotated[int, Field(ge=0, le=252)]
-Byte = Annotated[int, Field(ge=0, le=255)]
-Word = Annotated[int, Field(ge=0, le=65535)]
-Joint = Annotated[int, Field(ge=0, le=7)]
-Counts = Annotated[int, Field(ge=-(1 << 31), lt=1 << 31)]
+Id = Annotated[int, Within(0, 252, "IDs of a DYNAMIXEL bus")]
+Byte = Annotated[int, Within(0, 255, "a register of one byte")]
+Word = Annotated[int, Within(0, 65_535, "a register of two bytes")]
+Joint = Annotated[int, Within(0, 7, "eight servos")]
+Counts = Annotated[int, Within(-(1 << 31), (1 << 31) - 1, "a register of four bytes")]
 
 
 @dataclass(frozen=True)
@@ -91,14 +92,14 @@ class ServoBusOptions:
     """
 
     ids: Annotated[tuple[Id, ...], AfterValidator(_eight_ids)] = (1, 2, 3, 4, 5, 6, 7, 8)
-    baud: Annotated[int, AfterValidator(_known_baud)] = 1_000_000
-    steer_mode: Annotated[int, Field(ge=0, le=_MODES)] = 3
-    return_delay: Annotated[int, Field(ge=0, le=254)] = 0
+    baud: Annotated[Baud, AfterValidator(_known_baud)] = 1_000_000
+    steer_mode: Annotated[int, Within(0, _MODES, "codes of the Operating Mode register")] = 3
+    return_delay: Annotated[int, Within(0, 254, "steps of 2 us")] = 0
     firmware: Byte = 46
-    model_number: Annotated[int, AfterValidator(_known_model)] = DEFAULT_MODEL
+    model_number: Annotated[Word, AfterValidator(_known_model)] = DEFAULT_MODEL
     firmware_by_joint: Mapping[Joint, Byte] = field(default_factory=dict)
     model_by_joint: Mapping[Joint, Word] = field(default_factory=dict)
-    eeprom: Mapping[Joint, Annotated[Mapping[str, int], AfterValidator(_in_eeprom)]] = field(
+    eeprom: Mapping[Joint, Annotated[Mapping[str, Counts], AfterValidator(_in_eeprom)]] = field(
         default_factory=dict
     )
     absent: frozenset[Id] = frozenset()

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from hil.config.values import Within
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ class TrackerTruthOptions:
 
     scale_sigma: float = 0.005
     session_scale_sigma: float = 0.0
-    session: int = 0
+    session: Annotated[int, Within(0, 2**31 - 1, "a number of a session")] = 0
     yaw_rate_sigma_rad_s: float = 5e-5
     yaw_walk_rad_sqrt_s: float = 2e-4
     position_walk_m_sqrt_m: float = 0.002

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Literal
-
-from pydantic import Field
+from typing import Annotated, Any, Literal
 
 from hil.config.adhesion import MotorConfig
 from hil.config.can_bus import Claim
+from hil.config.values import Within
 
 _NODE = "DroneCAN node"
+NodeId = Annotated[int, Within(1, 127, "node ids of DroneCAN")]
 
 
 class DroneCanConfig(MotorConfig):
@@ -25,9 +25,9 @@ class DroneCanConfig(MotorConfig):
 
     model: Literal["dronecan"] = "dronecan"
     command: Literal["duty", "rpm"] = "duty"
-    node_id: int = Field(42, ge=1, le=127)
-    esc_index: int = Field(0, ge=0, le=2)
-    own_id: int = Field(120, ge=1, le=127)
+    node_id: NodeId = 42
+    esc_index: Annotated[int, Within(0, 2, "this driver sends three commands at most")] = 0
+    own_id: NodeId = 120
 
     def claims(self) -> Iterable[Claim]:
         """The controller's and the keeper's."""

@@ -16,6 +16,7 @@ from hil.devices.adhesion.dronecan.library import Receiver, frames_of, library
 from hil.fakes.adhesion import AdhesionTruthOptions
 from hil.fakes.adhesion.fan import HIGHEST_DUTY, Demand
 from hil.fakes.adhesion.motor import MotorNode
+from hil.fakes.adhesion.options import StatusMessage
 from hil.fakes.can_wire import CanChannel, CanFrame
 from hil.fakes.world import World
 from hil.vocabulary.clock import NS_PER_S
@@ -35,8 +36,8 @@ class DroneCanTruthOptions(AdhesionTruthOptions):
 
     rate_1_hz: float = 50.0
     rate_2_hz: float = 1.0
-    messages_1: tuple[int, ...] = (1,)
-    messages_2: tuple[int, ...] = (1,)
+    messages_1: tuple[StatusMessage, ...] = (1,)
+    messages_2: tuple[StatusMessage, ...] = (1,)
 
 
 class DroneCanNode(MotorNode):

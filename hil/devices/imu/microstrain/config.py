@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationInfo, field_validator
 
 from hil.config.device import ImuConfig, Position
-from hil.config.values import Freshness, Patience, Switch, UnitQuaternion, Within
+from hil.config.values import Baud, Freshness, Patience, Switch, UnitQuaternion, Within
 from hil.devices.imu.microstrain.fields import PACKET_BYTES
 from hil.devices.imu.microstrain.packets import BITS_PER_BYTE
 
@@ -39,7 +39,7 @@ class MicrostrainConfig(ImuConfig):
 
     model: Literal["microstrain"] = "microstrain"
     port: str = Field("/dev/ttyUSB0", min_length=1)
-    baud: int = Field(115_200, gt=0)
+    baud: Baud = 115_200
     rate_hz: Annotated[float, Within(10.0, 1000.0, "the sensor has 1000 Hz")] = Field(
         110.0, validate_default=True
     )
@@ -47,8 +47,8 @@ class MicrostrainConfig(ImuConfig):
     mount_position_m: Position = (0.0655, 0.0, 0.098)
     mount_rotation_wxyz: UnitQuaternion = (0.0, 1.0, 0.0, 0.0)
     latency_s: Annotated[float, Within(0.0, 0.1, "a sensor that is later is of no use")] | None = None
-    reply_timeout_s: float = Field(0.1, gt=0, le=1)
-    open_timeout_s: float = Field(5.0, gt=0, le=30)
+    reply_timeout_s: Annotated[float, Within(0.001, 1.0, "s; an answer takes 20 ms")] = 0.1
+    open_timeout_s: Patience = 5.0
     fail_after_s: Patience = 5.0
     stuck_after_s: Freshness = 0.2
     stale_after_s: Freshness = 0.1

@@ -8,13 +8,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
-from hil.config.adhesion import VESC_ID, VescConfig
+from hil.config.adhesion import VESC_ID, VescConfig, VescId
 from hil.config.can_bus import Claim
 from hil.config.kept_motor import HIGHEST_DUTY, KeptMotorConfig
 from hil.config.thrust import ThrustConfig
-from hil.config.values import Within
+from hil.config.values import PolePairs, Within
 
-Id = Annotated[int, Field(ge=0, le=254)]
 MOST_CONTROLLERS = 4
 
 
@@ -30,9 +29,9 @@ class VescThrustConfig(ThrustConfig, KeptMotorConfig):
     """
 
     model: Literal["vesc"] = "vesc"
-    controller_ids: tuple[Id, ...] = Field((2, 3), min_length=1, max_length=MOST_CONTROLLERS)
-    own_id: Id = 253
-    pole_pairs: int = Field(7, ge=1, le=50)
+    controller_ids: tuple[VescId, ...] = Field((2, 3), min_length=1, max_length=MOST_CONTROLLERS)
+    own_id: VescId = 253
+    pole_pairs: PolePairs = 7
     full_rpm: Annotated[float, Within(1000.0, 100_000.0, "1/min of a propeller, not electrical")] = 9000.0
 
     @field_validator("controller_ids")

@@ -5,13 +5,15 @@ from __future__ import annotations
 import re
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator
 
 from hil.config.device import Position, TrackerConfig
-from hil.config.values import Freshness, Patience, Within
+from hil.config.values import Baud, Freshness, MostKept, Patience, PosesAgain, Within
 
 PoseFrame = Literal["LOCAL_FRD", "LOCAL_FLU", "LOCAL_NED", "LOCAL_ENU"]
 BodyAxes = Literal["FRD", "FLU"]
+MavlinkId = Annotated[int, Within(1, 255, "0 is everybody")]
+Percent = Annotated[int, Within(1, 100, "percent")]
 
 _UDP = re.compile(r"(?P<role>udpin|udpout):(?P<host>[\w.-]+):(?P<port>\d{1,5})")
 _OTHER_FORMS = re.compile(r"(udp|udpin|udpout|udpbcast|tcp|tcpin|tcpout|mcast|wsserver|ws)[:/]")
@@ -74,22 +76,22 @@ class MavlinkTrackerConfig(TrackerConfig):
 
     model: Literal["mavlink"] = "mavlink"
     port: Annotated[str, AfterValidator(_connection)] = "udpin:0.0.0.0:14550"
-    baud: int = Field(921_600, ge=9600, le=12_000_000)
+    baud: Baud = 921_600
     rate_hz: Annotated[float, Within(5.0, 1000.0, "poses per second of a visual-inertial computer")] = 100.0
-    system_id: int | None = Field(None, ge=1, le=255)
-    component_id: int | None = Field(None, ge=1, le=255)
+    system_id: MavlinkId | None = None
+    component_id: MavlinkId | None = None
     frame: PoseFrame | None = None
     body_axes: BodyAxes | None = None
-    least_quality: int = Field(20, ge=1, le=100)
-    good_quality: int = Field(50, ge=1, le=100)
+    least_quality: Percent = 20
+    good_quality: Percent = 50
     mount_position_m: Position = (0.1489, 0.0092, 0.0666)
     jump_distance_m: Annotated[float, Within(0.001, 1.0, "a jump of 1 m is one")] = 0.03
     jump_angle_rad: Annotated[float, Within(0.001, 1.0, "a jump of 1 rad is one")] = 0.05
     max_speed_m_s: Annotated[float, Within(0.01, 5.0, "the robot drives 0.13 m/s")] = 0.5
     max_rate_rad_s: Annotated[float, Within(0.01, 20.0, "the robot turns at 0.8 rad/s")] = 2.0
-    reaccept_after: int = Field(20, ge=1, le=10_000)
+    reaccept_after: PosesAgain = 20
     stale_after_s: Freshness = 0.5
     stuck_after_s: Freshness = 0.5
-    open_timeout_s: float = Field(5.0, gt=0, le=60)
+    open_timeout_s: Patience = 5.0
     fail_after_s: Patience = 2.0
-    queue_length: int = Field(1024, ge=8, le=100_000)
+    queue_length: MostKept = 1024

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from hil.devices.tracker.mavlink.config import PoseFrame
+from hil.devices.tracker.mavlink.config import MavlinkId, PoseFrame
 from hil.fakes.tracker.options import IDEAL as IDEAL_CAMERA
 from hil.fakes.tracker.options import TrackerTruthOptions
 
@@ -25,8 +25,8 @@ class ComputerTruthOptions(TrackerTruthOptions):
 
     rate_hz: float = 100.0
     network_s: float = 0.0003
-    system_id: int = 1
-    component_id: int = 197
+    system_id: MavlinkId = 1
+    component_id: MavlinkId = 197
     frame: PoseFrame = "LOCAL_FRD"
     twist_in_body: bool = True
     sends_covariance: bool = True
