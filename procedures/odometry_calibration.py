@@ -173,8 +173,9 @@ def run(ctx: Context) -> None:
             ctx.note("No fit was better than the parameters that the run began with; nothing to install.")
             return
         result = results[best - 1]
-        ctx.measure("rejected_recordings", len(result.fit.rejected))
-        ctx.measure("rejected_share", len(result.fit.rejected) / len(result.recordings))
+        rejected, fitted = len(result.rejected), len(result.recordings)
+        ctx.measure("rejected_recordings", rejected)
+        ctx.measure("rejected_share", rejected / (rejected + fitted))
         show(ctx, rounds, fresh, result, p.method, p.compared_methods)
         judged = score(fresh.recordings, fresh.odometry.geometry, result.setting)
         _install(ctx, replace(result, validation={"fresh_run": judged}))

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
 from hil.calibration.blocks import Blocks, reduce_recordings
-from hil.calibration.caveats import caveats, unexplained
+from hil.calibration.caveats import caveats, left_out_because, unexplained
 from hil.calibration.choice import Candidate, Choice, can_choose, candidates, choose
+from hil.calibration.corrupt import corrupt
 from hil.calibration.datasets import Recording
 from hil.calibration.driven import Driven, check_geometry, driven
-from hil.calibration.evaluation import Track, cost, track_all
+from hil.calibration.evaluation import cost, track_all
 from hil.calibration.fitting import Fit, fit, twist_between
 from hil.calibration.identifiability import Identifiability, StandardErrors, identifiability, standard_errors
 from hil.calibration.nominal import Nominal
@@ -43,9 +44,9 @@ class Calibration:
     """Everything that a calibration found; `to_json` gives the documented keys.
 
     `robot` is what errors before are counted from; `choice` tells how held-out recordings decided the forward
-    model, None where they did not; `kept_cost` is the cost before and after on the recordings that were not
-    rejected; `wall_s` is the compute time of the calibration itself, `validation_s` that of the
-    cross-validations.
+    model, None where they did not; all figures are of `recordings`, those that were fitted; `rejected` tells
+    why others were left out, by name; `wall_s` is the compute time of the calibration itself, `validation_s`
+    that of judging the recordings and of the cross-validations.
     """
 
     method: str
@@ -58,7 +59,6 @@ class Calibration:
     choice: Choice | None
     cost_before: float
     cost_after: float
-    kept_cost: tuple[float, float]
     validation: dict[str, Table]
     floor: dict[str, float]
     recordings: tuple[Recording, ...]
@@ -66,6 +66,7 @@ class Calibration:
     evaluations: int
     wall_s: float
     validation_s: float
+    rejected: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def nominal(self) -> WheelGeometry:
@@ -111,8 +112,8 @@ class Calibration:
             "driven_m": self.driven.to_json(),
             "cost_before": self.cost_before,
             "cost_after": self.cost_after,
-            "cost_before_without_rejected": self.kept_cost[0],
-            "cost_after_without_rejected": self.kept_cost[1],
+            "cost_before_without_rejected": self.cost_before,
+            "cost_after_without_rejected": self.cost_after,
             "objective": self.fit.solution.objective,
             "objective_before_polish": self.fit.solution.objective_before_polish,
             "polished": self.fit.solution.objective_before_polish is not None,
@@ -132,8 +133,9 @@ class Calibration:
             "information": self.spectrum.information.tolist(),
             "twist_correction": self.twist.tolist(),
             "twist_std": _numbers(self.intervals.twist_std),
-            "weights": dict(weights),
-            "rejected": list(self.fit.rejected),
+            "weights": dict(weights) | dict.fromkeys(self.rejected, 0.0),
+            "rejected": list(self.rejected),
+            "rejected_because": dict(self.rejected),
             "validation": self.validation,
             "repeatability_m": {k: None if math.isnan(v) else v for k, v in self.floor.items()},
             "verdict": "PASS" if self.explains else "FAIL",
@@ -166,9 +168,10 @@ def calibrate(
     nominal: Nominal | None = None,
     choice: Choice | None = None,
     validate: bool = True,
+    unusable: Mapping[str, str] | None = None,
     report: Report = silent,
 ) -> Calibration:
-    """Fit the odometry parameters to recordings and judge the result.
+    """Fit the odometry parameters to recordings and judge the result; corrupt ones are named and left out.
 
     Args:
         recordings: runs with ground truth.
@@ -181,6 +184,7 @@ def calibrate(
         choice: how setting and nominal were chosen, where that was done before.
         validate: whether to run the cross-validations. Where the setting leaves the forward model open they
             decide it, by recordings left out of the fit; without them the fit's own residuals do.
+        unusable: recordings that could not be read, and why, by name: the result names them, too.
         report: progress callback (what, done, total).
 
     Raises:
@@ -193,6 +197,9 @@ def calibrate(
         raise DataError("", f"several recordings are called {', '.join(twice)}", expected="names that differ")
     begin_ns = clock.now_ns()
     robot = nominal if nominal is not None else Nominal()
+    bad = corrupt(recordings, robot)
+    recordings = [r for r in recordings if r.name not in bad]
+    rejected = dict(unusable or {}) | bad
     if choice is None and validate and setting.choose_model and can_choose(recordings):
         choice = choose(recordings, candidates(setting, robot.geometry), seed=seed, report=report)
         setting, robot = choice.best.setting, replace(robot, geometry=choice.best.nominal)
@@ -227,19 +234,15 @@ def calibrate(
         choice=choice,
         cost_before=cost(before),
         cost_after=cost(after),
-        kept_cost=(_kept_cost(before, found), _kept_cost(after, found)),
         validation=tables,
         floor=repeatability(recordings),
         recordings=tuple(recordings),
-        warnings=caveats(recordings, found, spectrum, paper, tables, applied),
+        warnings=(*left_out_because(rejected), *caveats(recordings, found, spectrum, paper, tables, applied)),
         evaluations=evaluations,
         wall_s=(fitted_ns - chosen_ns) / NS_PER_S,
         validation_s=(clock.now_ns() - fitted_ns + chosen_ns - begin_ns) / NS_PER_S,
+        rejected=rejected,
     )
-
-
-def _kept_cost(tracks: Sequence[Track], found: Fit) -> float:
-    return cost([t for t in tracks if t.recording.name not in found.rejected])
 
 
 def _intervals(

@@ -27,6 +27,7 @@ RECORD = {
 _CLEARLY_M, _CLEARLY_RAD = 2e-3, float(np.radians(0.5))
 _MUCH = 1.5
 _UNEXPLAINED = 0.2
+_HARDLY = 0.05
 _NO_WORKSHOP = (
     " (ten standard deviations of the prior, more than a workshop leaves; look for a wrong column, unit or "
     "bench file)"
@@ -61,7 +62,7 @@ def caveats(
             "no motion is repeated, so no repetition can be left out: how well the result predicts another "
             "drive of these motions is not known; record each at least twice"
         )
-    out += [f"{name}: does not fit the others and was down-weighted" for name in found.rejected]
+    out += motions_apart(found)
     out += unexplained(found)
     if spectrum.at_bound:
         far = "" if found.problem.setting.bounds is not None else _NO_WORKSHOP
@@ -89,6 +90,23 @@ def caveats(
             f"{len(paper.solution.z)} parameters; the bounds decide the rest"
         )
     return tuple(out)
+
+
+def left_out_because(rejected: Mapping[str, str]) -> list[str]:
+    """One line for each recording that was left out, by name, and why."""
+    return [f"{name}: left out: {why}" for name, why in rejected.items()]
+
+
+def motions_apart(found: Fit) -> list[str]:
+    """Motions of which every recording, two or more, fits badly: no one of them is to blame."""
+    weights: dict[str, list[float]] = {}
+    for motion, weight in zip(found.problem.blocks.motions, found.problem.weights, strict=True):
+        weights.setdefault(motion, []).append(float(weight))
+    return [
+        f"{motion}: none of its recordings fits those of other motions, so they hardly count; {LOOK}"
+        for motion, own in weights.items()
+        if len(own) > 1 and max(own) < _HARDLY
+    ]
 
 
 def told_by(recordings: Sequence[Recording]) -> list[str]:

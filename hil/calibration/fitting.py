@@ -31,7 +31,6 @@ from hil.vocabulary.geometry import Array
 _CHAIN = (2.0, 1.5, 1.2, 1.0)
 _REWEIGHTINGS = 4
 _STEPS_IN_A_BOX = 100
-_BAD_WEIGHT = 0.3
 _CLEARLY_BETTER = 0.7
 _NEAR = 0.05
 
@@ -47,12 +46,6 @@ class Fit:
     def geometry(self) -> WheelGeometry:
         """The fitted wheel geometry."""
         return self.problem.tyres.with_vector(self.solution.z)
-
-    @property
-    def rejected(self) -> tuple[str, ...]:
-        """Names of recordings that the robust weight all but removed."""
-        pairs = zip(self.problem.blocks.names, self.problem.weights, strict=True)
-        return tuple(name for name, weight in pairs if weight < _BAD_WEIGHT)
 
 
 def chain(setting: Setting) -> Sequence[float]:

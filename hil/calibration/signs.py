@@ -7,7 +7,8 @@ column explains the difference, a warning says how large it is.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,35 +34,103 @@ LOOK = (
     "exchanged, a heading (theta) that is not the robot's, a wrong column, unit or bench file"
 )
 """What to do about recordings that no geometry explains."""
+RATES_AGAINST = "the wheel rates (w) have the other sign than the wheel angles (phi)"
+_CONTRADICTS = "the wheels contradict the ground truth, and would agree if {}"
 _AGAINST = -0.5
 _MIRRORED = np.tile([1.0, -1.0], 4)
 
 
-def check_signs(recordings: Sequence[Recording], nominal: Nominal) -> None:
-    """Refuse recordings whose wheels contradict the ground truth, and would not with another sign.
+@dataclass(frozen=True)
+class WrongSigns:
+    """Which of R recordings contradict themselves, and would not with another sign.
+
+    Attributes:
+        explained: (R,) of each change of a column, by its name: which recordings it explains.
+        against: of each change, how many others show that it is not one of all recordings.
+    """
+
+    explained: Mapping[str, Bools]
+    against: Mapping[str, int]
+
+    @property
+    def of_all(self) -> bool:
+        """Whether a change may be one of all recordings: half call for it, or as many as speak against it."""
+        counts = {words: np.count_nonzero(found) for words, found in self.explained.items()}
+        return any(
+            2 * n >= len(self.explained[words]) or n >= max(2, self.against[words])
+            for words, n in counts.items()
+            if n
+        )
+
+    def likely(self) -> list[str]:
+        """The changes that explain the most recordings; none where nothing is wrong."""
+        counts = {words: np.count_nonzero(found) for words, found in self.explained.items()}
+        best = max(counts.values())
+        return [words for words, n in counts.items() if n == best and n]
+
+    def told_of(self, index: int) -> str:
+        """What is wrong with one recording, and what would have to change; empty where nothing is."""
+        changes = [words for words, found in self.explained.items() if found[index]]
+        return _CONTRADICTS.format(", or if ".join(changes)) if changes else ""
+
+
+def wrong_signs(recordings: Sequence[Recording], nominal: Nominal) -> WrongSigns:
+    """Find recordings whose wheels contradict the ground truth, and would not with another sign.
 
     A recording counts where its wheels miss more than 0.6 of the true way or of the true turning, and less
-    than 0.3 of both with the sign changed: no geometry, slip or noise does both. Raises `DataError`.
+    than 0.3 of both with the sign changed: no geometry, slip or noise does both. It speaks against a change
+    where it is the other way round.
     """
     strides = _Strides(reduce_recordings(recordings, _BLOCK_S), nominal.geometry)
     rolled, moved = strides.rolled(), strides.moved()
-    wrong = strides.missed(rolled, moved) > _WRONG
-    changed = _changed(strides, rolled, moved)
-    explained = {words: wrong & (share < _RIGHT) for words, share in changed.items()}
-    best = max(np.count_nonzero(found) for found in explained.values())
-    if not best:
-        for one in recordings:
-            _check_rates(one)
+    missed, changed = strides.missed(rolled, moved), _changed(strides, rolled, moved)
+    return WrongSigns(
+        {words: (missed > _WRONG) & (share < _RIGHT) for words, share in changed.items()},
+        {
+            words: int(np.count_nonzero((missed < _RIGHT) & (share > _WRONG)))
+            for words, share in changed.items()
+        },
+    )
+
+
+def check_signs(recordings: Sequence[Recording], nominal: Nominal, *, of_all: bool = False) -> None:
+    """Refuse recordings whose wheels contradict the ground truth or their own rates, see `wrong_signs`.
+
+    Args:
+        recordings: to look at.
+        nominal: robot that they are read for.
+        of_all: refuse only what may be wrong in all of them.
+
+    Raises:
+        DataError: names the first file, and the columns that may be wrong.
+    """
+    found = wrong_signs(recordings, nominal)
+    likely = found.likely()
+    if of_all and not found.of_all:
         return
-    likely = [words for words, found in explained.items() if np.count_nonzero(found) == best]
-    names = [_place(one) for one, found in zip(recordings, explained[likely[0]], strict=True) if found]
+    if not likely:
+        for one in recordings:
+            if rates_against_angles(one):
+                raise DataError(
+                    _place(one), RATES_AGAINST, expected="both grow as the wheel rolls forward",
+                    remedy="change the sign of one in the file",
+                )  # fmt: skip
+        return
+    wrong = found.explained[likely[0]]
+    names = [_place(one) for one, is_wrong in zip(recordings, wrong, strict=True) if is_wrong]
     others = f" ({len(names) - 1} more recordings likewise)" if len(names) > 1 else ""
     raise DataError(
         names[0],
-        f"the wheels contradict the ground truth, and would agree if {', or if '.join(likely)}{others}",
+        _CONTRADICTS.format(", or if ".join(likely)) + others,
         expected="phi that grows as its wheel rolls forward; delta and theta counter-clockwise from above",
         remedy="correct that column in the file",
     )
+
+
+def missed_shares(recordings: Sequence[Recording], geometry: WheelGeometry) -> Array:
+    """Share (R,) of the true way or turning, whichever is more, that wheels of this geometry miss."""
+    strides = _Strides(reduce_recordings(recordings, _BLOCK_S), geometry)
+    return strides.missed(strides.rolled(), strides.moved())
 
 
 def contradictions(recordings: Sequence[Recording], geometry: WheelGeometry) -> list[str]:
@@ -70,8 +139,7 @@ def contradictions(recordings: Sequence[Recording], geometry: WheelGeometry) -> 
     Slip bursts and spoilt stretches miss up to 0.16, tolerances of a workshop a few hundredths. One steering
     angle with the wrong sign misses 0.25 on a circle, two wheels that are exchanged 0.5.
     """
-    strides = _Strides(reduce_recordings(recordings, _BLOCK_S), geometry)
-    missed = strides.missed(strides.rolled(), strides.moved())
+    missed = missed_shares(recordings, geometry)
     found = [int(i) for i in np.argsort(-missed, kind="stable") if missed[i] > _UNEXPLAINED]
     if not found:
         return []
@@ -89,22 +157,16 @@ def _place(recording: Recording) -> str:
     return recording.sources[0] if recording.sources else recording.name
 
 
-def _check_rates(recording: Recording) -> None:
-    """Refuse wheel rates of the other sign than the wheel angles."""
+def rates_against_angles(recording: Recording) -> bool:
+    """Whether the wheel rates have the other sign than the wheel angles."""
     if not recording.has_rates:
-        return
+        return False
     grid_s = np.arange(recording.t_s[0], recording.t_s[-1], 1.0)
     ways = [np.diff(np.interp(grid_s, recording.t_s, angle)) for angle in recording.wheel_angle_rad.T]
     middle_s = 0.5 * (grid_s[1:] + grid_s[:-1])
     rates = [np.interp(middle_s, recording.t_s, rate) for rate in recording.wheel_rate_rad_s.T]
     alike = float(np.vdot(ways, rates))
-    if alike < _AGAINST * float(np.linalg.norm(ways) * np.linalg.norm(rates)):
-        raise DataError(
-            _place(recording),
-            "the wheel rates (w) have the other sign than the wheel angles (phi)",
-            expected="both grow as the wheel rolls forward",
-            remedy="change the sign of one in the file",
-        )
+    return alike < _AGAINST * float(np.linalg.norm(ways) * np.linalg.norm(rates))
 
 
 class _Strides:

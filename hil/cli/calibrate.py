@@ -52,8 +52,9 @@ def command(
 ) -> int:  # fmt: skip
     """Calibrate the odometry on recordings with ground truth.
 
-    A result that does not explain the recordings is not written, and the exit code is 1. A damaged
-    recording is used as far as it can be read, and the exit code is 2.
+    A result that does not explain the recordings is not written, and the exit code is 1. Corrupt recordings
+    are named and left out. A damaged one is used as far as it can be read, one that cannot be used is left
+    out, and the exit code is 2.
 
     Example: hil calibrate recordings/ --out calibration.toml
     """
@@ -66,13 +67,15 @@ def command(
     config = configured(bench)
     robot = on_paper(config)
     _check_outputs(out, plots)
+    unusable: dict[str, str] = {}
     with reporting() as report:
         recordings = read_recordings(
-            data, lambda done, total: report("reading", done, total), topics=topics, nominal=robot
-        )
+            data, lambda done, total: report("reading", done, total), topics=topics, nominal=robot,
+            unusable=unusable,
+        )  # fmt: skip
         result = calibrate(
             recordings, chosen, MonotonicClock(), method=method, seed=seed, nominal=robot,
-            validate=not no_validation, report=report,
+            validate=not no_validation, unusable=unusable, report=report,
         )  # fmt: skip
     for line in result.warnings:
         click.echo(f"warning: {line}", err=True)
@@ -87,7 +90,7 @@ def command(
     click.echo(json.dumps(result.to_json(), allow_nan=False) if as_json else _text(result))
     if not result.explains:
         return EXIT_LIMIT_FAILED
-    return EXIT_USAGE if any(r.problems for r in recordings) else EXIT_PASS
+    return EXIT_USAGE if unusable or any(r.problems for r in recordings) else EXIT_PASS
 
 
 def _check_outputs(out: Path | None, plots: Path | None) -> None:
@@ -119,11 +122,8 @@ def _write(out: Path, result: Calibration, config: BenchConfig | None) -> None:
     click.echo(f"wrote {out} (version {file.version})", err=True)
 
 
-def _kept(result: Calibration) -> list[str]:
-    if not result.fit.rejected:
-        return []
-    before, after = result.kept_cost
-    return [f"without {', '.join(result.fit.rejected)}: J {before:.2f} -> {after:.2f}"]
+def _left_out(result: Calibration) -> list[str]:
+    return [f"left out, and why in a warning: {', '.join(result.rejected)}"] if result.rejected else []
 
 
 def _spread(result: Calibration) -> str:
@@ -146,7 +146,7 @@ def _text(result: Calibration) -> str:
         f"in {result.wall_s:.2f} s",
         f"from {result.robot.in_words()}",
         *([] if result.choice is None else [result.choice.in_words()]),
-        *_kept(result),
+        *_left_out(result),
         f"{'wheel':8}{'x_w mm':>10}{'y_w mm':>10}{'r mm':>10}{'delta0 deg':>12}   (effective values)",
     ]
     for i, wheel in enumerate(WHEELS):

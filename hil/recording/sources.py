@@ -86,6 +86,7 @@ def read_recordings(
     *,
     topics: str | Path | None = None,
     nominal: Nominal | None = None,
+    unusable: dict[str, str] | None = None,
 ) -> list[Recording]:
     """Read every run under the given files and folders; `progress(done, total)` after each.
 
@@ -99,6 +100,9 @@ def read_recordings(
         progress: called after each.
         topics: see `find_recordings`.
         nominal: robot that they are read for, see `build_recording`.
+        unusable: takes the files of recordings that cannot be used, and why, as long as more can. The others
+            are then refused only for signs that are wrong in most of them. Without it the first one that
+            cannot be used ends the reading.
 
     Returns:
         The recordings, in a fixed order, with names that differ.
@@ -111,29 +115,41 @@ def read_recordings(
     jobs = dict[tuple[Path, ...], list[Job]]()
     for job in found:
         jobs.setdefault(job.identity, []).append(job)
-    out = []
-    for number, (job, read) in enumerate(_at_once([same[0] for same in jobs.values()]), start=1):
-        recording, times = covered(read, robot), _times_given(jobs[job.identity])
-        if times > 1:
-            more = {f"mentions of {job.files[0]} beyond the first left out": times - 1}
-            recording = replace(recording, repairs={**recording.repairs, **more})
-        out.append(recording)
+    out, refused = [], list[DataError]()
+    for number, (job, read) in enumerate(_at_once([same[0] for same in jobs.values()], robot), start=1):
         if progress is not None:
             progress(number, len(jobs))
+        if isinstance(read, DataError):
+            refused.append(read)
+            if unusable is None or 2 * len(refused) >= len(jobs):
+                raise refused[0]
+            unusable[str(job.files[0])] = str(read).removeprefix(f"{job.files[0]}: ")
+            continue
+        times = _times_given(jobs[job.identity])
+        more = {f"mentions of {job.files[0]} beyond the first left out": times - 1} if times > 1 else {}
+        out.append(replace(read, repairs={**read.repairs, **more}) if more else read)
     out = named_apart(without_copies(out))
-    check_signs(out, robot)
+    check_signs(out, robot, of_all=unusable is not None)
     return out
 
 
-def _at_once(jobs: Iterable[Job]) -> Iterator[tuple[Job, Recording]]:
+def _at_once(jobs: Iterable[Job], robot: Nominal) -> Iterator[tuple[Job, Recording | DataError]]:
     """Read some recordings at a time, in order: unpacking and reading of numbers leave Python to others."""
     readers = ThreadPoolExecutor(_READERS)
     try:
-        read = [(job, readers.submit(job.read)) for job in jobs]
+        read = [(job, readers.submit(_read, job, robot)) for job in jobs]
         for job, recording in read:
             yield job, recording.result()
     finally:
         readers.shutdown(cancel_futures=True)
+
+
+def _read(job: Job, robot: Nominal) -> Recording | DataError:
+    """A recording, or why it cannot be used."""
+    try:
+        return covered(job.read(), robot)
+    except DataError as error:
+        return error
 
 
 def _times_given(same: Sequence[Job]) -> int:

@@ -77,15 +77,14 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
     tables = (evaluate(before), evaluate(after))
     facts = [
         f"method {result.method}, setting {setting.name}, model {setting.model}, signal {setting.signal}",
-        f"cost J {number(result.cost_before)} before, {number(result.cost_after)} after; without what was "
-        f"rejected {number(result.kept_cost[0])} and {number(result.kept_cost[1])}",
+        f"cost J {number(result.cost_before)} before, {number(result.cost_after)} after",
         f"nominal robot: {result.robot.in_words()}",
     ]
     figures = [
         *_motion_figures(before, after),
         _parameters(result),
         Drawn("weights", "Weights of the recordings", _weights(result),
-              "Red: does not fit the others." if result.fit.rejected else "Every recording fits the others."),
+              "Red: left out." if result.rejected else "No recording was left out."),
         Drawn("correlation", "Correlation of the estimates", _correlation(result),
               "Strong colours: only the combination of two parameters is known, not each of them."),
     ]  # fmt: skip
@@ -107,11 +106,10 @@ def _sentence(tables: tuple[Mapping[str, Any], Mapping[str, Any]], result: Calib
     else:
         mean = float(np.mean([row["rmse_position_m"] for row in unseen.values()]))
         said += f"; on recordings that the fit did not see it is {1e3 * mean:.1f} mm."
-    bad = result.fit.rejected
+    bad = list(result.rejected)
     if bad:
-        of = f"{len(bad)} of {len(result.recordings)} recordings"
-        said += f" That includes {of} that {'does' if len(bad) == 1 else 'do'} not fit the others: "
-        said += f"{', '.join(bad)}."
+        of = f"{len(bad)} of {len(bad) + len(result.recordings)} recordings"
+        said += f" Left out: {of}, {', '.join(bad)} (see the warnings)."
     return said
 
 
@@ -234,11 +232,12 @@ def _correlation(result: Calibration) -> Figure:
 
 def _weights(result: Calibration) -> Figure:
     problem = result.fit.problem
-    names = problem.blocks.names
+    names = [*problem.blocks.names, *result.rejected]
     figure = new_figure(5.2, 2.6)
     axes = style(figure.add_subplot(), "", "weight in the fit")
-    colours = [SERIES[4] if n in result.fit.rejected else SERIES[0] for n in names]
-    axes.bar(range(len(names)), problem.weights, color=colours)
+    axes.bar(range(len(problem.weights)), problem.weights, color=SERIES[0])
+    for k in range(len(problem.weights), len(names)):
+        axes.axvspan(k - 0.4, k + 0.4, color=SERIES[4], alpha=0.4, lw=0)
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
     axes.set_ylim(0, 1.05)
     return figure
