@@ -25,8 +25,8 @@ import numpy as np
 from hil.calibration import problem as problems
 from hil.calibration.blocks import reduce_recordings
 from hil.calibration.calibrate import calibrate
-from hil.calibration.evaluation import truth_window, wheel_steps
 from hil.calibration.problem import PAPER, RECOMMENDED, Problem
+from hil.calibration.sampling import truth_window, wheel_steps
 from hil.calibration.synthetic import hidden_robot, make_set
 from hil.recording.sources import read_recordings
 from hil.robot.kinematics import WheelGeometry

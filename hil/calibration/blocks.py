@@ -14,7 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.calibration.datasets import Recording
-from hil.calibration.evaluation import block_vectors, interpolate, rest_pose, truth_window
+from hil.calibration.leaps import Bools
+from hil.calibration.sampling import block_vectors, checked_edges
+from hil.calibration.start import start_of
 from hil.vocabulary.geometry import Array
 
 
@@ -27,6 +29,8 @@ class Blocks:
         wheel_rad: (R, N, 8) dphi_i cos d_i, dphi_i sin d_i summed over the block, rad.
         truth: (R, N, 3) pose at the end of the block; `start` (R, 3) pose at the first one's start.
         counts: (R,) number of real blocks.
+        known: (R, N) where ground truth is known at the end of the block; False for padding.
+        block_s: typical length of a block, s.
     """
 
     names: tuple[str, ...]
@@ -35,13 +39,23 @@ class Blocks:
     truth: Array
     start: Array
     counts: Array
+    known: Bools
     block_s: float
 
     @property
+    def real(self) -> Bools:
+        """(R, N), True for a real block and False for padding."""
+        return np.asarray(np.arange(self.wheel_rad.shape[1])[None, :] < self.counts[:, None], dtype=np.bool_)
+
+    @property
     def mask(self) -> Array:
-        """(R, N), 1 for a real block and 0 for padding."""
-        index = np.arange(self.wheel_rad.shape[1])
-        return np.asarray(index[None, :] < self.counts[:, None], dtype=np.float64)
+        """(R, N), 1 where the end of the block is compared and 0 elsewhere."""
+        return np.asarray(self.known, dtype=np.float64)
+
+    @property
+    def compared(self) -> Array:
+        """(R,) number of blocks whose ends are compared."""
+        return np.asarray(self.mask.sum(axis=1), dtype=np.float64)
 
     def subset(self, index: Sequence[int]) -> Blocks:
         """Some of the recordings."""
@@ -55,6 +69,7 @@ class Blocks:
             np.ascontiguousarray(self.truth[i][:, :n]),
             self.start[i],
             counts,
+            np.ascontiguousarray(self.known[i][:, :n]),
             self.block_s,
         )
 
@@ -71,32 +86,26 @@ def reduce_recordings(recordings: Sequence[Recording], block_s: float, signal: s
     counts = np.array([len(w) for w, _, _ in rows])
     n = int(counts.max())
     wheel, truth = np.zeros((len(rows), n, 8)), np.zeros((len(rows), n, 3))
-    for k, (w, t, _) in enumerate(rows):
-        wheel[k, : len(w)], truth[k, : len(t)] = w, t
+    known = np.zeros((len(rows), n), dtype=np.bool_)
+    for k, (w, t, seen) in enumerate(rows):
+        wheel[k, : len(w)], truth[k, : len(t)], known[k, : len(t)] = w, t, seen
     return Blocks(
         tuple(r.name for r in recordings),
         tuple(r.motion for r in recordings),
         wheel,
         truth,
-        np.array([s for _, _, s in rows]),
+        np.array([start_of(r).pose for r in recordings]),
         counts,
+        known,
         block_s,
     )
 
 
-def _reduced(recording: Recording, block_s: float, signal: str) -> tuple[Array, Array, Array]:
-    """Wheel vectors, poses at the blocks' ends and pose at the start of a recording."""
+def _reduced(recording: Recording, block_s: float, signal: str) -> tuple[Array, Array, Bools]:
+    """Wheel vectors, poses at the blocks' ends and where they are known, of a recording."""
     key = ("reduced", block_s, signal)
     if key not in recording.derived:
-        recording.derived[key] = _reduce(recording, block_s, signal)
-    found: tuple[Array, Array, Array] = recording.derived[key]
+        edges_s, truth, known = checked_edges(recording, block_s)
+        recording.derived[key] = block_vectors(recording, edges_s, signal), truth, known
+    found: tuple[Array, Array, Bools] = recording.derived[key]
     return found
-
-
-def _reduce(recording: Recording, block_s: float, signal: str) -> tuple[Array, Array, Array]:
-    truth_s, _ = truth_window(recording)
-    count = max(1, int((truth_s[-1] - truth_s[0]) / block_s))
-    edges_s = truth_s[0] + np.arange(count + 1) * block_s
-    wheel = block_vectors(recording, edges_s, signal)
-    truth = interpolate(edges_s[1:], recording.truth_t_s, recording.truth_pose)
-    return wheel, truth, rest_pose(recording)

@@ -14,6 +14,7 @@ from hil.calibration.identifiability import Identifiability, identifiability
 from hil.calibration.motion_models import make_model
 from hil.calibration.nominal import lever_m
 from hil.calibration.signs import LOOK, contradictions
+from hil.calibration.start import start_of
 from hil.calibration.time_offset import different_clocks
 from hil.calibration.validation import Deployed, Table
 from hil.robot.kinematics import WheelGeometry
@@ -110,8 +111,9 @@ def motions_apart(found: Fit) -> list[str]:
 
 
 def told_by(recordings: Sequence[Recording]) -> list[str]:
-    """What recordings say about themselves: damage, repairs, and clocks that differ."""
-    return [*(line for r in recordings for line in r.warnings()), *different_clocks(recordings)]
+    """What recordings say about themselves: damage, repairs, a start in motion, and clocks that differ."""
+    lines = [line for r in recordings for line in (*r.warnings(), *start_of(r).doubt(r.name))]
+    return [*lines, *different_clocks(recordings)]
 
 
 def unexplained(found: Fit) -> list[str]:
@@ -120,7 +122,7 @@ def unexplained(found: Fit) -> list[str]:
     inside = blocks.mask[..., None] * weight
     left = np.linalg.norm(found.problem.errors(found.solution.z) * inside, axis=2)
     way = np.linalg.norm((blocks.truth - blocks.start[:, None]) * inside, axis=2).max(axis=1)
-    rms = np.sqrt((left**2).sum(axis=1) / blocks.counts)
+    rms = np.sqrt((left**2).sum(axis=1) / np.maximum(blocks.compared, 1))
     share = float(np.median(rms / np.maximum(way, 1e-9)))
     if share < _UNEXPLAINED:
         return []

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from hil.calibration.datasets import Recording
-from hil.calibration.evaluation import interpolate
+from hil.calibration.sampling import interpolate
 from hil.vocabulary.geometry import Array
 
 _ALIKE_S, _ALIKE_RAD = 1e-5, 1e-6

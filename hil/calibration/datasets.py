@@ -20,7 +20,7 @@ from hil.calibration.units import check_leaps, check_time, check_units, rolled_m
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array
 
-_GAP_S = 0.1
+_GAP_S, _GAPS_LONGER = 0.1, 1.5
 _MIN_STEP_S = 1e-6
 _MIN_ROWS = 20
 _WHEEL_COLUMNS = ("t", *(f"phi{i}" for i in range(1, 5)), *(f"delta{i}" for i in range(1, 5)))
@@ -60,6 +60,7 @@ class Recording:
         receive_s, truth_receive_s: receive stamps, kept for the paper's own preprocessing.
         repairs: what was repaired, by name and count.
         problems: what of its file could not be read.
+        nominal: robot that it was read for.
         derived: what was computed from the recording alone, by a name; copies with other rows begin anew.
     """
 
@@ -77,6 +78,7 @@ class Recording:
     sha256: tuple[str, ...] = ()
     repairs: Mapping[str, int] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
+    nominal: Nominal = field(default_factory=Nominal)
     derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
@@ -147,8 +149,8 @@ def build_recording(
     repairs.update(turns.repairs)
     keep = _without_leaps(where, truth_t_s, pose, fastest_m_s(t_s, angle, robot.radius_m), robot, repairs)
     truth_t_s, pose, truth_receive_s = truth_t_s[keep], pose[keep], truth_receive_s[keep]
-    for kind, stamps in (("wheel", t_s), ("ground-truth", truth_t_s)):
-        _count(repairs, f"{kind} gaps over {_GAP_S:g} s bridged", np.count_nonzero(np.diff(stamps) > _GAP_S))
+    _count_gaps(repairs, t_s, "wheel gaps over {:g} s bridged")
+    _count_gaps(repairs, truth_t_s, "ground-truth gaps over {:g} s, in which nothing is compared")
     heading = pose[:, 2]
     pose = np.column_stack([pose[:, :2], np.unwrap(heading)])
     by_wheels, by_truth = ((t >= begin_s) & (t <= end_s) for t in (t_s, truth_t_s))
@@ -178,12 +180,20 @@ def build_recording(
         sources=sources,
         sha256=sha256,
         repairs=repairs,
+        nominal=robot,
     )
 
 
 def _count(repairs: dict[str, int], what: str, number: SupportsInt) -> None:
     if int(number):
         repairs[what] = repairs.get(what, 0) + int(number)
+
+
+def _count_gaps(repairs: dict[str, int], t_s: Array, what: str) -> None:
+    """Count what is longer than a tenth of a second, and clearly longer than rows usually are apart."""
+    lasts_s = np.diff(t_s)
+    gap_s = max(_GAP_S, round(_GAPS_LONGER * float(np.median(lasts_s)), 2))
+    _count(repairs, what.format(gap_s), np.count_nonzero(lasts_s > gap_s + _MIN_STEP_S))
 
 
 def _emptiest(log: Log, names: tuple[str, ...]) -> str:

@@ -83,9 +83,9 @@ def mismatch(blocks: Blocks, nominal: Nominal) -> str:
     Held against ground truth are the ways and the turns of the recordings, by their median, so that a bad
     recording does not count.
     """
-    step = _steps(blocks, nominal.geometry) * blocks.mask[..., None]
+    step = _steps(blocks, nominal.geometry) * blocks.real[..., None]
     truth = np.concatenate([blocks.start[:, None], blocks.truth], axis=1)
-    move = np.diff(truth, axis=1) * blocks.mask[..., None]
+    move = np.diff(truth, axis=1) * blocks.real[..., None]
     ways = [np.hypot(move[..., 0], move[..., 1]), np.hypot(step[..., 0], step[..., 1])]
     wrong = []
     for verb, much, (true, wheels), worth in (

@@ -2,9 +2,9 @@
 
 Two preprocessings. `paper` follows the authors' own (arXiv 2509.04016): receive stamps made
 increasing, servo signals interpolated onto the ground-truth stamps, the first 29 samples dropped,
-forward Euler, initial heading from one sample. The default integrates on the SE(2) group and starts
-from the ground truth averaged over the initial rest, because one noisy first heading would cost
-millimetres per metre.
+forward Euler, initial heading from one sample. The default integrates on the SE(2) group from wheel row to
+wheel row, whatever the ground truth saw meanwhile, and compares at the rows of the ground truth alone. It
+starts as `hil.calibration.start` says.
 
 Errors e_m and e_a are the paper's (arXiv 2509.04016): e_m is the largest absolute error of any
 repetition, e_a the mean over the repetitions of each one's largest absolute error.
@@ -18,17 +18,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.calibration.datasets import Recording
+from hil.calibration.sampling import block_vectors, interpolate, truth_window, wheel_edges, wheel_steps
+from hil.calibration.start import start_of
 from hil.robot.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
-from hil.robot.odometry import integrate
-from hil.vocabulary.errors import DataError, UsageError
+from hil.robot.odometry import integrate, sample_path
+from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array
 
-SIGNALS = ("position", "velocity")
 FRICTION_BLOCK_S = 0.3
-_LOG_PERIOD_S = 0.016
 _PAPER_DROPPED = 29
-_REST_RAD = 0.02
-_REST_MIN = 5
 
 
 @dataclass(frozen=True)
@@ -49,59 +47,6 @@ class Track:
     def error(self) -> Array:
         """Odometry minus truth, (n, 3)."""
         return self.odometry - self.truth
-
-
-def interpolate(at_s: Array, t_s: Array, values: Array) -> Array:
-    """Columns of `values` linearly interpolated, (m, k).
-
-    Args:
-        at_s: (m,) instants wanted, s.
-        t_s: (n,) times of the rows, s.
-        values: (n, k).
-    """
-    return np.column_stack([np.interp(at_s, t_s, column) for column in values.T])
-
-
-def rest_pose(recording: Recording) -> Array:
-    """Ground truth (3,) averaged over the initial rest: until the wheels have turned 0.02 rad."""
-    moved = np.max(np.abs(recording.wheel_angle_rad - recording.wheel_angle_rad[0]), axis=1)
-    started = np.flatnonzero(moved > _REST_RAD)
-    start_s = recording.t_s[started[0]] if len(started) else recording.t_s[-1]
-    still = recording.truth_t_s < start_s - 0.05
-    count = max(int(np.count_nonzero(still)), _REST_MIN)
-    return np.asarray(recording.truth_pose[:count].mean(axis=0), dtype=np.float64)
-
-
-def wheel_steps(recording: Recording, at_s: Array, signal: str) -> tuple[Array, Array]:
-    """Wheel rotation (n - 1, 4) rad and mean steering angle (n - 1, 4) rad between the instants `at_s`.
-
-    Args:
-        recording: with wheel and steering angles.
-        at_s: (n,) instants, s.
-        signal: `position` or `velocity`.
-
-    Raises:
-        DataError: the velocity register is asked for and was not recorded.
-        UsageError: another signal.
-    """
-    if signal not in SIGNALS:
-        raise UsageError(f"signal {signal!r}", expected="one of " + ", ".join(SIGNALS))
-    steering = interpolate(at_s, recording.t_s, recording.steering_rad)
-    middle = 0.5 * (steering[1:] + steering[:-1])
-    if signal == "position":
-        return np.diff(interpolate(at_s, recording.t_s, recording.wheel_angle_rad), axis=0), middle
-    if not recording.has_rates:
-        raise DataError(
-            recording.name, "has no wheel rates", expected="w1..w4", remedy="use --signal position"
-        )
-    rate = interpolate(at_s, recording.t_s, recording.wheel_rate_rad_s)
-    return 0.5 * (rate[1:] + rate[:-1]) * np.diff(at_s)[:, None], middle
-
-
-def truth_window(recording: Recording) -> tuple[Array, Array]:
-    """Ground truth rows within the wheel log: stamps (n,) and poses (n, 3)."""
-    inside = (recording.truth_t_s >= recording.t_s[0]) & (recording.truth_t_s <= recording.t_s[-1])
-    return recording.truth_t_s[inside], recording.truth_pose[inside]
 
 
 @dataclass(frozen=True)
@@ -147,7 +92,7 @@ def track_all(
 ) -> list[Track]:  # fmt: skip
     """`track` of several recordings, their wheels read in one go; `correction` (3, 3)."""
     paper = model == "paper" and correction is None
-    kind = "paper" if paper else "blocks" if model == "dry-friction" else "stamps"
+    kind = "paper" if paper else "blocks" if model == "dry-friction" else "rows"
     every = [_steps(r, kind, signal) for r in recordings]
     if not every:
         return []
@@ -162,22 +107,26 @@ def track_all(
 def _along(recording: Recording, steps: Steps, motion: Array) -> Track:
     """The track of body displacements (k, 3)."""
     poses = integrate(steps.start, motion, "euler" if steps.by_the_paper else "exponential")
-    if steps.edges_s is not steps.t_s:
+    if not steps.by_the_paper:
         poses = sample_path(steps.t_s, steps.edges_s, poses, motion)
     return Track(recording, steps.t_s - steps.t_s[0], poses, steps.truth)
 
 
 def _steps(recording: Recording, kind: str, signal: str) -> Steps:
-    """Steps from stamp to stamp of the ground truth, in `blocks` of 0.3 s, or as the `paper` has them."""
+    """Steps from one of the wheel `rows` to the next, in `blocks` of 0.3 s, or as the `paper` has them."""
     known = recording.derived.get((kind, signal))
     if known is None:
         if kind == "paper":
             known = _paper_steps(recording, signal)
         else:
             at_s, truth = truth_window(recording)
-            edges_s = at_s if kind == "stamps" else block_edges(at_s, FRICTION_BLOCK_S)
-            wheel_rad = block_vectors(recording, edges_s, signal)
-            known = Steps(at_s, truth, edges_s, wheel_rad, rest_pose(recording))
+            if kind == "rows":
+                edges_s = wheel_edges(recording, at_s[0], at_s[-1])
+                wheel_rad = wheel_vectors(*wheel_steps(recording, edges_s, signal))
+            else:
+                edges_s = block_edges(at_s, FRICTION_BLOCK_S)
+                wheel_rad = block_vectors(recording, edges_s, signal)
+            known = Steps(at_s, truth, edges_s, wheel_rad, start_of(recording).pose)
         recording.derived[kind, signal] = known
     return known
 
@@ -186,25 +135,6 @@ def block_edges(at_s: Array, block_s: float) -> Array:
     """Edges (b + 1,), s, of blocks of `block_s` from the first instant to just past the last."""
     count = int(np.ceil((at_s[-1] - at_s[0]) / block_s))
     return np.asarray(at_s[0] + np.arange(count + 1) * block_s, dtype=np.float64)
-
-
-def block_vectors(recording: Recording, edges_s: Array, signal: str) -> Array:
-    """Wheel vectors dphi_i (cos d_i, sin d_i) summed between edges, shape (n, 8), rad.
-
-    Increments are formed every 16 ms, the rate of the log, so that steering may change within a block.
-
-    Args:
-        recording: with wheel and steering angles.
-        edges_s: (n + 1,) edges of the blocks, s.
-        signal: `position` or `velocity`.
-    """
-    fine = max(1, round(float(np.median(np.diff(edges_s))) / _LOG_PERIOD_S))
-    parts = np.linspace(0.0, 1.0, fine + 1)[:-1]
-    inner = (edges_s[:-1, None] + np.diff(edges_s)[:, None] * parts).ravel()
-    rotation, steering = wheel_steps(recording, np.append(inner, edges_s[-1]), signal)
-    return np.asarray(
-        wheel_vectors(rotation, steering).reshape(len(edges_s) - 1, fine, 8).sum(axis=1), dtype=np.float64
-    )
 
 
 def rolled(z: Array, wheel_rad: Array) -> Array:
@@ -227,28 +157,13 @@ def roll(turned: Array, q: Array, u: Array) -> None:
         u[2 * i], u[2 * i + 1] = c * qx + s * qy, c * qy - s * qx
 
 
-def sample_path(at_s: Array, edges_s: Array, poses: Array, motion: Array) -> Array:
-    """Poses (n, 3) at any instants on a path of constant body twist between its edges.
-
-    Args:
-        at_s: (n,) instants, s.
-        edges_s: (b + 1,) edges of the blocks, s.
-        poses: (b or more, 3) at the edges, wall frame.
-        motion: (b, 3) body displacement in each block.
-    """
-    k = np.clip(np.searchsorted(edges_s, at_s, side="right") - 1, 0, len(motion) - 1)
-    share = ((at_s - edges_s[k]) / (edges_s[k + 1] - edges_s[k]))[:, None]
-    part = motion[k] * share
-    half = 0.5 * part[:, 2]
-    chord, heading = np.sinc(half / np.pi), poses[k, 2] + half
-    c, s = np.cos(heading) * chord, np.sin(heading) * chord
-    x = poses[k, 0] + c * part[:, 0] - s * part[:, 1]
-    y = poses[k, 1] + s * part[:, 0] + c * part[:, 1]
-    return np.column_stack([x, y, poses[k, 2] + part[:, 2]])
-
-
 def _paper_steps(recording: Recording, signal: str) -> Steps:
     at_s = recording.truth_receive_s[_PAPER_DROPPED:]
+    if len(at_s) < 2:
+        raise DataError(
+            recording.name, f"has {len(recording.truth_receive_s)} rows of ground truth",
+            expected=f"more than {_PAPER_DROPPED + 1}: the paper leaves out the first {_PAPER_DROPPED}",
+        )  # fmt: skip
     truth = recording.truth_pose[_PAPER_DROPPED:]
     steering = interpolate(at_s, recording.receive_s, recording.steering_rad)[:-1]
     if signal == "velocity":

@@ -95,7 +95,7 @@ def data_information(problem: Problem, z: Array) -> Array:
         _, _, hessian = problem.gradient_terms(z)
         return np.asarray(hessian - np.diag(problem.prior_precision()), dtype=np.float64)
     _, slopes = problem.errors_and_jacobian(z)
-    share = problem.blocks.mask * (3.0 / problem.blocks.counts)[:, None]
+    share = problem.blocks.mask * (3.0 / np.maximum(problem.blocks.compared, 1))[:, None]
     scaled = slopes / np.array([0.004, 0.004, 0.006])[:, None] * np.sqrt(share)[..., None, None]
     flat = scaled.reshape(-1, len(z))
     return np.asarray(flat.T @ flat, dtype=np.float64)

@@ -12,6 +12,7 @@ from functools import cache
 import numpy as np
 
 from hil.calibration.evaluation import roll
+from hil.calibration.leaps import Bools
 from hil.calibration.motion_models import COLD, FRICTION, respond, settled
 from hil.robot.odometry import chord, chord_slopes
 from hil.vocabulary.extras import is_installed
@@ -22,7 +23,7 @@ Pass = Callable[..., None]
 
 def run_pass(
     kind: int, load: Array, power: float, ratio: float, z: Array, turned: Array, start: int,
-    wheel_rad: Array, first: Array, truth: Array, counts: Array, scale: Array,
+    wheel_rad: Array, first: Array, truth: Array, known: Bools, counts: Array, scale: Array,
     last: Array, errors: Array, slopes: Array,
 ) -> None:  # fmt: skip
     """Put scaled pose errors and their derivatives in place; empty `slopes` are left out.
@@ -38,6 +39,7 @@ def run_pass(
         wheel_rad: (R, N, 8) raw wheel vectors.
         first: (R, 3) poses at the start.
         truth: (R, N, 3) poses at the blocks' ends.
+        known: (R, N) where they are known; elsewhere errors and derivatives are 0.
         counts: (R,) numbers of real blocks; the others are not touched.
         scale: (R, 3) factors of the errors.
         last: (3, R N) body motions, taken and put.
@@ -66,12 +68,14 @@ def run_pass(
                     sums[1, i] += s * mx + c * my + way_x * turn + by_y * mt
                     sums[2, i] = turn
                 for axis in range(3):
+                    factor = scale[r, axis] if known[r, k] else 0.0
                     for i in range(size):
-                        slopes[r, k, axis, i] = scale[r, axis] * sums[axis, i]
+                        slopes[r, k, axis, i] = factor * sums[axis, i]
             x, y, theta = x + way_x, y + way_y, theta + b[2]
-            errors[r, k, 0] = scale[r, 0] * (x - truth[r, k, 0])
-            errors[r, k, 1] = scale[r, 1] * (y - truth[r, k, 1])
-            errors[r, k, 2] = scale[r, 2] * (theta - truth[r, k, 2])
+            seen = 1.0 if known[r, k] else 0.0
+            errors[r, k, 0] = seen * scale[r, 0] * (x - truth[r, k, 0])
+            errors[r, k, 1] = seen * scale[r, 1] * (y - truth[r, k, 1])
+            errors[r, k, 2] = seen * scale[r, 2] * (theta - truth[r, k, 2])
 
 
 @cache
@@ -85,6 +89,7 @@ def compiled_pass() -> Pass | None:
     four, z, one = np.ones(4), np.ones(16), np.zeros((1, 1, 3))
     compile_for(
         run, FRICTION, four, 1.0, 1.0, z, np.ones((2, 4)), COLD, np.zeros((1, 1, 8)), np.zeros((1, 3)), one,
-        np.zeros(1, dtype=np.int64), np.ones((1, 3)), np.zeros((3, 1)), one, np.zeros((1, 1, 3, 16)),
+        np.zeros((1, 1), dtype=np.bool_), np.zeros(1, dtype=np.int64), np.ones((1, 3)), np.zeros((3, 1)), one,
+        np.zeros((1, 1, 3, 16)),
     )  # fmt: skip
     return run

@@ -114,7 +114,7 @@ class Problem:
         count = len(self.blocks.names)
         if self.setting.sigma is None:
             return np.full((count, 3), np.sqrt(self.blocks.block_s / 0.01))
-        share = np.sqrt(_EFFECTIVE_OBSERVATIONS / self.blocks.counts)
+        share = np.sqrt(_EFFECTIVE_OBSERVATIONS / np.maximum(self.blocks.compared, 1))
         return np.asarray(share[:, None] / np.array(self.setting.sigma), dtype=np.float64)
 
     @property
@@ -175,7 +175,7 @@ class Problem:
         return poses[:, 1:] - self.blocks.truth, np.ascontiguousarray(slopes.transpose(2, 3, 0, 1))
 
     def _row_factors(self) -> Array:
-        """(R, N, 3) factor of each residual without the recording's weight; 0 for padding."""
+        """(R, N, 3) factor of each residual without the recording's weight; 0 where nothing is compared."""
         return np.asarray(self.blocks.mask[..., None] * self._scale[:, None], dtype=np.float64)
 
     def normal_terms(self, z: Array) -> Terms:
@@ -211,7 +211,7 @@ class Problem:
         errors, slopes = self._known.rows(self.blocks.truth.shape, len(z))
         run(
             law.kind, law.load, law.power, law.ratio, z, turned_wheels(z), model.start(z),
-            blocks.wheel_rad, blocks.start, blocks.truth, blocks.counts, self._scale,
+            blocks.wheel_rad, blocks.start, blocks.truth, blocks.known, blocks.counts, self._scale,
             model.last, errors, slopes if with_slopes else slopes[:0],
         )  # fmt: skip
         return errors, slopes

@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.calibration.blocks import Blocks, reduce_recordings
 from hil.calibration.datasets import Recording
-from hil.calibration.leaps import Bools
+from hil.calibration.leaps import Bools, Rows
 from hil.calibration.motion_models import make_model
 from hil.calibration.nominal import Nominal, lever_m
 from hil.robot.kinematics import WheelGeometry
@@ -22,7 +22,7 @@ from hil.robot.odometry import integrate
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array
 
-_BLOCK_S, _STRIDE = 0.1, 10
+_BLOCK_S, _STRIDE, _LONGEST = 0.1, 10, 20
 _WRONG, _RIGHT = 0.6, 0.3
 _UNEXPLAINED = 0.2
 _ROLLING = 0.3
@@ -170,21 +170,28 @@ def rates_against_angles(recording: Recording) -> bool:
 
 
 class _Strides:
-    """R recordings second by second (S strides): how their wheels rolled, and how the robot truly moved."""
+    """R recordings second by second (S strides): how their wheels rolled, and how the robot truly moved.
+
+    A stride ends at the last block of its second whose end the ground truth knows; one across a gap does not
+    count.
+    """
 
     def __init__(self, blocks: Blocks, geometry: WheelGeometry) -> None:
-        self._wheel_rad, self._geometry = blocks.wheel_rad, geometry
-        self._strides = blocks.wheel_rad.shape[1] // _STRIDE
-        ends = _STRIDE * np.arange(self._strides + 1)
-        self._poses = np.concatenate([blocks.start[:, None], blocks.truth], axis=1)[:, ends]
-        counted = _rolling(blocks, self._strides) & (ends[1:] <= blocks.counts[:, None])
+        self._blocks, self._geometry = blocks, geometry
+        self._ends = _ends(blocks)
+        self._poses = self._at_ends(np.concatenate([blocks.start[:, None], blocks.truth], axis=1))
+        lasts = np.diff(self._ends, axis=1)
+        counted = _rolling(blocks, self._ends) & (lasts > 0) & (lasts <= _LONGEST)
         self._weight = counted[..., None] * np.array([1.0, 1.0, lever_m(geometry)])
+
+    def _at_ends(self, rows: Array) -> Array:
+        return np.take_along_axis(rows, self._ends[..., None], axis=1)
 
     def rolled(self, signs: Array | float = 1.0) -> Array:
         """Moves (R, S, 3) by nominal odometry, of wheel vectors times signs (8,)."""
-        used = self._wheel_rad[:, : self._strides * _STRIDE] * signs
+        used = self._blocks.wheel_rad * signs
         motion = make_model("exact", used.reshape(-1, 8), self._geometry).motion(self._geometry.vector())
-        return integrate(np.zeros(3), motion.reshape(len(used), self._strides, _STRIDE, 3))[..., -1, :]
+        return _moves(self._at_ends(integrate(np.zeros(3), motion.reshape(*used.shape[:2], 3))))
 
     def moved(self, signs: Sequence[float] = (1.0, 1.0, 1.0), order: Sequence[int] = (0, 1, 2)) -> Array:
         """True moves (R, S, 3), of poses whose x, y and theta come in this order and with these signs."""
@@ -210,10 +217,18 @@ def _changed(strides: _Strides, rolled: Array, moved: Array) -> dict[str, Array]
     return {words: strides.missed(one, other) for words, (one, other) in pairs.items()}
 
 
-def _rolling(blocks: Blocks, strides: int) -> Bools:
+def _ends(blocks: Blocks) -> Rows:
+    """(R, S + 1): at which edge the strides of each recording begin and end."""
+    edges = np.arange(blocks.known.shape[1] + 1)
+    known = np.pad(blocks.known, ((0, 0), (1, 0)), constant_values=True)
+    last_known = np.maximum.accumulate(np.where(known, edges, 0), axis=1)
+    return np.asarray(last_known[:, ::_STRIDE], dtype=np.int_)
+
+
+def _rolling(blocks: Blocks, ends: Rows) -> Bools:
     """(R, S): strides in which the wheels roll, so that the noise of a rest does not count."""
-    vectors = blocks.wheel_rad[:, : strides * _STRIDE].reshape(len(blocks.counts), strides, _STRIDE, 8)
-    rolled = np.linalg.norm(vectors.sum(axis=2), axis=2)
+    way = np.pad(np.cumsum(blocks.wheel_rad, axis=1), ((0, 0), (1, 0), (0, 0)))
+    rolled = np.linalg.norm(np.diff(np.take_along_axis(way, ends[..., None], axis=1), axis=1), axis=2)
     return np.asarray(rolled > _ROLLING * rolled.mean(axis=1, keepdims=True), dtype=np.bool_)
 
 

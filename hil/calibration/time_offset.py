@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.calibration.datasets import Recording
-from hil.calibration.evaluation import interpolate, truth_window
 from hil.calibration.nominal import lever_m
+from hil.calibration.sampling import interpolate, truth_window
 from hil.robot.kinematics import WheelGeometry
 
 _GRID_S, _WINDOW_S = 0.02, 0.2

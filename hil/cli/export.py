@@ -38,10 +38,10 @@ def command(
     if topics is None:
         records = list(read_cycles(recording, problems))
     else:
-        from hil.recording.foreign import to_run
+        from hil.recording.foreign import to_cycles
         from hil.recording.rosbag import read_bag, read_topic_map
 
-        records = list(to_run(read_bag(recording, read_topic_map(topics))).records)
+        records = list(to_cycles(read_bag(recording, read_topic_map(topics))))
     check_target(target, chosen)
     rows, columns = write_table(records, target, chosen)
     for problem in problems:

@@ -1,15 +1,18 @@
 """Recordings of other origin as cycle records: one cycle per wheel sample.
 
 Nothing is estimated or commanded in such a run: it is there to be replayed through estimators, drawn,
-and compared like one of our own.
+and compared like one of our own. It begins where odometry begins in `hil evaluate`.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hil.calibration.datasets import Recording
-from hil.calibration.evaluation import rest_pose
+from hil.calibration.sampling import interpolate, truth_window, wheel_edges
+from hil.calibration.start import start_of
 from hil.recording.runs import START_COVARIANCE, RecordedRun, RunStart
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.geometry import Array
@@ -29,9 +32,30 @@ _USABLE = (True,) * 4
 
 
 def to_run(recording: Recording) -> RecordedRun:
-    """A recording as a run that starts at the ground truth averaged over its initial rest."""
+    """A recording as a run that starts at its first ground truth within the wheel log, see `start_of`."""
+    start = RobotState(0, start_of(recording).pose, np.zeros(3), START_COVARIANCE)
+    return RecordedRun(RunStart(start, "odometry"), to_cycles(_from_first_truth(recording)))
+
+
+def _from_first_truth(recording: Recording) -> Recording:
+    """Without the wheel rows before the first ground truth, at which the wheels are interpolated."""
+    at_s = wheel_edges(recording, truth_window(recording)[0][0], recording.t_s[-1])
+    angle, steering, rate, receive_s = (
+        interpolate(at_s, recording.t_s, values)
+        for values in (
+            recording.wheel_angle_rad, recording.steering_rad, recording.wheel_rate_rad_s,
+            recording.receive_s[:, None],
+        )
+    )  # fmt: skip
+    return replace(
+        recording, t_s=at_s, wheel_angle_rad=angle, steering_rad=steering, wheel_rate_rad_s=rate,
+        receive_s=receive_s[:, 0],
+    )  # fmt: skip
+
+
+def to_cycles(recording: Recording) -> tuple[CycleRecord, ...]:
+    """Every wheel row of a recording as a cycle, with the ground truth since the one before."""
     t_ns = [nanoseconds(t) for t in (recording.t_s - recording.t_s[0]).tolist()]
-    start = RobotState(t_ns[0], rest_pose(recording), np.zeros(3), START_COVARIANCE)
     edges = np.searchsorted(recording.truth_t_s, recording.t_s, side="right")
     rates = _rates(recording)
     records = []
@@ -48,7 +72,7 @@ def to_run(recording: Recording) -> RecordedRun:
             k, now_ns, (wheels,), mocap=tuple(_truth(recording, i) for i in seen)
         )  # fmt: skip
         records.append(_cycle(measured))
-    return RecordedRun(RunStart(start, "odometry"), tuple(records))
+    return tuple(records)
 
 
 def _rates(recording: Recording) -> Array:

@@ -1,7 +1,7 @@
 """Plain CSV: `t,phi1..phi4,delta1..delta4,x,y,theta[,w1..w4]`, one file a run, SI units.
 
-Ground truth may be empty or NaN in any row. The motion is the file name without `_K`, the number of a
-repetition.
+Ground truth may be empty or NaN in any row, and so may wheels where there is ground truth. The motion is the
+file name without `_K`, the number of a repetition.
 """
 
 from __future__ import annotations
@@ -61,10 +61,11 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
     truth = [columns.index(c) for c in TRUTH_COLUMNS]
     t_s = table[:, columns.index("t")]
     seen = np.any(np.isfinite(table[:, truth]), axis=1)
+    read = np.any(np.isfinite(table[:, wheels]), axis=1) | ~seen
     stem = path.name.removesuffix(".gz").removesuffix(".csv")
     return build_recording(
         stem,
-        Log(t_s, table[:, wheels]),
+        Log(t_s[read], table[read][:, wheels]),
         Log(t_s[seen], table[seen][:, truth]),
         motion=motion_of(stem),
         sources=(str(path),),

@@ -15,18 +15,21 @@ from types import MappingProxyType
 import numpy as np
 
 from hil.bench.blueprint import Blueprint
+from hil.calibration.sampling import is_slow
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.consistency import autocorrelation, nees
 from hil.recording.runs import RecordedRun
 from hil.ring.motion import HELD_S, Motion
 from hil.ring.own_parts import asked, reset_estimator
 from hil.robot.kinematics import WheelGeometry
+from hil.robot.odometry import displacements, sample_path
 from hil.vocabulary.blame import of_a_script
 from hil.vocabulary.choices import COMPARED, ESTIMATORS
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array, wrap_array
 from hil.vocabulary.interfaces import Estimator
+from hil.vocabulary.interpolation import between_samples
 from hil.vocabulary.signals import CycleRecord, RobotState, heard
 
 SENSORS = {"wheels": "wheels", "gyro": "IMU", "tracker": "camera", "mocap": "motion capture"}
@@ -155,7 +158,7 @@ def table(motions: Mapping[str, Motion]) -> dict[str, dict[str, float | None]]:
     return {
         name: {
             key: value if math.isfinite(value) else None
-            for key, value in (errors(motion, truth) | consistency(motion, truth)).items()
+            for key, value in (errors(motion) | consistency(motion, truth)).items()
         }
         for name, motion in motions.items()
     }
@@ -165,13 +168,15 @@ def truth_of(motion: Motion) -> Array:
     """Motion capture at the cycles, (n, 3): interpolated between samples, NaN where nobody knows.
 
     The last sample counts for the cycles after it (`Motion.mocap`) only while the wheels rest: of a robot
-    that drives it says where it has been.
+    that drives it says where it has been. Samples that come slowly count for the cycle next to each.
     """
+    at_s, poses = _samples(motion)
+    if not len(at_s):
+        return motion.mocap
+    if is_slow(at_s):
+        return _beside_samples(motion.t_s, at_s, poses)
     truth = motion.mocap
-    stamps = [m.stamp.t_ns for r in motion.records for m in r.measurements.mocap if m.valid]
-    if not stamps:
-        return truth
-    age_s = np.array([r.inputs.t_ns - max(stamps) for r in motion.records]) / NS_PER_S
+    age_s = motion.t_s - at_s[-1]
     since = int(np.argmax(age_s > -REST_S))
     angles = Motion(motion.records[since:]).wheels[:, :4]
     turned = np.fmax.accumulate(angles) - np.fmin.accumulate(angles)
@@ -179,6 +184,25 @@ def truth_of(motion: Motion) -> Array:
     at_rest = (turned <= REST_RAD_S * (REST_S + held_s)[:, None]).all(axis=1)
     truth[since:][(held_s > 0.0) & ~at_rest] = np.nan
     return truth
+
+
+def _samples(motion: Motion) -> tuple[Array, Array]:
+    """Valid samples of motion capture: s since the first cycle (m,) and poses (m, 3), in order of time."""
+    found = [m for r in motion.records for m in r.measurements.mocap if m.valid]
+    begin_ns = motion.records[0].inputs.t_ns if motion.records else 0
+    at_s = np.array([(m.stamp.t_ns - begin_ns) / NS_PER_S for m in found], dtype=np.float64)
+    order = np.argsort(at_s, kind="stable")
+    return at_s[order], np.array([m.pose for m in found], dtype=np.float64).reshape(-1, 3)[order]
+
+
+def _beside_samples(cycles_s: Array, at_s: Array, poses: Array) -> Array:
+    """Poses (n, 3) at the cycles (n,) next to samples (m,), brought there by the way between samples."""
+    between = between_samples(cycles_s, at_s, poses, longest=np.inf)
+    behind = np.clip(np.searchsorted(cycles_s, at_s), 1, len(cycles_s) - 1)
+    nearest = np.where(at_s - cycles_s[behind - 1] < cycles_s[behind] - at_s, behind - 1, behind)
+    out = np.full_like(between, np.nan)
+    out[nearest] = between[nearest]
+    return out
 
 
 def consistency(motion: Motion, truth: Array | None = None) -> dict[str, float]:
@@ -214,28 +238,30 @@ def _mean_nis(figures: Mapping[str, float], name: str) -> float:
     return float("nan") if mean == 1.0 and latest == 0.0 else float(mean)
 
 
-def errors(motion: Motion, truth: Array | None = None) -> dict[str, float]:
-    """Errors against motion capture; NaN without it.
+def errors(motion: Motion) -> dict[str, float]:
+    """Errors against motion capture at its own samples, as `hil evaluate` has them; NaN without it.
 
-    The one at the end is that of the last cycle of which the truth is known; NaN where that is `HELD_S` or
-    more before the end.
-
-    Args:
-        motion: what was estimated.
-        truth: `truth_of(motion)` where the caller knows it already, shape (n, 3).
+    Between two cycles the estimate goes on with constant twist. The error at the end is that of the last
+    sample; NaN where that is `HELD_S`, and more than two samples take, before the end.
 
     Returns:
         `rmse_position_m`, `rmse_theta_rad`, `final_position_m`, `max_position_m`.
     """
-    difference = motion.estimate - (truth_of(motion) if truth is None else truth)
+    at_s, poses = _samples(motion)
+    cycles_s, estimate = motion.t_s, motion.estimate
+    inside = (at_s >= 0.0) & (at_s <= cycles_s[-1]) if len(cycles_s) > 1 else at_s < at_s
+    at_s, poses = at_s[inside], poses[inside]
+    difference = np.empty((0, 3))
+    if len(at_s):
+        difference = sample_path(at_s, cycles_s, estimate, displacements(estimate)) - poses
     known = np.flatnonzero(np.isfinite(difference).all(axis=1))
     if not len(known):
         return dict.fromkeys(
             ("rmse_position_m", "rmse_theta_rad", "final_position_m", "max_position_m"), np.nan
         )
     distance_m: Array = np.hypot(difference[known, 0], difference[known, 1])
-    t_s = motion.t_s
-    saw_end = t_s[-1] - t_s[known[-1]] < HELD_S
+    apart_s = float(np.median(np.diff(at_s))) if len(at_s) > 1 else 0.0
+    saw_end = cycles_s[-1] - at_s[known[-1]] < max(HELD_S, 2.0 * apart_s)
     return {
         "rmse_position_m": float(np.sqrt(np.mean(distance_m**2))),
         "rmse_theta_rad": float(np.sqrt(np.mean(wrap_array(difference[known, 2]) ** 2))),

@@ -14,6 +14,7 @@ from hil.bench.blueprint import Blueprint
 from hil.bench.settings import geometry_of, nominal_of, with_wheel_model
 from hil.calibration.artefact import read_calibration
 from hil.calibration.blocks import reduce_recordings
+from hil.calibration.caveats import told_by
 from hil.calibration.coverage import covered
 from hil.calibration.datasets import Recording
 from hil.calibration.driven import mismatch
@@ -76,11 +77,12 @@ class OpenedRecording:
         """What is assumed of a foreign recording, and why its wheels cannot be that robot's."""
         if not self.tables:
             return []
+        told = told_by(self.tables)
         assumed = [] if self.named or len(self.tables[0].sources) == _PAIR else [self._assumed()]
         robot = replace(self.robot, geometry=self.bench.geometry)
         found = mismatch(reduce_recordings(self.tables, _BLOCK_S), robot)
         doubted = f"{found}; {robot.in_words()}; name the robot's bench file with --bench"
-        return [*assumed, doubted] if found else assumed
+        return [*told, *assumed, doubted] if found else [*told, *assumed]
 
     def _assumed(self) -> str:
         surface = "a wall" if self.bench.config.environment.on_wall else "a floor"

@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.robot.kinematics import WheelGeometry, forward_matrix, wheel_vectors
 from hil.vocabulary.errors import UsageError
-from hil.vocabulary.geometry import Array, ArrayLike
+from hil.vocabulary.geometry import Array, ArrayLike, wrap_array
 
 INTEGRATORS = ("exponential", "euler")
 
@@ -42,6 +42,36 @@ def integrate(start_pose: ArrayLike, motion_body: Array, integrator: str = "expo
     out[..., 1:, 0] = start[..., 0:1] + np.cumsum(c * dx - s * dy, axis=-1)
     out[..., 1:, 1] = start[..., 1:2] + np.cumsum(s * dx + c * dy, axis=-1)
     return out
+
+
+def displacements(poses: Array) -> Array:
+    """Body displacements (n, 3) of constant twist that lead from each of the poses (n + 1, 3) to the next."""
+    way = np.diff(poses, axis=0)
+    turn = wrap_array(way[:, 2])
+    c, s = chord(poses[:-1, 2], turn)
+    long = c**2 + s**2
+    ahead, left = (c * way[:, 0] + s * way[:, 1]) / long, (c * way[:, 1] - s * way[:, 0]) / long
+    return np.column_stack([ahead, left, turn])
+
+
+def sample_path(at_s: Array, edges_s: Array, poses: Array, motion: Array) -> Array:
+    """Poses (n, 3) at any instants on a path of constant body twist between its edges.
+
+    Args:
+        at_s: (n,) instants, s.
+        edges_s: (b + 1,) edges of the blocks, s.
+        poses: (b or more, 3) at the edges, wall frame.
+        motion: (b, 3) body displacement in each block.
+    """
+    k = np.clip(np.searchsorted(edges_s, at_s, side="right") - 1, 0, len(motion) - 1)
+    share = ((at_s - edges_s[k]) / (edges_s[k + 1] - edges_s[k]))[:, None]
+    part = motion[k] * share
+    half = 0.5 * part[:, 2]
+    chord, heading = np.sinc(half / np.pi), poses[k, 2] + half
+    c, s = np.cos(heading) * chord, np.sin(heading) * chord
+    x = poses[k, 0] + c * part[:, 0] - s * part[:, 1]
+    y = poses[k, 1] + s * part[:, 0] + c * part[:, 1]
+    return np.column_stack([x, y, poses[k, 2] + part[:, 2]])
 
 
 def chord(heading: Array, turn: Array) -> tuple[Array, Array]:

@@ -7,11 +7,12 @@ import pytest
 
 from hil.calibration.blocks import reduce_recordings
 from hil.calibration.calibrate import calibrate
-from hil.calibration.evaluation import evaluate, track, truth_window
+from hil.calibration.evaluation import evaluate, track
 from hil.calibration.fitting import fit
 from hil.calibration.identifiability import identifiability, play_shift, standard_errors
 from hil.calibration.motion_models import make_model
 from hil.calibration.problem import PAPER, RECOMMENDED, Problem, make_setting
+from hil.calibration.sampling import truth_window
 from hil.calibration.solvers import METHODS, interior_point, levenberg_marquardt, solve
 from hil.calibration.synthetic import OTHER_MOTIONS, hidden_robot, make_set
 from hil.robot.kinematics import WheelGeometry

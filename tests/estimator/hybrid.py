@@ -13,9 +13,9 @@ from disturbances import ALL as DISTURBANCES
 from filterpy_ukf import PlainFilterpy
 
 from hil.calibration.blocks import reduce_recordings
-from hil.calibration.evaluation import rest_pose
 from hil.calibration.fitting import fit
 from hil.calibration.problem import RECOMMENDED
+from hil.calibration.start import start_of
 from hil.config.estimator import EstimatorConfig
 from hil.estimator import make_estimator
 from hil.estimator.consistency import nees
@@ -77,7 +77,7 @@ def streams(recording, seed, camera_errors=CAMERA, inertial_errors=INERTIAL):
     return Streams(
         recording.name,
         path,
-        rest_pose(recording),
+        start_of(recording).pose,
         round((first_s - 0.1) * NS_PER_S),
         round(last_s * NS_PER_S),
         wheel_samples(
