@@ -64,10 +64,10 @@ class CalibrationFile(BaseModel):
     Attributes:
         verdict: of the validation run on the bench; empty for a calibration that had none.
         made_for: servos that it was made with, None for recordings of unknown origin.
-        robot: whose it is; None where the bench is not known, and in files of earlier versions.
+        robot: whose it is; None where the bench is not known.
         tyres: for `creep`, and for `dry-friction`; without, wheels are loaded alike.
-        driven_m: how far its recordings drove in each direction (`hil.calibration.driven`), empty in files
-            of earlier versions.
+        driven_m: how far its recordings drove in each direction (`hil.calibration.driven`); empty where
+            that is not known.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)

@@ -18,7 +18,6 @@ from pydantic import BaseModel, ValidationError
 
 from hil.config.bench import BenchConfig, bench_model
 from hil.config.consistency import contradictions
-from hil.config.older import area_twice, lifted, told_where_now
 from hil.config.record.overlay import check_record, laid_over
 from hil.vocabulary.errors import ConfigError, HilError, did_you_mean
 from hil.vocabulary.files import check_name
@@ -227,14 +226,13 @@ def _to_emulate(tree: Mapping[str, Any], emulate: str | tuple[str, ...] | None) 
 
 def validate(tree: Mapping[str, Any], origin: str, overrides: Sequence[str] = ()) -> BenchConfig:
     """Model of a parsed file; raises `ConfigError` with all problems, and names `overrides` among them."""
-    problems = [*told_where_now(tree), *area_twice(tree)]
-    present = lifted(tree)
+    problems: list[str] = []
     config: BenchConfig | None
     try:
-        config = bench_model().model_validate(present)
+        config = bench_model().model_validate(tree)
     except ValidationError as error:
         problems += explained(error)
-        config = _what_is_right(present, [_place(item["loc"]) for item in error.errors()])
+        config = _what_is_right(tree, [_place(item["loc"]) for item in error.errors()])
     if config is not None:
         problems += [f"{path}: {text}" for path, text in contradictions(config)]
         if not problems:
@@ -245,9 +243,9 @@ def validate(tree: Mapping[str, Any], origin: str, overrides: Sequence[str] = ()
     raise ConfigError(f"{origin}{beside}: {len(problems)} problem(s)", problems=tuple(problems))
 
 
-def _what_is_right(tree: dict[str, Any], wrong: list[tuple[int | str, ...]]) -> BenchConfig | None:
+def _what_is_right(tree: Mapping[str, Any], wrong: list[tuple[int | str, ...]]) -> BenchConfig | None:
     """The configuration without its wrong values, to look at the others; None if nothing is left of it."""
-    rest = copy.deepcopy(tree)
+    rest = copy.deepcopy(dict(tree))
     for *tables, key in wrong:
         table: Any = rest
         for name in tables:

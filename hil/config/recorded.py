@@ -9,7 +9,6 @@ from pydantic import ValidationError
 
 from hil.config.bench import BenchConfig, bench_model
 from hil.config.loading import explained
-from hil.config.older import lifted
 from hil.config.values import RECORDED
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.kinds import DeviceKind, DeviceModel, kinds
@@ -31,7 +30,7 @@ def recorded_bench(
         ConfigError: listing every problem with its dotted path.
     """
     try:
-        return bench_model().model_validate(_without_absent(lifted(tree)), context=RECORDED)
+        return bench_model().model_validate(_without_absent(dict(tree)), context=RECORDED)
     except ValidationError as error:
         problems = explained(error)
     other = _other_versions(packages or {})
@@ -72,7 +71,7 @@ def _without_absent(tree: dict[str, Any]) -> dict[str, Any]:
 
 
 def changed_since(tree: object, config: BenchConfig) -> list[str]:
-    """Dotted keys in which a configuration differs from one that was recorded, old keys lifted.
+    """Dotted keys in which a configuration differs from one that was recorded.
 
     Args:
         tree: as it was recorded; one that cannot be read differs as a whole, with an empty key.

@@ -312,7 +312,7 @@ def read_wall_offsets(path: str | Path) -> tuple[WallOffset, ...]:
     """Where the wall clock stood against the bench clock at the start and, if all ended well, at the end.
 
     Stamps of the messages are made with the first; the difference is what the wall clock was adjusted by
-    meanwhile. Empty for virtual time and for recordings of version 0.1.
+    meanwhile. Empty for virtual time.
 
     Raises:
         DataError: not an MCAP file, or damaged where the offsets stand.

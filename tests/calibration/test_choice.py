@@ -59,7 +59,7 @@ def test_loads_of_dry_friction_go_with_the_calibration():
     file = calibration_file(result, created="2026-01-01", software={})
     assert np.array_equal(file.geometry.load, robot.load)
     old = file.model_copy(update={"tyres": None})
-    assert np.array_equal(old.geometry.load, np.ones(4)), "files of earlier versions weigh wheels alike"
+    assert np.array_equal(old.geometry.load, np.ones(4)), "files without loads weigh wheels alike"
 
 
 def test_where_contact_is_viscous_dry_friction_is_not_taken():
