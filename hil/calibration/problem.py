@@ -29,7 +29,7 @@ PARAMETER_NAMES = tuple(f"{k}_{i}" for k in ("x_w", "y_w", "r", "delta0") for i 
 _EFFECTIVE_OBSERVATIONS = 3.0
 _CAUCHY = 2.0 * 1.2
 _REACH = 10.0
-_BOUND_SLACK = 1e-4
+_BOUND_SLACK = 1e-3
 
 
 @dataclass(frozen=True)

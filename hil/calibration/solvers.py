@@ -1,29 +1,36 @@
 """The four methods of the paper behind one call: Levenberg-Marquardt, interior point, GA, PSO.
 
-All of them minimise the same `Problem`. The gradient methods use the Gauss-Newton matrix; the
-stochastic ones search the directions that the data determine (in the raw box they stop 4 to 135 %
-above the optimum on the authors' recordings) and are polished by a gradient method (interior
-point where there is a box); the result says both.
+All of them minimise the same `Problem`. The gradient methods use the Gauss-Newton matrix: the first is
+written here, as scipy's are slower and stop inside the box where bounds decide; the interior point is of
+scipy. The stochastic ones are of pymoo (extra `paper`). They search the directions that the data determine (in
+the raw box they stop 4 to 135 % above the optimum on the authors' recordings) and are polished by the first;
+the result says both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from hil.calibration.problem import Problem
 from hil.vocabulary.choices import METHODS
 from hil.vocabulary.errors import UsageError
+from hil.vocabulary.extras import how_to_install, lacks
 from hil.vocabulary.geometry import Array
 
 Progress = Callable[[int, int], None]
 
-_LM_LIMIT, _INTERIOR_POINT_LIMIT = 200, 80
-_POPULATION, _GENERATIONS = 40, 36
-_PARTICLES, _MOVES = 30, 48
+_LM_LIMIT, _INTERIOR_POINT_LIMIT = 200, 1000
+_SIZES = {"ga": (40, 36), "pso": (30, 48)}
+"""Candidates and generations of the stochastic methods."""
 _RELATIVE_STEP = 1e-12
+_INSIDE, _SLOPE, _STEP = 1e-3, 1e-12, 1e-12
+"""Of the interior point: how far inside the box it begins, and when it ends, in widths of the box."""
+_TRUST_CONSTR_ENDED = (1, 2)
+"""By the slope, or by the step."""
 _SEARCH_STD = 3.0
 
 
@@ -71,9 +78,8 @@ def solve(
         return levenberg_marquardt(problem, problem.nominal)
     if method == "interior-point":
         return interior_point(problem, problem.nominal)
-    if method in ("ga", "pso"):
-        search = genetic if method == "ga" else particle_swarm
-        return _stochastic(problem, search, np.random.default_rng(seed), progress)
+    if method in _SIZES:
+        return _stochastic(problem, method, seed, progress)
     raise UsageError(f"method {method!r}", expected="one of " + ", ".join(METHODS))
 
 
@@ -143,86 +149,50 @@ def _box_step(
 
 
 def interior_point(problem: Problem, z0: Array) -> Solution:
-    """Primal-dual interior point with the Gauss-Newton matrix (Nocedal and Wright, chapter 19).
+    """The `trust-constr` of scipy: a barrier for the box and a trust region, with the Gauss-Newton matrix.
 
     Args:
         problem: to solve.
         z0: (m,) start.
     """
-    lower, upper = problem.lower, problem.upper
-    span = upper - lower
-    z = np.clip(z0, lower + 1e-3 * span, upper - 1e-3 * span)
-    value, gradient, hessian = problem.gradient_terms(z)
-    barrier = 0.1 * max(value, 1e-9) / len(z)
-    dual_low, dual_up = barrier / (z - lower), barrier / (upper - z)
-    history, iterations, damping = [value], 0, 1e-9
-    while iterations < _INTERIOR_POINT_LIMIT:
-        iterations += 1
-        low, up = z - lower, upper - z
-        matrix = 2 * hessian + np.diag(dual_low / low + dual_up / up)
-        matrix += damping * np.diag(np.diag(hessian))
-        rhs = -(2 * gradient - barrier / low + barrier / up)
-        step = np.linalg.solve(matrix, rhs)
-        step_low = barrier / low - dual_low - dual_low / low * step
-        step_up = barrier / up - dual_up + dual_up / up * step
-        primal = _largest_step(np.r_[low, up], np.r_[step, -step])
-        dual = _largest_step(np.r_[dual_low, dual_up], np.r_[step_low, step_up])
-        merit = _merit(value, low, up, barrier)
-        for _ in range(12):
-            trial = z + primal * step
-            trial_value = problem.objective(trial)
-            if _merit(trial_value, trial - lower, upper - trial, barrier) <= merit + 1e-12 * abs(merit):
-                break
-            primal *= 0.4
-        else:
-            damping = max(damping * 100.0, 1e-6)
-            if damping > 1e6:
-                break
-            continue
-        damping = max(damping * 0.1, 1e-9)
-        z = trial
-        dual_low, dual_up = dual_low + dual * step_low, dual_up + dual * step_up
-        value, gradient, hessian = problem.gradient_terms(z)
-        history.append(value)
-        gap = float(dual_low @ (z - lower) + dual_up @ (upper - z))
-        if gap <= 1e-7 * max(value, 1e-12) and float(np.max(np.abs(step) / span)) < 1e-4:
-            break
-        barrier = min(barrier, 0.1 * gap / (2 * len(z)))
-    converged = iterations < _INTERIOR_POINT_LIMIT
-    return Solution(z, value, iterations, converged, len(z), history=tuple(history))
+    from scipy.optimize import Bounds, minimize
+
+    width = problem.upper - problem.lower
+
+    def place(u: Array) -> Array:
+        return np.asarray(problem.lower + width * u, dtype=np.float64)
+
+    def terms(u: Array) -> tuple[float, Array, Array]:
+        value, gradient, hessian = problem.gradient_terms(place(u))
+        return value, 2.0 * width * gradient, 2.0 * width[:, None] * hessian * width
+
+    start = np.clip((problem.clip(z0) - problem.lower) / width, _INSIDE, 1.0 - _INSIDE)
+    history = [problem.objective(place(start))]
+    found: Any = minimize(  # type: ignore[call-overload]
+        lambda u: problem.objective(place(u)), start, method="trust-constr",
+        jac=lambda u: terms(u)[1], hess=lambda u: terms(u)[2], bounds=Bounds(0.0, 1.0),
+        callback=lambda u, state: history.append(float(state.fun)),
+        options={"maxiter": _INTERIOR_POINT_LIMIT, "gtol": _SLOPE * max(history[0], 1e-12), "xtol": _STEP,
+                 "barrier_tol": _SLOPE},
+    )  # fmt: skip
+    z = problem.clip(place(found.x))
+    converged = int(found.status) in _TRUST_CONSTR_ENDED
+    return Solution(z, problem.objective(z), int(found.nit), converged, len(z), history=tuple(history))
 
 
-def _largest_step(values: Array, steps: Array) -> float:
-    """Fraction to the boundary, at most 1."""
-    shrinking = steps < 0
-    if not shrinking.any():
-        return 1.0
-    return float(min(1.0, 0.995 * np.min(-values[shrinking] / steps[shrinking])))
-
-
-def _merit(value: float, low: Array, up: Array, barrier: float) -> float:
-    if np.any(low <= 0) or np.any(up <= 0):
-        return np.inf
-    return value - barrier * float(np.log(low).sum() + np.log(up).sum())
-
-
-Search = Callable[[Callable[[Array], float], int, np.random.Generator, Progress | None], tuple[Array, int]]
-
-
-def _stochastic(
-    problem: Problem, search: Search, rng: np.random.Generator, progress: Progress | None
-) -> Solution:
+def _stochastic(problem: Problem, method: str, seed: int, progress: Progress | None) -> Solution:
     """Search in whitened coordinates of the determined directions, then polish."""
     directions = determined_directions(problem)
 
     def candidate(s: Array) -> Array:
         return problem.clip(problem.nominal + directions @ s)
 
-    best, generations = search(lambda s: problem.objective(candidate(s)), directions.shape[1], rng, progress)
+    best, generations = _searched(
+        method, lambda s: problem.objective(candidate(s)), directions.shape[1], seed, progress
+    )
     z = candidate(best)
     found = problem.objective(z)
-    boxed = problem.setting.bounds is not None
-    polished = interior_point(problem, z) if boxed else levenberg_marquardt(problem, z)
+    polished = levenberg_marquardt(problem, z)
     return Solution(
         polished.z, polished.objective, generations, polished.converged, directions.shape[1], found
     )
@@ -244,70 +214,34 @@ def determined_directions(problem: Problem) -> Array:
     return np.asarray((spread[:, None] * vectors)[:, keep][:, ::-1], dtype=np.float64)
 
 
-def genetic(
-    objective: Callable[[Array], float], dimension: int, rng: np.random.Generator,
-    progress: Progress | None = None,
-) -> tuple[Array, int]:  # fmt: skip
-    """Real-coded genetic algorithm: tournament, blend crossover, shrinking Gaussian mutation, elite.
+def _searched(
+    method: str, objective: Callable[[Array], float], dimension: int, seed: int, progress: Progress | None
+) -> tuple[Array, int]:
+    """Best point (d,) of pymoo's GA or PSO, in prior standard deviations, and the count of generations."""
+    if why := lacks("paper"):
+        raise UsageError(f"method {method!r} needs the extra paper: {why}", remedy=how_to_install("paper"))
+    from pymoo.algorithms.soo.nonconvex.ga import GA
+    from pymoo.algorithms.soo.nonconvex.pso import PSO
+    from pymoo.core.callback import Callback
+    from pymoo.optimize import minimize
+    from pymoo.problems.functional import FunctionalProblem
 
-    Args:
-        objective: value of a point (d,), in prior standard deviations.
-        dimension: d.
-        rng: source of all randomness.
-        progress: told after each generation.
+    people, generations = _SIZES[method]
+    drawn = np.random.default_rng(seed)
+    first = drawn.uniform(-_SEARCH_STD, _SEARCH_STD, (people, dimension))
+    first[0] = 0.0
 
-    Returns:
-        The best point (d,) and the count of generations.
-    """
-    people = rng.uniform(-_SEARCH_STD, _SEARCH_STD, (_POPULATION, dimension))
-    people[0] = 0.0
-    cost = np.array([objective(p) for p in people])
-    for generation in range(_GENERATIONS):
-        rivals = rng.integers(_POPULATION, size=(2, 2, _POPULATION))
-        winners = np.where(cost[rivals[0]] < cost[rivals[1]], rivals[0], rivals[1])
-        mix = rng.uniform(-0.25, 1.25, (_POPULATION, dimension))
-        children = mix * people[winners[0]] + (1 - mix) * people[winners[1]]
-        spread = 0.5 * 0.88**generation
-        mutate = rng.random((_POPULATION, dimension)) < 0.3
-        children += mutate * rng.normal(0.0, spread, (_POPULATION, dimension))
-        elite = people[np.argsort(cost, kind="stable")[:2]]
-        elite_cost = np.sort(cost)[:2]
-        child_cost = np.array([objective(c) for c in children])
-        worst = np.argsort(child_cost, kind="stable")[-2:]
-        children[worst], child_cost[worst] = elite, elite_cost
-        people, cost = children, child_cost
-        if progress is not None:
-            progress(generation + 1, _GENERATIONS)
-    return people[int(np.argmin(cost))], _GENERATIONS
+    class Told(Callback):  # type: ignore[misc]
+        """Passes each generation on."""
 
+        def notify(self, algorithm: Any) -> None:
+            if progress is not None:
+                progress(algorithm.n_gen, generations)
 
-def particle_swarm(
-    objective: Callable[[Array], float], dimension: int, rng: np.random.Generator,
-    progress: Progress | None = None,
-) -> tuple[Array, int]:  # fmt: skip
-    """Particle swarm with constriction (Clerc and Kennedy 2002): inertia 0.7298, pulls 1.49618.
-
-    Args:
-        objective: value of a point (d,), in prior standard deviations.
-        dimension: d.
-        rng: source of all randomness.
-        progress: told after each generation.
-
-    Returns:
-        The best point (d,) and the count of generations.
-    """
-    place = rng.uniform(-_SEARCH_STD, _SEARCH_STD, (_PARTICLES, dimension))
-    place[0] = 0.0
-    speed = rng.uniform(-1.0, 1.0, (_PARTICLES, dimension))
-    best, cost = place.copy(), np.array([objective(p) for p in place])
-    for generation in range(_MOVES):
-        leader = best[int(np.argmin(cost))]
-        own, social = rng.random((2, _PARTICLES, dimension))
-        speed = 0.7298 * speed + 1.49618 * (own * (best - place) + social * (leader - place))
-        place = place + speed
-        now = np.array([objective(p) for p in place])
-        better = now < cost
-        best[better], cost[better] = place[better], now[better]
-        if progress is not None:
-            progress(generation + 1, _MOVES)
-    return best[int(np.argmin(cost))], _MOVES
+    algorithm = {"ga": GA, "pso": PSO}[method](pop_size=people, sampling=first)
+    box = np.full(dimension, 2.0 * _SEARCH_STD)
+    found = minimize(
+        FunctionalProblem(dimension, objective, xl=-box, xu=box), algorithm, ("n_gen", generations),
+        seed=seed, callback=Told(), verbose=False,
+    )  # fmt: skip
+    return np.asarray(found.X, dtype=np.float64), generations

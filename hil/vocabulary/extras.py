@@ -26,6 +26,7 @@ MODULES = {
     "dronecan": "dronecan",
     "campaign": "distributed",
     "mujoco": "mujoco",
+    "paper": "pymoo",
 }
 
 

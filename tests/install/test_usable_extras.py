@@ -43,6 +43,8 @@ def test_each_extra_says_what_it_lacks(installed):
         "t265": 'this Python cannot have it: camera==2.53.1.*; python_version < "3"',
         "mavlink": "not installed",
         "mujoco": "not installed",
+        "paper": "not installed",
+        "paper": "not installed",
         "dronecan": "not installed",
         "campaign": "not installed",
     }
