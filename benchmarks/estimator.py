@@ -13,15 +13,22 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 import argparse
 import json
 import statistics
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path as Folder
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator import make_estimator
-from hil.estimator.simulated_sensors import (
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.signals import Measurements
+
+sys.path.insert(0, str(Folder(__file__).parents[1] / "tests/estimator"))
+from simulated_sensors import (
     CameraErrors,
     InertialErrors,
     Path,
@@ -31,9 +38,6 @@ from hil.estimator.simulated_sensors import (
     start_state,
     wheel_samples,
 )
-from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.signals import Measurements
 
 ROUNDS = 15
 GOALS = {"ekf": 10, "ukf": 25}

@@ -2,9 +2,9 @@
 
 All of them minimise the same `Problem`. The gradient methods use the Gauss-Newton matrix: the first is
 written here, as scipy's are slower and stop inside the box where bounds decide; the interior point is of
-scipy. The stochastic ones are of pymoo (extra `paper`). They search the directions that the data determine (in
-the raw box they stop 4 to 135 % above the optimum on the authors' recordings) and are polished by the first;
-the result says both.
+scipy. The stochastic ones are of pymoo (extra `paper`). They search the directions that the data determine
+(in the raw box they stop 4 to 135 % above the optimum on the authors' recordings) and are polished by the
+first; the result says both.
 """
 
 from __future__ import annotations

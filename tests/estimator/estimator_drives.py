@@ -3,8 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-
-from hil.estimator.simulated_sensors import (
+from simulated_sensors import (
     CameraErrors,
     InertialErrors,
     Path,
@@ -14,6 +13,7 @@ from hil.estimator.simulated_sensors import (
     start_state,
     wheel_samples,
 )
+
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import compose, se2_exp

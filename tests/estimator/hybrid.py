@@ -11,15 +11,7 @@ from pathlib import Path as FilePath
 import numpy as np
 from disturbances import ALL as DISTURBANCES
 from filterpy_ukf import PlainFilterpy
-
-from hil.calibration.blocks import reduce_recordings
-from hil.calibration.fitting import fit
-from hil.calibration.problem import RECOMMENDED
-from hil.calibration.start import start_of
-from hil.config.estimator import EstimatorConfig
-from hil.estimator import make_estimator
-from hil.estimator.consistency import nees
-from hil.estimator.simulated_sensors import (
+from simulated_sensors import (
     CameraErrors,
     InertialErrors,
     Path,
@@ -29,6 +21,14 @@ from hil.estimator.simulated_sensors import (
     start_state,
     wheel_samples,
 )
+
+from hil.calibration.blocks import reduce_recordings
+from hil.calibration.fitting import fit
+from hil.calibration.problem import RECOMMENDED
+from hil.calibration.start import start_of
+from hil.config.estimator import EstimatorConfig
+from hil.estimator import make_estimator
+from hil.estimator.consistency import nees
 from hil.recording.sources import read_recordings
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S

@@ -4,10 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
-from hil.config.estimator import EstimatorConfig
-from hil.estimator import make_estimator
-from hil.estimator.simulated_sensors import (
+from simulated_sensors import (
     CameraErrors,
     InertialErrors,
     Path,
@@ -17,6 +14,9 @@ from hil.estimator.simulated_sensors import (
     start_state,
     wheel_samples,
 )
+
+from hil.config.estimator import EstimatorConfig
+from hil.estimator import make_estimator
 from hil.estimator.smoother import smooth
 from hil.robot.kinematics import WheelGeometry
 

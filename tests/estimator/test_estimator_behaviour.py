@@ -9,11 +9,7 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 from estimator_drives import drive
-
-from hil.config.estimator import EstimatorConfig
-from hil.estimator import make_estimator
-from hil.estimator.clocks import SensorClock
-from hil.estimator.simulated_sensors import (
+from simulated_sensors import (
     CameraErrors,
     InertialErrors,
     Path,
@@ -23,6 +19,10 @@ from hil.estimator.simulated_sensors import (
     start_state,
     wheel_samples,
 )
+
+from hil.config.estimator import EstimatorConfig
+from hil.estimator import make_estimator
+from hil.estimator.clocks import SensorClock
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.signals import GyroMeasurement, Measurements, PoseMeasurement, Stamp, WheelMeasurement
 

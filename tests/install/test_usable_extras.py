@@ -44,7 +44,6 @@ def test_each_extra_says_what_it_lacks(installed):
         "mavlink": "not installed",
         "mujoco": "not installed",
         "paper": "not installed",
-        "paper": "not installed",
         "dronecan": "not installed",
         "campaign": "not installed",
     }

@@ -1,4 +1,4 @@
-"""Gaps in the ground truth, a begin in motion, ground truth that is slow: odometry errs as it does without."""
+"""Gaps in the ground truth, a begin in motion, slow ground truth: odometry errs as it does without."""
 
 import numpy as np
 import perfect_robot as perfect
