@@ -17,7 +17,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.cleaning import Log
+from hil.calibration.datasets import Recording, build_recording
 from hil.calibration.nominal import Nominal
 from hil.recording.added_columns import added_columns
 from hil.recording.mcap_reader import read_cycles

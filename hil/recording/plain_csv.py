@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.cleaning import Log
+from hil.calibration.datasets import Recording, build_recording
 from hil.calibration.nominal import Nominal
 from hil.recording.names import motion_of
 from hil.recording.numbers import numbers_at_once

@@ -28,7 +28,8 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.cleaning import Log
+from hil.calibration.datasets import Recording, build_recording
 from hil.calibration.nominal import Nominal
 from hil.recording.bag_check import CONVERT, check_bag
 from hil.recording.frame_check import broken_frames

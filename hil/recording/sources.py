@@ -113,11 +113,11 @@ def read_recordings(
         jobs.setdefault(job.identity, []).append(job)
     out = []
     for number, (job, read) in enumerate(_at_once([same[0] for same in jobs.values()]), start=1):
-        recording, times = covered(read, robot), _times_given(jobs[job.identity])
+        recording, times = read, _times_given(jobs[job.identity])
         if times > 1:
             more = {f"mentions of {job.files[0]} beyond the first left out": times - 1}
             recording = replace(recording, repairs={**recording.repairs, **more})
-        out.append(recording)
+        out += [covered(replace(part, later=()), robot) for part in (recording, *recording.later)]
         if progress is not None:
             progress(number, len(jobs))
     out = named_apart(without_copies(out))

@@ -183,7 +183,8 @@ def _geometry(header: Mapping[str, Any]) -> WheelGeometry | None:
 def _read_foreign(path: Path, topics: Path | None, robot: Nominal, tables: list[Recording]) -> Any:
     """Reads the runs of a bag, which is opened at once, or of a CSV file; `tables` receives what was read."""
     if topics is not None:
-        tables.append(covered(read_bag(path, read_topic_map(topics), robot), robot))
+        found = read_bag(path, read_topic_map(topics), robot)
+        tables.extend(covered(replace(part, later=()), robot) for part in (found, *found.later))
         return lambda: map(to_run, tables)
 
     def read() -> Iterator[RecordedRun]:
