@@ -24,9 +24,10 @@ from hil.config.loading import load_bench
 from hil.config.recorded import recorded_bench
 from hil.recording.foreign import to_run
 from hil.recording.mcap_reader import RecordingReader
-from hil.recording.rosbag import is_bag, read_bag, read_topic_map
+from hil.recording.rosbag import is_bag, read_bag
 from hil.recording.runs import RecordedRun, read_runs
 from hil.recording.sources import find_recordings, read_recordings
+from hil.recording.topic_map import read_topic_map
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.collector import without_collector
 from hil.vocabulary.errors import DataError, HilError, UsageError
