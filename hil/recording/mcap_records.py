@@ -55,7 +55,11 @@ def top_level(stream: BinaryIO, limit: int) -> Iterator[tuple[int, Any]]:
         if len(data) < length:
             raise EndOfFile
         try:
-            yield at, None if kind is None else kind.read(ReadDataStream(io.BytesIO(data)))
+            inside = ReadDataStream(io.BytesIO(data))
+            if kind is Message:
+                yield at, Message.read(inside, length)
+            else:
+                yield at, None if kind is None else kind.read(inside)
         except (EndOfFile, UnicodeDecodeError, OverflowError, struct.error):
             raise ValueError(f"the record at byte {at} does not hold what it says") from None
     read_magic(source)
