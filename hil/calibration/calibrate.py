@@ -8,10 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-import numpy as np
-
 from hil.calibration.blocks import Blocks, reduce_recordings
-from hil.calibration.caveats import caveats, unexplained
+from hil.calibration.caveats import caveats, common_zero_rad, unexplained
 from hil.calibration.choice import Candidate, Choice, can_choose, candidates, choose
 from hil.calibration.datasets import Recording
 from hil.calibration.driven import Driven, check_geometry, driven
@@ -19,13 +17,13 @@ from hil.calibration.evaluation import Track, cost, track_all
 from hil.calibration.fitting import Fit, fit, twist_between
 from hil.calibration.identifiability import Identifiability, StandardErrors, identifiability, standard_errors
 from hil.calibration.nominal import Nominal
+from hil.calibration.parameters import named, numbers
 from hil.calibration.problem import PAPER, Setting
 from hil.calibration.validation import (
     Table,
     deployed,
     left_out,
     repeatability,
-    repetition_numbers,
     score,
     table_of,
 )
@@ -36,6 +34,7 @@ from hil.vocabulary.geometry import Array
 from hil.vocabulary.progress import WHOLE, Report, silent
 
 _VALIDATION_BLOCK_S = 0.5
+_WITHOUT_REJECTED = {"leave_one_repetition_out": "leave_one_repetition_out_kept"}
 
 
 @dataclass(frozen=True)
@@ -120,9 +119,9 @@ class Calibration:
             "iterations": self.fit.solution.iterations,
             "converged": self.fit.solution.converged,
             "forward_models": None if self.choice is None else self.choice.to_json(),
-            "parameters": _named(z),
-            "std": _named(self.intervals.std),
-            "interval_95": _named(half),
+            "parameters": named(z),
+            "std": named(self.intervals.std),
+            "interval_95": named(half),
             "at_bound": list(self.spectrum.at_bound),
             "unobservable": list(self.spectrum.unobservable),
             "determined_directions": self.spectrum.determined,
@@ -131,9 +130,10 @@ class Calibration:
             "singular_values": self.spectrum.singular_values.tolist(),
             "information": self.spectrum.information.tolist(),
             "twist_correction": self.twist.tolist(),
-            "twist_std": _numbers(self.intervals.twist_std),
+            "twist_std": numbers(self.intervals.twist_std),
             "weights": dict(weights),
             "rejected": list(self.fit.rejected),
+            "common_steering_zero_rad": common_zero_rad(self.fit),
             "validation": self.validation,
             "repeatability_m": {k: None if math.isnan(v) else v for k, v in self.floor.items()},
             "verdict": "PASS" if self.explains else "FAIL",
@@ -142,18 +142,6 @@ class Calibration:
             "wall_s": self.wall_s,
             "validation_s": self.validation_s,
         }
-
-
-def _numbers(values: Array) -> object:
-    """Nested lists with None for what is not known."""
-    if values.ndim:
-        return [_numbers(v) for v in values]
-    return float(values) if np.isfinite(values) else None
-
-
-def _named(z: Array) -> dict[str, object]:
-    keys = ("x_w_m", "y_w_m", "r_m", "delta0_rad")
-    return {k: _numbers(z[4 * i : 4 * i + 4]) for i, k in enumerate(keys) if len(z) >= 4 * i + 4}
 
 
 def calibrate(
@@ -280,7 +268,10 @@ def _cross_validation(
     choice: Choice | None,
     report: Report,
 ) -> dict[str, Table]:
-    """Held-out errors by what was left out; what the choice of the model has left out is not fitted again."""
+    """Held-out errors by what was left out; what the choice of the model has left out is not fitted again.
+
+    Those of the repetitions come a second time without recordings that do not fit the others, if any do not.
+    """
     tables: dict[str, Table] = {}
     runs = [(found.problem.setting, blocks, found.solution.z, "")]
     if paper is not None:
@@ -300,5 +291,8 @@ def _cross_validation(
             else:
                 tracks = left_out(recordings, reduced, kind, nominal, start, groups, progress)
             tables[prefix + name] = table_of(tracks)
+            if found.rejected and not prefix and name in _WITHOUT_REJECTED:
+                kept = [t for t in tracks if t.recording.name not in found.rejected]
+                tables[_WITHOUT_REJECTED[name]] = table_of(kept)
             before += len(set(groups))
     return tables

@@ -119,11 +119,14 @@ def _write(out: Path, result: Calibration, config: BenchConfig | None) -> None:
     click.echo(f"wrote {out} (version {file.version})", err=True)
 
 
-def _kept(result: Calibration) -> list[str]:
+def _with_rejected(result: Calibration) -> list[str]:
     if not result.fit.rejected:
         return []
-    before, after = result.kept_cost
-    return [f"without {', '.join(result.fit.rejected)}: J {before:.2f} -> {after:.2f}"]
+    left = len(result.fit.rejected)
+    return [
+        f"with {', '.join(result.fit.rejected)}, which {'does' if left == 1 else 'do'} not fit the others: "
+        f"J {result.cost_before:.2f} -> {result.cost_after:.2f}"
+    ]
 
 
 def _spread(result: Calibration) -> str:
@@ -142,11 +145,11 @@ def _text(result: Calibration) -> str:
     spectrum = result.spectrum
     lines = [
         f"{result.method}, setting {result.setting.name} ({result.setting.model}, {result.setting.signal}), "
-        f"{len(result.recordings)} recordings: J {result.cost_before:.2f} -> {result.cost_after:.2f} "
-        f"in {result.wall_s:.2f} s",
+        f"{len(result.recordings) - len(result.fit.rejected)} recordings: J {result.kept_cost[0]:.2f} -> "
+        f"{result.kept_cost[1]:.2f} in {result.wall_s:.2f} s",
         f"from {result.robot.in_words()}",
         *([] if result.choice is None else [result.choice.in_words()]),
-        *_kept(result),
+        *_with_rejected(result),
         f"{'wheel':8}{'x_w mm':>10}{'y_w mm':>10}{'r mm':>10}{'delta0 deg':>12}   (effective values)",
     ]
     for i, wheel in enumerate(WHEELS):

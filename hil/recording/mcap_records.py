@@ -56,10 +56,10 @@ def top_level(stream: BinaryIO, limit: int) -> Iterator[tuple[int, Any]]:
             raise EndOfFile
         try:
             inside = ReadDataStream(io.BytesIO(data))
-            if kind is Message:
-                yield at, Message.read(inside, length)
+            if kind is None:
+                yield at, None
             else:
-                yield at, None if kind is None else kind.read(inside)
+                yield at, Message.read(inside, length) if kind is Message else kind.read(inside)
         except (EndOfFile, UnicodeDecodeError, OverflowError, struct.error):
             raise ValueError(f"the record at byte {at} does not hold what it says") from None
     read_magic(source)

@@ -77,8 +77,8 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
     tables = (evaluate(before), evaluate(after))
     facts = [
         f"method {result.method}, setting {setting.name}, model {setting.model}, signal {setting.signal}",
-        f"cost J {number(result.cost_before)} before, {number(result.cost_after)} after; without what was "
-        f"rejected {number(result.kept_cost[0])} and {number(result.kept_cost[1])}",
+        f"cost J {number(result.kept_cost[0])} before, {number(result.kept_cost[1])} after; with what does "
+        f"not fit the others {number(result.cost_before)} and {number(result.cost_after)}",
         f"nominal robot: {result.robot.in_words()}",
     ]
     figures = [
@@ -90,7 +90,7 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
               "Strong colours: only the combination of two parameters is known, not each of them."),
     ]  # fmt: skip
     page = Overview(
-        f"Calibration on {len(result.recordings)} recordings", _sentence(tables, result), figures,
+        f"Calibration on {len(result.recordings)} recordings", _sentence(before, after, result), figures,
         [*_validation_tables(result), _error_table("Errors before", tables[0], shown=False),
          _error_table("Errors after", tables[1], shown=False)],
         result.warnings, facts,
@@ -98,19 +98,22 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
     return write_overview_folder(folder, page)
 
 
-def _sentence(tables: tuple[Mapping[str, Any], Mapping[str, Any]], result: Calibration) -> str:
-    before, after = (_mm(t["mean"]) for t in tables)
-    said = f"Calibration brings the mean position error of odometry from {before} to {after} mm (RMSE)"
-    unseen = result.validation.get("leave_one_repetition_out")
+def _sentence(before: Sequence[Track], after: Sequence[Track], result: Calibration) -> str:
+    """What the calibration brings on the recordings that fit each other, and which do not."""
+    bad = result.fit.rejected
+    kept = ([t for t in tracks if t.recording.name not in bad] for tracks in (before, after))
+    first, then = (_mm(dict[str, Any](evaluate(tracks))["mean"]) for tracks in kept)
+    said = f"Calibration brings the mean position error of odometry from {first} to {then} mm (RMSE)"
+    name = "leave_one_repetition_out"
+    unseen = result.validation.get(f"{name}_kept", result.validation.get(name))
     if not unseen:
         said += " on the recordings that it was fitted to."
     else:
         mean = float(np.mean([row["rmse_position_m"] for row in unseen.values()]))
         said += f"; on recordings that the fit did not see it is {1e3 * mean:.1f} mm."
-    bad = result.fit.rejected
     if bad:
         of = f"{len(bad)} of {len(result.recordings)} recordings"
-        said += f" That includes {of} that {'does' if len(bad) == 1 else 'do'} not fit the others: "
+        said += f" That leaves out {of} that {'does' if len(bad) == 1 else 'do'} not fit the others: "
         said += f"{', '.join(bad)}."
     return said
 
@@ -237,9 +240,13 @@ def _weights(result: Calibration) -> Figure:
     names = problem.blocks.names
     figure = new_figure(5.2, 2.6)
     axes = style(figure.add_subplot(), "", "weight in the fit")
-    colours = [SERIES[4] if n in result.fit.rejected else SERIES[0] for n in names]
+    bad = [k for k, name in enumerate(names) if name in result.fit.rejected]
+    axes.bar(bad, np.ones(len(bad)), color=SERIES[4], alpha=0.3)
+    colours = [SERIES[4] if k in bad else SERIES[0] for k in range(len(names))]
     axes.bar(range(len(names)), problem.weights, color=colours)
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
+    for k in bad:
+        axes.get_xticklabels()[k].set_color(SERIES[4])
     axes.set_ylim(0, 1.05)
     return figure
 

@@ -14,13 +14,16 @@ from mcap.writer import Writer as McapWriter
 from mcap_cases import driving_record
 from rosbags.rosbag2 import StoragePlugin
 
+from hil.calibration.calibrate import calibrate
 from hil.calibration.caveats import told_by
 from hil.calibration.evaluation import position_rmse, track
+from hil.calibration.problem import make_setting
 from hil.cli import main
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.sources import read_recordings
 from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DataError
 
 WHEELS = WheelGeometry.nominal()
@@ -276,3 +279,24 @@ def test_an_empty_recording_is_no_success(tmp_path, capsys):
         assert main([command, str(tmp_path / "own.mcap")]) == 2
         assert capsys.readouterr().out == ""
     assert not (tmp_path / "own.csv").exists()
+
+
+def test_a_heading_that_is_off_in_common_is_named_before_it_is_taken_for_steering(tmp_path, topics):
+    def fitted(off_rad):
+        recordings = []
+        for k in range(2):
+            one = perfect.drive(seed=k, sense=(-1.0) ** k)
+            turned = replace(one, pose=one.pose + np.array([0.0, 0.0, off_rad]))
+            name = f"turned{k}_{round(1e3 * off_rad)}"
+            recordings += read_recordings(
+                [perfect.write_bag(tmp_path / name, perfect.messages(turned))], topics=topics
+            )
+        return calibrate(
+            recordings, make_setting("recommended", model="exact"), MonotonicClock(), validate=False
+        )
+
+    off, right = fitted(0.05), fitted(0.0)
+    assert off.to_json()["common_steering_zero_rad"] == pytest.approx(-0.05, abs=0.01)
+    assert any("heading of the ground truth were 0.0" in line for line in off.warnings)
+    assert right.to_json()["common_steering_zero_rad"] == pytest.approx(0.0, abs=2e-3)
+    assert not any("heading of the ground truth" in line for line in right.warnings)
