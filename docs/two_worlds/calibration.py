@@ -12,7 +12,8 @@ from two_worlds.bodies import FLOOR, PERIOD_NS, robot, stand, turn
 from two_worlds.results import Row
 
 from hil.calibration.calibrate import Calibration, calibrate
-from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.cleaning import Log
+from hil.calibration.datasets import Recording, build_recording
 from hil.calibration.evaluation import position_rmse, track
 from hil.calibration.nominal import Nominal
 from hil.calibration.problem import make_setting

@@ -8,10 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-import numpy as np
-
 from hil.calibration.blocks import Blocks, reduce_recordings
-from hil.calibration.caveats import caveats, left_out_because, unexplained
+from hil.calibration.caveats import caveats, common_zero_rad, left_out_because, unexplained
 from hil.calibration.choice import Candidate, Choice, can_choose, candidates, choose
 from hil.calibration.corrupt import corrupt
 from hil.calibration.datasets import Recording
@@ -20,6 +18,7 @@ from hil.calibration.evaluation import cost, track_all
 from hil.calibration.fitting import Fit, fit, twist_between
 from hil.calibration.identifiability import Identifiability, StandardErrors, identifiability, standard_errors
 from hil.calibration.nominal import Nominal
+from hil.calibration.parameters import named, numbers
 from hil.calibration.problem import PAPER, Setting
 from hil.calibration.validation import (
     Table,
@@ -121,9 +120,9 @@ class Calibration:
             "iterations": self.fit.solution.iterations,
             "converged": self.fit.solution.converged,
             "forward_models": None if self.choice is None else self.choice.to_json(),
-            "parameters": _named(z),
-            "std": _named(self.intervals.std),
-            "interval_95": _named(half),
+            "parameters": named(z),
+            "std": named(self.intervals.std),
+            "interval_95": named(half),
             "at_bound": list(self.spectrum.at_bound),
             "unobservable": list(self.spectrum.unobservable),
             "determined_directions": self.spectrum.determined,
@@ -132,10 +131,11 @@ class Calibration:
             "singular_values": self.spectrum.singular_values.tolist(),
             "information": self.spectrum.information.tolist(),
             "twist_correction": self.twist.tolist(),
-            "twist_std": _numbers(self.intervals.twist_std),
+            "twist_std": numbers(self.intervals.twist_std),
             "weights": dict(weights) | dict.fromkeys(self.rejected, 0.0),
             "rejected": list(self.rejected),
             "rejected_because": dict(self.rejected),
+            "common_steering_zero_rad": common_zero_rad(self.fit),
             "validation": self.validation,
             "repeatability_m": {k: None if math.isnan(v) else v for k, v in self.floor.items()},
             "verdict": "PASS" if self.explains else "FAIL",
@@ -144,18 +144,6 @@ class Calibration:
             "wall_s": self.wall_s,
             "validation_s": self.validation_s,
         }
-
-
-def _numbers(values: Array) -> object:
-    """Nested lists with None for what is not known."""
-    if values.ndim:
-        return [_numbers(v) for v in values]
-    return float(values) if np.isfinite(values) else None
-
-
-def _named(z: Array) -> dict[str, object]:
-    keys = ("x_w_m", "y_w_m", "r_m", "delta0_rad")
-    return {k: _numbers(z[4 * i : 4 * i + 4]) for i, k in enumerate(keys) if len(z) >= 4 * i + 4}
 
 
 def calibrate(

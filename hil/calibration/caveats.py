@@ -13,6 +13,7 @@ from hil.calibration.fitting import Fit
 from hil.calibration.identifiability import Identifiability, identifiability
 from hil.calibration.motion_models import make_model
 from hil.calibration.nominal import lever_m
+from hil.calibration.sampling import LONGEST_GAP_S
 from hil.calibration.signs import LOOK, contradictions
 from hil.calibration.start import start_of
 from hil.calibration.time_offset import different_clocks
@@ -27,6 +28,7 @@ RECORD = {
 }
 _CLEARLY_M, _CLEARLY_RAD = 2e-3, float(np.radians(0.5))
 _MUCH = 1.5
+_LENGTHS, _COMMON_RAD = 12, 0.02
 _UNEXPLAINED = 0.2
 _HARDLY = 0.05
 _NO_WORKSHOP = (
@@ -65,6 +67,7 @@ def caveats(
         )
     out += motions_apart(found)
     out += unexplained(found)
+    out += turned_in_common(found)
     if spectrum.at_bound:
         far = "" if found.problem.setting.bounds is not None else _NO_WORKSHOP
         out.append("at their bound, so the bound decides them: " + ", ".join(spectrum.at_bound) + far)
@@ -116,6 +119,17 @@ def told_by(recordings: Sequence[Recording]) -> list[str]:
     return [*lines, *different_clocks(recordings)]
 
 
+def crossed_gaps(recordings: Sequence[Recording]) -> list[str]:
+    """One line where the paper's preprocessing steps across gaps of the ground truth."""
+    lost = [r.name for r in recordings if np.max(np.diff(r.truth_receive_s)) > LONGEST_GAP_S]
+    if not lost:
+        return []
+    return [
+        "the paper's preprocessing (--model paper) crosses gaps of the ground truth in one step: its errors "
+        f"on {', '.join(lost)} are not those of the wheels alone"
+    ]
+
+
 def unexplained(found: Fit) -> list[str]:
     """One line where the fit leaves more than a fifth of the way in the typical recording."""
     blocks, weight = found.problem.blocks, np.array([1.0, 1.0, lever_m(found.geometry)])
@@ -129,6 +143,27 @@ def unexplained(found: Fit) -> list[str]:
     return [
         f"the result does not explain the recordings: {100 * share:.0f} % of the way is left as error in "
         f"the typical one; do not use it, {LOOK}"
+    ]
+
+
+def common_zero_rad(found: Fit) -> float | None:
+    """By how much the steering zeros are off in common, rad: their mean; None where they were not fitted."""
+    zeros = found.solution.z[_LENGTHS:]
+    return float(np.mean(zeros - found.problem.nominal[_LENGTHS:])) if len(zeros) else None
+
+
+def turned_in_common(found: Fit) -> list[str]:
+    """One line where all steering zeros are off by much the same: so they would be by another heading."""
+    common = common_zero_rad(found)
+    if common is None or abs(common) < _COMMON_RAD:
+        return []
+    zeros = found.solution.z[_LENGTHS:] - found.problem.nominal[_LENGTHS:]
+    if np.max(np.abs(zeros - common)) > 0.5 * abs(common):
+        return []
+    return [
+        f"all four steering zeros are off by much the same, {common:.3f} rad in the mean: so they would be "
+        f"if the heading of the ground truth were {-common:.3f} rad off the robot's; set the heading of its "
+        "body, or mount_rotation_wxyz of [truth] in the topic mapping, before this is taken for steering"
     ]
 
 

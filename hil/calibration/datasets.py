@@ -7,44 +7,37 @@ type. `build_recording` repairs what can be repaired, counts each repair, and re
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, SupportsInt
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
+from hil.calibration.cleaning import (
+    Log,
+    clean,
+    count,
+    count_gaps,
+    emptiest,
+    recorded_rates,
+    with_angles,
+)
+from hil.calibration.frozen import FROZEN, fresh_rows
 from hil.calibration.leaps import Bools, fastest_m_s, find_leaps
 from hil.calibration.nominal import Nominal, lever_m
+from hil.calibration.segments import in_words, split
 from hil.calibration.turns import whole_turns
 from hil.calibration.unit_factors import Drive, check_rates, check_ways
 from hil.calibration.units import check_leaps, check_time, check_units, rolled_m
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array
 
-_GAP_S, _GAPS_LONGER = 0.1, 1.5
-_MIN_STEP_S = 1e-6
 _MIN_ROWS = 20
+_FROZEN_S = 0.5
 _WHEEL_COLUMNS = ("t", *(f"phi{i}" for i in range(1, 5)), *(f"delta{i}" for i in range(1, 5)))
 _TRUTH_COLUMNS = ("t", "x", "y", "theta")
 _MIN_SHARED = 2
-_CREDIBLE = 1e12
 _ROTATION_RAD = 5.0
-_ROLLED_RAD = 0.5
 _ROTATION_PATH_M = 0.3
-
-
-@dataclass(frozen=True)
-class Log:
-    """Rows as read from a file, before repair.
-
-    Attributes:
-        t_s: (n,) best time stamp (the source's own clock, shifted to the receiver's by its median).
-        values: (n, k).
-        receive_s: (n,) receive stamps where the file has them.
-    """
-
-    t_s: Array
-    values: Array
-    receive_s: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -61,6 +54,7 @@ class Recording:
         repairs: what was repaired, by name and count.
         problems: what of its file could not be read.
         nominal: robot that it was read for.
+        later: what follows where its stamps step back, recordings of their own.
         derived: what was computed from the recording alone, by a name; copies with other rows begin anew.
     """
 
@@ -79,6 +73,7 @@ class Recording:
     repairs: Mapping[str, int] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
     nominal: Nominal = field(default_factory=Nominal)
+    later: tuple[Recording, ...] = ()
     derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
@@ -104,8 +99,9 @@ def build_recording(
     sources: tuple[str, ...] = (),
     sha256: tuple[str, ...] = (),
     nominal: Nominal | None = None,
+    repairs: Mapping[str, int] | None = None,
 ) -> Recording:
-    """Repair and check the two logs of a run.
+    """Repair and check the two logs of a run; where stamps step back a part follows (`Recording.later`).
 
     Args:
         name: what to call it in messages.
@@ -115,25 +111,47 @@ def build_recording(
         sources: files it was read from.
         sha256: digests of those files, in the same order.
         nominal: robot that units and motion are judged by, the CAD model by default.
+        repairs: what the reader has repaired, by name and count.
 
     Raises:
         DataError: too short, no ground truth, no overlap in time, units that cannot be right, or wheel
             angles that leap or whose turns nobody knows.
     """
     where, robot = sources[0] if sources else name, nominal if nominal is not None else Nominal()
+    parts, problems, refusals = list[Recording](), list[str](), list[DataError]()
+    logs = split(where, wheels, truth)
+    for k, (own_wheels, own_truth) in enumerate(logs, start=1):
+        called = name if len(logs) == 1 else f"{name} part {k}"
+        try:
+            parts.append(_build(called, where, own_wheels, own_truth, motion, robot, dict(repairs or {})))
+        except DataError as error:
+            refusals.append(error)
+            problems.append(f"part {k} of it is left out ({error.message.removeprefix(f'{where}: ')})")
+    if not parts:
+        raise refusals[0]
+    parts = [replace(part, sources=sources, sha256=sha256) for part in parts]
+    if len(logs) == 1:
+        return parts[0]
+    told = {**parts[0].repairs, in_words(wheels): len(logs) - 1}
+    return replace(parts[0], repairs=told, problems=tuple(problems), later=tuple(parts[1:]))
+
+
+def _build(
+    name: str, where: str, wheels: Log, truth: Log, motion: str, robot: Nominal, repairs: dict[str, int]
+) -> Recording:
+    """One recording of logs whose stamps go on; see `build_recording`."""
     check_time(where, wheels.t_s)
-    repairs: dict[str, int] = {}
-    t_s, w, receive_s = _clean(wheels, 8, "wheel", repairs)
-    truth_t_s, pose, truth_receive_s = _clean(truth, 3, "ground-truth", repairs)
+    t_s, w, receive_s = clean(with_angles(wheels, repairs), 8, "wheel", repairs)
+    truth_t_s, pose, truth_receive_s = clean(truth, 3, "ground-truth", repairs)
     if len(t_s) < _MIN_ROWS:
         raise DataError(
-            where, f"only {len(t_s)} usable wheel rows{_emptiest(wheels, _WHEEL_COLUMNS)}",
+            where, f"only {len(t_s)} usable wheel rows{emptiest(wheels, _WHEEL_COLUMNS)}",
             expected=f"at least {_MIN_ROWS}",
         )  # fmt: skip
     if len(truth_t_s) < _MIN_ROWS:
         raise DataError(
             where,
-            f"only {len(truth_t_s)} usable ground-truth rows{_emptiest(truth, _TRUTH_COLUMNS)}",
+            f"only {len(truth_t_s)} usable ground-truth rows{emptiest(truth, _TRUTH_COLUMNS)}",
             expected="x, y and theta from motion capture",
             remedy="a run without ground truth can be replayed but not evaluated or calibrated",
         )
@@ -143,14 +161,23 @@ def build_recording(
         raise DataError(where, f"wheels and ground truth share {shared_s:.2f} s", expected=">= 1 s")
     for stamps in (t_s, truth_t_s):
         check_leaps(where, stamps)
-    rate = _recorded_rates(w, repairs)
+    rate = recorded_rates(w, repairs)
     turns = whole_turns(where, t_s, w[:, :4], rate)
     angle = turns.angle
     repairs.update(turns.repairs)
+    fresh = fresh_rows(truth_t_s, pose, t_s, angle)
+    truth_t_s, pose, truth_receive_s = truth_t_s[fresh], pose[fresh], truth_receive_s[fresh]
+    frozen_s = end_s - truth_t_s[-1]
+    count(repairs, FROZEN, np.count_nonzero(~fresh))
+    if len(truth_t_s) < _MIN_ROWS or frozen_s > _FROZEN_S:
+        raise DataError(
+            where, f"the ground truth repeats its last pose for {frozen_s:.1f} s while the wheels roll",
+            expected="a source that goes on to the end", remedy="look at what the capture system sent",
+        )  # fmt: skip
     keep = _without_leaps(where, truth_t_s, pose, fastest_m_s(t_s, angle, robot.radius_m), robot, repairs)
     truth_t_s, pose, truth_receive_s = truth_t_s[keep], pose[keep], truth_receive_s[keep]
-    _count_gaps(repairs, t_s, "wheel gaps over {:g} s bridged")
-    _count_gaps(repairs, truth_t_s, "ground-truth gaps over {:g} s, in which nothing is compared")
+    count_gaps(repairs, t_s, "wheel gaps over {:g} s bridged")
+    count_gaps(repairs, truth_t_s, "ground-truth gaps over {:g} s, in which nothing is compared")
     heading = pose[:, 2]
     pose = np.column_stack([pose[:, :2], np.unwrap(heading)])
     by_wheels, by_truth = ((t >= begin_s) & (t <= end_s) for t in (t_s, truth_t_s))
@@ -177,61 +204,9 @@ def build_recording(
         truth_pose=pose,
         receive_s=receive_s,
         truth_receive_s=truth_receive_s,
-        sources=sources,
-        sha256=sha256,
         repairs=repairs,
         nominal=robot,
     )
-
-
-def _count(repairs: dict[str, int], what: str, number: SupportsInt) -> None:
-    if int(number):
-        repairs[what] = repairs.get(what, 0) + int(number)
-
-
-def _count_gaps(repairs: dict[str, int], t_s: Array, what: str) -> None:
-    """Count what is longer than a tenth of a second, and clearly longer than rows usually are apart."""
-    lasts_s = np.diff(t_s)
-    gap_s = max(_GAP_S, round(_GAPS_LONGER * float(np.median(lasts_s)), 2))
-    _count(repairs, what.format(gap_s), np.count_nonzero(lasts_s > gap_s + _MIN_STEP_S))
-
-
-def _emptiest(log: Log, names: tuple[str, ...]) -> str:
-    """The column in which most rows of a log hold no number, in brackets; empty where all do."""
-    values = credible(np.column_stack([log.t_s, log.values[:, : len(names) - 1]]))
-    lacking = np.count_nonzero(~np.isfinite(values), axis=0)
-    worst = int(np.argmax(lacking))
-    if not lacking[worst]:
-        return ""
-    return f" ({names[worst]} holds no number in {lacking[worst]} of {len(values)} rows)"
-
-
-def _clean(log: Log, needed: int, kind: str, repairs: dict[str, int]) -> tuple[Array, Array, Array]:
-    """Finite rows in strictly increasing time; receive stamps made increasing the authors' way."""
-    t_s, values = credible(log.t_s), credible(log.values)
-    receive_s = log.receive_s if log.receive_s is not None else t_s
-    good = np.isfinite(t_s) & np.all(np.isfinite(values[:, :needed]), axis=1)
-    _count(repairs, f"{kind} rows without numbers dropped", np.count_nonzero(~good))
-    t_s, values, receive_s = t_s[good], values[good], receive_s[good]
-    if len(t_s) == 0:
-        return t_s, values, receive_s
-    _count(repairs, f"{kind} stamps out of order sorted", np.count_nonzero(np.diff(t_s) < 0))
-    order = np.argsort(t_s, kind="stable")
-    t_s, values, receive_s = t_s[order], values[order], receive_s[order]
-    keep = np.concatenate([[True], np.diff(t_s) > _MIN_STEP_S])
-    _count(repairs, f"{kind} rows with a repeated stamp dropped", np.count_nonzero(~keep))
-    t_s, values, receive_s = t_s[keep], values[keep], receive_s[keep]
-    return t_s, values, increasing(receive_s)
-
-
-def _recorded_rates(w: Array, repairs: dict[str, int]) -> Array:
-    """Wheel rates (n, 4) of rows (n, 8 or 12); NaN where there are none, or only 0 while wheels roll."""
-    if w.shape[1] < 12:
-        return np.full((len(w), 4), np.nan)
-    if not w[:, 8:12].any() and np.max(np.ptp(w[:, :4], axis=0)) > _ROLLED_RAD:
-        _count(repairs, "columns of wheel rates (w) that are 0 throughout taken as not recorded", 4)
-        return np.full((len(w), 4), np.nan)
-    return np.array(w[:, 8:12])
 
 
 def _without_leaps(
@@ -247,26 +222,15 @@ def _without_leaps(
             expected="a path that the robot can have driven",
             remedy="look at what the capture system tracked",
         )
-    _count(repairs, "ground-truth rows that leap away and back dropped", dropped)
+    count(repairs, "ground-truth rows that leap away and back dropped", dropped)
     if found.lasting:
         at_s, leap_m = found.lasting[0]
         what = (
             f"ground-truth leaps that last left as they are (first {at_s:.1f} s after its begin, by "
             f"{leap_m:.2g} m): leave the recording out, or cut it there"
         )
-        _count(repairs, what, len(found.lasting))
+        count(repairs, what, len(found.lasting))
     return found.keep
-
-
-def credible(values: Array) -> Array:
-    """Numbers of a file, shape as given; NaN for what no quantity can be in any unit, and no sum can hold."""
-    return np.where(np.abs(values) < _CREDIBLE, values, np.nan)
-
-
-def increasing(t_s: Array) -> Array:
-    """Stamps (n,), s, made strictly increasing by pushing each at least 1 us past its predecessor."""
-    step = np.arange(len(t_s)) * _MIN_STEP_S
-    return np.asarray(np.maximum.accumulate(t_s - step) + step, dtype=np.float64)
 
 
 def classify(angle: Array, pose: Array, radius_m: float) -> str:

@@ -9,7 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict
+
+from hil.vocabulary.geometry import Array
 
 POSITION_M = 0.05
 SHARE = 0.2
@@ -105,3 +108,16 @@ def impossible_tyres(tyres: Tyres) -> Iterator[str]:
         yield "tyres.load: expected a wheel that carries something"
     if not 0.0 < tyres.creep_ratio <= _STIFFEST:
         yield f"tyres.creep_ratio: {tyres.creep_ratio:g}; expected more than 0, at most {_STIFFEST:g}"
+
+
+def numbers(values: Array) -> object:
+    """Nested lists with None for what is not known."""
+    if values.ndim:
+        return [numbers(v) for v in values]
+    return float(values) if np.isfinite(values) else None
+
+
+def named(z: Array) -> dict[str, object]:
+    """Parameters (12 or 16,) by the keys of results."""
+    keys = ("x_w_m", "y_w_m", "r_m", "delta0_rad")
+    return {k: numbers(z[4 * i : 4 * i + 4]) for i, k in enumerate(keys) if len(z) >= 4 * i + 4}

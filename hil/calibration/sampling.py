@@ -13,6 +13,7 @@ from hil.calibration.leaps import Bools
 from hil.robot.kinematics import wheel_vectors
 from hil.vocabulary.errors import DataError, UsageError
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.interpolation import between_samples
 
 SIGNALS = ("position", "velocity")
 LONGEST_GAP_S = 0.25
@@ -101,6 +102,34 @@ def block_vectors(recording: Recording, edges_s: Array, signal: str) -> Array:
 def is_slow(stamps_s: Array) -> bool:
     """Whether rows (n,), s, are so far apart that what lies between two of them is not known."""
     return len(stamps_s) > 1 and float(np.median(np.diff(stamps_s))) > _SLOW_S
+
+
+def beside_rows(at_s: Array, truth_s: Array, truth: Array) -> Array:
+    """Poses (n, 3) at those of some instants (n,) that are next to a row of ground truth; NaN at the others.
+
+    Each is brought there by the way between the rows (m,) and (m, 3), which is short.
+    """
+    between = between_samples(at_s, truth_s, truth, longest=np.inf)
+    behind = np.clip(np.searchsorted(at_s, truth_s), 1, len(at_s) - 1)
+    nearest = np.where(truth_s - at_s[behind - 1] < at_s[behind] - truth_s, behind - 1, behind)
+    out = np.full_like(between, np.nan)
+    out[nearest] = between[nearest]
+    return out
+
+
+def truth_at(at_s: Array, truth_s: Array, truth: Array, longest_s: float, edge_s: float = 0.0) -> Array:
+    """Ground truth (n, 3) at instants (n,) for a table, NaN where it is not known.
+
+    Args:
+        at_s: instants in order, s.
+        truth_s: (m,) of the rows, s.
+        truth: (m, 3).
+        longest_s: gap across which dense rows are interpolated; slow ones are as `beside_rows` has them.
+        edge_s: how far before the first and after the last dense row that counts.
+    """
+    if is_slow(truth_s) and len(at_s) > 1:
+        return beside_rows(at_s, truth_s, truth)
+    return between_samples(at_s, truth_s, truth, longest=longest_s, before=edge_s, after=edge_s)
 
 
 def checked_edges(recording: Recording, block_s: float) -> tuple[Array, Array, Bools]:

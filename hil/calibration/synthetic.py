@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.cleaning import Log
+from hil.calibration.datasets import Recording, build_recording
 from hil.calibration.nominal import Nominal
 from hil.robot.contact_laws import least_dissipation
 from hil.robot.kinematics import WheelGeometry, inverse, projection, wheel_vectors

@@ -7,13 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.calibration.datasets import Recording
+from hil.calibration.leaps import Bools
 from hil.calibration.nominal import lever_m
-from hil.calibration.sampling import interpolate, truth_window
-from hil.robot.kinematics import WheelGeometry
+from hil.calibration.sampling import LONGEST_GAP_S, interpolate, truth_window, wheel_steps
+from hil.robot.kinematics import twist_of_vectors, wheel_vectors
+from hil.robot.odometry import integrate
+from hil.vocabulary.geometry import Array
 
 _GRID_S, _WINDOW_S = 0.02, 0.2
 _ALIKE = 0.9
-_WORTH_S = 0.05
+_WORTH_S = 0.03
+_GAPS_LONGER = 1.5
 
 
 def time_offset_s(recording: Recording) -> float | None:
@@ -28,12 +32,15 @@ def time_offset_s(recording: Recording) -> float | None:
         values[n:] - values[:-n]
         for values in (
             interpolate(grid_s, at_s, pose),
-            interpolate(grid_s, recording.t_s, recording.wheel_angle_rad),
+            interpolate(grid_s, recording.t_s, _by_wheels(recording)),
         )
     )
-    lever = lever_m(WheelGeometry.nominal())
-    truth = np.hypot(moved[:, 0], moved[:, 1]) + lever * np.abs(moved[:, 2])
-    wheels = np.abs(rolled).mean(axis=1)
+    lever = lever_m(recording.nominal.geometry)
+    known = _known(grid_s, at_s)
+    truth, wheels = (
+        (np.hypot(way[:, 0], way[:, 1]) + lever * np.abs(way[:, 2])) * (known[n:] & known[:-n])
+        for way in (moved, rolled)
+    )
     size = float(np.linalg.norm(truth) * np.linalg.norm(wheels))
     count = 2 * len(truth)
     overlap = np.fft.irfft(np.fft.rfft(truth, count) * np.fft.rfft(wheels[::-1], count), count)[:-1]
@@ -46,8 +53,24 @@ def time_offset_s(recording: Recording) -> float | None:
     return float((best - len(wheels) + 1 + part) * _GRID_S)
 
 
+def _by_wheels(recording: Recording) -> Array:
+    """Poses (n, 3) at the wheel rows, by nominal odometry from anywhere."""
+    wheels = recording.nominal.geometry
+    rotation, steering = wheel_steps(recording, recording.t_s, "position")
+    vectors = wheel_vectors(rotation * wheels.radius_m, steering - wheels.steering_zero_rad)
+    return integrate(np.zeros(3), twist_of_vectors(wheels, vectors, "exact"))
+
+
+def _known(grid_s: Array, at_s: Array) -> Bools:
+    """At which instants (k,) the ground truth, rows (m,), is in no gap."""
+    lasts_s = np.diff(at_s)
+    longest_s = max(LONGEST_GAP_S, _GAPS_LONGER * float(np.median(lasts_s)))
+    behind = np.clip(np.searchsorted(at_s, grid_s), 1, len(at_s) - 1)
+    return np.asarray(lasts_s[behind - 1] <= longest_s, dtype=np.bool_)
+
+
 def different_clocks(recordings: Sequence[Recording]) -> list[str]:
-    """One line where ground truth and wheels are typically a twentieth of a second apart, or more."""
+    """One line where ground truth and wheels are typically 0.03 s apart, or more."""
     found = [offset_s for one in recordings if (offset_s := time_offset_s(one)) is not None]
     typical_s = float(np.median(found)) if found else 0.0
     if abs(typical_s) < _WORTH_S:

@@ -54,7 +54,7 @@ def command(
     Example: hil evaluate recordings/ --calibration calibration.toml
     """
     from hil.calibration.applied import in_sample, used_otherwise
-    from hil.calibration.caveats import told_by
+    from hil.calibration.caveats import crossed_gaps, told_by
     from hil.calibration.evaluation import evaluate
     from hil.recording.sources import read_recordings
     from hil.vocabulary.errors import UsageError
@@ -86,6 +86,7 @@ def command(
             seen.in_words(),
         ]
     warnings = told_by(recordings)
+    warnings += crossed_gaps(recordings) if used_model == "paper" else []
     warnings += [] if file is None else used_otherwise(file, model, used_signal, deploy)
     warnings += _doubts(recordings, file, robot, used_signal, deploy)
     table["warnings"] = warnings

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from hil.cli.options import FILE, JSON, OUT
-from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE
+from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE, DataError
 
 
 @click.command()
@@ -39,9 +39,19 @@ def command(
         records = list(read_cycles(recording, problems))
     else:
         from hil.recording.foreign import to_cycles
-        from hil.recording.rosbag import read_bag, read_topic_map
+        from hil.recording.rosbag import read_bag
+        from hil.recording.topic_map import read_topic_map
 
-        records = list(to_cycles(read_bag(recording, read_topic_map(topics))))
+        found = read_bag(recording, read_topic_map(topics))
+        if found.later:
+            raise DataError(
+                str(recording), "its stamps step back: one table cannot hold both parts",
+                expected="stamps that go on", remedy="cut the recording there",
+            )  # fmt: skip
+        records = list(to_cycles(found))
+    if not any(record.measurements.wheels for record in records):
+        why = f" that can be read ({'; '.join(problems)})" if problems else ""
+        raise DataError(str(recording), "holds no wheel sample" + why, expected="at least one row")
     check_target(target, chosen)
     rows, columns = write_table(records, target, chosen)
     for problem in problems:

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from hil.bench.settings import motion_limits
+from hil.calibration.cleaning import Log
 from hil.calibration.coverage import covered
-from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.datasets import Recording, build_recording
 from hil.calibration.nominal import Nominal
 from hil.procedure.devices import leaving
 from hil.procedure.scripted import Stretch, play

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from hil.recording.mcap_reader import COPY_AGAIN, top_level
+from hil.recording.mcap_records import COPY_AGAIN, top_level
 from hil.recording.unpacking import Allowance, chunk_data, unpack_stream
 from hil.vocabulary.errors import DataError, reason_of
 from hil.vocabulary.reading import must_be_file

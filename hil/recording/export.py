@@ -2,7 +2,8 @@
 
 The table starts with the columns of our plain CSV, so that an exported file can be evaluated and
 calibrated like any other; ground truth is interpolated to the wheels' instants where motion capture
-saw the robot at both ends of a gap of at most 0.1 s, and is NaN elsewhere.
+saw the robot at both ends of a gap of at most 0.1 s, and is NaN elsewhere. Where it comes slowly, the
+instants next to its samples have it.
 """
 
 from __future__ import annotations
@@ -17,8 +18,10 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.cleaning import Log
+from hil.calibration.datasets import Recording, build_recording
 from hil.calibration.nominal import Nominal
+from hil.calibration.sampling import truth_at
 from hil.recording.added_columns import added_columns
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.names import motion_of
@@ -28,7 +31,6 @@ from hil.vocabulary.errors import UsageError
 from hil.vocabulary.extras import how_to_install
 from hil.vocabulary.files import refused, replacing
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.interpolation import between_samples
 from hil.vocabulary.signals import CycleRecord, WheelMeasurement
 
 _POSE = ("x_m", "y_m", "theta_rad")
@@ -66,7 +68,7 @@ def tabulate(records: Sequence[CycleRecord]) -> Array:
             rows.append([*wheels.wheel_angle_rad, *wheels.steering_rad, *wheels.wheel_rate_rad_s, *tail])
     t_s = np.array(stamps)
     body = np.array(rows, dtype=np.float64).reshape(len(t_s), -1)
-    truth = between_samples(t_s, *_truth(records), longest=TRUTH_GAP_S)
+    truth = truth_at(t_s, *_truth(records), longest_s=TRUTH_GAP_S)
     return (
         np.column_stack([t_s, body[:, :8], truth, body[:, 8:]]) if len(t_s) else np.empty((0, len(COLUMNS)))
     )

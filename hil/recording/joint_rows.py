@@ -37,19 +37,20 @@ class JointRows:
         self._others: dict[str, None] = {}
 
     def add(self, message: Any) -> None:
-        """Take a message; raises `DataError` where it has fewer positions than joints."""
+        """Take a message; raises `DataError` where it has fewer positions than joints, and no rates alone."""
         index = {name: i for i, name in enumerate(message.name)}
         named = [name in index for name in self._names]
         self._named.append(named)
         if not all(named):
             self._others.update(dict.fromkeys(index))
-        if any(named) and len(message.position) < len(index):
+        rates_alone = not len(message.position) and len(message.velocity) >= len(index)
+        if any(named) and len(message.position) < len(index) and not rates_alone:
             raise DataError(
                 str(self._path), f"{self._topic} carries {len(message.position)} positions",
                 expected="one per joint",
             )  # fmt: skip
         at = [index.get(name, -1) for name in self._names]
-        rates = message.velocity if len(message.velocity) == len(message.position) else ()
+        rates = message.velocity if len(message.velocity) == len(message.name) else ()
         self._rows.append(
             [*(_number(message.position, i) for i in at), *(_number(rates, i) for i in at[:_DRIVES])]
         )

@@ -10,25 +10,23 @@ import io
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, TypeVar
 
 from hil.recording.cdr import octets_of, text_of
 from hil.recording.cycle_decoder import CycleDecoder, StoredCycle
 from hil.recording.cycle_layout import check_packages
 from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, LIBRARY, METADATA, PACKAGES
+from hil.recording.mcap_records import COPY_AGAIN, RECORD, in_place_of, records_of
 from hil.recording.unpacking import Allowance, chunk_data
 from hil.vocabulary.clock import WallOffset
-from hil.vocabulary.errors import ConfigError, DataError, reason_of
-from hil.vocabulary.mistaken import meant
-from hil.vocabulary.reading import json_object, must_be_file
+from hil.vocabulary.errors import ConfigError, DataError
+from hil.vocabulary.reading import json_object
 from hil.vocabulary.signals import CycleRecord
 
 NEEDS_TOPICS = "recordings of other robots need a topic mapping (--topics FILE)"
 _CYCLE, _NOTE = "/hil/cycle", "/hil/notes"
-_RECORD, _CHANNEL_ID = struct.Struct("<BQ"), struct.Struct("<H")
+_CHANNEL_ID = struct.Struct("<H")
 _MESSAGE_HEAD = 2 + 4 + 8 + 8
-_MAGIC_BYTES = 8
-COPY_AGAIN = "copy it again from where it was recorded"
 GO_ON = "give a list as `problems` to go on with what could be read"
 
 Cycle = TypeVar("Cycle", CycleRecord, StoredCycle)
@@ -71,11 +69,11 @@ class RecordingReader:
                 str(self.path),
                 "is not a recording of this project",
                 expected="a .mcap file",
-                remedy=_in_place_of(self.path) or NEEDS_TOPICS,
+                remedy=in_place_of(self.path) or NEEDS_TOPICS,
             )
         problems: list[str] = []
         ours, at = False, 0
-        for at, record in _records(self.path, problems):
+        for at, record in records_of(self.path, problems):
             if isinstance(record, Header):
                 ours = record.library == LIBRARY
             elif isinstance(record, Metadata) and record.name == METADATA:
@@ -116,16 +114,18 @@ class RecordingReader:
 
     def _items(self, cycle_of: Callable[[bytes], Cycle]) -> Iterator[Cycle | Note]:
         from mcap.exceptions import McapError
-        from mcap.records import Chunk
+        from mcap.records import Channel, Chunk, Message
 
         allowance = Allowance(self.path, self.path.stat().st_size)
         topics: dict[int, str] = {}
         cycles = 0
-        for at, record in _records(self.path, self.problems):
-            if not isinstance(record, Chunk):
+        for at, record in records_of(self.path, self.problems):
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            if not isinstance(record, (Chunk, Message)):
                 continue
             try:
-                parts = _ours(chunk_data(record, allowance), topics)
+                parts = _ours_of(record, allowance, topics)
             except DataError as error:
                 why = error.message.removeprefix(f"{self.path}: ")
                 self.problems.append(f"{why}: what follows cycle {cycles} was not read")
@@ -154,6 +154,16 @@ def _note(data: bytes) -> Note:
     return Note(note["kind"], note["data"])
 
 
+def _ours_of(record: Any, allowance: Allowance, topics: dict[int, str]) -> list[tuple[str, bytes]]:
+    """As `_ours`, of a chunk or of a message that is in none."""
+    from mcap.records import Message
+
+    if not isinstance(record, Message):
+        return _ours(chunk_data(record, allowance), topics)
+    topic = topics.get(record.channel_id, "")
+    return [(topic, record.data)] if topic in (_CYCLE, _NOTE) else []
+
+
 def _ours(data: bytes, topics: dict[int, str]) -> list[tuple[str, bytes]]:
     """Topic and payload of a chunk's messages on our own topics; new channels go into `topics`.
 
@@ -170,8 +180,8 @@ def _ours(data: bytes, topics: dict[int, str]) -> list[tuple[str, bytes]]:
     length, at = len(data), 0
     found = []
     while at < length:
-        opcode, size = _RECORD.unpack_from(data, at)
-        at += _RECORD.size
+        opcode, size = RECORD.unpack_from(data, at)
+        at += RECORD.size
         if at + size > length:
             raise ValueError("a record runs beyond the end of its chunk")
         if opcode == Opcode.MESSAGE:
@@ -183,111 +193,6 @@ def _ours(data: bytes, topics: dict[int, str]) -> list[tuple[str, bytes]]:
             topics[channel.id] = channel.topic
         at += size
     return found
-
-
-def top_level(stream: BinaryIO, limit: int) -> Iterator[tuple[int, Any]]:
-    """Top-level records, in their order, with the byte at which each begins.
-
-    Header, chunks and their indices, metadata and footer are parsed, None stands for every other: nine of ten
-    are message indices, which a pass from the beginning does not need.
-
-    Args:
-        stream: the file.
-        limit: most bytes of a record.
-
-    Raises:
-        McapError, ValueError, struct.error: damaged.
-    """
-    from mcap.data_stream import ReadDataStream
-    from mcap.exceptions import EndOfFile, RecordLengthLimitExceeded
-    from mcap.opcode import Opcode
-    from mcap.records import Chunk, ChunkIndex, Footer, Header, Metadata
-    from mcap.stream_reader import read_magic
-
-    wanted: dict[int, Any] = {
-        Opcode.CHUNK: Chunk, Opcode.CHUNK_INDEX: ChunkIndex, Opcode.METADATA: Metadata,
-        Opcode.FOOTER: Footer, Opcode.HEADER: Header,
-    }  # fmt: skip
-    source = ReadDataStream(stream)
-    read_magic(source)
-    opcode = None
-    while opcode != Opcode.FOOTER:
-        at = source.count
-        opcode, length = _RECORD.unpack(source.read(_RECORD.size))
-        if length > limit:
-            if opcode not in iter(Opcode):
-                raise ValueError(f"what begins at byte {at} is no record")
-            raise RecordLengthLimitExceeded(opcode, length, limit)
-        data, kind = source.read(length), wanted.get(opcode)
-        if len(data) < length:
-            raise EndOfFile
-        try:
-            yield at, None if kind is None else kind.read(ReadDataStream(io.BytesIO(data)))
-        except (EndOfFile, UnicodeDecodeError, OverflowError, struct.error):
-            raise ValueError(f"the record at byte {at} does not hold what it says") from None
-    read_magic(source)
-
-
-def _records(path: Path, problems: list[str]) -> Iterator[tuple[int, Any]]:
-    """What `top_level` gives; damage ends the iteration and is named in `problems`.
-
-    Raises:
-        DataError: not there or not MCAP.
-    """
-    from mcap.exceptions import McapError
-
-    try:
-        must_be_file(path)
-        with path.open("rb") as stream:
-            records, at = top_level(stream, max(1, path.stat().st_size)), 0
-            while True:
-                try:
-                    at, record = next(records)
-                except StopIteration:
-                    return
-                except (McapError, ValueError, EOFError, MemoryError, struct.error) as error:
-                    _must_be_mcap(path, stream.tell(), error if at == 0 else None)
-                    problems.append(_damage(at, stream.tell(), error))
-                    return
-                yield at, record
-    except OSError as error:
-        raise DataError(str(path), f"cannot be read ({reason_of(error)})") from None
-
-
-def _in_place_of(path: Path) -> str:
-    """What to name instead: the recordings of a run where its folder was given, else what the path is for."""
-    inside = sorted(path.glob("*.mcap")) if path.is_dir() else []
-    return (
-        "name one of " + ", ".join(map(str, inside))
-        if inside
-        else meant(path)
-        if path.suffix != ".mcap"
-        else ""
-    )
-
-
-def _must_be_mcap(path: Path, reached: int, error: Exception | None) -> None:
-    """Refuse a file of another kind, given what its first record failed with."""
-    from mcap.exceptions import InvalidMagic
-
-    if error is None:
-        return
-    if reached == 0:
-        raise DataError(str(path), "is empty", expected="a recording (.mcap)", remedy=COPY_AGAIN)
-    if isinstance(error, InvalidMagic) or reached < _MAGIC_BYTES:
-        raise DataError(
-            str(path), "is not an MCAP file", expected="a recording (.mcap)", remedy=_in_place_of(path)
-        )
-
-
-def _damage(at: int, reached: int, error: Exception) -> str:
-    """What is wrong behind the record at byte `at`, where reading reached a byte."""
-    from mcap.exceptions import EndOfFile, InvalidMagic, RecordLengthLimitExceeded
-
-    if isinstance(error, (EndOfFile, InvalidMagic, RecordLengthLimitExceeded, struct.error)):
-        why = f": {error}" if str(error) else ""
-        return f"ends early at byte {reached} (writer killed, disk full, or damaged there){why}"
-    return f"is damaged after byte {at}: {error or type(error).__name__}"
 
 
 def read_cycles(path: str | Path, problems: list[str] | None = None) -> Iterator[CycleRecord]:
@@ -319,7 +224,7 @@ def read_wall_offsets(path: str | Path) -> tuple[WallOffset, ...]:
     """
     from mcap.records import Metadata
 
-    kept = (r for _, r in _records(Path(path), []) if isinstance(r, Metadata))
+    kept = (r for _, r in records_of(Path(path), []) if isinstance(r, Metadata))
     try:
         return tuple(
             WallOffset(*(int(r.metadata[name]) for name in WallOffset._fields))

@@ -14,14 +14,15 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.cleaning import Log
+from hil.calibration.datasets import Recording, build_recording
 from hil.calibration.nominal import Nominal
+from hil.calibration.sampling import truth_at
 from hil.recording.names import motion_of
 from hil.recording.numbers import numbers_at_once
 from hil.recording.public_csv import read_bytes
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.interpolation import between_samples
 
 WHEEL_COLUMNS = tuple(f"phi{i}" for i in range(1, 5)) + tuple(f"delta{i}" for i in range(1, 5))
 TRUTH_COLUMNS = ("x", "y", "theta")
@@ -144,13 +145,8 @@ def write_plain(path: Path, recording: Recording) -> None:
 
     Outside of it the first and the last pose count for as long as such a gap may be.
     """
-    truth = between_samples(
-        recording.t_s,
-        recording.truth_t_s,
-        recording.truth_pose,
-        longest=TRUTH_GAP_S,
-        before=TRUTH_GAP_S,
-        after=TRUTH_GAP_S,
+    truth = truth_at(
+        recording.t_s, recording.truth_t_s, recording.truth_pose, longest_s=TRUTH_GAP_S, edge_s=TRUTH_GAP_S
     )
     columns = [recording.t_s, *recording.wheel_angle_rad.T, *recording.steering_rad.T, *truth.T]
     names = ["t", *WHEEL_COLUMNS, *TRUTH_COLUMNS]

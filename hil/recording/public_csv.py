@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.calibration.datasets import Log, Recording, build_recording, credible
+from hil.calibration.cleaning import Log, credible
+from hil.calibration.datasets import Recording, build_recording
 from hil.calibration.nominal import Nominal
 from hil.recording.numbers import numbers_at_once
 from hil.recording.unpacking import read_packed

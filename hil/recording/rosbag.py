@@ -1,19 +1,7 @@
 """Reads rosbag2 recordings (MCAP or SQLite) of a real robot through a topic mapping in TOML.
 
-The mapping says which joints are which wheel and where ground truth comes from::
-
-    schema = 1
-    [wheels]
-    topic = "/joint_states"                    # sensor_msgs/JointState, rad
-    drive = ["fl_drive", "bl_drive", "br_drive", "fr_drive"]
-    steer = ["fl_steer", "bl_steer", "br_steer", "fr_steer"]
-    drive_sign = [1, 1, 1, 1]                  # optional, as are the next two
-    steer_sign = [1, 1, 1, 1]
-    steer_zero_rad = [0.0, 0.0, 0.0, 0.0]
-    [truth]
-    topic = "/mocap/pose"                      # PoseStamped, PoseWithCovarianceStamped or Odometry
-
-Stamps are those of the message headers; where all of a topic are 0, it has none and the log times count.
+`hil.recording.topic_map` says what stands in it. Stamps are those of the message headers; where all of a
+topic are 0, it has none and the log times count.
 """
 
 from __future__ import annotations
@@ -21,23 +9,25 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.cleaning import Log
+from hil.calibration.datasets import Recording, build_recording
 from hil.calibration.nominal import Nominal
 from hil.recording.bag_check import CONVERT, check_bag
 from hil.recording.frame_check import broken_frames
 from hil.recording.joint_rows import JointRows
 from hil.recording.names import motion_of
+from hil.recording.topic_map import TopicMap, WheelTopic
+from hil.recording.truth_poses import TruthPoses
+from hil.recording.unpacking import PACKED, unpacked
 from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.errors import ConfigError, DataError, HilError
-from hil.vocabulary.geometry import Array, yaw_of_quat
-from hil.vocabulary.reading import read_toml
+from hil.vocabulary.errors import DataError, HilError
+from hil.vocabulary.geometry import Array
 
 LOG = logging.getLogger(__name__)
 
@@ -52,12 +42,6 @@ _CDR, _MOST_SAID = "cdr", 200
 _REPAIR = {".mcap": CONVERT, ".db3": "repair it with `sqlite3 FILE .recover`"}
 _REINDEX = "write its metadata.yaml afresh with `ros2 bag reindex`"
 _DAY_NS = 86_400 * NS_PER_S
-_Names = tuple[str, str, str, str]
-_Signs = tuple[Literal[1, -1], Literal[1, -1], Literal[1, -1], Literal[1, -1]]
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 @dataclass(frozen=True)
@@ -69,75 +53,14 @@ class _Stamp:
     log_ns: int
 
 
-class WheelTopic(_Strict):
-    """Joints of the wheels, order FL, BL, BR, FR."""
-
-    topic: str
-    drive: _Names
-    steer: _Names
-    drive_sign: _Signs = (1, 1, 1, 1)
-    steer_sign: _Signs = (1, 1, 1, 1)
-    steer_zero_rad: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Drive joints, then steering joints."""
-        return (*self.drive, *self.steer)
-
-    @model_validator(mode="after")
-    def _each_joint_once(self) -> WheelTopic:
-        for k, joint in enumerate(self.joints):
-            if (first := self.joints.index(joint)) < k:
-                keys = ["steer" if i >= len(self.drive) else "drive" for i in (first, k)]
-                what = f"{keys[0]} names" if keys[0] == keys[1] else "drive and steer both name"
-                twice = " twice" if keys[0] == keys[1] else ""
-                raise ValueError(
-                    f"{what} the joint {joint!r}{twice}: give each wheel its own, order FL, BL, BR, FR"
-                )
-        return self
-
-
-class TruthTopic(_Strict):
-    """Planar ground truth: x, y and the rotation about z of the pose."""
-
-    topic: str
-
-
-class TopicMap(_Strict):
-    """Which topic of a bag is what."""
-
-    schema_version: Literal[1] = Field(alias="schema")
-    wheels: WheelTopic
-    truth: TruthTopic
-
-    @model_validator(mode="after")
-    def _truth_of_its_own(self) -> TopicMap:
-        if self.truth.topic == self.wheels.topic:
-            raise ValueError(
-                f"wheels.topic and truth.topic are both {self.truth.topic!r}: name the topic of the poses"
-            )
-        return self
-
-
-def read_topic_map(path: str | Path) -> TopicMap:
-    """Topic mapping of a TOML file.
-
-    Raises:
-        ConfigError: unreadable or wrong, with every problem.
-    """
-    try:
-        return TopicMap.model_validate(read_toml(Path(path)))
-    except ValidationError as error:
-        problems = tuple(
-            ": ".join(filter(None, (".".join(map(str, e["loc"])), e["msg"].removeprefix("Value error, "))))
-            for e in error.errors()
-        )
-        raise ConfigError(f"{path}: {len(problems)} problem(s)", problems=problems) from None
-
-
 def is_bag(path: Path) -> bool:
     """Whether a path looks like a rosbag2 recording: a folder with its metadata, or a storage file."""
-    return (path / "metadata.yaml").exists() if path.is_dir() else path.suffix in _STORAGES
+    return (path / "metadata.yaml").exists() if path.is_dir() else _storage(path) in _STORAGES
+
+
+def _storage(path: Path) -> str:
+    """Ending of a storage file, without that of its packing."""
+    return Path(path.stem).suffix if path.suffix in PACKED else path.suffix
 
 
 def bags_in(folder: Path) -> list[Path]:
@@ -154,28 +77,41 @@ def read_bag(path: str | Path, topics: TopicMap, nominal: Nominal | None = None)
     file = Path(path)
     if file.is_dir() and not is_bag(file):
         _refuse_folder(file)
-    wheels, truth = topics.wheels, topics.truth.topic
-    joints = JointRows(file, wheels.topic, wheels.joints)
-    poses: list[list[float]] = []
-    stamps: dict[str, list[_Stamp]] = {wheels.topic: [], truth: []}
-    for topic, stamp, message in _messages(file, (wheels.topic, truth)):
+    with unpacked(file) as plain:
+        try:
+            found = _read(plain, topics, nominal)
+        except DataError as error:
+            if plain == file:
+                raise
+            raise DataError(
+                str(file), error.message.removeprefix(f"{plain}: "), expected=error.expected,
+                remedy=error.remedy,
+            ) from None  # fmt: skip
+    digest = (hashlib.sha256(file.read_bytes()).hexdigest(),) if file.is_file() else ()
+    parts = [replace(part, sources=(str(file),), sha256=digest) for part in (found, *found.later)]
+    return replace(parts[0], later=tuple(parts[1:]))
+
+
+def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
+    wheels, truth = topics.wheels, topics.truth
+    joints, poses = JointRows(file, wheels.topic, wheels.joints), TruthPoses(file, truth)
+    stamps: dict[str, list[_Stamp]] = {wheels.topic: [], truth.topic: []}
+    for topic, stamp, message in _messages(file, (wheels.topic, truth.topic)):
         stamps[topic].append(stamp)
-        if topic == truth:
-            poses.append(_planar(message))
-        else:
-            joints.add(message)
+        (poses if topic == truth.topic else joints).add(message)
     times = _times(file, stamps)
     wheel_s, rows = joints.rows(times[wheels.topic])
+    known, planar, repairs = poses.rows()
     for problem in broken_frames(file):
         LOG.warning("%s: %s", file, problem)
     return build_recording(
         file.stem,
         Log(wheel_s, _signed(wheels, rows)),
-        Log(times[truth], np.array(poses, dtype=np.float64).reshape(-1, 3)),
+        Log(times[truth.topic][known], planar),
         motion=motion_of(file.stem),
         sources=(str(file),),
-        sha256=(hashlib.sha256(file.read_bytes()).hexdigest(),) if file.is_file() else (),
         nominal=nominal,
+        repairs=repairs,
     )
 
 
@@ -290,9 +226,3 @@ def _signed(wheels: WheelTopic, rows: Array) -> Array:
     drive_sign = np.array(wheels.drive_sign)
     steering = np.array(wheels.steer_sign) * (rows[:, 4:8] - np.array(wheels.steer_zero_rad))
     return np.column_stack([drive_sign * rows[:, :4], steering, drive_sign * rows[:, 8:]])
-
-
-def _planar(message: Any) -> list[float]:
-    pose = getattr(message.pose, "pose", message.pose)
-    q = pose.orientation
-    return [pose.position.x, pose.position.y, yaw_of_quat([q.w, q.x, q.y, q.z])]

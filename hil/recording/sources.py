@@ -14,8 +14,11 @@ from hil.calibration.datasets import Recording
 from hil.calibration.nominal import Nominal
 from hil.calibration.signs import check_signs
 from hil.recording import export, plain_csv, public_csv, rosbag
-from hil.recording.mcap_reader import COPY_AGAIN, NEEDS_TOPICS
+from hil.recording.mcap_reader import NEEDS_TOPICS
+from hil.recording.mcap_records import COPY_AGAIN
 from hil.recording.names import named_apart
+from hil.recording.topic_map import TopicMap, read_topic_map
+from hil.recording.unpacking import PACKED
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.files import check_name
 from hil.vocabulary.mistaken import meant
@@ -61,7 +64,7 @@ def find_recordings(
         ConfigError: the topic mapping is wrong.
         UsageError: no file can have such a name.
     """
-    mapping = None if topics is None else rosbag.read_topic_map(topics)
+    mapping = None if topics is None else read_topic_map(topics)
     jobs: list[Job] = []
     for given in paths:
         path = Path(given)
@@ -127,13 +130,16 @@ def read_recordings(
             continue
         times = _times_given(jobs[job.identity])
         more = {f"mentions of {job.files[0]} beyond the first left out": times - 1} if times > 1 else {}
-        out.append(replace(read, repairs={**read.repairs, **more}) if more else read)
+        out += [replace(read[0], repairs={**read[0].repairs, **more}), *read[1:]]
     out = named_apart(without_copies(out))
     check_signs(out, robot, of_all=unusable is not None)
     return out
 
 
-def _at_once(jobs: Iterable[Job], robot: Nominal) -> Iterator[tuple[Job, Recording | DataError]]:
+Parts = tuple[Recording, ...]
+
+
+def _at_once(jobs: Iterable[Job], robot: Nominal) -> Iterator[tuple[Job, Parts | DataError]]:
     """Read some recordings at a time, in order: unpacking and reading of numbers leave Python to others."""
     readers = ThreadPoolExecutor(_READERS)
     try:
@@ -144,10 +150,11 @@ def _at_once(jobs: Iterable[Job], robot: Nominal) -> Iterator[tuple[Job, Recordi
         readers.shutdown(cancel_futures=True)
 
 
-def _read(job: Job, robot: Nominal) -> Recording | DataError:
-    """A recording, or why it cannot be used."""
+def _read(job: Job, robot: Nominal) -> Parts | DataError:
+    """A recording in its parts, or why it cannot be used."""
     try:
-        return covered(job.read(), robot)
+        first = job.read()
+        return tuple(covered(replace(part, later=()), robot) for part in (first, *first.later))
     except DataError as error:
         return error
 
@@ -169,7 +176,7 @@ def _below(folder: Path) -> str:
     return "name the folder that does: " + ", ".join(map(str, holders[:3])) if holders else ""
 
 
-def _folder(folder: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) -> list[Job]:
+def _folder(folder: Path, mapping: TopicMap | None, nominal: Nominal | None) -> list[Job]:
     if rosbag.is_bag(folder):
         return [_bag(folder, mapping, nominal)]
     pairs = public_csv.find_pairs(folder)
@@ -188,7 +195,7 @@ def _folder(folder: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | No
     return jobs + [_bag(b, mapping, nominal) for b in foreign]
 
 
-def _bag(path: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) -> Job:
+def _bag(path: Path, mapping: TopicMap | None, nominal: Nominal | None) -> Job:
     if mapping is None:
         raise DataError(str(path), "is a rosbag2 recording of another robot", remedy=NEEDS_TOPICS)
     return _of(path, lambda: rosbag.read_bag(path, mapping, nominal))
@@ -213,12 +220,19 @@ def _pair(odom: Path, absolute: Path, nominal: Nominal | None, given: tuple[Path
     return Job((odom, absolute), lambda: public_csv.read_pair(odom, absolute, nominal), given)
 
 
-def _file(path: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) -> Job:
+def _file(path: Path, mapping: TopicMap | None, nominal: Nominal | None) -> Job:
     if not path.exists():
         raise DataError(str(path), "does not exist", expected="a recording, or a folder of them")
     if path.suffix in _OTHERS:
         raise DataError(str(path), "is no recording", remedy=meant(path))
-    if path.suffix == ".db3" or (path.suffix == ".mcap" and mapping is not None):
+    if path.suffix in PACKED and mapping is None:
+        raise DataError(
+            str(path), "is packed as a whole", expected="a recording as it was written",
+            remedy=f"unpack it with `zstd -d {path}`; bags of other robots are read packed, with --topics",
+        )  # fmt: skip
+    if path.suffix != ".mcap" and rosbag.is_bag(path):
+        return _bag(path, mapping, nominal)
+    if path.suffix == ".mcap" and mapping is not None:
         return _bag(path, mapping, nominal)
     if path.suffix == ".mcap":
         return _of(path, lambda: _whole_or_not(path, nominal))

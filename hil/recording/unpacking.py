@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import gzip
 import io
+import tempfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,6 +21,8 @@ from hil.vocabulary.reading import read_bytes
 MOST_BYTES = 256 << 20
 FREE_BYTES = 64 << 20
 FACTOR = 200
+PACKED = (".zstd", ".zst")
+"""Endings of files that zstd packs as a whole."""
 _MOST_STORED = 1 << 30
 _PIECE = 1 << 20
 _REMEDY = "a recording does not unpack to that much; record it anew, or split it"
@@ -113,6 +118,31 @@ def _unpacked(compression: str, data: bytes, said: int) -> bytes:
             raise ValueError(str(error)) from None
         return found + bytes(unpacker.unused_data or b"")
     raise ValueError(f"a chunk packed by {compression!r}, which is unknown")
+
+
+@contextmanager
+def unpacked(path: Path) -> Iterator[Path]:
+    """A file, or a folder, as it is; one packed as a whole by zstd (by its name) unpacked, for as long.
+
+    Raises:
+        DataError: damaged, or it unpacks to more than it may.
+    """
+    if path.is_dir() or path.suffix not in PACKED:
+        yield path
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        plain = Path(folder) / path.stem
+        try:
+            with path.open("rb") as source, plain.open("wb") as target:
+                unpack_stream(source, target, Allowance(path, path.stat().st_size))
+        except ValueError as error:
+            raise DataError(
+                str(path), f"cannot be unpacked ({error})", expected="a whole file packed by zstd",
+                remedy="copy it again",
+            ) from None  # fmt: skip
+        except OSError as error:
+            raise DataError(str(path), f"cannot be unpacked ({reason_of(error)})") from None
+        yield plain
 
 
 def unpack_stream(source: BinaryIO, target: BinaryIO, allowance: Allowance) -> None:

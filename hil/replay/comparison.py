@@ -15,7 +15,7 @@ from types import MappingProxyType
 import numpy as np
 
 from hil.bench.blueprint import Blueprint
-from hil.calibration.sampling import is_slow
+from hil.calibration.sampling import beside_rows, is_slow
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.consistency import autocorrelation, nees
 from hil.recording.runs import RecordedRun
@@ -29,7 +29,6 @@ from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array, wrap_array
 from hil.vocabulary.interfaces import Estimator
-from hil.vocabulary.interpolation import between_samples
 from hil.vocabulary.signals import CycleRecord, RobotState, heard
 
 SENSORS = {"wheels": "wheels", "gyro": "IMU", "tracker": "camera", "mocap": "motion capture"}
@@ -174,7 +173,7 @@ def truth_of(motion: Motion) -> Array:
     if not len(at_s):
         return motion.mocap
     if is_slow(at_s):
-        return _beside_samples(motion.t_s, at_s, poses)
+        return beside_rows(motion.t_s, at_s, poses)
     truth = motion.mocap
     age_s = motion.t_s - at_s[-1]
     since = int(np.argmax(age_s > -REST_S))
@@ -193,16 +192,6 @@ def _samples(motion: Motion) -> tuple[Array, Array]:
     at_s = np.array([(m.stamp.t_ns - begin_ns) / NS_PER_S for m in found], dtype=np.float64)
     order = np.argsort(at_s, kind="stable")
     return at_s[order], np.array([m.pose for m in found], dtype=np.float64).reshape(-1, 3)[order]
-
-
-def _beside_samples(cycles_s: Array, at_s: Array, poses: Array) -> Array:
-    """Poses (n, 3) at the cycles (n,) next to samples (m,), brought there by the way between samples."""
-    between = between_samples(cycles_s, at_s, poses, longest=np.inf)
-    behind = np.clip(np.searchsorted(cycles_s, at_s), 1, len(cycles_s) - 1)
-    nearest = np.where(at_s - cycles_s[behind - 1] < cycles_s[behind] - at_s, behind - 1, behind)
-    out = np.full_like(between, np.nan)
-    out[nearest] = between[nearest]
-    return out
 
 
 def consistency(motion: Motion, truth: Array | None = None) -> dict[str, float]:

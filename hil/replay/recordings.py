@@ -24,9 +24,10 @@ from hil.config.loading import load_bench
 from hil.config.recorded import recorded_bench
 from hil.recording.foreign import to_run
 from hil.recording.mcap_reader import RecordingReader
-from hil.recording.rosbag import is_bag, read_bag, read_topic_map
+from hil.recording.rosbag import is_bag, read_bag
 from hil.recording.runs import RecordedRun, read_runs
 from hil.recording.sources import find_recordings, read_recordings
+from hil.recording.topic_map import read_topic_map
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.collector import without_collector
 from hil.vocabulary.errors import DataError, HilError, UsageError
@@ -183,7 +184,8 @@ def _geometry(header: Mapping[str, Any]) -> WheelGeometry | None:
 def _read_foreign(path: Path, topics: Path | None, robot: Nominal, tables: list[Recording]) -> Any:
     """Reads the runs of a bag, which is opened at once, or of a CSV file; `tables` receives what was read."""
     if topics is not None:
-        tables.append(covered(read_bag(path, read_topic_map(topics), robot), robot))
+        found = read_bag(path, read_topic_map(topics), robot)
+        tables.extend(covered(replace(part, later=()), robot) for part in (found, *found.later))
         return lambda: map(to_run, tables)
 
     def read() -> Iterator[RecordedRun]:

@@ -89,7 +89,7 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
               "Strong colours: only the combination of two parameters is known, not each of them."),
     ]  # fmt: skip
     page = Overview(
-        f"Calibration on {len(result.recordings)} recordings", _sentence(tables, result), figures,
+        f"Calibration on {len(result.recordings)} recordings", _sentence(before, after, result), figures,
         [*_validation_tables(result), _error_table("Errors before", tables[0], shown=False),
          _error_table("Errors after", tables[1], shown=False)],
         result.warnings, facts,
@@ -97,9 +97,10 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
     return write_overview_folder(folder, page)
 
 
-def _sentence(tables: tuple[Mapping[str, Any], Mapping[str, Any]], result: Calibration) -> str:
-    before, after = (_mm(t["mean"]) for t in tables)
-    said = f"Calibration brings the mean position error of odometry from {before} to {after} mm (RMSE)"
+def _sentence(before: Sequence[Track], after: Sequence[Track], result: Calibration) -> str:
+    """What the calibration brings on the recordings that fit each other, and which do not."""
+    first, then = (_mm(dict[str, Any](evaluate(tracks))["mean"]) for tracks in (before, after))
+    said = f"Calibration brings the mean position error of odometry from {first} to {then} mm (RMSE)"
     unseen = result.validation.get("leave_one_repetition_out")
     if not unseen:
         said += " on the recordings that it was fitted to."
@@ -239,6 +240,8 @@ def _weights(result: Calibration) -> Figure:
     for k in range(len(problem.weights), len(names)):
         axes.axvspan(k - 0.4, k + 0.4, color=SERIES[4], alpha=0.4, lw=0)
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
+    for k in range(len(problem.weights), len(names)):
+        axes.get_xticklabels()[k].set_color(SERIES[4])
     axes.set_ylim(0, 1.05)
     return figure
 

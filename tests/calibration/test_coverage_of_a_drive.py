@@ -5,8 +5,9 @@ import gzip
 import numpy as np
 import pytest
 
+from hil.calibration.cleaning import Log
 from hil.calibration.coverage import covered
-from hil.calibration.datasets import Log, build_recording
+from hil.calibration.datasets import build_recording
 from hil.calibration.nominal import Nominal
 from hil.cli import main
 from hil.recording.plain_csv import write_plain

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from hil.calibration.calibrate import calibrate
-from hil.calibration.datasets import Log, build_recording
+from hil.calibration.cleaning import Log
+from hil.calibration.datasets import build_recording
 from hil.calibration.evaluation import position_rmse, track
 from hil.calibration.nominal import Nominal
 from hil.calibration.problem import RECOMMENDED

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hil.calibration.datasets import Log, build_recording
+from hil.calibration.cleaning import Log
+from hil.calibration.datasets import build_recording
 from hil.calibration.synthetic import hidden_robot, simulate
 from hil.cli import main
 from hil.recording.plain_csv import write_plain

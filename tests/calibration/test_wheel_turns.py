@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hil.calibration.datasets import Log, build_recording
+from hil.calibration.cleaning import Log
+from hil.calibration.datasets import build_recording
 from hil.calibration.turns import BY_RATES, WRAPS
 from hil.vocabulary.errors import DataError
 

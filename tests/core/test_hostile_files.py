@@ -22,7 +22,7 @@ from hil.procedure.operator import Answers
 from hil.procedure.parameters import split_settings
 from hil.recording.plain_csv import read_plain
 from hil.recording.public_csv import read_pair
-from hil.recording.rosbag import read_topic_map
+from hil.recording.topic_map import read_topic_map
 from hil.report.result_file import read_result
 from hil.report.run_page import write_run_page
 from hil.robot.waypoints import read_waypoints

@@ -30,7 +30,7 @@ from hil.recording.mcap_reader import RecordingReader, read_cycles
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.plain_csv import read_plain, write_plain
 from hil.recording.public_csv import partner, read_pair
-from hil.recording.rosbag import read_topic_map
+from hil.recording.topic_map import read_topic_map
 from hil.report.result_file import read_result
 from hil.report.run_page import write_run_page
 from hil.robot.waypoints import read_waypoints

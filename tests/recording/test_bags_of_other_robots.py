@@ -13,8 +13,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from hil.cli import main
 from hil.recording.names import motion_of
-from hil.recording.rosbag import read_bag, read_topic_map
+from hil.recording.rosbag import read_bag
 from hil.recording.sources import read_recordings
+from hil.recording.topic_map import read_topic_map
 from hil.robot.kinematics import NOMINAL_RADIUS_M
 from hil.vocabulary.errors import ConfigError, DataError
 from hil.vocabulary.extras import is_installed

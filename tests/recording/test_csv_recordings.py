@@ -5,7 +5,8 @@ import gzip
 import numpy as np
 import pytest
 
-from hil.calibration.datasets import Log, build_recording, increasing
+from hil.calibration.cleaning import Log, increasing
+from hil.calibration.datasets import build_recording
 from hil.calibration.synthetic import hidden_robot, simulate
 from hil.recording import numbers
 from hil.recording.plain_csv import read_plain, write_plain

@@ -18,7 +18,8 @@ from hil.cli.export import command
 from hil.recording.export import COLUMNS, tabulate, to_recording, write_table
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.plain_csv import read_plain
-from hil.recording.rosbag import read_bag, read_topic_map
+from hil.recording.rosbag import read_bag
+from hil.recording.topic_map import read_topic_map
 from hil.vocabulary.errors import ConfigError, DataError, UsageError
 from hil.vocabulary.signals import SERVOS
 

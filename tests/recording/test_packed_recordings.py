@@ -20,10 +20,12 @@ from test_mcap_topics import write_bag
 
 from hil.cli import main
 from hil.recording import unpacking
-from hil.recording.mcap_reader import RecordingReader, top_level
+from hil.recording.mcap_reader import RecordingReader
+from hil.recording.mcap_records import top_level
 from hil.recording.mcap_writer import McapRecorder
-from hil.recording.rosbag import read_bag, read_topic_map
+from hil.recording.rosbag import read_bag
 from hil.recording.sources import find_recordings
+from hil.recording.topic_map import read_topic_map
 from hil.recording.unpacking import Allowance, chunk_data
 from hil.vocabulary.errors import DataError
 

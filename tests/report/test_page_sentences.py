@@ -45,16 +45,27 @@ def test_a_campaign_says_which_limits_were_missed_and_how_often(tmp_path):
     assert said == "1 of 4 runs kept their limits. Beyond its limit: end in 2, way in 1. 1 ended early."
 
 
-def test_a_calibration_names_recordings_that_do_not_fit_the_others():
-    tables = tuple({"mean": {"rmse_position_m": m}} for m in (0.04, 0.025))
+def test_a_calibration_names_recordings_that_do_not_fit_the_others_and_leaves_their_errors_out():
+    names = "abcdefghijklmnopqr"
+
+    def tracks(error_m, bad):
+        return [
+            SimpleNamespace(
+                recording=SimpleNamespace(name=name, motion="line"),
+                error=np.array([[0.9 if name in bad else error_m, 0.0, 0.0]]),
+            )
+            for name in names
+        ]
 
     def said(*rejected):
         result = SimpleNamespace(validation={}, fit=SimpleNamespace(rejected=rejected), recordings=[0] * 18)
-        return _sentence(tables, result)
+        return _sentence(tracks(0.04, rejected), tracks(0.025, rejected), result)
 
     assert said().endswith("from 40.0 to 25.0 mm (RMSE) on the recordings that it was fitted to.")
-    assert said("a").endswith("fitted to. That includes 1 of 18 recordings that does not fit the others: a.")
-    assert said("a", "b").endswith("That includes 2 of 18 recordings that do not fit the others: a, b.")
+    for bad in (("a",), ("a", "b")):
+        assert "from 40.0 to 25.0 mm" in said(*bad)
+        assert f"{len(bad)} of 18 recordings" in said(*bad)
+        assert said(*bad).endswith(f"fit the others: {', '.join(bad)}.")
 
 
 def test_a_warning_stands_on_a_page_once(tmp_path):

@@ -1,0 +1,302 @@
+"""Bags whose drivers or clocks are at fault: what can be told apart is, and a perfect robot stays one."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import perfect_robot as perfect
+import pytest
+import zstandard
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from mcap_cases import driving_record
+from rosbags.rosbag2 import StoragePlugin
+
+from hil.calibration.calibrate import calibrate
+from hil.calibration.caveats import told_by
+from hil.calibration.evaluation import position_rmse, track
+from hil.calibration.problem import make_setting
+from hil.cli import main
+from hil.recording.mcap_reader import read_cycles
+from hil.recording.mcap_writer import McapRecorder
+from hil.recording.sources import read_recordings
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import DataError
+
+WHEELS = WheelGeometry.nominal()
+MAPPING = """
+schema = 1
+[wheels]
+topic = "/wheels"
+drive = ["w1", "w2", "w3", "w4"]
+steer = ["s1", "s2", "s3", "s4"]
+[truth]
+topic = "/vicon"
+"""
+RIGHT_M = pytest.approx(np.sqrt(2.0) * 2e-4, rel=0.3)
+
+
+@pytest.fixture
+def topics(tmp_path):
+    path = tmp_path / "topics.toml"
+    path.write_text(MAPPING)
+    return path
+
+
+@pytest.fixture
+def read(tmp_path, topics):
+    def read(found, **how):
+        bag = perfect.write_bag(tmp_path / "curve_1", perfect.messages(found, **how))
+        return read_recordings([bag], topics=topics)
+
+    return read
+
+
+def rmse_m(recording):
+    return position_rmse(track(recording, WHEELS))
+
+
+def stepped(found, at_s, by_s, topics=("/wheels", "/vicon")):
+    """Messages whose stamps step back while the log goes on, of some topics."""
+    for topic, at, message in perfect.messages(found):
+        if topic in topics and at >= at_s:
+            message.header = perfect.header(at - by_s)
+        yield topic, at, message
+
+
+def test_without_a_fault_nothing_is_said(read):
+    (found,) = read(perfect.drive())
+    assert rmse_m(found) == RIGHT_M
+    assert told_by([found]) == []
+
+
+@pytest.mark.parametrize("hz", [10.0, 4.0])
+def test_slow_ground_truth_is_no_gap(read, hz):
+    (found,) = read(perfect.drive(truth_hz=hz))
+    assert told_by([found]) == []
+
+
+@pytest.mark.parametrize("none", [(0.0, 0.0, 0.0, 0.0), (0.01, 0.0, 0.0, 0.0)])
+def test_a_quaternion_that_is_no_rotation_is_no_heading(read, none):
+    """Every third message holds a position alone."""
+
+    def pose(t_s, row):
+        if round(t_s * 100) % 3:
+            return perfect.pose(t_s, row)
+        return perfect.pose(t_s, (row[0], row[1], 0.0), none)
+
+    (found,) = read(perfect.drive(), make_pose=pose)
+    assert rmse_m(found) == RIGHT_M
+    assert len(found.truth_t_s) == pytest.approx(2000 * 2 / 3, abs=3)
+    assert "quaternion is no rotation" in " ".join(found.repairs)
+
+
+def test_positions_alone_are_refused_by_every_command(tmp_path, topics, capsys):
+    found = perfect.messages(
+        perfect.drive(), make_pose=lambda t_s, row: perfect.pose(t_s, (*row[:2], 0.0), (0, 0, 0, 0))
+    )
+    bag = perfect.write_bag(tmp_path / "curve_1", found)
+    for command in (["evaluate", bag], ["calibrate", bag], ["replay", bag], ["export", bag]):
+        assert main([*map(str, command), "--topics", str(topics)]) == 2
+        assert "none of 2000 messages holds a heading" in capsys.readouterr().err
+
+
+def test_a_driver_that_repeats_its_last_pose_is_left_out_and_named(read):
+    whole = perfect.drive()
+    frozen = (whole.truth_s > 6.0) & (whole.truth_s < 8.0)
+    pose = np.array(whole.pose)
+    pose[frozen] = pose[np.flatnonzero(frozen)[0] - 1]
+    (found,) = read(replace(whole, pose=pose))
+    assert rmse_m(found) == RIGHT_M
+    assert np.max(np.abs(track(found, WHEELS).error[:, :2])) < 1.2e-3
+    assert "frozen source" in " ".join(found.repairs)
+    assert not any("leap" in what for what in found.repairs)
+
+
+def test_a_source_that_never_goes_on_is_refused(read):
+    whole = perfect.drive()
+    with pytest.raises(DataError, match="repeats its last pose"):
+        read(replace(whole, pose=np.where(whole.truth_s[:, None] > 6.0, whole.pose[600], whole.pose)))
+
+
+def test_a_robot_that_rests_is_not_frozen(read):
+    (found,) = read(perfect.drive(noise=0.0))
+    assert len(found.truth_t_s) == 2000
+    assert told_by([found]) == []
+
+
+def test_wheels_that_report_rates_alone_are_integrated(tmp_path, topics):
+    """Drive and steering come in messages of their own, as rates cannot say where a wheel is steered."""
+    whole = perfect.drive()
+
+    def found():
+        for topic, at, message in perfect.messages(whole):
+            if topic == "/wheels":
+                drive, steer = (perfect.joints(at, np.zeros(4), np.zeros(4), np.zeros(4)) for _ in range(2))
+                drive.name, drive.position, drive.velocity = perfect.DRIVE, np.array([]), message.velocity[:4]
+                steer.name, steer.position, steer.velocity = perfect.STEER, message.position[4:], np.array([])
+                yield topic, at, drive
+                yield topic, at, steer
+            else:
+                yield topic, at, message
+
+    (one,) = read_recordings([perfect.write_bag(tmp_path / "curve_1", found())], topics=topics)
+    assert rmse_m(one) == RIGHT_M
+    assert "integrated from their rates" in " ".join(one.repairs)
+
+
+@pytest.mark.parametrize("by_s", [0.2, 3.0])
+@pytest.mark.parametrize("hz", [100.0, 10.0])
+def test_rows_behind_a_step_back_of_stamps_are_a_recording_of_their_own(tmp_path, topics, hz, by_s):
+    bag = perfect.write_bag(tmp_path / "curve_1", stepped(perfect.drive(truth_hz=hz), 9.0, by_s))
+    first, second = read_recordings([bag], topics=topics)
+    assert [first.name, second.name] == ["curve_1 part 1", "curve_1 part 2"]
+    assert first.motion == second.motion == "curve"
+    assert rmse_m(first) == RIGHT_M
+    assert rmse_m(second) == pytest.approx(np.sqrt(2.0) * 2e-4, rel=0.5)
+    assert "step back" in " ".join(first.repairs)
+
+
+def test_a_step_back_of_one_clock_alone_is_refused(tmp_path, topics):
+    found = stepped(perfect.drive(), 9.0, 0.5, ("/vicon",))
+    with pytest.raises(DataError, match="no common time"):
+        read_recordings([perfect.write_bag(tmp_path / "curve_1", found)], topics=topics)
+
+
+@pytest.mark.parametrize("late_s", [0.05, -0.05])
+@pytest.mark.parametrize("hz", [100.0, 10.0])
+def test_ground_truth_of_another_clock_is_named_with_its_offset(read, hz, late_s):
+    whole = perfect.drive(truth_hz=hz)
+    found = read(replace(whole, truth_s=whole.truth_s + late_s))
+    (line,) = told_by(found)
+    assert f"0.05 s {'later' if late_s > 0 else 'earlier'}" in line
+
+
+def test_a_packed_storage_file_is_read_by_itself(tmp_path, topics, capsys):
+    bag = perfect.write_bag(tmp_path / "bag", perfect.messages(perfect.drive()))
+    (plain,) = bag.glob("*.mcap")
+    packed = tmp_path / "curve_0.mcap.zstd"
+    packed.write_bytes(zstandard.compress(plain.read_bytes()))
+    (found,) = read_recordings([packed], topics=topics)
+    assert (found.motion, found.sources) == ("curve", (str(packed),))
+    assert rmse_m(found) == RIGHT_M
+    packed.write_bytes(packed.read_bytes()[:5000])
+    with pytest.raises(DataError, match=r"curve_0\.mcap\.zstd"):
+        read_recordings([packed], topics=topics)
+    for command in ("evaluate", "replay", "export"):
+        assert main([command, str(packed)]) == 2
+        assert "zstd -d" in capsys.readouterr().err
+
+
+def without_chunks(source, target):
+    """The messages of an MCAP file written anew without chunks, its metadata last."""
+    with source.open("rb") as old, target.open("wb") as new:
+        reader = make_reader(old)
+        writer = McapWriter(new, use_chunking=False, compression=CompressionType.NONE)
+        writer.start(profile="ros2", library="another")
+        schemas, channels = {}, {}
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            if schema.id not in schemas:
+                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+            if channel.id not in channels:
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schemas[schema.id], channel.metadata
+                )
+            writer.add_message(
+                channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence
+            )
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        writer.finish()
+    return target
+
+
+def test_a_bag_without_chunks_is_read(tmp_path, topics):
+    bag = perfect.write_bag(tmp_path / "bag", perfect.messages(perfect.drive()))
+    (plain,) = bag.glob("*.mcap")
+    (found,) = read_recordings([without_chunks(plain, tmp_path / "curve_1.mcap")], topics=topics)
+    assert rmse_m(found) == RIGHT_M
+
+
+def test_bodies_as_motive_makes_them_are_brought_to_the_robot(tmp_path):
+    """y upwards, the pivot 80 mm ahead and 30 mm above, turned by 0.4 rad."""
+    whole = perfect.drive()
+    ahead, above, turn = 0.08, 0.03, 0.4
+
+    def pose(t_s, row):
+        x, y, theta = row
+        at = (x + ahead * math.cos(theta), y + ahead * math.sin(theta), above)
+        half = 0.5 * (theta + turn)
+        return perfect.pose(t_s, (at[0], at[2], -at[1]), (math.cos(half), 0.0, math.sin(half), 0.0))
+
+    bag = perfect.write_bag(tmp_path / "curve_1", perfect.messages(whole, make_pose=pose))
+    mount = f"[{math.cos(0.5 * turn)}, 0.0, 0.0, {math.sin(0.5 * turn)}]"
+    topics = tmp_path / "topics.toml"
+    topics.write_text(
+        f'{MAPPING}up_axis = "y"\nmount_position_m = [{ahead}, 0.0, {above}]\nmount_rotation_wxyz = {mount}\n'
+    )
+    (found,) = read_recordings([bag], topics=topics)
+    np.testing.assert_allclose(found.truth_pose, whole.pose, atol=1e-9)
+
+
+@pytest.mark.parametrize("plugin", list(StoragePlugin))
+def test_every_command_says_the_same_of_one_bag(tmp_path, topics, capsys, plugin):
+    bag = perfect.write_bag(tmp_path / "curve_1", perfect.messages(perfect.drive()), plugin)
+
+    def said(*command):
+        assert main([*map(str, command), "--json"]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    table = said("evaluate", bag, "--topics", topics)["motions"]["curve"]
+    replayed = said("replay", bag, "--topics", topics, "--estimator", "odometry")["estimators"]["odometry"]
+    exported = said("export", bag, "--topics", topics, "--out", tmp_path / "curve_1.csv")
+    assert exported["rows"] == len(perfect.drive().t_s)
+    for key in ("rmse_position_m", "rmse_theta_rad", "final_position_m"):
+        assert replayed[key] == pytest.approx(table[key], abs=1e-9)
+
+
+def test_a_recording_of_the_bench_without_chunks_is_read(tmp_path, capsys):
+    recorder = McapRecorder(tmp_path / "own.mcap", {}, lossless=True)
+    for k in range(40):
+        recorder.write(driving_record(k))
+    recorder.close()
+    plain = without_chunks(tmp_path / "own.mcap", tmp_path / "plain.mcap")
+    assert list(map(repr, read_cycles(plain))) == list(map(repr, read_cycles(tmp_path / "own.mcap")))
+    tables = []
+    for name in ("own", "plain"):
+        assert main(["export", str(tmp_path / f"{name}.mcap"), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["rows"] == 40
+        tables.append((tmp_path / f"{name}.csv").read_text())
+    assert tables[0] == tables[1]
+
+
+def test_an_empty_recording_is_no_success(tmp_path, capsys):
+    McapRecorder(tmp_path / "own.mcap", {}, lossless=True).close()
+    for command in ("evaluate", "replay", "export"):
+        assert main([command, str(tmp_path / "own.mcap")]) == 2
+        assert capsys.readouterr().out == ""
+    assert not (tmp_path / "own.csv").exists()
+
+
+def test_a_heading_that_is_off_in_common_is_named_before_it_is_taken_for_steering(tmp_path, topics):
+    def fitted(off_rad):
+        recordings = []
+        for k in range(2):
+            one = perfect.drive(seed=k, sense=(-1.0) ** k)
+            turned = replace(one, pose=one.pose + np.array([0.0, 0.0, off_rad]))
+            name = f"turned{k}_{round(1e3 * off_rad)}"
+            recordings += read_recordings(
+                [perfect.write_bag(tmp_path / name, perfect.messages(turned))], topics=topics
+            )
+        return calibrate(
+            recordings, make_setting("recommended", model="exact"), MonotonicClock(), validate=False
+        )
+
+    off, right = fitted(0.05), fitted(0.0)
+    assert off.to_json()["common_steering_zero_rad"] == pytest.approx(-0.05, abs=0.01)
+    assert any("heading of the ground truth were 0.0" in line for line in off.warnings)
+    assert right.to_json()["common_steering_zero_rad"] == pytest.approx(0.0, abs=2e-3)
+    assert not any("heading of the ground truth" in line for line in right.warnings)
