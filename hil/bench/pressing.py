@@ -163,7 +163,8 @@ class PressWatch:
         self.waits = self._alone.begun
         if not left_s:
             return ""
-        return f"what carries the robot is not measured: the propellers report nothing, and {_to_be_seen(left_s)}"
+        seen = _to_be_seen(left_s)
+        return f"what carries the robot is not measured: the propellers report nothing, and {seen}"
 
     def _counted_push(
         self, now_ns: int, sees_slide: bool, moves: bool, fresh: Mapping[str, float]

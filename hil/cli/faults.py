@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,11 +17,11 @@ from hil.cli.options import JSON, OUT
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, did_you_mean
 from hil.vocabulary.files import check_file
+from hil.vocabulary.result_files import FAULTS_MATRIX, FAULTS_PAGE
 
 if TYPE_CHECKING:
     from hil.procedure.faults import Cell, CellVerdict, KeptVerdicts
 
-PAGE = "reliability.md"
 DEFAULTS = {"moments": "open,motion,stop,second", "plants": "own", "bench": "emulated"}
 
 
@@ -53,34 +54,39 @@ class Asked:
 @click.option("--workers", type=click.IntRange(0, 1000), default=0, show_default=True,
               help="Processes (needs the extra `campaign`); 0 runs here.")  # fmt: skip
 @click.option("--out", type=OUT, default=Path("out/faults"), show_default=True,
-              help="Folder of the matrix.")  # fmt: skip
+              help="Folder of the pages.")  # fmt: skip
 @click.option("--resume", is_flag=True, help="Go on with the cells that are missing in --out.")
 @JSON
 def command(
     quick: bool, seeds: str, only: tuple[str, ...], moments: str, plants: str, count: int | None, bench: str,
     workers: int, out: Path, resume: bool, as_json: bool,
 ) -> int:  # fmt: skip
-    """Every fault of every emulated device, at four moments of a climb, judged, into one matrix.
+    """Every fault of every emulated device, at four moments of a climb, judged, on one page.
 
     Example: hil faults --quick
     """
-    from hil.procedure.faults import KeptVerdicts, missing, write_page
+    from hil.procedure.faults import KeptVerdicts, missing, summary, write_page
+    from hil.report.faults_page import write_faults
 
+    began = datetime.now(timezone.utc).isoformat(timespec="seconds")
     asked = Asked(quick, seeds, only, moments, plants, count, bench)
     cells = _cells(asked)
-    check_file(out / PAGE)
+    check_file(out / FAULTS_PAGE)
+    check_file(out / FAULTS_MATRIX)
     out.mkdir(parents=True, exist_ok=True)
     where = os.path.abspath(bench) if os.path.isfile(bench) else bench
     with KeptVerdicts(out, where, resume=resume) as kept:
         there = {verdict.cell: verdict for verdict in kept.there}
         there.update(_judged(missing(cells, kept.there), where, workers, kept))
     verdicts = [there[cell] for cell in cells]
-    write_page(out / PAGE, verdicts, _shown(asked))
+    told = summary(verdicts, bench=bench, command=_shown(asked))
+    write_page(out / FAULTS_MATRIX, told)
+    page = write_faults(out, {**told, "began": began})
     failed = [v for v in verdicts if v.why]
     if as_json:
-        click.echo(json.dumps(_json(verdicts, out / PAGE), allow_nan=False))
+        click.echo(json.dumps(_json(verdicts, out / FAULTS_MATRIX, page), allow_nan=False))
     else:
-        click.echo(f"{len(verdicts)} cells, {len(failed)} failed; matrix: {out / PAGE}")
+        click.echo(f"{len(verdicts)} cells, {len(failed)} failed; page: {page}")
     return EXIT_LIMIT_FAILED if failed else EXIT_PASS
 
 
@@ -154,7 +160,7 @@ def _shown(asked: Asked) -> str:
     return " ".join([*parts, *([f"--random {asked.count}"] if asked.count is not None else [])])
 
 
-def _json(verdicts: Sequence[CellVerdict], page: Path) -> dict[str, object]:
+def _json(verdicts: Sequence[CellVerdict], table: Path, page: Path) -> dict[str, object]:
     return {
         "cells": len(verdicts),
         "failed": [
@@ -165,5 +171,6 @@ def _json(verdicts: Sequence[CellVerdict], page: Path) -> dict[str, object]:
             for v in verdicts if v.why
         ],
         "quiet": [v.cell.name for v in verdicts if not v.told and not v.why],
-        "table": str(page),
+        "table": str(table),
+        "page": str(page),
     }  # fmt: skip

@@ -25,6 +25,10 @@ COMMISSIONING_TABLE, COMMISSIONING_PAGE = "commission.json", "commission.html"
 ACCEPTANCE_TABLE, ACCEPTANCE_PAGE = "accept.json", "accept.html"
 """Of an acceptance."""
 
+FAULTS_TABLE, FAULTS_PAGE, FAULTS_MATRIX = "faults.json", "faults.html", "reliability.md"
+FAULTS_CELLS, FAULTS_CELLS_BEFORE = "cells.jsonl", "cells.before.jsonl"
+"""Of a fault campaign: its table and pages, its verdicts as they come, and those of one before it."""
+
 COMPARISON, TRENDS = "compare.html", "trends.html"
 """Pages over several of them."""
 

@@ -51,5 +51,5 @@ KIND = DeviceKind(
     forces=_forces,
     plots=(Plot("Adhesion", "Propellers' throttle", "adhesion/throttle"),),
     look=samples_look("check cable and supply of the propellers' controllers"),
-    passes={"*": "this controller sends nothing back, and the robot is held all the same"},
+    passes={"*": "this controller sends nothing back"},
 )

@@ -124,7 +124,7 @@ class TeensyThrust(Holding[ThrustSample]):
             self._end = self._clock.schedule(self._repeat, self._due_ns())
 
     def leave_alone(self, alone: bool) -> None:
-        """Do not repeat the throttle while `alone`; without lines the firmware keeps the last one."""
+        """Do not repeat the throttle while `alone`: the firmware goes on as it was told last."""
         self._alone = alone
 
     def _due_ns(self) -> int:

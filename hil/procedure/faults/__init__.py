@@ -1,8 +1,8 @@
 """The fault campaign: every fault of every emulated device at several moments of a short climb, judged.
 
 A cell is one device, one fault, one moment, one seed and one physics; its verdict says whether the robot was
-held within the limits, whether the cause was named, whether the robot recovered where it should, and whether
-the recording can be read.
+held within the bounds of its class of faults, whether what was struck is accused, whether the robot recovered
+where it should, and whether the recording can be read.
 """
 
 from hil.procedure.faults.cells import (
@@ -18,6 +18,7 @@ from hil.procedure.faults.driving import run_cell
 from hil.procedure.faults.judging import CellVerdict, lost
 from hil.procedure.faults.kept import KeptVerdicts, missing
 from hil.procedure.faults.matrix import matrix_page, write_page
+from hil.procedure.faults.summary import summary
 
 __all__ = [
     "MOMENTS",
@@ -33,5 +34,6 @@ __all__ = [
     "random_cells",
     "run_cell",
     "stands_for_itself",
+    "summary",
     "write_page",
 ]

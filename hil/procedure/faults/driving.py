@@ -10,21 +10,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.bench import Bench, open_bench
+from hil.procedure.faults.bounds import WATCHED_S
 from hil.procedure.faults.cells import DURATION_S, Cell
-from hil.procedure.faults.judging import CellVerdict, Seen, judge
+from hil.procedure.faults.judging import CellVerdict, judge
+from hil.procedure.faults.seen import Seen, ended_by
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.mcap_writer import McapRecorder
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import HilError
+from hil.vocabulary.geometry import Array
 
 if TYPE_CHECKING:
     from hil.vocabulary.signals import CycleRecord
 
 _LOOK_NS = nanoseconds(0.02)
-START, WAY_M = np.zeros(3), 0.12
-HOLD_S, AFTERWARDS_S, CREPT_S = 0.3, 0.5, 0.3
-"""Control at the end; a look at the robot after that; a look at what it does when it is said to be held."""
+START, WAY_M, HOLD_S = np.zeros(3), 0.12, 0.3
+"""Control at the end."""
+_LOOKS = 10
+"""At a robot that the bench has left."""
 
 
 def run_cell(cell: Cell, bench: str = "emulated") -> CellVerdict:
@@ -40,21 +44,33 @@ def _drive(cell: Cell, name: str, path: Path) -> Seen:
     seen = Seen()
     bench = open_bench(name, seed=cell.seed, faults=cell.specs, overrides={"emulation.plant": cell.plant})
     bench.tells_held = False
+    stopped, end = START[:2], _follow(bench, seen)
     try:
         with bench:
-            bench.on_close(_follow_forces(bench, seen))
             bench.add_sink(McapRecorder(str(path), bench.header(), lossless=True))
             _climb(bench, seen)
-            _watch(bench, seen)
+            stopped = _place(bench)
+            seen.stopped_s = bench.clock.now_ns() / NS_PER_S
     except HilError as error:
-        seen.error = f"{type(error).__name__}: {error}"
+        seen.error = ended_by(error)
     except Exception as error:  # what no device may raise is what the campaign looks for
         seen.foreign = f"{type(error).__name__}: {error}"
-    seen.held = bench.held
+    seen.held, seen.looked_s = bench.held, bench.clock.now_ns() / NS_PER_S
+    seen.moved_m = float(np.hypot(*(_place(bench) - stopped)))
+    _watch(bench, seen)
+    end()
     return seen
 
 
-def _follow_forces(bench: Bench, seen: Seen) -> Callable[[], None]:
+def _place(bench: Bench) -> Array:
+    """Where the robot truly is, (2,) in m; a bench that did not open leaves it hanging there all the same."""
+    truth = bench.truth()
+    assert truth is not None
+    place: Array = truth.pose_body_in_wall[:2].copy()
+    return place
+
+
+def _follow(bench: Bench, seen: Seen) -> Callable[[], None]:
     """Keep the least force that truly holds the robot from now on; gives what ends that."""
 
     def look(t_ns: int) -> int:
@@ -62,6 +78,7 @@ def _follow_forces(bench: Bench, seen: Seen) -> Callable[[], None]:
         if truth is not None:
             seen.adhesion_n = min(seen.adhesion_n, truth.adhesion_n)
             seen.thrust_n = min(seen.thrust_n, truth.thrust_n)
+            seen.fallen = seen.fallen or truth.fallen
         return t_ns + _LOOK_NS
 
     return bench.clock.schedule(look, bench.clock.now_ns())
@@ -72,7 +89,7 @@ def _climb(bench: Bench, seen: Seen) -> None:
 
     def look(record: CycleRecord) -> None:
         seen.cycles += 1
-        seen.events += [(event.source, event.message) for event in record.events]
+        seen.events += [event.suspects for event in record.events]
         truth = bench.truth()
         if truth is not None:
             seen.off_m = np.abs(truth.pose_body_in_wall - record.state.pose_body_in_wall)[:2]
@@ -82,26 +99,15 @@ def _climb(bench: Bench, seen: Seen) -> None:
     try:
         bench.drive(way, start_pose=START, hold_s=HOLD_S, on_cycle=look)
     except HilError as error:
-        seen.stop = f"{type(error).__name__}: {error}"
+        seen.stop = ended_by(error)
 
 
 def _watch(bench: Bench, seen: Seen) -> None:
-    """Look at the robot while the bench looks after it, and then at what it truly does."""
-    truth = bench.truth()
-    assert truth is not None
-    stopped = truth.pose_body_in_wall.copy()
-    bench.look(AFTERWARDS_S)
-    held = bench.look(bench.config.exit.look_after_s)
-    truth = bench.truth()
-    assert truth is not None
-    before = truth.pose_body_in_wall.copy()
-    bench.clock.sleep_until_ns(bench.clock.now_ns() + nanoseconds(CREPT_S))
-    truth = bench.truth()
-    assert truth is not None
-    seen.said, seen.why = held.state, held.why
-    seen.moved_m = float(np.hypot(*(before - stopped)[:2]))
-    seen.crept_m = float(np.hypot(*(truth.pose_body_in_wall - before)[:2]))
-    seen.fallen = truth.fallen
+    """What the robot truly does once the bench has closed."""
+    clock, left = bench.clock, _place(bench)
+    for _ in range(_LOOKS):
+        clock.sleep_until_ns(clock.now_ns() + nanoseconds(WATCHED_S / _LOOKS))
+        seen.crept_m = max(seen.crept_m, float(np.hypot(*(_place(bench) - left))))
 
 
 def _unreadable(path: Path) -> str:

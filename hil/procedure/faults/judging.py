@@ -1,68 +1,48 @@
-"""What is right of one cell, and what is not: held, named, recovered, recorded, honest."""
+"""What is right of one cell, and what is not: held, accused, recovered, recorded, honest.
+
+Judged by data: which kinds of devices a stop or an event accuses, and what the robot truly did. What is said
+in words is shown and not read.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from hil.bench import Held
-from hil.bench.pressing import MEASURES
+from hil.procedure.faults.bounds import (
+    MOST_OFF_M,
+    SIGMAS,
+    SLACK_M,
+    farthest_m,
+    kind_of,
+    let_go,
+    need_not_be_held,
+    still_m,
+    struck,
+)
 from hil.procedure.faults.cells import Cell
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.kinds import DeviceKind, kinds
-
-FARTHEST_M, STILL_M = 0.005, 0.0005
-"""That a robot may move after its stop, and within a look at it that is said to be held."""
-SIGMAS, SLACK_M = 3.0, 0.005
-"""By which the estimate of a run that ends well may be wrong."""
-SEES = ("tracker", "mocap")
-"""Devices of the shipped bench that see a slide."""
-LEAST_ADHESION_N = 21.0
-"""Below it the shipped robot slides down its wall whatever anybody does."""
-_LETS_GO = ("off", "brownout", "reset", "unplug", "baud_mismatch", "drop", "corrupt", "truncate", "garbage",
-            "intermittent", "slow")  # fmt: skip
-"""Faults of servos that take supply or bus, wholly or for a while, or answer when nobody listens any more."""
-LEAST_THRUST_N = 13.0
-"""Of 22: with less of the propellers' thrust it slides, whatever its fan does."""
+from hil.procedure.faults.seen import Ended, Seen
 
 
-@dataclass
-class Seen:
-    """What was seen of a run.
+@dataclass(frozen=True)
+class Measured:
+    """Figures of a cell for the page, ways in m.
 
     Attributes:
-        cycles: how many there were.
-        events: source and message of each.
-        stop: what ended the drive; empty where it came to its end.
-        error: what opening and closing raised; empty for nothing.
-        foreign: an exception that is none of this project's.
-        unreadable: what is wrong with the recording.
-        off_m, sigma_m: (2,) true error of the last estimate, and its standard deviation.
-        said, why: what the bench said of the robot after looking after it.
-        moved_m, crept_m: true way from the stop until then, and in the next moments.
-        fallen: the true robot.
-        adhesion_n, thrust_n: least that truly held it at any time.
-        held: the bench's last word.
+        moved_m: after the stop, until the bench said how the robot is.
+        most_m: that it may have moved.
+        crept_m: from then on.
+        off_m: error of the estimate of a run that came to its end.
+        fell: whether the robot fell.
     """
 
-    cycles: int = 0
-    events: list[tuple[str, str]] = field(default_factory=list)
-    stop: str = ""
-    error: str = ""
-    foreign: str = ""
-    unreadable: str = ""
-    off_m: Array = field(default_factory=lambda: np.zeros(2))
-    sigma_m: Array = field(default_factory=lambda: np.zeros(2))
-    said: str = ""
-    why: str = ""
     moved_m: float = 0.0
+    most_m: float = 0.0
     crept_m: float = 0.0
-    fallen: bool = False
-    adhesion_n: float = 1e3
-    thrust_n: float = 1e3
-    held: Held | None = None
+    off_m: float = 0.0
+    fell: bool = False
 
 
 @dataclass(frozen=True)
@@ -73,8 +53,11 @@ class CellVerdict:
         cell: which.
         why: what is wrong; empty for a cell that passes.
         ended: `went on`, or the reason of the stop.
-        told: whether messages or events name the device; of several all of them.
-        held: what the bench said of the robot.
+        told: whether stop or events accuse the device; of several all of them.
+        held: what the bench said of the robot at last.
+        others: kinds of devices that are accused without one that was struck.
+        measured: what was measured.
+        opened: whether the bench opened.
     """
 
     cell: Cell
@@ -82,6 +65,9 @@ class CellVerdict:
     ended: str
     told: bool
     held: str
+    others: tuple[str, ...] = ()
+    measured: Measured = Measured()
+    opened: bool = True
 
 
 def lost(cell: Cell, reason: str) -> CellVerdict:
@@ -91,102 +77,76 @@ def lost(cell: Cell, reason: str) -> CellVerdict:
 
 def judge(cell: Cell, seen: Seen) -> CellVerdict:
     """The verdict on what was seen of a cell."""
-    named = [_is_named(device, seen) for device in cell.device.split("+")]
-    ended = "went on"
-    if seen.stop or seen.error:
-        text = (seen.stop or seen.error).split("(", 1)
-        ended = text[1].split(")", 1)[0] if "robot stopped" in text[0] and len(text) > 1 else "device error"
-    wrong = tuple(_wrong(cell, seen, any(named)))
-    return CellVerdict(cell, wrong, ended, all(named), seen.said or _state(seen))
+    by = struck(cell)
+    evidence = [_kinds(names) for names in (*seen.events, *(e.suspects for e in _ends(seen)))]
+    others = {name for one in evidence if not one & by for name in one}
+    ends = _ends(seen)
+    measured = Measured(
+        moved_m=seen.moved_m, most_m=farthest_m(cell, seen.stopped_s, seen.looked_s), crept_m=seen.crept_m,
+        off_m=float(np.hypot(*seen.off_m)) if seen.cycles and not ends else 0.0, fell=seen.fallen,
+    )  # fmt: skip
+    return CellVerdict(
+        cell,
+        why=tuple(_wrong(cell, seen, measured)),
+        ended=ends[0].reason if ends else "went on",
+        told=by <= {name for one in evidence for name in one},
+        held=seen.state,
+        others=tuple(sorted(others)),
+        measured=measured,
+        opened=seen.cycles > 0,
+    )
 
 
-def _state(seen: Seen) -> str:
-    return "" if seen.held is None else seen.held.state
+def _ends(seen: Seen) -> list[Ended]:
+    """What ended the drive, and what opening and closing raised."""
+    return [end for end in (seen.stop, seen.error) if end is not None]
 
 
-def _wrong(cell: Cell, seen: Seen, named: bool) -> Iterator[str]:
-    """Everything that is not as promised; `named`: whether one of those that were struck is named."""
+def _kinds(names: tuple[str, ...]) -> frozenset[str]:
+    """Kinds of devices by their names; who is no device is nobody."""
+    return frozenset(kind_of(name).name for name in names if name not in ("supervisor", "outside"))
+
+
+def _wrong(cell: Cell, seen: Seen, measured: Measured) -> Iterator[str]:
+    """Everything that is not as promised."""
     if seen.foreign:
         yield f"an exception of another kind: {seen.foreign}"
     if seen.unreadable:
         yield f"the recording: {seen.unreadable}"
-    if (seen.stop or seen.error) and not named:
-        yield f"the device is not named: {seen.stop or seen.error}"
-    dropped = seen.adhesion_n < LEAST_ADHESION_N or seen.thrust_n < LEAST_THRUST_N
-    if seen.fallen and not dropped:
-        yield "the robot fell although fan and propellers held it"
-    noticed = seen.held is not None and seen.held.state != "HELD"
-    still_m = FARTHEST_M if _is_without(cell) else STILL_M  # a servo that fails again behind the look sags
-    if seen.said == "HELD" and seen.crept_m > still_m and not (dropped and noticed):
-        yield f"said to be held, and moved by {1e3 * seen.crept_m:.1f} mm"
-    excused = dropped or seen.fallen or _is_without(cell) or _is_unmeasured(cell) or _is_unseen(cell)
-    if seen.said == "NOT HELD" and not excused:
-        yield f"not held: {seen.why}"
-    if seen.moved_m > FARTHEST_M and not (dropped or seen.fallen or _takes_servos(cell)):
-        yield f"moved by {1e3 * seen.moved_m:.1f} mm after the stop"
-    wrong = bool(np.any(seen.off_m > SIGMAS * seen.sigma_m + SLACK_M))
-    if wrong and seen.cycles and not (seen.stop or seen.error or seen.said == "NOT HELD"):
+    for end in _ends(seen):
+        if not _kinds(end.suspects) & struck(cell):
+            accused = ", ".join(sorted(_kinds(end.suspects))) or "nobody"
+            yield f"{end.reason} accuses {accused} and not what was struck: {end.text}"
+    yield from _wrong_of_hold(cell, seen, measured)
+    yield from _wrong_of_estimate(cell, seen)
+
+
+def _wrong_of_hold(cell: Cell, seen: Seen, measured: Measured) -> Iterator[str]:
+    """What is not as promised of how the robot was held."""
+    gone, moved_mm, crept_mm = _gone(cell, seen), 1e3 * seen.moved_m, 1e3 * seen.crept_m
+    if seen.fallen and not gone:
+        yield "the robot fell, and what was struck had not let it go"
+    if seen.state == "HELD" and (seen.fallen or not seen.crept_m <= still_m(cell)):
+        yield f"said to be held, and moved by {crept_mm:.1f} mm{', and it fell' if seen.fallen else ''}"
+    if seen.cycles and seen.state != "HELD" and not (gone or need_not_be_held(cell)):
+        yield f"not held: {seen.held.why if seen.held is not None else 'nothing was said'}"
+    if not gone and not seen.moved_m <= measured.most_m:
+        yield f"moved by {moved_mm:.1f} mm after the stop, more than {1e3 * measured.most_m:.1f} mm"
+    if not seen.cycles and not gone and not seen.crept_m <= measured.most_m:
+        yield f"did not open, and moved by {crept_mm:.1f} mm, more than {1e3 * measured.most_m:.1f} mm"
+
+
+def _wrong_of_estimate(cell: Cell, seen: Seen) -> Iterator[str]:
+    """What is not as promised of the estimate of a run that came to its end."""
+    if not seen.cycles or _ends(seen) or (seen.state != "HELD" and _gone(cell, seen)):
+        return
+    off_m, sigma_m = float(np.hypot(*seen.off_m)), float(np.hypot(*seen.sigma_m))
+    if not (np.all(seen.off_m <= SIGMAS * seen.sigma_m + SLACK_M) and off_m <= MOST_OFF_M):
         yield (
-            f"went on to its end {1e3 * float(np.hypot(*seen.off_m)):.0f} mm beside its estimate, which says "
-            f"{1e3 * float(np.hypot(*seen.sigma_m)):.0f} mm"
+            f"went on to its end {1e3 * off_m:.0f} mm beside its estimate, which says {1e3 * sigma_m:.0f} mm"
         )
 
 
-def _takes_servos(cell: Cell) -> bool:
-    """Whether servos lose supply or bus at all."""
-    return bool(_that_let_go(cell))
-
-
-def _is_without(cell: Cell) -> bool:
-    """Whether servos lack supply or bus to the end: then nobody can say that the robot is held."""
-    return any(map(_lasts, _that_let_go(cell)))
-
-
-def _is_unmeasured(cell: Cell) -> bool:
-    """Whether all that measure the force on the wall are at fault to the end: nobody knows if it holds."""
-    struck = {device for device, _, spec in _parts(cell) if _lasts(spec)}
-    return struck.issuperset(MEASURES)
-
-
-def _is_unseen(cell: Cell) -> bool:
-    """Whether all that see a slide were at fault, one of them to the end: nobody knows if propellers push.
-
-    What told nonsense for a while is in doubt from then on.
-    """
-    struck = {device: _lasts(spec) for device, _, spec in _parts(cell) if device in SEES}
-    return len(struck) == len(SEES) and any(struck.values())
-
-
-def _lasts(spec: str) -> bool:
-    """Whether a fault lasts to the end."""
-    return "+" not in spec.split(",", 1)[0]
-
-
-def _that_let_go(cell: Cell) -> list[str]:
-    """Faults of a cell that take supply or bus from servos, as specs."""
-    return [s for device, fault, s in _parts(cell) if device.startswith("servo") and fault in _LETS_GO]
-
-
-def _parts(cell: Cell) -> Iterator[tuple[str, str, str]]:
-    """Device, kind and spec of each fault of a cell."""
-    return zip(cell.device.split("+"), cell.fault.split("+"), cell.specs, strict=True)
-
-
-def _is_named(device: str, seen: Seen) -> bool:
-    """Whether an event, the stop or the last word is about a device, or about what it does to the robot."""
-    kind = kind_of(device)
-    if any(source == kind.name for source, _ in seen.events):
-        return True
-    why = "" if seen.said == "HELD" else seen.why
-    said = " ".join((*(m for _, m in seen.events), seen.stop, seen.error, why)).lower()
-    words = {kind.name, kind.noun.lower(), kind.shown_as, *kind.aliases}
-    return any(word in said or word.rstrip("s") in said for word in words)
-
-
-def kind_of(device: str) -> DeviceKind:
-    """The kind of a device by its fault name; the robot itself is named by what presses it on."""
-    known = kinds()
-    head = device.split(".", 1)[0]
-    found = next((k for k in known.values() if head in (k.name, k.shown_as, *k.aliases)), None)
-    found = found or next((k for k in known.values() if k.name.rstrip("s") == head), None)
-    return found or known["adhesion"]
+def _gone(cell: Cell, seen: Seen) -> bool:
+    """Whether what was struck truly let the robot go."""
+    return let_go(cell, seen.adhesion_n, seen.thrust_n)

@@ -16,13 +16,13 @@ from typing import Any
 
 import hil
 from hil.procedure.faults.cells import Cell
-from hil.procedure.faults.judging import CellVerdict
+from hil.procedure.faults.judging import CellVerdict, Measured
 from hil.procedure.journal import drop_torn_line
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.files import refused
 from hil.vocabulary.reading import json_object, read_bytes
+from hil.vocabulary.result_files import FAULTS_CELLS, FAULTS_CELLS_BEFORE
 
-NAME, BEFORE = "cells.jsonl", "cells.before.jsonl"
 _MOST_BYTES = 256 << 20
 
 
@@ -43,7 +43,7 @@ class KeptVerdicts:
     """
 
     def __init__(self, folder: Path, bench: str, *, resume: bool) -> None:
-        self._path = folder / NAME
+        self._path = folder / FAULTS_CELLS
         head = {"bench": bench, "version": hil.__version__}
         try:
             if resume:
@@ -52,7 +52,7 @@ class KeptVerdicts:
             else:
                 self.there = ()
                 if self._path.exists():
-                    os.replace(self._path, folder / BEFORE)
+                    os.replace(self._path, folder / FAULTS_CELLS_BEFORE)
                 self._path.write_text(json.dumps(head) + "\n", encoding="utf-8")
             self._file = self._path.open("a", encoding="utf-8")
         except OSError as error:
@@ -101,7 +101,8 @@ def _read(path: Path, head: dict[str, str]) -> tuple[CellVerdict, ...]:
 
 def _verdict(tree: dict[str, Any]) -> CellVerdict:
     cell = Cell(**{**tree["cell"], "specs": tuple(tree["cell"]["specs"])})
-    return CellVerdict(**{**tree, "cell": cell, "why": tuple(tree["why"])})
+    lists = {name: tuple(tree[name]) for name in ("why", "others")}
+    return CellVerdict(**{**tree, **lists, "cell": cell, "measured": Measured(**tree["measured"])})
 
 
 def missing(cells: Sequence[Cell], there: Sequence[CellVerdict]) -> tuple[Cell, ...]:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from hil.procedure.faults.cells import MOMENTS
-from hil.procedure.faults.judging import CellVerdict
-from hil.procedure.faults.quiet import quiet_table
+from hil.procedure.faults.bounds import (
+    MOST_OFF_M,
+    SIGMAS,
+    SLACK_M,
+    STILL_M,
+    WATCHED_S,
+)
 from hil.vocabulary.files import write_text
 
 _HEAD = """# Reliability
@@ -19,64 +24,68 @@ opens, in motion, where it ends, and for one second in motion. Written by
 {command}
 ```
 
-A cell passes when the robot is held within the limits (5 mm after its stop; what is said to be held moves by
-less than 0.5 mm), when a stop names the device, when servos that come back are held again, when the recording
-can be read, and when a run that ends well is wrong by less than three of its sigmas plus 5 mm. How it ended:
-`on` the run went on, `stop` the robot was stopped, `none` the bench did not open. A star: the device is not
-named anywhere, the run went on as if nothing had been; the last table says why. Of eight servos and four
-encoders one of each kind stands for the others.
+A cell passes when a stop accuses the kind of device that was struck, when the robot moves no farther than
+is promised for its class of faults, when what is said to be held moves by less than {still_mm:g} mm in the
+{watched_s:g} s after the bench has closed, when servos that come back are held again, when the recording can
+be read, and when a run that ends well is wrong by less than {sigmas:g} of its sigmas plus {slack_mm:g} mm,
+and by less than {most_mm:g} mm. A bench that does not open is watched like any other. How it ended: `on` the
+run went on, `stop` the robot was stopped, `none` the bench did not open. A star: nothing accuses the device,
+the run went on as if nothing had been; the last table says why. Of eight servos and four encoders one of each
+kind stands for the others.
 
-What the bench does not protect from: a fan whose power ends or whose controller restarts, a wall that gives
-way, a computer that dies while servos restart, propellers that report nothing and get weaker bit by bit, and
-errors that look like an honest robot, such as a camera that drifts down the wall by 3 mm/s
+What the bench does not protect from: a fan whose power ends or whose controller restarts, propellers that
+lose power or do not understand their commands, a wall that gives way, a computer that dies while servos
+restart, and errors that look like an honest robot, such as a camera that drifts down the wall by 3 mm/s
 ([wall.md](wall.md#what-stops-the-robot)). Independent fall protection stays the lab's.
 
 {counts}
 """
 
 
-def matrix_page(verdicts: Sequence[CellVerdict], command: str) -> str:
-    """The whole page."""
-    failed = [v for v in verdicts if v.why]
-    quiet = sum(not v.told for v in verdicts)
+def matrix_page(told: Mapping[str, Any]) -> str:
+    """The whole page, of `hil.procedure.faults.summary`."""
     counts = (
-        f"{len(verdicts)} cells, {len(failed)} failed, {quiet} passed without a word about the device."
-        if verdicts else "No cells."
+        f"{told['cells']} cells, {len(told['failed'])} failed, "
+        f"{told['quiet_cells']} passed without a word about the device."
+        if told["cells"] else "No cells."
     )  # fmt: skip
-    parts = [_HEAD.format(command=command, counts=counts)]
-    for plant in dict.fromkeys(v.cell.plant for v in verdicts):
-        mine = [v for v in verdicts if v.cell.plant == plant]
-        seeds = sorted({v.cell.seed for v in mine})
-        parts.append(f"\n## Plant `{plant}`, seeds {', '.join(map(str, seeds))}\n\n")
-        parts.append("".join(_table(mine)))
-    if failed:
+    parts = [
+        _HEAD.format(
+            command=told["command"], counts=counts, watched_s=WATCHED_S, sigmas=SIGMAS,
+            still_mm=1e3 * STILL_M, slack_mm=1e3 * SLACK_M, most_mm=1e3 * MOST_OFF_M,
+        )
+    ]  # fmt: skip
+    if told["classes"]:
+        parts.append("\n## What is promised, and the worst that was measured\n\n")
+        parts.append("| faults of | promised after the stop | measured | cells | failed |\n")
+        parts.append("|---|---|---|---|---|\n")
+    parts += [
+        f"| {c['name']} | {c['promise']} | {c['measured']} | {c['cells']} | {c['failed']} |\n"
+        for c in told["classes"]
+    ]
+    for plant in told["plants"]:
+        parts.append(f"\n## Plant `{plant['plant']}`, seeds {', '.join(map(str, plant['seeds']))}\n\n")
+        parts += _table(plant)
+    if told["failed"]:
         parts.append("\n## Failed\n\n| cell | why |\n|---|---|\n")
-        parts += [f"| `{v.cell.name}` | {_plain('; '.join(v.why))} |\n" for v in failed]
-    if quiet_lines := quiet_table(verdicts):
+        parts += [f"| `{f['cell']}` | {_plain(f['why'])} |\n" for f in told["failed"]]
+    if told["quiet"]:
         parts.append("\n## Without a word\n\n| device | fault | moments | why |\n|---|---|---|---|\n")
-        parts += quiet_lines
+    parts += [
+        f"| `{q['device']}` | `{q['fault']}` | {', '.join(q['moments'])} | {q['why']} |\n"
+        for q in told["quiet"]
+    ]
     return "".join(parts)
 
 
-def _table(verdicts: Sequence[CellVerdict]) -> list[str]:
-    moments = [m for m in (*MOMENTS, "random") if any(v.cell.moment == m for v in verdicts)]
-    lines = [f"| device | fault | {' | '.join(moments)} |\n", "|---|---|" + "---|" * len(moments) + "\n"]
-    for device, fault in dict.fromkeys((v.cell.device, v.cell.fault) for v in verdicts):
-        mine = [v for v in verdicts if (v.cell.device, v.cell.fault) == (device, fault)]
-        marks = [_mark([v for v in mine if v.cell.moment == m]) for m in moments]
-        lines.append(f"| `{device}` | `{fault}` | {' | '.join(marks)} |\n")
+def _table(plant: Mapping[str, Any]) -> list[str]:
+    moments = plant["moments"]
+    lines = [f"| device | fault | {' | '.join(moments)} | how it was left |\n"]
+    lines.append("|---|---|" + "---|" * len(moments) + "---|\n")
+    for row in plant["rows"]:
+        marks = " | ".join(f"**{m}**" if m.startswith("FAILED") else m for m in row["marks"])
+        lines.append(f"| `{row['device']}` | `{row['fault']}` | {marks} | {row['measured']} |\n")
     return lines
-
-
-def _mark(verdicts: Sequence[CellVerdict]) -> str:
-    """What stands in a cell of the table for its seeds."""
-    if not verdicts:
-        return ""
-    bad = sum(bool(v.why) for v in verdicts)
-    if bad:
-        return f"**FAILED** {bad}/{len(verdicts)}"
-    ends = sorted({"on" if v.ended == "went on" else "stop" if v.held else "none" for v in verdicts})
-    return "/".join(ends) + ("" if all(v.told for v in verdicts) else " *")
 
 
 def _plain(text: str) -> str:
@@ -84,6 +93,6 @@ def _plain(text: str) -> str:
     return " ".join(text.replace("|", "/").split())[:300]
 
 
-def write_page(path: Path, verdicts: Sequence[CellVerdict], command: str) -> None:
+def write_page(path: Path, told: Mapping[str, Any]) -> None:
     """Write the page."""
-    write_text(path, matrix_page(verdicts, command))
+    write_text(path, matrix_page(told))

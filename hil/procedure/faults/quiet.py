@@ -6,8 +6,10 @@ Each entry says which data do not change, who would tell later, or that nobody n
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
-from hil.procedure.faults.judging import CellVerdict, kind_of
+from hil.procedure.faults.bounds import kind_of
+from hil.procedure.faults.judging import CellVerdict
 
 UNNOTICED = "nobody notices"
 _AT_THE_END = "struck where the way ends: the run was over before it could be judged"
@@ -28,14 +30,14 @@ def why_quiet(device: str, fault: str, moments: Sequence[str] = ("motion",)) -> 
     return passes.get(fault) or passes.get("*") or _OF_ANY.get(fault, UNNOTICED)
 
 
-def quiet_table(verdicts: Sequence[CellVerdict]) -> list[str]:
-    """Lines of the table of all that were passed over in silence; none where there are none."""
+def quiet_rows(verdicts: Sequence[CellVerdict]) -> list[dict[str, Any]]:
+    """All that were passed over in silence: `device`, `fault`, `moments` and `why`."""
     cells = [v.cell for v in verdicts if not v.told and not v.why and len(v.cell.specs) == 1]
     found: dict[tuple[str, str], list[str]] = {}
     for cell in cells:
         moments = found.setdefault((cell.device, cell.fault), [])
         moments += [cell.moment] if cell.moment not in moments else []
     return [
-        f"| `{device}` | `{fault}` | {', '.join(moments)} | {why_quiet(device, fault, moments)} |\n"
+        {"device": device, "fault": fault, "moments": moments, "why": why_quiet(device, fault, moments)}
         for (device, fault), moments in found.items()
     ]

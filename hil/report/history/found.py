@@ -1,4 +1,4 @@
-"""Finds what a folder of results holds: runs, campaigns, commissionings, acceptances, and what is none.
+"""Finds what a folder of results holds: runs, campaigns, commissionings, acceptances, others.
 
 A folder of results may hold anything. Whatever cannot be read as a result is shown as what it is, with the
 reason: a run that did not finish, the result of another version, a page or a file from elsewhere.
@@ -23,6 +23,8 @@ from hil.vocabulary.result_files import (
     ACCEPTANCE_TABLE,
     CAMPAIGN_TABLE,
     COMMISSIONING_TABLE,
+    FAULTS_CELLS,
+    FAULTS_TABLE,
     JOURNAL,
     PASSED,
     PLAN,
@@ -31,8 +33,8 @@ from hil.vocabulary.result_files import (
 )
 
 RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE = "run", "campaign", "commissioning", "acceptance"
-UNFINISHED, FOREIGN = "unfinished", "foreign"
-OURS = (RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE, UNFINISHED)
+FAULTS, UNFINISHED, FOREIGN = "faults", "unfinished", "foreign"
+OURS = (RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE, FAULTS, UNFINISHED)
 """Kinds that `hil` itself has written, and may delete."""
 _DEEPEST = 8
 _MOST_LINE_BYTES = 4 << 20
@@ -46,7 +48,7 @@ class Kept:
     Attributes:
         folder: where it lies.
         name: that folder within the folder of results; what a user calls it.
-        kind: `run`, `campaign`, `commissioning`, `acceptance`, `unfinished`, `foreign`.
+        kind: `run`, `campaign`, `commissioning`, `acceptance`, `faults`, `unfinished`, `foreign`.
         what: name of the procedure; of a page its title.
         when: when it began; of what does not say so, when it was last changed.
         bench: name of the bench.
@@ -198,6 +200,26 @@ def _acceptance(folder: Path, name: str) -> Kept:
     )  # fmt: skip
 
 
+def _faults(folder: Path, name: str) -> Kept:
+    """What `hil faults` left."""
+    tree, problem = _object(folder / FAULTS_TABLE)
+    verdict, cells, failed = tree.get("verdict"), tree.get("cells"), tree.get("failed")
+    if problem or not (isinstance(verdict, str) and isinstance(cells, int) and isinstance(failed, list)):
+        return _foreign(folder, name, FAULTS_TABLE, problem or f"{FAULTS_TABLE} is of no fault campaign")
+    when = _moment(tree.get("began")) or _changed(folder / FAULTS_TABLE)
+    return Kept(
+        folder, name, FAULTS, "fault campaign", when,
+        bench=str(tree.get("bench", "")), where="emulated", verdict=verdict,
+        why=f"{cells} runs with faults, {len(failed)} failed",
+    )  # fmt: skip
+
+
+def _unfinished_faults(folder: Path, name: str) -> Kept:
+    """A fault campaign that has not come to its end."""
+    why = "a fault campaign without its table; --resume continues it"
+    return Kept(folder, name, UNFINISHED, "fault campaign", _changed(folder / FAULTS_CELLS), why=why)
+
+
 def _unfinished(folder: Path, name: str) -> Kept:
     """A run that was struck down before it could write its result."""
     path = folder / JOURNAL
@@ -230,8 +252,10 @@ _READERS: Mapping[str, Callable[[Path, str], Kept | None]] = {
     CAMPAIGN_TABLE: _campaign,
     COMMISSIONING_TABLE: _commissioning,
     ACCEPTANCE_TABLE: _acceptance,
+    FAULTS_TABLE: _faults,
     JOURNAL: _unfinished,
     PLAN: _unfinished_campaign,
+    FAULTS_CELLS: _unfinished_faults,
 }
 """What a file of this name says of its folder, the strongest first."""
 

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.report.history.found import ACCEPTANCE, CAMPAIGN, COMMISSIONING, RUN, Kept
+from hil.report.history.found import ACCEPTANCE, CAMPAIGN, COMMISSIONING, FAULTS, RUN, Kept
 from hil.report.run_page import write_run_page
 from hil.vocabulary.errors import DataError
-from hil.vocabulary.result_files import ACCEPTANCE_PAGE, CAMPAIGN_PAGE, COMMISSIONING_PAGE, REPORT
+from hil.vocabulary.result_files import (
+    ACCEPTANCE_PAGE,
+    CAMPAIGN_PAGE,
+    COMMISSIONING_PAGE,
+    FAULTS_PAGE,
+    REPORT,
+)
 
 PAGES = {
     RUN: REPORT,
     CAMPAIGN: CAMPAIGN_PAGE,
     COMMISSIONING: COMMISSIONING_PAGE,
     ACCEPTANCE: ACCEPTANCE_PAGE,
+    FAULTS: FAULTS_PAGE,
 }
 """File name of the page by the kind of a result; other kinds have none."""
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hil.report.history.found import ACCEPTANCE, CAMPAIGN, COMMISSIONING, RUN, Kept
+from hil.report.history.found import ACCEPTANCE, CAMPAIGN, COMMISSIONING, FAULTS, RUN, Kept
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.reading import json_object, read_json
 from hil.vocabulary.result_files import (
@@ -25,6 +25,11 @@ from hil.vocabulary.result_files import (
     COMMISSIONING_PAGE,
     COMMISSIONING_TABLE,
     COMPARISON,
+    FAULTS_CELLS,
+    FAULTS_CELLS_BEFORE,
+    FAULTS_MATRIX,
+    FAULTS_PAGE,
+    FAULTS_TABLE,
     JOURNAL,
     JUNIT,
     PLAN,
@@ -60,6 +65,7 @@ _BEGUN = re.compile(r"\.hil-[0-9a-f]{8}")
 """A page that a process was struck down over."""
 _STAGE = re.compile(r"\d\d_[a-z0-9_]+(-\d+)?")
 _OF_AN_ACCEPTANCE = re.compile(_any_of(ACCEPTANCE_TABLE, ACCEPTANCE_PAGE))
+_OF_FAULTS = re.compile(_any_of(FAULTS_TABLE, FAULTS_PAGE, FAULTS_MATRIX, FAULTS_CELLS, FAULTS_CELLS_BEFORE))
 _NAMING = ("recording", "figure", "attach")
 """Entries of a journal that name a file."""
 
@@ -79,7 +85,8 @@ def written(kept: Kept) -> list[str]:
     What makes the folder a result comes last: whoever is interrupted in the middle can delete it again.
     """
     folder, there = kept.folder, all_files(kept.folder)
-    marks = (RESULT, JOURNAL, CAMPAIGN_TABLE, PLAN, COMMISSIONING_TABLE, ACCEPTANCE_TABLE)
+    marks = (RESULT, JOURNAL, CAMPAIGN_TABLE, PLAN, COMMISSIONING_TABLE, ACCEPTANCE_TABLE, FAULTS_TABLE,
+             FAULTS_CELLS)  # fmt: skip
     own = [name for name in _own(kept, there) if not (folder / name).is_symlink()]
     own += [name for name in there if _BEGUN.fullmatch(name) and not (folder / name).is_symlink()]
     return sorted(own, key=lambda name: (name in marks, name))
@@ -88,6 +95,8 @@ def written(kept: Kept) -> list[str]:
 def _own(kept: Kept, there: list[str]) -> Iterator[str]:
     if kept.kind == ACCEPTANCE:
         yield from filter(_OF_AN_ACCEPTANCE.fullmatch, there)
+    elif kept.kind == FAULTS or (FAULTS_CELLS in there and JOURNAL not in there):
+        yield from filter(_OF_FAULTS.fullmatch, there)
     elif kept.kind == COMMISSIONING:
         yield from filter(_OF_A_COMMISSIONING.fullmatch, there)
         for place in {name.partition("/")[0] for name in there if "/" in name}:

@@ -1,0 +1,106 @@
+"""What a fault campaign has found, as plain data for its pages: classes with their bounds, rows, failures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from hil.procedure.faults.bounds import CLASSES, FaultClass, class_of
+from hil.procedure.faults.cells import MOMENTS
+from hil.procedure.faults.judging import CellVerdict
+from hil.procedure.faults.quiet import quiet_rows
+
+
+def summary(verdicts: Sequence[CellVerdict], *, bench: str, command: str) -> dict[str, Any]:
+    """Everything that a page shows.
+
+    Args:
+        verdicts: in the order of the pages.
+        bench: its name, or its file.
+        command: that repeats the campaign.
+
+    Returns:
+        `verdict`, `bench`, `command`, `cells`, `quiet_cells`, `classes`, `plants` with rows by device and
+        fault, `failed`, `quiet`; a JSON object.
+    """
+    failed = [v for v in verdicts if v.why]
+    return {
+        "verdict": "FAIL" if failed else "PASS",
+        "bench": bench,
+        "command": command,
+        "cells": len(verdicts),
+        "quiet_cells": sum(not v.told and not v.why for v in verdicts),
+        "classes": [found for one in CLASSES if (found := _class(one, verdicts))],
+        "plants": [
+            _plant(plant, [v for v in verdicts if v.cell.plant == plant])
+            for plant in dict.fromkeys(v.cell.plant for v in verdicts)
+        ],
+        "failed": [{"cell": v.cell.name, "why": "; ".join(v.why)} for v in failed],
+        "quiet": quiet_rows(verdicts),
+    }
+
+
+def _class(one: FaultClass, verdicts: Sequence[CellVerdict]) -> dict[str, Any] | None:
+    """A class of faults: what is promised, and the worst of what was measured; None without a cell."""
+    mine = [v for v in verdicts if class_of(v.cell) is one]
+    if not mine:
+        return None
+    return {
+        "name": one.name,
+        "promise": one.promise,
+        "cells": len(mine),
+        "failed": sum(bool(v.why) for v in mine),
+        "measured": measured_in_words(mine),
+    }
+
+
+def _plant(plant: str, verdicts: Sequence[CellVerdict]) -> dict[str, Any]:
+    moments = [m for m in (*MOMENTS, "random") if any(v.cell.moment == m for v in verdicts)]
+    rows = []
+    for device, fault in dict.fromkeys((v.cell.device, v.cell.fault) for v in verdicts):
+        mine = [v for v in verdicts if (v.cell.device, v.cell.fault) == (device, fault)]
+        marks = [_mark([v for v in mine if v.cell.moment == m]) for m in moments]
+        rows.append(
+            {"device": device, "fault": fault, "marks": marks, "measured": measured_in_words(mine),
+             "failed": any(v.why for v in mine)}
+        )  # fmt: skip
+    seeds = sorted({v.cell.seed for v in verdicts})
+    return {"plant": plant, "seeds": seeds, "moments": moments, "rows": rows}
+
+
+def _mark(verdicts: Sequence[CellVerdict]) -> str:
+    """What stands in a cell of the table for its seeds."""
+    if not verdicts:
+        return ""
+    bad = sum(bool(v.why) for v in verdicts)
+    if bad:
+        return f"FAILED {bad}/{len(verdicts)}"
+    ends = sorted({"on" if v.ended == "went on" else "stop" if v.opened else "none" for v in verdicts})
+    return "/".join(ends) + ("" if all(v.told for v in verdicts) else " *")
+
+
+def measured_in_words(verdicts: Sequence[CellVerdict]) -> str:
+    """How the robot was left in these cells, the worst of each: nothing but what was measured."""
+    many, fell = len(verdicts), [v for v in verdicts if v.measured.fell]
+    stood = [v for v in verdicts if not v.measured.fell]
+    held = [v for v in stood if v.held == "HELD"]
+    told = []
+    if fell:
+        told.append(f"fell{_of(len(fell), many)}")
+    if held:
+        moved_mm, crept_mm = (
+            1e3 * max(values)
+            for values in zip(*((v.measured.moved_m, v.measured.crept_m) for v in held), strict=True)
+        )
+        told.append(f"HELD{_of(len(held), many)}: moved {moved_mm:.1f} mm, then {crept_mm:.1f} mm")
+    if lost := [v for v in stood if v.held != "HELD"]:
+        worst = max(lost, key=lambda v: v.measured.moved_m).measured
+        told.append(
+            f"NOT HELD{_of(len(lost), many)}: moved {1e3 * worst.moved_m:.1f} mm of {1e3 * worst.most_m:.1f}"
+        )
+    others = sorted({name for v in verdicts for name in v.others})
+    return "; ".join([*told, *([f"also accused: {', '.join(others)}"] if others else [])])
+
+
+def _of(part: int, whole: int) -> str:
+    return "" if part == whole else f" in {part} of {whole}"

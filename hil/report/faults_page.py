@@ -1,0 +1,32 @@
+"""The page of a fault campaign: verdict, failures, bounds and the worst measured, matrix; and its JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hil.report.pages import environment
+from hil.vocabulary.files import put_whole, refused
+from hil.vocabulary.result_files import FAULTS_PAGE, FAULTS_TABLE
+
+
+def write_faults(folder: Path, told: Mapping[str, Any]) -> Path:
+    """Write `faults.html` and `faults.json`; returns the path of the page.
+
+    Args:
+        folder: of the campaign; must exist.
+        told: as `hil.procedure.faults.summary` returns it, with `began`, ISO 8601.
+
+    Raises:
+        DataError: they cannot be written.
+    """
+    page = environment().get_template("faults.html").render(told=told)
+    data = json.dumps(told, indent=2, allow_nan=False) + "\n"
+    for name, text in ((FAULTS_PAGE, page), (FAULTS_TABLE, data)):
+        try:
+            put_whole(folder / name, text.encode("utf-8", "backslashreplace"))
+        except OSError as error:
+            raise refused(folder / name, error) from None
+    return folder / FAULTS_PAGE
