@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from hil.cli.attended import answers_option, operator, watching
+from hil.cli.attended import answers_option, asked_to_end, operator, watching
 from hil.cli.options import JSON, OUT, SEED, results_folder
 from hil.cli.progress import reporting
 from hil.vocabulary.clock import local_time
@@ -40,8 +40,6 @@ def command(
     """
     from hil.procedure.acceptance import Acceptance, accept
     from hil.procedure.bench_source import BenchSource
-    from hil.procedure.interrupts import Interrupts
-    from hil.procedure.operator import tell
     from hil.report.acceptance_page import write_acceptance
     from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, HilError
     from hil.vocabulary.files import check_folder
@@ -50,7 +48,7 @@ def command(
     check_folder(folder)
     if (folder / ACCEPTANCE_TABLE).exists():
         raise ConfigError(f"{folder}: holds an acceptance", remedy="choose another --out")
-    interrupts = Interrupts(tell)
+    interrupts = asked_to_end()
     source = BenchSource(
         bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults, watch=watching()
     )  # fmt: skip

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from hil.cli import start
-from hil.cli.attended import answers_option, operator, watching
+from hil.cli.attended import answers_option, asked_to_end, operator, watching
 from hil.cli.options import JSON, OUT, SEED, results_folder
 from hil.cli.progress import reporting
 from hil.vocabulary.clock import local_time
@@ -47,8 +47,6 @@ def command(
     """
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.commission import Commission, commission
-    from hil.procedure.interrupts import Interrupts
-    from hil.procedure.operator import tell
     from hil.vocabulary.clock import MonotonicClock
 
     source = BenchSource(
@@ -56,7 +54,7 @@ def command(
         overrides={**_overrides(settings), **start.start_override(start_pose)}, watch=watching(),
     )  # fmt: skip
     source = source.changed(overrides=start.asked_start(source.config))
-    interrupts = Interrupts(tell)
+    interrupts = asked_to_end()
     folder = results_folder("commission", out, COMMISSIONING_TABLE if resume else None)
     with interrupts.installed(), interrupts.deferred(), reporting() as report:
         told, code = commission(

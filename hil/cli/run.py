@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start
-from hil.cli.attended import answers_option, operator, watching
+from hil.cli.attended import answers_option, asked_to_end, operator, watching
 from hil.cli.options import FILE, JSON, OUT, SEED, results_folder
 from hil.cli.output import kept_for_json, tell_calls, tell_the_end
 from hil.cli.progress import reporting
@@ -93,8 +93,6 @@ def command(
     Example: hil run bring_up --quick --set watch_s=2
     """
     from hil.procedure.bench_source import BenchSource
-    from hil.procedure.interrupts import Interrupts
-    from hil.procedure.operator import tell
     from hil.procedure.parameters import split_settings
     from hil.procedure.scripts import load_procedure
 
@@ -114,7 +112,7 @@ def command(
         click.echo(json.dumps(plan) if as_json else _plan_text(plan))
         return 0
     source = source.changed(overrides=start.asked_start(source.config))
-    interrupts = Interrupts(tell)
+    interrupts = asked_to_end()
     with interrupts.installed(), interrupts.deferred():
         folder = results_folder(proc.name, out, JOURNAL if resume else None)
         with kept_for_json(as_json):
