@@ -11,17 +11,20 @@ import click
 from hil.cli.attended import answers_option, asked_to_end, operator, watching
 from hil.cli.options import JSON, OUT, SEED, results_folder
 from hil.cli.progress import reporting
+from hil.cli.words import BENCH, DEVICES, FAULT
 from hil.vocabulary.clock import local_time
 from hil.vocabulary.result_files import ACCEPTANCE_TABLE
 
 
 @click.command()
-@click.option("--bench", default="emulated", show_default=True, help="Bench file or profile name.")
+@click.option(
+    "--bench", type=BENCH, default="emulated", show_default=True, help="Bench file or profile name."
+)
 @click.option("--on-stand", is_flag=True, help="The wheels are free and may turn: do not ask.")
-@click.option("--emulate", help="Devices to emulate: all, or comma-separated names.")
+@click.option("--emulate", type=DEVICES, help="Devices to emulate: all, or comma-separated names.")
 @click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
-@click.option("--fault", "faults", multiple=True, metavar="SPEC", help="As for `hil run`.")
+@click.option("--fault", "faults", multiple=True, type=FAULT, metavar="SPEC", help="As for `hil run`.")
 @answers_option
 @click.option("--out", type=OUT, help="Results folder [default: out/accept/TIME].")
 @JSON

@@ -13,6 +13,7 @@ from hil.cli import start
 from hil.cli.attended import answers_option, asked_to_end, operator, watching
 from hil.cli.options import JSON, OUT, SEED, results_folder
 from hil.cli.progress import reporting
+from hil.cli.words import BENCH, DEVICES, FAULT
 from hil.vocabulary.clock import local_time
 from hil.vocabulary.result_files import COMMISSIONING_TABLE
 
@@ -21,7 +22,11 @@ DEFAULT = "emulated_delivered"
 
 @click.command()
 @click.option(
-    "--bench", default=DEFAULT, show_default=True, help="Bench file of the wall, or a shipped profile."
+    "--bench",
+    type=BENCH,
+    default=DEFAULT,
+    show_default=True,
+    help="Bench file of the wall, or a shipped profile.",
 )
 @click.option("--quick", is_flag=True, help="The short form of every procedure.")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
@@ -29,10 +34,10 @@ DEFAULT = "emulated_delivered"
 @click.option(
     "--resume", is_flag=True, help="Continue an interrupted or failed one (of --out, else the latest)."
 )
-@click.option("--emulate", help="Devices to emulate: `all`, or names separated by commas.")
+@click.option("--emulate", type=DEVICES, help="Devices to emulate: `all`, or names separated by commas.")
 @click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
 @click.option("--set", "settings", multiple=True, metavar="bench.KEY=VALUE", help="Key of the bench file.")
-@click.option("--fault", "faults", multiple=True, metavar="SPEC", help="As for `hil run`.")
+@click.option("--fault", "faults", multiple=True, type=FAULT, metavar="SPEC", help="As for `hil run`.")
 @start.option
 @answers_option
 @JSON

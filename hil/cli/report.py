@@ -7,12 +7,13 @@ from pathlib import Path
 
 import click
 
-from hil.cli.options import FILE, JSON, OUT
+from hil.cli.options import JSON, OUT
+from hil.cli.words import RESULTS
 from hil.vocabulary.result_files import COMPARISON
 
 
 @click.command()
-@click.argument("folders", nargs=-1, required=True, type=FILE)
+@click.argument("folders", nargs=-1, required=True, type=RESULTS)
 @click.option("--out", type=OUT, help="Where to write the page [default: in the folder].")
 @JSON
 def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:

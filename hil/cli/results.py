@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.options import FILE, JSON, OUT, SuggestingGroup
+from hil.cli.words import PROCEDURE, RUN
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS
 from hil.vocabulary.result_files import TRENDS
 
@@ -24,7 +25,7 @@ _IN = click.option(
     "--in", "where", type=FILE, default=Path("out"), show_default=True,
     help="Folder of results.",
 )  # fmt: skip
-_PROCEDURE = click.option("--procedure", default="", help="Only runs of this procedure.")
+_PROCEDURE = click.option("--procedure", type=PROCEDURE, default="", help="Only runs of this procedure.")
 _BENCH = click.option("--bench", default="", help="Only runs on the bench of this name.")
 
 
@@ -169,7 +170,7 @@ def _key_rows(kept: Kept) -> list[str]:
 
 
 @command.command("open")
-@click.argument("run", default="last")
+@click.argument("run", type=RUN, default="last")
 @_IN
 @click.option(
     "--browser/--no-browser", default=None, help="Show the page [default: where there is a screen]."
@@ -256,7 +257,7 @@ def _group_json(group: Any) -> dict[str, Any]:
 
 
 @command.command()
-@click.argument("runs", nargs=-1, required=True)
+@click.argument("runs", nargs=-1, required=True, type=RUN)
 @_IN
 @click.option("--yes", is_flag=True, help="Do not ask. RUNS must then be whole names.")
 @JSON

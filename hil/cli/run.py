@@ -13,6 +13,7 @@ from hil.cli.attended import answers_option, asked_to_end, operator, watching
 from hil.cli.options import FILE, JSON, OUT, SEED, results_folder
 from hil.cli.output import kept_for_json, tell_calls, tell_the_end
 from hil.cli.progress import reporting
+from hil.cli.words import BENCH, DEVICES, FAULT, SCRIPT, SETTING
 from hil.vocabulary.clock import local_time
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.result_files import JOURNAL
@@ -58,15 +59,17 @@ class _WithParameters(click.Command):
 
 
 @click.command(cls=_WithParameters)
-@click.argument("script")
-@click.option("--bench", help="Bench file, or a shipped profile [default: the procedure's, emulated].")
-@click.option("--emulate", help="Devices to emulate: `all`, or names separated by commas.")
-@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE",
+@click.argument("script", type=SCRIPT)
+@click.option(
+    "--bench", type=BENCH, help="Bench file, or a shipped profile [default: the procedure's, emulated]."
+)
+@click.option("--emulate", type=DEVICES, help="Devices to emulate: `all`, or names separated by commas.")
+@click.option("--set", "settings", multiple=True, type=SETTING, metavar="KEY=VALUE",
               help="Parameter of the procedure, or `bench.KEY` of the bench file.")  # fmt: skip
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
 @start.option
 @click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
-@click.option("--fault", "faults", multiple=True, metavar="SPEC",
+@click.option("--fault", "faults", multiple=True, type=FAULT, metavar="SPEC",
               help="DEVICE:KIND[@START_S[+DURATION_S]][,OPTION=NUMBER...] in world time, e.g. imu:stuck@2+3; "
               "repeatable. docs/faults.md lists devices, kinds and options.")  # fmt: skip
 @click.option("--calibration", type=FILE, help="calibration.toml to apply.")
