@@ -13,6 +13,7 @@ from hil.cli.options import JSON, OUT, SEED, results_folder
 from hil.cli.progress import reporting
 from hil.cli.words import BENCH, DEVICES, FAULT
 from hil.vocabulary.clock import local_time
+from hil.vocabulary.files import shown
 from hil.vocabulary.result_files import ACCEPTANCE_TABLE
 
 
@@ -85,6 +86,9 @@ def _text(told: dict[str, Any]) -> str:
             expected = f"expected {finding['expected']}" if finding["expected"] else ""
             if hints := "; ".join(filter(None, (expected, finding["remedy"]))):
                 lines.append(f"       {hints}")
-    written = f"the page to sign is {told['page']}, its data {told['data']}"
-    lines.append(f"{told['verdict']}: {written if told['page'] else 'the page to sign could not be written'}")
+    written = "the page to sign could not be written"
+    if told["page"]:
+        page, data = (shown(Path(told[key])) for key in ("page", "data"))
+        written = f"the page to sign is {page}, its data {data}"
+    lines.append(f"{told['verdict']}: {written}")
     return "\n".join(lines)

@@ -19,7 +19,7 @@ from hil.cli.output import kept_for_json
 from hil.cli.progress import reporting
 from hil.cli.words import BENCH, DEVICES, FAULT, SCRIPT, SETTING
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, DataError, UsageError
-from hil.vocabulary.files import check_name, write_text
+from hil.vocabulary.files import check_name, shown, write_text
 from hil.vocabulary.result_files import CAMPAIGN_CSV, CAMPAIGN_PAGE, CAMPAIGN_TABLE, LOST, ROWS, RUNS
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def command(
         click.echo(json.dumps(tree, allow_nan=False))
     else:
         click.echo(_text(tree))
-        click.echo(f"page: {out / CAMPAIGN_PAGE}")
+        click.echo(f"page: {shown(out / CAMPAIGN_PAGE)}")
     return exit_code(rows)
 
 

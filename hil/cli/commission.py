@@ -15,6 +15,7 @@ from hil.cli.options import JSON, OUT, SEED, results_folder
 from hil.cli.progress import reporting
 from hil.cli.words import BENCH, DEVICES, FAULT
 from hil.vocabulary.clock import local_time
+from hil.vocabulary.files import shown
 from hil.vocabulary.result_files import COMMISSIONING_TABLE
 
 DEFAULT = "emulated_delivered"
@@ -109,6 +110,6 @@ def _text(told: dict[str, Any]) -> str:
         lines.append(f"what to do: {stopped['do']}")
     if told["stopped"] is None and not told["wall"]:
         lines.append("no line was driven on a wall: what the record brings is not verified")
-    page = f"the page {told['page']}" if told["page"] else "the page could not be written"
-    lines.append(f"{told['verdict']}: the record of the robot is {told['robot']}, {page}")
+    page = f"the page {shown(Path(told['page']))}" if told["page"] else "the page could not be written"
+    lines.append(f"{told['verdict']}: the record of the robot is {shown(Path(told['robot']))}, {page}")
     return "\n".join(lines)

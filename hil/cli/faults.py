@@ -16,7 +16,7 @@ from hil.cli.options import JSON, OUT
 from hil.cli.progress import reporting
 from hil.cli.words import BENCH, FAULT
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, did_you_mean
-from hil.vocabulary.files import check_file
+from hil.vocabulary.files import check_file, shown
 
 if TYPE_CHECKING:
     from hil.procedure.faults import Cell, CellVerdict, KeptVerdicts
@@ -87,7 +87,7 @@ def command(
     if as_json:
         click.echo(json.dumps(_json(verdicts, out / PAGE), allow_nan=False))
     else:
-        click.echo(f"{len(verdicts)} cells, {len(failed)} failed; matrix: {out / PAGE}")
+        click.echo(f"{len(verdicts)} cells, {len(failed)} failed; matrix: {shown(out / PAGE)}")
     return EXIT_LIMIT_FAILED if failed else EXIT_PASS
 
 

@@ -13,6 +13,7 @@ import click
 from hil.cli.options import FILE, JSON, OUT, SuggestingGroup
 from hil.cli.words import PROCEDURE, RUN
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS
+from hil.vocabulary.files import shown
 from hil.vocabulary.result_files import TRENDS
 
 if TYPE_CHECKING:
@@ -195,7 +196,7 @@ def open_result(run: str, where: Path, browser: bool | None, as_json: bool) -> i
     if browser is None:
         screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         browser = bool(screen) and sys.stdout.isatty() and not as_json
-    click.echo(json.dumps({**_as_json(kept), "page": str(page)}) if as_json else str(page))
+    click.echo(json.dumps({**_as_json(kept), "page": str(page)}) if as_json else shown(page))
     if browser:
         click.launch(str(page))
     return EXIT_PASS
@@ -238,7 +239,9 @@ def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bo
             click.echo(printable(f"{group.title}: {runs}, {len(urgent) or 'none'} to look at"))
             for series in urgent:
                 click.echo(printable(f"    {series.name} {series.in_words()}"))
-        click.echo(f"page: {page}" if page else f"No page was written: {where} holds nothing to follow.")
+        click.echo(
+            f"page: {shown(page)}" if page else f"No page was written: {where} holds nothing to follow."
+        )
     alarmed = any(s.state in ALARMS for g in found for s in g.series)
     return EXIT_LIMIT_FAILED if strict and alarmed else EXIT_PASS
 

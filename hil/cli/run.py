@@ -16,6 +16,7 @@ from hil.cli.progress import reporting
 from hil.cli.words import BENCH, DEVICES, FAULT, SCRIPT, SETTING
 from hil.vocabulary.clock import local_time
 from hil.vocabulary.errors import HilError
+from hil.vocabulary.files import shown
 from hil.vocabulary.result_files import JOURNAL
 
 if TYPE_CHECKING:
@@ -128,7 +129,7 @@ def command(
             tell_the_end(json.dumps(tree, allow_nan=False), result.facts["held"])
         else:
             tell_the_end(text_of(result), result.facts["held"])
-            click.echo(f"report: {report or 'could not be written'}")
+            click.echo(f"report: {shown(Path(report)) if report else 'could not be written'}")
     return code
 
 
@@ -197,8 +198,8 @@ def text_of(result: Result) -> str:
     for row in measured:
         digits = digits_of(row)
         value = "-" if row["value"] is None else f"{row['value']:.{digits}g}"
-        shown = max(digits, 6)
-        limits = [f"{s} {row[k]:.{shown}g}" for s, k in ((">=", "low"), ("<=", "high")) if row[k] is not None]
+        least = max(digits, 6)
+        limits = [f"{s} {row[k]:.{least}g}" for s, k in ((">=", "low"), ("<=", "high")) if row[k] is not None]
         lines.append(f"{row['outcome']:13}{row['name']:44}{value:>12} {row['unit']:8}{' and '.join(limits)}")
     if missing := len(result.measurements) - len(measured):
         lines.append(f"{'NOT MEASURED':13}{missing} of {len(result.measurements)}: the run ended before them")
@@ -210,5 +211,5 @@ def text_of(result: Result) -> str:
     lines.append(held_in_words(result.facts["held"]))
     said = f"It ended early, {result.error.place}." if result.error else result.to_json()["said"]
     lines.append(f"{result.verdict.value}: {result.procedure}. {said}".strip())
-    lines.append(f"results: {result.folder}")
+    lines.append(f"results: {shown(result.folder)}")
     return printable("\n".join(lines))

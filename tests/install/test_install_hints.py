@@ -71,7 +71,7 @@ def test_what_is_not_for_this_computer_is_told_in_words(monkeypatch):
     monkeypatch.setattr(extras, "is_installed", lambda extra: True)
     for said in (how_to_install("t265"), extras.lacks("t265")):
         assert "packaging is made for Python from 3.10 and processor pdp11" in said
-        assert not {"extra ==", "platform_machine", "'", '"'} & set(said.split())
+        assert "platform_machine" not in said
         assert "extra ==" not in said
 
 
