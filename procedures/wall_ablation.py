@@ -28,6 +28,7 @@ from hil.robot.trajectories import Trajectory, line
 from hil.vocabulary.geometry import ArrayLike
 
 Case = Literal["x_line", "y_line"]
+Jobs = list[tuple[Setting, Case]]
 
 
 class Parameters(BaseModel):
@@ -103,13 +104,15 @@ def run(ctx: Context) -> None:
     refuse_what_cannot_be_followed(config, references(p, config))
     settings = _settings(p, config)
     jobs = [(setting, case) for setting in settings for case in p.cases]
+    errors: list[dict[str, float]] = []
+    ctx.on_early_end(lambda: _tabulated(ctx, jobs, errors))
     if p.processes > 1 and ctx.source.virtual:
-        errors = ctx.checkpoint("lines", partial(_at_once, ctx, jobs))
+        errors[:] = ctx.checkpoint("lines", partial(_at_once, ctx, jobs, errors))
     else:
-        errors = [
-            ctx.checkpoint(f"{setting.name}, {case}", partial(_here, ctx, setting, case, number, len(jobs)))
-            for number, (setting, case) in enumerate(jobs, start=1)
-        ]
+        for number, (setting, case) in enumerate(jobs, start=1):
+            title = f"{setting.name}, {case}"
+            errors.append(ctx.checkpoint(title, partial(_here, ctx, setting, case)))
+            ctx.progress("lines", number, len(jobs), (number, len(jobs)))
     with ctx.step("evaluate"):
         evaluate(ctx, jobs, errors)
 
@@ -126,14 +129,12 @@ def _without(config: BenchConfig, setting: Setting) -> dict[str, object]:
     return {"record.without": (*own, *(n for n in PARTS if n not in setting.known and n not in own))}
 
 
-def _here(ctx: Context, setting: Setting, case: str, number: int, total: int) -> dict[str, float]:
+def _here(ctx: Context, setting: Setting, case: str) -> dict[str, float]:
     bench = ctx.reopen(_label(setting, case), overrides=_without(ctx.source.config, setting))
-    found = drive(bench, case, ctx.parameters)
-    ctx.progress("lines", number, total, (number, total))
-    return found
+    return drive(bench, case, ctx.parameters)
 
 
-def _at_once(ctx: Context, jobs: list[tuple[Setting, Case]]) -> list[dict[str, float]]:
+def _at_once(ctx: Context, jobs: Jobs, found: list[dict[str, float]]) -> list[dict[str, float]]:
     p: Parameters = ctx.parameters
     config = ctx.source.config
     work = [
@@ -143,7 +144,6 @@ def _at_once(ctx: Context, jobs: list[tuple[Setting, Case]]) -> list[dict[str, f
         )
         for setting, case in jobs
     ]  # fmt: skip
-    found = []
     with Workers(min(p.processes, len(jobs))) as workers:
         for number, one in enumerate(ctx.at_once(work, workers), start=1):
             found.append(one)
@@ -155,11 +155,20 @@ def _label(setting: Setting, case: str) -> str:
     return f"{case} {setting.name}"
 
 
-def evaluate(ctx: Context, jobs: list[tuple[Setting, Case]], errors: list[dict[str, float]]) -> None:
+def evaluate(ctx: Context, jobs: Jobs, errors: list[dict[str, float]]) -> None:
     """Measurements, the table that other programs read, and the figure."""
-    p: Parameters = ctx.parameters
+    table = _tabulated(ctx, jobs, errors)
+    ctx.leave_data("wall", table)
+    ctx.figure(
+        ablation_figure(table), "What is known, and where the robot ends",
+        "Distance from the goal at the end of each line; shorter is better.",
+    )  # fmt: skip
+
+
+def _tabulated(ctx: Context, jobs: Jobs, errors: list[dict[str, float]]) -> Table:
+    """Leave measurements and table of what has been driven, the first of the jobs; returns the table."""
     table: Table = {}
-    for (setting, case), own in zip(jobs, errors, strict=True):
+    for (setting, case), own in zip(jobs, errors, strict=False):
         if missing := unseen(own):
             ctx.note(f"{setting.name}, {case}: {missing}")
         table.setdefault(setting.name, {})[case] = {
@@ -170,9 +179,11 @@ def evaluate(ctx: Context, jobs: list[tuple[Setting, Case]], errors: list[dict[s
             "end_x_m": 1e-3 * own["end_x"],
             "end_y_m": 1e-3 * own["end_y"],
         }
-    best = table.get(EVERYTHING, table[NOTHING])
-    for case in p.cases:
+    known = {setting.name for setting, _ in jobs}
+    best = table.get(EVERYTHING if EVERYTHING in known else NOTHING, {})
+    for case in table.get(NOTHING, {}):
         ctx.measure(f"{case}.nothing_known.end", 1e3 * table[NOTHING][case]["end_m"])
+    for case in best:
         ctx.measure(f"{case}.end", 1e3 * best[case]["end_m"])
         for axis in "xy":
             ctx.measure(f"{case}.rmse_{axis}", 1e3 * best[case][f"rmse_{axis}_m"])
@@ -182,12 +193,10 @@ def evaluate(ctx: Context, jobs: list[tuple[Setting, Case]], errors: list[dict[s
          f"{np.degrees(row['rmse_heading_rad']):.3f}"]
         for name, cases in table.items() for case, row in cases.items()
     ]  # fmt: skip
+    if not rows:
+        return table
     head = ["known", "line", "end (mm)", "RMSE x (mm)", "RMSE y (mm)", "RMSE heading (deg)"]
     ctx.table(
         "Lines by what is known", head, rows, "Truth minus reference; end is the distance from the goal."
     )
-    ctx.leave_data("wall", table)
-    ctx.figure(
-        ablation_figure(table), "What is known, and where the robot ends",
-        "Distance from the goal at the end of each line; shorter is better.",
-    )  # fmt: skip
+    return table

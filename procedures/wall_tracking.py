@@ -7,7 +7,7 @@ In a single world such a figure is decided by the camera's scale, which is drawn
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
@@ -37,6 +37,8 @@ from hil.vocabulary.choices import ESTIMATORS, EstimatorName
 from hil.vocabulary.geometry import ArrayLike
 
 Case = Literal["x_line", "y_line", "scan"]
+World = dict[str, Any]
+"""What each drive in the worlds of one seed has given, by its label: `errors`, and of the first `series`."""
 _SEEDS_FOR_MEANS = 5
 _RESOLVED_MM = 0.1
 _NAMES = {"x_line": "X line", "y_line": "Y line", "scan": "Scan"}
@@ -201,62 +203,84 @@ def run(ctx: Context) -> None:
         refuse_what_cannot_be_followed(ctx.source.config, references(p, ctx.source.config))
         for number in range(1, p.seeds):
             _ = ctx.source.changed(seed=ctx.seed + number).config
-    worlds = [
-        ctx.checkpoint(f"world {number + 1} of {p.seeds}", partial(one_world, ctx, ctx.seed + number))
-        for number in range(p.seeds)
-    ]
+    worlds: list[World] = []
+    ctx.on_early_end(lambda: measure(ctx, worlds))
+    for number in range(p.seeds):
+        worlds.append({})
+        title = f"world {number + 1} of {p.seeds}"
+        worlds[-1] = ctx.checkpoint(title, partial(one_world, ctx, ctx.seed + number, worlds[-1]))
     with ctx.step("evaluate"):
-        evaluate(ctx, worlds)
+        measure(ctx, worlds)
+        show(ctx, worlds[0])
 
 
-def one_world(ctx: Context, seed: int) -> dict[str, Any]:
-    """All cases in worlds of one seed; only the first seed's are drawn."""
+def one_world(ctx: Context, seed: int, found: World) -> World:
+    """All cases in worlds of one seed; only the first seed's are drawn.
+
+    Args:
+        ctx: of the run.
+        seed: of the worlds.
+        found: receives what each drive gives as soon as it is over.
+
+    Returns:
+        `found`.
+    """
     p: Parameters = ctx.parameters
     jobs = drives(p)
     if p.processes > 1 and ctx.source.virtual:
-        source, results = ctx.source.changed(seed=seed), []
+        source = ctx.source.changed(seed=seed)
         errands = [Errand(source, partial(drive, one=one, p=p), _label(one, seed)) for one in jobs]
         with Workers(min(p.processes, len(jobs))) as workers:
-            for number, result in enumerate(ctx.at_once(errands, workers), start=1):
-                results.append(result)
-                ctx.progress(f"seed {seed}", number, len(jobs))
+            for one, result in zip(jobs, ctx.at_once(errands, workers), strict=True):
+                _take(ctx, seed, found, one, result)
     else:
-        results = []
-        for number, one in enumerate(jobs, start=1):
+        for one in jobs:
             bench = ctx.reopen(_label(one, seed), seed=seed)
-            results.append(drive(bench, one, p))
-            ctx.progress(f"seed {seed}", number, len(jobs))
-    keep = seed == ctx.seed
-    return {
-        one.label: result if keep else {"errors": result["errors"]}
-        for one, result in zip(jobs, results, strict=True)
-    }
+            _take(ctx, seed, found, one, drive(bench, one, p))
+    return found
+
+
+def _take(ctx: Context, seed: int, found: World, one: Drive, result: dict[str, Any]) -> None:
+    found[one.label] = result if seed == ctx.seed else {"errors": result["errors"]}
+    ctx.progress(f"seed {seed}", len(found), len(drives(ctx.parameters)))
 
 
 def _label(one: Drive, seed: int) -> str:
     return f"{one.label} seed {seed}"
 
 
-def evaluate(ctx: Context, worlds: list[dict[str, Any]]) -> None:
-    """Measurements, tables and figures of all worlds."""
+def measure(ctx: Context, worlds: Sequence[World]) -> None:
+    """Tables of what was driven, and measurements of what was driven in every world."""
     p: Parameters = ctx.parameters
+    driven = worlds[0] if worlds else {}
     errors = {
         label: {
-            key: np.array([w[label]["errors"][key] for w in worlds]) for key in worlds[0][label]["errors"]
+            key: np.array([w[label]["errors"][key] for w in worlds if label in w]) for key in run["errors"]
         }
-        for label in worlds[0]
+        for label, run in driven.items()
     }
     for number, world in enumerate(worlds):
         for label, run in world.items():
             if missing := unseen(run["errors"]):
                 ctx.note(f"{label} seed {ctx.seed + number}: {missing}")
+    whole = {k: own for k, own in errors.items() if len(own["rmse_x"]) == p.seeds}
     for case in p.cases:
         for feedback in p.feedbacks:
-            _measure(ctx, case, feedback, errors)
+            if f"{case} {feedback}" in whole:
+                _measure(ctx, case, feedback, whole)
+    if {"y_line optimal", "y_line ekf"} <= set(whole):
+        ratio = whole["y_line optimal"]["rmse_x"].mean() / whole["y_line ekf"]["rmse_x"].mean()
+        ctx.measure("y_line.optimal.cross_track_ratio", ratio)
+    if errors:
+        _table(ctx, errors)
+
+
+def show(ctx: Context, world: World) -> None:
+    """Figures of the first world."""
+    p: Parameters = ctx.parameters
+    for case in p.cases:
         shown = {
-            label.split()[1]: run["series"]
-            for label, run in worlds[0].items()
-            if label.startswith(case + " ")
+            label.split()[1]: run["series"] for label, run in world.items() if label.startswith(case + " ")
         }
         name = _NAMES[case]
         ctx.figure(partial(path_figure, shown), f"{name}: path", "Truth from motion capture, by feedback.")
@@ -269,10 +293,6 @@ def evaluate(ctx: Context, worlds: list[dict[str, Any]]) -> None:
             partial(belief_figure, shown), f"{name}: what was believed",
             "Estimate minus truth: odometry believes that it follows the reference.",
         )  # fmt: skip
-    if "y_line optimal" in errors:
-        ratio = errors["y_line optimal"]["rmse_x"].mean() / errors["y_line ekf"]["rmse_x"].mean()
-        ctx.measure("y_line.optimal.cross_track_ratio", ratio)
-    _table(ctx, errors)
 
 
 def _measure(ctx: Context, case: str, feedback: str, errors: dict[str, Any]) -> None:
@@ -292,7 +312,7 @@ def _measure(ctx: Context, case: str, feedback: str, errors: dict[str, Any]) -> 
         return
     ctx.measure(f"{name}.end", np.hypot(own["end_x"], own["end_y"]).max())
     ctx.measure(f"{name}.rmse_heading", own["rmse_heading"].mean())
-    if "odometry" in ctx.parameters.feedbacks:
+    if f"{case} odometry" in errors:
         before, after = (np.maximum(-e[lost], 0.0).mean() for e in (errors[f"{case} odometry"], own))
         ctx.measure(f"{name}.improvement", before / max(after, _RESOLVED_MM))
 

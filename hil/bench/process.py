@@ -18,6 +18,7 @@ from typing import Any
 import tomli_w
 
 from hil.config.bench import BenchConfig
+from hil.vocabulary.beside import last_words
 from hil.vocabulary.errors import DeviceError
 
 _LOG = logging.getLogger(__name__)
@@ -90,7 +91,7 @@ class EmulatorProcess:
 
     def _words(self) -> str:
         self._said.seek(0)
-        return self._said.read().decode(errors="replace").strip()
+        return last_words(self._said.read().decode(errors="replace"))
 
     def _failed(self) -> DeviceError:
         return DeviceError(

@@ -8,20 +8,24 @@ from typing import Any
 
 import click
 
-from hil.cli.attended import answers_option, operator, watching
+from hil.cli.attended import answers_option, asked_to_end, operator, watching
 from hil.cli.options import JSON, OUT, SEED, results_folder
 from hil.cli.progress import reporting
+from hil.cli.words import BENCH, DEVICES, FAULT
 from hil.vocabulary.clock import local_time
+from hil.vocabulary.files import shown
 from hil.vocabulary.result_files import ACCEPTANCE_TABLE
 
 
 @click.command()
-@click.option("--bench", default="emulated", show_default=True, help="Bench file or profile name.")
+@click.option(
+    "--bench", type=BENCH, default="emulated", show_default=True, help="Bench file or profile name."
+)
 @click.option("--on-stand", is_flag=True, help="The wheels are free and may turn: do not ask.")
-@click.option("--emulate", help="Devices to emulate: all, or comma-separated names.")
+@click.option("--emulate", type=DEVICES, help="Devices to emulate: all, or comma-separated names.")
 @click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
-@click.option("--fault", "faults", multiple=True, metavar="SPEC", help="As for `hil run`.")
+@click.option("--fault", "faults", multiple=True, type=FAULT, metavar="SPEC", help="As for `hil run`.")
 @answers_option
 @click.option("--out", type=OUT, help="Results folder [default: out/accept/TIME].")
 @JSON
@@ -40,8 +44,6 @@ def command(
     """
     from hil.procedure.acceptance import Acceptance, accept
     from hil.procedure.bench_source import BenchSource
-    from hil.procedure.interrupts import Interrupts
-    from hil.procedure.operator import tell
     from hil.report.acceptance_page import write_acceptance
     from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, HilError
     from hil.vocabulary.files import check_folder
@@ -50,7 +52,7 @@ def command(
     check_folder(folder)
     if (folder / ACCEPTANCE_TABLE).exists():
         raise ConfigError(f"{folder}: holds an acceptance", remedy="choose another --out")
-    interrupts = Interrupts(tell)
+    interrupts = asked_to_end()
     source = BenchSource(
         bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults, watch=watching()
     )  # fmt: skip
@@ -84,6 +86,9 @@ def _text(told: dict[str, Any]) -> str:
             expected = f"expected {finding['expected']}" if finding["expected"] else ""
             if hints := "; ".join(filter(None, (expected, finding["remedy"]))):
                 lines.append(f"       {hints}")
-    written = f"the page to sign is {told['page']}, its data {told['data']}"
-    lines.append(f"{told['verdict']}: {written if told['page'] else 'the page to sign could not be written'}")
+    written = "the page to sign could not be written"
+    if told["page"]:
+        page, data = (shown(Path(told[key])) for key in ("page", "data"))
+        written = f"the page to sign is {page}, its data {data}"
+    lines.append(f"{told['verdict']}: {written}")
     return "\n".join(lines)

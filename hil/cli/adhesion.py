@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.cli.options import JSON, FiniteRange, SuggestingGroup
+from hil.cli.words import BENCH
 from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS, DeviceError, UsageError
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from hil.bench.adhesion import Spec, Status
     from hil.config.bench import BenchConfig
 
-_BENCH = click.option("--bench", required=True, help="Bench file of the robot.")
+_BENCH = click.option("--bench", type=BENCH, required=True, help="Bench file of the robot.")
 _TETHERED = click.option(
     "--tethered", is_flag=True, help="The robot is tethered, or off the wall: you have looked."
 )

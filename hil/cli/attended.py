@@ -11,6 +11,7 @@ from hil.cli import progress
 from hil.cli.options import FileName
 
 if TYPE_CHECKING:
+    from hil.procedure.interrupts import Interrupts
     from hil.procedure.operator import Operator
     from hil.vocabulary.interfaces import Sink
 
@@ -38,6 +39,14 @@ def operator(answers: Path | None) -> Operator:
 def _say(kind: str, text: str) -> None:
     if kind == "question":
         click.echo(text, err=True)
+
+
+def asked_to_end() -> Interrupts:
+    """Signals of a command: Ctrl-C of a person gives the step a moment, SIGINT of a program its time."""
+    from hil.procedure.interrupts import PATIENCE_S, Interrupts
+    from hil.procedure.operator import tell
+
+    return Interrupts(tell, None if progress.for_a_program() else PATIENCE_S)
 
 
 def watching() -> tuple[Sink, ...]:

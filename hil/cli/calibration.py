@@ -10,12 +10,15 @@ import click
 
 from hil.cli.options import FILE, JSON, SuggestingGroup
 from hil.cli.robots import configured
+from hil.cli.words import BENCH
 
 if TYPE_CHECKING:
     from hil.calibration.versions import KeptVersion
 
 _FILE = click.argument("file", type=FILE)
-_BENCH = click.option("--bench", help="Bench file or profile that uses it: another robot's is refused.")
+_BENCH = click.option(
+    "--bench", type=BENCH, help="Bench file or profile that uses it: another robot's is refused."
+)
 
 _HELD_OUT = ("fresh_run", "leave_one_repetition_out")
 """Tables of `CalibrationFile.validation` on recordings that the fit did not see, the better one first."""

@@ -17,8 +17,9 @@ import click
 from hil.cli.options import FILE, JSON, OUT
 from hil.cli.output import kept_for_json
 from hil.cli.progress import reporting
+from hil.cli.words import BENCH, DEVICES, FAULT, SCRIPT, SETTING
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, DataError, UsageError
-from hil.vocabulary.files import check_name, write_text
+from hil.vocabulary.files import check_name, shown, write_text
 from hil.vocabulary.result_files import CAMPAIGN_CSV, CAMPAIGN_PAGE, CAMPAIGN_TABLE, LOST, ROWS, RUNS
 
 if TYPE_CHECKING:
@@ -34,14 +35,23 @@ _LONGEST = 400
 
 
 @click.command()
-@click.argument("script")
+@click.argument("script", type=SCRIPT)
 @click.option("--seeds", default="0:10", show_default=True, help="Seeds: 0:10 for 0 to 9, or 1,4,7.")
 @click.option("--vary", "axes", multiple=True, metavar="KEY=A,B,...",
               help="Setting and its values (repeatable). KEY as in --set, or `fault`.")  # fmt: skip
-@click.option("--bench", help="Bench file, or a shipped profile [default: the procedure's].")
-@click.option("--emulate", help="Devices to emulate: `all`, or names separated by commas.")
-@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="As in hil run, for all cases.")
-@click.option("--fault", "faults", multiple=True, metavar="SPEC", help="As in hil run, for all cases.")
+@click.option("--bench", type=BENCH, help="Bench file, or a shipped profile [default: the procedure's].")
+@click.option("--emulate", type=DEVICES, help="Devices to emulate: `all`, or names separated by commas.")
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    type=SETTING,
+    metavar="KEY=VALUE",
+    help="As in hil run, for all cases.",
+)
+@click.option(
+    "--fault", "faults", multiple=True, type=FAULT, metavar="SPEC", help="As in hil run, for all cases."
+)
 @click.option("--calibration", type=FILE, help="calibration.toml to apply.")
 @click.option("--answers", type=FILE, help="File that answers the operator's prompts.")
 @click.option("--workers", type=click.IntRange(0, 1000), default=os.cpu_count() or 1,
@@ -96,7 +106,7 @@ def command(
         click.echo(json.dumps(tree, allow_nan=False))
     else:
         click.echo(_text(tree))
-        click.echo(f"page: {out / CAMPAIGN_PAGE}")
+        click.echo(f"page: {shown(out / CAMPAIGN_PAGE)}")
     return exit_code(rows)
 
 

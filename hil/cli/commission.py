@@ -10,10 +10,12 @@ from typing import Any
 import click
 
 from hil.cli import start
-from hil.cli.attended import answers_option, operator, watching
+from hil.cli.attended import answers_option, asked_to_end, operator, watching
 from hil.cli.options import JSON, OUT, SEED, results_folder
 from hil.cli.progress import reporting
+from hil.cli.words import BENCH, DEVICES, FAULT
 from hil.vocabulary.clock import local_time
+from hil.vocabulary.files import shown
 from hil.vocabulary.result_files import COMMISSIONING_TABLE
 
 DEFAULT = "emulated_delivered"
@@ -21,7 +23,11 @@ DEFAULT = "emulated_delivered"
 
 @click.command()
 @click.option(
-    "--bench", default=DEFAULT, show_default=True, help="Bench file of the wall, or a shipped profile."
+    "--bench",
+    type=BENCH,
+    default=DEFAULT,
+    show_default=True,
+    help="Bench file of the wall, or a shipped profile.",
 )
 @click.option("--quick", is_flag=True, help="The short form of every procedure.")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
@@ -29,10 +35,10 @@ DEFAULT = "emulated_delivered"
 @click.option(
     "--resume", is_flag=True, help="Continue an interrupted or failed one (of --out, else the latest)."
 )
-@click.option("--emulate", help="Devices to emulate: `all`, or names separated by commas.")
+@click.option("--emulate", type=DEVICES, help="Devices to emulate: `all`, or names separated by commas.")
 @click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
 @click.option("--set", "settings", multiple=True, metavar="bench.KEY=VALUE", help="Key of the bench file.")
-@click.option("--fault", "faults", multiple=True, metavar="SPEC", help="As for `hil run`.")
+@click.option("--fault", "faults", multiple=True, type=FAULT, metavar="SPEC", help="As for `hil run`.")
 @start.option
 @answers_option
 @JSON
@@ -47,8 +53,6 @@ def command(
     """
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.commission import Commission, commission
-    from hil.procedure.interrupts import Interrupts
-    from hil.procedure.operator import tell
     from hil.vocabulary.clock import MonotonicClock
 
     source = BenchSource(
@@ -56,7 +60,7 @@ def command(
         overrides={**_overrides(settings), **start.start_override(start_pose)}, watch=watching(),
     )  # fmt: skip
     source = source.changed(overrides=start.asked_start(source.config))
-    interrupts = Interrupts(tell)
+    interrupts = asked_to_end()
     folder = results_folder("commission", out, COMMISSIONING_TABLE if resume else None)
     with interrupts.installed(), interrupts.deferred(), reporting() as report:
         told, code = commission(
@@ -106,6 +110,6 @@ def _text(told: dict[str, Any]) -> str:
         lines.append(f"what to do: {stopped['do']}")
     if told["stopped"] is None and not told["wall"]:
         lines.append("no line was driven on a wall: what the record brings is not verified")
-    page = f"the page {told['page']}" if told["page"] else "the page could not be written"
-    lines.append(f"{told['verdict']}: the record of the robot is {told['robot']}, {page}")
+    page = f"the page {shown(Path(told['page']))}" if told["page"] else "the page could not be written"
+    lines.append(f"{told['verdict']}: the record of the robot is {shown(Path(told['robot']))}, {page}")
     return "\n".join(lines)

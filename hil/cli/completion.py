@@ -42,6 +42,7 @@ def answer(cli: click.Command, variable: str, asked: str) -> int:
     words = ""
     with redirect_stdout(StringIO()), redirect_stderr(StringIO()):  # scripts are run for their parameters
         try:
+            completion.ctx_args["obj"], _ = completion.get_completion_args()
             words = completion.complete()
         except (Exception, SystemExit):
             return EXIT_PASS

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.options import FILE, JSON
+from hil.cli.words import BENCH
 from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS, DataError, UsageError
 
 if TYPE_CHECKING:
@@ -23,7 +24,9 @@ _START_S, _POLL_S, _STOP_S = 10.0, 0.05, 60.0
 
 
 @click.command()
-@click.option("--bench", help="Bench file or profile that the page offers [default: each command's own].")
+@click.option(
+    "--bench", type=BENCH, help="Bench file or profile that the page offers [default: each command's own]."
+)
 @click.option("--in", "where", type=FILE, default=Path("out"), show_default=True,
               help="Folder of results.")  # fmt: skip
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the page [default: a free one].")

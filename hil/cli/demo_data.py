@@ -15,6 +15,7 @@ import click
 from hil.cli.options import FILE, JSON, SEED
 from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
+from hil.cli.words import FAULT
 
 _CONTACTS = {"formulas": ("viscous", "coulomb", "elastic"), "own": (), "mujoco": ("creep", "holding")}
 _FLOOR = "emulated_floor"
@@ -38,7 +39,9 @@ _RECORDINGS = (".csv", ".csv.gz", ".mcap", ".db3")
     "[default: the first of them].",
 )
 @click.option("--corrupt", help="Name of one recording to spoil, e.g. circle_cw_2 (formulas only).")
-@click.option("--fault", "faults", multiple=True, help="Fault, e.g. mocap:drop@9+2 (--plant; repeatable).")
+@click.option(
+    "--fault", "faults", multiple=True, type=FAULT, help="Fault, e.g. mocap:drop@9+2 (--plant; repeatable)."
+)
 @BENCH
 @JSON
 def command(

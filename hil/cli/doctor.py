@@ -9,6 +9,7 @@ import click
 
 from hil.cli.options import JSON, OUT, SEED, FiniteRange
 from hil.cli.output import tell_calls
+from hil.cli.words import BENCH, DEVICES, FAULT
 from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "failure": ("FAIL", "red")}
@@ -18,11 +19,15 @@ _LEAST_WATCH_S = 0.1
 
 
 @click.command()
-@click.option("--bench", default="emulated", show_default=True, help="Bench file or profile name.")
-@click.option("--emulate", help="Devices to emulate: all, or comma-separated names.")
+@click.option(
+    "--bench", type=BENCH, default="emulated", show_default=True, help="Bench file or profile name."
+)
+@click.option("--emulate", type=DEVICES, help="Devices to emulate: all, or comma-separated names.")
 @click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
-@click.option("--fault", "faults", multiple=True, help="Fault, for example imu:stuck@2+3 (repeatable).")
+@click.option(
+    "--fault", "faults", multiple=True, type=FAULT, help="Fault, for example imu:stuck@2+3 (repeatable)."
+)
 @click.option(
     "--watch",
     "watch_s",

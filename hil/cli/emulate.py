@@ -17,6 +17,7 @@ import click
 
 from hil.cli.options import FILE, OUT, SEED
 from hil.cli.output import Answered
+from hil.cli.words import BENCH, FAULT
 from hil.vocabulary.clock import sleep_punctually
 from hil.vocabulary.errors import EXIT_PASS, UsageError
 
@@ -34,10 +35,14 @@ _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
 
 
 @click.command()
-@click.option("--bench", default="emulated", show_default=True, help="Bench file or profile name.")
+@click.option(
+    "--bench", type=BENCH, default="emulated", show_default=True, help="Bench file or profile name."
+)
 @click.option("--only", default="", metavar="NAMES", help="Devices, separated by commas [default: all].")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
-@click.option("--fault", "faults", multiple=True, help="Fault, for example imu:stuck@2+3 (repeatable).")
+@click.option(
+    "--fault", "faults", multiple=True, type=FAULT, help="Fault, for example imu:stuck@2+3 (repeatable)."
+)
 @click.option(
     "--standard-ports", is_flag=True,
     help="Motion capture at Motive's ports 1510 and 1511, CAN buses at python-can's own group and port.",

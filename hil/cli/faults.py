@@ -15,8 +15,9 @@ import click
 
 from hil.cli.options import JSON, OUT
 from hil.cli.progress import reporting
+from hil.cli.words import BENCH, FAULT
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, did_you_mean
-from hil.vocabulary.files import check_file
+from hil.vocabulary.files import check_file, shown
 from hil.vocabulary.result_files import FAULTS_MATRIX, FAULTS_PAGE
 
 if TYPE_CHECKING:
@@ -41,7 +42,9 @@ class Asked:
 @click.command()
 @click.option("--quick", is_flag=True, help="A handful of cells: one of each way to lose a robot.")
 @click.option("--seeds", default="0:1", show_default=True, help="Seeds of the worlds: 0:5, or 1,4,7.")
-@click.option("--only", multiple=True, metavar="DEVICE[:FAULT[@MOMENT]]", help="Only these (repeatable).")
+@click.option(
+    "--only", multiple=True, type=FAULT, metavar="DEVICE[:FAULT[@MOMENT]]", help="Only these (repeatable)."
+)
 @click.option("--moments", default=DEFAULTS["moments"], show_default=True, help="When, by commas.")
 @click.option(
     "--plants", default=DEFAULTS["plants"], show_default=True, help="Physics, by commas: own, mujoco."
@@ -49,7 +52,11 @@ class Asked:
 @click.option("--random", "count", type=click.IntRange(1, 100_000),
               help="So many runs with one to four faults at random moments instead.")  # fmt: skip
 @click.option(
-    "--bench", default=DEFAULTS["bench"], show_default=True, help="Bench file, or a shipped profile."
+    "--bench",
+    type=BENCH,
+    default=DEFAULTS["bench"],
+    show_default=True,
+    help="Bench file, or a shipped profile.",
 )
 @click.option("--workers", type=click.IntRange(0, 1000), default=0, show_default=True,
               help="Processes (needs the extra `campaign`); 0 runs here.")  # fmt: skip
@@ -86,7 +93,7 @@ def command(
     if as_json:
         click.echo(json.dumps(_json(verdicts, out / FAULTS_MATRIX, page), allow_nan=False))
     else:
-        click.echo(f"{len(verdicts)} cells, {len(failed)} failed; page: {page}")
+        click.echo(f"{len(verdicts)} cells, {len(failed)} failed; page: {shown(page)}")
     return EXIT_LIMIT_FAILED if failed else EXIT_PASS
 
 

@@ -11,7 +11,7 @@ import click
 
 from hil import __version__
 from hil.cli.options import JSON
-from hil.vocabulary.beside import beside, end_with_parent
+from hil.vocabulary.beside import beside, end_with_parent, last_words
 from hil.vocabulary.collector import seldom
 from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE, HilError
 from hil.vocabulary.extras import MODULES, how_to_install, lacks, packages
@@ -38,7 +38,8 @@ def _compile() -> None:
         said = others.stdout.read().decode(errors="replace").strip()
     if others.returncode:
         raise HilError(
-            f"half of the kernels is not compiled: {said or f'a process ended with {others.returncode}'}"
+            "half of the kernels is not compiled: "
+            f"{last_words(said) or f'a process ended with {others.returncode}'}"
         )
     if said and not not_kept():
         _LOG.warning("%s", said)

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from hil.cli.options import JSON
+from hil.cli.words import BENCH
 from hil.vocabulary.choices import ESTIMATORS
 from hil.vocabulary.errors import EXIT_PASS
 
@@ -56,7 +57,10 @@ WHAT = ("procedures", "profiles", "devices", "faults", "estimators")
 @click.command(name="list")
 @click.argument("what", type=click.Choice(WHAT), required=False, metavar="[WHAT]")
 @click.option(
-    "--bench", default="emulated", help="Whose devices and faults, if all were emulated [default: emulated]."
+    "--bench",
+    type=BENCH,
+    default="emulated",
+    help="Whose devices and faults, if all were emulated [default: emulated].",
 )
 @JSON
 def command(what: str | None, bench: str, as_json: bool) -> int:

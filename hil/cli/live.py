@@ -14,6 +14,7 @@ from hil.cli import start
 from hil.cli.attended import watching
 from hil.cli.options import FILE, JSON, SEED, FiniteRange, rerun_option, tell_view
 from hil.cli.output import Answered, tell_the_end, unreadable
+from hil.cli.words import BENCH, DEVICES, FAULT
 from hil.vocabulary.choices import ESTIMATORS, LAWS
 from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, DeviceError, HilError, UsageError, reason_of
 from hil.vocabulary.files import check_new_file
@@ -28,8 +29,10 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.option("--bench", default="emulated", show_default=True, help="Bench file or profile name.")
-@click.option("--emulate", help="Devices to emulate: all, or comma-separated names.")
+@click.option(
+    "--bench", type=BENCH, default="emulated", show_default=True, help="Bench file or profile name."
+)
+@click.option("--emulate", type=DEVICES, help="Devices to emulate: all, or comma-separated names.")
 @click.option(
     "--trajectory",
     "source",
@@ -92,7 +95,9 @@ if TYPE_CHECKING:
     type=FILE,
     help="Recording whose motion the emulated robot repeats, at the wire.",
 )
-@click.option("--fault", "faults", multiple=True, help="Fault, for example imu:stuck@2+3 (repeatable).")
+@click.option(
+    "--fault", "faults", multiple=True, type=FAULT, help="Fault, for example imu:stuck@2+3 (repeatable)."
+)
 @JSON
 def command(
     bench: str, emulate: str | None, source: Path | None, commands: str, dead_man_s: float,

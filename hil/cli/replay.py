@@ -13,6 +13,7 @@ import numpy as np
 
 from hil.cli.options import FILE, JSON, rerun_option, tell_view
 from hil.cli.output import error_as_json
+from hil.cli.words import BENCH
 from hil.vocabulary.choices import COMPARED
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, DataError, UsageError
 
@@ -58,7 +59,9 @@ _COLUMNS = (
     type=click.IntRange(min=0),
     help="Which run of the recording, from 0 [default: all to verify, the longest to compare].",
 )
-@click.option("--bench", help="Bench file or profile, for recordings that do not carry their own.")
+@click.option(
+    "--bench", type=BENCH, help="Bench file or profile, for recordings that do not carry their own."
+)
 @click.option("--calibration", type=FILE, help="calibration.toml for the estimators.")
 @click.option("--topics", type=FILE, help="Topic mapping of another robot's bag.")
 @click.option("--page", type=FILE, help="HTML page with figures.")

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import click
 
-from hil.cli.options import FILE, JSON, OUT
+from hil.cli.options import JSON, OUT
+from hil.cli.words import RESULTS
+from hil.vocabulary.files import shown
 from hil.vocabulary.result_files import COMPARISON
 
 
 @click.command()
-@click.argument("folders", nargs=-1, required=True, type=FILE)
+@click.argument("folders", nargs=-1, required=True, type=RESULTS)
 @click.option("--out", type=OUT, help="Where to write the page [default: in the folder].")
 @JSON
 def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:
@@ -32,7 +34,7 @@ def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:
         page = write_run_page(folders[0], out)
         tree = read_result(folders[0])
         found = {"report": str(page), "procedure": tree["procedure"], "verdict": tree["verdict"]}
-        click.echo(json.dumps(found) if as_json else printable(f"{tree['verdict']}: {page}"))
+        click.echo(json.dumps(found) if as_json else printable(f"{tree['verdict']}: {shown(page)}"))
         return 0
     page = out if out is not None else own_file(folders[0], COMPARISON)
     if any(map(is_campaign, folders)):
@@ -41,7 +43,7 @@ def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:
     write_compare_page(page, table)
     click.echo(json.dumps({**table, "report": str(page)}) if as_json else printable(comparison_text(table)))
     if not as_json:
-        click.echo(f"page: {page}")
+        click.echo(f"page: {shown(page)}")
     return 0
 
 
@@ -57,5 +59,5 @@ def _campaigns(folders: tuple[Path, ...], page: Path, as_json: bool) -> int:
     write_campaigns_page(page, table)
     click.echo(json.dumps({**table, "report": str(page)}) if as_json else printable(campaigns_text(table)))
     if not as_json:
-        click.echo(f"page: {page}")
+        click.echo(f"page: {shown(page)}")
     return 0

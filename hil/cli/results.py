@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.options import FILE, JSON, OUT, SuggestingGroup
+from hil.cli.words import PROCEDURE, RUN
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS
+from hil.vocabulary.files import shown
 from hil.vocabulary.result_files import TRENDS
 
 if TYPE_CHECKING:
@@ -24,7 +26,7 @@ _IN = click.option(
     "--in", "where", type=FILE, default=Path("out"), show_default=True,
     help="Folder of results.",
 )  # fmt: skip
-_PROCEDURE = click.option("--procedure", default="", help="Only runs of this procedure.")
+_PROCEDURE = click.option("--procedure", type=PROCEDURE, default="", help="Only runs of this procedure.")
 _BENCH = click.option("--bench", default="", help="Only runs on the bench of this name.")
 
 
@@ -169,7 +171,7 @@ def _key_rows(kept: Kept) -> list[str]:
 
 
 @command.command("open")
-@click.argument("run", default="last")
+@click.argument("run", type=RUN, default="last")
 @_IN
 @click.option(
     "--browser/--no-browser", default=None, help="Show the page [default: where there is a screen]."
@@ -194,7 +196,7 @@ def open_result(run: str, where: Path, browser: bool | None, as_json: bool) -> i
     if browser is None:
         screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         browser = bool(screen) and sys.stdout.isatty() and not as_json
-    click.echo(json.dumps({**_as_json(kept), "page": str(page)}) if as_json else str(page))
+    click.echo(json.dumps({**_as_json(kept), "page": str(page)}) if as_json else shown(page))
     if browser:
         click.launch(str(page))
     return EXIT_PASS
@@ -237,7 +239,9 @@ def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bo
             click.echo(printable(f"{group.title}: {runs}, {len(urgent) or 'none'} to look at"))
             for series in urgent:
                 click.echo(printable(f"    {series.name} {series.in_words()}"))
-        click.echo(f"page: {page}" if page else f"No page was written: {where} holds nothing to follow.")
+        click.echo(
+            f"page: {shown(page)}" if page else f"No page was written: {where} holds nothing to follow."
+        )
     alarmed = any(s.state in ALARMS for g in found for s in g.series)
     return EXIT_LIMIT_FAILED if strict and alarmed else EXIT_PASS
 
@@ -256,7 +260,7 @@ def _group_json(group: Any) -> dict[str, Any]:
 
 
 @command.command()
-@click.argument("runs", nargs=-1, required=True)
+@click.argument("runs", nargs=-1, required=True, type=RUN)
 @_IN
 @click.option("--yes", is_flag=True, help="Do not ask. RUNS must then be whole names.")
 @JSON

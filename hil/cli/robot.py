@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.options import FILE, JSON, OUT, SuggestingGroup
+from hil.cli.words import BENCH
 from hil.vocabulary.clock import local_time
 
 if TYPE_CHECKING:
@@ -117,7 +118,7 @@ def _two(record: Path, first: int | None, second: int | None) -> tuple[RecordFil
     "--from", "source", type=FILE,
     help="Take parts from part_NAME.toml, calibration.toml, bench_fragment.toml or another record.",
 )  # fmt: skip
-@click.option("--bench", help="Bench file or profile of the robot; needed with --from.")
+@click.option("--bench", type=BENCH, help="Bench file or profile of the robot; needed with --from.")
 @click.option("--of-this-robot", is_flag=True,
               help="You know that a file is of this robot which does not say of which it is.")  # fmt: skip
 @JSON
@@ -164,7 +165,9 @@ def rollback(record: Path, version: int | None, as_json: bool) -> int:
 
 
 @command.command()
-@click.option("--bench", default="emulated", show_default=True, help="Bench file or profile name.")
+@click.option(
+    "--bench", type=BENCH, default="emulated", show_default=True, help="Bench file or profile name."
+)
 @click.option("--calibration", type=FILE, help="calibration.toml to use.")
 @click.option("--out", type=OUT, help="File to write [default: standard output].")
 def urdf(bench: str, calibration: Path | None, out: Path | None) -> int:

@@ -6,12 +6,15 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hil.cli.words import BENCH as BENCH_FILE
+
 if TYPE_CHECKING:
     from hil.calibration.nominal import Nominal
     from hil.config.bench import BenchConfig
 
 BENCH = click.option(
     "--bench",
+    type=BENCH_FILE,
     help="Bench file or profile of the robot: its wheels, loads and steering range [default: CAD geometry].",
 )
 

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start
-from hil.cli.attended import answers_option, operator, watching
+from hil.cli.attended import answers_option, asked_to_end, operator, watching
 from hil.cli.options import FILE, JSON, OUT, SEED, results_folder
 from hil.cli.output import kept_for_json, tell_calls, tell_the_end
 from hil.cli.progress import reporting
+from hil.cli.words import BENCH, DEVICES, FAULT, SCRIPT, SETTING
 from hil.vocabulary.clock import local_time
 from hil.vocabulary.errors import HilError
+from hil.vocabulary.files import shown
 from hil.vocabulary.result_files import JOURNAL
 
 if TYPE_CHECKING:
@@ -58,15 +60,17 @@ class _WithParameters(click.Command):
 
 
 @click.command(cls=_WithParameters)
-@click.argument("script")
-@click.option("--bench", help="Bench file, or a shipped profile [default: the procedure's, emulated].")
-@click.option("--emulate", help="Devices to emulate: `all`, or names separated by commas.")
-@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE",
+@click.argument("script", type=SCRIPT)
+@click.option(
+    "--bench", type=BENCH, help="Bench file, or a shipped profile [default: the procedure's, emulated]."
+)
+@click.option("--emulate", type=DEVICES, help="Devices to emulate: `all`, or names separated by commas.")
+@click.option("--set", "settings", multiple=True, type=SETTING, metavar="KEY=VALUE",
               help="Parameter of the procedure, or `bench.KEY` of the bench file.")  # fmt: skip
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
 @start.option
 @click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
-@click.option("--fault", "faults", multiple=True, metavar="SPEC",
+@click.option("--fault", "faults", multiple=True, type=FAULT, metavar="SPEC",
               help="DEVICE:KIND[@START_S[+DURATION_S]][,OPTION=NUMBER...] in world time, e.g. imu:stuck@2+3; "
               "repeatable. docs/faults.md lists devices, kinds and options.")  # fmt: skip
 @click.option("--calibration", type=FILE, help="calibration.toml to apply.")
@@ -93,8 +97,6 @@ def command(
     Example: hil run bring_up --quick --set watch_s=2
     """
     from hil.procedure.bench_source import BenchSource
-    from hil.procedure.interrupts import Interrupts
-    from hil.procedure.operator import tell
     from hil.procedure.parameters import split_settings
     from hil.procedure.scripts import load_procedure
 
@@ -114,7 +116,7 @@ def command(
         click.echo(json.dumps(plan) if as_json else _plan_text(plan))
         return 0
     source = source.changed(overrides=start.asked_start(source.config))
-    interrupts = Interrupts(tell)
+    interrupts = asked_to_end()
     with interrupts.installed(), interrupts.deferred():
         folder = results_folder(proc.name, out, JOURNAL if resume else None)
         with kept_for_json(as_json):
@@ -127,7 +129,7 @@ def command(
             tell_the_end(json.dumps(tree, allow_nan=False), result.facts["held"])
         else:
             tell_the_end(text_of(result), result.facts["held"])
-            click.echo(f"report: {report or 'could not be written'}")
+            click.echo(f"report: {shown(Path(report)) if report else 'could not be written'}")
     return code
 
 
@@ -196,8 +198,8 @@ def text_of(result: Result) -> str:
     for row in measured:
         digits = digits_of(row)
         value = "-" if row["value"] is None else f"{row['value']:.{digits}g}"
-        shown = max(digits, 6)
-        limits = [f"{s} {row[k]:.{shown}g}" for s, k in ((">=", "low"), ("<=", "high")) if row[k] is not None]
+        least = max(digits, 6)
+        limits = [f"{s} {row[k]:.{least}g}" for s, k in ((">=", "low"), ("<=", "high")) if row[k] is not None]
         lines.append(f"{row['outcome']:13}{row['name']:44}{value:>12} {row['unit']:8}{' and '.join(limits)}")
     if missing := len(result.measurements) - len(measured):
         lines.append(f"{'NOT MEASURED':13}{missing} of {len(result.measurements)}: the run ended before them")
@@ -209,5 +211,5 @@ def text_of(result: Result) -> str:
     lines.append(held_in_words(result.facts["held"]))
     said = f"It ended early, {result.error.place}." if result.error else result.to_json()["said"]
     lines.append(f"{result.verdict.value}: {result.procedure}. {said}".strip())
-    lines.append(f"results: {result.folder}")
+    lines.append(f"results: {shown(result.folder)}")
     return printable("\n".join(lines))

@@ -14,6 +14,7 @@ import click
 
 from hil.cli.options import FILE, JSON, OUT
 from hil.cli.progress import reporting
+from hil.cli.words import BENCH
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, ConfigError, DataError, UsageError
 from hil.vocabulary.files import check_ending, check_file, put_whole, refused
 
@@ -45,7 +46,9 @@ _DEFAULT = (
     help=f"Figure to fit, e.g. wall.creep (repeatable) [default: {', '.join(_DEFAULT)}].",
 )
 @click.option("--evaluations", default=40, show_default=True, type=click.IntRange(min=2))
-@click.option("--bench", help="Bench file to start from; --out then is a copy of it with the new figures.")
+@click.option(
+    "--bench", type=BENCH, help="Bench file to start from; --out then is a copy of it with the new figures."
+)
 @click.option("--calibration", type=FILE, help="calibration.toml for the wheels.")
 @click.option("--out", type=OUT, help="Write the fitted [estimator] tables here.")
 @JSON

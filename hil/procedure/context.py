@@ -68,6 +68,7 @@ class Context(RunBenches):
         self._past = dict(past)
         self._seen: set[str] = set()
         self._teardown: list[tuple[str, Callable[[], None]]] = []
+        self._early: list[tuple[str, Callable[[], None]]] = []
 
     @contextmanager
     def step(self, title: str, timeout_s: float = STEP_LIMIT_S) -> Iterator[None]:
@@ -164,6 +165,19 @@ class Context(RunBenches):
     def on_teardown(self, action: Callable[[], None], title: str = "teardown") -> None:
         """Have something done at the end whatever happens, last registered first, bench still open."""
         self._teardown.append((title, action))
+
+    def on_early_end(self, action: Callable[[], None], title: str = "evaluating what was finished") -> None:
+        """Have something done where the run ends early: measurements of what was finished until then.
+
+        It gets the time of a teardown, before what `on_teardown` has registered, and the bench may be in any
+        state. A run that comes to its end does not do it.
+        """
+        self._early.append((title, action))
+
+    def take_early_end(self) -> list[tuple[str, Callable[[], None]]]:
+        """The actions of `on_early_end` in their order; empty afterwards."""
+        actions, self._early = self._early, []
+        return actions
 
     def take_teardown(self) -> list[tuple[str, Callable[[], None]]]:
         """The registered actions in the order in which they are to run; empty afterwards."""

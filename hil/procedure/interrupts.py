@@ -1,10 +1,11 @@
 """Signals during a run: finish the step, or stop now.
 
-SIGINT once asks for an orderly end at the next step; SIGINT again, SIGTERM or SIGHUP ends the work at
-once: `Aborted` is raised in the main thread, on whose way out the robot is stopped. It is raised once: that
-way out is not cut short. Inside `deferred()` (writing a record, opening and closing a bench, tearing down,
-all that comes after the verdict) a signal waits for the end of the block, or for the code
-of a device package in it that has been running for too long: it may never come back.
+SIGINT once asks for an orderly end at the next step, for which the step has `patience_s`. SIGINT again,
+SIGTERM or SIGHUP, or a step that takes longer, ends the work at once: `Aborted` is raised in the main thread,
+on whose way out the robot is stopped. It is raised once: that way out is not cut short. Inside `deferred()`
+(writing a record, opening and closing a bench, tearing down, all that comes after the verdict) a signal waits
+for the end of the block, or for the code of a device package in it that has been running for too long: it may
+never come back.
 """
 
 from __future__ import annotations
@@ -12,16 +13,20 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from types import FrameType
 
 from hil.bench.overdue import leave
 from hil.vocabulary.errors import Aborted, StepTimeoutError
 from hil.vocabulary.stop_signals import handled_by
 
+PATIENCE_S = 1.0
+"""For how long a person who has pressed Ctrl-C waits for the end of the step."""
 _TWICE = "a second SIGINT"
+_LATE = "SIGINT, and time"
 _BY = {
     "SIGINT": "Ctrl-C or “Finish the step, then end” (SIGINT)",
+    _LATE: "Ctrl-C (SIGINT): the step did not end in time",
     _TWICE: "Ctrl-C twice (a second SIGINT)",
     "SIGTERM": "STOP or whoever else asked it to end (SIGTERM)",
     "SIGHUP": "its terminal, which was closed (SIGHUP)",
@@ -34,10 +39,17 @@ class Interrupts:
 
     Args:
         tell: called with a line for the operator.
+        patience_s: how long a step may go on after the first SIGINT, s of the computer's clock; None for as
+            long as it takes.
     """
 
-    def __init__(self, tell: Callable[[str], None] = lambda text: None) -> None:
-        self._tell = tell
+    def __init__(
+        self, tell: Callable[[str], None] = lambda text: None, patience_s: float | None = None
+    ) -> None:
+        self._tell, self._patience_s = tell, patience_s
+        self._timer: threading.Timer | None = None
+        self._late = False
+        self._installed = 0
         self._asked = 0
         self._stop: str | None = None
         self._deferred = 0
@@ -77,9 +89,9 @@ class Interrupts:
         if number == signal.SIGINT:
             self._asked += 1
             if self._asked == 1:
-                self._tell("finishing the step; press Ctrl-C again to stop now")
+                self._give_time()
                 return
-            name = _TWICE
+            name = _LATE if self._late else _TWICE
         self._stop = self._stop or name
         if self._raised:
             return
@@ -87,6 +99,20 @@ class Interrupts:
             self.stop_here()
         else:
             leave(self._left)
+
+    def _give_time(self) -> None:
+        """Let the step go on for a while; then this process gets the signal of somebody who does not wait."""
+        if self._patience_s is None:
+            self._tell("finishing the step; press Ctrl-C again to stop now")
+            return
+        self._tell(f"finishing the step, for at most {self._patience_s:g} s; press Ctrl-C again to stop now")
+        self._timer = threading.Timer(self._patience_s, self._no_more_time, [threading.main_thread().ident])
+        self._timer.daemon = True
+        self._timer.start()
+
+    def _no_more_time(self, thread: int) -> None:
+        self._late = True
+        signal.pthread_kill(thread, signal.SIGINT)
 
     def _left(self, running: str) -> Aborted:
         """What a call is left with that had been running for too long when a stop was asked for."""
@@ -112,9 +138,18 @@ class Interrupts:
         finally:
             self._deferred = deferred
 
-    def installed(self) -> AbstractContextManager[None]:
+    @contextmanager
+    def installed(self) -> Iterator[None]:
         """Handle the signals of this process; only possible in the main thread, elsewhere nothing."""
-        return handled_by(self.handle)
+        with handled_by(self.handle):
+            self._installed += 1
+            try:
+                yield
+            finally:
+                self._installed -= 1
+                if not self._installed and self._timer is not None:
+                    self._timer.cancel()
+                    self._timer.join()  # its signal, if it was sent, is still taken here
 
 
 @contextmanager

@@ -212,6 +212,8 @@ def _execute(
         error = failure(problem, context)
     late: list[Failure] = []
     statistics = None
+    for title, action in context.take_early_end() if error is not None else ():
+        _attempt(title, action, proc.teardown_s, context, late)
     for title, action in context.take_teardown():
         _attempt(title, action, proc.teardown_s, context, late)
     if context.opened is not None:

@@ -37,6 +37,13 @@ def beside(
             raise
 
 
+def last_words(said: str) -> str:
+    """Why a process of ours has ended, of all that it said: its error, without progress and calls."""
+    text = f"\n{said.strip()}"
+    begin = text.rfind("\nhil: ")
+    return text[begin:].removeprefix("\nhil: ") if begin >= 0 else text.splitlines()[-1]
+
+
 def end_with_parent() -> None:
     """End this process, in the midst of whatever it does, as soon as the one that began it has ended."""
 

@@ -6,8 +6,11 @@ package itself came here: from a folder, a wheel or git.
 
 from __future__ import annotations
 
+import platform
+import re
 import shlex
 import sys
+from collections.abc import Iterable
 from importlib import metadata, util
 from typing import TYPE_CHECKING
 
@@ -28,6 +31,14 @@ MODULES = {
     "mujoco": "mujoco",
     "paper": "pymoo",
 }
+
+
+_CONDITION = re.compile(r"""(?P<what>\w+)\s*(?P<relation><=|>=|==|!=|<|>)\s*["'](?P<value>[^"']*)["']""")
+_RELATIONS = {"<": "below", "<=": "up to", "==": "", "!=": "other than", ">=": "from", ">": "above"}
+_WHAT = {
+    "python_version": "Python", "python_full_version": "Python", "platform_machine": "processor",
+    "sys_platform": "system", "platform_system": "system",
+}  # fmt: skip
 
 
 def packages() -> tuple[str, ...]:
@@ -55,8 +66,7 @@ def lacks(extra: str) -> str:
     wanted = [r for r in _behind(extra) if version_of(r.name) != ABSENT]
     fitting = [r for r in wanted if _fits(r, extra)]
     if wanted and not fitting:
-        needed = ", ".join(map(str, wanted)).replace(f' and extra == "{extra}"', "")
-        return f"this Python cannot have it: {needed}"
+        return f"this Python cannot have it: {_needed(wanted)}"
     for requirement in fitting:
         found = version_of(requirement.name)
         if not requirement.specifier.contains(found, prereleases=True):
@@ -71,7 +81,7 @@ def how_to_install(extra: str) -> str:
         return f"install the extra {extra} of {DISTRIBUTION}"
     fitting = [r for r in wanted if _fits(r, extra)]
     if not fitting:
-        return f"this Python cannot have the extra {extra}: {', '.join(map(str, wanted))}"
+        return f"this Python cannot have the extra {extra}: {_needed(wanted)}"
     names = " ".join(shlex.quote(_plain(r)) for r in fitting)
     python = shlex.quote(sys.executable)
     if util.find_spec("pip") is None:
@@ -95,6 +105,25 @@ def _requirements() -> list[Requirement]:
     except metadata.PackageNotFoundError:
         found = []
     return [Requirement(text) for text in found]
+
+
+def _needed(wanted: Iterable[Requirement]) -> str:
+    """What requirements ask of Python and computer, in words, and what there is."""
+    told = "; ".join(f"{r.name} is made for {_conditions(str(r.marker))}" for r in wanted)
+    return f"{told}; this is Python {platform.python_version()} on {platform.machine()}"
+
+
+def _conditions(marker: str) -> str:
+    """The conditions of a marker as people say them; what is not known here stays as it is."""
+    said = []
+    for part in re.split(r"\s+and\s+", marker.replace("(", "").replace(")", "")):
+        found = _CONDITION.fullmatch(part.strip())
+        if found is None:
+            said.append(part.strip())
+        elif found["what"] != "extra":
+            name, relation = _WHAT.get(found["what"], found["what"]), _RELATIONS[found["relation"]]
+            said.append(" ".join(filter(None, (name, relation, found["value"]))))
+    return " and ".join(said) or "another Python"
 
 
 def _plain(requirement: Requirement) -> str:

@@ -1,6 +1,7 @@
 """A missing extra is answered with a shell line that works in this Python, wherever the package came from."""
 
 import importlib.metadata
+import platform
 import re
 import shlex
 import subprocess
@@ -17,6 +18,8 @@ from hil.procedure.campaign import Case, Row, write_rows
 from hil.procedure.campaign.spread import spread
 from hil.recording.export import write_table
 from hil.recording.numbers import numbers_at_once
+from hil.vocabulary import extras
+from hil.vocabulary.beside import last_words
 from hil.vocabulary.errors import HilError, UsageError
 from hil.vocabulary.extras import DISTRIBUTION, how_to_install
 
@@ -57,7 +60,28 @@ def test_an_extra_for_another_python_says_which(monkeypatch):
     )
     said = how_to_install("t265")
     assert "this Python cannot have the extra t265" in said
-    assert 'python_version < "3"' in said
+    assert "camera is made for Python below 3;" in said
+    assert f"this is Python {platform.python_version()} on {platform.machine()}" in said
+    assert "python_version" not in said
+
+
+def test_what_is_not_for_this_computer_is_told_in_words(monkeypatch):
+    marker = "python_version >= '3.10' and (platform_machine == 'pdp11') and extra == 't265'"
+    monkeypatch.setattr(importlib.metadata, "requires", lambda name: [f"packaging>0; {marker}"])
+    monkeypatch.setattr(extras, "is_installed", lambda extra: True)
+    for said in (how_to_install("t265"), extras.lacks("t265")):
+        assert "packaging is made for Python from 3.10 and processor pdp11" in said
+        assert "platform_machine" not in said
+        assert "extra ==" not in said
+
+
+def test_the_last_words_of_a_process_are_its_error_alone():
+    said = (
+        "hil: compiling the wall\nruns: 1/4, about 3 s left\nhil: bench.toml: 2 problems\n  a: no\n  b: no\n"
+    )
+    assert last_words(said) == "bench.toml: 2 problems\n  a: no\n  b: no"
+    assert last_words("half: 1/2\nKilled\n") == "Killed"
+    assert last_words("") == ""
 
 
 def test_without_pip_the_line_is_for_uv(monkeypatch):

@@ -21,7 +21,7 @@ from hil.procedure.campaign.plan import Case
 from hil.procedure.campaign.spread import Unable
 from hil.procedure.campaign.table import Row, missing
 from hil.procedure.declaration import Procedure
-from hil.procedure.interrupts import Interrupts
+from hil.procedure.interrupts import PATIENCE_S, Interrupts
 from hil.procedure.journal import read_journal
 from hil.procedure.operator import Answers, Terminal, tell
 from hil.procedure.outputs import Keep
@@ -212,7 +212,7 @@ def _result(job: Job) -> dict[str, Any]:
     options = RunOptions(
         folder=folder, clock=MonotonicClock(), parameters=parameters, operator=operator,
         started=local_time(),
-        resume=_begun(folder), keep=setup.keep, interrupts=Interrupts(tell),
+        resume=_begun(folder), keep=setup.keep, interrupts=Interrupts(tell, PATIENCE_S),
     )  # fmt: skip
     with named_in_log(job.case.name):
         result = run_procedure(proc, source, options)
