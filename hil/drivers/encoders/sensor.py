@@ -16,7 +16,7 @@ from hil.drivers.encoders.as5045 import decode_words
 from hil.drivers.encoders.layout import FrameLayout, load_layout
 from hil.drivers.encoders.node_status import NodeStatus
 from hil.drivers.encoders.timeline import NodeTimeline
-from hil.drivers.patience import used_while_closed
+from hil.drivers.patience import Usefulness, used_while_closed
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.interfaces import Sensor
@@ -60,7 +60,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         self._bus_error = ""
         self._resumed_at = 0
         self._identity: dict[str, str] = {}
-        self._fail_ns, self._yellow_mode = nanoseconds(config.fail_after_s), config.yellow_mode
+        self._usefulness, self._yellow_mode = Usefulness(config.fail_after_s), config.yellow_mode
         self._over_ns = max(_OVER_NS, nanoseconds(1.0 / config.rate_hz))
         self._forget()
 
@@ -94,7 +94,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         except BaseException:
             self.close()
             raise
-        self._good_ns = self._clock.now_ns()
+        self._usefulness.begin(self._clock.now_ns())
         self._bus_error = ""
         self._identity = {
             "model": "AS5045",
@@ -112,7 +112,7 @@ class As5045Encoders(Sensor[EncoderSample]):
     @property
     def port_gone(self) -> bool:
         """Whether the CAN interface itself fails, and nothing has come for a while."""
-        return bool(self._bus_error) and self._clock.now_ns() - self._good_ns > _GONE_NS
+        return bool(self._bus_error) and self._clock.now_ns() - self._usefulness.good_ns > _GONE_NS
 
     def close(self) -> None:
         """Let go of the bus. Idempotent; never raises."""
@@ -142,11 +142,10 @@ class As5045Encoders(Sensor[EncoderSample]):
             raise used_while_closed(self.name, self._port)
         now_ns = self._clock.now_ns()
         samples = self._received(self._bus, now_ns)
+        if lost_ns := self._usefulness.lost_ns(bool(samples), now_ns):
+            raise self._silent(lost_ns / NS_PER_S)
         if samples:
-            self._good_ns = now_ns
             self._bus_error = ""
-        elif now_ns - self._good_ns > self._fail_ns:
-            raise self._silent((now_ns - self._good_ns) / NS_PER_S)
         return tuple(samples)
 
     def _received(self, bus: can.BusABC, now_ns: int) -> list[EncoderSample]:
