@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.bench import Bench
+from hil.bench.steering_offsets import encoder_minus_servo
 from hil.bench.tilt import APART_RAD, sees_the_tilt, tilt_rad
 from hil.config.bench import BenchConfig
 from hil.config.encoders import EncodersConfig
@@ -268,7 +269,17 @@ def watch(ctx: Context, bench: Bench) -> bool:
     stream_table(ctx, streams)
     draw_streams(ctx, streams)
     draw_clocks(ctx, streams)
+    _keep_steering(ctx, motion)
     return _measure_tilt(ctx, motion)
+
+
+def _keep_steering(ctx: Context, motion: Motion) -> None:
+    """How the external encoders stand against the servos at rest: the next sessions compare with it."""
+    encoders = [s for r in motion.records for s in r.inputs.encoders]
+    servos = [s for r in motion.records for s in r.inputs.servos]
+    offsets_rad = encoder_minus_servo(ctx.source.config, encoders, servos)
+    if np.isfinite(offsets_rad).all():
+        leave_part(ctx, "steering", values={"encoders.minus_servo_rad": list(offsets_rad)})
 
 
 def _measure_tilt(ctx: Context, motion: Motion) -> bool:

@@ -17,6 +17,7 @@ from hil.bench.force_findings import unexplained_force
 from hil.bench.host import Host, host_findings
 from hil.bench.promises import broken_promises
 from hil.bench.settings import wheel_model
+from hil.bench.steering_offsets import slipped_between
 from hil.bench.tilt import tilt_finding
 from hil.devices.looks import Watched, samples_look
 from hil.drivers.serial_url import latency_timer
@@ -55,6 +56,7 @@ def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> I
             yield from _examine_one(bench, kind, watch_s, host, seen)
         yield from tilt_finding(bench.config, seen)
         yield from unexplained_force(bench.config, seen)
+        yield from slipped_between(bench.config, seen)
     finally:
         bench.close()
 

@@ -9,6 +9,7 @@ from dataclasses import fields
 import numpy as np
 
 from hil.bench.drivers import model_of
+from hil.bench.steering_offsets import expected_offsets_rad
 from hil.calibration.nominal import Nominal
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
@@ -104,7 +105,9 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
             ("tracker", "imu", "mocap") if config.estimator.mocap.use else ("tracker", "imu")
         ),
         needs_camera=follows and feedback != "odometry",
-        steering=None if encoders is None else SteeringWatch(encoders, steer_ids),
+        steering=None
+        if encoders is None
+        else SteeringWatch(encoders, steer_ids, expected_offsets_rad(config)),
         stops_by_steering=follows,
         holders={name: kinds()[name].noun for name in config.devices() if kinds()[name].holds},
         healthy=healthy(config),

@@ -28,6 +28,9 @@ class EncodersConfig(CanConfig):
         sign, zero_rad: encoder = sign * steering + zero, only used by the cross-check. Zeros that are left
             out are unknown; where they are given, an axis that is more than 0.15 rad off from the start on
             is reported, too.
+        minus_servo_rad: encoder less the servo's own angle of each steering axis, signs applied and zeros
+            not, as `hil run bring_up` has measured them together. An axis that is further off than
+            `horn_slip_threshold_rad` is reported from the start on, and by `hil doctor`.
         yellow_mode: MagINC and MagDEC both set is then no fault (MagCompEn, datasheet).
         horn_slip_threshold_rad: lasting encoder minus servo difference that counts as horn slip.
         startup_discard: sample sets dropped after open and after a node reset.
@@ -43,6 +46,7 @@ class EncodersConfig(CanConfig):
     rate_hz: Annotated[float, Within(1.0, 1000.0, "sample sets per second")] = 200.0
     sign: Signs = (1, 1, 1, 1)
     zero_rad: tuple[Angle, Angle, Angle, Angle] | None = None
+    minus_servo_rad: tuple[Angle, Angle, Angle, Angle] | None = None
     yellow_mode: Switch = False
     horn_slip_threshold_rad: Annotated[float, Within(0.001, 0.5, "a horn that slips further is off")] = 0.03
     startup_discard: Annotated[int, Within(0, 1000, "sample sets; 1000 are five seconds")] = 1

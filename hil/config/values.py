@@ -104,7 +104,7 @@ class Within:
                 return value
             if self.permits(value, whole=whole):
                 return value
-            raise PydanticCustomError("beyond", "must be {told}", {"told": self.told(whole=whole)})
+            raise PydanticCustomError("beyond", "must {told}", {"told": self.told(whole=whole)})
 
         return core_schema.with_info_before_validator_function(check, numbers)
 
@@ -118,8 +118,8 @@ class Within:
 
     def told(self, *, whole: bool = False) -> str:
         """The bounds and their reason in words."""
-        number = "a whole number within " if whole else "a number within "
-        return f"{'' if self._is_sign() else number}{self.range_text()}: {self.why}"
+        number = "be a whole number within " if whole else "lie within "
+        return f"{'be ' if self._is_sign() else number}{self.range_text()}: {self.why}"
 
     def range_text(self) -> str:
         """The bounds in words."""

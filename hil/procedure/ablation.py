@@ -34,7 +34,7 @@ def settings_of(known: Sequence[str], alone: Collection[str]) -> tuple[Setting, 
         return (Setting(NOTHING, ()),)
     single = []
     for name in known:
-        if name not in alone or not PARTS[name].keys or name in ("signs", "hold"):
+        if name not in alone or not PARTS[name].keys or name in ("signs", "steering", "hold"):
             continue
         below = tuple(n for n in PARTS[name].on if n in known)
         if {*below, name} == set(known):

@@ -126,13 +126,13 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
 
 
 def _tell_lost(reporter: Any) -> None:
-    """The tests that have left a robot that should be held and is not."""
+    """The tests that have left a robot that should be held and is not; one that was run again is one."""
     reports = [one for some in reporter.stats.values() for one in some]
     ended = [report for report in reports if getattr(report, "when", "") == "teardown"]
-    lost = [(r.nodeid, value) for r in ended for name, value in r.user_properties if name == NOT_HELD]
+    lost = {r.nodeid: value for r in ended for name, value in r.user_properties if name == NOT_HELD}
     if lost:
         reporter.section("robots left NOT HELD")
-    for nodeid, held in lost:
+    for nodeid, held in lost.items():
         reporter.write_line(f"{nodeid}: {held}")
 
 

@@ -45,11 +45,12 @@ class _Axis:
     """One steering axis; plain floats, because it is asked in every run.
 
     Args:
-        known: whether the encoder's zero is known, so that what is learnt can be wrong.
+        known_rad: what the difference should be; None where nothing is known of it.
+        astray_rad: further off, what is learnt is wrong.
     """
 
-    def __init__(self, known: bool) -> None:
-        self._known = known
+    def __init__(self, known_rad: float | None, astray_rad: float) -> None:
+        self._known_rad, self._astray_rad = known_rad, astray_rad
         self.count, self.reference, self.lasting, self.latest = 0, 0.0, _NAN, _NAN
         self.last_servo = _NAN
 
@@ -75,27 +76,41 @@ class _Axis:
         if count < _LEARN:
             self.reference = wrap(self.reference + wrap(raw_rad - self.reference) / (count + 1))
             self.lasting = self.reference
-            if self.count == _LEARN and self._known and abs(self.reference) > _ASTRAY_RAD:
-                self.reference = 0.0
+            if self.count == _LEARN:
+                self._correct()
             return
         self.lasting = wrap(self.lasting + _MEMORY * wrap(raw_rad - self.lasting))
+
+    def _correct(self) -> None:
+        """What was learnt is replaced by what is known, where the two are too far apart."""
+        known_rad = self._known_rad
+        if known_rad is not None and abs(wrap(self.reference - known_rad)) > self._astray_rad:
+            self.reference = known_rad
 
 
 class CrossCheck:
     """Follows the difference of two angles of the same axis; feed it every 50 ms.
 
     What is learnt at the start is taken for right, unless the zeros of the encoders are known and it is far
-    from them: a horn that had slipped by little before is not seen.
+    from them, or it was measured before and has changed.
+
+    Args:
+        config: of the encoders.
+        measured_rad: (4,) the difference as it was measured before; None where it was not.
     """
 
-    def __init__(self, config: EncodersConfig) -> None:
-        self._config = config
+    def __init__(self, config: EncodersConfig, measured_rad: Sequence[float] | None = None) -> None:
+        self._config, self._measured_rad = config, measured_rad
         self.reset()
 
     def reset(self) -> None:
         """Learn the reference anew (after the horn has been refitted)."""
-        known = self._config.zero_rad is not None
-        self._axes = tuple(_Axis(known) for _ in range(4))
+        if self._measured_rad is not None:
+            astray_rad = self._config.horn_slip_threshold_rad
+            self._axes = tuple(_Axis(measured_rad, astray_rad) for measured_rad in self._measured_rad)
+            return
+        known_rad = None if self._config.zero_rad is None else 0.0
+        self._axes = tuple(_Axis(known_rad, _ASTRAY_RAD) for _ in range(4))
 
     def update(self, encoder_rad: Sequence[float], servo_rad: Sequence[float]) -> CrossCheckResult:
         """Compare one pair of readings.
@@ -123,10 +138,16 @@ class SteeringWatch:
     Args:
         config: of the encoders.
         ids: bus IDs of the four steering servos; empty when unknown.
+        measured_rad: as of `CrossCheck`.
     """
 
-    def __init__(self, config: EncodersConfig, ids: tuple[int, ...] = ()) -> None:
-        self._check = CrossCheck(config)
+    def __init__(
+        self,
+        config: EncodersConfig,
+        ids: tuple[int, ...] = (),
+        measured_rad: Sequence[float] | None = None,
+    ) -> None:
+        self._check = CrossCheck(config, measured_rad)
         self._threshold_rad = config.horn_slip_threshold_rad
         named = [f" (ID {i})" for i in ids] or [""] * 4
         self._names = tuple(f"steer_{wheel}{name}" for wheel, name in zip(WHEELS, named, strict=True))

@@ -19,11 +19,12 @@ from hil.ring.alignment import Alignment
 from hil.ring.left_out import UNSHAKEN
 from hil.ring.loop_timing import Laps, LoopStatistics
 from hil.ring.own_parts import asked, controlled, own_name, reset_estimator
+from hil.ring.pace_watch import HELD_UP_NS, stood_still
 from hil.ring.restart import Restart
 from hil.ring.rig import Rig
 from hil.ring.supervisor import Supervisor
 from hil.vocabulary.clock import NS_PER_S, Clock
-from hil.vocabulary.errors import HilError, SafetyStop
+from hil.vocabulary.errors import DeviceTimeoutError, HilError, SafetyStop
 from hil.vocabulary.interfaces import Controller, Estimator, Sink
 from hil.vocabulary.records import quickly_made
 from hil.vocabulary.signals import (
@@ -245,10 +246,12 @@ class ControlLoop:
         self.idle: Callable[[int], None] | None = None
         self.statistics = LoopStatistics()
         self._cycle = self._sinks_ns = 0
+        self._began_ns: int | None = None
 
     def run(self, until: Callable[[CycleRecord], bool]) -> None:
         """Cycle until `until(record)` says so; always asks the robot to stop."""
         deadline_ns = self.clock.now_ns()
+        self._began_ns = None
         try:
             while True:
                 self.clock.sleep_until_ns(deadline_ns)  # 10
@@ -270,7 +273,7 @@ class ControlLoop:
         start_ns = self.clock.now_ns()
         laps = Laps(self.clock, start_ns)
         lap = laps.done
-        inputs = self.rig.read(self._cycle)  # 1
+        inputs = self._read(start_ns)  # 1
         lap("read")
         try:
             decision = self.brain.decide(inputs, lap)  # 2 to 7
@@ -291,6 +294,19 @@ class ControlLoop:
         lap("sinks")
         self._count(start_ns, deadline_ns, laps.timing_ns)
         return record
+
+    def _read(self, start_ns: int) -> Inputs:
+        """Drain every device; after a long pause a silent one is not blamed before the loop itself."""
+        before_ns, self._began_ns = self._began_ns, start_ns
+        try:
+            return self.rig.read(self._cycle)
+        except DeviceTimeoutError as error:
+            gap_ns = 0 if before_ns is None else start_ns - before_ns
+            if gap_ns <= HELD_UP_NS:
+                raise
+            stop = SafetyStop("held_up", f"{stood_still(gap_ns)}; then {error}")
+            self._stopped(Inputs(self._cycle, start_ns), stop, source=OUTSIDE)
+            raise stop from error
 
     def _rest(self) -> None:
         """Let sinks' threads have the interpreter now: beside a cycle they would make it longer."""

@@ -9,9 +9,17 @@ from __future__ import annotations
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.interfaces import Blame
 
-_HELD_UP_NS = 500_000_000
+HELD_UP_NS = 500_000_000
 _PAUSE_NS, _PAUSE_CYCLES, _FRESH_NS = 60_000_000, 3, 1_000_000_000
 """Pauses that are told beside a stop: longer than so much and so many cycles, and over for no longer."""
+
+
+def stood_still(gap_ns: int) -> str:
+    """Says that no cycle began for so long, and what to do."""
+    return (
+        f"the control loop stood still for {gap_ns / NS_PER_S:.1f} s: this program was stopped, or "
+        "the computer had no time for it. Look for what else ran, then start the motion again"
+    )
 
 
 class PaceWatch:
@@ -37,12 +45,11 @@ class PaceWatch:
         if before_ns is None:
             return
         gap_ns = t_ns - before_ns
-        if gap_ns > _HELD_UP_NS:
+        if gap_ns > HELD_UP_NS:
             self._lasted_ns = 0  # told by its own name
             stop(
                 "held_up",
-                f"the control loop stood still for {gap_ns / NS_PER_S:.1f} s: this program was stopped, or "
-                "the computer had no time for it. Look for what else ran, then start the motion again",
+                stood_still(gap_ns),
             )
         elif self._cycle_ns and gap_ns > _PAUSE_NS and gap_ns > _PAUSE_CYCLES * self._cycle_ns:
             self._ended_ns, self._lasted_ns = t_ns, gap_ns

@@ -149,7 +149,7 @@ def test_what_cannot_be_followed_is_refused_before_anything_moves():
 
 
 def test_gains_that_are_no_numbers_are_refused_with_the_bench():
-    with pytest.raises(ConfigError, match=r"control\.gains\.0: must lie within 0 \.\. 100.*found nan"):
+    with pytest.raises(ConfigError, match=r"control\.gains\.0: must lie within 0\.01 \.\. 100.*found nan"):
         open_wall(control__gains=[math.nan, 4.0, 3.0])
 
 

@@ -80,3 +80,52 @@ def test_another_layout_is_told_in_a_run_too(watched, caplog):
     assert [r.getMessage() for r in caplog.records if "layout" in r.getMessage()] == [
         "encoders at hil:test0 sends frames of layout 7, the DBC describes 1"
     ]
+
+
+def of_another_node(bench, k):
+    """Both frames of a node that began counting elsewhere."""
+    for frame, left, right in ((416, "AngleFL", "AngleBL"), (417, "AngleBR", "AngleFR")):
+        values = {left: 0, right: 0, "Sequence": (k + 77) % 256, "NodeTime": (5.0 + 0.01 * k) % 10.48}
+        bench.channel.transmit(frame, DATABASE.encode_message(frame, values), bench.clock.now_ns())
+
+
+def found(bench, samples):
+    settings = EncodersConfig(interface="hil", channel="test0")
+    seen = Watched(KIND, settings, bench.driver, samples, 0.2, bench.clock, 100.0)
+    return {f.check: f for f in look(seen)}
+
+
+def test_two_nodes_with_one_identifier_are_named_and_told_once_a_second(encoder_bench, drain, caplog):
+    bench = encoder_bench()
+    bench.driver.open()
+    samples = []
+    for k in range(200):
+        of_another_node(bench, k)
+        samples += drain(bench, 1)
+    said = [r.getMessage() for r in caplog.records]
+    assert 1 <= len(said) <= 4
+    assert "two nodes with one identifier" in said[-1]
+    finding = found(bench, samples)["identifiers"]
+    assert finding.level == "failure"
+    assert "0x1A0, 0x1A1" in finding.found
+
+
+def test_a_node_that_restarts_once_is_no_second_one(encoder_bench, drain):
+    bench = encoder_bench("encoders:reset@0.5")
+    bench.driver.open()
+    samples = drain(bench, 200)
+    assert len(bench.driver.restarted) <= 1
+    assert "identifiers" not in found(bench, samples)
+
+
+def test_frames_of_a_wrong_length_are_told_by_the_doctor_and_once_a_second(encoder_bench, drain, caplog):
+    bench = encoder_bench()
+    bench.driver.open()
+    samples = []
+    for _ in range(200):
+        bench.channel.transmit(416, b"abc", bench.clock.now_ns())
+        samples += drain(bench, 1)
+    assert found(bench, samples)["frame length"].found.startswith(("199 ", "200 "))
+    said = [r.getMessage() for r in caplog.records]
+    assert 1 <= len(said) <= 3
+    assert "times more" in said[-1]

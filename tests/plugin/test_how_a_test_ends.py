@@ -47,6 +47,28 @@ def run(pytester, text, *options):
     }
 
 
+RERUN = """
+from _pytest.runner import runtestprotocol
+
+def pytest_runtest_protocol(item, nextitem):
+    for last in (nextitem, nextitem):  # as --reruns 1 does for a test that fails
+        for report in runtestprotocol(item, nextitem=last, log=False):
+            item.ihook.pytest_runtest_logreport(report=report)
+        item.funcargs, item._request = {}, None
+        item._initrequest()
+    return True
+"""
+
+
+def test_a_test_that_is_run_again_is_listed_once(pytester):
+    pytester.makeconftest(RERUN)
+    one = LOST[: LOST.index("def test_lost(bench)")]
+    result, _ = run(pytester, one)
+    lines = result.stdout.lines
+    at = next(k for k, text in enumerate(lines) if "robots left NOT HELD" in text)
+    assert sum(text.startswith("test_mine.py::test_lost_on_purpose: ") for text in lines[at:]) == 1
+
+
 def test_a_robot_that_is_lost_is_named_and_is_a_warning_where_no_fault_did_it(pytester):
     result, found = run(pytester, LOST)
     result.assert_outcomes(passed=4, warnings=2)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from hil.devices.tracker.mavlink import messages
+from hil.vocabulary.signals import Status
 
 LOCAL_NED, LOCAL_ENU, BODY_NED, BODY_FRD, BODY_FLU, LOCAL_FRD, LOCAL_FLU = 1, 4, 8, 12, 13, 20, 21
 DOWN, UP = np.diag([1.0, -1.0, -1.0]), np.eye(3)
@@ -146,3 +147,42 @@ def test_no_bytes_at_all_break_the_parser(pieces, datagrams):
         for marker in (b"", b"\xfd", b"\xfe"):
             for message in parser.feed(marker + piece):
                 assert message.get_type()
+
+
+def test_a_vision_position_estimate_says_the_same_pose(common):
+    """As the T265 scripts for ArduPilot send it: NED, with roll, pitch and yaw of a body with z down."""
+    sent = Rotation.from_matrix(DOWN.T @ ATTITUDE @ DOWN).as_euler("ZYX")
+    x, y, z = (DOWN.T @ POSITION).tolist()
+    estimate = common.MAVLink_vision_position_estimate_message(
+        1_000_000, x, y, z, sent[2], sent[1], sent[0], [0.0] * 21, 3
+    )
+    (received,) = messages.Parser(common, datagrams=True).feed(bytes(estimate.pack(common.MAVLink(None))))
+    message = messages.odometry_of(received, common)
+    axes = messages.axes_of(message.frame_id, message.child_frame_id)
+    pose = messages.pose_of(message, axes)
+    np.testing.assert_allclose(pose[:3], POSITION, atol=1e-6)
+    found = Rotation.from_quat(np.array(pose[3:])[[1, 2, 3, 0]]).as_matrix()
+    np.testing.assert_allclose(found, ATTITUDE, atol=1e-6)
+    assert np.isnan(messages.twist_of(message, axes, pose[3:])).all()
+    assert messages.pose_covariance(message, axes) is None
+    assert message.reset_counter == 3
+
+
+def test_a_sender_of_vision_position_estimates_is_a_tracker(by_hand, common):
+    def estimate(time_s, x_m):
+        return common.MAVLink_vision_position_estimate_message(
+            round(time_s * 1e6), x_m, 0.0, 0.0, 0.0, 0.0, 0.0, [0.0] * 21, 0
+        )
+
+    bench = by_hand(opened=False)
+    for _ in range(3):
+        bench.link.arrive(estimate(1.0, 0.0))
+    bench.driver.open()
+    samples = []
+    for k in range(1, 30):
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 10_000_000)
+        bench.link.arrive(estimate(1.0 + 0.01 * k, 0.001 * k))
+        samples += bench.driver.read()
+    assert len(samples) == 29
+    assert all(s.status is Status.OK for s in samples)
+    assert samples[-1].position_m[0] == pytest.approx(0.029)

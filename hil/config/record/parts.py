@@ -48,6 +48,12 @@ PARTS: Mapping[str, PartKind] = {
         ("alignment.drive_sign", "alignment.steer_sign", "encoders.sign"),
         "bring_up",
     ),
+    "steering": PartKind(
+        "external steering encoders against their servos",
+        ("encoders.minus_servo_rad",),
+        "bring_up",
+        ("signs",),
+    ),
     "zeros": PartKind(
         "zeros of the steering axes", ("alignment.steer_zero_rad",), "steering_zero", ("signs",)
     ),

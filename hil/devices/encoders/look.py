@@ -26,10 +26,27 @@ def look(watched: Watched) -> Iterator[Finding]:
         f"sudo ip link set {config.channel} up type can bitrate {config.bitrate} restart-ms 100",
     )  # fmt: skip
     yield _node(watched)
+    yield from _frames(watched)
     for i, wheel in enumerate(WHEELS):
         statuses = (sample.status[i] for sample in watched.samples)
         found = losses("encoders", statuses, watched.due, "check magnet distance and CAN wiring")
         yield replace(found, check=f"{wheel} samples")
+
+
+def _frames(watched: Watched) -> Iterator[Finding]:
+    """Frames that bear our identifiers and are not as this node sends them."""
+    encoders, bus = watched.device, watched.config.bus
+    if encoders.two_nodes:
+        yield Finding(
+            "encoders", "identifiers", "failure", encoders.two_nodes, f"one node of each identifier on {bus}",
+            "set the address switch of one of them otherwise, and encoders.node_id to that of ours",
+        )  # fmt: skip
+    if encoders.malformed:
+        yield Finding(
+            "encoders", "frame length", "warning", f"{encoders.malformed} frames of a wrong length",
+            f"frames as in {watched.config.dbc_path.name}",
+            "look which other node sends with these identifiers, or name the node's DBC in encoders.dbc",
+        )  # fmt: skip
 
 
 def _node(watched: Watched) -> Finding:

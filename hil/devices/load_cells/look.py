@@ -19,6 +19,11 @@ def look(watched: Watched) -> Iterator[Finding]:
     """Findings about cells that were watched."""
     config = watched.config
     assert isinstance(config, LoadCellsConfig)
+    if malformed := getattr(watched.device, "malformed", 0):
+        yield Finding(
+            "load_cells", "frames", "warning", f"{malformed} frames or lines that are no conversion",
+            "conversions only", "look what else sends there, and at load_cells.dbc or load_cells.baud",
+        )  # fmt: skip
     for i, label in enumerate(watched.kind.labels):
         statuses = (sample.status[i] for sample in watched.samples)
         found = losses("load_cells", statuses, watched.due, "check the cell's cable and its converter")

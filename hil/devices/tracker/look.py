@@ -6,14 +6,20 @@ from collections.abc import Iterator
 
 from hil.devices.looks import Watched, losses
 from hil.vocabulary.finding import Finding
+from hil.vocabulary.signals import Status
+
+_SLOWEST = 0.9
+_UNSURE = "clean the lenses, light the scene, look whether the camera is shaken"
+_FEW = "use a USB 3 port or a faster link, or set tracker.rate_hz to what is sent, where the table has it"
 
 
 def look(watched: Watched) -> Iterator[Finding]:
     """Findings about a camera that was watched."""
-    yield losses(
-        "tracker", (s.status for s in watched.samples), watched.due,
-        "clean the lenses, light the scene, use a USB 3 port",
-    )  # fmt: skip
+    statuses, due = [s.status for s in watched.samples], watched.due
+    if len(statuses) >= _SLOWEST * due:
+        due = min(due, len(statuses))  # its own rate, a little below the one that is written
+    unsure = any(status not in (Status.OK, Status.STARTING) for status in statuses)
+    yield losses("tracker", statuses, due, _UNSURE if unsure else _FEW)
     if watched.samples:
         confidence = watched.samples[-1].confidence
         yield Finding(

@@ -19,7 +19,7 @@ from hil.drivers.adhesion.keeper.kept import Keep, Kept
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.can_link import CanLink, remedy_of_silence
 from hil.drivers.patience import used_while_closed
-from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
+from hil.vocabulary.clock import NS_PER_S, Clock
 from hil.vocabulary.errors import DeviceTimeoutError, UsageError
 from hil.vocabulary.interfaces import Holding
 
@@ -46,7 +46,6 @@ class KeptMotor(Holding[S], Generic[C, S]):
         self._link = CanLink(self.name, config, clock)
         self._kept: Kept | None = None
         self._identity: dict[str, str] = {}
-        self._fail_ns = nanoseconds(config.fail_after_s)
         self._forget()
 
     def _forget(self) -> None:

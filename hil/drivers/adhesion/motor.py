@@ -13,6 +13,7 @@ from hil.config.adhesion import MotorConfig
 from hil.drivers.adhesion.keeper.kept import Keep
 from hil.drivers.adhesion.kept_motor import KeptMotor
 from hil.drivers.adhesion.trim import Trim
+from hil.drivers.patience import Usefulness
 from hil.drivers.stuck import StuckTest
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.errors import HilError, UsageError
@@ -58,7 +59,8 @@ class MotorFan(KeptMotor[C, AdhesionSample]):
 
     def _forget(self) -> None:
         super()._forget()
-        self._good_ns = self._clock.now_ns()
+        self._usefulness = Usefulness(self._config.fail_after_s)
+        self._usefulness.begin(self._clock.now_ns())
         self._stuck = StuckTest(_STUCK_S)
         self._trim: Trim | None = None
         self._latest: AdhesionSample | None = None
@@ -72,16 +74,15 @@ class MotorFan(KeptMotor[C, AdhesionSample]):
         kept = self._must_be_open()
         samples: list[AdhesionSample] = self._link.heard()
         now_ns = self._clock.now_ns()
+        if lost_ns := self._usefulness.lost_ns(bool(samples), now_ns):
+            raise self._silence("the fan's controller", lost_ns, "it lets go of the motor")
         if samples:
-            self._good_ns = now_ns
             self._latest = samples[-1]
             self._link.error = ""
             if self._trim is not None:
                 point = self._trim.better(samples[-1], kept.status)
                 if point is not None:
                     kept.set(point)
-        elif now_ns - self._good_ns > self._fail_ns:
-            raise self._silence("the fan's controller", now_ns - self._good_ns, "it lets go of the motor")
         return tuple(samples)
 
     def _meaning(self, t_ns: int, message: can.Message, now_ns: int) -> AdhesionSample | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections import deque
 from collections.abc import Mapping
 
 import can
@@ -16,7 +17,8 @@ from hil.drivers.encoders.as5045 import decode_words
 from hil.drivers.encoders.layout import FrameLayout, load_layout
 from hil.drivers.encoders.node_status import NodeStatus
 from hil.drivers.encoders.timeline import NodeTimeline
-from hil.drivers.patience import used_while_closed
+from hil.drivers.patience import Usefulness, used_while_closed
+from hil.drivers.seldom import Seldom
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.interfaces import Sensor
@@ -34,6 +36,8 @@ _OVER_NS = 100_000_000
 """So long after its first frame no more is expected of a set; longer where sets are rarer than that."""
 _OPEN_SETS = 3
 _MOST_LISTED = 8
+_OFTEN, _TOGETHER_NS = 4, 1_000_000_000
+"""A clock that leaps so often within so much is that of two nodes: none restarts in a quarter of a second."""
 
 
 class As5045Encoders(Sensor[EncoderSample]):
@@ -48,6 +52,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         incomplete: sample sets that lacked a frame since `open`.
         error_frames: error frames seen on the bus since `open`.
         passed_over: frames of no use since `open`: of others, malformed, repeated, and failures of the bus.
+        restarted: when the node's clock leapt lately, ns: a restart, or another node that sends as this one.
         floods: reads that met more frames, or more of no use, than they look at; the rest waits.
         node_status: what the node says of itself, known within about a second of `open`.
     """
@@ -60,12 +65,14 @@ class As5045Encoders(Sensor[EncoderSample]):
         self._bus_error = ""
         self._resumed_at = 0
         self._identity: dict[str, str] = {}
-        self._fail_ns, self._yellow_mode = nanoseconds(config.fail_after_s), config.yellow_mode
+        self._usefulness, self._yellow_mode = Usefulness(config.fail_after_s), config.yellow_mode
         self._over_ns = max(_OVER_NS, nanoseconds(1.0 / config.rate_hz))
         self._forget()
 
     def _forget(self) -> None:
         self.malformed = self.incomplete = self.error_frames = self.passed_over = self.floods = 0
+        self.restarted: deque[int] = deque(maxlen=_OFTEN)
+        self._say_restarted, self._say_malformed = Seldom(_LOG), Seldom(_LOG)
 
     def open(self) -> None:
         """Load the DBC, open the bus and wait for complete sample sets.
@@ -94,7 +101,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         except BaseException:
             self.close()
             raise
-        self._good_ns = self._clock.now_ns()
+        self._usefulness.begin(self._clock.now_ns())
         self._bus_error = ""
         self._identity = {
             "model": "AS5045",
@@ -112,7 +119,7 @@ class As5045Encoders(Sensor[EncoderSample]):
     @property
     def port_gone(self) -> bool:
         """Whether the CAN interface itself fails, and nothing has come for a while."""
-        return bool(self._bus_error) and self._clock.now_ns() - self._good_ns > _GONE_NS
+        return bool(self._bus_error) and self._clock.now_ns() - self._usefulness.good_ns > _GONE_NS
 
     def close(self) -> None:
         """Let go of the bus. Idempotent; never raises."""
@@ -131,6 +138,17 @@ class As5045Encoders(Sensor[EncoderSample]):
         """What the CAN interface reported last (bus off, error frames, lost interface); empty for nothing."""
         return self._bus_error
 
+    @property
+    def two_nodes(self) -> str:
+        """Says that a second node sends with our identifiers, as it seems; empty where none does."""
+        often = len(self.restarted) == _OFTEN and self.restarted[-1] - self.restarted[0] < _TOGETHER_NS
+        identifiers = ", ".join(f"0x{i:X}" for i in self._layout)
+        return (
+            f"two nodes with one identifier: the counters of {identifiers} leap back and forth"
+            if often
+            else ""
+        )
+
     def read(self) -> tuple[EncoderSample, ...]:
         """All sample sets received since the last call, oldest first.
 
@@ -142,11 +160,10 @@ class As5045Encoders(Sensor[EncoderSample]):
             raise used_while_closed(self.name, self._port)
         now_ns = self._clock.now_ns()
         samples = self._received(self._bus, now_ns)
+        if lost_ns := self._usefulness.lost_ns(bool(samples), now_ns):
+            raise self._silent(lost_ns / NS_PER_S)
         if samples:
-            self._good_ns = now_ns
             self._bus_error = ""
-        elif now_ns - self._good_ns > self._fail_ns:
-            raise self._silent((now_ns - self._good_ns) / NS_PER_S)
         return tuple(samples)
 
     def _received(self, bus: can.BusABC, now_ns: int) -> list[EncoderSample]:
@@ -182,6 +199,7 @@ class As5045Encoders(Sensor[EncoderSample]):
     def _silent(self, duration_s: float) -> DeviceTimeoutError:
         seen = f", {self.error_frames} error frames" * bool(self.error_frames)
         seen += f", {self._bus_error}" * bool(self._bus_error)
+        seen += f"; {self.two_nodes}" * bool(self.two_nodes)
         return DeviceTimeoutError(
             self.name,
             f"no sample set for {duration_s:.1f} s{seen}",
@@ -246,7 +264,7 @@ class As5045Encoders(Sensor[EncoderSample]):
             message.is_extended_id or message.is_remote_frame or message.is_error_frame,
         )
         if layout is None or strange or len(data) != layout.length:
-            self._pass_over(message, layout)
+            self._pass_over(message, layout, host_ns)
             return None
         sequence, time_raw, words = layout.decode(data)
         if sequence == self._finished:
@@ -269,7 +287,7 @@ class As5045Encoders(Sensor[EncoderSample]):
             self._told_layout = True
             _LOG.warning("%s at %s sends %s", self.name, self._port, other)
 
-    def _pass_over(self, message: can.Message, layout: FrameLayout | None) -> None:
+    def _pass_over(self, message: can.Message, layout: FrameLayout | None, host_ns: int) -> None:
         """A frame without words of ours: the node's status, or of no use."""
         if self.node_status.take(message):
             self._warn_of_layout()
@@ -279,6 +297,8 @@ class As5045Encoders(Sensor[EncoderSample]):
             self.error_frames += 1
         elif layout is not None and not (message.is_extended_id or message.is_remote_frame):
             self.malformed += 1
+            told = f"frame 0x{message.arbitration_id:X} has {len(message.data)} bytes, not {layout.length}"
+            self._say_malformed.warn(host_ns, f"{self.name} at {self._port}: {told}")
 
     def _cut_short(self, host_ns: int) -> EncoderSample | None:
         """As `_finish`, of a set of which nothing more is to come."""
@@ -293,7 +313,9 @@ class As5045Encoders(Sensor[EncoderSample]):
         t_ns, node_ns, restarted = self._timeline.update(self._finished, self._time_raw, self._arrival_ns)
         if restarted:
             self._discard = self._config.startup_discard
-            _LOG.warning("%s at %s has restarted", self.name, self._port)
+            self.restarted.append(host_ns)
+            told = self.two_nodes or "has restarted"
+            self._say_restarted.warn(host_ns, f"{self.name} at {self._port}: {told}")
         if self._discard > 0:
             self._discard -= 1
             return None

@@ -15,7 +15,7 @@ from hil.drivers.imu import burst
 from hil.drivers.imu.calibration import ImuCalibration
 from hil.drivers.imu.chip import MODES, OPR_MODE, REMEDY, Chip
 from hil.drivers.imu.link import ExchangeError, Link
-from hil.drivers.patience import used_while_closed
+from hil.drivers.patience import Usefulness, used_while_closed
 from hil.drivers.stuck import StuckTest
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
@@ -72,6 +72,7 @@ class Bno055Imu(Sensor[ImuSample]):
         self._patience_ns = nanoseconds(config.reply_timeout_s)
         self._age_ns = nanoseconds(config.sample_age_s - _REQUEST_BITS / config.baud)
         self._check_ns = nanoseconds(config.check_period_s)
+        self._usefulness = Usefulness(config.fail_after_s)
         self._stuck = StuckTest(config.stuck_after_s)
         self._sequence = 0
         self._length = burst.LENGTH
@@ -99,7 +100,7 @@ class Bno055Imu(Sensor[ImuSample]):
             raise
         self._identity = identity
         now_ns = self._clock.now_ns()
-        self._good_ns = now_ns
+        self._usefulness.begin(now_ns)
         self._stuck.reset(now_ns)
         self._next_check_ns = now_ns + self._check_ns
         self._checked_ns = self._next_poll_ns = now_ns
@@ -203,13 +204,11 @@ class Bno055Imu(Sensor[ImuSample]):
         return self._empty(error.status, now_ns)
 
     def _judge(self, status: Status, now_ns: int, error: ExchangeError | None = None) -> None:
-        if status is _OK:
-            self._good_ns = now_ns
-        elif now_ns - self._good_ns > nanoseconds(self._config.fail_after_s):
+        if lost_ns := self._usefulness.lost_ns(status is _OK, now_ns):
             reason = error.reason if error is not None else f"last status {status.value}"
             raise DeviceTimeoutError(
                 self.name,
-                f"nothing usable for {(now_ns - self._good_ns) / NS_PER_S:.1f} s ({reason})",
+                f"nothing usable for {lost_ns / NS_PER_S:.1f} s ({reason})",
                 port=self._config.port,
                 expected="a burst in every cycle",
                 remedy=REMEDY,

@@ -10,8 +10,8 @@ from hil.config.load_cells import CanCellsConfig
 from hil.drivers.can_link import CanLink, remedy_of_silence
 from hil.drivers.dbc import load_database
 from hil.drivers.load_cells.judging import Judge
-from hil.drivers.patience import used_while_closed
-from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
+from hil.drivers.patience import Usefulness, used_while_closed
+from hil.vocabulary.clock import NS_PER_S, Clock
 from hil.vocabulary.errors import DataError, DeviceError, DeviceTimeoutError
 from hil.vocabulary.interfaces import Sensor
 from hil.vocabulary.signals import LoadCellSample
@@ -37,11 +37,10 @@ class CanCells(Sensor[LoadCellSample]):
         self._config, self._clock = config, clock
         self._link = CanLink(self.name, config, clock)
         self._identity: dict[str, str] = {}
-        self._fail_ns = nanoseconds(config.fail_after_s)
+        self._usefulness = Usefulness(config.fail_after_s)
         self._judge = Judge(config)
         self._frame_id = self._length = self.malformed = 0
         self._fields: tuple[_Field, ...] = ()
-        self._good_ns = 0
 
     def open(self) -> None:
         """Load the DBC, open the bus and wait for a first frame.
@@ -60,7 +59,7 @@ class CanCells(Sensor[LoadCellSample]):
             self.close()
             raise
         self._link.listen_for(self._sample)
-        self._good_ns = self._clock.now_ns()
+        self._usefulness.begin(self._clock.now_ns())
         self._identity = {
             "model": "HX711",
             "port": self._link.port,
@@ -88,10 +87,10 @@ class CanCells(Sensor[LoadCellSample]):
             raise used_while_closed(self.name, self._link.port)
         samples: list[LoadCellSample] = self._link.heard()
         now_ns = self._clock.now_ns()
+        if lost_ns := self._usefulness.lost_ns(bool(samples), now_ns):
+            raise self._silent(lost_ns / NS_PER_S)
         if samples:
-            self._good_ns, self._link.error = now_ns, ""
-        elif now_ns - self._good_ns > self._fail_ns:
-            raise self._silent((now_ns - self._good_ns) / NS_PER_S)
+            self._link.error = ""
         return tuple(samples)
 
     def _sample(self, t_ns: int, message: Any, now_ns: int) -> LoadCellSample | None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from hil.config.load_cells import LineCellsConfig
 from hil.drivers.load_cells.judging import Judge
-from hil.drivers.patience import used_while_closed
+from hil.drivers.patience import Usefulness, used_while_closed
 from hil.drivers.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceTimeoutError
@@ -39,10 +39,10 @@ class LineCells(Sensor[LoadCellSample]):
         self._config, self._clock = config, clock
         self._port: Any = None
         self._identity: dict[str, str] = {}
-        self._fail_ns = nanoseconds(config.fail_after_s)
+        self._usefulness = Usefulness(config.fail_after_s)
         self._judge = Judge(config)
         self._rest = bytearray()
-        self._good_ns = self.malformed = 0
+        self.malformed = 0
 
     def open(self) -> None:
         """Open the port and wait for a first line; raises `DeviceError`."""
@@ -64,7 +64,7 @@ class LineCells(Sensor[LoadCellSample]):
             heard = self.malformed
             self.close()
             raise self._silent(config.open_timeout_s, heard)
-        self._good_ns = self._clock.now_ns()
+        self._usefulness.begin(self._clock.now_ns())
         self._identity = {"model": "HX711", "port": config.port, "baud": str(config.baud)}
 
     def close(self) -> None:
@@ -93,10 +93,8 @@ class LineCells(Sensor[LoadCellSample]):
             self._judge.sample(raw, now_ns - (len(found) - 1 - k) * period_ns, now_ns)
             for k, raw in enumerate(found)
         )
-        if samples:
-            self._good_ns = now_ns
-        elif now_ns - self._good_ns > self._fail_ns:
-            raise self._silent((now_ns - self._good_ns) / NS_PER_S, self.malformed)
+        if lost_ns := self._usefulness.lost_ns(bool(samples), now_ns):
+            raise self._silent(lost_ns / NS_PER_S, self.malformed)
         return samples
 
     def _conversions(self) -> list[tuple[int, int]]:

@@ -15,7 +15,7 @@ from hil.drivers.mocap.datagrams import DatagramFactory, udp_ports
 from hil.drivers.mocap.frames import BodyPose, Frame
 from hil.drivers.mocap.handshake import Handshake
 from hil.drivers.mocap.session import Session
-from hil.drivers.patience import USELESS, nothing_usable, used_while_closed
+from hil.drivers.patience import USELESS, Usefulness, nothing_usable, used_while_closed
 from hil.drivers.stuck import StuckTest
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
@@ -61,7 +61,7 @@ class NatNetMocap(Sensor[MocapSample]):
         self._jumps = JumpTest.of(config)
         self._y_up = config.up_axis == "y"
         self._reconnect_ns = nanoseconds(config.reconnect_after_s)
-        self._fail_ns = nanoseconds(config.fail_after_s)
+        self._usefulness = Usefulness(config.fail_after_s)
         self._stale_ns = nanoseconds(config.stale_after_s)
         self._stuck = StuckTest(config.stuck_after_s)
         self._seq_base, self._number, self._resumed_at = 0, -1, 0
@@ -96,7 +96,8 @@ class NatNetMocap(Sensor[MocapSample]):
         except BaseException:
             self.close()
             raise
-        self._good_ns = self._heard_ns = self._clock.now_ns()
+        self._heard_ns = self._clock.now_ns()
+        self._usefulness.begin(self._heard_ns)
         self._identity = {
             "model": server.application,
             "version": server.application_version,
@@ -146,10 +147,8 @@ class NatNetMocap(Sensor[MocapSample]):
         elif now_ns - self._heard_ns > self._reconnect_ns:
             self._heard_ns = now_ns
             session.connect()
-        if useful:
-            self._good_ns = now_ns
-        elif now_ns - self._good_ns > self._fail_ns:
-            raise self._silent(nothing_usable("frame", now_ns - self._good_ns, samples))
+        if lost_ns := self._usefulness.lost_ns(useful, now_ns):
+            raise self._silent(nothing_usable("frame", lost_ns, samples))
         return tuple(samples)
 
     @property

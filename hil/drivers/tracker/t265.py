@@ -21,7 +21,7 @@ import numpy as np
 from hil.config.tracker import T265Config
 from hil.drivers.device_clock import DeviceClock
 from hil.drivers.jumps import JumpTest
-from hil.drivers.patience import USELESS, nothing_usable, used_while_closed
+from hil.drivers.patience import USELESS, Usefulness, nothing_usable, used_while_closed
 from hil.drivers.stuck import StuckTest
 from hil.drivers.tracker.feed import FeedPipeline
 from hil.drivers.tracker.library import (
@@ -90,7 +90,7 @@ class T265Tracker(Sensor[TrackerSample]):
         self._queue: deque[_Raw] = deque(maxlen=config.queue_length)
         self._clock_map = DeviceClock(nanoseconds(config.latency_s))
         self._jumps = JumpTest.of(config)
-        self._fail_ns = nanoseconds(config.fail_after_s)
+        self._usefulness = Usefulness(config.fail_after_s)
         self._stale_ns = nanoseconds(config.stale_after_s)
         self._stuck = StuckTest(config.stuck_after_s)
         self.overflowed = self.repeated = self.malformed = 0
@@ -113,7 +113,7 @@ class T265Tracker(Sensor[TrackerSample]):
         except BaseException:
             self.close()
             raise
-        self._good_ns = self._clock.now_ns()
+        self._usefulness.begin(self._clock.now_ns())
 
     def reopen(self) -> None:
         """As `open`, after the camera was away: it counts poses and place anew, and its samples say so."""
@@ -160,10 +160,8 @@ class T265Tracker(Sensor[TrackerSample]):
                 samples.append(sample)
                 useful = useful or sample.status not in USELESS
         now_ns = self._clock.now_ns()
-        if useful:
-            self._good_ns = now_ns
-        elif now_ns - self._good_ns > self._fail_ns:
-            raise self._silent(now_ns - self._good_ns, samples)
+        if lost_ns := self._usefulness.lost_ns(useful, now_ns):
+            raise self._silent(lost_ns, samples)
         return tuple(samples)
 
     def take_wheel_velocity(self, v_x_m_s: float, v_y_m_s: float) -> None:

@@ -18,7 +18,7 @@ from hil.devices.imu.microstrain.dialogue import Dialogue, RefusedError, SetUp, 
 from hil.devices.imu.microstrain.link import Link, LinkLostError, longest_packet_ns
 from hil.devices.imu.microstrain.packets import Packet, PacketParser
 from hil.drivers.device_clock import DeviceClock
-from hil.drivers.patience import used_while_closed
+from hil.drivers.patience import Usefulness, used_while_closed
 from hil.drivers.stuck import StuckTest
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
@@ -60,7 +60,8 @@ class MicrostrainImu(Sensor[ImuSample]):
         self._parser = PacketParser(longest_packet_ns(config))
         self._device_clock = DeviceClock(nanoseconds(config.delay_s))
         self._stuck = StuckTest(config.stuck_after_s)
-        self._fail_ns, self._stale_ns = nanoseconds(config.fail_after_s), nanoseconds(config.stale_after_s)
+        self._usefulness = Usefulness(config.fail_after_s)
+        self._stale_ns = nanoseconds(config.stale_after_s)
         self._sequence = 0
         self.latest: f.FilterData | None = None
         self.rate_hz = math.nan
@@ -80,7 +81,8 @@ class MicrostrainImu(Sensor[ImuSample]):
         self.latest = None
         now_ns = self._clock.now_ns()
         self._stuck.reset(now_ns)
-        self._good_ns = self._heard_ns = self._told_ns = now_ns
+        self._usefulness.begin(now_ns)
+        self._heard_ns = self._told_ns = now_ns
         self._reopen_ns, self._noise_ns, self._trouble = 0, now_ns - _NOISE_NS, "nothing came"
         self._is_ours = self._just_set_up = self._restarted = False
         self._dialogue = self._new_dialogue()
@@ -270,12 +272,11 @@ class MicrostrainImu(Sensor[ImuSample]):
         return (self._empty(Status.PROTOCOL if noise else Status.TIMEOUT, now_ns),)
 
     def _judge(self, samples: list[ImuSample], now_ns: int) -> None:
-        if any(s.status is Status.OK for s in samples):
-            self._good_ns = now_ns
-        elif now_ns - self._good_ns > self._fail_ns:
+        useful = any(s.status is Status.OK for s in samples)
+        if lost_ns := self._usefulness.lost_ns(useful, now_ns):
             raise DeviceTimeoutError(
                 self.name,
-                f"nothing usable for {(now_ns - self._good_ns) / NS_PER_S:.1f} s ({self._trouble})",
+                f"nothing usable for {lost_ns / NS_PER_S:.1f} s ({self._trouble})",
                 port=self._config.port,
                 expected=f"{self.rate_hz:.0f} samples per second",
                 remedy=REMEDY,

@@ -17,6 +17,7 @@ from hil.drivers.adhesion.settings import Answers
 from hil.drivers.adhesion.vesc import Packet, address, decode
 from hil.drivers.adhesion.vesc import Status as Report
 from hil.drivers.adhesion.who import Seen, ask_who
+from hil.drivers.patience import Usefulness
 from hil.drivers.stuck import StuckTest
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.errors import UsageError
@@ -49,7 +50,10 @@ class VescThrust(KeptMotor[VescThrustConfig, ThrustSample]):
 
     def _forget(self) -> None:
         super()._forget()
-        self._heard_ns = dict.fromkeys(self._config.controller_ids, self._clock.now_ns())
+        self._usefulness = {one: Usefulness(self._config.fail_after_s) for one in self._config.controller_ids}
+        for usefulness in self._usefulness.values():
+            usefulness.begin(self._clock.now_ns())
+        self._heard: set[int] = set()
         self._stuck = {one: StuckTest(_STUCK_S) for one in self._config.controller_ids}
         self._newest: dict[int, tuple[int, Report]] = {}
 
@@ -79,9 +83,11 @@ class VescThrust(KeptMotor[VescThrustConfig, ThrustSample]):
         self._must_be_open()
         samples: list[ThrustSample] = self._link.heard()
         now_ns = self._clock.now_ns()
-        silent, since_ns = min(self._heard_ns.items(), key=lambda heard: heard[1])
-        if now_ns - since_ns > self._fail_ns:
-            raise self._silence(f"controller {silent}", now_ns - since_ns, "its propellers stop")
+        lost = {one: u.lost_ns(one in self._heard, now_ns) for one, u in self._usefulness.items()}
+        self._heard.clear()
+        longest = max(lost, key=lost.__getitem__)
+        if lost[longest]:
+            raise self._silence(f"controller {longest}", lost[longest], "its propellers stop")
         if samples:
             self._link.error = ""
         return tuple(samples)
@@ -92,9 +98,9 @@ class VescThrust(KeptMotor[VescThrustConfig, ThrustSample]):
         said = cast("Report | None", decode(message.arbitration_id, message.data))
         if said is None:
             return None
-        self._heard_ns[said.controller_id] = now_ns
+        self._heard.add(said.controller_id)
         self._newest[said.controller_id] = (t_ns, said)
-        whole = len(self._newest) == len(self._heard_ns) and t_ns > self._latest_ns
+        whole = len(self._newest) == len(self._usefulness) and t_ns > self._latest_ns
         return self._sample(t_ns, now_ns) if whole else None
 
     def _sample(self, t_ns: int, now_ns: int) -> ThrustSample:

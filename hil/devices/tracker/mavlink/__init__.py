@@ -1,4 +1,4 @@
-"""Any visual-inertial computer that sends MAVLink `ODOMETRY` (message 331), over UDP or a serial port."""
+"""Any visual-inertial computer that sends MAVLink `ODOMETRY` (331) or `VISION_POSITION_ESTIMATE` (102)."""
 
 from __future__ import annotations
 

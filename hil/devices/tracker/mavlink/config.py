@@ -1,4 +1,4 @@
-"""Configuration of a tracker that sends MAVLink `ODOMETRY` (`[tracker]` with `model = "mavlink"`)."""
+"""Configuration of a tracker that sends its poses by MAVLink (`[tracker]` with `model = "mavlink"`)."""
 
 from __future__ import annotations
 

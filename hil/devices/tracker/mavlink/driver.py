@@ -22,7 +22,7 @@ from hil.devices.tracker.mavlink.session import Received, Session
 from hil.devices.tracker.mavlink.wire import LinkFactory
 from hil.drivers.device_clock import DeviceClock
 from hil.drivers.jumps import JumpTest
-from hil.drivers.patience import USELESS, nothing_usable, used_while_closed
+from hil.drivers.patience import USELESS, Usefulness, nothing_usable, used_while_closed
 from hil.drivers.stuck import StuckTest
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.finding import Finding
@@ -61,7 +61,8 @@ class MavlinkTracker(Sensor[TrackerSample]):
         self._clock_map = DeviceClock(nanoseconds(config.latency_s))
         self._jumps = JumpTest.of(config)
         self._stuck = StuckTest(config.stuck_after_s)
-        self._stale_ns, self._fail_ns = nanoseconds(config.stale_after_s), nanoseconds(config.fail_after_s)
+        self._stale_ns = nanoseconds(config.stale_after_s)
+        self._usefulness = Usefulness(config.fail_after_s)
         self._seq, self._last_t_ns = 0, -(1 << 62)
         self._forget()
 
@@ -92,8 +93,9 @@ class MavlinkTracker(Sensor[TrackerSample]):
         except BaseException:
             self.close()
             raise
-        self._good_ns = self._clock.now_ns()
-        self._stuck.reset(self._good_ns)
+        now_ns = self._clock.now_ns()
+        self._usefulness.begin(now_ns)
+        self._stuck.reset(now_ns)
 
     def reopen(self) -> None:
         """As `open`, after sender or cable were away: poses go on counting, perhaps in another frame."""
@@ -134,10 +136,9 @@ class MavlinkTracker(Sensor[TrackerSample]):
             if sample is not None:
                 samples.append(sample)
         now_ns = self._clock.now_ns()
-        if any(sample.status not in _USELESS for sample in samples):
-            self._good_ns = now_ns
-        elif now_ns - self._good_ns > self._fail_ns:
-            what = nothing_usable("pose", now_ns - self._good_ns, samples)
+        useful = any(sample.status not in _USELESS for sample in samples)
+        if lost_ns := self._usefulness.lost_ns(useful, now_ns):
+            what = nothing_usable("pose", lost_ns, samples)
             if self._repeated:
                 what += f"; {self._repeated} poses were no newer than the one before"
             raise silent(session, self._config, self.name, what)
@@ -157,7 +158,6 @@ class MavlinkTracker(Sensor[TrackerSample]):
         self._last_device_ns: int | None = None
         self._resets: int | None = None
         self._reset = False
-        self._good_ns = self._clock.now_ns()
 
     def _sample(self, session: Session, received: Received) -> TrackerSample | None:
         """The sample of one message; None when its pose is no newer than the last one."""

@@ -28,6 +28,8 @@ FRAMES = {
 """Numbers of MAV_FRAME by name; BODY_NED is the older name of BODY_FRD, BODY_FLU is no longer in use."""
 UPWARD = ("LOCAL_ENU", "LOCAL_FLU", "BODY_FLU")
 """Frames whose z points up, and y to the left of x."""
+POSES = ("ODOMETRY", "VISION_POSITION_ESTIMATE")
+"""Messages that tell of a pose."""
 FAILED, UNKNOWN_QUALITY = -1, 0
 UNKNOWN = math.nan
 
@@ -95,6 +97,30 @@ def pose_of(message: Any, axes: Axes) -> tuple[float, ...]:
     if axes.turn_body:
         qw, qx, qy, qz = qx, -qw, -qz, qy
     return x, y, z, qw, qx, qy, qz
+
+
+def odometry_of(estimate: Any, common: Any) -> Any:
+    """The `ODOMETRY` that says what a `VISION_POSITION_ESTIMATE` (102) says.
+
+    Its pose is in LOCAL_NED and its angles turn BODY_FRD, roll last (MAVLink common.xml); twist and quality
+    are unknown, and so is a covariance that is left out: then all of it is 0.
+    """
+    (sr, cr), (sp, cp), (sy, cy) = (
+        (math.sin(0.5 * angle), math.cos(0.5 * angle))
+        for angle in (estimate.roll, estimate.pitch, estimate.yaw)
+    )
+    turned = (
+        cy * cp * cr + sy * sp * sr,
+        cy * cp * sr - sy * sp * cr,
+        cy * sp * cr + sy * cp * sr,
+        sy * cp * cr - cy * sp * sr,
+    )
+    unknown = [UNKNOWN] * 21
+    covariance = list(estimate.covariance) if any(estimate.covariance) else unknown
+    return common.MAVLink_odometry_message(
+        estimate.usec, FRAMES["LOCAL_NED"], FRAMES["BODY_FRD"], estimate.x, estimate.y, estimate.z, turned,
+        *[UNKNOWN] * 6, covariance, unknown, estimate.reset_counter, 0, UNKNOWN_QUALITY,
+    )  # fmt: skip
 
 
 def twist_of(message: Any, axes: Axes, quaternion_wxyz: Sequence[float]) -> tuple[float, ...]:

@@ -13,6 +13,7 @@ from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 _WAIT_NS = 2_000_000
 _ACQUAINTANCE_NS = nanoseconds(1.2)
 _ENOUGH_TRIPS = 3
+_EXPECTED = "a stream of MAVLink ODOMETRY (331) or VISION_POSITION_ESTIMATE (102)"
 
 
 def await_sender(
@@ -54,7 +55,7 @@ def silent(session: Session, config: MavlinkTrackerConfig, device: str, what: st
         device,
         "; ".join([what, *told]),
         port=config.port,
-        expected="a stream of MAVLink ODOMETRY (331)",
+        expected=_EXPECTED,
         remedy="check that the sender runs and tracks, and its cable or network; close and open the tracker "
         "to start again",
     )
@@ -67,7 +68,7 @@ def _is_known(session: Session) -> bool:
 
 
 def _nobody(session: Session, config: MavlinkTrackerConfig, device: str) -> DeviceError:
-    senders = {source for source, kinds in session.heard.items() if "ODOMETRY" in kinds}
+    senders = {source for source, kinds in session.heard.items() if kinds & set(messages.POSES)}
     if senders:
         return DeviceError(
             device,
@@ -91,9 +92,7 @@ def _nobody(session: Session, config: MavlinkTrackerConfig, device: str) -> Devi
         found = f"nothing arrives within {config.open_timeout_s:g} s"
         found += f" ({session.trouble})" if session.trouble else ""
         remedy = _where_to_look(config)
-    return DeviceTimeoutError(
-        device, found, port=config.port, expected="a stream of MAVLink ODOMETRY (331)", remedy=remedy
-    )
+    return DeviceTimeoutError(device, found, port=config.port, expected=_EXPECTED, remedy=remedy)
 
 
 def _where_to_look(config: MavlinkTrackerConfig) -> str:

@@ -7,7 +7,7 @@ from collections import deque
 from typing import Any, NamedTuple, TypeAlias
 
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
-from hil.devices.tracker.mavlink.messages import Parser
+from hil.devices.tracker.mavlink.messages import POSES, Parser, odometry_of
 from hil.devices.tracker.mavlink.timesync import TimeSync, Trip
 from hil.devices.tracker.mavlink.wire import Address, Arrival, Link
 from hil.vocabulary.clock import NS_PER_S, Clock
@@ -133,13 +133,15 @@ class Session:
         if not self._is_wanted(source):
             self.strangers += 1
             return False
-        if kind == "ODOMETRY" and self.source is None:
+        if kind in POSES and self.source is None:
             self.source = source
         if source != self.source:
             return False
         self._peer = arrival.sender
         self._count(message.get_seq())
-        if kind == "ODOMETRY":
+        if kind == POSES[1] and POSES[0] not in self.heard.get(source, ()):
+            kind, message = POSES[0], odometry_of(message, self._common)
+        if kind == POSES[0]:
             self._overflowed += len(self.odometry) == self._config.queue_length
             self.odometry.append(Received(message, arrival.arrived_ns))
             self.last = message
