@@ -31,15 +31,13 @@ _TOGETHER = 0.08
 _WHEELS = ("front left", "back left", "back right", "front right")
 _LATE_S, _MISSED = 0.15, 0.3
 _FEWEST = 3
-_TIMES_TYPICAL, _LEAST_MISFIT = 8.0, 12.0
-"""A misfit in residual scales of a fit (4 mm, 6 mrad): 12 is 28 mm all along the drive."""
+_TIMES_TYPICAL, _LEAST_MISFIT, _MISSED_TOO = 8.0, 12.0, 0.06
+_TIMES_FAR, _FAR_MISFIT = 25.0, 50.0
+"""Misfits are in residual scales of a fit (4 mm, 6 mrad): 12 is 28 mm all along the drive, 50 is 115 mm."""
 
 
 def corrupt(recordings: Sequence[Recording], nominal: Nominal) -> dict[str, str]:
     """Why recordings are corrupt, by name; the others are good.
-
-    Recordings of a good robot with slip, bursts of it, play and tolerances leave up to 8 times the typical
-    misfit, or 28 mm (in 1,100 recordings of 100 robots that were made for it): beyond both no chance leads.
 
     Args:
         recordings: runs of one robot.
@@ -168,7 +166,11 @@ def _other_clocks(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
 
 
 def _misfits(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
-    """What a robust fit leaves beyond what slip does; a motion that is always read badly does not count."""
+    """What a robust fit leaves beyond what slip does; a motion that is always read badly does not count.
+
+    A burst of slip may turn a robot so that all of its further way is off by 15 times the typical error and
+    35 mm: from second to second the wheels still say where it goes, but for 0.05 of the way.
+    """
     if len(recordings) < _FEWEST:
         return {}
     blocks = reduce_recordings(recordings, RECOMMENDED.block_s)
@@ -176,6 +178,8 @@ def _misfits(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
     misfit = np.sqrt(found.problem.recording_costs(found.solution.z))
     typical = float(np.median(misfit))
     wrong = misfit > max(_TIMES_TYPICAL * typical, _LEAST_MISFIT)
+    wrong &= missed_shares(recordings, found.geometry) > _MISSED_TOO
+    wrong |= misfit > max(_TIMES_FAR * typical, _FAR_MISFIT)
     motions = np.array(blocks.motions)
     for motion in set(motions[wrong]):
         own = motions == motion

@@ -89,7 +89,7 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
               "Strong colours: only the combination of two parameters is known, not each of them."),
     ]  # fmt: skip
     page = Overview(
-        f"Calibration on {len(result.recordings)} recordings", _sentence(before, after, result), figures,
+        f"Calibration on {len(result.recordings)} recordings", _sentence(tables, result), figures,
         [*_validation_tables(result), _error_table("Errors before", tables[0], shown=False),
          _error_table("Errors after", tables[1], shown=False)],
         result.warnings, facts,
@@ -97,9 +97,9 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
     return write_overview_folder(folder, page)
 
 
-def _sentence(before: Sequence[Track], after: Sequence[Track], result: Calibration) -> str:
+def _sentence(tables: tuple[Mapping[str, Any], Mapping[str, Any]], result: Calibration) -> str:
     """What the calibration brings on the recordings that fit each other, and which do not."""
-    first, then = (_mm(dict[str, Any](evaluate(tracks))["mean"]) for tracks in (before, after))
+    first, then = (_mm(table["mean"]) for table in tables)
     said = f"Calibration brings the mean position error of odometry from {first} to {then} mm (RMSE)"
     unseen = result.validation.get("leave_one_repetition_out")
     if not unseen:

@@ -229,7 +229,7 @@ def _shows(kind: str, name: str) -> bool:
 
 
 def spoil(drive: Drive, kind: str, rng: np.random.Generator, other: Drive) -> Drive:
-    """A drive, spoilt in one of `KINDS`: one wheel that rolls no less than most, `other` another motion."""
+    """A drive, spoilt in one of `KINDS`: one wheel is one that rolls; `other` is of another motion."""
     rows, t_s = len(drive.t_s), drive.t_s
     way = np.abs(np.diff(drive.angle, axis=0)).sum(axis=0)
     begin, wheel = int(rng.uniform(0.1, 0.6) * rows), int(rng.choice(np.flatnonzero(way >= np.median(way))))

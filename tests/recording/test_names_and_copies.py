@@ -73,7 +73,7 @@ def test_a_bad_one_is_named_and_its_namesake_stays(tmp_path, capsys):
     _, table, _ = hil(capsys, "evaluate", *kept, "--calibration", out)
     assert table["recordings"] == 12 - len(bad)
     assert found["cost_after_without_rejected"] == pytest.approx(table["cost"], rel=1e-6)
-    assert any(line.startswith("1/line_x_1: does not fit") for line in found["warnings"])
+    assert any(line.startswith("1/line_x_1: left out: ") for line in found["warnings"])
 
 
 def test_as_few_folders_are_named_as_tell_apart(days, tmp_path, drives, monkeypatch):

@@ -45,27 +45,16 @@ def test_a_campaign_says_which_limits_were_missed_and_how_often(tmp_path):
     assert said == "1 of 4 runs kept their limits. Beyond its limit: end in 2, way in 1. 1 ended early."
 
 
-def test_a_calibration_names_recordings_that_do_not_fit_the_others_and_leaves_their_errors_out():
-    names = "abcdefghijklmnopqr"
-
-    def tracks(error_m, bad):
-        return [
-            SimpleNamespace(
-                recording=SimpleNamespace(name=name, motion="line"),
-                error=np.array([[0.9 if name in bad else error_m, 0.0, 0.0]]),
-            )
-            for name in names
-        ]
+def test_a_calibration_names_recordings_that_were_left_out():
+    tables = tuple({"mean": {"rmse_position_m": m}} for m in (0.04, 0.025))
 
     def said(*rejected):
-        result = SimpleNamespace(validation={}, fit=SimpleNamespace(rejected=rejected), recordings=[0] * 18)
-        return _sentence(tracks(0.04, rejected), tracks(0.025, rejected), result)
+        result = SimpleNamespace(validation={}, rejected=dict.fromkeys(rejected, "why"), recordings=[0] * 18)
+        return _sentence(tables, result)
 
     assert said().endswith("from 40.0 to 25.0 mm (RMSE) on the recordings that it was fitted to.")
-    for bad in (("a",), ("a", "b")):
-        assert "from 40.0 to 25.0 mm" in said(*bad)
-        assert f"{len(bad)} of 18 recordings" in said(*bad)
-        assert said(*bad).endswith(f"fit the others: {', '.join(bad)}.")
+    assert said("a").endswith("fitted to. Left out: 1 of 19 recordings, a (see the warnings).")
+    assert said("a", "b").endswith("Left out: 2 of 20 recordings, a, b (see the warnings).")
 
 
 def test_a_warning_stands_on_a_page_once(tmp_path):
