@@ -24,6 +24,7 @@ from hil.calibration.validation import (
     deployed,
     left_out,
     repeatability,
+    repetition_numbers,
     score,
     table_of,
 )
