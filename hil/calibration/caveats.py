@@ -162,7 +162,7 @@ def turned_in_common(found: Fit) -> list[str]:
         return []
     return [
         f"all four steering zeros are off by much the same, {common:.3f} rad in the mean: so they would be "
-        f"if the heading of the ground truth were {-common:.3f} rad off the robot's; set the heading of its "
+        f"if the heading of the ground truth were {common:.3f} rad off the robot's; set the heading of its "
         "body, or mount_rotation_wxyz of [truth] in the topic mapping, before this is taken for steering"
     ]
 

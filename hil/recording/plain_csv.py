@@ -45,7 +45,8 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
     _check_text(path, data, header)
     columns = [c.strip() for c in header.decode("utf-8", "replace").lstrip("\ufeff").split(",")]
     needed = ("t", *WHEEL_COLUMNS, *TRUTH_COLUMNS)
-    missing = [c for c in needed if c not in columns]
+    rates = all(c in columns for c in RATE_COLUMNS)
+    missing = [c for c in needed if c not in columns and not (rates and c in WHEEL_COLUMNS[:4])]
     if missing:
         raise DataError(str(path), f"lacks the columns {', '.join(missing)}", expected=",".join(needed))
     twice = [c for c in (*needed, *RATE_COLUMNS) if columns.count(c) > 1]
@@ -57,7 +58,10 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
     table = _table(path, data, body, columns)
     if len(table) == 0:
         raise DataError(str(path), "has a header but no rows")
-    rates = all(c in columns for c in RATE_COLUMNS)
+    if not set(WHEEL_COLUMNS) <= set(columns):
+        absent = [c for c in WHEEL_COLUMNS if c not in columns]
+        columns += absent
+        table = np.column_stack([table, np.full((len(table), len(absent)), np.nan)])
     wheels = [columns.index(c) for c in (*WHEEL_COLUMNS, *(RATE_COLUMNS if rates else ()))]
     truth = [columns.index(c) for c in TRUTH_COLUMNS]
     t_s = table[:, columns.index("t")]

@@ -73,3 +73,12 @@ def test_only_a_start_in_motion_is_told_of(tmp_path):
     )
     (line,) = told_by([still, moving])
     assert line.startswith("moving_1: the wheels roll when it begins")
+
+
+def test_a_table_of_rates_alone_is_integrated(tmp_path):
+    whole = perfect.write_csv(tmp_path / "whole_1.csv", perfect.drive())
+    lines = [line.split(",") for line in whole.read_text().splitlines()]
+    (tmp_path / "rates_1.csv").write_text("\n".join(",".join([row[0], *row[5:]]) for row in lines))
+    found = read_plain(tmp_path / "rates_1.csv")
+    assert position_rmse(track(found, WHEELS)) == pytest.approx(np.sqrt(2.0) * 2e-4, rel=0.3)
+    assert "integrated from their rates" in " ".join(found.repairs)
