@@ -1,5 +1,7 @@
 """HELD is not said of a robot whose fan may be dying: it stands still until the fan has run down."""
 
+from contextlib import suppress
+
 import numpy as np
 import pytest
 
@@ -62,3 +64,55 @@ def test_a_tether_holds_what_no_fan_presses():
     held, took_s, _ = left("servos:unplug@1+0.5", overrides={"safety.tethered": True})
     assert held.state == "HELD"
     assert took_s < RUN_DOWN_S
+
+
+DEAF = ["thrust:garbage@1.3", "thrust:baud_mismatch@1.3", "thrust:corrupt@1.3,probability=1"]
+SHORT = line((0, 0, 0), (0.06, 0, 0), duration_s=1.5)
+
+
+def place(bench):
+    return bench.truth().pose_body_in_wall[:2].copy()
+
+
+@pytest.mark.parametrize(
+    ("fault", "plant"), [*((fault, "own") for fault in DEAF), *((fault, "mujoco") for fault in DEAF)]
+)
+def test_propellers_that_do_not_understand_what_they_are_told_are_no_ground_for_held(fault, plant):
+    """They take their throttle down step by step: the robot rests for seconds before it slides."""
+    if plant == "mujoco":
+        pytest.importorskip("mujoco")
+    with hil.open_bench("emulated", seed=1, faults=[fault], overrides={"emulation.plant": plant}) as bench:
+        with suppress(SafetyStop):
+            bench.drive(SHORT)
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 5_000_000_000)
+    assert bench.truth().fallen
+    assert bench.held.state == "NOT HELD"
+
+
+def test_a_bench_that_goes_on_does_not_take_them_for_a_ground_either():
+    with hil.open_bench("emulated", seed=1, faults=["thrust:garbage@1.3"]) as bench:
+        bench.drive(SHORT)
+        assert bench.look().state == "NOT HELD"
+
+
+def test_what_a_closing_bench_calls_held_goes_on_without_a_line_to_the_propellers():
+    """No line is sent while it looks, so none can be misunderstood."""
+    with hil.open_bench("emulated", seed=1) as bench:
+        bench.drive(SHORT)
+        closing_s = bench.clock.now_ns() / 1e9
+    with hil.open_bench("emulated", seed=1, faults=[f"thrust:garbage@{closing_s + 0.8:.3f}"]) as bench:
+        bench.drive(SHORT)
+        stood = place(bench)
+    assert bench.held.state == "HELD"
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 5_000_000_000)
+    assert np.linalg.norm(place(bench) - stood) < 5e-4
+
+
+def test_wheels_that_turn_more_than_a_sliding_robot_goes_are_not_suspected_alone():
+    events = []
+    with hil.open_bench("emulated", seed=0, faults=["thrust:wrong@1.3"]) as bench:
+        with pytest.raises(SafetyStop) as stop:
+            bench.drive(CLIMB, on_cycle=lambda record: events.extend(record.events))
+    suspected = [event.suspects for event in events if "servos" in event.suspects]
+    assert suspected
+    assert all("thrust" in names for names in (*suspected, stop.value.suspects))
