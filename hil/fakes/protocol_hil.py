@@ -41,6 +41,7 @@ class Serial(SerialBase):
             raise SerialException(errno.EBUSY, f"hil://{name} is in use")
         line.in_use = True
         line.discard()  # as a kernel does with what came while nobody had the port open
+        line.listen(lambda: int(self._baudrate))
         self._line = line
         self.is_open = True
         self._reconfigure_port()
@@ -49,6 +50,7 @@ class Serial(SerialBase):
         """Give the line back. Idempotent."""
         if self._line is not None:
             self._line.in_use = False
+            self._line.listen(None)
             self._line = None
         self.is_open = False
 

@@ -3,16 +3,19 @@
 Bytes leave the client's adapter at the baud rate, reach the chip, and its answer comes back paced by
 the same rate. The adapter hands received bytes to the host in packets: a full one at once, the rest
 when its latency timer expires (16 ms as delivered, 1 ms as it should be set).
+Where both ends run at different rates each hears noise, whatever the chip thinks of that: `uart.py`.
 Everything happens in world time; `protocol_hil.py` and `serial_pty.py` connect clients to a line.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 
 import serial
 
 from hil.fakes.fault import STRIKES, Supported
+from hil.fakes.uart import heard, same_rate
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, Scheduled, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
@@ -69,6 +72,7 @@ class SerialLine(Scheduled):
         self._in: deque[tuple[int, bytes]] = deque()
         self._out_free_ns = self._in_free_ns = 0
         self._baud = _BAUD_UNSAID
+        self._listens_at: Callable[[], int] | None = None
         self.in_use = False
         self._polls = getattr(type(chip), "next_poll_ns", None) is not SerialChip.next_poll_ns
         self.tells = getattr(chip, "polls_alone", False)
@@ -102,6 +106,13 @@ class SerialLine(Scheduled):
             self._out.append((start_ns, piece, baud))
         self._out_free_ns = start_ns
         self.world.changed(self)
+
+    def listen(self, baud: Callable[[], int] | None) -> None:
+        """The client's adapter is set to the rate that this gives, also while it sends nothing; None: gone.
+
+        Only a chip that says its own rate asks for it.
+        """
+        self._listens_at = baud
 
     def take(self, limit: int) -> bytes:
         """Up to `limit` bytes that have reached the host."""
@@ -156,29 +167,37 @@ class SerialLine(Scheduled):
         """Let the chip hear what has arrived, and take its answers."""
         while self._out and self._out[0][0] <= t_ns:
             _, data, baud = self._out.popleft()
-            heard = baud if self.faults.empty else self._heard(baud, t_ns)
-            replies = self.chip.receive(data, t_ns, heard)
+            rate = self._chip_baud(baud, t_ns)
+            known = data if same_rate(rate, baud) else heard(data, baud, rate)
+            replies = self.chip.receive(known, t_ns, rate)
             if replies:
                 self._answer(replies, baud, t_ns)
         if self._polls and self.chip.next_poll_ns() <= t_ns:
-            self._answer(self.chip.poll(t_ns), self._baud, t_ns)
+            self._answer(self.chip.poll(t_ns), self._client_baud(), t_ns)
 
     def check_plugged(self) -> None:
         """Raise `Unplugged` while the adapter is pulled out."""
         if not self.faults.empty and self.faults.find(self.chip.name, "unplug", self.world.now_ns):
             raise Unplugged(f"the adapter of {self.name} is gone")
 
-    def _heard(self, baud: int, t_ns: int) -> int:
-        if self.faults.find(self.chip.name, "baud_mismatch", t_ns) is None:
-            return baud
-        return round(baud * _WRONG_BAUD_FACTOR)
+    def _client_baud(self) -> int:
+        if self.chip.uart_baud is None or self._listens_at is None:
+            return self._baud
+        return self._listens_at()
+
+    def _chip_baud(self, baud: int, t_ns: int) -> int:
+        """The rate of the far end, for a client at `baud`."""
+        if not self.faults.empty and self.faults.find(self.chip.name, "baud_mismatch", t_ns) is not None:
+            return round(baud * _WRONG_BAUD_FACTOR)
+        return baud if self.chip.uart_baud is None else self.chip.uart_baud
 
     def _answer(self, replies: list[Reply], baud: int, t_ns: int) -> None:
-        faultless = self.faults.empty
-        for ready_ns, data in replies:
+        faultless, rate = self.faults.empty, self._chip_baud(baud, t_ns)
+        for ready_ns, said in replies:
+            data = said if same_rate(rate, baud) else heard(said, rate, baud)
             for piece in (data,) if faultless else self._spoil(data, t_ns):
                 free_ns = self._in_free_ns
-                self._deliver(piece, ready_ns if ready_ns > free_ns else free_ns, baud)
+                self._deliver(piece, ready_ns if ready_ns > free_ns else free_ns, rate)
 
     def _deliver(self, data: bytes, start_ns: int, baud: int) -> None:
         """Put a paced answer into the host's buffer, in the adapter's packets."""

@@ -35,6 +35,7 @@ class SerialPty(Face):
         os.set_blocking(self._master, False)
         self._open = True
         self.lost = 0
+        line.listen(self._baud)
 
     def next_due_ns(self) -> int:
         """When the next bytes reach the host."""
@@ -72,6 +73,7 @@ class SerialPty(Face):
         """Close both ends. Idempotent."""
         if self._open:
             self._open = False
+            self._line.listen(None)
             os.close(self._master)
             os.close(self._slave)
 

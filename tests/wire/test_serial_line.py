@@ -5,12 +5,15 @@ import threading
 
 import pytest
 import serial
+from hypothesis import given
+from hypothesis import strategies as st
 
 from hil.fakes.fault import parse_fault
 from hil.fakes.faults import FaultPlan
-from hil.fakes.serial_line import SerialLine
+from hil.fakes.serial_line import SerialLine, find_line
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
+from hil.fakes.uart import heard as heard_by_a_uart
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import World
 from hil.vocabulary.clock import MonotonicClock
@@ -294,3 +297,85 @@ def test_a_terminal_event_without_bytes_is_nothing():
         face.on_readable(face.filenos()[0], 0)
     finally:
         face.close()
+
+
+class Deaf(Beacon):
+    """Has a UART of its own rate, and never asks at which rate it is spoken to."""
+
+    def __init__(self, rate):
+        super().__init__()
+        self.uart_baud = rate
+
+    def receive(self, data, t_ns, baud):
+        self.heard.append((t_ns, data, baud))
+        return [Reply(t_ns, data.upper())] if data else []
+
+    def poll(self, t_ns):
+        self.due_ns = t_ns + 10_000_000
+        return [Reply(t_ns, b"unasked ")]
+
+
+@pytest.fixture
+def deaf():
+    lines = []
+
+    def build(*faults, baud=115_200, rate=115_200):
+        world = World(Still(), seed=3, faults=FaultPlan([parse_fault(f) for f in faults]))
+        chip = Deaf(rate)
+        lines.append(SerialLine(world, chip).open())
+        return world, chip, serial.serial_for_url("hil://echo", baudrate=baud, timeout=0.1)
+
+    yield build
+    for line in lines:
+        line.close()
+
+
+def spoken(world, chip, port):
+    """What the chip has heard of a request, and what the client then hears within 50 ms."""
+    port.write(b"a request")
+    world.advance_to(world.now_ns + 50_000_000)
+    return b"".join(data for _, data, _ in chip.heard), port.read(port.in_waiting)
+
+
+@pytest.mark.parametrize(
+    ("faults", "rates"),
+    [
+        (("echo:baud_mismatch",), {}),
+        (("echo:baud_mismatch",), {"rate": None}),
+        ((), {"baud": 57_600}),
+        ((), {"baud": 230_400}),
+        ((), {"rate": 1_000_000}),
+    ],
+)
+def test_another_rate_is_noise_to_both_whatever_the_chip_thinks(deaf, faults, rates):
+    heard, answered = spoken(*deaf(*faults, **rates))
+    assert b"a request" not in heard
+    assert heard
+    assert b"A REQUEST" not in answered
+    assert b"unasked" not in answered
+    assert answered
+    assert (heard, answered) == spoken(*deaf_again(deaf, faults, rates))
+
+
+def deaf_again(deaf, faults, rates):
+    """The same once more: the noise is no matter of chance."""
+    find_line("echo").close()
+    return deaf(*faults, **rates)
+
+
+@pytest.mark.parametrize("rates", [{}, {"baud": 117_000}, {"rate": None, "baud": 9_600}])
+def test_nearly_the_same_rate_is_understood(deaf, rates):
+    heard, answered = spoken(*deaf(**rates))
+    assert heard == b"a request"
+    assert b"A REQUEST" in answered
+    assert b"unasked" in answered
+
+
+@given(data=st.binary(max_size=40), off=st.floats(-0.03, 0.03))
+def test_a_uart_reads_what_was_sent_at_its_rate(data, off):
+    assert heard_by_a_uart(data, 115_200 * (1 + off), 115_200) == data
+
+
+def test_a_uart_at_half_the_rate_reads_by_its_own_bits():
+    """Nine low bits are four and a half of its own: one starts, three are 0, and what follows is the rest."""
+    assert heard_by_a_uart(b"\x00", 9_600, 4_800) == bytes([0b11111000])

@@ -77,7 +77,7 @@ class CellLine(SerialChip):
     supported_faults: Supported = _OF_A_LINE
 
     def __init__(self, world: World, config: LineCellsConfig, cells: Cells) -> None:
-        self.name, self._cells = cells.name, cells
+        self.name, self.uart_baud, self._cells = cells.name, config.baud, cells
         self._period_ns = _period_ns(config.rate_hz)
         self._sequence = 0
         self._due_ns = int(world.rng(f"{cells.name}.phase").integers(1, self._period_ns))
