@@ -1,7 +1,7 @@
 """Whether the control loop itself stood still: a program that was stopped, a computer without time for it.
 
-Meanwhile the servos' watchdogs trip, buffers run over and the reference moves on: devices that are well look
-silent or leap. So a long pause stops the robot by its own name, and a shorter one is told beside a stop.
+Meanwhile the servos' watchdogs trip and buffers run over: devices that are well look silent or leap. So a
+long pause stops the robot by its own name, and a shorter one is told beside a stop.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class PaceWatch:
 
         Args:
             t_ns: of the cycle.
-            stop: called with the reason to stop: behind a pause the reference is far ahead of a robot that
-                its servos' watchdogs have stopped.
+            stop: called with the reason to stop: nobody knows what the robot did during a long pause, and its
+                servos' watchdogs have stopped it.
         """
         before_ns, self._last_ns = self._last_ns, t_ns
         if before_ns is None:

@@ -85,7 +85,7 @@ def test_a_sensor_that_stays_silent_stops_the_robot(device):
 def test_heading_beyond_its_limit_stops_the_robot():
     """A robot that does not correct its heading turns as it climbs; the limit is set close to see it soon."""
     limits = {
-        "control__law": "nonlinear", "control__gains": [4.0, 4.0, 0.0], "safety__heading_limit_rad": 0.008,
+        "control__law": "nonlinear", "control__gains": [4.0, 4.0, 0.01], "safety__heading_limit_rad": 0.008,
     }  # fmt: skip
     with open_wall(**limits) as bench:
         with pytest.raises(SafetyStop, match=r"heading -0\.5 deg exceeds 0\.5 deg") as stop:
