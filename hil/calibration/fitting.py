@@ -31,7 +31,7 @@ from hil.vocabulary.geometry import Array
 _CHAIN = (2.0, 1.5, 1.2, 1.0)
 _REWEIGHTINGS = 4
 _STEPS_IN_A_BOX = 100
-_CLEARLY_BETTER = 0.7
+_CLEARLY_BETTER, _BETTER, _OUTLYING = 0.7, 0.9, 9.0
 _NEAR = 0.05
 
 
@@ -162,16 +162,21 @@ def _robust_prefit(problem: Problem, rounds_at_ends: int = _REWEIGHTINGS, last_l
         if power == 2.0:
             least_squares = Fit(stage.with_weights(weights), solution)
     final = Fit(problem.with_power(powers[-1]).with_weights(weights), solution)
-    if problem.setting.choose_model and (
-        _typical_cost(final) > _CLEARLY_BETTER * _typical_cost(least_squares)
-    ):
+    if problem.setting.choose_model and not _explains_better(final, least_squares):
         return least_squares
     return final
 
 
-def _typical_cost(candidate: Fit) -> float:
-    """Median over recordings of the unweighted cost: both models have the same parameters and prior."""
-    return float(np.median(candidate.problem.recording_costs(candidate.solution.z)))
+def _explains_better(one: Fit, other: Fit) -> bool:
+    """Whether a fit explains the typical recording clearly better than another, and all of them together.
+
+    Unweighted costs count: both models have the same parameters and prior. Robust weights may settle on a
+    half of the recordings, which dry friction reads well at the cost of the other half.
+    """
+    costs, others = (f.problem.recording_costs(f.solution.z) for f in (one, other))
+    typical = float(np.median(others))
+    together = [float(np.minimum(c, _OUTLYING * typical).mean()) for c in (costs, others)]
+    return float(np.median(costs)) <= _CLEARLY_BETTER * typical and together[0] <= _BETTER * together[1]
 
 
 def _fold(problem: Problem, start: Array) -> Fit:

@@ -17,6 +17,7 @@ from hil.bench.settings import geometry_of, nominal_of
 from hil.calibration.artefact import read_calibration
 from hil.calibration.calibrate import Calibration, calibrate
 from hil.calibration.choice import Candidate, Choice, candidates, choose
+from hil.calibration.corrupt import corrupt
 from hil.calibration.datasets import Recording
 from hil.calibration.evaluation import Track, position_rmse, track_all
 from hil.calibration.problem import Setting
@@ -97,9 +98,10 @@ def chosen(ctx: Context, rounds: Sequence[Driven], setting: Setting, model: str)
         return Choice(Candidate(model, replace(setting, model=model, choose_model=False), nominal), {}, 1.0)
     recordings = [r for d in rounds for r in d.recordings]
     left_out, groups = held_out_together(rounds)
-    choice = choose(
-        recordings, candidates(setting, nominal), seed=ctx.seed, groups=groups, report=ctx.progress
-    )
+    bad = corrupt(recordings, nominal_of(ctx.source.config))
+    good = [r for r in recordings if r.name not in bad]
+    groups = [g for g, r in zip(groups, recordings, strict=True) if r.name not in bad] if groups else groups
+    choice = choose(good, candidates(setting, nominal), seed=ctx.seed, groups=groups, report=ctx.progress)
     ctx.note(choice.in_words())
     rows = [[name, f"{1e3 * error_m:.2f}"] for name, error_m in sorted(choice.held_out_m.items(), key=_error)]
     ctx.table(
@@ -190,8 +192,9 @@ class Foreseen:
 def foresee(rounds: Sequence[Driven], result: Calibration) -> Foreseen:
     """How well the newest of several rounds is read by the model of a fit that lacks it, or a part of it."""
     recordings, blocks = result.recordings, result.fit.problem.blocks
-    start, newest = result.nominal.vector(), len(rounds[-1].recordings)
-    repetitions = repetition_numbers([r.motion for r in rounds[-1].recordings])
+    names = {r.name for r in rounds[-1].recordings}
+    repetitions = repetition_numbers([r.motion for r in recordings if r.name in names])
+    start, newest = result.nominal.vector(), len(repetitions)
     earlier = len(recordings) - newest
     foreseen = []
     for part in (["newest"] * newest, repetitions):
