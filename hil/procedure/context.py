@@ -166,7 +166,7 @@ class Context(RunBenches):
         """Have something done at the end whatever happens, last registered first, bench still open."""
         self._teardown.append((title, action))
 
-    def on_early_end(self, action: Callable[[], None], title: str = "evaluating what was finished") -> None:
+    def on_early_end(self, action: Callable[[], object], title: str = "evaluating what was finished") -> None:
         """Have something done where the run ends early: measurements of what was finished until then.
 
         It gets the time of a teardown, before what `on_teardown` has registered, and the bench may be in any
