@@ -40,8 +40,8 @@ class SerialChip(Protocol):
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
         """Take bytes whose last one arrived at `t_ns`, sent at `baud`; return what is answered.
 
-        Bytes may come in any pieces. Where the rates of chip and line differ, by `uart_baud` or a fault, `data`
-        is what the chip's UART makes of them.
+        Bytes may come in any pieces. Where the rates of chip and line differ, by `uart_baud` or a fault,
+        `data` is what the chip's UART makes of them.
         `World.sync_plant` has been called for `t_ns`.
         """
 

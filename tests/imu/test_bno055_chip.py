@@ -191,6 +191,10 @@ def test_an_impossible_axis_map_leaves_the_register_and_the_axes_as_they_were(cl
     x, y, z = struct.unpack("<3h", client.after(100).read(0x2E, 6))
     assert abs(x) > 950
     assert abs(y) + abs(z) < 60
+    client.send("AA 00 3D 01 08")
+    x, y, z = struct.unpack("<3h", client.after(100).read(0x2E, 6))
+    assert abs(x) > 950
+    assert abs(y) + abs(z) < 60
 
 
 def test_offsets_are_learnt_restored_and_applied_with_the_last_byte(client):
