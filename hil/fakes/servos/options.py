@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator
+from pydantic import AfterValidator, BeforeValidator
 
 from hil.config.servo_models import (
     DEFAULT_MODEL,
@@ -55,7 +55,14 @@ def _in_eeprom(value: Mapping[str, int]) -> Mapping[str, int]:
 Id = Annotated[int, Within(0, 252, "IDs of a DYNAMIXEL bus")]
 Byte = Annotated[int, Within(0, 255, "a register of one byte")]
 Word = Annotated[int, Within(0, 65_535, "a register of two bytes")]
-Joint = Annotated[int, Within(0, 7, "eight servos")]
+
+
+def _as_number(key: object) -> object:
+    """TOML has keys of text only."""
+    return int(key) if isinstance(key, str) and key.isdecimal() else key
+
+
+Joint = Annotated[int, Within(0, 7, "eight servos"), BeforeValidator(_as_number)]
 Counts = Annotated[int, Within(-(1 << 31), (1 << 31) - 1, "a register of four bytes")]
 
 
