@@ -100,20 +100,20 @@ def without_stamp(t_s: Array) -> Bools:
 
 
 def with_angles(log: Log, repairs: dict[str, int]) -> Log:
-    """The wheel log with angles integrated from the rates, for wheels that have rates alone."""
+    """The wheel log with angles integrated from the rates, where no wheel has angles and all have rates."""
     if log.values.shape[1] < 12:
         return log
-    lacking = ~np.isfinite(log.values[:, :4]).any(axis=0) & np.isfinite(log.values[:, 8:12]).any(axis=0)
-    if not lacking.any():
+    angles, rates = (np.isfinite(log.values[:, k : k + 4]).any(axis=0) for k in (0, 8))
+    if angles.any() or not rates.all():
         return log
     values = np.array(log.values)
-    for wheel in np.flatnonzero(lacking):
+    for wheel in range(4):
         rows = np.flatnonzero(np.isfinite(log.t_s) & np.isfinite(values[:, 8 + wheel]))
         rows = rows[np.argsort(log.t_s[rows], kind="stable")]
         rate = values[rows, 8 + wheel]
         way = 0.5 * (rate[1:] + rate[:-1]) * np.diff(log.t_s[rows])
         values[rows, wheel] = np.concatenate([[0.0], np.cumsum(way)])
-    count(repairs, INTEGRATED, np.count_nonzero(lacking))
+    count(repairs, INTEGRATED, 4)
     return replace(log, values=values)
 
 

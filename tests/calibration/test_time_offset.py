@@ -56,7 +56,12 @@ def test_speeds_that_are_not_alike_tell_nothing_however_fast(data, way):
     rolled = way * np.clip(t_s - 9.0, 0.0, 1.0)
     pose = way * np.column_stack([0.05 * t_s, 0.02 * np.sin(5.0 * t_s), np.zeros_like(t_s)])
     apart = replace(
-        one, t_s=t_s, wheel_angle_rad=np.outer(rolled, np.ones(4)), truth_t_s=t_s, truth_pose=pose
+        one,
+        t_s=t_s,
+        wheel_angle_rad=np.outer(rolled, np.ones(4)),
+        steering_rad=np.zeros((len(t_s), 4)),
+        truth_t_s=t_s,
+        truth_pose=pose,
     )
     assert time_offset_s(apart) is None
 
