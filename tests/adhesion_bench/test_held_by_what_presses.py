@@ -81,11 +81,8 @@ def test_propellers_that_do_not_understand_what_they_are_told_are_no_ground_for_
     """They take their throttle down step by step: the robot rests for seconds before it slides."""
     if plant == "mujoco":
         pytest.importorskip("mujoco")
-    overrides = {"emulation.plant": plant}
-    with (
-        hil.open_bench("emulated", seed=1, faults=[fault], overrides=overrides) as bench,
-        suppress(SafetyStop),
-    ):
+    bench = hil.open_bench("emulated", seed=1, faults=[fault], overrides={"emulation.plant": plant})
+    with bench, suppress(SafetyStop):
         bench.drive(SHORT)
     bench.clock.sleep_until_ns(bench.clock.now_ns() + 5_000_000_000)
     assert bench.truth().fallen
@@ -113,10 +110,8 @@ def test_what_a_closing_bench_calls_held_goes_on_without_a_line_to_the_propeller
 
 def test_wheels_that_turn_more_than_a_sliding_robot_goes_are_not_suspected_alone():
     events = []
-    with (
-        hil.open_bench("emulated", seed=0, faults=["thrust:wrong@1.3"]) as bench,
-        pytest.raises(SafetyStop) as stop,
-    ):
+    bench = hil.open_bench("emulated", seed=0, faults=["thrust:wrong@1.3"])
+    with bench, pytest.raises(SafetyStop) as stop:
         bench.drive(CLIMB, on_cycle=lambda record: events.extend(record.events))
     suspected = [event.suspects for event in events if "servos" in event.suspects]
     assert suspected
