@@ -26,8 +26,8 @@ class SerialChip(Protocol):
     Attributes:
         name: device name, also of its faults.
         supported_faults: faults that arise in the chip itself; the line declares them with its own.
-        uart_baud: the rate that its UART is set to: the line makes noise of what is sent or heard at another one.
-            None where it has none, as a device on USB, or where the chip itself judges the rate.
+        uart_baud: the rate that its UART is set to: the line makes noise of what is sent or heard at another
+            one. None where it has none, as a device on USB, or where the chip itself judges the rate.
         polls_alone: `next_poll_ns` becomes earlier only while it receives or is polled.
     """
 
@@ -40,8 +40,8 @@ class SerialChip(Protocol):
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
         """Take bytes whose last one arrived at `t_ns`, sent at `baud`; return what is answered.
 
-        Bytes may come in any pieces. Where the rates of chip and line differ, by `uart_baud` or a fault, `data` is
-        what the chip's UART makes of them.
+        Bytes may come in any pieces. Where the rates of chip and line differ, by `uart_baud` or a fault,
+        `data` is what the chip's UART makes of them.
         `World.sync_plant` has been called for `t_ns`.
         """
 
