@@ -68,7 +68,7 @@ class Context(RunBenches):
         self._past = dict(past)
         self._seen: set[str] = set()
         self._teardown: list[tuple[str, Callable[[], None]]] = []
-        self._early: list[tuple[str, Callable[[], None]]] = []
+        self._early: list[tuple[str, Callable[[], object]]] = []
 
     @contextmanager
     def step(self, title: str, timeout_s: float = STEP_LIMIT_S) -> Iterator[None]:
@@ -166,7 +166,7 @@ class Context(RunBenches):
         """Have something done at the end whatever happens, last registered first, bench still open."""
         self._teardown.append((title, action))
 
-    def on_early_end(self, action: Callable[[], None], title: str = "evaluating what was finished") -> None:
+    def on_early_end(self, action: Callable[[], object], title: str = "evaluating what was finished") -> None:
         """Have something done where the run ends early: measurements of what was finished until then.
 
         It gets the time of a teardown, before what `on_teardown` has registered, and the bench may be in any
@@ -174,7 +174,7 @@ class Context(RunBenches):
         """
         self._early.append((title, action))
 
-    def take_early_end(self) -> list[tuple[str, Callable[[], None]]]:
+    def take_early_end(self) -> list[tuple[str, Callable[[], object]]]:
         """The actions of `on_early_end` in their order; empty afterwards."""
         actions, self._early = self._early, []
         return actions

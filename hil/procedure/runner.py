@@ -226,7 +226,7 @@ def _execute(
 
 
 def _attempt(
-    title: str, action: Callable[[], None], limit_s: float, context: Context, late: list[Failure]
+    title: str, action: Callable[[], object], limit_s: float, context: Context, late: list[Failure]
 ) -> None:
     context.guard.push_limit(title, limit_s)
     try:
