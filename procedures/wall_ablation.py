@@ -181,13 +181,13 @@ def _tabulated(ctx: Context, jobs: Jobs, errors: list[dict[str, float]]) -> Tabl
         }
     known = {setting.name for setting, _ in jobs}
     best = table.get(EVERYTHING if EVERYTHING in known else NOTHING, {})
-    for driven, row in table.get(NOTHING, {}).items():
-        ctx.measure(f"{driven}.nothing_known.end", 1e3 * row["end_m"])
-    for driven, row in best.items():
-        ctx.measure(f"{driven}.end", 1e3 * row["end_m"])
+    for name, row in table.get(NOTHING, {}).items():
+        ctx.measure(f"{name}.nothing_known.end", 1e3 * row["end_m"])
+    for name, row in best.items():
+        ctx.measure(f"{name}.end", 1e3 * row["end_m"])
         for axis in "xy":
-            ctx.measure(f"{driven}.rmse_{axis}", 1e3 * row[f"rmse_{axis}_m"])
-        ctx.measure(f"{driven}.rmse_heading", float(np.degrees(row["rmse_heading_rad"])))
+            ctx.measure(f"{name}.rmse_{axis}", 1e3 * row[f"rmse_{axis}_m"])
+        ctx.measure(f"{name}.rmse_heading", float(np.degrees(row["rmse_heading_rad"])))
     rows = [
         [name, case.replace("_", " "), *(f"{1e3 * row[k]:.2f}" for k in ("end_m", "rmse_x_m", "rmse_y_m")),
          f"{np.degrees(row['rmse_heading_rad']):.3f}"]

@@ -143,8 +143,14 @@ class CanChannel:
             if spoilt is None:
                 return
             message, copies = spoilt
+        self._hand_out(message, arrival_ns, sender)
+        if copies > 1:
+            again = copy(message)
+            self._hand_out(again, self._crossed_ns(again.is_extended_id, again.dlc, arrival_ns), sender)
+
+    def _hand_out(self, message: can.Message, arrival_ns: int, sender: deque[Heard] | None) -> None:
         message.timestamp = arrival_ns / NS_PER_S
-        for queue, told in self._listeners * copies:
+        for queue, told in self._listeners:
             if queue is not sender:
                 queue.append((arrival_ns, message))
                 if told is not None:

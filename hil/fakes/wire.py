@@ -26,8 +26,8 @@ class SerialChip(Protocol):
     Attributes:
         name: device name, also of its faults.
         supported_faults: faults that arise in the chip itself; the line declares them with its own.
-        uart_baud: the rate that its UART is set to: the line makes noise of what is sent or heard at another.
-            None where it has none, as a device on USB, or where the chip itself judges the rate.
+        uart_baud: the rate that its UART is set to: the line makes noise of what is sent or heard at another
+            one. None where it has none, as a device on USB, or where the chip itself judges the rate.
         polls_alone: `next_poll_ns` becomes earlier only while it receives or is polled.
     """
 

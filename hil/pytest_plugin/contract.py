@@ -23,6 +23,7 @@ import pytest
 
 from hil.bench import Bench
 from hil.bench.contract import Subject, at_rest, read_for
+from hil.bench.contract.faulted import each_fault_acts
 from hil.bench.contract.losses import loses_next_to_nothing
 from hil.bench.contract.stillness import sees_no_motion
 from hil.bench.doctor import examine
@@ -42,6 +43,7 @@ __all__ = [
     "test_a_robot_at_rest_is_seen_to_stand",
     "test_a_sample_is_delivered_once",
     "test_an_open_device_says_what_it_is_and_a_closed_one_says_nothing",
+    "test_each_declared_fault_changes_something",
     "test_it_can_be_opened_again",
     "test_it_loses_next_to_nothing",
     "test_no_data_is_never_a_number",
@@ -192,6 +194,13 @@ def test_the_same_seed_gives_the_same_samples(subject: Subject) -> None:
     if subject.anew is None:
         pytest.skip("in virtual time only")
     at_rest.same_seed_same_samples(subject)
+
+
+def test_each_declared_fault_changes_something(subject: Subject) -> None:
+    """Samples, an error, the motion of the robot: a fault that does nothing would pass every test."""
+    if subject.anew is None:
+        pytest.skip("in virtual time only")
+    each_fault_acts(subject)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,119 @@
+"""Whether each fault that an emulated device declares changes anything that its driver or its robot shows.
+
+A fault that does nothing is worse than none: what is tested with it passes, and nothing was tested. Each run
+is of a bench of its own, from the same seed, with wheels and steering that move where there are any; what is
+seen of it is held against the same run without a fault.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from hil.bench.bench import Bench
+from hil.bench.contract.subject import Broken, Subject
+from hil.fakes.fault import parse_fault
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.errors import HilError
+from hil.vocabulary.kinds import kinds
+from hil.vocabulary.signals import ServoSetpoint
+
+_WATCH_S, _AT_S = 1.5, 0.5
+_SWING_RAD, _RATE_RAD_S, _PERIOD_S = 0.2, 1.0, 1.0
+
+Seen = tuple[Any, ...]
+
+
+def each_fault_acts(subject: Subject) -> str:
+    """Strike the device with each of its faults in turn; raises `Broken` for those that change nothing."""
+    assert subject.anew is not None
+    healthy, kind = _seen(subject.anew, subject.kind, ""), subject.kind
+    declared = _declared(subject)
+    if _seen(subject.anew, kind, "") != healthy:
+        raise Broken(f"two runs of {kind} without a fault differ", "the same seed to give the same run")
+    idle = [fault for fault in declared if _seen(subject.anew, kind, fault) == healthy]
+    if idle:
+        raise Broken(
+            f"{kind} declares {', '.join(idle)}, and nothing changes by it", "another sample or motion",
+            "model the fault in the emulated device, or do not declare it",
+        )  # fmt: skip
+    return f"{len(declared)} faults change something"
+
+
+def _declared(subject: Subject) -> tuple[str, ...]:
+    world = subject.bench.world
+    return () if world is None else tuple(world.faults.supported.get(subject.kind, ()))
+
+
+def _seen(anew: Callable[[], Bench], kind: str, fault: str) -> Seen:
+    """What a run shows: samples, what was raised, and how the robot moved."""
+    bench = anew()
+    world = bench.world
+    assert world is not None
+    told: list[Any] = []
+    try:
+        bench.begin()
+        began_ns = bench.clock.now_ns()
+        if fault:
+            at_s = began_ns / NS_PER_S + _AT_S
+            world.faults.add(parse_fault(f"{kind}:{fault}@{at_s:.3f}{_SURELY.get(fault, '')}"))
+        told += _watched(bench, kind)
+        told.append(_told_of(bench.truth()))
+        told.append(world.plant.adhesion_n())
+    finally:
+        bench.close()
+    return tuple(told)
+
+
+_SURELY = {kind: ",probability=1" for kind in ("drop", "corrupt", "truncate", "duplicate")}
+
+
+def _watched(bench: Bench, kind: str) -> Iterator[Any]:
+    device, servos = bench.rig.get(kind), bench.rig.servos
+    opened: list[Any] = []
+    try:
+        for one in dict.fromkeys((device, servos)):
+            if one is not None:
+                one.open()
+                opened.append(one)
+        if servos is not None:
+            servos.enable()
+        yield from map(_told_of, _driven(bench, device, servos, holds=kinds()[kind].holds))
+        yield {k: v for k, v in vars(device).items() if type(v) is int and not k.startswith("_")}
+    except HilError as error:
+        yield str(error)
+    finally:
+        for one in reversed(opened):
+            one.close()
+
+
+def _driven(bench: Bench, device: Any, servos: Any, *, holds: bool) -> Iterator[Any]:
+    period_ns = nanoseconds(1.0 / bench.config.loop.rate_hz)
+    begin_ns = next_ns = bench.clock.now_ns()
+    while next_ns < begin_ns + nanoseconds(_WATCH_S):
+        wave = math.sin(2.0 * math.pi * (next_ns - begin_ns) / NS_PER_S / _PERIOD_S)
+        if servos is not None:
+            servos.command(ServoSetpoint(np.full(4, _RATE_RAD_S * wave), np.full(4, _SWING_RAD * wave)))
+        if holds:
+            device.set_duty(0.5 + 0.1 * wave)
+        yield from device.read()
+        if servos is not None and servos is not device:
+            servos.read()
+        next_ns += period_ns
+        bench.clock.sleep_until_ns(next_ns)
+
+
+def _told_of(value: Any) -> str:
+    """All of a sample in words that compare, NaN as NaN, and every digit of an array."""
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
+    if is_dataclass(value):
+        own = (f"{field.name}={_told_of(getattr(value, field.name))}" for field in fields(value))
+        return f"{type(value).__name__}({', '.join(own)})"
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_told_of, value))})"
+    return repr(value)
