@@ -43,7 +43,7 @@ def count(repairs: dict[str, int], what: str, number: SupportsInt) -> None:
 
 
 def count_gaps(repairs: dict[str, int], t_s: Array, what: str) -> None:
-    """Count what is longer than a tenth of a second, and clearly longer than rows usually are apart."""
+    """Count gaps of stamps (n,) that last over a tenth of a second, and clearly longer than most."""
     lasts_s = np.diff(t_s)
     gap_s = max(_GAP_S, round(_GAPS_LONGER * float(np.median(lasts_s)), 2))
     count(repairs, what.format(gap_s), np.count_nonzero(lasts_s > gap_s + _MIN_STEP_S))
@@ -60,7 +60,10 @@ def emptiest(log: Log, names: tuple[str, ...]) -> str:
 
 
 def clean(log: Log, needed: int, kind: str, repairs: dict[str, int]) -> tuple[Array, Array, Array]:
-    """Finite rows in strictly increasing time; receive stamps made increasing the authors' way."""
+    """Stamps (n,), values (n, k) and receive stamps (n,) of the finite rows, in strictly increasing time.
+
+    Receive stamps are made increasing as the authors do it.
+    """
     t_s, values = credible(log.t_s), credible(log.values)
     receive_s = log.receive_s if log.receive_s is not None else t_s
     unstamped = without_stamp(t_s)

@@ -26,6 +26,6 @@ class Seldom:
         if self._told_ns is not None and 0 <= now_ns - self._told_ns < _EVERY_NS:
             self._untold += 1
             return
-        also = f" ({self._untold} times more since it was told last)" if self._untold else ""
+        also = f" ({self._untold} times more since the last message)" if self._untold else ""
         self._log.warning("%s%s", message, also)
         self._told_ns, self._untold = now_ns, 0

@@ -165,7 +165,9 @@ def test_a_broken_package_is_not_blamed_on_the_procedure(package, bench, hil, tm
     folder = package("hil-new", "import no_such_library\n", "ITEM")
     done = hil("run", "mine.py", "--bench", "bench.toml", "--out", "out", packages=[folder])
     assert done.code == 2
-    assert done.said.startswith("hil: device package hil-new 1.0: ")
+    assert "\nhil: device package hil-new 1.0: " in done.said
+    assert "packages/hil-new/hil_new.py" in done.said
+    assert "mine.py" not in done.said
 
 
 def test_two_packages_with_one_model_are_both_named(package, bench, hil):
