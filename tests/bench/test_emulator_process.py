@@ -8,7 +8,7 @@ from hil.bench.process import EmulatorProcess
 from hil.config.loading import load_bench
 from hil.vocabulary.errors import DeviceError
 
-WORDS = "hil: thing (hil-evil 6.6): on_due() raised RuntimeError: boom"
+WORDS = "thing (hil-evil 6.6): on_due() raised RuntimeError: boom"
 
 
 @pytest.fixture
