@@ -189,7 +189,7 @@ Freshness = Annotated[float, Within(0.001, 10.0, "s; the robot drives 1.2 m in 1
 Delay = Annotated[float, Within(0.0, 0.5, "s; what comes later is of no use to a loop")]
 """What passes (s) from a measurement to its arrival, or is allowed on top of it; may be 0."""
 
-Angle = Annotated[float, Within(-7.0, 7.0, "rad; a turn is 6.28")]
+Angle = Annotated[float, Within(-7.0, 7.0, "a turn is 6.28, angles are in radians")]
 HeadingLimit = Annotated[float, Within(0.001, 1.5708, "rad; beyond a quarter turn the thrust pulls down")]
 WheelRate = Annotated[float, Within(0.01, TOP_WHEEL_RATE_RAD_S, "rad/s; no XH430-W210 turns faster")]
 

@@ -87,7 +87,7 @@ def drive(bench, number):
 def test_the_next_drive_does_not_begin_where_motion_capture_has_leapt_to(profile, faults, caplog):
     with hil.open_bench(profile, seed=1, faults=faults) as bench:
         drive(bench, 0)
-        bench.look()
+        bench.look(0.6)
         if faults == ["mocap:off@4.4"]:
             with pytest.raises(hil.vocabulary.errors.DeviceTimeoutError):
                 drive(bench, 1)
