@@ -139,9 +139,9 @@ def test_further_signals_do_not_cut_short_what_the_first_one_began(tmp_path, mon
             send("SIGHUP", "SIGINT", "SIGINT")
             ctx.note("way out")
 
-    def look(watch, limit_s, before=HoldWatch.look):
+    def look(*given, before=HoldWatch.look, **how):
         send("SIGINT", "SIGINT", "SIGHUP", "SIGTERM")
-        return before(watch, limit_s)
+        return before(*given, **how)
 
     monkeypatch.setattr(HoldWatch, "look", look)
     result, tree = ran(tmp_path / "run", struck)

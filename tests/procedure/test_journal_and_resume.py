@@ -166,18 +166,8 @@ def test_after_kill_9_the_command_line_resumes(tmp_path):
     assert [m["value"] for m in tree["measurements"]] == [1.0, 2.0]
 
 
-def test_an_old_journal_goes_on_and_another_bench_is_named_by_its_key(run_small, tmp_path, bare_source):
+def test_another_bench_is_named_by_its_key(run_small, tmp_path, bare_source):
     folder = interrupted(run_small, tmp_path / "r")
-    journal = folder / "journal.jsonl"
-    first, *rest = journal.read_text().splitlines(keepends=True)
-    head = json.loads(first)
-    environment = head["config"].pop("environment")
-    environment.pop("friction", None)
-    for key in ("x_range_m", "y_range_m"):
-        if key in environment:
-            head["config"]["safety"][key] = environment.pop(key)
-    head["config"] |= {"surface": "wall", "emulation": {**head["config"]["emulation"], **environment}}
-    journal.write_text(json.dumps(head) + "\n" + "".join(rest))
     other = bare_source.changed(overrides={"environment.tilt_rad": 1.2, "loop.rate_hz": 50.0})
     with pytest.raises(ConfigError, match=r"differs in bench\.environment\.tilt_rad, bench\.loop\.rate_hz;"):
         run_small(make(), folder, resume=True, source=other)

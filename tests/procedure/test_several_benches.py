@@ -21,18 +21,18 @@ from hil.robot.trajectories import line
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import Aborted, SafetyStop
 
-FALLS = ("plant:adhesion_loss@3.7,over_s=1",)
+FALLS = ("plant:adhesion_loss@9.5,over_s=1",)
 WHY = "adhesion is lost"
 MEASURED = (Measurement("done", "1", low=1.0),)
 
 
 def fall(bench):
     with pytest.raises(SafetyStop):
-        bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=2.0), feedback="odometry")
+        bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=10.0), feedback="odometry")
 
 
 def ran(folder, proc, *, resume=False):
-    source = BenchSource("emulated", faults=FALLS, overrides={"exit.look_after_s": 1.0})
+    source = BenchSource("emulated", faults=FALLS, overrides={"exit.look_after_s": 8.0})
     options = RunOptions(folder, MonotonicClock(), "2026-01-01T00:00:00", {}, resume=resume)
     result = run_procedure(proc, source, options)
     return result, json.loads((folder / "result.json").read_text())
