@@ -10,9 +10,8 @@ import math
 import numpy as np
 
 from hil.estimator.conditioning import condition, guard, joint_nis
-from hil.estimator.layout import EventRow, Ints, Memory, Parameters
+from hil.estimator.layout import EventRow, Memory, Parameters
 from hil.estimator.process import advance_linear
-from hil.estimator.records import Records
 from hil.estimator.retraction import carry, follow, is_lost, is_unsure, lean, settle
 from hil.estimator.sensors import (
     BENT,
@@ -35,6 +34,7 @@ from hil.estimator.state import STATES
 from hil.estimator.unscented import Points, advance_unscented, moments_unscented
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled, inner
+from hil.vocabulary.numpy_records import Ints, Records
 
 NONE_ACCEPTED = -1.0
 """A gate that no row passes."""

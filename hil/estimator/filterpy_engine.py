@@ -23,7 +23,6 @@ from hil.estimator.events import NONE_ACCEPTED
 from hil.estimator.fusion import Engine, Now
 from hil.estimator.history import History
 from hil.estimator.process import add_noise
-from hil.estimator.records import Records
 from hil.estimator.sensors import (
     GATED_TOGETHER,
     MARK,
@@ -43,6 +42,7 @@ from hil.estimator.state import AUX, ROWS, SCALE, STATES
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled, entry
+from hil.vocabulary.numpy_records import Records
 
 Bools = npt.NDArray[np.bool_]
 

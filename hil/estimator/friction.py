@@ -12,11 +12,11 @@ import math
 
 import numpy as np
 
-from hil.estimator.records import Four, Record, Records, dtype_of, filled
 from hil.robot.contact_laws import FRICTION_EPSILON, LEAST_ROLLED
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import inner
+from hil.vocabulary.numpy_records import Four, Record, Records, dtype_of, filled
 
 STILL_M = 2.5e-5
 _POWERS = np.array([2.0, 1.5, 1.5, 1.5, 1.2, 1.2, 1.2, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])

@@ -19,7 +19,6 @@ from hil.estimator.events import run
 from hil.estimator.history import History
 from hil.estimator.intake import REASONS, Intake
 from hil.estimator.layout import MEMORY, MEMORY_FLOATS, PARAMETERS, first_memory
-from hil.estimator.records import Records, place
 from hil.estimator.sensors import SENSORS
 from hil.estimator.start import start_of
 from hil.estimator.state import (
@@ -41,6 +40,7 @@ from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.interfaces import Estimator
 from hil.vocabulary.kernels import compile_for
+from hil.vocabulary.numpy_records import Records, place
 from hil.vocabulary.signals import Measurements, RobotState
 
 _TWIST_SIGMA = 0.02

@@ -10,13 +10,13 @@ from __future__ import annotations
 import numpy as np
 
 from hil.estimator.intake import Staged
-from hil.estimator.layout import MEMORY, ROW, Ints, floats
-from hil.estimator.records import Records
+from hil.estimator.layout import MEMORY, ROW
 from hil.estimator.sensors import MARK
 from hil.estimator.small_matrices import put
 from hil.estimator.state import STATES
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled, inner
+from hil.vocabulary.numpy_records import Ints, Records, floats
 
 CAPACITY = 2048
 FIRST, COUNT, LATE, DUPLICATE = range(4)

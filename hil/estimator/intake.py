@@ -14,11 +14,11 @@ import numpy as np
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.clocks import SensorClock
-from hil.estimator.layout import ROW, ROW_FLOATS, Ints
-from hil.estimator.records import FLOAT_BYTES, part_of
+from hil.estimator.layout import ROW, ROW_FLOATS
 from hil.estimator.sensors import SENSORS
 from hil.estimator.sensors.sensor import Sensor
 from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.numpy_records import FLOAT_BYTES, Ints, part_of
 from hil.vocabulary.signals import Measurements, Stamp
 
 REASONS = ("not_finite", "implausible", "shape", "late", "future", "duplicate")

@@ -8,17 +8,15 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.process import ProcessParameters, process_values
-from hil.estimator.records import FLOAT_BYTES, Record, Records, dtype_of, filled, place
 from hil.estimator.sensors import SENSORS
 from hil.estimator.state import AUX, ROWS, STATES
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.numpy_records import FLOAT_BYTES, Record, Records, dtype_of, filled, floats, place
 
-Ints = npt.NDArray[np.int64]
 _NO_GATE = 1e300
 
 Rows = Annotated[Array, ROWS]
@@ -128,11 +126,6 @@ def parameters(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -
         **{s.NAME: s.values(config, geometry, surface) for s in SENSORS},
     }  # fmt: skip
     return filled(PARAMETERS, values)
-
-
-def floats(records: Records) -> Array:
-    """The same numbers (n, floats) as an array."""
-    return records.view(np.float64).reshape(len(records), -1)
 
 
 def first_memory() -> Records:

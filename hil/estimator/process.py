@@ -9,7 +9,6 @@ import math
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.motion import go, sight_shift, slopes, wall_shift
-from hil.estimator.records import Record
 from hil.estimator.small_matrices import check_size
 from hil.estimator.state import (
     BIAS,
@@ -32,6 +31,7 @@ from hil.estimator.state import (
 )
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import inner
+from hil.vocabulary.numpy_records import Record
 
 FADING = (THETA, SIGHT_THETA, SLIP_X, SLIP_Y)
 MOVING = (X, Y, THETA, SIGHT_X, SIGHT_Y, SIGHT_THETA, SLIP_X, SLIP_Y)

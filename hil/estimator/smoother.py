@@ -22,7 +22,6 @@ from hil.estimator.layout import (
     ROW,
     ROW_FLOATS,
     EventRow,
-    Ints,
     Memory,
     Parameters,
     first_memory,
@@ -30,7 +29,6 @@ from hil.estimator.layout import (
 )
 from hil.estimator.motion import transition
 from hil.estimator.process import advance_linear
-from hil.estimator.records import Records
 from hil.estimator.retraction import is_unsure, pull_carry, settle
 from hil.estimator.sensors import GATED_TOGETHER, MARK, admit, innovation, jacobian, observe, predicted, undo
 from hil.estimator.sensors.sensor import NEW_FRAME, USED
@@ -41,6 +39,7 @@ from hil.estimator.state import AUX, MOTION, POSE, ROWS, STATES, TWIST
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compile_for, compiled, inner
+from hil.vocabulary.numpy_records import Ints, Records
 from hil.vocabulary.signals import Measurements, RobotState
 
 _SEGMENT = 512

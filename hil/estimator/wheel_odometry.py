@@ -12,13 +12,13 @@ import numpy as np
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.friction import contacts, windowed_twist
-from hil.estimator.records import Records
 from hil.estimator.start import check_state
 from hil.robot.kinematics import WheelGeometry, forward_matrix, projection, wheel_vectors
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array, compose, se2_exp
 from hil.vocabulary.interfaces import Estimator
 from hil.vocabulary.kernels import compiled
+from hil.vocabulary.numpy_records import Records
 from hil.vocabulary.signals import Measurements, RobotState, WheelMeasurement
 
 _LEAST_WHEELS = 2

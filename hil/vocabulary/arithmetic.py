@@ -18,8 +18,6 @@ from hil.vocabulary.geometry import Array
 
 Vector: TypeAlias = Array | list[float]
 Rows: TypeAlias = Array | list[list[Any]]
-Row: TypeAlias = Array | list[Any]
-Octets: TypeAlias = np.ndarray | bytearray
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -37,19 +35,9 @@ def rows(block: Array) -> Rows:
     return block if is_installed("fast") else block.tolist()
 
 
-def octets(data: bytes) -> Any:
-    """Bytes that arithmetic may read and change (`Octets`), in the form of a buffer."""
-    return np.frombuffer(data, np.uint8).copy() if is_installed("fast") else bytearray(data)
-
-
 def places(block: Rows) -> list[Any]:
     """What takes other numbers for each row, as a whole: `place[:] = numbers`."""
     return [row if isinstance(row, list) else memoryview(row) for row in block]
-
-
-def copied(block: Rows) -> Rows:
-    """The same numbers in a block of their own."""
-    return block.copy() if isinstance(block, np.ndarray) else [list(row) for row in block]
 
 
 def listed(block: Rows) -> list[list[Any]]:

@@ -1,7 +1,5 @@
 """Arithmetic of the emulated chips: machine code and plain Python give the same bits."""
 
-import struct
-
 import numpy as np
 import pytest
 
@@ -13,8 +11,6 @@ from hil.fakes.imu.sensors import ImuTruthOptions, InertialSensors, Sensed, matr
 from hil.fakes.mocap.capture import CaptureVolume
 from hil.fakes.mocap.options import MocapTruthOptions
 from hil.fakes.plant_api import BodyMotion
-from hil.fakes.servos import protocol
-from hil.fakes.servos.answering import answer
 from hil.fakes.servos.sensing import Sensing
 from hil.fakes.tracker.odometry import VisualOdometry
 from hil.fakes.tracker.options import TrackerTruthOptions
@@ -144,43 +140,6 @@ def test_the_servos_measure_the_same_with_and_without_machine_code(twice, draws)
         for age_ns in (0, 8_000_000, 10**9):
             assert made[0].counts(age_ns) == made[1].counts(age_ns), k
             assert made[0].velocity(age_ns) == made[1].velocity(age_ns), k
-
-
-def test_the_servos_answer_the_same_with_and_without_machine_code(twice, draws):
-    """And what the protocol says, servo by servo: reversed ones, an alert, a position that wraps."""
-    head = protocol.fast_head(1 + 8 * 14)
-    known = [
-        [j, 1 - 2 * (j % 2), int(draws.integers(-(2**32), 2**32)), 0x80 * (j == 5), 8 - j] for j in range(8)
-    ]
-    crcs = [protocol.checksum(bytes((k,))) for k in range(256)]
-
-    def make():
-        reply = arithmetic.octets(head + bytes(8 * 14))
-        shown = arithmetic.rows(np.zeros((3, 8), dtype=np.int64))
-        given = [arithmetic.rows(np.array(rows, dtype=np.int64)) for rows in (known, crcs)]
-        crc = protocol.checksum(head)
-        write = arithmetic.quick(answer, shown, *given, crc, len(head), reply)
-
-        def answered(counts):
-            write(arithmetic.rows(counts) if write is answer else counts, *given, crc, len(head), reply)
-            return bytes(reply)
-
-        return answered
-
-    compiled = make()
-    with pytest.MonkeyPatch.context() as without:
-        without.setattr(arithmetic, "is_installed", lambda extra: False)
-        interpreted = make()
-        for _ in range(50):
-            counts = draws.integers([[-(2**31)], [-1023], [-1193]], [[2**31], [1024], [1194]], (3, 8))
-            parts = []
-            for j, sign, shift, alert, servo_id in known:
-                encoder, velocity, current = (sign * int(row[j]) for row in counts)
-                position = (encoder + shift + 2**31) % 2**32 - 2**31
-                parts.append((servo_id, alert, struct.pack("<hii", current, velocity, position)))
-            said = b"".join(protocol.fast_status(parts, 1 + 8 * 14))
-            assert interpreted(counts) == said
-            assert compiled(counts) == said
 
 
 @pytest.mark.parametrize("flags", [0, as5045.MAG_INC, as5045.COF])

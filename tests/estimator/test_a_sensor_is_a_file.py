@@ -15,7 +15,7 @@ COMPASS = '''
 
 import math
 
-from hil.estimator.records import Record
+from hil.vocabulary.numpy_records import Record
 from hil.estimator.sensors.sensor import (
     DUPLICATE, USED, Tally, account_together, is_repeated, no_frame, undo_nothing,
 )

@@ -8,13 +8,13 @@ from hil.estimator import conditioning, events, make_estimator, motion, sensors
 from hil.estimator import process as model
 from hil.estimator import small_matrices as small
 from hil.estimator.layout import ROW, first_memory, parameters
-from hil.estimator.records import dtype_of, filled
 from hil.estimator.sensors import NUMBERS, tracker, wheels
 from hil.estimator.state import CLONE, OMEGA, POSE, ROWS, STATES, prior_variances
 from hil.estimator.state import SCALE as STATE_SCALE
 from hil.estimator.unscented import points_of
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.kernels import entry
+from hil.vocabulary.numpy_records import dtype_of, filled
 from hil.vocabulary.signals import Measurements, PoseMeasurement, RobotState, Stamp
 
 advance, compare = entry(events.advance), entry(events.compare)

@@ -352,9 +352,9 @@ def test_the_kernels_of_the_filter_hang_together():
 def test_the_physics_of_the_plant_is_compiled_with_all_its_parts():
     """Its functions stay plain, so that lists can be put through them, too."""
     pytest.importorskip("numba")
-    kernel = importlib.import_module("hil.fakes.plant.kernel")
-    assert {f.__module__ for f in parts(kernel.advance)} == {kernel.__name__}
-    assert {kernel.motor, kernel.solve, kernel.origin_velocity, kernel.clip} <= parts(kernel.advance)
+    kernel, joints = (importlib.import_module(f"hil.fakes.plant.{n}") for n in ("kernel", "joints"))
+    assert {f.__module__ for f in parts(kernel.advance)} == {kernel.__name__, joints.__name__}
+    assert {joints.motor, kernel.solve, kernel.origin_velocity, joints.clip} <= parts(kernel.advance)
 
 
 def test_a_function_is_compiled_with_the_plain_functions_that_it_calls():

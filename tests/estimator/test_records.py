@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.layout import MEMORY, ROW, floats, parameters
-from hil.estimator.records import Record, dtype_of, filled, part_of, place
+from hil.estimator.layout import MEMORY, ROW, parameters
 from hil.estimator.sensors import SENSORS
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.numpy_records import Ints, Record, dtype_of, filled, floats, part_of, place
 
 
 class Inner(Record):
@@ -22,6 +22,11 @@ class Outer(Record):
     first: float
     inner: Inner
     last: float
+
+
+class Counted(Inner):
+    number: int
+    numbers: Annotated[Ints, 2]
 
 
 VALUES = {"first": 1.0, "inner": {"a": 2.0, "b": [[3.0, 4.0, 5.0], [6.0, 7.0, 8.0]]}, "last": 9.0}
@@ -41,6 +46,12 @@ def test_a_record_is_a_view_into_its_block():
     block[0].inner.a = -1.0
     block[0].inner.b[0, 0] = -2.0
     assert floats(block)[0, 1:3].tolist() == [-1.0, -2.0]
+
+
+def test_whole_numbers_stand_behind_the_fields_of_the_class_that_is_extended():
+    block = filled(dtype_of(Counted), {"a": 2.0, "b": 0.5, "number": 2**53 + 1, "numbers": [3, 4]})
+    assert block.dtype.names == ("a", "b", "number", "numbers")
+    assert [block[0].number, *block[0].numbers] == [2**53 + 1, 3, 4]
 
 
 @pytest.mark.parametrize("values", [{"first": 1.0, "last": 2.0}, {**VALUES, "more": 1.0}])

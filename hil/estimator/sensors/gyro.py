@@ -12,7 +12,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.records import Record
 from hil.estimator.sensors.sensor import (
     DUPLICATE,
     FARTHEST_RAD,
@@ -27,6 +26,7 @@ from hil.estimator.state import BIAS, OFFSET, OMEGA, THETA
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import inner
+from hil.vocabulary.numpy_records import Record
 from hil.vocabulary.signals import GyroMeasurement
 
 NAME = "gyro"

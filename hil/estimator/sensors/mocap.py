@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.records import Record
 from hil.estimator.sensors.poses import PoseRow, pack_pose, read, shake
 from hil.estimator.sensors.sensor import (
     DUPLICATE,
@@ -21,6 +20,7 @@ from hil.estimator.state import THETA, X, Y
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import inner
+from hil.vocabulary.numpy_records import Record
 
 NAME = "mocap"
 BENT = False

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.estimator.records import Record
 from hil.estimator.sensors.sensor import FARTHEST_M, FARTHEST_RAD
 from hil.estimator.state import CLONE_X, THETA, X
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import inner
+from hil.vocabulary.numpy_records import Record
 from hil.vocabulary.signals import PoseMeasurement
 
 POSE_ROWS = 3

@@ -15,10 +15,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.records import Record
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import inner
+from hil.vocabulary.numpy_records import Record
 
 FARTHEST_M, FARTHEST_RAD = 1e3, 1e6
 """What is finite but beyond any robot would leave no digits for the covariance."""

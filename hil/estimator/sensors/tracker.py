@@ -11,7 +11,6 @@ import math
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.records import Record
 from hil.estimator.sensors.poses import POSE_ROWS, PoseRow, pack_pose, read, shake
 from hil.estimator.sensors.sensor import (
     DUPLICATE,
@@ -26,6 +25,7 @@ from hil.estimator.state import ROWS, SIGHT_X
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import inner
+from hil.vocabulary.numpy_records import Record
 
 NAME = "tracker"
 BENT = False

@@ -22,7 +22,6 @@ import numpy as np
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.friction import Contacts, contact_values, weighted_twist, windowed_twist
 from hil.estimator.motion import sinc, sinc_slope
-from hil.estimator.records import Eight, Four, Record
 from hil.estimator.sensors.sensor import (
     DUPLICATE,
     FARTHEST_RAD,
@@ -55,6 +54,7 @@ from hil.estimator.state import (
 from hil.robot.kinematics import WheelGeometry, forward_matrix, projection
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import inner
+from hil.vocabulary.numpy_records import Eight, Four, Record
 from hil.vocabulary.signals import WheelMeasurement
 
 NAME = "wheels"

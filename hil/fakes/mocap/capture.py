@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from hil.fakes.mocap.options import MocapTruthOptions
-from hil.fakes.mocap.seeing import DRAWS, seen_at
+from hil.fakes.mocap.seeing import DRAWS, Capture, seen_at
 from hil.fakes.plant_api import BodyMotion
 from hil.vocabulary.arithmetic import Rows, quick, rows
 from hil.vocabulary.geometry import Four, Three
@@ -51,12 +51,12 @@ class CaptureVolume:
     ) -> None:
         self._options, self._rng = options, rng
         self._body, self._body_id = body, body_id
-        self._errors = (
+        self._by = Capture(
             options.height_m, options.position_noise_m, options.angle_noise_rad, options.marker_error_m,
+            up_axis == "y",
         )  # fmt: skip
-        self._y_up = up_axis == "y"
         self._draws, self._row = rows(np.zeros((1, DRAWS))), 0
-        self._see = quick(seen_at, *[0.0] * 7, self._y_up, self._draws, 0)
+        self._see = quick(seen_at, (0.0, 0.0, 0.0), Capture(), self._draws, 0)
         name = "distractor" + "2" * (body == "distractor")
         self._other = self._body_at(name, body_id + 1, _DISTRACTOR, self._draws, 0)
         self._last: SeenBody | None = None
@@ -95,5 +95,5 @@ class CaptureVolume:
 
     def _body_at(self, name: str, identifier: int, place: Three, draws: Rows, row: int) -> SeenBody:
         """A body at a pose in the wall, with a row of noise."""
-        seen = self._see(*place, *self._errors, self._y_up, draws, row)
+        seen = self._see(place, self._by, draws, row)
         return named(SeenBody, (name, identifier, *seen, True))

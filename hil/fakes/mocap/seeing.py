@@ -7,6 +7,7 @@ y-up stream has y out of the calibrated ground plane, so that (x, y, z) of the w
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from hil.vocabulary.arithmetic import Rows
 from hil.vocabulary.geometry import Four, Three
@@ -20,25 +21,34 @@ MARKERS = ((0.10, 0.08, 0.02), (-0.12, 0.09, 0.02), (-0.10, -0.09, 0.03), (0.13,
 Markers = tuple[Three, Three, Three, Three]
 
 
-def seen_at(
-    x: float, y: float, theta: float, height: float, position_noise: float, angle_noise: float,
-    marker_error: float, y_up: bool, draws: Rows, row: int,
-) -> tuple[Three, Four, Markers, float]:  # fmt: skip
+class Capture(NamedTuple):
+    """How bodies are seen.
+
+    Attributes:
+        height: of a body above the surface, m.
+        position_noise, angle_noise: standard deviation of each component, m and rad.
+        marker_error: mean distance of the markers from where they should be, m.
+        y_up: whether y is out of the ground plane.
+    """
+
+    height: float = 0.0
+    position_noise: float = 0.0
+    angle_noise: float = 0.0
+    marker_error: float = 0.0
+    y_up: bool = False
+
+
+def seen_at(place: Three, by: Capture, draws: Rows, row: int) -> tuple[Three, Four, Markers, float]:
     """Position (m), rotation (x, y, z, w), markers (m) and marker error (m) of a body, in streamed axes.
 
     Args:
-        x: of the body in the wall, m.
-        y: likewise.
-        theta: its heading.
-        height: above the surface.
-        position_noise: standard deviation of each component.
-        angle_noise: likewise.
-        marker_error: mean distance of the markers from where they should be.
-        y_up: which axis is out of the ground plane.
+        place: x and y of the body in the wall, m, and its heading.
+        by: how it is seen.
         draws: noise, standard normal (n, 7).
         row: of the noise, that is this body's.
     """
-    noise = draws[row]
+    noise, height, y_up = draws[row], by.height, by.y_up
+    x, y, theta = place
     c, s = math.cos(theta), math.sin(theta)
     a, b, m, n = MARKERS
     markers = (
@@ -48,12 +58,12 @@ def seen_at(
         streamed(x + c * n[0] - s * n[1], y + s * n[0] + c * n[1], height + n[2], y_up),
     )
     c, s = math.cos(0.5 * theta), math.sin(0.5 * theta)
-    half = 0.5 * angle_noise
+    half = 0.5 * by.angle_noise
     ex, ey, ez = half * noise[3], half * noise[4], half * noise[5]
     qx, qy, qz = streamed(c * ex - s * ey, c * ey + s * ex, s + c * ez, y_up)
-    sigma = position_noise
+    sigma = by.position_noise
     position = streamed(x + sigma * noise[0], y + sigma * noise[1], height + sigma * noise[2], y_up)
-    return position, (qx, qy, qz, c - s * ez), markers, marker_error * (1.0 + 0.1 * abs(noise[6]))
+    return position, (qx, qy, qz, c - s * ez), markers, by.marker_error * (1.0 + 0.1 * abs(noise[6]))
 
 
 def streamed(x: float, y: float, z: float, y_up: bool) -> Three:

@@ -1,49 +1,23 @@
 """What happens before every step of MuJoCo: servos act, friction goes by place, and the fall is judged.
 
-Plain Python on indexed numbers, compiled by numba where that is installed. The servos are those of the own
-plant (`hil.fakes.plant.kernel`: firmware, motor, limits, play), with its vectors `c` (106 + 5 per patch,),
-`s` (144,) and `q` (40,); body and wheels are MuJoCo's, `qpos` (nq,) and `qvel` (nv,), found by the indices
-`a` (28,). `friction` (4, 5) is that of the wheels' contacts. A steering servo takes its fork along: the
-torque of a step is what brings it to where servo and play want it at the step's end. On a spring, however
-stiff, it would overshoot whenever the play is taken up. A drive servo turns its wheel by its torque.
+Plain Python on named records, compiled by numba where that is installed. The servos are those of the own
+plant (`hil.fakes.plant.joints`: firmware, motor, limits, play), with its constants `c`, state `s` and
+commands `q`; body and wheels are MuJoCo's, `qpos` (nq,) and `qvel` (nv,), found at the places `a`. `friction`
+(4, 5) is that of the wheels' contacts. A steering servo takes its fork along: the torque of a step is what
+brings it to where servo and play want it at the step's end. On a spring, however stiff, it would overshoot
+whenever the play is taken up. A drive servo turns its wheel by its torque.
 """
 
 from __future__ import annotations
 
 import math
 
-from hil.fakes.plant.kernel import (
-    ACCELERATION,
-    AMPS,
-    ANGLE,
-    BODY,
-    DT,
-    FALL_SLIDE,
-    FALLEN,
-    FRICTION,
-    GRAVITY,
-    HEADING,
-    KT,
-    PATCHES,
-    RADIUS,
-    RATE,
-    SLID,
-    SLIP,
-    VELOCITY,
-    WHEEL_X,
-    WHEEL_Y,
-    finish_joint,
-    follow_references,
-    look_from_origin,
-    steer_joint,
-)  # fmt: skip
+from hil.fakes.mujoco_plant.records import Places
+from hil.fakes.plant.joints import finish_joint, follow_references, steer_joint
+from hil.fakes.plant.kernel import friction_factor, look_from_origin
+from hil.fakes.plant.records import Constants, State
 from hil.vocabulary.geometry import Array
-
-# Indices `a`: four each.
-DRIVE_Q, DRIVE_V, DRIVE_CTRL, STEER_Q, STEER_V, STEER_CTRL, PAIR = range(0, 28, 4)
-
-# Parameters `p`: four for the forks, then scalars.
-FORK_INERTIA, RATIO_SPEED, RATIO, SLOWEST, HEIGHT = 0, 4, 5, 6, 7
+from hil.vocabulary.numpy_records import Records
 
 FORK_DAMPING_N_M_S = 0.6
 """Of the forks, which nothing else holds while the robot is set down; the servos' torque makes up for it."""
@@ -57,16 +31,13 @@ LOOK = -1.0
 
 
 def prepare(
-    c: Array, s: Array, q: Array, p: Array, a: Array, qpos: Array, qvel: Array, ctrl: Array, friction: Array
+    robots: Records, patches: Records, qpos: Array, qvel: Array, ctrl: Array, friction: Array
 ) -> float:
     """Everything for the coming step.
 
     Args:
-        c: constants, as in `hil.fakes.plant.kernel`.
-        s: state, likewise: of it body, joints, wheel headings, slip and the fall are used here.
-        q: commands, likewise.
-        p: inertia of the forks about their axes, friction's regularisation, and how high the body stands.
-        a: where the joints stand in MuJoCo's vectors.
+        robots: (1,) of `MujocoRecord`; of its state body, joints, wheel headings, slip and the fall are used.
+        patches: (m,) of `PatchRecord`.
         qpos: MuJoCo's positions.
         qvel: MuJoCo's velocities.
         ctrl: MuJoCo's actuator inputs; written.
@@ -75,86 +46,86 @@ def prepare(
     Returns:
         MuJoCo's `impratio` for the step, or `LOOK`.
     """
-    fallen = s[FALLEN]
+    robot = robots[0]
+    c, s, q, p, a = robot.constants, robot.state, robot.commands, robot.settled, robot.places
+    fallen = s.fallen
     look_at_body(s, qpos, qvel)
     look_at_wheels(s, a, qpos, qvel)
     follow_references(c, s, q)
     speed = 0.0
     for i in range(4):
         steer_joint(i, c, s, q)
-        wanted = (s[HEADING + i] - qpos[a[STEER_Q + i]]) / c[DT]
-        push = p[FORK_INERTIA + i] * (wanted - qvel[a[STEER_V + i]]) / c[DT]
-        ctrl[a[STEER_CTRL + i]] = push + FORK_DAMPING_N_M_S * wanted
-        angle = s[ANGLE + i]
-        finish_joint(i, c[DT], s[RATE + i], c, s, q)
-        s[ANGLE + i] = angle
-        ctrl[a[DRIVE_CTRL + i]] = c[KT + i] * s[AMPS + i]
-        speed += 0.25 * abs(c[RADIUS + i] * s[RATE + i])
-    sliding = contacts(c, s, a, qpos, friction)
-    way = c[DT] * math.hypot(s[VELOCITY], s[VELOCITY + 1])
-    s[SLID] = s[SLID] + way if sliding == 4 else 0.0
-    if s[SLID] > c[FALL_SLIDE] and c[GRAVITY] > 0.0:
-        s[FALLEN] = 1.0
+        wanted = (s.heading[i] - qpos[a.steer_q[i]]) / c.dt
+        push = p.fork_inertia[i] * (wanted - qvel[a.steer_v[i]]) / c.dt
+        ctrl[a.steer_ctrl[i]] = push + FORK_DAMPING_N_M_S * wanted
+        angle = s.angle[i]
+        finish_joint(i, c.dt, s.rate[i], c, s, q)
+        s.angle[i] = angle
+        ctrl[a.drive_ctrl[i]] = c.kt[i] * s.amps[i]
+        speed += 0.25 * abs(c.radius[i] * s.rate[i])
+    sliding = contacts(c, s, a, patches, qpos, friction)
+    way = c.dt * math.hypot(s.velocity[0], s.velocity[1])
+    s.slid = s.slid + way if sliding == 4 else 0.0
+    if s.slid > c.fall_slide and c.gravity > 0.0:
+        s.fallen = 1.0
     cosine = 1.0 - 2.0 * (qpos[4] * qpos[4] + qpos[5] * qpos[5])
-    if qpos[2] > p[HEIGHT] + _LIFTED_M or cosine < _TIPPED_COSINE:
-        s[FALLEN] = 1.0
-    if s[FALLEN] != fallen or (fallen == 0.0 and not is_sound(qpos, qvel)):
+    if qpos[2] > p.height + _LIFTED_M or cosine < _TIPPED_COSINE:
+        s.fallen = 1.0
+    if s.fallen != fallen or (fallen == 0.0 and not is_sound(qpos, qvel)):
         return LOOK
-    ratio: float = p[RATIO] if p[RATIO_SPEED] == 0.0 else p[RATIO_SPEED] / max(speed, p[SLOWEST])
+    ratio: float = p.ratio if p.ratio_speed == 0.0 else p.ratio_speed / max(speed, p.slowest)
     return ratio
 
 
-def finish(c: Array, s: Array, a: Array, qpos: Array, qvel: Array) -> None:
+def finish(robots: Records, qpos: Array, qvel: Array) -> None:
     """What can be seen after a step: body, wheels, and the origin's mean acceleration over it, body axes."""
-    before_x, before_y = s[VELOCITY], s[VELOCITY + 1]
+    robot = robots[0]
+    c, s, a = robot.constants, robot.state, robot.places
+    before_x, before_y = s.velocity[0], s.velocity[1]
     look_at_body(s, qpos, qvel)
     look_at_wheels(s, a, qpos, qvel)
-    x, y = (s[VELOCITY] - before_x) / c[DT], (s[VELOCITY + 1] - before_y) / c[DT]
-    cosine, sine = math.cos(s[BODY + 2]), math.sin(s[BODY + 2])
-    s[ACCELERATION], s[ACCELERATION + 1] = cosine * x + sine * y, cosine * y - sine * x
+    x, y = (s.velocity[0] - before_x) / c.dt, (s.velocity[1] - before_y) / c.dt
+    cosine, sine = math.cos(s.body[2]), math.sin(s.body[2])
+    s.origin.acceleration[0], s.origin.acceleration[1] = cosine * x + sine * y, cosine * y - sine * x
     look_from_origin(s, 0.0, 0.0)
 
 
-def look_at_body(s: Array, qpos: Array, qvel: Array) -> None:
+def look_at_body(s: State, qpos: Array, qvel: Array) -> None:
     """Pose of the body's origin (heading without jumps) and its velocity, wall axes."""
     w, x, y, z = qpos[3], qpos[4], qpos[5], qpos[6]
     heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    turned = heading - s[BODY + 2]
-    s[BODY], s[BODY + 1] = qpos[0], qpos[1]
-    s[BODY + 2] += turned - 2.0 * math.pi * math.floor(turned / (2.0 * math.pi) + 0.5)
-    s[VELOCITY], s[VELOCITY + 1] = qvel[0], qvel[1]
-    s[VELOCITY + 2] = (
+    turned = heading - s.body[2]
+    s.body[0], s.body[1] = qpos[0], qpos[1]
+    s.body[2] += turned - 2.0 * math.pi * math.floor(turned / (2.0 * math.pi) + 0.5)
+    s.velocity[0], s.velocity[1] = qvel[0], qvel[1]
+    s.velocity[2] = (
         2.0 * (x * z - w * y) * qvel[3] + 2.0 * (y * z + w * x) * qvel[4]
         + (1.0 - 2.0 * (x * x + y * y)) * qvel[5]
     )  # fmt: skip
 
 
-def look_at_wheels(s: Array, a: Array, qpos: Array, qvel: Array) -> None:
+def look_at_wheels(s: State, a: Places, qpos: Array, qvel: Array) -> None:
     """Angles and rates of the drives."""
     for i in range(4):
-        s[ANGLE + i], s[RATE + i] = qpos[a[DRIVE_Q + i]], qvel[a[DRIVE_V + i]]
+        s.angle[i], s.rate[i] = qpos[a.drive_q[i]], qvel[a.drive_v[i]]
 
 
-def contacts(c: Array, s: Array, a: Array, qpos: Array, friction: Array) -> int:
+def contacts(c: Constants, s: State, a: Places, patches: Records, qpos: Array, friction: Array) -> int:
     """Slip of every wheel in its own frame, and friction where it stands; how many wheels slide."""
-    cosine, sine = math.cos(s[BODY + 2]), math.sin(s[BODY + 2])
+    cosine, sine = math.cos(s.body[2]), math.sin(s.body[2])
     sliding = 0
     for i in range(4):
-        x = cosine * c[WHEEL_X + i] - sine * c[WHEEL_Y + i]
-        y = sine * c[WHEEL_X + i] + cosine * c[WHEEL_Y + i]
-        vx, vy = s[VELOCITY] - s[VELOCITY + 2] * y, s[VELOCITY + 1] + s[VELOCITY + 2] * x
-        direction = s[BODY + 2] + qpos[a[STEER_Q + i]]
+        x = cosine * c.wheel_x[i] - sine * c.wheel_y[i]
+        y = sine * c.wheel_x[i] + cosine * c.wheel_y[i]
+        vx, vy = s.velocity[0] - s.velocity[2] * y, s.velocity[1] + s.velocity[2] * x
+        direction = s.body[2] + qpos[a.steer_q[i]]
         ahead, aside = math.cos(direction), math.sin(direction)
-        s[SLIP + 2 * i] = ahead * vx + aside * vy - c[RADIUS + i] * s[RATE + i]
-        s[SLIP + 2 * i + 1] = ahead * vy - aside * vx
-        sliding += 1 if math.hypot(s[SLIP + 2 * i], s[SLIP + 2 * i + 1]) > SLIDING_M_S else 0
-        factor = 1.0
-        for k in range(PATCHES, len(c), 5):
-            if c[k] <= s[BODY] + x < c[k + 2] and c[k + 1] <= s[BODY + 1] + y < c[k + 3]:
-                factor = c[k + 4]
-                break
-        pair = int(a[PAIR + i])
-        friction[pair, 0] = friction[pair, 1] = c[FRICTION] * factor
+        s.slip[2 * i] = ahead * vx + aside * vy - c.radius[i] * s.rate[i]
+        s.slip[2 * i + 1] = ahead * vy - aside * vx
+        sliding += 1 if math.hypot(s.slip[2 * i], s.slip[2 * i + 1]) > SLIDING_M_S else 0
+        factor = friction_factor(patches, s.body[0] + x, s.body[1] + y)
+        pair = a.pair[i]
+        friction[pair, 0] = friction[pair, 1] = c.friction * factor
     return sliding
 
 

@@ -29,6 +29,7 @@ from hil.fakes.mujoco_plant.reading import (
     refuse,
     wheel_geoms,
 )
+from hil.fakes.mujoco_plant.records import PLACES
 from hil.fakes.mujoco_plant.wheels import (
     at_zero,
     look_at_wheel,
@@ -40,9 +41,9 @@ from hil.fakes.mujoco_plant.wheels import (
 from hil.fakes.plant.parameters import TrueParameters
 from hil.fakes.plant.robot import GRAVITY_M_S2
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.numpy_records import Records, filled
 from hil.vocabulary.signals import WHEELS
 
-Indices = np.ndarray[Any, np.dtype[np.int64]]
 STEP_S = 0.001
 _FORK_ARMATURE_KG_M2 = 1e-3
 """Of steering gears and rotors: more than a fork itself has, so that what acts on it hardly turns it."""
@@ -57,7 +58,7 @@ class Built:
 
     Attributes:
         model, data: of MuJoCo.
-        indices: `a` of `hil.fakes.mujoco_plant.kernel`.
+        places: (1,) of `Places`.
         fan, thrust, turn: actuators of adhesion (N), both propellers (N) and their imbalance (N m).
         wheel_of: number of the wheel that a geom is.
         radius_m: (4,) of the wheels, on which they roll.
@@ -67,7 +68,7 @@ class Built:
 
     model: Any
     data: Any
-    indices: Indices
+    places: Records
     fan: int
     thrust: int
     turn: int
@@ -105,10 +106,10 @@ def build_model(
     _set_motors(model, p)
     data = at_zero(mj, model)
     fan, thrust, turn = (int(model.actuator(name).id) for name in ("fan", "thrust", "turn"))
-    a = _indices(model, names)
-    wheel_of = {geom: i for i, geom in enumerate(_geoms(model, a))}
+    places = _places(model, names)
+    wheel_of = {geom: i for i, geom in enumerate(_geoms(model, places))}
     radius_m = np.array([look_at_wheel(mj, model, WHEELS[i], geom).radius_m for geom, i in wheel_of.items()])
-    return Built(model, data, a, fan, thrust, turn, wheel_of, radius_m, contact, source)
+    return Built(model, data, places, fan, thrust, turn, wheel_of, radius_m, contact, source)
 
 
 def _tyres(mj: Any, spec: Any, robot: RobotConfig | None, source: str) -> list[Any]:
@@ -184,31 +185,29 @@ def _rolling_n_m(p: TrueParameters, i: int) -> float:
     return p.contact.rolling_resistance * load_n * float(p.wheel_radius_m[i])
 
 
-def _indices(model: Any, pairs: tuple[str, ...]) -> Indices:
-    """`a` of the kernel."""
+def _places(model: Any, pairs: tuple[str, ...]) -> Records:
+    """Places (1,) of joints, motors and contact pairs."""
     drives, steers = ([model.joint(f"{kind}_{w}") for w in WHEELS] for kind in ("drive", "steer"))
-    a = np.zeros(28, dtype=np.int64)
-    for at, values in (
-        (mk.DRIVE_Q, [j.qposadr[0] for j in drives]),
-        (mk.DRIVE_V, [j.dofadr[0] for j in drives]),
-        (mk.DRIVE_CTRL, [model.actuator(f"drive_{w}").id for w in WHEELS]),
-        (mk.STEER_Q, [j.qposadr[0] for j in steers]),
-        (mk.STEER_V, [j.dofadr[0] for j in steers]),
-        (mk.STEER_CTRL, [model.actuator(f"steer_{w}").id for w in WHEELS]),
-        (mk.PAIR, [model.pair(name).id for name in pairs]),
-    ):
-        a[at : at + 4] = values
-    return a
+    places = {
+        "drive_q": [j.qposadr[0] for j in drives],
+        "drive_v": [j.dofadr[0] for j in drives],
+        "drive_ctrl": [model.actuator(f"drive_{w}").id for w in WHEELS],
+        "steer_q": [j.qposadr[0] for j in steers],
+        "steer_v": [j.dofadr[0] for j in steers],
+        "steer_ctrl": [model.actuator(f"steer_{w}").id for w in WHEELS],
+        "pair": [model.pair(name).id for name in pairs],
+    }
+    return filled(PLACES, places)
 
 
-def _geoms(model: Any, a: Indices) -> list[int]:
+def _geoms(model: Any, places: Records) -> list[int]:
     """The wheels' geoms, in order."""
-    return [int(model.pair_geom2[k]) for k in a[mk.PAIR : mk.PAIR + 4]]
+    return [int(model.pair_geom2[k]) for k in places[0].pair]
 
 
 def as_built(built: Built, p: TrueParameters) -> TrueParameters:
     """True parameters with mass, centre of mass and wheels of the compiled model."""
-    model, data, geoms = built.model, built.data, _geoms(built.model, built.indices)
+    model, data, geoms = built.model, built.data, _geoms(built.model, built.places)
     body, origin = int(model.jnt_bodyid[0]), np.array(data.qpos[:3])
     places = np.array([data.geom_xpos[g] - origin for g in geoms])
     x, y, z = (np.array(data.subtree_com[body]) - origin).tolist()

@@ -18,18 +18,21 @@ from hil.fakes.mujoco_plant import kernel as mk
 from hil.fakes.mujoco_plant.contact import CREEP_FLOOR_M_S, HOLDING_IMPRATIO
 from hil.fakes.mujoco_plant.model import Built, as_built
 from hil.fakes.mujoco_plant.reading import JOINTS, load_mujoco
-from hil.fakes.plant import kernel as k
+from hil.fakes.mujoco_plant.records import ROBOT
 from hil.fakes.plant.body import SteppedBody, checked_pose
+from hil.fakes.plant.kernel import look_from_origin
 from hil.fakes.plant.parameters import TrueParameters
-from hil.fakes.plant.robot import GRAVITY_M_S2, make_constants
+from hil.fakes.plant.records import PATCH
+from hil.fakes.plant.robot import GRAVITY_M_S2, make_constants, make_patches
 from hil.fakes.plant.surfaces import Patch
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import ConfigError, DeviceError
 from hil.vocabulary.extras import is_installed
 from hil.vocabulary.geometry import Array, ArrayLike
+from hil.vocabulary.numpy_records import Records
 from hil.vocabulary.signals import WHEELS
 
-VECTORS = (*np.zeros((4, 1)), np.zeros(1, np.int64), *np.zeros((3, 1)), np.zeros((1, 5)))
+PREPARED = (np.zeros(1, ROBOT), np.zeros(0, PATCH), *np.zeros((3, 1)), np.zeros((1, 5)))
 """What `prepare` is given, by type."""
 _SETTLE_S = 0.4
 _AT_REST = 1e-3
@@ -68,15 +71,19 @@ class MujocoRobot(SteppedBody):
         self._built, self._mujoco = built, load_mujoco()
         p = as_built(built, parameters)
         step_ns = round(float(built.model.opt.timestep) * NS_PER_S)
-        constants = make_constants(p, patches, tilt_rad, step_ns / NS_PER_S)
-        super().__init__(p, constants, tilt_rad=tilt_rad, faults=faults, step_ns=step_ns, by_hand=by_hand)
-        self._state[k.HEADING : k.HEADING + 4] = p.steering_offset_rad
-        self._step_parameters = np.zeros(8)
-        data = built.data
-        self._vectors = (
-            self._constants, self._state, self._commands, self._step_parameters, built.indices, data.qpos,
-            data.qvel, data.ctrl, built.model.pair_friction,
-        )  # fmt: skip
+        robots, data = np.zeros(1, ROBOT), built.data
+        robots["constants"] = make_constants(p, tilt_rad, step_ns / NS_PER_S)
+        robots["places"] = built.places
+        super().__init__(p, robots, tilt_rad=tilt_rad, faults=faults, step_ns=step_ns, by_hand=by_hand)
+        self._state.heading[:] = p.steering_offset_rad
+        self._prepared = (
+            robots,
+            make_patches(patches),
+            data.qpos,
+            data.qvel,
+            data.ctrl,
+            built.model.pair_friction,
+        )
         self._prepare, self._finish = _kernels()
         self._settle()
         self._put(pose)
@@ -88,22 +95,23 @@ class MujocoRobot(SteppedBody):
         """
         weight_n = self.parameters.mass_kg * GRAVITY_M_S2
         normal_m_s2 = -GRAVITY_M_S2 * math.cos(self.tilt_rad)
-        if not self._rests(normal_m_s2, self._constants[k.ADHESION]) and not self._rests(0.0, weight_n):
+        if not self._rests(normal_m_s2, float(self._constants.adhesion)) and not self._rests(0.0, weight_n):
             raise self._restless()
         model, data = self._built.model, self._built.data
         model.opt.gravity[:] = -GRAVITY_M_S2 * math.sin(self.tilt_rad), 0.0, normal_m_s2
         radius_m = self.parameters.wheel_radius_m + 0.5 * self._by_wheel(data.contact.dist)
         self.parameters = replace(self.parameters, wheel_radius_m=radius_m)
-        self._constants[k.RADIUS : k.RADIUS + 4] = radius_m
+        self._constants.radius[:] = radius_m
         creep = self._built.contact.ratio_times_speed(float(np.mean(data.efc_R[data.contact.efc_address])))
-        self._step_parameters[:] = [
-            *self._fork_inertia_kg_m2(), creep, HOLDING_IMPRATIO, CREEP_FLOOR_M_S, data.qpos[2],
-        ]  # fmt: skip
+        settled = self._robots[0].settled
+        settled.fork_inertia[:] = self._fork_inertia_kg_m2()
+        settled.ratio_speed, settled.ratio, settled.slowest = creep, HOLDING_IMPRATIO, CREEP_FLOOR_M_S
+        settled.height = data.qpos[2]
 
     def _fork_inertia_kg_m2(self) -> list[float]:
         """Inertia of each fork about its axis, with the wheel in it and the gears behind it."""
         model, data, found = self._built.model, self._built.data, []
-        for steer in self._built.indices[mk.STEER_V : mk.STEER_V + 4]:
+        for steer in self._built.places[0].steer_v:
             turning, momentum = np.zeros(model.nv), np.zeros(model.nv)
             turning[steer] = 1.0
             self._mujoco.mj_mulM(model, data, momentum, turning)
@@ -112,9 +120,9 @@ class MujocoRobot(SteppedBody):
 
     def _rests(self, normal_m_s2: float, press_n: float) -> bool:
         """Whether the robot comes to rest on four wheels from where it was described."""
-        model, data, a = self._built.model, self._built.data, self._built.indices
+        model, data, places = self._built.model, self._built.data, self._built.places[0]
         self._mujoco.mj_resetData(model, data)
-        data.qpos[a[mk.STEER_Q : mk.STEER_Q + 4]] = self._state[k.HEADING : k.HEADING + 4]
+        data.qpos[places.steer_q] = self._state.heading
         self._mujoco.mj_kinematics(model, data)
         data.qpos[2] -= self._heights_m().min()
         model.opt.gravity[:] = 0.0, 0.0, normal_m_s2
@@ -159,37 +167,37 @@ class MujocoRobot(SteppedBody):
 
     def _put(self, pose: Array) -> None:
         """Move the settled robot to where it begins, at rest, joints at zero, and let it hang."""
-        model, data, a = self._built.model, self._built.data, self._built.indices
+        model, data, places = self._built.model, self._built.data, self._built.places[0]
         mk.look_at_body(self._state, data.qpos, data.qvel)
-        half = 0.5 * float(pose[2] - self._state[k.BODY + 2])
+        half = 0.5 * float(pose[2] - self._state.body[2])
         turned = np.zeros(4)
         self._mujoco.mju_mulQuat(turned, np.array([math.cos(half), 0.0, 0.0, math.sin(half)]), data.qpos[3:7])
         data.qpos[3:7], data.qpos[:2], data.qvel[:] = turned, pose[:2], 0.0
-        data.qpos[a[mk.DRIVE_Q : mk.DRIVE_Q + 4]] = 0.0
-        data.qpos[a[mk.STEER_Q : mk.STEER_Q + 4]] = self._state[k.HEADING : k.HEADING + 4]
-        self._state[k.BODY : k.VELOCITY + 3] = [*pose, 0.0, 0.0, 0.0]
-        k.look_from_origin(self._state, 0.0, 0.0)
+        data.qpos[places.drive_q] = 0.0
+        data.qpos[places.steer_q] = self._state.heading
+        self._state.body[:], self._state.velocity[:] = pose, 0.0
+        look_from_origin(self._state, 0.0, 0.0)
         self._mujoco.mj_forward(model, data)
 
     def _integrate(self, n: int, adhesion_factor: float) -> None:
-        built, prepare, vectors = self._built, self._prepare, self._vectors
+        built, prepare, prepared = self._built, self._prepare, self._prepared
         model, data, step = built.model, built.data, self._mujoco.mj_step
         option = model.opt
         self._blow(adhesion_factor)
         for done in range(n):
-            ratio = prepare(*vectors)
+            ratio = prepare(*prepared)
             if ratio == mk.LOOK:
                 ratio = self._stumbled(done)
             option.impratio = ratio
             step(model, data)
-        self._finish(self._constants, self._state, built.indices, data.qpos, data.qvel)
+        self._finish(self._robots, data.qpos, data.qvel)
 
     def _blow(self, adhesion_factor: float) -> None:
         """Fan and propellers as they are now; a robot that has fallen has neither."""
-        ctrl, c, held = self._built.data.ctrl, self._constants, 1.0 - self._state[k.FALLEN]
-        ctrl[self._built.fan] = held * adhesion_factor * c[k.ADHESION]
-        ctrl[self._built.thrust] = held * c[k.THRUST]
-        ctrl[self._built.turn] = held * c[k.THRUST_TORQUE]
+        ctrl, c, held = self._built.data.ctrl, self._constants, 1.0 - self._state.fallen
+        ctrl[self._built.fan] = held * adhesion_factor * c.adhesion
+        ctrl[self._built.thrust] = held * c.thrust
+        ctrl[self._built.turn] = held * c.thrust_torque
 
     def _stumbled(self, done: int) -> float:
         """The robot has just fallen, or the numbers are no robot any more.
@@ -218,22 +226,22 @@ class MujocoRobot(SteppedBody):
 
     def steering_rad(self) -> list[float]:
         """True heading of each fork in the body frame, wheel order."""
-        steer = self._built.indices[mk.STEER_Q : mk.STEER_Q + 4]
-        return self._built.data.qpos[steer].tolist()  # type: ignore[no-any-return]
+        return self._built.data.qpos[self._built.places[0].steer_q].tolist()  # type: ignore[no-any-return]
 
-    def _seen(self) -> Array:
-        s = super()._seen()
-        s[k.HEADING : k.HEADING + 4] = self.steering_rad()
-        s[k.LOAD : k.LOAD + 4] = 0.0 if s[k.FALLEN] else self._loads_n()
-        return s
+    def _seen(self) -> Records:
+        states = super()._seen()
+        s = states[0]
+        s.heading[:] = self.steering_rad()
+        s.load[:] = 0.0 if s.fallen else self._loads_n()
+        return states
 
 
 @cache
 def _kernels() -> tuple[Callable[..., float], Callable[..., None]]:
-    """`prepare` and `finish`; machine code for the types of `VECTORS` where numba is installed."""
+    """`prepare` and `finish`; machine code for the types of `PREPARED` where numba is installed."""
     if not is_installed("fast"):
         return mk.prepare, mk.finish
     from hil.vocabulary.kernels import machine_code
 
-    c, s, _, _, a, qpos, qvel, *_ = VECTORS
-    return machine_code(mk.prepare, *VECTORS), machine_code(mk.finish, c, s, a, qpos, qvel)
+    robots, _, qpos, qvel, *_ = PREPARED
+    return machine_code(mk.prepare, *PREPARED), machine_code(mk.finish, robots, qpos, qvel)

@@ -13,34 +13,29 @@ from typing import Any
 import numpy as np
 
 from hil.fakes.faults import FaultPlan
-from hil.fakes.plant import kernel as k
 from hil.fakes.plant.parameters import TrueParameters
+from hil.fakes.plant.records import MODE_CURRENT, MODE_OFF, MODE_POSITION, MODE_PWM, MODE_VELOCITY
 from hil.fakes.plant_api import BodyMotion, HoldingForces, JointCommand, Plant, PlantState
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.geometry import Array, ArrayLike
+from hil.vocabulary.numpy_records import Records
 from hil.vocabulary.records import named
 
 _MODES = {
-    "off": k.MODE_OFF,
-    "velocity": k.MODE_VELOCITY,
-    "position": k.MODE_POSITION,
-    "pwm": k.MODE_PWM,
-    "current": k.MODE_CURRENT,
+    "off": MODE_OFF,
+    "velocity": MODE_VELOCITY,
+    "position": MODE_POSITION,
+    "pwm": MODE_PWM,
+    "current": MODE_CURRENT,
 }
-
-_MOTION = slice(k.ORIGIN, k.ORIGIN + 8)
-_POSE, _TWIST = slice(k.ORIGIN, k.ORIGIN + 3), slice(k.TWIST, k.TWIST + 3)
-_ACCELERATION = slice(k.ACCELERATION, k.ACCELERATION + 2)
-_ANGLE, _RATE, _AMPS = (slice(at, at + 8) for at in (k.ANGLE, k.RATE, k.AMPS))
-_HEADING, _LOAD, _SLIP = slice(k.HEADING, k.HEADING + 4), slice(k.LOAD, k.LOAD + 4), slice(k.SLIP, k.SLIP + 8)
 
 
 class SteppedBody(Plant):
-    """A robot in the flat vectors of `hil.fakes.plant.kernel`; who derives from it integrates.
+    """A robot in the records of `hil.fakes.plant.records`; a derived class integrates.
 
     Args:
         parameters: what the robot truly is.
-        constants: `c` of the kernel.
+        robots: (1,) of `Robot`, or of a record with its fields and more; constants and state are set.
         tilt_rad: 0 floor, pi/2 wall, more than that overhanging.
         faults: answers to device `plant`, kind `adhesion_loss` with `factor` (0) of the adhesion left,
             reached along a line within `over_s` (0).
@@ -49,7 +44,7 @@ class SteppedBody(Plant):
     """
 
     def __init__(
-        self, parameters: TrueParameters, constants: Array, *, tilt_rad: float, faults: FaultPlan | None,
+        self, parameters: TrueParameters, robots: Records, *, tilt_rad: float, faults: FaultPlan | None,
         step_ns: int, by_hand: bool,
     ) -> None:  # fmt: skip
         self.parameters, self.by_hand = parameters, by_hand
@@ -59,17 +54,16 @@ class SteppedBody(Plant):
         self._faults = plan.of("plant")
         self._step_ns, self._steps = step_ns, 0
         self._ahead_ns = step_ns  # before that no step more is whole
-        self._numbers = np.concatenate((np.zeros(k.CONSTANTS), constants))
-        self._state, self._commands = self._numbers[: k.STATE_SIZE], self._numbers[k.STATE_SIZE : k.CONSTANTS]
-        self._constants = self._numbers[k.CONSTANTS :]
-        self._goals: Any = self._commands.data[k.GOAL : k.GOAL + 8]
-        self._commands[k.RATE_LIMIT : k.DUTY_LIMIT] = np.inf
-        self._commands[k.DUTY_LIMIT :] = 1.0
+        self._robots, robot = robots, robots[0]
+        self._state, self._commands, self._constants = robot.state, robot.commands, robot.constants
+        self._goals: Any = self._commands.goal.data
+        self._commands.rate_limit[:] = self._commands.amps_limit[:] = np.inf
+        self._commands.duty_limit[:] = 1.0
         self._asked: list[tuple[str, float, float, float] | None] = [None] * 8
         self._truth: PlantState | None = None
-        self._motion, self._headings = (_view(self._state[at]) for at in (_MOTION, _HEADING))
-        angle, rate, amps = (_view(self._state[at]) for at in (_ANGLE, _RATE, _AMPS))
-        self._views = angle, rate, amps
+        self._motion = robots["state"]["origin"].view(np.float64)
+        self._headings = _view(self._state.heading)
+        self._views = _view(self._state.angle), _view(self._state.rate), _view(self._state.amps)
 
     @abstractmethod
     def _integrate(self, n: int, adhesion_factor: float) -> None:
@@ -85,7 +79,7 @@ class SteppedBody(Plant):
 
     def adhesion_n(self) -> float:
         """The fan's force as it acts now."""
-        force_n: float = self._constants.item(k.ADHESION)
+        force_n = float(self._constants.adhesion)
         return force_n if self._faults.empty else force_n * self._adhesion_factor(self._steps)
 
     @property
@@ -109,13 +103,13 @@ class SteppedBody(Plant):
                 f"joint {joint}: {command}", expected="a joint 0..7, a finite goal and limits >= 0"
             )
         q, mode = self._commands, _MODES[asked]
-        self.by_hand = self.by_hand and mode == k.MODE_OFF
-        if mode != q[k.MODE + joint]:
-            self._state[k.INTEGRAL + joint] = 0.0
-        q[k.MODE + joint] = mode
-        q[k.GOAL + joint] = goal
-        q[k.RATE_LIMIT + joint], q[k.AMPS_LIMIT + joint] = rate_limit, amps_limit
-        q[k.DUTY_LIMIT + joint] = duty_limit if duty_limit < 1.0 else 1.0
+        self.by_hand = self.by_hand and mode == MODE_OFF
+        if mode != q.mode[joint]:
+            self._state.integral[joint] = 0.0
+        q.mode[joint] = mode
+        q.goal[joint] = goal
+        q.rate_limit[joint], q.amps_limit[joint] = rate_limit, amps_limit
+        q.duty_limit[joint] = duty_limit if duty_limit < 1.0 else 1.0
         self._asked[joint] = how
 
     @property
@@ -129,7 +123,7 @@ class SteppedBody(Plant):
         Raises:
             UsageError: not a finite force towards the surface.
         """
-        self._constants[k.ADHESION] = _force(force_n, "the fan presses")
+        self._constants.adhesion = _force(force_n, "the fan presses")
         self._truth = None
 
     def set_thrust(self, force_n: float) -> None:
@@ -138,8 +132,8 @@ class SteppedBody(Plant):
         Raises:
             UsageError: not a finite force forwards.
         """
-        self._constants[k.THRUST] = _force(force_n, "the propellers push")
-        self._constants[k.THRUST_TORQUE] = force_n * self.parameters.thrust_lever_m
+        self._constants.thrust = _force(force_n, "the propellers push")
+        self._constants.thrust_torque = force_n * self.parameters.thrust_lever_m
         self._truth = None
 
     def advance(self, t_ns: int) -> None:
@@ -183,18 +177,19 @@ class SteppedBody(Plant):
         return self._truth
 
     def _look(self) -> PlantState:
-        s = self._seen()
-        s.setflags(write=False)
+        states = self._seen()
+        states.setflags(write=False)
+        s = states[0]
         return PlantState(
-            self.t_ns, s[_POSE], s[_TWIST], s[_ACCELERATION], s[_ANGLE], s[_RATE], s[_AMPS], s[_HEADING],
-            s[_LOAD], s[_SLIP].reshape(4, 2), self.tilt_rad, s.item(k.FALLEN) != 0.0, self.adhesion_n(),
-            self._constants.item(k.THRUST),
+            self.t_ns, s.origin.pose, s.origin.twist, s.origin.acceleration, s.angle, s.rate, s.amps,
+            s.heading, s.load, s.slip.reshape(4, 2), self.tilt_rad, float(s.fallen) != 0.0,
+            self.adhesion_n(), float(self._constants.thrust),
         )  # fmt: skip
 
-    def _seen(self) -> Array:
-        """A copy of the state, with what else can be seen of the robot."""
-        seen: Array = self._state.copy()
-        return seen
+    def _seen(self) -> Records:
+        """A copy (1,) of the state, with what else can be seen of the robot."""
+        states: Records = self._robots["state"].copy()
+        return states
 
 
 def checked_pose(pose: ArrayLike) -> Array:

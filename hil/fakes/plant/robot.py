@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import astuple
 
 import numpy as np
 
 from hil.config.robot import RobotConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.fakes.faults import FaultPlan
-from hil.fakes.plant import kernel as k
 from hil.fakes.plant.body import SteppedBody, checked_pose
 from hil.fakes.plant.compiled import choose_advance
 from hil.fakes.plant.parameters import TrueParameters, draw, nominal_parameters
+from hil.fakes.plant.records import CONSTANTS, PATCH, ROBOT
 from hil.fakes.plant.surfaces import Patch, Surface, find_surface
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array, ArrayLike
+from hil.vocabulary.numpy_records import Records, filled
 
 GRAVITY_M_S2 = 9.81
 FALL_SLIDE_M = 0.05
@@ -45,90 +47,87 @@ class WallRobot(SteppedBody):
         compiled: bool | None = None,
         by_hand: bool = False,
     ) -> None:
-        constants = make_constants(parameters, patches, tilt_rad, step_ns / NS_PER_S)
+        robots = np.zeros(1, ROBOT)
+        robots["constants"] = make_constants(parameters, tilt_rad, step_ns / NS_PER_S)
         super().__init__(
-            parameters, constants, tilt_rad=tilt_rad, faults=faults, step_ns=step_ns, by_hand=by_hand
+            parameters, robots, tilt_rad=tilt_rad, faults=faults, step_ns=step_ns, by_hand=by_hand
         )
         self._advance = choose_advance(compiled)
-        self._state[:] = _start(parameters, checked_pose(start_pose))
+        self._patches = make_patches(patches)
+        self._start(checked_pose(start_pose))
         self._integrate(0, 1.0)  # loads the compiled code now
 
     def _integrate(self, n: int, adhesion_factor: float) -> None:
-        self._advance(n, adhesion_factor, self._numbers)
+        self._advance(self._robots, self._patches, n, adhesion_factor)
 
     def bristle_deflection_m(self) -> Array:
         """Elastic deflection of the contacts (4, 2), wall axes: where contact energy is stored."""
-        return np.array(self._state[k.BRISTLE : k.BRISTLE + 8]).reshape(4, 2)
+        return np.array(self._state.bristle).reshape(4, 2)
+
+    def _start(self, pose: Array) -> None:
+        """At rest at a pose, joints at zero, bristles relaxed."""
+        cosine, sine = math.cos(pose[2]), math.sin(pose[2])
+        x, y, _ = self.parameters.centre_of_mass_m
+        s = self._state
+        s.body[:] = pose[0] + cosine * x - sine * y, pose[1] + sine * x + cosine * y, pose[2]
+        s.heading[:] = self.parameters.steering_offset_rad
+        s.next_share[:] = 1.0
 
 
-def _start(p: TrueParameters, pose: Array) -> Array:
-    """State at rest at a pose, joints at zero, bristles relaxed."""
-    s = np.zeros(k.STATE_SIZE)
-    c, n = math.cos(pose[2]), math.sin(pose[2])
-    x, y, _ = p.centre_of_mass_m
-    s[k.BODY : k.BODY + 3] = pose[0] + c * x - n * y, pose[1] + n * x + c * y, pose[2]
-    s[k.HEADING : k.HEADING + 4] = p.steering_offset_rad
-    s[k.NEXT_SHARE : k.NEXT_SHARE + 4] = 1.0
-    return s
-
-
-def make_constants(p: TrueParameters, patches: tuple[Patch, ...], tilt_rad: float, dt_s: float) -> Array:
-    """True parameters in the form of the physics: shape (106 + 5 per patch,), with gravity and loads."""
+def make_constants(p: TrueParameters, tilt_rad: float, dt_s: float) -> Records:
+    """True parameters as (1,) of `Constants`, with gravity and loads."""
     x, y, height = p.centre_of_mass_m
     press_n = p.mass_kg * GRAVITY_M_S2 * math.cos(tilt_rad)
     contact, joints = p.contact, p.joints
     scalars = {
-        k.DT: dt_s,
-        k.MASS: p.mass_kg,
-        k.INERTIA: p.yaw_inertia_kg_m2,
-        k.COM_X: x,
-        k.COM_Y: y,
-        k.COM_HEIGHT: height,
-        k.GRAVITY: GRAVITY_M_S2 * math.sin(tilt_rad),
-        k.PRESS: press_n,
-        k.PRESS_Y: press_n * x,
-        k.PRESS_X: press_n * y,
-        k.ADHESION: p.adhesion_n,
-        k.THRUST: p.thrust_n,
-        k.THRUST_TORQUE: p.thrust_torque_n_m,
-        k.THRUST_HEIGHT: p.propeller_height_m,
-        k.FRICTION: contact.friction,
-        k.CREEP_ALONG: contact.creep_along,
-        k.CREEP_ACROSS: contact.creep_across,
-        k.SOFTENING: contact.softening,
-        k.STIFFNESS: contact.stiffness_n_m,
-        k.DAMPING: contact.damping_n_s_m,
-        k.ROLLING: contact.rolling_resistance,
-        k.SUPPLY: p.supply_v,
-        k.VELOCITY_P: joints.velocity_p_v_s_rad,
-        k.VELOCITY_I: joints.velocity_i_v_rad,
-        k.POSITION_P: joints.position_p_v_rad,
-        k.FALL_SLIDE: FALL_SLIDE_M,
+        "dt": dt_s,
+        "mass": p.mass_kg,
+        "inertia": p.yaw_inertia_kg_m2,
+        "com_x": x,
+        "com_y": y,
+        "com_height": height,
+        "gravity": GRAVITY_M_S2 * math.sin(tilt_rad),
+        "press": press_n,
+        "press_y": press_n * x,
+        "press_x": press_n * y,
+        "adhesion": p.adhesion_n,
+        "thrust": p.thrust_n,
+        "thrust_torque": p.thrust_torque_n_m,
+        "thrust_height": p.propeller_height_m,
+        "friction": contact.friction,
+        "creep_along": contact.creep_along,
+        "creep_across": contact.creep_across,
+        "softening": contact.softening,
+        "stiffness": contact.stiffness_n_m,
+        "damping": contact.damping_n_s_m,
+        "rolling": contact.rolling_resistance,
+        "supply": p.supply_v,
+        "velocity_p": joints.velocity_p_v_s_rad,
+        "velocity_i": joints.velocity_i_v_rad,
+        "position_p": joints.position_p_v_rad,
+        "fall_slide": FALL_SLIDE_M,
     }
     load_map = np.linalg.pinv(np.stack([np.ones(4), p.wheel_x_m, p.wheel_y_m]))
     rows = {
-        k.WHEEL_X: p.wheel_x_m,
-        k.WHEEL_Y: p.wheel_y_m,
-        k.RADIUS: p.wheel_radius_m,
-        k.OFFSET: p.steering_offset_rad,
-        k.PLAY: joints.play_rad,
-        k.LOAD_MAP: load_map.ravel(),
-        k.KT: joints.torque_constant_n_m_a,
-        k.KE: joints.back_emf_v_s_rad,
-        k.OHM: joints.resistance_ohm,
-        k.JOINT_INERTIA: joints.inertia_kg_m2,
-        k.COULOMB: joints.coulomb_n_m,
-        k.VISCOUS: joints.viscous_n_m_s,
+        "wheel_x": p.wheel_x_m,
+        "wheel_y": p.wheel_y_m,
+        "radius": p.wheel_radius_m,
+        "offset": p.steering_offset_rad,
+        "play": joints.play_rad,
+        "load_map": load_map.ravel(),
+        "kt": joints.torque_constant_n_m_a,
+        "ke": joints.back_emf_v_s_rad,
+        "ohm": joints.resistance_ohm,
+        "joint_inertia": joints.inertia_kg_m2,
+        "coulomb": joints.coulomb_n_m,
+        "viscous": joints.viscous_n_m_s,
     }
-    c = np.full(k.PATCHES + 5 * len(patches), np.nan)
-    for at, value in scalars.items():
-        c[at] = value
-    for at, row in rows.items():
-        c[at : at + row.size] = row
-    for i, a in enumerate(patches):
-        at = k.PATCHES + 5 * i
-        c[at : at + 5] = a.x_min_m, a.y_min_m, a.x_max_m, a.y_max_m, a.friction_factor
-    return c
+    return filled(CONSTANTS, {**scalars, **rows})
+
+
+def make_patches(patches: tuple[Patch, ...]) -> Records:
+    """Patches of a surface as (m,) of `PatchRecord`."""
+    return np.array(list(map(astuple, patches)), PATCH)
 
 
 def true_parameters(

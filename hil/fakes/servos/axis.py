@@ -17,14 +17,11 @@ from hil.config.servo_models.codes import (
     VELOCITY,
 )
 from hil.fakes.plant_api import JointCommand, Plant
-from hil.fakes.servos.goal_place import GoalPlace
 from hil.fakes.servos.memory import ControlTable
 from hil.fakes.servos.motion import STEP, Trajectory
 from hil.fakes.servos.position import PositionRegister
-from hil.vocabulary.records import named
 
 OFF = JointCommand()
-_FREE = math.inf
 _WITH_POSITION = (POSITION, EXTENDED, CURRENT_POSITION)
 _REVERSE, _TIMED = 1, 4
 _REVERSE_FIRMWARE, _TIMED_FIRMWARE = 38, 42
@@ -52,7 +49,7 @@ class Axis:
 
     def __init__(self, joint: int, plant: Plant, table: ControlTable, zero: int) -> None:
         self._joint, self._plant, self._table = joint, plant, table
-        self._model, self._rad_s = table.model, table.model.rad_s_per_count
+        self._model = table.model
         self.position = PositionRegister(table.model, zero)
         self.trajectory = Trajectory(table.model)
         self.torque = self.tripped = False
@@ -121,23 +118,6 @@ class Axis:
             acceleration, velocity = get("profile_acceleration"), get("profile_velocity")
             trajectory.move(raw, acceleration, velocity, self._timed)
         self.drive()
-
-    def pursue_again(self, place: GoalPlace, raw: int) -> None:
-        """As `pursue`, where a goal has been written before and nothing else has changed since."""
-        trajectory = self.trajectory
-        if place.motor is None:
-            self.pursue(place.name, raw)
-        elif place.motor == "velocity":
-            if trajectory.ongoing or trajectory.velocity != raw:
-                trajectory.turn(raw, place.acceleration, self._timed)
-                goal = self.position.sign * self.share * trajectory.velocity * self._rad_s
-                command = named(JointCommand, ("velocity", goal, _FREE, _FREE, place.duty))
-                self._plant.command(self._joint, command)
-        elif trajectory.ongoing or trajectory.position != raw:
-            trajectory.move(raw, place.acceleration, place.velocity, self._timed)
-            goal = self.position.joint_rad(trajectory.position)
-            command = named(JointCommand, ("position", goal, _FREE, _FREE, place.duty))
-            self._plant.command(self._joint, command)
 
     def _there_already(self, name: str, raw: int) -> bool:
         """Whether a goal is what the motor is being asked for anyway."""

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from hil.config.servo_models.codes import WATCHDOG_STEP_S
 from hil.fakes.servos import protocol
-from hil.fakes.servos.audience import Audience, answers_most, reads_fast
-from hil.fakes.servos.block import MotionBlock, answering
 from hil.fakes.servos.faulty import BUS_FAULTS, ServoFaults
 from hil.fakes.servos.group import GROUP_READS, Wanted, write_parts
 from hil.fakes.servos.live import LiveRegisters
@@ -24,10 +22,10 @@ from hil.fakes.servos.thermal import ThermalModel
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import Scheduled, World
 from hil.vocabulary.clock import nanoseconds
-from hil.vocabulary.records import named
 
 _SLOW_TICKS = 25
 _WATCHDOG_STEP_NS = nanoseconds(WATCHDOG_STEP_S)
+_BAUD_TOLERANCE = 0.03
 _FAST = (protocol.FAST_SYNC_READ, protocol.FAST_BULK_READ)
 
 
@@ -56,17 +54,13 @@ class ServoBus(SerialChip, Scheduled):
         self._thermal = ThermalModel(self._sensing, options, models)
         self._live = LiveRegisters(self._sensing, self._thermal, self._faults)
         self._single = SingleInstructions(self._live)
-        self._audience = Audience(options)
-        self.servos = self._audience.servos = tuple(
-            Servo(j, world.plant, options, model, self._audience.forget) for j, model in enumerate(models)
-        )
+        self.servos = tuple(Servo(j, world.plant, options, model) for j, model in enumerate(models))
         self._axes = [servo.axis for servo in self.servos]
         encoder = self._sensing.counts()
         for servo in self.servos:
             servo.boot(0, encoder[servo.joint])
             servo.busy_until_ns = 0
         self._parser = InstructionParser()
-        answering()
         self._baud = 0
         self._processing_ns = round(options.processing_s * 1e9)
         self._due_ns = GRID_NS
@@ -109,15 +103,24 @@ class ServoBus(SerialChip, Scheduled):
         if baud != self._baud:
             self._parser.reset()
             self._baud = baud
-            self._audience.forget()
         first_ns = t_ns - (len(data) - 1) * 10_000_000_000 // baud if data else t_ns
-        found = self._parser.feed(data, first_ns, t_ns)
-        if len(found) == 1:
-            return self._execute(found[0], t_ns)
-        return [reply for instruction in found for reply in self._execute(instruction, t_ns)]
+        instructions = self._parser.feed(data, first_ns, t_ns)
+        return [reply for instruction in instructions for reply in self._execute(instruction, t_ns)]
+
+    def _listeners(self, t_ns: int) -> list[Servo]:
+        """Servos that hear what is sent now: connected, powered, started up and at the client's baud rate."""
+        baud, absent = self._baud, self.options.absent
+        return [
+            s
+            for s in self.servos
+            if not s.dead
+            and t_ns >= s.busy_until_ns
+            and abs(baud - s.baud) <= _BAUD_TOLERANCE * s.baud
+            and s.id not in absent
+        ]
 
     def _execute(self, instruction: Instruction, t_ns: int) -> list[Reply]:
-        listeners = self._audience.listeners(self._baud, t_ns)
+        listeners = self._listeners(t_ns)
         if not instruction.sound:
             return [
                 r
@@ -127,15 +130,10 @@ class ServoBus(SerialChip, Scheduled):
             ]
         if listeners:
             self._traffic_ns = t_ns
-        motion = self._audience.motion(instruction)
-        if motion is not None:
-            return self._read_motion(motion, t_ns)
         if instruction.code in GROUP_READS:
             wanted = GROUP_READS[instruction.code](instruction)
             if instruction.code not in _FAST:
                 return self._read_in_turn(wanted, listeners, t_ns)
-            if self._faults.plan.empty:
-                self._audience.keep_motion(instruction, wanted)
             return self._fast_read(wanted, listeners, t_ns)
         if instruction.code in (protocol.SYNC_WRITE, protocol.BULK_WRITE):
             self._write_group(instruction, listeners, t_ns)
@@ -153,14 +151,10 @@ class ServoBus(SerialChip, Scheduled):
             answer = self._single.obey(servo, instruction, t_ns)
             if answer is None:
                 continue
-            if instruction.servo_id == asked_id and self._level(servo) >= level:
+            if instruction.servo_id == asked_id and servo.answers(level):
                 replies += self._status(servo, *answer, t_ns, servo_id=asked_id)
             self._single.finish(servo, instruction, answer[0], t_ns)
         return _collided(replies)
-
-    @staticmethod
-    def _level(servo: Servo) -> int:
-        return servo.table.get("status_return_level")
 
     def _status(
         self, servo: Servo, error: int, parameters: bytes, t_ns: int, servo_id: int | None = None
@@ -188,18 +182,13 @@ class ServoBus(SerialChip, Scheduled):
 
     def _write_group(self, instruction: Instruction, listeners: list[Servo], t_ns: int) -> None:
         """Sync and bulk write: no answers, each servo takes its part or refuses it in silence."""
-        goals = self._audience.goals
-        if goals is not None and goals.write(instruction):
-            return
         for servo in listeners:
             if not servo.torque:
                 self._live.sense(servo, t_ns)
-        parts = write_parts(instruction)
-        for servo_id, address, data in parts:
-            for servo in self._audience.addressed(servo_id, listeners):
-                servo.write(address, data)
-        if self._faults.plan.empty:
-            self._audience.keep_goals(instruction, parts)
+        for servo_id, address, data in write_parts(instruction):
+            for servo in listeners:
+                if servo_id in (servo.id, servo.secondary):
+                    servo.write(address, data)
 
     def _read_in_turn(self, wanted: Wanted, listeners: list[Servo], t_ns: int) -> list[Reply]:
         """Sync and bulk read: each servo answers when the one before it has finished."""
@@ -209,7 +198,7 @@ class ServoBus(SerialChip, Scheduled):
         for servo_id, address, length in wanted:
             mine: list[Reply] = []
             for servo in listeners:
-                if servo.id == servo_id and answers_most(servo):
+                if servo.id == servo_id and servo.answers(level=1):
                     error, data = self._single.read_range(servo, address, length, t_ns)
                     mine += self._status(servo, error, data, free_ns)
             if not mine:
@@ -222,14 +211,9 @@ class ServoBus(SerialChip, Scheduled):
                 free_ns = reply.ready_ns + len(reply.data) * byte_ns
         return replies
 
-    def _read_motion(self, block: MotionBlock, t_ns: int) -> list[Reply]:
-        """The fast sync read of every cycle, from servos that have answered it before: all in one go."""
-        ready_ns = t_ns + self._processing_ns + block.delay_ns
-        return [named(Reply, (ready_ns, block.reply(*self._live.measured(t_ns))))]
-
     def _fast_read(self, wanted: Wanted, listeners: list[Servo], t_ns: int) -> list[Reply]:
         """Fast sync and bulk read: one packet that the servos write together."""
-        able = [s for s in listeners if reads_fast(s)]
+        able = [s for s in listeners if s.reads_fast]
         if not self._faults.plan.empty:
             able = [s for s in able if not self._faults.silent(s.joint, t_ns)]
         by_id = {s.id: s for s in able}
@@ -253,7 +237,7 @@ class ServoBus(SerialChip, Scheduled):
         if len(by_id) < len(able):
             ids = [s.id for s in able]
             pieces = [
-                _mixed((piece, piece)) if ids.count(servo.id) > 1 else piece
+                protocol.mixed((piece, piece)) if ids.count(servo.id) > 1 else piece
                 for piece, (_, servo) in zip(pieces, places, strict=True)
             ]
         if len(pieces) == len(wanted) and not self._faults.acting(t_ns):
@@ -276,7 +260,6 @@ class ServoBus(SerialChip, Scheduled):
 
     def _follow_faults(self, t_ns: int) -> None:
         """Power, resets and slips that faults bring about; who answers is another matter every time."""
-        self._audience.forget()
         for servo in self.servos:
             j = servo.joint
             if self._faults.unpowered(j, t_ns):
@@ -313,13 +296,4 @@ def _collided(replies: list[Reply]) -> list[Reply]:
     """Servos with the same ID talk at once: what is left on the line is nobody's packet."""
     if len(replies) < 2:
         return replies
-    return [Reply(replies[0].ready_ns, _mixed(tuple(r.data for r in replies)))]
-
-
-def _mixed(packets: tuple[bytes, ...]) -> bytes:
-    """Bytes on a line that several drive at once, none quite in step with the others."""
-    mixed = bytearray(b"\xff" * max(map(len, packets)))
-    for shift, data in enumerate(packets):
-        for k, byte in enumerate(data):
-            mixed[k] &= byte >> shift & 0xFF
-    return bytes(mixed)
+    return [Reply(replies[0].ready_ns, protocol.mixed([r.data for r in replies]))]

@@ -6,7 +6,7 @@ from hil.fakes.servos.faulty import ServoFaults
 from hil.fakes.servos.sensing import Sensing
 from hil.fakes.servos.servo import Servo
 from hil.fakes.servos.thermal import ThermalModel
-from hil.vocabulary.arithmetic import Rows, copied, listed
+from hil.vocabulary.arithmetic import listed
 
 
 class LiveRegisters:
@@ -22,7 +22,6 @@ class LiveRegisters:
         self._sensing, self._thermal, self._faults = sensing, thermal, faults
         self._stamp = (-1, -1)
         self._holding = False
-        self._measured: Rows = []
         self._all: list[list[int]] = []
         self._duty_stamp, self._duty = (-1, -1.0), [0.0] * 8
 
@@ -30,15 +29,6 @@ class LiveRegisters:
         """Measure now; from the first call on, this is what the servos know until the next."""
         self._holding = True
         self._measure()
-        self._measured = copied(self._measured)
-
-    def measured(self, t_ns: int) -> tuple[Rows, list[list[int]]]:
-        """What servos without a fault show now, (3, 8) by joint, and the same as lists.
-
-        Rows are encoder counts, velocities and currents.
-        """
-        self._renew(t_ns)
-        return self._measured, self._all
 
     def sense(self, servo: Servo, t_ns: int) -> tuple[int, int]:
         """Let a servo sense; its velocity and current counts in the joint's direction."""
@@ -85,5 +75,4 @@ class LiveRegisters:
             self._measure()
 
     def _measure(self) -> None:
-        self._measured = self._sensing.measure()
-        self._all = listed(self._measured)
+        self._all = listed(self._sensing.measure())

@@ -19,7 +19,6 @@ _MEASURED = (
     "present_temperature",
 )  # fmt: skip
 _MOTION = ("present_current", "present_velocity", "present_position")
-_HALF_WORD = 1 << 31
 _CODES = {1: "b", 2: "h", 4: "i"}
 _NOT_BACKED_UP = ("id", "baud_rate", "torque_enable", "bus_watchdog", *GOALS)
 
@@ -39,18 +38,15 @@ class Row:
 
     Attributes:
         address, end: from the first byte to behind the last.
-        size: how many bytes these are.
-        form: of the values, as `struct` writes it.
         pack: the bytes of one value per register.
     """
 
     def __init__(self, model: ServoModel, names: tuple[str, ...]) -> None:
         registers = [model.table[name] for name in names]
         self.address, self.end = registers[0].address, registers[-1].end
-        self.form = "".join(map(_code, registers))
-        layout = struct.Struct("<" + self.form)
-        self.size, self.pack = layout.size, layout.pack
-        assert self.size == self.end - self.address
+        layout = struct.Struct("<" + "".join(map(_code, registers)))
+        assert layout.size == self.end - self.address
+        self.pack = layout.pack
 
 
 def _code(register: Register) -> str:
@@ -164,14 +160,6 @@ class ControlTable:
             raise WriteRefused(protocol.DATA_RANGE)
         if register.limit and abs(raw) > self.get(register.limit):
             raise WriteRefused(protocol.DATA_LIMIT)
-
-    def bounds(self, register: Register) -> tuple[int, int] | None:
-        """Least and largest raw count that `check` allows; None where it is no range."""
-        if register.values or not register.writable:
-            return None
-        limit = self.get(register.limit) if register.limit else _HALF_WORD - 1
-        low = -limit if register.low is None else max(register.low, -limit)
-        return low, limit if register.high is None else min(register.high, limit)
 
     def reset_ram(self) -> None:
         """RAM as after power-up."""

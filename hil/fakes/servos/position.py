@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hil.config.servo_models import ServoModel
 
-WORD, HALF_WORD = 1 << 32, 1 << 31
+_WORD, _HALF_WORD = 1 << 32, 1 << 31
 
 
 class PositionRegister:
@@ -26,14 +26,9 @@ class PositionRegister:
         self.encoder, self.sign, self.homing = 0, 1, 0
 
     @property
-    def shift(self) -> int:
-        """What `present` adds to the encoder before it wraps."""
-        return self._base + self.homing + HALF_WORD
-
-    @property
     def present(self) -> int:
         """Present Position; it wraps at 32 bits."""
-        return (self.sign * self.encoder + self.shift) % WORD - HALF_WORD
+        return (self.sign * self.encoder + self._base + self.homing + _HALF_WORD) % _WORD - _HALF_WORD
 
     def wrap(self) -> None:
         """Count from one turn again; a homing offset still applies on top."""

@@ -6,7 +6,7 @@ shares no code with the driver's side.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from fastcrc import crc16
@@ -67,11 +67,6 @@ def status(servo_id: int, error: int, parameters: bytes = b"") -> bytes:
     return packet(servo_id, bytes((STATUS, error)) + parameters)
 
 
-def fast_head(declared: int) -> bytes:
-    """What a fast read's reply begins with; it announces how many bytes of instruction and pieces follow."""
-    return HEADER + bytes((BROADCAST,)) + (declared & 0xFFFF).to_bytes(2, "little") + bytes((STATUS,))
-
-
 def fast_status(parts: list[tuple[int, int, bytes]], declared: int) -> list[bytes]:
     """The pieces of a fast read's reply, one per servo (ID, error, data), the head with the first.
 
@@ -81,9 +76,9 @@ def fast_status(parts: list[tuple[int, int, bytes]], declared: int) -> list[byte
         parts: servos that answer, in order.
         declared: bytes of instruction and pieces of all servos asked, which the head announces.
     """
-    sent = fast_head(declared)
+    head = HEADER + bytes((BROADCAST,)) + (declared & 0xFFFF).to_bytes(2, "little") + bytes((STATUS,))
     pieces = []
-    crc, uncounted, head = 0, sent, sent
+    crc, uncounted = 0, head
     for servo_id, error, data in parts:
         chunk = bytes((error, servo_id)) + data
         crc = checksum(uncounted + chunk, crc)
@@ -91,6 +86,15 @@ def fast_status(parts: list[tuple[int, int, bytes]], declared: int) -> list[byte
         pieces.append(head + chunk + uncounted)
         head = b""
     return pieces
+
+
+def mixed(packets: Sequence[bytes]) -> bytes:
+    """Bytes on a line that several servos drive at once, none quite in step with the others."""
+    line = bytearray(b"\xff" * max(map(len, packets)))
+    for shift, data in enumerate(packets):
+        for k, byte in enumerate(data):
+            line[k] &= byte >> shift & 0xFF
+    return bytes(line)
 
 
 class InstructionParser:

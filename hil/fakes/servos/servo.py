@@ -6,8 +6,6 @@ its own counts, direction and turns.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from hil.config.servo_models import Register, ServoModel
 from hil.config.servo_models.codes import (
     BAUD_CODES,
@@ -21,7 +19,6 @@ from hil.config.servo_models.codes import (
 from hil.fakes.plant_api import Plant
 from hil.fakes.servos import protocol
 from hil.fakes.servos.axis import Axis
-from hil.fakes.servos.goal_place import GoalPlace, goal_place
 from hil.fakes.servos.memory import GOALS, ControlTable, WriteRefused
 from hil.fakes.servos.options import ServoBusOptions
 
@@ -39,7 +36,6 @@ class Servo:
         plant: has the motor.
         options: how it was left.
         model: its control table and motor.
-        changed: called when it may listen, answer or be addressed differently from now on.
 
     Attributes:
         joint: index in the plant and in `hil.vocabulary.signals.SERVOS`.
@@ -48,7 +44,6 @@ class Servo:
         dead: without power.
         busy_until_ns: starting up, deaf until then.
         velocity: as last sensed, counts in the joint's direction.
-        goal: what was written last, if that was nothing but a goal.
         temperature_limit, least_voltage, most_voltage: raw counts beyond which it raises an error.
     """
 
@@ -58,11 +53,9 @@ class Servo:
         plant: Plant,
         options: ServoBusOptions,
         model: ServoModel,
-        changed: Callable[[], None],
     ) -> None:
-        self.joint, self._options, self._model, self._changed = joint, options, model, changed
+        self.joint, self._options, self._model = joint, options, model
         self.table = ControlTable(model)
-        self.goal: GoalPlace | None = None
         drive = joint < 4
         for name, raw in {
             "model_number": options.model_of(joint),
@@ -103,6 +96,15 @@ class Servo:
         """Whether an instruction packet to an ID is meant for this servo."""
         return servo_id in (self.id, protocol.BROADCAST) or (servo_id == self.secondary <= 252)
 
+    def answers(self, level: int) -> bool:
+        """Whether it answers an instruction of this level: 0 ping, 1 read, 2 all others."""
+        return self.table.get("status_return_level") >= level
+
+    @property
+    def reads_fast(self) -> bool:
+        """Whether it takes part in a fast read."""
+        return self.firmware >= self._model.fast_read_firmware and self.answers(level=1)
+
     def boot(self, t_ns: int, encoder: int) -> None:
         """Power-up or reboot: RAM at defaults, one turn, errors cleared, deaf for a while."""
         self.axis.position.encoder = encoder
@@ -128,7 +130,6 @@ class Servo:
         """No supply: the motor is free."""
         self.dead = True
         self.axis.lose_power()
-        self._forget()
 
     def slip(self, counts: int) -> None:
         """The encoder's magnet turns on its shaft."""
@@ -167,9 +168,6 @@ class Servo:
 
     def write(self, address: int, data: bytes, *, dry: bool = False) -> int:
         """Write registers with all effects (`dry`: only check); the error number."""
-        goal = None if dry else self.goal
-        if goal is not None and address == goal.address and self.rewrite(goal, data):
-            return protocol.OK
         try:
             plan = self.table.plan(address, len(data))
             values = [(r, r.decode(data[k : k + r.size])) for r, k in plan]
@@ -178,36 +176,9 @@ class Servo:
         except WriteRefused as refused:
             return refused.code
         if not dry:
-            self.goal = None
             for register, raw in values:
                 self._store(register, raw)
-            if self.axis.torque:
-                self.goal = goal_place(self.table, self.axis.mode, plan, address, data)
         return protocol.OK
-
-    def has_goal(self, address: int, data: bytes) -> bool:
-        """Whether a write of these bytes would change nothing: they stand there, and the motor has them."""
-        goal = self.goal
-        return (
-            goal is not None
-            and data == goal.data
-            and address == goal.address
-            and not self.axis.trajectory.ongoing
-        )
-
-    def rewrite(self, goal: GoalPlace, data: bytes) -> bool:
-        """Write a goal where `goal` was written last; False where it is to be looked at closely."""
-        if data == goal.data and not self.axis.trajectory.ongoing:
-            return True
-        if len(data) != len(goal.data):
-            return False
-        (raw,) = goal.form.unpack(data)
-        if not goal.low <= raw <= goal.high:
-            return False
-        goal.data = data
-        goal.form.pack_into(self.table.data, goal.first, raw)
-        self.axis.pursue_again(goal, raw)
-        return True
 
     def register_write(self, address: int, data: bytes) -> int:
         """Keep a write for the action that will follow; the error number."""
@@ -233,13 +204,11 @@ class Servo:
         """The bus has been silent for too long: stop, hold, and say so."""
         self.table.put("bus_watchdog", -1)
         self.axis.trip()
-        self._forget()
 
     def raise_error(self, bits: int) -> None:
         """Set bits of Hardware Error Status; drop torque where the Shutdown register says so."""
         self.table.put("hardware_error_status", self.table.get("hardware_error_status") | bits)
         self.alert = protocol.ALERT
-        self._forget()
         if bits & self.table.get("shutdown"):
             self._shut_down = True
             self._set_torque(False)
@@ -250,7 +219,6 @@ class Servo:
             return protocol.RESULT_FAIL
         self.axis.forget_turns()
         self.axis.drive()
-        self._forget()
         return protocol.OK
 
     def back_up(self, parameters: bytes) -> int:
@@ -312,7 +280,6 @@ class Servo:
                 self._set_torque(True)
             self.axis.pursue(name, raw)
             return
-        self._forget()
         if name == "torque_enable":
             self._set_torque(bool(raw))
         elif name == "bus_watchdog":
@@ -352,16 +319,9 @@ class Servo:
         self.least_voltage, self.most_voltage = table.get("min_voltage_limit"), table.get("max_voltage_limit")
         self._watchdog_ns = round(max(0, table.get("bus_watchdog")) * WATCHDOG_STEP_S * 1e9)
         self.alert = protocol.ALERT if table.get("hardware_error_status") else 0
-        self._forget()
 
     def _set_torque(self, on: bool) -> None:
         if on and self._shut_down:
             on = False
         self.table.put("torque_enable", int(on))
         self.axis.set_torque(on)
-        self._forget()
-
-    def _forget(self) -> None:
-        """What was known about listening, answering and goals holds no more."""
-        self.goal = None
-        self._changed()

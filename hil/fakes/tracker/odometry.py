@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.fakes.plant_api import BodyMotion
 from hil.fakes.tracker.options import TrackerTruthOptions
-from hil.fakes.tracker.step import DRAWS, LAST_X, LAST_Y, POSITION, STATE_SIZE, WORLD_SIZE, step
+from hil.fakes.tracker.step import DRAWS, LAST_X, LAST_Y, POSITION, STATE_SIZE, WORLD_SIZE, Way, step
 from hil.vocabulary.arithmetic import quick, rows, vector
 from hil.vocabulary.geometry import (
     Array,
@@ -94,7 +94,7 @@ class VisualOdometry:
         )  # fmt: skip
         self._world, self._state = vector([0.0] * WORLD_SIZE), vector([0.0] * STATE_SIZE)
         self._draws, self._row = rows(np.zeros((1, DRAWS))), 0
-        self._step = quick(step, *[0.0] * 12, self._draws, 0, self._errors, self._world, self._state)
+        self._step = quick(step, Way(), self._draws, 0, self._errors, self._world, self._state)
         self._started = False
 
     def restart(self) -> None:
@@ -155,10 +155,14 @@ class VisualOdometry:
         if not self._row:
             self._draws, self._row = rows(self._rng.standard_normal((_BLOCK, DRAWS))), _BLOCK
         self._row -= 1
-        told = self._step(
-            theta, omega, wall_x, wall_y, along, left, math.hypot(along, left), dt_s, scale * self.scale,
-            told_x, told_y, weight, self._draws, self._row, self._errors, self._world, self._state,
+        way = named(
+            Way,
+            (
+                theta, omega, wall_x, wall_y, along, left, math.hypot(along, left), dt_s, scale * self.scale,
+                told_x, told_y, weight,
+            ),
         )  # fmt: skip
+        told = self._step(way, self._draws, self._row, self._errors, self._world, self._state)
         position, velocity = named(Vector, told[:3]), named(Vector, told[3:6])
         rotation, rate = named(Quaternion, told[6:10]), named(Vector, told[10:])
         return named(CameraPose, (position, velocity, rotation, rate))

@@ -1,12 +1,13 @@
 """One step of the emulated visual odometry, in flat vectors (`hil.vocabulary.arithmetic`).
 
-All numbers stand in three vectors in SI units at the places named below: what errs, the levelled world as
-`VisualOdometry` has fixed it, and the state.
+What the camera's way is comes by name; other numbers stand in three vectors in SI units at the places named
+below: what errs, the levelled world as `VisualOdometry` has fixed it, and the state.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from hil.vocabulary.arithmetic import Rows, Vector
 
@@ -30,29 +31,42 @@ DRAWS = 16
 Pose = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]
 
 
-def step(
-    theta: float, omega: float, x: float, y: float, along: float, left: float, speed: float, dt: float,
-    scale: float, told_x: float, told_y: float, weight: float, draws: Rows, row: int, errors: Vector,
-    world: Vector, state: Vector,
-) -> Pose:  # fmt: skip
+class Way(NamedTuple):
+    """How the camera moves, in the wall's axes.
+
+    Attributes:
+        theta, omega: true heading of the body, and its rate.
+        x, y: place of the camera.
+        along, left: its velocity along wall x and y.
+        speed: the length of both.
+        dt: since the last pose.
+        scale: factor on what is seen.
+        told_x, told_y: step as the wheels tell it.
+        weight: of these, 0 for none.
+    """
+
+    theta: float = 0.0
+    omega: float = 0.0
+    x: float = 0.0
+    y: float = 0.0
+    along: float = 0.0
+    left: float = 0.0
+    speed: float = 0.0
+    dt: float = 0.0
+    scale: float = 1.0
+    told_x: float = 0.0
+    told_y: float = 0.0
+    weight: float = 0.0
+
+
+def step(way: Way, draws: Rows, row: int, errors: Vector, world: Vector, state: Vector) -> Pose:
     """Move as the odometry sees it, and return the pose that it tells.
 
     The step is scaled, turned by the heading error and walks; what the wheels have told pulls it towards
     itself.
 
     Args:
-        theta: true heading of the body.
-        omega: its rate.
-        x: of the camera in the wall.
-        y: of the camera in the wall.
-        along: its velocity along wall x.
-        left: its velocity along wall y.
-        speed: the length of both.
-        dt: since the last pose.
-        scale: factor on what is seen.
-        told_x: step along wall x as the wheels tell it.
-        told_y: step along wall y, likewise.
-        weight: of these, 0 for none.
+        way: of the camera since the last pose.
         draws: noise, standard normal (n, 16).
         row: of the noise, that is this pose's.
         errors: (7,).
@@ -62,24 +76,25 @@ def step(
     Returns:
         position (3,), velocity (3,), rotation x y z w, angular velocity (3,) in the T265's axes.
     """
-    noise = draws[row]
+    noise, dt, scale = draws[row], way.dt, way.scale
+    along, left, omega = way.along, way.left, way.omega
     root = math.sqrt(dt)
     state[YAW] += errors[YAW_RATE] * dt + errors[YAW_WALK] * root * noise[0]
-    du, dv = scale * (x - state[LAST_X]), scale * (y - state[LAST_Y])
-    state[LAST_X], state[LAST_Y] = x, y
-    if weight != 0.0:
-        du, dv = du + weight * (told_x - du), dv + weight * (told_y - dv)
+    du, dv = scale * (way.x - state[LAST_X]), scale * (way.y - state[LAST_Y])
+    state[LAST_X], state[LAST_Y] = way.x, way.y
+    if way.weight != 0.0:
+        du, dv = du + way.weight * (way.told_x - du), dv + way.weight * (way.told_y - dv)
     ax, ay, az = world[ALONG_X], world[ALONG_X + 1], world[ALONG_X + 2]
     bx, by, bz = world[ALONG_Y], world[ALONG_Y + 1], world[ALONG_Y + 2]
     dx, dy, dz = ax * du + bx * dv, ay * du + by * dv, az * du + bz * dv
     c, s = math.cos(state[YAW]), math.sin(state[YAW])
-    walk = errors[POSITION_WALK] * math.sqrt(speed) * root
+    walk = errors[POSITION_WALK] * math.sqrt(way.speed) * root
     px = state[POSITION] + c * dx - s * dy + walk * noise[1]
     py = state[POSITION + 1] + s * dx + c * dy + walk * noise[2]
     pz = state[POSITION + 2] + dz + walk * noise[3]
     state[POSITION], state[POSITION + 1], state[POSITION + 2] = px, py, pz
     sp, sv, sw = errors[POSITION_NOISE], errors[VELOCITY_NOISE], errors[RATE_NOISE]
-    qx, qy, qz, qw = rotation(theta, state[YAW], noise, errors, world)
+    qx, qy, qz, qw = rotation(way.theta, state[YAW], noise, errors, world)
     return (  # each vector in the camera's axes: (-y, z, -x) of the robot's
         -(py + sp * noise[5]),
         pz + sp * noise[6],

@@ -1,8 +1,9 @@
-"""Numbers by name: what stands in a block of floats, as kernels read and write it.
+"""Numbers by name: what stands in a block of numbers, as kernels read and write it.
 
-A class derived from `Record` lists its fields with their types: `float`, an array with its shape (`Four`), or
-another such class. `dtype_of` makes the numpy type from it; a kernel then writes `m.tally.nis = 1.0`, which
-compiled is as quick as an index. At run time such an object is a numpy scalar, a view into its block.
+A class derived from `Record` lists its fields with their types: `float` or `int`, an array with its shape
+(`Four`, `Annotated[Ints, 2]`), or another such class. `dtype_of` makes the numpy type from it; a kernel then
+writes `m.tally.nis = 1.0`, which compiled is as quick as an index. At run time such an object is a numpy
+scalar, a view into its block.
 """
 
 from __future__ import annotations
@@ -21,15 +22,17 @@ FLOAT_BYTES = 8
 Four = Annotated[Array, 4]
 """Array (4,): one value per wheel, order FL, BL, BR, FR."""
 Eight = Annotated[Array, 8]
-"""Array (8,): x and y of each wheel's vector in turn."""
+"""Array (8,): x and y of each wheel's vector in turn, or one value per joint."""
 
+Ints = npt.NDArray[np.int64]
+"""Array of whole numbers (n,)."""
 
 Records = npt.NDArray[np.void]
 """Array of one kind of record."""
 
 
 class Record:
-    """Base of classes that name the floats of a block."""
+    """Base of classes that name the numbers of a block."""
 
 
 def dtype_of(kind: type[Record], **more: np.dtype[Any]) -> np.dtype[Any]:
@@ -59,6 +62,11 @@ def filled(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Records:
     return block
 
 
+def floats(records: Records) -> Array:
+    """The same numbers (n, floats of a record) as an array, of records that have no whole numbers."""
+    return records.view(np.float64).reshape(len(records), records.itemsize // FLOAT_BYTES)
+
+
 def place(dtype: np.dtype[Any], path: str) -> int:
     """Which float of the block a field begins at; `path` goes by dots, also into arrays (`pose.2`)."""
     offset = 0
@@ -78,11 +86,12 @@ def part_of(dtype: np.dtype[Any], name: str) -> slice:
 
 def _field(hint: Any) -> tuple[Any, ...]:
     """Numpy type, and shape of an array, of a field."""
-    if hint is float:
-        return (np.float64,)
+    if hint in (float, int):
+        return (np.float64 if hint is float else np.int64,)
     if isinstance(hint, type) and issubclass(hint, Record):
         return (dtype_of(hint),)
-    return np.float64, get_args(hint)[1:]
+    array, *shape = get_args(hint)
+    return np.int64 if array == Ints else np.float64, tuple(shape)
 
 
 def _named(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:

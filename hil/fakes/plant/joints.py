@@ -1,0 +1,126 @@
+"""The joints of an emulated robot: motors, their gears and the firmware's loops, without what wheels do.
+
+Plain Python on named records, as `hil.fakes.plant.kernel`, which steps them with body and wheels.
+"""
+
+from __future__ import annotations
+
+import math
+
+from hil.fakes.plant.records import (
+    MODE_CURRENT,
+    MODE_OFF,
+    MODE_POSITION,
+    MODE_VELOCITY,
+    Commands,
+    Constants,
+    State,
+)
+
+
+def clip(value: float, limit: float) -> float:
+    """Value within +-limit."""
+    return min(max(value, -limit), limit)
+
+
+def motor(
+    j: int, dt: float, pull: float, drag: float, friction: float, c: Constants, s: State, q: Commands
+) -> tuple[float, float, float, float]:
+    """Rate of joint `j` after an implicit step `dt` under an outer torque `pull - drag * rate`.
+
+    Returns:
+        (rate, branch, free, compliance): rate = free + compliance * pull while the branch holds; a
+        branch is a direction (0: stuck, compliance 0) and which limit acts.
+    """
+    kt, ke, ohm = c.kt[j], c.ke[j], c.ohm[j]
+    mode, limit_a, limit_v = q.mode[j], q.amps_limit[j], c.supply * q.duty_limit[j]
+    base = c.joint_inertia[j] / dt * s.rate[j] + pull
+    slope = c.joint_inertia[j] / dt + c.viscous[j] + drag
+    push, gain, kind = 0.0, 0.0, 0.0
+    if mode == MODE_CURRENT:
+        push = kt * clip(q.goal[j], limit_a)
+        volts = push / kt * ohm + ke * threshold(base + push, friction) / slope
+        if abs(volts) > limit_v:
+            push, gain, kind = kt / ohm * clip(volts, limit_v), kt / ohm * ke, math.copysign(2.0, volts)
+    elif mode != MODE_OFF:
+        level, fall = demand(j, dt, c, s, q)
+        push, gain = kt / ohm * level, kt / ohm * (fall + ke)
+        rate = threshold(base + push, friction) / (slope + gain)
+        volts = level - fall * rate
+        if abs(volts) > limit_v:
+            level, fall, kind = clip(volts, limit_v), 0.0, math.copysign(2.0, volts)
+            push, gain = kt / ohm * level, kt / ohm * ke
+            rate = threshold(base + push, friction) / (slope + gain)
+        amps = (level - (fall + ke) * rate) / ohm
+        if abs(amps) > limit_a:
+            push, gain, kind = kt * clip(amps, limit_a), 0.0, math.copysign(3.0, amps)
+    total = base + push
+    if abs(total) <= friction:
+        return 0.0, 10.0 * kind, 0.0, 0.0
+    rate, direction = threshold(total, friction) / (slope + gain), math.copysign(1.0, total)
+    free = (total - pull - direction * friction) / (slope + gain)
+    return rate, direction + 10.0 * kind, free, 1.0 / (slope + gain)
+
+
+def threshold(value: float, friction: float) -> float:
+    """What dry friction leaves of a torque."""
+    return math.copysign(max(abs(value) - friction, 0.0), value)
+
+
+def demand(j: int, dt: float, c: Constants, s: State, q: Commands) -> tuple[float, float]:
+    """Voltage asked for by the firmware: (level, fall) of level - fall * rate after an implicit step."""
+    mode = q.mode[j]
+    if mode == MODE_VELOCITY:
+        gain = c.velocity_p + c.velocity_i * dt
+        return gain * clip(q.goal[j], q.rate_limit[j]) + s.integral[j], gain
+    if mode == MODE_POSITION:
+        return c.position_p * (s.reference[j] - s.angle[j]), c.position_p * dt
+    return c.supply * q.goal[j], 0.0
+
+
+def finish_joint(j: int, dt: float, rate: float, c: Constants, s: State, q: Commands) -> None:
+    """Store a joint's new rate, angle, current and integrator (which rests while a limit acts)."""
+    mode, limit_a, limit_v = q.mode[j], q.amps_limit[j], c.supply * q.duty_limit[j]
+    amps = 0.0
+    if mode == MODE_CURRENT:
+        volts = clip(clip(q.goal[j], limit_a) * c.ohm[j] + c.ke[j] * rate, limit_v)
+        amps = (volts - c.ke[j] * rate) / c.ohm[j]
+    elif mode != MODE_OFF:
+        level, fall = demand(j, dt, c, s, q)
+        wanted = level - fall * rate
+        amps = (clip(wanted, limit_v) - c.ke[j] * rate) / c.ohm[j]
+        error = clip(q.goal[j], q.rate_limit[j]) - rate
+        limited = abs(wanted) > limit_v or abs(amps) > limit_a
+        if mode == MODE_VELOCITY and (not limited or error * wanted < 0.0):
+            s.integral[j] += c.velocity_i * c.dt * error
+        amps = clip(amps, limit_a)
+    s.amps[j] = amps
+    s.rate[j] = rate
+    s.angle[j] += c.dt * rate
+
+
+def follow_references(c: Constants, s: State, q: Commands) -> None:
+    """Move the reference of every position loop towards its goal, as fast as its limit allows."""
+    for j in range(8):
+        if q.mode[j] == MODE_POSITION:
+            s.reference[j] += clip(q.goal[j] - s.reference[j], q.rate_limit[j] * c.dt)
+        else:
+            s.reference[j] = s.angle[j]
+
+
+def steer_joint(i: int, c: Constants, s: State, q: Commands) -> float:
+    """Turn one steering joint and, through its play, its wheel; returns the wheel's heading before.
+
+    No contact force reaches these joints, so they go by the implicit midpoint rule: where an overshoot
+    leaves a wheel within its play must not depend on the step.
+    """
+    j = i + 4
+    start, dt = s.rate[j], 0.5 * c.dt if q.mode[j] == MODE_POSITION else c.dt
+    rate, _, _, _ = motor(j, dt, 0.0, 0.0, c.coulomb[j], c, s, q)
+    finish_joint(j, dt, rate, c, s, q)
+    if q.mode[j] == MODE_POSITION and rate != 0.0:
+        s.rate[j] = 2.0 * rate - start
+    before: float = s.heading[i]
+    angle = s.angle[j] + c.offset[i]
+    s.heading[i] = min(max(before, angle - c.play[i]), angle + c.play[i])
+    return before
