@@ -43,7 +43,7 @@ def count(repairs: dict[str, int], what: str, number: SupportsInt) -> None:
 
 
 def count_gaps(repairs: dict[str, int], t_s: Array, what: str) -> None:
-    """Count gaps of stamps (n,) that last over a tenth of a second, and clearly longer than most."""
+    """Count steps of stamps (n,), s, over a tenth of a second and clearly longer than they usually are."""
     lasts_s = np.diff(t_s)
     gap_s = max(_GAP_S, round(_GAPS_LONGER * float(np.median(lasts_s)), 2))
     count(repairs, what.format(gap_s), np.count_nonzero(lasts_s > gap_s + _MIN_STEP_S))
@@ -60,9 +60,15 @@ def emptiest(log: Log, names: tuple[str, ...]) -> str:
 
 
 def clean(log: Log, needed: int, kind: str, repairs: dict[str, int]) -> tuple[Array, Array, Array]:
-    """Stamps (n,), values (n, k) and receive stamps (n,) of the finite rows, in strictly increasing time.
+    """Finite rows in strictly increasing time: stamps (n,), values (n, k) and receive stamps (n,).
 
-    Receive stamps are made increasing as the authors do it.
+    Receive stamps are made increasing the authors' way.
+
+    Args:
+        log: as read.
+        needed: how many of its columns have to be numbers.
+        kind: what to call its rows.
+        repairs: counts what was repaired.
     """
     t_s, values = credible(log.t_s), credible(log.values)
     receive_s = log.receive_s if log.receive_s is not None else t_s
@@ -121,7 +127,7 @@ def with_angles(log: Log, repairs: dict[str, int]) -> Log:
 
 
 def recorded_rates(w: Array, repairs: dict[str, int]) -> Array:
-    """Wheel rates (n, 4) of rows (n, 8 or 12); NaN where there are none, or only 0 while wheels roll."""
+    """Wheel rates (n, 4) of rows w (n, 8 or 12); NaN where there are none, or only 0 while wheels roll."""
     if w.shape[1] < 12:
         return np.full((len(w), 4), np.nan)
     if not w[:, 8:12].any() and np.max(np.ptp(w[:, :4], axis=0)) > _ROLLED_RAD:

@@ -111,7 +111,7 @@ def impossible_tyres(tyres: Tyres) -> Iterator[str]:
 
 
 def numbers(values: Array) -> object:
-    """Values of any shape (...) as nested lists, with None for what is not known."""
+    """Values of any shape () or (n, ...) as nested lists, with None for what is not known."""
     if values.ndim:
         return [numbers(v) for v in values]
     return float(values) if np.isfinite(values) else None
