@@ -46,7 +46,7 @@ class FaultClass:
 
 
 PRESSES = FaultClass(
-    "what holds the robot", "5 mm, or, where fan or propellers truly give too little, a fall that is reported: "
+    "what holds the robot", "5 mm, or, where fan or propellers truly give too little, a reported fall: "
     "never HELD",
 )  # fmt: skip
 TORQUE = FaultClass(
