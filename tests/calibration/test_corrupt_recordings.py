@@ -60,24 +60,20 @@ def test_the_real_recordings_are_good_ones(public_data):
 
 
 @pytest.mark.long
-def test_of_many_sets_all_that_is_spoilt_and_hardly_anything_good_is_named(tmp_path):
-    """80 spoilt recordings of ten kinds, one or two in a set, among more than 500 good ones."""
+@pytest.mark.parametrize("first", range(2000, 2050, 10))
+def test_of_many_sets_all_that_is_spoilt_and_hardly_anything_good_is_named(tmp_path, first):
+    """Of ten kinds two in most sets: 16 spoilt recordings among about 100 good ones."""
     tally = Counter()
-    for seed in range(2000, 2050):
-        kinds = (
-            KINDS[seed % len(KINDS)],
-            *([KINDS[(seed // 10 + 3 * seed) % len(KINDS)]] if seed % 5 < 3 else []),
-        )
-        drives = make_drives(seed, kinds)
+    for seed in range(first, first + 10):
+        second = [KINDS[(seed // 10 + 3 * seed) % len(KINDS)]] if seed % 5 < 3 else []
+        drives = make_drives(seed, (KINDS[seed % len(KINDS)], *second))
         folder = tmp_path / str(seed)
         folder.mkdir()
         found = named(drives, folder)
         tally.update(spoilt=len(spoilt(drives)), good=len(drives) - len(spoilt(drives)))
         tally.update(missed=len(spoilt(drives) - found), accused=len(found - spoilt(drives)))
-    assert tally["spoilt"] >= 80
-    assert tally["good"] >= 500
-    assert tally["missed"] == 0
-    assert tally["accused"] <= 0.01 * tally["good"]
+    assert (tally["spoilt"], tally["missed"]) == (16, 0)
+    assert tally["accused"] <= 0.01 * tally["good"] + 0.5
 
 
 @pytest.mark.parametrize(("kind", "code"), [("mirrored", 0), ("stuck encoder", 0), ("degrees", 2)])
