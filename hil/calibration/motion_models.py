@@ -115,18 +115,25 @@ def respond(
         else:
             weight, c = stiffness(e, scale, load[i], power)
             force = (weight * e[0], weight * e[1])
-        contact_response(z, u, b[2], i, inverse, c, e, force, creeping, out)
+        contact_response(z, u, b[2], i, inverse, (c, e, force), creeping, out)
 
 
 def contact_response(
-    z: Array, u: Array, omega: Array, i: int, inverse: Symmetric, c: Triple, e: Triple,
-    force: tuple[Array, Array], creeping: bool, out: Array,
-) -> None:  # fmt: skip
+    z: Array,
+    u: Array,
+    omega: Array,
+    i: int,
+    inverse: Symmetric,
+    contact: tuple[Triple, Triple, tuple[Array, Array]],
+    creeping: bool,
+    out: Array,
+) -> None:
     """Columns of contact i in `out` (3, m, ...): its force changes with its slip, its torque by its lever.
 
     Creep stiffness follows the wheel: it turns with the zero and weakens with the way rolled, as the radius
-    grows.
+    grows. `contact` is its stiffness, slip and force.
     """
+    c, e, force = contact
     ux, uy, r = u[2 * i], u[2 * i + 1], z[8 + i]
     put_column(z, i, inverse, c[1] * omega, c[2] * omega, force[1], out, i)
     put_column(z, i, inverse, -c[0] * omega, -c[1] * omega, -force[0], out, 4 + i)

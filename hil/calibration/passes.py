@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,31 +22,67 @@ from hil.vocabulary.geometry import Array
 Pass = Callable[..., None]
 
 
-def run_pass(
-    kind: int, load: Array, power: float, ratio: float, z: Array, turned: Array, start: int,
-    wheel_rad: Array, first: Array, truth: Array, known: Bools, counts: Array, scale: Array,
-    last: Array, errors: Array, slopes: Array,
-) -> None:  # fmt: skip
-    """Put scaled pose errors and their derivatives in place; empty `slopes` are left out.
+class Contacts(NamedTuple):
+    """The law of contact: its kind, loads, exponent of dry friction, ratio of creep stiffness.
 
-    Args:
-        kind: of the law, with
-        load: (4,) relative normal loads,
-        power: exponent of dry friction, and
-        ratio: of creep stiffness.
-        z: (m,) parameters.
-        turned: (2, 4) from `turned_wheels`.
-        start: what `last` is worth: COLD, WARM or KNOWN.
+    Attributes:
+        load: (4,) relative normal loads.
+    """
+
+    kind: int
+    load: Array
+    power: float
+    ratio: float
+
+
+class Driven(NamedTuple):
+    """What was recorded.
+
+    Attributes:
         wheel_rad: (R, N, 8) raw wheel vectors.
         first: (R, 3) poses at the start.
         truth: (R, N, 3) poses at the blocks' ends.
         known: (R, N) where they are known; elsewhere errors and derivatives are 0.
         counts: (R,) numbers of real blocks; the others are not touched.
         scale: (R, 3) factors of the errors.
-        last: (3, R N) body motions, taken and put.
-        errors: (R, N, 3).
-        slopes: (R, N, 3, m).
     """
+
+    wheel_rad: Array
+    first: Array
+    truth: Array
+    known: Bools
+    counts: Array
+    scale: Array
+
+
+class Reckoned(NamedTuple):
+    """What a pass puts in place.
+
+    Attributes:
+        last: (3, R N) body motions, taken, too.
+        errors: (R, N, 3).
+        slopes: (R, N, 3, m); left out where empty.
+    """
+
+    last: Array
+    errors: Array
+    slopes: Array
+
+
+def run_pass(law: Contacts, z: Array, turned: Array, start: int, driven: Driven, reckoned: Reckoned) -> None:
+    """Put scaled pose errors and their derivatives in place.
+
+    Args:
+        law: of contact.
+        z: (m,) parameters.
+        turned: (2, 4) from `turned_wheels`.
+        start: what the last body motions are worth: COLD, WARM or KNOWN.
+        driven: what was recorded.
+        reckoned: the results.
+    """
+    kind, load, power, ratio = law
+    wheel_rad, first, truth, known, counts, scale = driven
+    last, errors, slopes = reckoned
     size, wanted = len(z), len(slopes) > 0
     u, moved, sums = np.empty(8), np.empty((3, size)), np.empty((3, size))
     for r in range(len(counts)):
@@ -86,10 +123,9 @@ def compiled_pass() -> Pass | None:
     from hil.vocabulary.kernels import compile_for, compiled_with_parts
 
     run = compiled_with_parts(run_pass)
-    four, z, one = np.ones(4), np.ones(16), np.zeros((1, 1, 3))
-    compile_for(
-        run, FRICTION, four, 1.0, 1.0, z, np.ones((2, 4)), COLD, np.zeros((1, 1, 8)), np.zeros((1, 3)), one,
-        np.zeros((1, 1), dtype=np.bool_), np.zeros(1, dtype=np.int64), np.ones((1, 3)), np.zeros((3, 1)), one,
-        np.zeros((1, 1, 3, 16)),
-    )  # fmt: skip
+    law, one = Contacts(FRICTION, np.ones(4), 1.0, 1.0), np.zeros((1, 1, 3))
+    known, counts = np.zeros((1, 1), dtype=np.bool_), np.zeros(1, dtype=np.int64)
+    driven = Driven(np.zeros((1, 1, 8)), np.zeros((1, 3)), one, known, counts, np.ones((1, 3)))
+    reckoned = Reckoned(np.zeros((3, 1)), one, np.zeros((1, 1, 3, 16)))
+    compile_for(run, law, np.ones(16), np.ones((2, 4)), COLD, driven, reckoned)
     return run

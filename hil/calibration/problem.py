@@ -19,7 +19,7 @@ from hil.calibration.blocks import Blocks
 from hil.calibration.evaluation import turned_wheels
 from hil.calibration.known import Known, Terms
 from hil.calibration.motion_models import Motions, make_model
-from hil.calibration.passes import compiled_pass
+from hil.calibration.passes import Contacts, Driven, Reckoned, compiled_pass
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate, integrate_with_jacobian
 from hil.vocabulary.geometry import Array
@@ -209,11 +209,12 @@ class Problem:
         self._count[0] += 1
         blocks, model, law = self.blocks, self._model, self._model.law
         errors, slopes = self._known.rows(self.blocks.truth.shape, len(z))
-        run(
-            law.kind, law.load, law.power, law.ratio, z, turned_wheels(z), model.start(z),
-            blocks.wheel_rad, blocks.start, blocks.truth, blocks.known, blocks.counts, self._scale,
-            model.last, errors, slopes if with_slopes else slopes[:0],
-        )  # fmt: skip
+        contacts = Contacts(law.kind, law.load, law.power, law.ratio)
+        driven = Driven(
+            blocks.wheel_rad, blocks.start, blocks.truth, blocks.known, blocks.counts, self._scale
+        )
+        reckoned = Reckoned(model.last, errors, slopes if with_slopes else slopes[:0])
+        run(contacts, z, turned_wheels(z), model.start(z), driven, reckoned)
         return errors, slopes
 
     def prior_cost(self, z: Array) -> float:

@@ -169,8 +169,9 @@ def simulate(
         body[window] += rng.normal(0.0, 1.0, 3) * np.array([4e-3, 4e-3, 8e-3]) * _STEP_S
     start_pose = np.r_[rng.normal(0, 1e-3, 2), rng.normal(0, 5e-3)]
     return _record(
-        robot.nominal, name, motion, t_s, rate, heading, integrate(start_pose, body), rng, corrupted
-    )
+        robot.nominal, name, motion, t_s, rate, heading, integrate(start_pose, body),
+        rng=rng, corrupted=corrupted,
+    )  # fmt: skip
 
 
 def _perturb(body: Array, draw: Array) -> Array:
@@ -240,7 +241,7 @@ def _springs(robot: HiddenRobot, p: Array, u: Array) -> Array:
 
 def _record(
     nominal: Nominal, name: str, motion: str, t_s: Array, rate: Array, heading: Array, pose: Array,
-    rng: np.random.Generator, corrupted: bool,
+    *, rng: np.random.Generator, corrupted: bool,
 ) -> Recording:  # fmt: skip
     angle = np.vstack([np.zeros(4), np.cumsum(0.5 * (rate[1:] + rate[:-1]) * _STEP_S, axis=0)])
     angle += rng.uniform(-np.pi, np.pi, 4)
