@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from hil.calibration.evaluation import roll
 from hil.calibration.leaps import Bools
@@ -51,7 +52,7 @@ class Driven(NamedTuple):
     first: Array
     truth: Array
     known: Bools
-    counts: Array
+    counts: npt.NDArray[Any]
     scale: Array
 
 
