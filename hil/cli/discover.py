@@ -14,7 +14,7 @@ from hil.cli.options import JSON, OUT, FileName
 from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from hil.bench.discover import Discovery
     from hil.config.can_bus import CanConfig
@@ -168,7 +168,9 @@ def _server(text: str) -> MocapConfig:
 
     address, _, port = text.partition(":")
     try:
-        return MocapConfig.model_validate({"server": address, **({"command_port": port} if port else {})})
+        return MocapConfig.model_validate(
+            {"server": address, **({"command_port": _scalar(port)} if port else {})}
+        )
     except ValidationError as error:
         raise UsageError(
             f"--mocap {text!r}: {error.errors()[0]['msg']}",
@@ -204,7 +206,7 @@ def _tables(places: tuple[str, ...]) -> dict[str, Any]:
         if model is None:
             raise UsageError(f"--at {name}.model={tree['model']}", expected="one of " + ", ".join(models))
         try:
-            tables[name] = model.config.model_validate(tree)
+            tables[name] = model.config.model_validate(_typed(tree, model.config.model_fields))
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(map(str, (name, *first["loc"])))
@@ -212,6 +214,16 @@ def _tables(places: tuple[str, ...]) -> dict[str, Any]:
                 f"--at {where}: {first['msg']}", expected="one of " + ", ".join(model.config.model_fields)
             ) from None
     return tables
+
+
+def _typed(tree: dict[str, Any], known: Mapping[str, Any]) -> dict[str, Any]:
+    """A table of texts with numbers and truth values where its keys are no texts."""
+    return {
+        key: _scalar(value)
+        if isinstance(value, str) and key in known and known[key].annotation is not str
+        else value
+        for key, value in tree.items()
+    }
 
 
 def _scalar(text: str) -> bool | int | float | str:
