@@ -14,7 +14,6 @@ from hil.bench.blueprint import Blueprint
 from hil.bench.settings import geometry_of, nominal_of, with_wheel_model
 from hil.calibration.artefact import read_calibration
 from hil.calibration.blocks import reduce_recordings
-from hil.calibration.caveats import told_by
 from hil.calibration.coverage import covered
 from hil.calibration.datasets import Recording
 from hil.calibration.driven import mismatch
@@ -78,6 +77,8 @@ class OpenedRecording:
         """What is assumed of a foreign recording, and why its wheels cannot be that robot's."""
         if not self.tables:
             return []
+        from hil.calibration.caveats import told_by
+
         told = told_by(self.tables)
         assumed = [] if self.named or len(self.tables[0].sources) == _PAIR else [self._assumed()]
         robot = replace(self.robot, geometry=self.bench.geometry)

@@ -72,7 +72,7 @@ def test_the_share_is_that_of_the_runs_in_which_the_fault_acted_also_when_they_a
 
 
 def test_a_fault_that_acted_everywhere_changes_nothing(campaign):
-    code, said = campaign("--seeds", "0:2", "--vary", "fault=tracker:slow@0.1")
+    code, said = campaign("--seeds", "0:2", "--vary", "fault=tracker:delayed@0.1")
     assert (code, "NOT TESTED" in said) == (0, False), said
 
 

@@ -37,7 +37,7 @@ def test_every_command_answers_a_mistake_with_one_object(tmp_path, monkeypatch, 
     monkeypatch.chdir(tmp_path)
     code = main([command, *WRONG[command], "--json"])
     told = one_object(capsys)["error"]
-    assert set(told) == {"message", "expected", "remedy", "exit_code"}
+    assert set(told) == {"message", "expected", "remedy", "exit_code", "frames"}
     assert told["message"]
     assert told["exit_code"] == code == 2
 

@@ -43,7 +43,7 @@ class Ride:
 
     def told(self, source, word):
         """Times at which a device was named, s."""
-        return [e.t_ns * 1e-9 for e in self.events if e.source == source and word in e.message]
+        return [e.t_ns * 1e-9 for e in self.events if source in e.suspects and word in e.message]
 
 
 def straight(to):

@@ -31,7 +31,7 @@ class Ride:
         self.uncovered_m = max(self.uncovered_m, float((off_m - 3.0 * sigma_m).max()))
 
     def told(self, source, word):
-        return [e for e in self.events if e.source == source and word in e.message]
+        return [e for e in self.events if source in e.suspects and word in e.message]
 
 
 ALL_SLIP = tuple(f"servo.drive_{wheel}:wrong@1.5,share=0.9" for wheel in DRIVES)

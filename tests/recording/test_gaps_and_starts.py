@@ -63,7 +63,7 @@ def test_a_fit_finds_the_wheels_all_the_same(tmp_path, case, model):
         assert np.mean(result.geometry.radius_m) == pytest.approx(0.0257, rel=1.5e-3)
         assert np.mean(result.geometry.steering_zero_rad) == pytest.approx(0.01, abs=1.5e-3)
     left = [position_rmse(track(one, result.geometry, model)) for one in recordings]
-    assert max(left) < 1.5e-3
+    assert max(left) < 3e-3
 
 
 def test_only_a_start_in_motion_is_told_of(tmp_path):

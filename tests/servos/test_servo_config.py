@@ -8,9 +8,9 @@ from hil.config.servos import ServosConfig
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"baud": 123}, "baud must be one of 9600, 57600"),
+        ({"baud": 123}, "within 9600 .. 4500000"),
         ({"drive_ids": (1, 2, 3, 5)}, "eight different IDs"),
-        ({"steer_ids": (5, 6, 7, 253)}, r"in 0\.\.252"),
+        ({"steer_ids": (5, 6, 7, 253)}, "within 0 .. 252"),
         ({"watchdog_s": 0.05}, "not a multiple of 0.02"),
         ({"watchdog_s": 2.56}, "watchdog_s"),
         ({"steer_limit_rad": 4.0}, "needs steer_mode extended"),
