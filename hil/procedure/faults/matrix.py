@@ -17,8 +17,8 @@ from hil.vocabulary.files import write_text
 
 _HEAD = """# Reliability
 
-Every fault of every emulated device, at four moments of a climb of 12 cm on the shipped bench: while it
-opens, in motion, where it ends, and for one second in motion. Written by
+Faults of the emulated devices during a climb of 12 cm on the shipped bench. There are four moments: while it
+opens, in motion, where it ends, and for one second in motion. These are the cells that this command judges:
 
 ```sh
 {command}
