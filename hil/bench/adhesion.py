@@ -16,7 +16,7 @@ from hil.config.bench import BenchConfig
 from hil.config.kept_motor import KeptMotorConfig
 from hil.drivers.adhesion.keeper import client
 from hil.drivers.adhesion.keeper.client import Status, of_whom
-from hil.drivers.adhesion.keeper.door import keepers
+from hil.drivers.adhesion.keeper.door import bus_of, keepers
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.clock import MonotonicClock, nanoseconds
 from hil.vocabulary.errors import ConfigError, DeviceError, UsageError
@@ -84,7 +84,7 @@ def keeper_status(spec: Spec) -> Status | None:
 def other_keepers(specs: Collection[Spec]) -> list[str]:
     """Names of fans and propellers on the buses of these that have a keeper and are not among them."""
     named, buses = {spec.name for spec in specs}, {spec.bus for spec in specs}
-    return [name for name in keepers() if name not in named and name.rpartition(", controller ")[0] in buses]
+    return [name for name in keepers() if name not in named and bus_of(name) in buses]
 
 
 def switch_on(

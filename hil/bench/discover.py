@@ -109,10 +109,10 @@ def discover(
     found = Discovery(not_asked=dict(left_alone or {}))
     models = [model for kind in kinds().values() for model in kind.models]
     listed = serial_ports() if ports is None else list(ports)
-    asked = [port for port in listed if port not in found.not_asked]
+    asked, asking = [port for port in listed if port not in found.not_asked], _asking()
     for port in asked:
         say(f"asking {port}")
-        if not _ask_serial(found, port, clock, _asking(), say) and ports is not None:
+        if not _ask_serial(found, port, clock, asking, say) and ports is not None:
             found.silent.append(port)
     places: dict[str, list[str]] = {name: [] for name in kinds()}
     for model in models:

@@ -56,7 +56,12 @@ def _holding(tree: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         field = model.config.model_fields.get("port")
         port = table.get("port", None if field is None else field.default)
         if isinstance(port, str):
-            yield os.path.realpath(port) if "://" not in port else port, kind.noun
+            yield _place(port), kind.noun
+
+
+def _place(port: str) -> str:
+    """A port by the one name that all links to it share; a URL as it is."""
+    return port if "://" in port else os.path.realpath(port)
 
 
 def why_not_asked(port: str, holding: Mapping[str, str]) -> str:
@@ -80,7 +85,7 @@ def why_it_holds(port: str, holding: Mapping[str, str]) -> str:
         port: device path, a link to one, or a pyserial URL.
         holding: as `ports_that_hold` gives it.
     """
-    path = port if "://" in port else os.path.realpath(port)
+    path = _place(port)
     if path in holding:
         return f"it is the port of the {holding[path]}"
     model = _by_usb(path)

@@ -18,13 +18,13 @@ def controllers(search: Search, buses: Iterable[C]) -> Iterator[tuple[C, list[in
 
     Where a fan or propellers are kept running, the bus is only listened to.
     """
-    from hil.drivers.adhesion.keeper.door import keepers
+    from hil.drivers.adhesion.keeper.door import bus_of, keepers
     from hil.drivers.adhesion.settings import Answers
     from hil.drivers.adhesion.who import ask_who
     from hil.drivers.can_link import CanLink
 
     for bus in buses:
-        kept = any(name.startswith(f"{bus.bus}, ") for name in keepers())
+        kept = bus.bus in map(bus_of, keepers())
         search.say(f"{'listening' if kept else 'asking'} for VESCs on {bus.interface}:{bus.channel}")
         asked = VescConfig(
             interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, options=bus.options,

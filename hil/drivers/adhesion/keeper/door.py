@@ -63,6 +63,11 @@ def keepers() -> list[str]:
     return abstract_names(_PREFIX)
 
 
+def bus_of(keeper: str) -> str:
+    """The bus that a name of `keepers` begins with."""
+    return keeper.rpartition(", controller ")[0]
+
+
 def peer(connection: socket.socket) -> Peer:
     """Process and user id of the other end, by the kernel."""
     pid, uid, _ = _PEER.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))
