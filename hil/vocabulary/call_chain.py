@@ -47,6 +47,11 @@ class Frame(NamedTuple):
     times: int = 1
     raised: str = ""
 
+    @property
+    def call(self) -> tuple[str, int, str]:
+        """File, line and function."""
+        return self[:3]
+
 
 def chain_of(error: BaseException, *, shipped: bool = False) -> tuple[Frame, ...]:
     """The frames of the user's code, the outermost call first, at most 50; empty where there is none.
@@ -94,11 +99,14 @@ def _frames(error: BaseException, shipped: bool) -> Iterator[Frame]:
     link: BaseException | None = error
     while link is not None and id(link) not in seen:
         seen.add(id(link))
-        own = list(_own(link, shipped))
-        if own and not isinstance(link, HilError):
+        kept = getattr(link, _FROM_ELSEWHERE, ())
+        own = [frame for frame in _own(link, shipped) if frame.call not in {known.call for known in kept}]
+        if own and not kept and not isinstance(link, HilError):
             own[-1] = own[-1]._replace(raised=told(link))
         yield from own
-        yield from getattr(link, _FROM_ELSEWHERE, ())
+        yield from kept
+        if kept:  # its causes are among them, also where a library has sent those, too
+            return
         link = link.__cause__ or (None if link.__suppress_context__ else link.__context__)
 
 

@@ -128,7 +128,9 @@ def test_a_call_that_calls_itself_is_told_once(here, capsys):
     assert [(frame["line"], frame["times"] > 100) for frame in frames] == [(4, False), (2, True)]
 
 
-def test_what_comes_from_another_process_keeps_its_calls(here):
+@pytest.mark.parametrize("traceback_sent", [False, True])
+def test_what_comes_from_another_process_keeps_its_calls(here, traceback_sent):
+    """Libraries such as tblib send traceback and cause, too."""
     sys.path.insert(0, str(here))
     sys.modules.pop("measuring", None)  # of another test's folder
     import measuring
@@ -137,8 +139,10 @@ def test_what_comes_from_another_process_keeps_its_calls(here):
         measuring.chained(None)
     except KeyError as error:
         keep_chain(error)
-        sent = pickle.loads(pickle.dumps(error))
-    assert [frame.function for frame in chain_of(sent)][-3:] == ["chained", "chained", "deep"]
+        sent = pickle.loads(pickle.dumps(error)).with_traceback(error.__traceback__ if traceback_sent else None)
+        sent.__cause__ = error.__cause__ if traceback_sent else None
+    functions = [frame.function for frame in chain_of(sent)]
+    assert functions[1:] == ["chained", "chained", "deep"]
 
 
 def test_a_module_beside_a_script_is_found_from_any_folder(here):
