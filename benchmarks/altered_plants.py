@@ -29,9 +29,13 @@ LIMIT_MM, WANTED = 4.0, 0.9
 
 
 def altered(
-    truth: TrueParameters, *, centre: float = 1.0, ratio: float | None = None, friction: float = 1.0,
+    truth: TrueParameters,
+    *,
+    centre: float = 1.0,
+    ratio: float | None = None,
+    friction: float = 1.0,
     creep: float = 1.0,
-) -> TrueParameters:  # fmt: skip
+) -> TrueParameters:
     """A robot with another centre of mass (share of all three), tyre ratio, friction and creep stiffness."""
     contact = truth.contact
     along = contact.creep_along * creep

@@ -31,9 +31,12 @@ from hil.ring.wheel_watch import WheelWatch
 
 MOST = 1.05
 CHECKS = (
-    (MotionCheck, "update"), (SteeringWatch, "judge"), (FilterWatch, "judge"), (EstimateWatch, "judge"),
+    (MotionCheck, "update"),
+    (SteeringWatch, "judge"),
+    (FilterWatch, "judge"),
+    (EstimateWatch, "judge"),
     (WheelWatch, "judge"),
-)  # fmt: skip
+)
 FORMS = ("with", "without")
 UNSETTLED = 2
 """Turns at the start of a line that are not compared: the first cycles fill the windows."""

@@ -121,8 +121,12 @@ def _campaign(count: int) -> None:
 
 
 DIMENSIONS: dict[str, Callable[[], Sizes]] = {
-    "recordings": recordings, "rate": rate, "devices": devices, "history": history, "runs": runs,
-}  # fmt: skip
+    "recordings": recordings,
+    "rate": rate,
+    "devices": devices,
+    "history": history,
+    "runs": runs,
+}
 
 
 def measure(sizes: Sizes) -> dict[str, object]:

@@ -52,9 +52,13 @@ def count(tree: Path, work: str, scratch: Path) -> int:
         SystemExit: the work failed, with what it said.
     """
     environment = {
-        **os.environ, "PYTHONPATH": str(tree), "PYTHONHASHSEED": "0", "NUMBA_CPU_NAME": "generic",
-        "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(scratch / "numba"),
-    }  # fmt: skip
+        **os.environ,
+        "PYTHONPATH": str(tree),
+        "PYTHONHASHSEED": "0",
+        "NUMBA_CPU_NAME": "generic",
+        "NUMBA_CPU_FEATURES": "",
+        "NUMBA_CACHE_DIR": str(scratch / "numba"),
+    }
     found = scratch / f"{work}.callgrind"
     plain = [sys.executable, __file__, "--drive", work]
     counted = ["valgrind", "--tool=callgrind", "--instr-atstart=no", f"--callgrind-out-file={found}", *plain]

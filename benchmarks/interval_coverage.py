@@ -101,8 +101,9 @@ def covered(generator: str, seeds: Sequence[int]) -> float:
     models = ", ".join(f"{m} {chosen.count(m)}" for m in dict.fromkeys(chosen))
     print(
         f"{generator:9}{share:6.3f} of {len(combinations)} combinations; x, y, r, zeros: "
-        f"{', '.join(f'{v:.2f}' for v in each)}; forward model: {models}", flush=True,
-    )  # fmt: skip
+        f"{', '.join(f'{v:.2f}' for v in each)}; forward model: {models}",
+        flush=True,
+    )
     return share
 
 

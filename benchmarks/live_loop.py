@@ -209,8 +209,10 @@ def start_viewer(stack: ExitStack, kind: str) -> tuple[str, int | None]:
     viewer = Path(sys.executable).parent / "rerun"
     server = subprocess.Popen(
         [str(viewer), "--serve-grpc", "--bind", "127.0.0.1", "--port", str(port)],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
-    )  # fmt: skip
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
 
     def end() -> None:
         for number in (signal.SIGCONT, signal.SIGKILL):
@@ -287,13 +289,14 @@ def checks(out: dict[str, Any]) -> dict[str, dict[str, Any]]:
     live, fast = out["live"], out["rate_hz"] > _USUAL_HZ
     wanted = {
         "more_late_percent": (
-            out["more_late_percent"], _FAST_MORE_LATE_PERCENT if fast else _MORE_LATE_PERCENT
+            out["more_late_percent"],
+            _FAST_MORE_LATE_PERCENT if fast else _MORE_LATE_PERCENT,
         ),
         "lost_samples": (live["lost_samples"], 0),
         "work_p99_ms": (live["work_p99_ms"], _WORK_P99_MS),
         "memory_growth_mb": (live["memory_growth_mb"], _GROWTH_MB),
         "recording_mean_us": (live["recording_us"]["mean"], _RECORDING_US),
-    }  # fmt: skip
+    }
     if not fast:
         wanted["mb_per_10_min"] = (live["mb_per_10_min"], _MB_PER_10_MIN)
         wanted["core_percent"] = (live["processor"]["core_percent"], _CORE_PERCENT)
@@ -310,22 +313,27 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=100.0)
     parser.add_argument("--baud", type=int, help="baud rate of the servo bus, with a USB latency of 1 ms")
     parser.add_argument(
-        "--unpaced", action="store_true",
+        "--unpaced",
+        action="store_true",
         help=f"the servo bus at its highest rate ({_FASTEST_BAUD} bit/s) behind an adapter without latency",
-    )  # fmt: skip
+    )
     parser.add_argument("--viewer", choices=VIEWERS, default="none")
     parser.add_argument("--fifo", type=int, help="SCHED_FIFO priority of both loops and of the emulator")
     parser.add_argument("--ukf", action="store_true", help="the UKF beside the EKF")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
-        "--prefetch", action=argparse.BooleanOptionalAction,
+        "--prefetch",
+        action=argparse.BooleanOptionalAction,
         help="servos.prefetch; by default as the bench decides",
-    )  # fmt: skip
+    )
     options = parser.parse_args()
     out: dict[str, Any] = {
-        "seconds": options.seconds, "rate_hz": options.rate, "viewer": options.viewer,
-        "processors": os.cpu_count(), "load_before": os.getloadavg()[0],
-    }  # fmt: skip
+        "seconds": options.seconds,
+        "rate_hz": options.rate,
+        "viewer": options.viewer,
+        "processors": os.cpu_count(),
+        "load_before": os.getloadavg()[0],
+    }
     with tempfile.TemporaryDirectory() as folder:
         began_s = stolen_s()
         out["idle"] = idle(options.idle_seconds or options.seconds, options.rate, options.fifo)

@@ -118,9 +118,12 @@ def drive(way: str, faults: Sequence[str], names: Sequence[str], seed: int, opti
             stop = error
             watch.tell(bench.clock.now_ns() * 1e-9, str(error))
     return Outcome(
-        watch.told_s, watch.off_m, "" if stop is None else getattr(stop, "reason", type(stop).__name__),
-        stop is None and watch.wrong, watch.said,
-    )  # fmt: skip
+        watch.told_s,
+        watch.off_m,
+        "" if stop is None else getattr(stop, "reason", type(stop).__name__),
+        stop is None and watch.wrong,
+        watch.said,
+    )
 
 
 def at(spec: str, at_s: float) -> str:

@@ -47,29 +47,36 @@ def noisy_record(k: int, t_ns: int, rng: np.random.Generator) -> CycleRecord:
     n = rng.normal
     stamp = Stamp(t_ns, t_ns + 1000, k)
     inputs = Inputs(
-        k, t_ns,
+        k,
+        t_ns,
         servos=(ServoSample(stamp, n(size=8), n(size=8), n(size=8), (Status.OK,) * 8),),
         encoders=(EncoderSample(stamp, n(size=4), (Status.OK,) * 4, (1, 2, 3, 4)),),
         imu=(ImuSample(stamp, n(size=4), n(size=3), n(size=3), n(size=3), (3, 3, 3, 3)),),
         tracker=tuple(TrackerSample(stamp, n(size=3), n(size=4), n(size=3), n(size=3), 3) for _ in range(2)),
         mocap=(MocapSample(stamp, n(size=3), n(size=4), True, 0.004, 1e-4),),
-    )  # fmt: skip
+    )
     measurements = Measurements(
-        k, t_ns,
+        k,
+        t_ns,
         (WheelMeasurement(stamp, n(size=4), n(size=4), n(size=4), (True,) * 4),),
         (GyroMeasurement(stamp, float(n()), float(n()), n(size=2)),),
         tuple(PoseMeasurement(stamp, "tracker", n(size=3), 3, True) for _ in range(2)),
         (PoseMeasurement(stamp, "mocap", n(size=3), 3, True),),
-    )  # fmt: skip
+    )
     root = n(size=(6, 6))
     diagnostics = {f"nis_{i}": float(n()) for i in range(20)}
     return CycleRecord(
-        k, t_ns, t_ns, inputs, measurements,
+        k,
+        t_ns,
+        t_ns,
+        inputs,
+        measurements,
         RobotState(t_ns, n(size=3), n(size=3), root @ root.T, diagnostics),
         Reference(t_ns / NS_PER_S, n(size=3), n(size=3), n(size=3)),
-        WheelSetpoint(n(size=4), n(size=4)), ServoSetpoint(n(size=4), n(size=4)),
+        WheelSetpoint(n(size=4), n(size=4)),
+        ServoSetpoint(n(size=4), n(size=4)),
         timing_ns={"read": 1, "decide": 2, "write": 3, "lateness": 4},
-    )  # fmt: skip
+    )
 
 
 def run(

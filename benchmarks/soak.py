@@ -157,9 +157,11 @@ def possible(bench: Any) -> list[tuple[str, str]]:
     """Devices and faults that let no robot go."""
     return [
         (device, kind)
-        for device, faults in bench.world.faults.supported.items() if device not in LETS_GO
-        for kind in faults if kind not in LASTING
-    ]  # fmt: skip
+        for device, faults in bench.world.faults.supported.items()
+        if device not in LETS_GO
+        for kind in faults
+        if kind not in LASTING
+    ]
 
 
 def _words(device: str) -> set[str]:

@@ -61,9 +61,12 @@ def of_servo_bus(told: Any) -> Iterator[Row]:
     it = told["sync_read"]
     yield _faster("servo bus, rate", it["ours_hz"], "DYNAMIXEL SDK", it["sdk_hz"], "Hz")
     yield _slower(
-        "servo bus, processor time of a cycle", it["ours_cpu_us_per_cycle"], "DYNAMIXEL SDK",
-        it["sdk_cpu_us_per_cycle"], "us",
-    )  # fmt: skip
+        "servo bus, processor time of a cycle",
+        it["ours_cpu_us_per_cycle"],
+        "DYNAMIXEL SDK",
+        it["sdk_cpu_us_per_cycle"],
+        "us",
+    )
 
 
 def of_calibration(told: Any) -> Iterator[Row]:

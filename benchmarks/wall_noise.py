@@ -35,8 +35,11 @@ COLUMNS = ("rmse mm", "end mm", "deg", "NEES", "scale %", *(f"NIS {name}" for na
 def driven(seed: int, plant: str, folder: Path) -> dict[str, OpenedRecording]:
     """Recordings of one world by line."""
     wanted = (
-        'feedbacks=["ekf"]', "optimal=false", f"cases={','.join(LINES)}", f"bench.emulation.plant={plant}"
-    )  # fmt: skip
+        'feedbacks=["ekf"]',
+        "optimal=false",
+        f"cases={','.join(LINES)}",
+        f"bench.emulation.plant={plant}",
+    )
     settings = [word for setting in wanted for word in ("--set", setting)]
     with contextlib.redirect_stdout(io.StringIO()):
         code = main(["run", "wall_tracking", "--seed", str(seed), *settings, "--out", str(folder)])
@@ -57,9 +60,13 @@ def figures(config: EstimatorConfig, recording: OpenedRecording) -> list[float]:
     nis = [np.nanmean(motion.diagnostic(f"nis_{name}")) / rows for name, rows in ROWS.items()]
     last = motion.records[-1].state.diagnostics["scale"]
     return [
-        1e3 * far["rmse_position_m"], 1e3 * far["final_position_m"], float(np.rad2deg(far["rmse_theta_rad"])),
-        sure["nees_pose"], 100.0 * last, *map(float, nis),
-    ]  # fmt: skip
+        1e3 * far["rmse_position_m"],
+        1e3 * far["final_position_m"],
+        float(np.rad2deg(far["rmse_theta_rad"])),
+        sure["nees_pose"],
+        100.0 * last,
+        *map(float, nis),
+    ]
 
 
 def table(seeds: Sequence[int], plant: str) -> str:

@@ -22,14 +22,28 @@ PICTURE = ROOT / "docs" / "images" / "architecture.svg"
 LEFT_OUT = ("__main__",)
 WIDTH, HEIGHT, BOX, TALL, ROW, COLUMN = 850, 660, 106, 34, 72, 122
 PLACES = {
-    "cli": (1.0, 0), "procedures": (3.0, 0), "pytest_plugin": (4.4, 0),
-    "live": (0.2, 1), "replay": (1.6, 1), "procedure": (3.0, 1), "console": (5.4, 1),
-    "bench": (3.0, 2), "report": (5.2, 2),
+    "cli": (1.0, 0),
+    "procedures": (3.0, 0),
+    "pytest_plugin": (4.4, 0),
+    "live": (0.2, 1),
+    "replay": (1.6, 1),
+    "procedure": (3.0, 1),
+    "console": (5.4, 1),
+    "bench": (3.0, 2),
+    "report": (5.2, 2),
     "devices": (2.0, 3),
-    "monitor": (0.0, 4), "drivers": (1.0, 4), "fakes": (2.0, 4), "recording": (3.0, 4),
-    "calibration": (3.0, 5), "estimator": (3.98, 5), "controller": (4.96, 5), "ring": (6.0, 5.4),
-    "config": (2.6, 6.4), "robot": (2.6, 7.4), "vocabulary": (2.6, 8.4),
-}  # fmt: skip
+    "monitor": (0.0, 4),
+    "drivers": (1.0, 4),
+    "fakes": (2.0, 4),
+    "recording": (3.0, 4),
+    "calibration": (3.0, 5),
+    "estimator": (3.98, 5),
+    "controller": (4.96, 5),
+    "ring": (6.0, 5.4),
+    "config": (2.6, 6.4),
+    "robot": (2.6, 7.4),
+    "vocabulary": (2.6, 8.4),
+}
 """Column and row of each room: chosen so that no arrow runs behind a box."""
 NEW = (5.6, 0)
 """Place of a room that has none yet."""

@@ -11,16 +11,7 @@ from pathlib import Path
 import hil
 from hil.bench.emulation import supported_faults
 from hil.config.loading import load_bench
-from hil.fakes.fault import (
-    DELAY_S,
-    DUTY,
-    FACTOR,
-    MEANINGS,
-    PERIOD_S,
-    PROBABILITY,
-    VOCABULARY,
-    Supported,
-)
+from hil.fakes.fault import DELAY_S, DUTY, FACTOR, MEANINGS, PERIOD_S, PROBABILITY, VOCABULARY, Supported
 from hil.fakes.fault_options import OPTIONS
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import KINDS as KINDS_HERE

@@ -54,8 +54,10 @@ def main() -> None:
     print(f"{len(frames) / DURATION_S:.0f} frames per second")
     for body in frames[-1].rigid_bodies if frames else ():
         x, y, z = body.pos
-        print(f"{names.get(body.id_num, body.id_num)}: {x:.4f} {y:.4f} {z:.4f} m, "
-              f"{'tracked' if body.tracking_valid else 'lost'}")  # fmt: skip
+        print(
+            f"{names.get(body.id_num, body.id_num)}: {x:.4f} {y:.4f} {z:.4f} m, "
+            f"{'tracked' if body.tracking_valid else 'lost'}"
+        )
     if not (frames and names):
         raise SystemExit("no frames or no description arrived")
 

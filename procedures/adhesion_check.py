@@ -53,22 +53,32 @@ def measurements(p: Parameters, config: BenchConfig) -> Iterable[Measurement]:
     )
     rated_n = needs.rated_n
     yield Measurement(
-        "rated_force", "N", low=0.8 * rated_n, high=1.2 * rated_n, marginal=0.02 * rated_n,
+        "rated_force",
+        "N",
+        low=0.8 * rated_n,
+        high=1.2 * rated_n,
+        marginal=0.02 * rated_n,
         rationale="force at the rated speed, by the cells; beyond 20 % fan, seal or cells have changed",
-    )  # fmt: skip
+    )
     yield Measurement(
         "force_residual", "N", high=0.5, rationale="rms of cells against speed: they move together"
     )
     yield Measurement("rated_current", "A", rationale="from the battery at the rated speed")
     if needs.on_wall:
         yield Measurement(
-            "hold_margin", "N", low=needs.reserve * needs.needed_n, marginal=1.0,
+            "hold_margin",
+            "N",
+            low=needs.reserve * needs.needed_n,
+            marginal=1.0,
             rationale=f"measured force over the {needs.needed_n:.1f} N that this surface needs",
-        )  # fmt: skip
+        )
         yield Measurement(
-            "utilisation", "%", high=100.0 * config.safety.utilisation_limit, marginal=5.0,
+            "utilisation",
+            "%",
+            high=100.0 * config.safety.utilisation_limit,
+            marginal=5.0,
             rationale="friction that the most loaded wheel uses at rest",
-        )  # fmt: skip
+        )
     if slides(p, config):
         yield Measurement(
             "slides_at", "N", high=1.2 * needs.needed_n, rationale="force at which the tethered robot slid"
@@ -91,10 +101,14 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 @procedure(
-    name="adhesion_check", needs=("servos", "mocap", "adhesion", "load_cells"), parameters=Parameters,
-    measurements=measurements, plan=plan,
-    headline=headlines.adhesion_check, quick={"levels": 4, "dwell_s": 0.8, "slide": False},
-)  # fmt: skip
+    name="adhesion_check",
+    needs=("servos", "mocap", "adhesion", "load_cells"),
+    parameters=Parameters,
+    measurements=measurements,
+    plan=plan,
+    headline=headlines.adhesion_check,
+    quick={"levels": 4, "dwell_s": 0.8, "slide": False},
+)
 def run(ctx: Context) -> None:
     """Adhesion: zeros of the cells, force against speed, margin, and the force at which the robot slides."""
     p: Parameters = ctx.parameters
@@ -161,11 +175,20 @@ def evaluate(ctx: Context, config: BenchConfig, found: Fit, slid: dict[str, floa
         ctx.measure("slides_at", true_n)
         ctx.measure("friction", needs.statics.friction_used(true_n, slid["thrust_n"], heading_rad))
     ctx.table(
-        "Levels of force", ["asked for (N)", "cells (N)", "speed (1/min)", "battery (A)", "battery (V)"],
-        [[f"{x.asked_n:.1f}", f"{x.cells_n:.2f}", f"{x.speed_rpm:.0f}",
-          f"{x.input_a:.1f}", f"{x.input_v:.1f}"] for x in found.levels],
+        "Levels of force",
+        ["asked for (N)", "cells (N)", "speed (1/min)", "battery (A)", "battery (V)"],
+        [
+            [
+                f"{x.asked_n:.1f}",
+                f"{x.cells_n:.2f}",
+                f"{x.speed_rpm:.0f}",
+                f"{x.input_a:.1f}",
+                f"{x.input_v:.1f}",
+            ]
+            for x in found.levels
+        ],
         "Means of a rest; the cells with their zeros.",
-    )  # fmt: skip
+    )
     draw(ctx, found)
     values: dict[str, dict[str, Any]] = {
         "adhesion": {"rated_force_n": round(rated_n, 2), "rated_rpm": needs.rated_rpm},
@@ -174,8 +197,10 @@ def evaluate(ctx: Context, config: BenchConfig, found: Fit, slid: dict[str, floa
     write_fragment(ctx, values, "Zeros of the load cells, and the force that belongs to a speed of the fan")
     flat = {f"{table}.{key}": value for table, keys in values.items() for key, value in keys.items()}
     half_n = found.zero_uncertainty_n
-    figures = {"cells_zero": Figure(value=sum(found.zero_n), sigma=0.5 * half_n, unit="N"),
-               "rated_force": Figure(value=rated_n, unit="N")}  # fmt: skip
+    figures = {
+        "cells_zero": Figure(value=sum(found.zero_n), sigma=0.5 * half_n, unit="N"),
+        "rated_force": Figure(value=rated_n, unit="N"),
+    }
     if slid is not None:
         figures["friction"] = Figure(value=ctx.findings.values["friction"])
     leave_part(ctx, "hold", values=flat, figures=figures)

@@ -121,20 +121,29 @@ def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
             rationale="a longer one harms the estimate or makes the supervisor stop",
         )
         yield Measurement(
-            f"{name}.age", "ms", low=0.0, high=age_limit_ms(name, config),
+            f"{name}.age",
+            "ms",
+            low=0.0,
+            high=age_limit_ms(name, config),
             rationale="median from measurement to arrival; one cycle more where samples wait for the loop",
-        )  # fmt: skip
+        )
         if kinds()[name].own_clock:
             yield Measurement(
-                f"{name}.clock_drift", "ppm", low=-90.0, high=90.0, marginal=10.0,
+                f"{name}.clock_drift",
+                "ppm",
+                low=-90.0,
+                high=90.0,
+                marginal=10.0,
                 rationale="device clock against bench clock, positive is fast; drivers follow up to 100",
-            )  # fmt: skip
+            )
             yield Measurement(f"{name}.clock_drift_uncertainty", "ppm", rationale="half of the 95 % interval")
     if _tilt_is_seen(p, config):
         yield Measurement(
-            "imu.tilt_apart", "deg", high=APART_RAD * _DEG,
+            "imu.tilt_apart",
+            "deg",
+            high=APART_RAD * _DEG,
             rationale="tilt by gravity from environment.tilt_rad; beyond it nothing is moved",
-        )  # fmt: skip
+        )
     yield from _of_directions(p)
 
 
@@ -149,30 +158,36 @@ def _of_directions(p: Parameters) -> Iterator[Measurement]:
         )
         if "encoders" in p.devices:
             yield Measurement(
-                f"steer_{wheel}.encoder_response", "1", low=0.85, high=1.15, marginal=0.03,
+                f"steer_{wheel}.encoder_response",
+                "1",
+                low=0.85,
+                high=1.15,
+                marginal=0.03,
                 rationale="backlash and an eccentric magnet cost 8 %; a wrong axis or sign is far outside",
-            )  # fmt: skip
+            )
         for way in ("straight", "across"):
             yield Measurement(
-                f"drive_{wheel}.{way}", "1", low=_PUSHES, marginal=0.1,
+                f"drive_{wheel}.{way}",
+                "1",
+                low=_PUSHES,
+                marginal=0.1,
                 rationale="cosine of push and expected push; -1: reversed, near 0: another wheel",
-            )  # fmt: skip
+            )
     yield Measurement("steering.crosstalk", "1", high=0.1, rationale="turn of an axis that was not commanded")
     sensors = ["odometry"] + ["tracker"] * ("tracker" in p.devices and p.body != "tracker")
     for name in sensors:
         for axis in ("x", "y", "heading"):
             yield Measurement(
-                f"{name}.{axis}_response", "1", low=0.7, high=1.3, marginal=0.05,
+                f"{name}.{axis}_response",
+                "1",
+                low=0.7,
+                high=1.3,
+                marginal=0.05,
                 rationale=f"motion seen over motion seen by {p.body}; slip costs some",
-            )  # fmt: skip
+            )
     if "imu" in p.devices:
         yield Measurement(
-            "imu.gyro_response",
-            "1",
-            low=0.9,
-            high=1.1,
-            marginal=0.03,
-            rationale="turn over the body's turn",
+            "imu.gyro_response", "1", low=0.9, high=1.1, marginal=0.03, rationale="turn over the body's turn"
         )
 
 
@@ -191,9 +206,14 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 @procedure(
-    name="bring_up", needs=("servos",), parameters=Parameters, measurements=measurements, plan=plan,
-    headline=headlines.bring_up, quick={"watch_s": 5.0},
-)  # fmt: skip
+    name="bring_up",
+    needs=("servos",),
+    parameters=Parameters,
+    measurements=measurements,
+    plan=plan,
+    headline=headlines.bring_up,
+    quick={"watch_s": 5.0},
+)
 def run(ctx: Context) -> None:
     """Bring-up: identity, limits, sample rates, clocks, and every direction by a small motion."""
     p: Parameters = ctx.parameters
@@ -249,9 +269,10 @@ def identify(ctx: Context, bench: Bench) -> None:
     ctx.measure("servos.failed_checks", sum(f.level == "failure" for f in findings))
     ctx.measure("servos.warnings", sum(f.level == "warning" for f in findings))
     ctx.table(
-        "Servo registers", ["check", "level", "found", "expected", "remedy if not"],
+        "Servo registers",
+        ["check", "level", "found", "expected", "remedy if not"],
         [[f.check, f.level, f.found, f.expected, f.remedy if f.level != "ok" else ""] for f in findings],
-    )  # fmt: skip
+    )
 
 
 def watch(ctx: Context, bench: Bench) -> bool:

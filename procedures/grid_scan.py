@@ -74,15 +74,19 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
     yield Measurement("covered", "1", low=0.99, rationale=f"neighbouring lanes overlap by {margin_mm:.0f} mm")
     if p.lanes > 1:
         yield Measurement(
-            "lane_spacing_error", "mm", high=max(margin_mm, 1.0),
+            "lane_spacing_error",
+            "mm",
+            high=max(margin_mm, 1.0),
             rationale="largest, between the means of neighbouring lanes: more would leave a gap",
-        )  # fmt: skip
+        )
     if p.compare:
         full = p.lanes >= _FULL_LANES and p.lane_length_m >= 1.0
         yield Measurement(
-            "odometry.rmse_worse_axis", "mm", low=_ODOMETRY_RMSE_MM if full else None,
+            "odometry.rmse_worse_axis",
+            "mm",
+            low=_ODOMETRY_RMSE_MM if full else None,
             rationale="odometry must fail, or slip and sag are not being tested",
-        )  # fmt: skip
+        )
 
 
 def reference(p: Parameters, start: ArrayLike) -> Trajectory:
@@ -101,9 +105,13 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 @procedure(
-    name="grid_scan", needs=("servos", "imu", "tracker", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan, headline=headlines.grid_scan,
-)  # fmt: skip
+    name="grid_scan",
+    needs=("servos", "imu", "tracker", "mocap"),
+    parameters=Parameters,
+    measurements=measurements,
+    plan=plan,
+    headline=headlines.grid_scan,
+)
 def run(ctx: Context) -> None:
     """Scan a piece of wall lane by lane."""
     p: Parameters = ctx.parameters
@@ -195,9 +203,10 @@ def _evaluate(ctx: Context, p: Parameters, runs: dict[str, Any]) -> None:
         ctx.measure("odometry.rmse_worse_axis", max(lost["rmse_x"], lost["rmse_y"]))
     shown = {name: run["series"] for name, run in runs.items()}
     ctx.figure(
-        coverage_figure(shown, seen, np.array(own["start"]), p.lane_length_m), "Path and coverage",
+        coverage_figure(shown, seen, np.array(own["start"]), p.lane_length_m),
+        "Path and coverage",
         f"Shaded: seen by a probe of {1e3 * p.probe_width_m:.0f} mm. Lines: where the robot truly went.",
-    )  # fmt: skip
+    )
     ctx.figure(belief_figure(shown), "What was believed", "Estimate, which was fed back, minus truth.")
     ctx.figure(error_figure(shown), "Errors", "Truth minus reference.")
     keys = ("rmse_x", "rmse_y", "rmse_heading", "worst", "saturated_s")

@@ -78,27 +78,46 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
     )
     for axis in "xyz":
         yield Measurement(
-            f"gyro_offset_{axis}", "deg/s", low=-3.0, high=3.0, marginal=0.5,
+            f"gyro_offset_{axis}",
+            "deg/s",
+            low=-3.0,
+            high=3.0,
+            marginal=0.5,
             rationale="stored; zero-rate offset within 3 deg/s, else the chip is damaged or was moved",
-        )  # fmt: skip
+        )
     yield Measurement(
-        "gyro_bias", "deg/s", low=-0.1, high=0.1, marginal=0.02,
+        "gyro_bias",
+        "deg/s",
+        low=-0.1,
+        high=0.1,
+        marginal=0.02,
         rationale="mean turn rate about the wall normal at rest, after learning",
-    )  # fmt: skip
+    )
     yield Measurement(
-        "gyro_noise", "deg/s/√Hz", low=0.002, high=_NOISE_LIMIT, marginal=0.002,
+        "gyro_noise",
+        "deg/s/√Hz",
+        low=0.002,
+        high=_NOISE_LIMIT,
+        marginal=0.002,
         rationale="data sheet 0.014 typical; almost none means that the sensor does not measure",
-    )  # fmt: skip
+    )
     yield Measurement("gyro_noise_uncertainty", "deg/s/√Hz", rationale="half of the 95 % interval")
     yield Measurement(
-        "gyro_bias_instability", "deg/h", high=round(60.0 + white_floor_deg_h(p.rest_s), 1), marginal=10.0,
+        "gyro_bias_instability",
+        "deg/h",
+        high=round(60.0 + white_floor_deg_h(p.rest_s), 1),
+        marginal=10.0,
         rationale="lowest point of the Allan deviation: 60, plus what noise adds after so short a rest",
-    )  # fmt: skip
+    )
     yield Measurement("accelerometer_noise", "mg/√Hz", high=0.6, marginal=0.1, rationale="0.15 typical")
     yield Measurement(
-        "heading_offset", "deg", low=-5.0, high=5.0, marginal=1.0,
+        "heading_offset",
+        "deg",
+        low=-5.0,
+        high=5.0,
+        marginal=1.0,
         rationale="gravity minus motion capture at the mean heading; 80 mg of offset make 4.6 deg",
-    )  # fmt: skip
+    )
     yield Measurement("heading_offset_uncertainty", "deg", high=0.2, rationale="half of the 95 % interval")
     yield Measurement(
         "heading_scatter", "deg", high=0.15, marginal=0.03, rationale="about the fitted line, one dwell each"
@@ -108,9 +127,13 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
     )
     yield Measurement("restored_bias", "deg/s", low=-0.1, high=0.1, marginal=0.02, rationale="as gyro_bias")
     yield Measurement(
-        "corrected_heading", "deg", low=-0.3, high=0.3, marginal=0.05,
+        "corrected_heading",
+        "deg",
+        low=-0.3,
+        high=0.3,
+        marginal=0.05,
         rationale="gravity minus motion capture with the corrected mount, after a restart of the chip",
-    )  # fmt: skip
+    )
 
 
 def white_floor_deg_h(rest_s: float) -> float:
@@ -143,23 +166,29 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 @procedure(
-    name="imu_calibration", needs=("servos", "imu", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan, headline=headlines.imu_calibration,
+    name="imu_calibration",
+    needs=("servos", "imu", "mocap"),
+    parameters=Parameters,
+    measurements=measurements,
+    plan=plan,
+    headline=headlines.imu_calibration,
     quick={"rest_s": 20.0, "learn_s": 8.0, "headings": 4, "dwell_s": 1.0},
-)  # fmt: skip
+)
 def run(ctx: Context) -> None:
     """IMU calibration: offsets stored and restored, noise by Allan deviation, heading from gravity."""
     p: Parameters = ctx.parameters
     if not ctx.source.config.environment.on_wall:
         raise ConfigError(
             f"bench {ctx.source.config.name} is not on a wall: gravity does not show the heading",
-            expected='tilt_rad = 1.5708 in [environment]', remedy="run it on the wall bench",
-        )  # fmt: skip
+            expected="tilt_rad = 1.5708 in [environment]",
+            remedy="run it on the wall bench",
+        )
     if ctx.source.config.of(Bno055Config) is None:
         raise ConfigError(
             f"bench {ctx.source.config.name} has an IMU that keeps no offsets for a client to store",
-            expected='model = "bno055" in [imu]', remedy="leave this procedure out",
-        )  # fmt: skip
+            expected='model = "bno055" in [imu]',
+            remedy="leave this procedure out",
+        )
     bench = ctx.reopen(overrides={"tracker": None, "encoders": None})
     with ctx.step("learn", timeout_s=p.learn_s + 30.0):
         ctx.measure("gyro_level", learn(bench, p))
@@ -199,10 +228,12 @@ def store(ctx: Context, bench: Bench) -> tuple[Any, Path]:
         ["magnetometer", *(f"{c / 16.0:+.1f}" for c in stored.magnetometer_offset), "µT"],
     ]
     ctx.table(
-        "Stored offsets", ["sensor", "x", "y", "z", "unit"], rows,
+        "Stored offsets",
+        ["sensor", "x", "y", "z", "unit"],
+        rows,
         "Axes of the chip. The accelerometer only learns when it is held in several attitudes: by hand, "
         "off the wall.",
-    )  # fmt: skip
+    )
     return stored, path
 
 
@@ -287,16 +318,19 @@ def restore(ctx: Context, stored: Any, path: Path, offset_rad: float) -> None:
     bench = ctx.reopen(
         "restored",
         overrides={
-            "tracker": None, "encoders": None, "imu.calibration_file": str(path),
+            "tracker": None,
+            "encoders": None,
+            "imu.calibration_file": str(path),
             "imu.mount_rotation_wxyz": values["imu"]["mount_rotation_wxyz"],
             "emulation.imu": {"mount_rotation_wxyz": config.mount_rotation_wxyz, **emulation},
         },
-    )  # fmt: skip
+    )
     back = cast(StoresOffsets, bench.rig.get("imu")).read_calibration()
     pairs = zip(
         (*stored.accelerometer_offset, *stored.magnetometer_offset, *stored.gyroscope_offset),
-        (*back.accelerometer_offset, *back.magnetometer_offset, *back.gyroscope_offset), strict=True,
-    )  # fmt: skip
+        (*back.accelerometer_offset, *back.magnetometer_offset, *back.gyroscope_offset),
+        strict=True,
+    )
     ctx.measure("restored_difference", max(abs(a - b) for a, b in pairs))
     stand(bench)
     motion = bench.observe(max(ctx.parameters.dwell_s, 2.0), feedback="odometry")
@@ -310,9 +344,10 @@ def restore(ctx: Context, stored: Any, path: Path, offset_rad: float) -> None:
         for name, unit, sigma in (
             ("heading_offset", "deg", 0.5 * measured["heading_offset_uncertainty"]),
             ("gyro_noise", "deg/s/√Hz", 0.5 * measured["gyro_noise_uncertainty"]),
-            ("gyro_bias", "deg/s", None), ("gyro_bias_instability", "deg/h", None),
+            ("gyro_bias", "deg/s", None),
+            ("gyro_bias_instability", "deg/h", None),
             ("accelerometer_noise", "mg/√Hz", None),
         )
-    }  # fmt: skip
+    }
     mounted = {"imu.mount_rotation_wxyz": values["imu"]["mount_rotation_wxyz"]}
     leave_part(ctx, "inertial", values=mounted, figures=figures, files={"imu.calibration_file": path})

@@ -103,8 +103,10 @@ class Signal:
     def against(self, truth: Signal) -> Signal:
         """With its stamps held against those of another signal of the same motion."""
         half_s = math.hypot(self.delay.uncertainty_s, truth.delay.uncertainty_s)
-        return replace(self, stamp=replace(self.delay, delay_s=self.delay.delay_s - truth.delay.delay_s,
-                                           uncertainty_s=half_s))  # fmt: skip
+        return replace(
+            self,
+            stamp=replace(self.delay, delay_s=self.delay.delay_s - truth.delay.delay_s, uncertainty_s=half_s),
+        )
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:
@@ -117,26 +119,39 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
         yield Measurement(name, "ms", low=5.0, high=150.0, marginal=20.0, rationale=why)
         yield Measurement(f"{name}_uncertainty", "ms", high=2.0, rationale=_HALF)
     yield Measurement(
-        "servos.velocity_lag", "ms", low=35.0, high=70.0, marginal=5.0,
+        "servos.velocity_lag",
+        "ms",
+        low=35.0,
+        high=70.0,
+        marginal=5.0,
         rationale="Present Velocity behind Present Position: 52 measured on the robot",
-    )  # fmt: skip
+    )
     yield Measurement("servos.velocity_lag_uncertainty", "ms", high=4.0, rationale=_HALF)
     for name in ("servos", "mocap", *p.devices):
         yield Measurement(
             f"{name}.age", "ms", high=50.0, rationale="median from measurement to arrival, stamps corrected"
         )
         yield Measurement(f"{name}.age_uncertainty", "ms", high=4.0, rationale=_HALF)
-        yield Measurement(f"{name}.command_to_known", "ms", high=200.0, marginal=20.0,
-                          rationale="from the command until the loop has the sample")  # fmt: skip
+        yield Measurement(
+            f"{name}.command_to_known",
+            "ms",
+            high=200.0,
+            marginal=20.0,
+            rationale="from the command until the loop has the sample",
+        )
         yield Measurement(f"{name}.command_to_known_uncertainty", "ms", high=4.0, rationale=_HALF)
     for name in p.devices:
         limit = _STAMP_LIMIT_MS[name]
         against = "the servos' steering" if name == "encoders" else "motion capture"
         phase = "; plus or minus half a period of its fusion" if name == "imu" else ""
         yield Measurement(
-            f"{name}.stamp_error", "ms", low=-limit, high=limit, marginal=1.0,
+            f"{name}.stamp_error",
+            "ms",
+            low=-limit,
+            high=limit,
+            marginal=1.0,
             rationale=f"stamps later than the truth, against {against}{phase}",
-        )  # fmt: skip
+        )
         yield Measurement(f"{name}.stamp_error_uncertainty", "ms", high=4.0, rationale=_HALF)
     yield Measurement(
         "worst_misfit", "1", high=0.25, marginal=0.05, rationale="share of a signal that no delay explains"
@@ -222,10 +237,7 @@ def body_signals(bench: Bench, motion: Motion, p: Parameters) -> tuple[Command, 
     by_speed = integrated(rolled.t_s, speed)
     lag = fit_response(rolled.t_s, by_angle, by_speed, _LONGEST_LAG_S)
     lag = replace(lag, uncertainty_s=math.hypot(lag.uncertainty_s, _TRUNCATION_S))
-    found = {
-        "servos": servos,
-        "velocity register": replace(_signal(command, rolled, by_speed), stamp=lag),
-    }
+    found = {"servos": servos, "velocity register": replace(_signal(command, rolled, by_speed), stamp=lag)}
     seen = poses(motion, "mocap").since(0.0)
     mocap = _signal(command, seen, seen[2])
     if "imu" in p.devices:
@@ -252,10 +264,13 @@ def steering_signals(bench: Bench, motion: Motion, p: Parameters) -> tuple[Comma
         path = integrated(t_s, mean)
         own = Signal(t_s, path, fit_delay(command, t_s, path), _age_s(data))
         stamp = fit_driven(
-            rolled.t_s, driving, data.t_s, data.values,
+            rolled.t_s,
+            driving,
+            data.t_s,
+            data.values,
             slack_rad=min(_SLACK_RAD, 0.5 * math.radians(p.steer_deg)),
             about_s=own.delay.delay_s - servos.delay.delay_s,
-        )  # fmt: skip
+        )
         found["encoders"] = replace(own, stamp=stamp)
     return command, found
 
@@ -275,9 +290,7 @@ def values_ms(p: Parameters, body: Mapping[str, Signal], axes: Mapping[str, Sign
     def note(name: str, delay_s: float, half_s: float) -> None:
         found[name], found[f"{name}_uncertainty"] = 1e3 * delay_s, 1e3 * half_s
 
-    for name, signal in (
-        ("body", body["mocap"]), ("wheels", body["servos"]), ("steering", axes["servos"]),
-    ):  # fmt: skip
+    for name, signal in (("body", body["mocap"]), ("wheels", body["servos"]), ("steering", axes["servos"])):
         note(f"{name}.command_to_motion", signal.delay.delay_s, signal.delay.uncertainty_s)
     lag = body["velocity register"].stamp
     note("servos.velocity_lag", lag.delay_s, lag.uncertainty_s)

@@ -114,22 +114,32 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
     """What the validation run must show."""
     yield Measurement("position_rmse_before", "mm", rationale="first round, parameters as the run began")
     yield Measurement(
-        "position_rmse_after", "mm", high=4.0, marginal=0.5,
+        "position_rmse_after",
+        "mm",
+        high=4.0,
+        marginal=0.5,
         rationale="odometry against motion capture on motions driven with the result and not fitted",
-    )  # fmt: skip
+    )
     yield Measurement("heading_rmse_before", "deg")
     yield Measurement("heading_rmse_after", "deg", high=0.5, marginal=0.1, rationale="as above")
     yield Measurement("improvement", "1", rationale="position RMSE before over after")
     yield Measurement(
-        "worst_later_round", "mm", high=_SIMILAR_MM,
+        "worst_later_round",
+        "mm",
+        high=_SIMILAR_MM,
         rationale="largest rise of the position RMSE from a round to a later one, beyond chance",
-    )  # fmt: skip
-    yield Measurement("rounds", "1", low=float(p.min_rounds), high=float(p.max_rounds),
-                      rationale="by its own stop rule")  # fmt: skip
+    )
+    yield Measurement(
+        "rounds", "1", low=float(p.min_rounds), high=float(p.max_rounds), rationale="by its own stop rule"
+    )
     yield Measurement("rejected_recordings", "1")
-    yield Measurement("rejected_share", "1", high=0.1,
-                      rationale="of the recordings of all rounds in the fit that was kept, those that "
-                      "contradict the others")  # fmt: skip
+    yield Measurement(
+        "rejected_share",
+        "1",
+        high=0.1,
+        rationale="of the recordings of all rounds in the fit that was kept, those that "
+        "contradict the others",
+    )
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
@@ -146,12 +156,24 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 @procedure(
-    name="odometry_calibration", needs=("servos", "mocap"), parameters=Parameters, measurements=measurements,
-    plan=plan, headline=headlines.odometry_calibration, bench="emulated_floor",
-    quick={"motions": ("line_x", "line_y", "circle_ccw", "rotation_cw"), "repetitions": 2,
-           "validation_repetitions": 1, "line_m": 1.0, "radius_m": 0.4, "turns": 0.5, "max_rounds": 2,
-           "compared_methods": ()},
-)  # fmt: skip
+    name="odometry_calibration",
+    needs=("servos", "mocap"),
+    parameters=Parameters,
+    measurements=measurements,
+    plan=plan,
+    headline=headlines.odometry_calibration,
+    bench="emulated_floor",
+    quick={
+        "motions": ("line_x", "line_y", "circle_ccw", "rotation_cw"),
+        "repetitions": 2,
+        "validation_repetitions": 1,
+        "line_m": 1.0,
+        "radius_m": 0.4,
+        "turns": 0.5,
+        "max_rounds": 2,
+        "compared_methods": (),
+    },
+)
 def run(ctx: Context) -> None:
     """Odometry calibration: collect, optimise, re-collect with the new parameters, validate."""
     p: Parameters = ctx.parameters
@@ -268,8 +290,9 @@ def _measure(ctx: Context, rounds: list[Driven], fresh: Driven) -> None:
     before: Any = evaluate(rounds[0].tracks())["mean"]
     after: Any = evaluate(fresh.tracks())["mean"]
     for name, scale, key in (
-        ("position_rmse", 1e3, "rmse_position_m"), ("heading_rmse", np.degrees(1.0), "rmse_theta_rad"),
-    ):  # fmt: skip
+        ("position_rmse", 1e3, "rmse_position_m"),
+        ("heading_rmse", np.degrees(1.0), "rmse_theta_rad"),
+    ):
         ctx.measure(f"{name}_before", scale * before[key])
         ctx.measure(f"{name}_after", scale * after[key])
     ctx.measure("improvement", before["rmse_position_m"] / after["rmse_position_m"])
@@ -300,9 +323,13 @@ def _install(ctx: Context, result: Calibration) -> None:
     verdict, config = ctx.verdict().value, ctx.source.config
     robot = identity(config, ctx.source.seed)
     file = calibration_file(
-        result, created=ctx.started, software=versions(), verdict=verdict, made_for=made_for(config),
+        result,
+        created=ctx.started,
+        software=versions(),
+        verdict=verdict,
+        made_for=made_for(config),
         robot=robot,
-    )  # fmt: skip
+    )
     path = ctx.folder / "calibration.toml"
     save_calibration(path, file)
     ctx.attach("calibration", path)

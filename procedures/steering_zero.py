@@ -57,9 +57,13 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
     """One set per axis, then what the motion says."""
     for w in WHEELS:
         yield Measurement(
-            f"steer_{w}.zero", "deg", low=-ZERO_LIMIT_RAD * _DEG, high=ZERO_LIMIT_RAD * _DEG, marginal=1.0,
+            f"steer_{w}.zero",
+            "deg",
+            low=-ZERO_LIMIT_RAD * _DEG,
+            high=ZERO_LIMIT_RAD * _DEG,
+            marginal=1.0,
             rationale="servo angle at which the wheel points ahead; a tooth of the horn is 15 deg",
-        )  # fmt: skip
+        )
         yield Measurement(
             f"steer_{w}.zero_uncertainty", "deg", high=0.25, rationale="half of the 95 % interval"
         )
@@ -76,21 +80,36 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
     yield Measurement("common.by_motion", "deg", rationale="direction of travel minus mean steering")
     yield Measurement("common.by_motion_uncertainty", "deg", high=0.4, rationale="half of the 95 % interval")
     yield Measurement(
-        "common.disagreement", "deg", low=-0.5, high=0.5, marginal=0.1,
+        "common.disagreement",
+        "deg",
+        low=-0.5,
+        high=0.5,
+        marginal=0.1,
         rationale="motion minus encoders; outside, an encoder's zero or the capture body's heading is wrong",
-    )  # fmt: skip
+    )
     yield Measurement(
-        "turn_disagreement", "deg/m", low=-6.0, high=6.0, marginal=1.0,
+        "turn_disagreement",
+        "deg/m",
+        low=-6.0,
+        high=6.0,
+        marginal=1.0,
         rationale="largest half difference of out and back, without toe; radii unequal by 1 % make 2.5",
-    )  # fmt: skip
+    )
     yield Measurement(
-        "applied.worst_heading", "deg", high=0.4, marginal=0.1,
+        "applied.worst_heading",
+        "deg",
+        high=0.4,
+        marginal=0.1,
         rationale="largest heading of a wheel by its encoder, zeros applied, commanded straight",
-    )  # fmt: skip
+    )
     yield Measurement(
-        "applied.direction", "deg", low=-0.4, high=0.4, marginal=0.1,
+        "applied.direction",
+        "deg",
+        low=-0.4,
+        high=0.4,
+        marginal=0.1,
         rationale="direction of travel minus steering, zeros applied",
-    )  # fmt: skip
+    )
 
 
 def leg(p: Parameters, start: Array, name: str, alpha_rad: float) -> Trajectory:
@@ -110,10 +129,15 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 @procedure(
-    name="steering_zero", needs=("servos", "encoders", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan, headline=headlines.steering_zero, bench="emulated_floor",
+    name="steering_zero",
+    needs=("servos", "encoders", "mocap"),
+    parameters=Parameters,
+    measurements=measurements,
+    plan=plan,
+    headline=headlines.steering_zero,
+    bench="emulated_floor",
     quick={"sweep_s": 6.0, "sweeps": 1, "leg_m": 0.3, "legs": 1},
-)  # fmt: skip
+)
 def run(ctx: Context) -> None:
     """Steering zeros from the external encoders, checked by motion, applied and driven."""
     unused: dict[str, object] = {"tracker": None, "imu": None}
@@ -135,8 +159,11 @@ def sweep(ctx: Context, bench: Bench) -> list[AxisFit]:
     p: Parameters = ctx.parameters
     pose = stand(bench)
     end = np.full(4, p.sweep_deg / _DEG)
-    once = [Stretch(p.sweep_s / 2, steering_rad=end), Stretch(p.sweep_s, steering_rad=-end),
-            Stretch(p.sweep_s / 2, steering_rad=0.0 * end)]  # fmt: skip
+    once = [
+        Stretch(p.sweep_s / 2, steering_rad=end),
+        Stretch(p.sweep_s, steering_rad=-end),
+        Stretch(p.sweep_s / 2, steering_rad=0.0 * end),
+    ]
     now = wheels(bench.observe(0.1, feedback="odometry")).values[-1, 8:12]
     motion = play(bench, [Stretch(1.0, steering_rad=np.zeros(4)), *once * p.sweeps], pose, now)
     seen, servo = encoders(motion, bench.config), wheels(motion)
@@ -145,9 +172,10 @@ def sweep(ctx: Context, bench: Bench) -> list[AxisFit]:
         known = np.isfinite(seen[k]) & (seen.t_s > 1.0)
         if known.sum() < 0.5 * len(seen) or not len(seen):
             raise DeviceError(
-                "encoders", f"axis {name}: {int(known.sum())} of {len(seen)} samples usable",
+                "encoders",
+                f"axis {name}: {int(known.sum())} of {len(seen)} samples usable",
                 remedy="check magnet and wiring; hil run bring_up",
-            )  # fmt: skip
+            )
         t = seen.t_s[known]
         fits.append(fit_axis(t, servo.at(t, 8 + k), seen[k][known], 4 * p.sweeps))
     return fits
@@ -163,10 +191,16 @@ def _measure_axes(ctx: Context, fits: Sequence[AxisFit]) -> None:
         ctx.measure(f"steer_{name}.residual", fit.residual_rad * _DEG)
     before = ctx.source.config.alignment.steer_zero_rad
     rows = [
-        [w, f"{old * _DEG:+.3f}", f"{new * _DEG:+.3f}", f"± {f.uncertainty_rad * _DEG:.3f}",
-         f"{f.backlash_rad * _DEG:.3f}", f"{f.eccentricity_rad * _DEG:.3f}"]
+        [
+            w,
+            f"{old * _DEG:+.3f}",
+            f"{new * _DEG:+.3f}",
+            f"± {f.uncertainty_rad * _DEG:.3f}",
+            f"{f.backlash_rad * _DEG:.3f}",
+            f"{f.eccentricity_rad * _DEG:.3f}",
+        ]
         for w, old, new, f in zip(WHEELS, before, zeros, fits, strict=True)
-    ]  # fmt: skip
+    ]
     head = ["wheel", "zero before", "zero found", "95 %", "backlash", "eccentricity"]
     ctx.table("Steering zeros by encoder", head, rows, "deg")
     _draw_axes(ctx, fits)
@@ -184,21 +218,29 @@ def _draw_axes(ctx: Context, fits: Sequence[AxisFit]) -> None:
     figure = new_figure(5.2, 3.8)
     for k, (name, fit) in enumerate(zip(WHEELS, fits, strict=True), start=1):
         axes = style(
-            figure.add_subplot(2, 2, k), "steering (deg)" if k > 2 else "",
-            "encoder − servo (deg)" if k % 2 else "", name,
-        )  # fmt: skip
+            figure.add_subplot(2, 2, k),
+            "steering (deg)" if k > 2 else "",
+            "encoder − servo (deg)" if k % 2 else "",
+            name,
+        )
         order = np.argsort(fit.steering_rad)
         at, seen = thin(fit.steering_rad * _DEG, fit.difference_rad * _DEG)
         axes.plot(at, seen, ".", color=SERIES[0], ms=2.5, alpha=0.6, label="samples" if k == 1 else None)
         at, fitted = thin(fit.steering_rad[order] * _DEG, fit.fitted_rad[order] * _DEG)
         axes.plot(at, fitted, color=SERIES[1], lw=1.6, label="fit, without backlash" if k == 1 else None)
-        axes.axhline(fit.offset_rad * _DEG, color=PALETTE["reference"], lw=1.0, ls="--",
-                     label="offset" if k == 1 else None)  # fmt: skip
+        axes.axhline(
+            fit.offset_rad * _DEG,
+            color=PALETTE["reference"],
+            lw=1.0,
+            ls="--",
+            label="offset" if k == 1 else None,
+        )
         legend(axes)
     ctx.figure(
-        figure, "Encoder against servo",
+        figure,
+        "Encoder against servo",
         "The two bands of samples are the backlash, by direction of turning; the bend comes from the magnet.",
-    )  # fmt: skip
+    )
 
 
 def drive_legs(ctx: Context, bench: Bench, directions: Sequence[tuple[str, float]], label: str) -> list[Leg]:
@@ -235,15 +277,22 @@ def compare(ctx: Context, bench: Bench, fits: Sequence[AxisFit]) -> None:
     rest = (turns - toes).reshape(-1, 2) @ np.array([0.5, -0.5]) * _DEG
     ctx.measure("turn_disagreement", rest[np.argmax(np.abs(rest))])
     rows = [
-        [f.name, f"{1e3 * f.way_m:.0f}", f"{f.common_rad * _DEG:+.3f}", f"{f.turned_rad_m * _DEG:+.3f}",
-         f"{toe * _DEG:+.3f}"]
+        [
+            f.name,
+            f"{1e3 * f.way_m:.0f}",
+            f"{f.common_rad * _DEG:+.3f}",
+            f"{f.turned_rad_m * _DEG:+.3f}",
+            f"{toe * _DEG:+.3f}",
+        ]
         for f, toe in zip(found, toes, strict=True)
-    ]  # fmt: skip
+    ]
     head = ["leg", "distance (mm)", "direction (deg)", "turn (deg/m)", "turn by toe (deg/m)"]
     ctx.table(
-        "Legs", head, rows,
+        "Legs",
+        head,
+        rows,
         f"Direction of travel minus mean steering; the encoders say {by_encoders * _DEG:+.3f} deg.",
-    )  # fmt: skip
+    )
 
 
 def apply(ctx: Context, fits: Sequence[AxisFit], unused: dict[str, object]) -> None:

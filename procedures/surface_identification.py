@@ -75,33 +75,47 @@ def measurements(p: Parameters, config: BenchConfig) -> Iterable[Measurement]:
     """What identifies a surface, and how well it must be known."""
     for name, what in (("slip", "lines up and down"), ("sag", "lines to the left and right")):
         yield Measurement(
-            f"{name}_per_metre", "mm/m", low=-5.0, high=150.0,
+            f"{name}_per_metre",
+            "mm/m",
+            low=-5.0,
+            high=150.0,
             rationale=f"downhill, {what}; on a wall with more the robot cannot work",
-        )  # fmt: skip
+        )
         yield Measurement(
-            f"{name}_uncertainty", "mm/m", high=4.0, marginal=1.0,
+            f"{name}_uncertainty",
+            "mm/m",
+            high=4.0,
+            marginal=1.0,
             rationale="half width of the 95 % interval: what slip feed-forward can rely on",
-        )  # fmt: skip
+        )
     yield Measurement("turning_per_metre_along", "deg/m", rationale="lines up and down")
     yield Measurement("turning_per_metre_across", "deg/m", rationale="lines to the left and right")
     yield Measurement(
-        "direction_difference", "mm/m", high=80.0,
+        "direction_difference",
+        "mm/m",
+        high=80.0,
         rationale="opposite directions differ by geometry, not slip; beyond the limit calibrate first",
-    )  # fmt: skip
+    )
     if p.hold:
         for side in ("left", "right"):
             yield Measurement(
-                f"hold_angle_{side}", "deg", low=15.0 + _MARGIN_DEG, marginal=2.0,
+                f"hold_angle_{side}",
+                "deg",
+                low=15.0 + _MARGIN_DEG,
+                marginal=2.0,
                 rationale=f"largest heading to the {side} at which it stood, 5 deg over the safe range",
-            )  # fmt: skip
+            )
         yield Measurement(
             "hold_uncertainty", "deg", high=1.0, rationale="half of the last step of the search"
         )
         if adhesion_limits(config) is not None:
             yield Measurement(
-                "friction", "1", low=0.05, high=2.0,
+                "friction",
+                "1",
+                low=0.05,
+                high=2.0,
                 rationale="of tyres on surface: used of the measured force where the robot began to slide",
-            )  # fmt: skip
+            )
 
 
 def motions(p: Parameters, start: Any) -> dict[str, Trajectory]:
@@ -126,10 +140,14 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 @procedure(
-    name="surface_identification", needs=("servos", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan, headline=headlines.surface_identification,
+    name="surface_identification",
+    needs=("servos", "mocap"),
+    parameters=Parameters,
+    measurements=measurements,
+    plan=plan,
+    headline=headlines.surface_identification,
     quick={"hold": False, "length_m": 0.5, "processes": 2},
-)  # fmt: skip
+)
 def run(ctx: Context) -> None:
     """Surface identification: slip and sag per metre, hold angle."""
     p: Parameters = ctx.parameters
@@ -150,8 +168,9 @@ def _check_wall(config: BenchConfig) -> None:
     if not config.environment.on_wall:
         raise ConfigError(
             f"surface_identification on the bench {config.name!r}, which stands on the floor",
-            expected='tilt_rad = 1.5708 in [environment]', remedy="choose the bench of the wall",
-        )  # fmt: skip
+            expected="tilt_rad = 1.5708 in [environment]",
+            remedy="choose the bench of the wall",
+        )
 
 
 Slips = dict[str, list[float]]
@@ -186,9 +205,12 @@ def _alone(bench: Bench, p: Parameters, number: int, ways: tuple[str, ...]) -> S
 
 
 def repetition(
-    bench: Bench, p: Parameters, number: int, told: Callable[[int, int], object],
+    bench: Bench,
+    p: Parameters,
+    number: int,
+    told: Callable[[int, int], object],
     ways: Sequence[str] = DIRECTIONS,
-) -> Slips:  # fmt: skip
+) -> Slips:
     """Drive the lines; returns slip per metre (downhill, leftward, turning) by direction.
 
     Each begins on a bench opened afresh, so that it does not depend on which repetitions the same run has
@@ -221,8 +243,9 @@ def evaluate(ctx: Context, rows: list[dict[str, list[float]]], holds: dict[str, 
     """Measurements, table and figure."""
     every = {d: np.array([row[d] for row in rows]) for d in DIRECTIONS}
     for name, (there, back), turning in (
-        ("slip", ("up", "down"), "along"), ("sag", ("left", "right"), "across"),
-    ):  # fmt: skip
+        ("slip", ("up", "down"), "along"),
+        ("sag", ("left", "right"), "across"),
+    ):
         found = rate(every[there][:, 0], every[back][:, 0], _SYSTEMATIC)
         ctx.measure(f"{name}_per_metre", 1e3 * found.mean)
         ctx.measure(f"{name}_uncertainty", 1e3 * found.half_width)
@@ -234,15 +257,21 @@ def evaluate(ctx: Context, rows: list[dict[str, list[float]]], holds: dict[str, 
         1e3 * max(abs(means["up"][0] - means["down"][0]), abs(means["left"][0] - means["right"][0])),
     )
     table = [
-        [d, *(f"{1e3 * v:.2f}" for v in means[d][:2]), f"{math.degrees(means[d][2]):.3f}",
-         f"{1e3 * every[d][:, 0].std(ddof=1):.2f}"]
+        [
+            d,
+            *(f"{1e3 * v:.2f}" for v in means[d][:2]),
+            f"{math.degrees(means[d][2]):.3f}",
+            f"{1e3 * every[d][:, 0].std(ddof=1):.2f}",
+        ]
         for d in DIRECTIONS
-    ]  # fmt: skip
+    ]
     head = ["line", "downhill mm/m", "leftward mm/m", "turning deg/m", "spread mm/m"]
     ctx.table(
-        "Slip by direction", head, table,
+        "Slip by direction",
+        head,
+        table,
         f"Motion capture minus wheels, means of {len(rows)} repetitions; spread of the downhill slip.",
-    )  # fmt: skip
+    )
     draw(ctx, rows)
     if holds:
         _hold(ctx, holds)
@@ -255,10 +284,11 @@ def _leave(ctx: Context, every: dict[str, Array]) -> None:
     sigma = np.max([f.sigma for f in found.values()], axis=0)
     along, across = (max(float(s), _LEAST_SIGMA) for s in sigma[:2])
     table: dict[str, Any] = {
-        "creep": round(along, 6), "creep_across": round(across, 6),
+        "creep": round(along, 6),
+        "creep_across": round(across, 6),
         "creep_per_sqrt_m": round(_WANDERING * along, 6),
         **{f"known_{name}": [round(float(v), 6) for v in f.mean] for name, f in found.items()},
-    }  # fmt: skip
+    }
     figures = {}
     for name, line_slip in found.items():
         for k, (axis, unit) in enumerate((("x", "m/m"), ("y", "m/m"), ("turn", "rad/m"))):
@@ -291,8 +321,9 @@ def _hold(ctx: Context, holds: dict[str, list[float | None]]) -> None:
         ]
         ctx.measure("friction", float(np.mean(used)) if used else math.nan)
     ctx.table(
-        "Hold", ["to the", "stood at (deg)", "slid at (deg)"],
+        "Hold",
+        ["to the", "stood at (deg)", "slid at (deg)"],
         [[side, *("–" if v is None else f"{v:.2f}" for v in ends[:2])] for side, ends in holds.items()],
         "Wheels locked, torque on; standing is less than 2 mm in 1.5 s. Thrust turns with the robot and then "
         "carries less of its weight.",
-    )  # fmt: skip
+    )

@@ -25,14 +25,7 @@ from hil.procedure.learning import leave_part
 from hil.procedure.samples import Series
 from hil.procedures.parts import headlines
 from hil.procedures.parts.tracker_driving import Leg, Trip, drive_trips, legs_of
-from hil.procedures.parts.tracker_hand_eye import (
-    Extrinsics,
-    Intervals,
-    Truth,
-    intervals,
-    join,
-    solve,
-)
+from hil.procedures.parts.tracker_hand_eye import Extrinsics, Intervals, Truth, intervals, join, solve
 from hil.procedures.parts.tracker_report import draw_lateness, draw_path, table
 from hil.procedures.parts.tracker_scale import by_whole_legs, session_spread
 from hil.vocabulary.errors import DeviceError
@@ -83,9 +76,13 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
         yield Measurement(f"mount_{axis}_uncertainty", "mm", high=4.0, rationale="half of the 95 % interval")
     for axis in ("roll", "pitch", "yaw"):
         yield Measurement(
-            f"{axis}_correction", "deg", low=-10.0, high=10.0, marginal=3.0,
+            f"{axis}_correction",
+            "deg",
+            low=-10.0,
+            high=10.0,
+            marginal=3.0,
             rationale="beyond, the mount's axes are swapped, not just misaligned",
-        )  # fmt: skip
+        )
         yield Measurement(f"{axis}_uncertainty", "deg", high=1.0, rationale="half of the 95 % interval")
     yield Measurement(
         "late",
@@ -138,11 +135,15 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 @procedure(
-    name="tracker_extrinsics", needs=("servos", "tracker", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan,
-    headline=headlines.tracker_extrinsics, bench="emulated_floor",
+    name="tracker_extrinsics",
+    needs=("servos", "tracker", "mocap"),
+    parameters=Parameters,
+    measurements=measurements,
+    plan=plan,
+    headline=headlines.tracker_extrinsics,
+    bench="emulated_floor",
     quick={"repetitions": 1, "way_m": 0.8, "processes": 2},
-)  # fmt: skip
+)
 def run(ctx: Context) -> None:
     """Tracking camera: mount and time offset from motion against motion capture."""
     p: Parameters = ctx.parameters
@@ -244,9 +245,10 @@ def apply(ctx: Context, found: Extrinsics, trips: Sequence[Trip]) -> None:
         "latency_s": round(max(0.0, config.latency_s + found.late_s), 5),
     }
     true = {
-        "mount_position_m": config.mount_position_m, "mount_rotation_wxyz": config.mount_rotation_wxyz,
+        "mount_position_m": config.mount_position_m,
+        "mount_rotation_wxyz": config.mount_rotation_wxyz,
         **ctx.source.config.imperfections("tracker"),
-    }  # fmt: skip
+    }
     overrides = {**_UNUSED, **{f"tracker.{k}": v for k, v in values.items()}, "emulation.tracker": true}
     driven = drive_trips(ctx, "applied", trips, overrides)
     ctx.measure("applied.position_rmse", 1e3 * disagreement_m(chain.from_iterable(driven)))
@@ -280,10 +282,20 @@ def _leave(ctx: Context, found: Extrinsics, values: dict[str, Any], own_sigma: f
         figures[f"mount_{axis}_correction"] = Figure(
             value=float(found.angles_rad[k]), sigma=0.5 * half_rad, unit="rad"
         )
-    names = ("mount_x", "mount_y", "mount_roll_correction", "mount_pitch_correction", "mount_yaw_correction",
-             "scale", "latency")  # fmt: skip
+    names = (
+        "mount_x",
+        "mount_y",
+        "mount_roll_correction",
+        "mount_pitch_correction",
+        "mount_yaw_correction",
+        "scale",
+        "latency",
+    )
     matrix = tuple(tuple(float(v) for v in row) for row in found.covariance)
     leave_part(
-        ctx, "camera", values={f"tracker.{key}": value for key, value in values.items()}, figures=figures,
+        ctx,
+        "camera",
+        values={f"tracker.{key}": value for key, value in values.items()},
+        figures=figures,
         covariance=Spread(names=names, matrix=matrix),
-    )  # fmt: skip
+    )

@@ -57,14 +57,20 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
             f"{case}.nothing_known.end", "mm", rationale="distance from the goal, for comparison"
         )
         yield Measurement(
-            f"{case}.end", "mm", high=8.0 * share, marginal=1.0 * share,
+            f"{case}.end",
+            "mm",
+            high=8.0 * share,
+            marginal=1.0 * share,
             rationale="distance from the goal with everything known; 1.5 m, worst robot of ten",
-        )  # fmt: skip
+        )
         for axis in "xy":
             yield Measurement(
-                f"{case}.rmse_{axis}", "mm", high=5.0 * share, marginal=0.5 * share,
+                f"{case}.rmse_{axis}",
+                "mm",
+                high=5.0 * share,
+                marginal=0.5 * share,
                 rationale="with everything known; twice the mean of ten robots",
-            )  # fmt: skip
+            )
         yield Measurement(f"{case}.rmse_heading", "deg", high=0.2, marginal=0.05, rationale="as above")
 
 
@@ -93,10 +99,14 @@ def _settings(p: Parameters, config: BenchConfig) -> tuple[Setting, ...]:
 
 
 @procedure(
-    name="wall_ablation", needs=("servos", "imu", "tracker", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan, headline=headlines.wall_ablation,
+    name="wall_ablation",
+    needs=("servos", "imu", "tracker", "mocap"),
+    parameters=Parameters,
+    measurements=measurements,
+    plan=plan,
+    headline=headlines.wall_ablation,
     quick={"duration_s": 26.0, "hold_s": 0.5, "single": ("camera", "slip")},
-)  # fmt: skip
+)
 def run(ctx: Context) -> None:
     """The same lines on the wall with nothing known of the robot, with each part, with everything."""
     p: Parameters = ctx.parameters
@@ -139,11 +149,12 @@ def _at_once(ctx: Context, jobs: Jobs, found: list[dict[str, float]]) -> list[di
     config = ctx.source.config
     work = [
         Errand(
-            ctx.source.changed(overrides=_without(config, setting)), partial(drive, case=case, p=p),
+            ctx.source.changed(overrides=_without(config, setting)),
+            partial(drive, case=case, p=p),
             _label(setting, case),
         )
         for setting, case in jobs
-    ]  # fmt: skip
+    ]
     with Workers(min(p.processes, len(jobs))) as workers:
         for number, one in enumerate(ctx.at_once(work, workers), start=1):
             found.append(one)
@@ -160,9 +171,10 @@ def evaluate(ctx: Context, jobs: Jobs, errors: list[dict[str, float]]) -> None:
     table = _tabulated(ctx, jobs, errors)
     ctx.leave_data("wall", table)
     ctx.figure(
-        ablation_figure(table), "What is known, and where the robot ends",
+        ablation_figure(table),
+        "What is known, and where the robot ends",
         "Distance from the goal at the end of each line; shorter is better.",
-    )  # fmt: skip
+    )
 
 
 def _tabulated(ctx: Context, jobs: Jobs, errors: list[dict[str, float]]) -> Table:
@@ -189,10 +201,15 @@ def _tabulated(ctx: Context, jobs: Jobs, errors: list[dict[str, float]]) -> Tabl
             ctx.measure(f"{name}.rmse_{axis}", 1e3 * row[f"rmse_{axis}_m"])
         ctx.measure(f"{name}.rmse_heading", float(np.degrees(row["rmse_heading_rad"])))
     rows = [
-        [name, case.replace("_", " "), *(f"{1e3 * row[k]:.2f}" for k in ("end_m", "rmse_x_m", "rmse_y_m")),
-         f"{np.degrees(row['rmse_heading_rad']):.3f}"]
-        for name, cases in table.items() for case, row in cases.items()
-    ]  # fmt: skip
+        [
+            name,
+            case.replace("_", " "),
+            *(f"{1e3 * row[k]:.2f}" for k in ("end_m", "rmse_x_m", "rmse_y_m")),
+            f"{np.degrees(row['rmse_heading_rad']):.3f}",
+        ]
+        for name, cases in table.items()
+        for case, row in cases.items()
+    ]
     if not rows:
         return table
     head = ["known", "line", "end (mm)", "RMSE x (mm)", "RMSE y (mm)", "RMSE heading (deg)"]

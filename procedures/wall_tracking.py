@@ -52,8 +52,7 @@ class Parameters(BaseModel):
         ("x_line", "y_line"), description="Paths that are driven: x_line up the wall, y_line across it, scan."
     )
     feedbacks: tuple[EstimatorName, ...] = Field(
-        ESTIMATORS,
-        description="Estimators whose pose the controller follows, one drive each.",
+        ESTIMATORS, description="Estimators whose pose the controller follows, one drive each."
     )
     optimal: bool = Field(True, description="Drive the line across the wall with the optimal law as well.")
     length_m: float = Field(1.5, gt=0, le=3.0, description="Length of the lines, m.")
@@ -121,10 +120,12 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
             yield from _of_odometry(case, p) if feedback == "odometry" else _of_filter(case, feedback, p)
     if Drive("y_line", "ekf", "optimal") in drives(p):
         yield Measurement(
-            "y_line.optimal.cross_track_ratio", "1", high=0.7 if several else None,
+            "y_line.optimal.cross_track_ratio",
+            "1",
+            high=0.7 if several else None,
             marginal=0.05 if several else 0.0,
             rationale=f"cross-track RMSE, optimal law with integral action over non-linear law; {_mean(p)}",
-        )  # fmt: skip
+        )
 
 
 def _of_odometry(case: str, p: Parameters) -> Iterator[Measurement]:
@@ -151,9 +152,12 @@ def _of_filter(case: str, feedback: str, p: Parameters) -> Iterator[Measurement]
     high, mean = 6.0 if case == "scan" else 8.0, _mean(p)
     for axis in ("x", "y"):
         yield Measurement(
-            f"{name}.rmse_{axis}", "mm", high=high if several else None, marginal=1.0 if several else 0.0,
+            f"{name}.rmse_{axis}",
+            "mm",
+            high=high if several else None,
+            marginal=1.0 if several else 0.0,
             rationale=mean,
-        )  # fmt: skip
+        )
         yield Measurement(f"{name}.rmse_{axis}_worst", "mm", high=15.0, rationale="worst seed")
     if case == "scan":
         return
@@ -163,10 +167,12 @@ def _of_filter(case: str, feedback: str, p: Parameters) -> Iterator[Measurement]
     yield Measurement(f"{name}.rmse_heading", "deg", high=0.4, marginal=0.05, rationale="mean over the seeds")
     if "odometry" in p.feedbacks:
         yield Measurement(
-            f"{name}.improvement", "1", low=6.0 if several and p.length_m >= 1.0 else None,
+            f"{name}.improvement",
+            "1",
+            low=6.0 if several and p.length_m >= 1.0 else None,
             rationale="shortfall (X line) or sag (Y line) of odometry over the filter's; a robot beyond its "
             f"goal has neither, see end; {mean}",
-        )  # fmt: skip
+        )
 
 
 def references(p: Parameters, config: BenchConfig) -> tuple[Trajectory, ...]:
@@ -186,16 +192,23 @@ def drive(bench: Bench, one: Drive, p: Parameters) -> dict[str, Any]:
     """Drive one case on a fresh bench; returns its errors and series as JSON values."""
     start = stand(bench)
     motion = bench.drive(
-        reference(one.case, p, start), controller=one.law, feedback=one.feedback, hold_s=p.hold_s,
+        reference(one.case, p, start),
+        controller=one.law,
+        feedback=one.feedback,
+        hold_s=p.hold_s,
         start_pose=start,
-    )  # fmt: skip
+    )
     return {"errors": tracking_errors(motion), "series": series(motion)}
 
 
 @procedure(
-    name="wall_tracking", needs=("servos", "imu", "tracker", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan, headline=headlines.wall_tracking,
-)  # fmt: skip
+    name="wall_tracking",
+    needs=("servos", "imu", "tracker", "mocap"),
+    parameters=Parameters,
+    measurements=measurements,
+    plan=plan,
+    headline=headlines.wall_tracking,
+)
 def run(ctx: Context) -> None:
     """Wall tracking with feedback from odometry, EKF and UKF."""
     p: Parameters = ctx.parameters
@@ -290,9 +303,10 @@ def show(ctx: Context, world: World) -> None:
             "Where the robot was, minus where it should have been.",
         )
         ctx.figure(
-            partial(belief_figure, shown), f"{name}: what was believed",
+            partial(belief_figure, shown),
+            f"{name}: what was believed",
             "Estimate minus truth: odometry believes that it follows the reference.",
-        )  # fmt: skip
+        )
 
 
 def _measure(ctx: Context, case: str, feedback: str, errors: dict[str, Any]) -> None:
@@ -327,6 +341,8 @@ def _table(ctx: Context, errors: dict[str, Any]) -> None:
     note = "mm and deg, truth minus reference" + (f"; means over {seeds} seeds" if seeds > 1 else "")
     ctx.table("Errors of the true pose", head, rows, note)
     if seeds > 1:
-        spread = [[label.replace("_", " "), *(f"{np.abs(own[k]).max():.2f}" for k in keys)] for label, own in
-                  errors.items()]  # fmt: skip
+        spread = [
+            [label.replace("_", " "), *(f"{np.abs(own[k]).max():.2f}" for k in keys)]
+            for label, own in errors.items()
+        ]
         ctx.table("Worst seed", head, spread, "mm and deg, largest size over the seeds")

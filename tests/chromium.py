@@ -33,17 +33,29 @@ class Browser:
         self._in, from_browser = os.pipe()
 
         def hand_over():
-            for number, end in [(n, fcntl.fcntl(e, fcntl.F_DUPFD, 10)) for n, e in
-                                ((3, to_browser), (4, from_browser))]:  # fmt: skip
+            for number, end in [
+                (n, fcntl.fcntl(e, fcntl.F_DUPFD, 10)) for n, e in ((3, to_browser), (4, from_browser))
+            ]:
                 os.dup2(end, number)
 
         # the copies are made in the child, which has no threads yet: file numbers 3 and 4 are the protocol's
         self._process = subprocess.Popen(
-            [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
-             "--disable-features=IsolateOrigins,site-per-process", "--remote-debugging-pipe",
-             f"--user-data-dir={profile}", "about:blank"],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, preexec_fn=hand_over, close_fds=False,
-        )  # fmt: skip
+            [
+                CHROMIUM,
+                "--headless",
+                "--no-sandbox",
+                "--disable-gpu",
+                "--hide-scrollbars",
+                "--disable-features=IsolateOrigins,site-per-process",
+                "--remote-debugging-pipe",
+                f"--user-data-dir={profile}",
+                "about:blank",
+            ],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            preexec_fn=hand_over,
+            close_fds=False,
+        )
         os.close(to_browser)
         os.close(from_browser)
         self._text, self._number, self._session = b"", 0, None
@@ -105,8 +117,13 @@ class Browser:
 
     def resize(self, width: int, height: int = 900, *, dark: bool = False, mobile: bool = False):
         """The window, and what its reader prefers."""
-        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1,
-                  mobile=mobile)  # fmt: skip
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=mobile,
+        )
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", features=[scheme])
 

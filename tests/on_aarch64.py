@@ -33,16 +33,31 @@ PROCESSOR = "cortex-a76"
 GLIBC = "2_35"
 """The oldest C library that wheels may ask for, of Ubuntu 22.04: what installs here installs on a Jetson."""
 DRIVE = (
-    "run", "wall_tracking", "--emulate", "all", "--seed", "1", "--set", 'cases=["x_line"]',
-    "--set", 'feedbacks=["ekf", "ukf"]', "--set", "optimal=false",
-    "--set", "length_m=0.3", "--set", "duration_s=6",
-)  # fmt: skip
+    "run",
+    "wall_tracking",
+    "--emulate",
+    "all",
+    "--seed",
+    "1",
+    "--set",
+    'cases=["x_line"]',
+    "--set",
+    'feedbacks=["ekf", "ukf"]',
+    "--set",
+    "optimal=false",
+    "--set",
+    "length_m=0.3",
+    "--set",
+    "duration_s=6",
+)
 TESTS = ("tests/recording", "tests/estimator")
 LEFT_OUT = (
-    "tests/estimator/test_estimator_consistency.py", "tests/estimator/test_odometry_covariance.py",
-    "tests/estimator/test_estimator_tuning.py", "tests/estimator/test_estimator_beside_wpimath.py",
+    "tests/estimator/test_estimator_consistency.py",
+    "tests/estimator/test_odometry_covariance.py",
+    "tests/estimator/test_estimator_tuning.py",
+    "tests/estimator/test_estimator_beside_wpimath.py",
     "tests/estimator/test_kernel_cache.py",
-)  # fmt: skip
+)
 """Statistics over many drives, and one that compiles everything several times."""
 _APT = """
 APT::Architecture "arm64";
@@ -62,10 +77,14 @@ class StepFailed(Exception):
 def run(*command: str | Path, kept: bool = False, **environment: str | Path) -> str:
     """Run a command to its end, with all that it starts; returns what it printed where that is kept."""
     process = subprocess.Popen(
-        [*map(str, command)], cwd=ROOT, text=True, stdin=subprocess.DEVNULL, start_new_session=True,
+        [*map(str, command)],
+        cwd=ROOT,
+        text=True,
+        stdin=subprocess.DEVNULL,
+        start_new_session=True,
         stdout=subprocess.PIPE if kept else None,
         env=os.environ | {name: str(value) for name, value in environment.items()},
-    )  # fmt: skip
+    )
     try:
         printed = process.communicate()[0] or ""
     except BaseException:
@@ -123,9 +142,10 @@ class Emulated:
     def __init__(self, folder: Path) -> None:
         self.root, self._apt = folder / "root", folder / "apt"
         environment = {
-            "PYTHONPYCACHEPREFIX": folder / "pycache", "PYTHONDONTWRITEBYTECODE": "",
+            "PYTHONPYCACHEPREFIX": folder / "pycache",
+            "PYTHONDONTWRITEBYTECODE": "",
             "NUMBA_CACHE_DIR": folder / "numba",
-        }  # fmt: skip
+        }
         self.computer = Computer(folder / "python", environment, folder / "drive_there")
 
     def unpack(self) -> str:
@@ -150,10 +170,17 @@ class Emulated:
         wheels = self.root / "usr/lib/python3/dist-packages"
         uv = (sys.executable, "-m", "uv", "pip", "install", "--quiet", "--target", wheels, "--no-deps")
         run(
-            *uv, "--require-hashes", "--only-binary", ":all:", "-r", "requirements/ci.lock",
-            "--python-version", python.removeprefix("python"),
-            "--python-platform", f"aarch64-manylinux_{GLIBC}",
-        )  # fmt: skip
+            *uv,
+            "--require-hashes",
+            "--only-binary",
+            ":all:",
+            "-r",
+            "requirements/ci.lock",
+            "--python-version",
+            python.removeprefix("python"),
+            "--python-platform",
+            f"aarch64-manylinux_{GLIBC}",
+        )
         run(*uv, "--no-build-isolation", "--editable", ROOT)
         qemu = self.root / "usr/bin/qemu-aarch64-static"
         started = self.computer.python

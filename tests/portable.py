@@ -16,22 +16,35 @@ AS_IT_IS = "as it is"
 PROCESSORS = {
     AS_IT_IS: {},
     "x86-64 without AVX-512": {
-        "OPENBLAS_CORETYPE": "Haswell", "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR",
+        "OPENBLAS_CORETYPE": "Haswell",
+        "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR",
     },
     "x86-64 with the matrix products of an old one": {"OPENBLAS_CORETYPE": "Prescott"},
     "x86-64 without FMA and AVX2": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2"},
-}  # fmt: skip
+}
 """Variables of the environment that make one processor compute as another."""
 NUMBERS = (
-    "tests/recording", "tests/estimator", "tests/calibration", "tests/controller", "tests/procedures",
-    "tests/kinematics", "tests/trajectories", "tests/core", "tests/bench", "tests/live",
-)  # fmt: skip
+    "tests/recording",
+    "tests/estimator",
+    "tests/calibration",
+    "tests/controller",
+    "tests/procedures",
+    "tests/kinematics",
+    "tests/trajectories",
+    "tests/core",
+    "tests/bench",
+    "tests/live",
+)
 """What depends on numbers: recording and replay, estimators, calibration, controllers, loop, procedures."""
 FEW = (
-    "tests/recording/test_mcap_replay.py", "tests/recording/test_replay_agreement.py",
-    "tests/recording/test_mcap_codec.py", "tests/live/test_live_virtual_replay.py",
-    "tests/procedures/test_scripted_recordings.py", "tests/kinematics", "tests/trajectories",
-)  # fmt: skip
+    "tests/recording/test_mcap_replay.py",
+    "tests/recording/test_replay_agreement.py",
+    "tests/recording/test_mcap_codec.py",
+    "tests/live/test_live_virtual_replay.py",
+    "tests/procedures/test_scripted_recordings.py",
+    "tests/kinematics",
+    "tests/trajectories",
+)
 """Of these what tells most in a minute; without the computer as it is, which `make test` looks at."""
 OPTIONS = ("-q", "-n", "2", "--dist", "worksteal", "-m", "not long and not real_time and not alone")
 
@@ -40,8 +53,10 @@ def arithmetic(variables):
     """Fingerprint of the arithmetic in a process with these variables."""
     done = subprocess.run(
         [sys.executable, "-m", "hil", "info", "--json"],
-        env={**os.environ, **variables}, stdout=subprocess.PIPE, check=True,
-    )  # fmt: skip
+        env={**os.environ, **variables},
+        stdout=subprocess.PIPE,
+        check=True,
+    )
     return json.loads(done.stdout)["arithmetic"]
 
 
@@ -62,7 +77,7 @@ def main(*words):
         code = subprocess.call(
             [sys.executable, "-m", "pytest", *OPTIONS, *(FEW if short else NUMBERS)],
             env={**os.environ, **variables},
-        )  # fmt: skip
+        )
         failed |= code != 0
         rows.append(f"{name}: {'failed' if code else 'passed'} in {time.monotonic() - start:.0f} s")
     print("", *rows, sep="\n")

@@ -32,9 +32,14 @@ class StillPlant(Plant):
     def truth(self):
         position, velocity, current = self.joints()
         rest = {
-            "pose_body_in_wall": np.zeros(3), "twist_body": np.zeros(3), "acceleration_body": np.zeros(2),
-            "joint_position_rad": position.copy(), "joint_velocity_rad_s": velocity.copy(),
-            "joint_current_a": current.copy(), "steering_true_rad": np.zeros(4),
-            "normal_load_n": np.full(4, 8.0), "slip_m_s": np.zeros((4, 2)),
-        }  # fmt: skip
+            "pose_body_in_wall": np.zeros(3),
+            "twist_body": np.zeros(3),
+            "acceleration_body": np.zeros(2),
+            "joint_position_rad": position.copy(),
+            "joint_velocity_rad_s": velocity.copy(),
+            "joint_current_a": current.copy(),
+            "steering_true_rad": np.zeros(4),
+            "normal_load_n": np.full(4, 8.0),
+            "slip_m_s": np.zeros((4, 2)),
+        }
         return PlantState(t_ns=self.t_ns, tilt_rad=self.tilt_rad, fallen=False, **{**rest, **self.moves()})

@@ -60,8 +60,10 @@ class Template:
         with there:
             self._process = STARTED(
                 [sys.executable, Path(__file__).with_name("warm_template.py"), str(there.fileno())],
-                stdin=subprocess.DEVNULL, pass_fds=[there.fileno()], env=self.environment,
-            )  # fmt: skip
+                stdin=subprocess.DEVNULL,
+                pass_fds=[there.fileno()],
+                env=self.environment,
+            )
         if not self._control.recv(1):
             raise RuntimeError(f"the template of warm commands ended with {self._process.wait()}")
 
@@ -102,10 +104,11 @@ class Warm(STARTED):
             return
         wanted = (given["p2cread"], given["c2pwrite"], given["errwrite"])
         request = {
-            "words": _words(given["args"]), "folder": os.path.abspath(given["cwd"] or "."),
+            "words": _words(given["args"]),
+            "folder": os.path.abspath(given["cwd"] or "."),
             "environment": dict(os.environ if given["env"] is None else given["env"]),
             "session": given["start_new_session"],
-        }  # fmt: skip
+        }
         streams = [standard if given_one == -1 else given_one for standard, given_one in enumerate(wanted)]
         self.pid, self._status = self.template.fork(request, streams)
         self._child_created = True
@@ -121,10 +124,12 @@ class Warm(STARTED):
             hasattr(os, "pidfd_open")
             and _words(given["args"])[:1] in ([module] for module in MODULES)
             and not any(given.get(name) for name in UNUSUAL)
-            and given["close_fds"] and given["umask"] == -1 and given.get("process_group", -1) == -1
+            and given["close_fds"]
+            and given["umask"] == -1
+            and given.get("process_group", -1) == -1
             and os.path.isdir(folder)
             and _read_at_start(environment, folder) == _read_at_start(cls.template.environment, folder)
-        )  # fmt: skip
+        )
 
     def _try_wait(self, flags):
         if self._status is None:

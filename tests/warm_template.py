@@ -19,11 +19,21 @@ import struct
 import sys
 
 MODULES = (
-    "hil.bench.opening", "hil.bench.doctor", "hil.calibration.calibrate", "hil.calibration.passes",
-    "hil.devices.canbus", "hil.drivers.encoders", "hil.drivers.load_cells.can_cells", "hil.estimator",
-    "hil.live", "hil.procedure", "hil.recording.mcap_writer", "hil.ring.realtime", "logging.config",
+    "hil.bench.opening",
+    "hil.bench.doctor",
+    "hil.calibration.calibrate",
+    "hil.calibration.passes",
+    "hil.devices.canbus",
+    "hil.drivers.encoders",
+    "hil.drivers.load_cells.can_cells",
+    "hil.estimator",
+    "hil.live",
+    "hil.procedure",
+    "hil.recording.mcap_writer",
+    "hil.ring.realtime",
+    "logging.config",
     "pytest",
-)  # fmt: skip
+)
 """What opening a bench imports only when it comes to it; the commands themselves are named by the package."""
 REQUEST_BYTES = 1 << 20
 STATUS = struct.Struct("i")

@@ -67,9 +67,18 @@ def viewer(vulkan: Path, size: str) -> Iterator[Any]:
         port = probe.getsockname()[1]
     drivers = {"LD_LIBRARY_PATH": str(vulkan), "VK_ICD_FILENAMES": str(vulkan / "vk_swiftshader_icd.json")}
     command = [
-        str(Path(spec.origin).with_name("rerun")), "--headless", "--bind", "127.0.0.1", "--port", str(port),
-        "--renderer", "vulkan", "--window-size", size, "--hide-welcome-screen",
-    ]  # fmt: skip
+        str(Path(spec.origin).with_name("rerun")),
+        "--headless",
+        "--bind",
+        "127.0.0.1",
+        "--port",
+        str(port),
+        "--renderer",
+        "vulkan",
+        "--window-size",
+        size,
+        "--hide-welcome-screen",
+    ]
     process = subprocess.Popen(
         command, env=os.environ | (drivers if vulkan.is_dir() else {}), stderr=subprocess.DEVNULL
     )
@@ -114,9 +123,14 @@ def clip(frames: Sequence[Path], path: Path) -> None:
             height = round(full.height * _CLIP_PX / full.width)
             images.append(full.convert("RGB").resize((_CLIP_PX, height), Image.Resampling.LANCZOS))
     images[0].save(
-        path, save_all=True, append_images=images[1:], duration=_CLIP_MS, loop=0, quality=_CLIP_QUALITY,
+        path,
+        save_all=True,
+        append_images=images[1:],
+        duration=_CLIP_MS,
+        loop=0,
+        quality=_CLIP_QUALITY,
         method=6,
-    )  # fmt: skip
+    )
 
 
 def main() -> None:

@@ -44,9 +44,12 @@ def box(centre: Array, length_m: float, width_m: float, angle_rad: float = 0.0) 
 def arrow(axes: Axes, start: Array, end: Array, colour: str, width: float = 1.8) -> None:
     """An arrow between two points of the picture."""
     axes.annotate(
-        "", xy=tuple(end), xytext=tuple(start), zorder=6,
+        "",
+        xy=tuple(end),
+        xytext=tuple(start),
+        zorder=6,
         arrowprops={"arrowstyle": "-|>", "color": colour, "lw": width, "shrinkA": 0, "shrinkB": 0},
-    )  # fmt: skip
+    )
 
 
 def label(
@@ -57,10 +60,16 @@ def label(
         axes.text(*at, text, color=colour, fontsize=9, ha="center", va="center", zorder=7)
         return
     axes.annotate(
-        text, xy=tuple(to), xytext=at, color=colour, fontsize=9, va="center", zorder=7,
+        text,
+        xy=tuple(to),
+        xytext=at,
+        color=colour,
+        fontsize=9,
+        va="center",
+        zorder=7,
         ha="left" if at[0] > to[0] else "right",
         arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.7, "shrinkA": 2, "shrinkB": 0},
-    )  # fmt: skip
+    )
 
 
 def draw_robot(axes: Axes, config: BenchConfig) -> None:
@@ -107,8 +116,12 @@ def label_parts(axes: Axes, config: BenchConfig, body: Callable[..., Array]) -> 
         axes.add_patch(Circle(tuple(point), 0.010, fc=_SENSOR, ec="white", lw=0.8, zorder=6))
         label(axes, text, at, point, _SENSOR)
     x, y = robot.wheel_x_m[2], robot.wheel_y_m[2]
-    label(axes, "each wheel: a driving and\na steering XH430, an AS5045\non the steering axis", (0.24, -0.17),
-          body((x, y))[0])  # fmt: skip
+    label(
+        axes,
+        "each wheel: a driving and\na steering XH430, an AS5045\non the steering axis",
+        (0.24, -0.17),
+        body((x, y))[0],
+    )
     label(
         axes, f"ducted fan: {robot.edf_force_n:g} N\ntowards the wall", (-0.25, -0.11), body((-0.02, 0.03))[0]
     )

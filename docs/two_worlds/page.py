@@ -40,19 +40,25 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 def _oracles(rows: Sequence[Row]) -> list[str]:
     by_world = {row["world"]: row for row in rows}
     lines = [
-        ("wheel loads: sum, moment, diagonal, % off statics",
-         lambda r: " / ".join(f"{v:.2f}" for v in r["loads"])),
-        ("adhesion at which it slides, of (1 - c) m g / mu: melamine, concrete",
-         lambda r: " / ".join(f"{v:.2f}" for v in r["threshold"])),
+        (
+            "wheel loads: sum, moment, diagonal, % off statics",
+            lambda r: " / ".join(f"{v:.2f}" for v in r["loads"]),
+        ),
+        (
+            "adhesion at which it slides, of (1 - c) m g / mu: melamine, concrete",
+            lambda r: " / ".join(f"{v:.2f}" for v in r["threshold"]),
+        ),
         ("heading at which it slides (39 deg by statics)", lambda r: f"{r['heading_deg']:.1f} deg"),
         ("drift at rest on the wall", lambda r: f"{r['drift_um_s']:.2f} um/s"),
         ("steering four times by 90 deg at rest, floor", lambda r: f"{r['steering_mm']:.4f} mm"),
-        ("3 m circle on the floor, robot against its wheels",
-         lambda r: f"{r['circle'][0]:.2f} mm, {r['circle'][1]:.3f} deg"),
+        (
+            "3 m circle on the floor, robot against its wheels",
+            lambda r: f"{r['circle'][0]:.2f} mm, {r['circle'][1]:.3f} deg",
+        ),
         ("drives stop, 90 to 10 % (recorded: 72 ms)", lambda r: f"{r['stop_ms']:.0f} ms"),
         ("way lost upwards at 0.02, 0.05, 0.1 m/s", lambda r: " / ".join(f"{v:.1f} %" for v in r["up"])),
         ("sag across at 0.05 m/s", lambda r: f"{r['across'][1]:.0f} mm per metre"),
-    ]  # fmt: skip
+    ]
     cells = [[title, *(show(by_world[world]) for world in WORLDS)] for title, show in lines]
     return _table(["", *(TITLES[world] for world in WORLDS)], cells)
 
@@ -78,8 +84,17 @@ def _wall(rows: Sequence[Row]) -> list[str]:
                 own = [r for r in rows if (r["world"], r["case"], r["feedback"]) == (world, case, feedback)]
                 if own:
                     out.append([title, feedback.upper(), TITLES[world], *_errors(own)])
-    head = ["line", "feedback", "world", "seeds", "RMSE x (worst)", "RMSE y (worst)", "heading", "end, worst",
-            "pose NEES"]  # fmt: skip
+    head = [
+        "line",
+        "feedback",
+        "world",
+        "seeds",
+        "RMSE x (worst)",
+        "RMSE y (worst)",
+        "heading",
+        "end, worst",
+        "pose NEES",
+    ]
     return _table(head, out)
 
 
@@ -88,10 +103,13 @@ def _errors(rows: Sequence[Row]) -> list[str]:
     end = max(float(np.hypot(r["end_x"], r["end_y"])) for r in rows)
     nees = np.array([r["nees"] for r in rows])
     return [
-        str(len(rows)), f"{x.mean():.1f} ({x.max():.1f}) mm", f"{y.mean():.1f} ({y.max():.1f}) mm",
-        f"{heading.mean():.2f} deg", f"{end:.1f} mm",
+        str(len(rows)),
+        f"{x.mean():.1f} ({x.max():.1f}) mm",
+        f"{y.mean():.1f} ({y.max():.1f}) mm",
+        f"{heading.mean():.2f} deg",
+        f"{end:.1f} mm",
         f"{nees.mean():.1f} ({nees.min():.1f} to {nees.max():.1f})",
-    ]  # fmt: skip
+    ]
 
 
 def _odometry(rows: Sequence[Row]) -> list[str]:
@@ -112,10 +130,16 @@ def _calibration(rows: Sequence[Row]) -> list[str]:
             mm, deg = np.array([r[model] for r in own]).T
             better = np.array([r["nominal"][0] for r in own]) / mm
             out.append(
-                [TITLES[world], model, str(len(own)), f"{mm.mean():.2f} ({mm.max():.2f}) mm",
-                 f"{deg.mean():.2f} deg", f"{np.count_nonzero(mm <= 4.0)} of {len(own)}",
-                 "" if model == "nominal" else f"{better.min():.0f} times"]
-            )  # fmt: skip
+                [
+                    TITLES[world],
+                    model,
+                    str(len(own)),
+                    f"{mm.mean():.2f} ({mm.max():.2f}) mm",
+                    f"{deg.mean():.2f} deg",
+                    f"{np.count_nonzero(mm <= 4.0)} of {len(own)}",
+                    "" if model == "nominal" else f"{better.min():.0f} times",
+                ]
+            )
     return _table(
         [
             "world",

@@ -17,9 +17,15 @@ from hil.vocabulary.errors import EXIT_USAGE
 
 SEED = 1
 NAMES = (
-    "bring_up", "steering_zero", "imu_calibration", "latency", "surface_identification", "tracker_extrinsics",
-    "grid_scan", "odometry_calibration",
-)  # fmt: skip
+    "bring_up",
+    "steering_zero",
+    "imu_calibration",
+    "latency",
+    "surface_identification",
+    "tracker_extrinsics",
+    "grid_scan",
+    "odometry_calibration",
+)
 _FORM = {"odometry_calibration": ["--quick"]}
 _SETTINGS: dict[str, list[str]] = {
     "own": [],
@@ -46,8 +52,9 @@ def run(procedure: str, world: str) -> Row:
     if result["verdict"] == "ABORTED":
         raise KeyboardInterrupt(f"{procedure} was stopped: it says nothing of the world {world}")
     failed = [
-        f"{m['name']} = {m['value']:.3g} {m['unit']}" for m in result["measurements"]
+        f"{m['name']} = {m['value']:.3g} {m['unit']}"
+        for m in result["measurements"]
         if m["outcome"] not in ("PASS", "INFO", "pass", "info") and m["value"] is not None
-    ]  # fmt: skip
+    ]
     error = result.get("error")
     return {"verdict": result["verdict"], "failed": failed, "error": error and error["message"]}

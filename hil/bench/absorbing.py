@@ -75,10 +75,12 @@ def _of_record(other: RobotRecord, record: RobotRecord, robot: Identity) -> dict
     if record.path.exists():
         check_robot(file, record.read().robot, other.path)
     return {
-        name: NewPart(part.model_copy(update={"files": {}, "made_with": {}}),
-                      {key: other.path_of(part, key) for key in part.files})
+        name: NewPart(
+            part.model_copy(update={"files": {}, "made_with": {}}),
+            {key: other.path_of(part, key) for key in part.files},
+        )
         for name, part in file.parts.items()
-    }  # fmt: skip
+    }
 
 
 def _of_file(path: Path, config: BenchConfig, now: str) -> _Found:
@@ -96,9 +98,10 @@ def _check_values(path: Path, values: Mapping[str, Any], config: BenchConfig) ->
     if not problems:
         present = config.devices()
         given = {
-            key: value for key, value in values.items()
+            key: value
+            for key, value in values.items()
             if key not in _FILES and ((table := key.split(".")[0]) in present or table not in kinds())
-        }  # fmt: skip
+        }
         try:
             load_bench(config, overrides=given)
         except ConfigError as error:
@@ -106,8 +109,9 @@ def _check_values(path: Path, values: Mapping[str, Any], config: BenchConfig) ->
     if problems:
         raise ConfigError(
             f"{path}: {len(problems)} value(s) that this robot cannot have; nothing of it was applied",
-            problems=tuple(problems), remedy="measure it again",
-        )  # fmt: skip
+            problems=tuple(problems),
+            remedy="measure it again",
+        )
 
 
 def _of_part(path: Path, tree: dict[str, Any]) -> _Found:
@@ -161,11 +165,12 @@ def _of_fragment(path: Path, tree: Mapping[str, Any], config: BenchConfig, now: 
         else:
             found.setdefault(name, {})[key] = value
     if unknown or not found:
-        raise ConfigError(f"{path}: nothing of it was applied", problems=tuple(unknown),
-                          expected="what a procedure left as bench_fragment.toml")  # fmt: skip
-    facts = {
-        "procedure": origin.procedure, "verdict": origin.verdict, "measured": now, "bench": config.name,
-    }  # fmt: skip
+        raise ConfigError(
+            f"{path}: nothing of it was applied",
+            problems=tuple(unknown),
+            expected="what a procedure left as bench_fragment.toml",
+        )
+    facts = {"procedure": origin.procedure, "verdict": origin.verdict, "measured": now, "bench": config.name}
     try:
         parts = {
             name: NewPart(Part.model_validate({**facts, "values": values}), files.get(name, {}))

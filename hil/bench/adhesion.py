@@ -66,9 +66,10 @@ def keeper_spec(config: BenchConfig) -> Spec:
     table = fan_of(config)
     if not isinstance(table, MotorConfig):
         raise ConfigError(
-            f"{config.name}: a fan without a keeper", expected="one whose controller is on CAN",
+            f"{config.name}: a fan without a keeper",
+            expected="one whose controller is on CAN",
             remedy='adhesion.model = "vesc" or "dronecan"',
-        )  # fmt: skip
+        )
     return Spec(**table.keeper())
 
 
@@ -175,19 +176,22 @@ def _first_report(fan: Any, clock: MonotonicClock) -> Any:
             return good[-1]
         clock.sleep_until_ns(clock.now_ns() + STEP_NS)
     raise DeviceError(
-        DEVICE, f"no usable report of its speed for {WATCH_S:g} s: nothing was changed",
+        DEVICE,
+        f"no usable report of its speed for {WATCH_S:g} s: nothing was changed",
         expected="how fast the fan turns, before it is given another set-point",
         remedy="`hil doctor` examines its controller",
-    )  # fmt: skip
+    )
 
 
 def _not_reached(newest: Any, wanted: str, wait_s: float) -> DeviceError:
     found = "no report" if newest is None else f"{newest.speed_rpm:.0f} 1/min, duty {newest.duty:.2f}"
     trouble = f" ({newest.trouble})" if newest is not None and newest.trouble else ""
     return DeviceError(
-        DEVICE, f"not steady at the set-point within {wait_s:g} s: {found}{trouble}", expected=wanted,
+        DEVICE,
+        f"not steady at the set-point within {wait_s:g} s: {found}{trouble}",
+        expected=wanted,
         remedy="it goes on as far as it can; look at battery and temperature (`hil adhesion status`)",
-    )  # fmt: skip
+    )
 
 
 def switch_off(spec: Spec, confirmed_by: str, *, say: Say) -> Status | None:

@@ -81,9 +81,16 @@ class Bench(HeldRig):
         faults: tuple[Fault, ...] = (),
     ) -> None:
         super().__init__(
-            config, clock, rig, geometry=geometry, calibration=calibration, fitted_with=fitted_with,
-            seed=seed, sinks=sinks, faults=faults,
-        )  # fmt: skip
+            config,
+            clock,
+            rig,
+            geometry=geometry,
+            calibration=calibration,
+            fitted_with=fitted_with,
+            seed=seed,
+            sinks=sinks,
+            faults=faults,
+        )
         self.world = world
         self._left: RobotState | None = None
         self.warnings: list[str] = []
@@ -199,11 +206,7 @@ class Bench(HeldRig):
             stands = self._where_it_stands()
             must_begin_where_it_stands(trajectory, stands.pose_body_in_wall)
         start = RunStart(
-            stands,
-            feedback,
-            controller or self.config.control.law,
-            observers,
-            trajectory.to_mapping(),
+            stands, feedback, controller or self.config.control.law, observers, trajectory.to_mapping()
         )
         return self._run(brain, start, trajectory.duration_s + hold_s, on_cycle)
 
@@ -227,8 +230,9 @@ class Bench(HeldRig):
         if self.has("mocap") and not self._capture_is_blind:
             LOG.warning(
                 "motion capture %s: the robot is taken to stand where the last drive left it. Look at its "
-                "cameras and at mocap.body, or give the start pose", why,
-            )  # fmt: skip
+                "cameras and at mocap.body, or give the start pose",
+                why,
+            )
         return replace(left, t_ns=self.clock.now_ns())
 
     def start_state(self, pose: ArrayLike | None = None) -> RobotState:

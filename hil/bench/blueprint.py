@@ -8,13 +8,7 @@ from __future__ import annotations
 
 from copy import copy
 
-from hil.bench.settings import (
-    alignment_parameters,
-    checks,
-    motion_limits,
-    safety_limits,
-    with_measured_scale,
-)
+from hil.bench.settings import alignment_parameters, checks, motion_limits, safety_limits, with_measured_scale
 from hil.config.bench import BenchConfig
 from hil.config.estimator import EstimatorConfig
 from hil.config.servos import ServosConfig
@@ -162,7 +156,8 @@ class Blueprint:
         """
         if not isinstance(trajectory, Trajectory):
             raise UsageError(
-                f"{trajectory!r} is no trajectory", expected="a hil.robot.trajectories.Trajectory",
+                f"{trajectory!r} is no trajectory",
+                expected="a hil.robot.trajectories.Trajectory",
                 remedy="make one there: line(start, end), circle, through, ...",
-            )  # fmt: skip
+            )
         check(trajectory, self.geometry.projection(), motion_limits(self.config), known=known)

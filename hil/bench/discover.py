@@ -153,9 +153,7 @@ def _where(models: Sequence[DeviceModel], ports: str, told: Sequence[str]) -> li
     return found or ["is not looked for; add its table to the bench file by hand"]
 
 
-def _ask_serial(
-    found: Discovery, port: str, clock: Clock, models: Sequence[DeviceModel], say: Say
-) -> bool:  # fmt: skip
+def _ask_serial(found: Discovery, port: str, clock: Clock, models: Sequence[DeviceModel], say: Say) -> bool:
     """The first model that answers is what the port holds; whether one did."""
     for model in models:
         assert model.ask is not None

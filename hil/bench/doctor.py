@@ -74,7 +74,7 @@ def _calibration(bench: Bench) -> Iterator[Finding]:
 
 def _examine_one(
     bench: Bench, kind: str, watch_s: float, host: Host, seen: dict[str, list[Any]]
-) -> Iterator[Finding]:  # fmt: skip
+) -> Iterator[Finding]:
     """Findings about one device; `seen` receives what it delivered."""
     device = bench.rig.get(kind)
     told = list(_latency_timer(bench, kind, host))
@@ -105,7 +105,7 @@ def _examine_one(
 
 def _looks(
     bench: Bench, name: str, device: Any, watch_s: float, seen: dict[str, list[Any]]
-) -> Iterator[Finding]:  # fmt: skip
+) -> Iterator[Finding]:
     """What kind and model have to say of a device after it was read for a while."""
     kind, model, config = kinds()[name], model_of(bench.config, name), bench.config.devices()[name]
     waits_s: list[float] = []

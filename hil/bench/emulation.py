@@ -267,9 +267,10 @@ def open_emulation(
     names = [n for n in config.emulated() if not only or n in only]
     if not names:
         raise UsageError(
-            f"{config.name} has nothing to emulate", expected="emulated devices: --emulate or backend",
+            f"{config.name} has nothing to emulate",
+            expected="emulated devices: --emulate or backend",
             remedy="use --bench emulated",
-        )  # fmt: skip
+        )
     plan = check_faults(config, faults, only=names)
     world = build_world(config, seed=seed, faults=plan)
     faces: dict[str, Face] = {}

@@ -33,10 +33,12 @@ def unexplained_force(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) ->
     if fan.force_at_n(speed_rpm) > _REST_N or felt_n < _FELT_N:
         return
     yield Finding(
-        "load_cells", "force without fan", "warning",
+        "load_cells",
+        "force without fan",
+        "warning",
         f"the cells feel {felt_n:.1f} N, and the fan is at rest ({speed_rpm:.0f} 1/min)",
         f"at most {_FELT_N:g} N while the fan is at rest",
         "if a tether or a hand presses the robot on, start the fan before you let go (hil adhesion on); "
         "if nothing does, find the zero of the cells (hil run adhesion_check); "
         "if the fan turns, check its status message 1",
-    )  # fmt: skip
+    )

@@ -53,7 +53,7 @@ Failures = Mapping[str, HilError]
 
 def guarded(
     kind: DeviceKind, model: DeviceModel, make: Callable[[], Device], failures: Failures, timeouts_s: float
-) -> Device:  # fmt: skip
+) -> Device:
     """The driver that `make` makes; behind a `Guarded` where another package brings it."""
     return make() if model.package == OURS else Guarded(kind, model, make, failures, timeouts_s)
 
@@ -176,8 +176,10 @@ class Guarded:
             self._blame(f"read() gave {_short(given)}", wanted)
         samples = tuple(itertools.islice(each, MOST_SAMPLES + 1))
         if len(samples) > MOST_SAMPLES:
-            self._blame(f"read() gives more than {MOST_SAMPLES} samples, perhaps without end",
-                        "what has arrived since the last call")  # fmt: skip
+            self._blame(
+                f"read() gives more than {MOST_SAMPLES} samples, perhaps without end",
+                "what has arrived since the last call",
+            )
         return samples
 
     def __getattr__(self, name: str) -> Any:

@@ -84,10 +84,11 @@ class GuardedPart(Scheduled):
         with self._guarded("on_due()"), not_for_ever(self._kind, self._model.package, what):
             if self._acted > _MOST_AT_ONCE:
                 raise PackageError(
-                    self._kind, self._model.package,
+                    self._kind,
+                    self._model.package,
                     f"{what} never gets beyond {t_ns} ns",
                     expected="next_due_ns() later than the time at which on_due() was called",
-                )  # fmt: skip
+                )
             self._part.on_due(t_ns)
 
 

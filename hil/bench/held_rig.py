@@ -250,9 +250,10 @@ class HeldRig(Blueprint):
         """
         if steeper := self._steeper():
             raise UsageError(
-                f"torque is not released: {steeper}", expected="a robot off the wall, or on a tether",
+                f"torque is not released: {steeper}",
+                expected="a robot off the wall, or on a tether",
                 remedy="correct environment.tilt_rad, or secure the robot and set safety.tethered = true",
-            )  # fmt: skip
+            )
         if can_fall(self.config) and self.has("adhesion"):
             raise UsageError(
                 "torque is not released: the robot hangs on a wall",

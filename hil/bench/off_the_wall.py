@@ -74,8 +74,9 @@ def must_be_enough(config: BenchConfig, is_n: float, asked_n: float) -> None:
     except UsageError as error:
         raise UsageError(
             f"the fan stays at {is_n:.1f} N, it is not set to {asked_n:.1f} N{least}: {error.message}",
-            expected=error.expected, remedy=error.remedy,
-        ) from None  # fmt: skip
+            expected=error.expected,
+            remedy=error.remedy,
+        ) from None
 
 
 def duty_n(table: AdhesionConfig, duty: float, now: Any) -> float:
@@ -104,8 +105,9 @@ def seen_off_the_wall(config: BenchConfig) -> str:
         if device is None or config.devices()[name].backend == "emulated":
             raise UsageError(
                 f"{config.name}: no {name} of the robot to see whether it is off the wall",
-                expected="imu, load_cells and adhesion, all real", remedy=_TETHERED,
-            )  # fmt: skip
+                expected="imu, load_cells and adhesion, all real",
+                remedy=_TETHERED,
+            )
         device.open()
         with contextlib.closing(device):
             seen[name] = _watched(device, clock)
@@ -117,8 +119,9 @@ def seen_off_the_wall(config: BenchConfig) -> str:
     if not (tilted_rad <= _LEVEL_RAD and abs(force_n) <= limit_n):
         raise UsageError(
             f"the robot may hang by its fan: {told}",
-            expected=f"at most {math.degrees(_LEVEL_RAD):.0f} deg and {limit_n:.1f} N", remedy=_TETHERED,
-        )  # fmt: skip
+            expected=f"at most {math.degrees(_LEVEL_RAD):.0f} deg and {limit_n:.1f} N",
+            remedy=_TETHERED,
+        )
     return f"seen off the wall: {told}"
 
 

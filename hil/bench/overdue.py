@@ -64,9 +64,11 @@ def opening(timeouts_s: float = 0.0) -> Patience:
     """For opening a device: 30 s, or 5 s more than the time-outs of its table in the bench file."""
     ended_s = max(_OPENING_S, timeouts_s + _BEYOND_TIMEOUTS_S)
     return Patience(
-        5 * _LOOKS_PER_S, math.ceil(ended_s * _LOOKS_PER_S),
-        f"a call that gives up after less than {ended_s:g} s and raises DeviceError", True,
-    )  # fmt: skip
+        5 * _LOOKS_PER_S,
+        math.ceil(ended_s * _LOOKS_PER_S),
+        f"a call that gives up after less than {ended_s:g} s and raises DeviceError",
+        True,
+    )
 
 
 class OverdueError(PackageError):
@@ -129,9 +131,11 @@ def not_for_ever(kind: str, package: str, what: str, patience: Patience = IN_A_C
             raise call.asked(str(call)) from None
         ran_s = time.monotonic() - call.began_s
         raise OverdueError(
-            kind, package, f"{what} had not come back after {ran_s:.1f} s and was ended",
+            kind,
+            package,
+            f"{what} had not come back after {ran_s:.1f} s and was ended",
             expected=patience.expected,
-        ) from None  # fmt: skip
+        ) from None
     finally:
         if outer is None:
             _RUNNING.pop(ident, None)
@@ -198,7 +202,10 @@ def _judge(ident: int, call: _Call) -> None:
     if not heard or call.looks > call.most:
         LOG.error(
             "%s has been running for %.1f s and cannot be ended from here: end process %d (kill -9); servos "
-            "with torque go on holding the robot", call, ran_s, os.getpid(),
-        )  # fmt: skip
+            "with torque go on holding the robot",
+            call,
+            ran_s,
+            os.getpid(),
+        )
     if heard:
         signal.pthread_kill(ident, _SIGNAL)

@@ -220,8 +220,9 @@ class PressWatch:
         measures = {FAN: self._limits.has_fan, _CELLS: self._limits.zero_n is not None}
         told = [
             f"{fresh[name]:.1f} N by {name}" if name in fresh else f"nothing by {name}"
-            for name, there in measures.items() if there
-        ]  # fmt: skip
+            for name, there in measures.items()
+            if there
+        ]
         if self._limits.nominal_thrust_n and not self._limits.reports_thrust:
             told.append("the propellers report nothing")
         return f"; pressed on the wall: {', '.join(told)}"

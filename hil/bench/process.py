@@ -95,9 +95,11 @@ class EmulatorProcess:
 
     def _failed(self) -> DeviceError:
         return DeviceError(
-            "emulator", f"the emulated devices could not be served: {self._words() or 'no answer'}",
-            expected="one JSON line of endpoints", remedy="run `hil emulate` by hand to see more",
-        )  # fmt: skip
+            "emulator",
+            f"the emulated devices could not be served: {self._words() or 'no answer'}",
+            expected="one JSON line of endpoints",
+            remedy="run `hil emulate` by hand to see more",
+        )
 
     def _end(self) -> None:
         if self._child.stdin is not None:

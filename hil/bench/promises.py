@@ -32,14 +32,22 @@ def broken_promises(watched: Watched, waits_s: Sequence[float]) -> Iterator[Find
     holes = {field for sample in samples for field in unsaid_holes(watched.kind, sample)}
     if holes:
         yield Finding(
-            name, "numbers", "failure", f"NaN or infinity in {', '.join(sorted(holes))} with Status.OK",
-            "a status that says why a number is missing", "mend read() of the package's driver",
-        )  # fmt: skip
+            name,
+            "numbers",
+            "failure",
+            f"NaN or infinity in {', '.join(sorted(holes))} with Status.OK",
+            "a status that says why a number is missing",
+            "mend read() of the package's driver",
+        )
     for field in changing(samples):
         yield Finding(
-            name, "shapes", "failure", f"{field} changes its shape or its type from sample to sample",
-            "one shape and type for as long as the device is open", "mend read() of the package's driver",
-        )  # fmt: skip
+            name,
+            "shapes",
+            "failure",
+            f"{field} changes its shape or its type from sample to sample",
+            "one shape and type for as long as the device is open",
+            "mend read() of the package's driver",
+        )
     for found, expected in _wrong_stamps(watched):
         yield Finding(
             name, "stamps", "failure", found, expected, "take them from the clock that the driver was given"
@@ -47,10 +55,13 @@ def broken_promises(watched: Watched, waits_s: Sequence[float]) -> Iterator[Find
     usual_s = statistics.median(waits_s) if waits_s else 0.0
     if usual_s * watched.loop_hz > _SHARE_OF_A_CYCLE:
         yield Finding(
-            name, "reads", "warning", f"read() takes {usual_s * 1e3:.3g} ms, usually",
+            name,
+            "reads",
+            "warning",
+            f"read() takes {usual_s * 1e3:.3g} ms, usually",
             f"much less than a cycle of {1e3 / watched.loop_hz:.3g} ms",
             "return what has arrived, without waiting for the next sample",
-        )  # fmt: skip
+        )
 
 
 def changing(samples: Sequence[Any]) -> list[str]:

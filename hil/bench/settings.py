@@ -139,11 +139,7 @@ def motion_check(config: BenchConfig, geometry: WheelGeometry) -> MotionCheck:
     camera, believed = config.of(TrackerConfig), _SIGMAS * config.estimator.tracker.scale_sigma
     known = camera is not None and camera.scale_sigma is not None
     scale = believed + _SESSION_SCALE if known else max(believed, Seen.scale)
-    return MotionCheck(
-        geometry,
-        on_wall=config.environment.on_wall,
-        seen=Seen(scale=scale),
-    )
+    return MotionCheck(geometry, on_wall=config.environment.on_wall, seen=Seen(scale=scale))
 
 
 def _lost_after_s(config: BenchConfig) -> dict[str, float]:
@@ -284,8 +280,11 @@ def with_wheel_model(config: BenchConfig, fitted_with: str, *, given: bool | Non
     if "model" in wheels.model_fields_set if given is None else given:
         LOG.warning(
             "the calibration was fitted with the %s model and belongs to estimator.wheels.model = %r; "
-            "the bench file says %r", fitted_with, wanted, wheels.model,
-        )  # fmt: skip
+            "the bench file says %r",
+            fitted_with,
+            wanted,
+            wheels.model,
+        )
         return config
     LOG.info("estimator.wheels.model = %r, as the calibration was fitted", wanted)
     changed = estimator.model_copy(update={"wheels": wheels.model_copy(update={"model": wanted})})
@@ -306,8 +305,9 @@ def with_measured_scale(config: BenchConfig) -> BenchConfig:
     if "scale_sigma" in noise.model_fields_set:
         LOG.warning(
             "tracker.scale_sigma = %g was measured; estimator.tracker.scale_sigma = %g is given and is used",
-            measured, noise.scale_sigma,
-        )  # fmt: skip
+            measured,
+            noise.scale_sigma,
+        )
         return config
     changed = estimator.model_copy(update={"tracker": noise.model_copy(update={"scale_sigma": measured})})
     return config.model_copy(update={"estimator": changed})

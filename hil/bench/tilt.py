@@ -119,8 +119,9 @@ class TiltWatch:
         if abs(self.apart_rad()) > APART_RAD:
             raise ConfigError(
                 f"{self._config.name}: environment.tilt_rad: {self._in_words()}; nothing is moved",
-                expected=f"less than {math.degrees(APART_RAD):.0f} deg between them", remedy=_REMEDY,
-            )  # fmt: skip
+                expected=f"less than {math.degrees(APART_RAD):.0f} deg between them",
+                remedy=_REMEDY,
+            )
 
     def _in_words(self) -> str:
         return "the IMU shows the robot " + _told(self._config, tilt_rad(self._config, self._fresh()))
@@ -144,6 +145,10 @@ def tilt_finding(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iter
         return
     agrees = abs(seen_rad - config.environment.tilt_rad) <= APART_RAD
     yield Finding(
-        IMU, "tilt", "ok" if agrees else "failure", _told(config, seen_rad),
-        f"less than {math.degrees(APART_RAD):.0f} deg between them", _REMEDY,
-    )  # fmt: skip
+        IMU,
+        "tilt",
+        "ok" if agrees else "failure",
+        _told(config, seen_rad),
+        f"less than {math.degrees(APART_RAD):.0f} deg between them",
+        _REMEDY,
+    )

@@ -237,9 +237,14 @@ def save_calibration(path: Path, file: CalibrationFile) -> None:
 
 
 def write_calibration(
-    path: Path, result: Calibration, *, created: str, software: Mapping[str, str],
-    made_for: MadeFor | None = None, robot: Identity | None = None,
-) -> CalibrationFile:  # fmt: skip
+    path: Path,
+    result: Calibration,
+    *,
+    created: str,
+    software: Mapping[str, str],
+    made_for: MadeFor | None = None,
+    robot: Identity | None = None,
+) -> CalibrationFile:
     """Write a calibration; an older file of that name is kept under its version number.
 
     Args:
@@ -252,9 +257,14 @@ def write_calibration(
     """
     previous, version = _keep_previous(path)
     file = calibration_file(
-        result, created=created, software=software, version=version, previous=previous, made_for=made_for,
+        result,
+        created=created,
+        software=software,
+        version=version,
+        previous=previous,
+        made_for=made_for,
         robot=robot,
-    )  # fmt: skip
+    )
     save_calibration(path, file)
     return file
 
@@ -297,7 +307,6 @@ def keep(path: Path) -> dict[str, str]:
             raise ConfigError(f"{kept}: cannot be written ({reason_of(error)})") from None
     elif kept.read_bytes() != content:
         raise ConfigError(
-            f"{kept}: exists and differs from version {old.version} in {path}",
-            remedy="move one of them away",
+            f"{kept}: exists and differs from version {old.version} in {path}", remedy="move one of them away"
         )
     return {"file": kept.name, "sha256": hashlib.sha256(content).hexdigest()}

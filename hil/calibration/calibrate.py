@@ -208,8 +208,11 @@ def calibrate(
     applied = deployed(recordings, found.geometry, cad, twist_between(found, cad), setting)
     tables: dict[str, Table] = {}
     if validate:
-        tables = {"nominal": score(recordings, cad, setting), "in_sample": applied.parameters,
-                  "deployed_as_twist": applied.twist}  # fmt: skip
+        tables = {
+            "nominal": score(recordings, cad, setting),
+            "in_sample": applied.parameters,
+            "deployed_as_twist": applied.twist,
+        }
         tables |= _cross_validation(recordings, blocks, cad, found, paper, choice, report)
     return Calibration(
         method=method,

@@ -12,15 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.calibration.cleaning import (
-    Log,
-    clean,
-    count,
-    count_gaps,
-    emptiest,
-    recorded_rates,
-    with_angles,
-)
+from hil.calibration.cleaning import Log, clean, count, count_gaps, emptiest, recorded_rates, with_angles
 from hil.calibration.frozen import FROZEN, fresh_rows
 from hil.calibration.leaps import Bools, fastest_m_s, find_leaps
 from hil.calibration.nominal import Nominal, lever_m
@@ -145,9 +137,10 @@ def _build(
     truth_t_s, pose, truth_receive_s = clean(truth, 3, "ground-truth", repairs)
     if len(t_s) < _MIN_ROWS:
         raise DataError(
-            where, f"only {len(t_s)} usable wheel rows{emptiest(wheels, _WHEEL_COLUMNS)}",
+            where,
+            f"only {len(t_s)} usable wheel rows{emptiest(wheels, _WHEEL_COLUMNS)}",
             expected=f"at least {_MIN_ROWS}",
-        )  # fmt: skip
+        )
     if len(truth_t_s) < _MIN_ROWS:
         raise DataError(
             where,
@@ -171,9 +164,11 @@ def _build(
     count(repairs, FROZEN, np.count_nonzero(~fresh))
     if len(truth_t_s) < _MIN_ROWS or frozen_s > _FROZEN_S:
         raise DataError(
-            where, f"the ground truth repeats its last pose for {frozen_s:.1f} s while the wheels roll",
-            expected="a source that goes on to the end", remedy="look at what the capture system sent",
-        )  # fmt: skip
+            where,
+            f"the ground truth repeats its last pose for {frozen_s:.1f} s while the wheels roll",
+            expected="a source that goes on to the end",
+            remedy="look at what the capture system sent",
+        )
     keep = _without_leaps(where, truth_t_s, pose, fastest_m_s(t_s, angle, robot.radius_m), robot, repairs)
     truth_t_s, pose, truth_receive_s = truth_t_s[keep], pose[keep], truth_receive_s[keep]
     count_gaps(repairs, t_s, "wheel gaps over {:g} s bridged")
@@ -189,9 +184,14 @@ def _build(
     if turns.refusal is not None:
         raise turns.refusal
     check_units(
-        where, angle[by_wheels], w[by_wheels, 4:8], truth_t_s[by_truth], pose[by_truth], heading[by_truth],
+        where,
+        angle[by_wheels],
+        w[by_wheels, 4:8],
+        truth_t_s[by_truth],
+        pose[by_truth],
+        heading[by_truth],
         robot,
-    )  # fmt: skip
+    )
     check_rates(where, t_s, angle, rate)
     return Recording(
         name=name,

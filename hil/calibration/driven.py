@@ -89,8 +89,9 @@ def mismatch(blocks: Blocks, nominal: Nominal) -> str:
     ways = [np.hypot(move[..., 0], move[..., 1]), np.hypot(step[..., 0], step[..., 1])]
     wrong = []
     for verb, much, (true, wheels), worth in (
-        ("went", "as far", ways, _WORTH_M), ("turned", "as much", [move[..., 2], step[..., 2]], _WORTH_RAD),
-    ):  # fmt: skip
+        ("went", "as far", ways, _WORTH_M),
+        ("turned", "as much", [move[..., 2], step[..., 2]], _WORTH_RAD),
+    ):
         by_truth, by_wheels = np.abs(true.sum(axis=1)), np.abs(wheels.sum(axis=1))
         enough = by_wheels > worth
         ratio = float(np.median(by_truth[enough] / by_wheels[enough])) if enough.any() else 1.0
@@ -104,10 +105,11 @@ def check_geometry(blocks: Blocks, nominal: Nominal) -> None:
     found = mismatch(blocks, nominal)
     if found:
         raise DataError(
-            "", f"the geometry does not fit the recordings: {found}; {nominal.in_words()}",
+            "",
+            f"the geometry does not fit the recordings: {found}; {nominal.in_words()}",
             expected=f"agreement within {100 * _PLAUSIBLE:.0f} %",
             remedy="name the robot's bench file with --bench, or correct its [robot] section",
-        )  # fmt: skip
+        )
 
 
 def undriven(blocks: Blocks, nominal: WheelGeometry, known: Driven) -> dict[str, tuple[str, ...]]:

@@ -71,9 +71,12 @@ class Steps:
 
 
 def track(
-    recording: Recording, geometry: WheelGeometry, model: str = "exact", signal: str = "position",
+    recording: Recording,
+    geometry: WheelGeometry,
+    model: str = "exact",
+    signal: str = "position",
     correction: Array | None = None,
-) -> Track:  # fmt: skip
+) -> Track:
     """Odometry of a recording at its ground-truth stamps.
 
     Args:
@@ -87,9 +90,12 @@ def track(
 
 
 def track_all(
-    recordings: Sequence[Recording], geometry: WheelGeometry, model: str = "exact",
-    signal: str = "position", correction: Array | None = None,
-) -> list[Track]:  # fmt: skip
+    recordings: Sequence[Recording],
+    geometry: WheelGeometry,
+    model: str = "exact",
+    signal: str = "position",
+    correction: Array | None = None,
+) -> list[Track]:
     """`track` of several recordings, their wheels read in one go; `correction` (3, 3)."""
     paper = model == "paper" and correction is None
     kind = "paper" if paper else "blocks" if model == "dry-friction" else "rows"
@@ -161,9 +167,10 @@ def _paper_steps(recording: Recording, signal: str) -> Steps:
     at_s = recording.truth_receive_s[_PAPER_DROPPED:]
     if len(at_s) < 2:
         raise DataError(
-            recording.name, f"has {len(recording.truth_receive_s)} rows of ground truth",
+            recording.name,
+            f"has {len(recording.truth_receive_s)} rows of ground truth",
             expected=f"more than {_PAPER_DROPPED + 1}: the paper leaves out the first {_PAPER_DROPPED}",
-        )  # fmt: skip
+        )
     truth = recording.truth_pose[_PAPER_DROPPED:]
     steering = interpolate(at_s, recording.receive_s, recording.steering_rad)[:-1]
     if signal == "velocity":

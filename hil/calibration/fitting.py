@@ -101,9 +101,11 @@ def fit(
         z = solution.z
     if first is not None:
         solution = replace(
-            solution, searched=first.searched, objective_before_polish=first.objective_before_polish,
+            solution,
+            searched=first.searched,
+            objective_before_polish=first.objective_before_polish,
             iterations=first.iterations,
-        )  # fmt: skip
+        )
     return _settled(Fit(stage, solution))
 
 
@@ -118,10 +120,13 @@ def _settled(found: Fit) -> Fit:
     return Fit(
         problem,
         replace(
-            solution, z=further.z, objective=further.objective, converged=further.converged,
+            solution,
+            z=further.z,
+            objective=further.objective,
+            converged=further.converged,
             iterations=solution.iterations + further.iterations,
         ),
-    )  # fmt: skip
+    )
 
 
 def _linear(stage: Problem) -> Problem:

@@ -104,9 +104,11 @@ def respond(
         return
     scale = rolled_mean(u)
     creeping = kind == CREEP
-    inverse = creep_balance(z, u, scale, load, ratio)[1] if creeping else (
-        inverse3(dissipation_slopes(z, u, b, scale, load, power)[1])
-    )  # fmt: skip
+    inverse = (
+        creep_balance(z, u, scale, load, ratio)[1]
+        if creeping
+        else (inverse3(dissipation_slopes(z, u, b, scale, load, power)[1]))
+    )
     for i in range(4):
         e = slip(z, u, b, i)
         if creeping:

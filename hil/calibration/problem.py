@@ -74,9 +74,19 @@ class Setting:
 
 PAPER = Setting("paper", "paper", "velocity", False, None, 0.05, 0.05, 0.02, 0.05, 0.1, False)
 RECOMMENDED = Setting(
-    "recommended", "dry-friction", "position", True, (0.004, 0.004, 0.006), 0.01, 0.01,
-    float(np.radians(0.75)), None, 0.3, True, True,
-)  # fmt: skip
+    "recommended",
+    "dry-friction",
+    "position",
+    True,
+    (0.004, 0.004, 0.006),
+    0.01,
+    0.01,
+    float(np.radians(0.75)),
+    None,
+    0.3,
+    True,
+    True,
+)
 SETTINGS = {s.name: s for s in (PAPER, RECOMMENDED)}
 
 

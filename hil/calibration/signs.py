@@ -112,9 +112,11 @@ def check_signs(recordings: Sequence[Recording], nominal: Nominal, *, of_all: bo
         for one in recordings:
             if rates_against_angles(one):
                 raise DataError(
-                    _place(one), RATES_AGAINST, expected="both grow as the wheel rolls forward",
+                    _place(one),
+                    RATES_AGAINST,
+                    expected="both grow as the wheel rolls forward",
                     remedy="change the sign of one in the file",
-                )  # fmt: skip
+                )
         return
     wrong = found.explained[likely[0]]
     names = [_place(one) for one, is_wrong in zip(recordings, wrong, strict=True) if is_wrong]

@@ -57,11 +57,7 @@ class Solution:
 
 
 def solve(
-    problem: Problem,
-    method: str = "lm",
-    *,
-    seed: int = 0,
-    progress: Progress | None = None,
+    problem: Problem, method: str = "lm", *, seed: int = 0, progress: Progress | None = None
 ) -> Solution:
     """Minimise a problem; the gradient methods start from its nominal parameters.
 
@@ -169,12 +165,20 @@ def interior_point(problem: Problem, z0: Array) -> Solution:
     start = np.clip((problem.clip(z0) - problem.lower) / width, _INSIDE, 1.0 - _INSIDE)
     history = [problem.objective(place(start))]
     found: Any = minimize(  # type: ignore[call-overload]
-        lambda u: problem.objective(place(u)), start, method="trust-constr",
-        jac=lambda u: terms(u)[1], hess=lambda u: terms(u)[2], bounds=Bounds(0.0, 1.0),
+        lambda u: problem.objective(place(u)),
+        start,
+        method="trust-constr",
+        jac=lambda u: terms(u)[1],
+        hess=lambda u: terms(u)[2],
+        bounds=Bounds(0.0, 1.0),
         callback=lambda u, state: history.append(float(state.fun)),
-        options={"maxiter": _INTERIOR_POINT_LIMIT, "gtol": _SLOPE * max(history[0], 1e-12), "xtol": _STEP,
-                 "barrier_tol": _SLOPE},
-    )  # fmt: skip
+        options={
+            "maxiter": _INTERIOR_POINT_LIMIT,
+            "gtol": _SLOPE * max(history[0], 1e-12),
+            "xtol": _STEP,
+            "barrier_tol": _SLOPE,
+        },
+    )
     z = problem.clip(place(found.x))
     converged = int(found.status) in _TRUST_CONSTR_ENDED
     return Solution(z, problem.objective(z), int(found.nit), converged, len(z), history=tuple(history))
@@ -241,7 +245,11 @@ def _searched(
     algorithm = {"ga": GA, "pso": PSO}[method](pop_size=people, sampling=first)
     box = np.full(dimension, 2.0 * _SEARCH_STD)
     found = minimize(
-        FunctionalProblem(dimension, objective, xl=-box, xu=box), algorithm, ("n_gen", generations),
-        seed=seed, callback=Told(), verbose=False,
-    )  # fmt: skip
+        FunctionalProblem(dimension, objective, xl=-box, xu=box),
+        algorithm,
+        ("n_gen", generations),
+        seed=seed,
+        callback=Told(),
+        verbose=False,
+    )
     return np.asarray(found.X, dtype=np.float64), generations

@@ -102,12 +102,17 @@ def commanded_twist(motion: str, t_s: Array) -> Array:
     """Body twist (n, 3) of a motion at times since its start; zero outside."""
     v, w = 0.05, 0.157
     shapes = {
-        "line_x": (20.0, (v, 0, 0)), "line_y": (20.0, (0, v, 0)),
-        "circle_ccw": (np.pi / v, (v, 0, 2 * v)), "circle_cw": (np.pi / v, (v, 0, -2 * v)),
-        "rotation_ccw": (2 * np.pi / w, (0, 0, w)), "rotation_cw": (2 * np.pi / w, (0, 0, -w)),
-        "diagonal": (20.0, (0.035, 0.035, 0)), "arc": (20.0, (0.04, -0.02, 0.05)),
-        "curl": (16.0, (-0.03, 0.03, -0.12)), "scan": (24.0, (v, 0, 0)),
-    }  # fmt: skip
+        "line_x": (20.0, (v, 0, 0)),
+        "line_y": (20.0, (0, v, 0)),
+        "circle_ccw": (np.pi / v, (v, 0, 2 * v)),
+        "circle_cw": (np.pi / v, (v, 0, -2 * v)),
+        "rotation_ccw": (2 * np.pi / w, (0, 0, w)),
+        "rotation_cw": (2 * np.pi / w, (0, 0, -w)),
+        "diagonal": (20.0, (0.035, 0.035, 0)),
+        "arc": (20.0, (0.04, -0.02, 0.05)),
+        "curl": (16.0, (-0.03, 0.03, -0.12)),
+        "scan": (24.0, (v, 0, 0)),
+    }
     duration_s, twist = shapes[motion]
     inside = (t_s >= 0) & (t_s <= duration_s)
     out = np.where(inside[:, None], np.array(twist, dtype=np.float64), 0.0)
@@ -169,9 +174,16 @@ def simulate(
         body[window] += rng.normal(0.0, 1.0, 3) * np.array([4e-3, 4e-3, 8e-3]) * _STEP_S
     start_pose = np.r_[rng.normal(0, 1e-3, 2), rng.normal(0, 5e-3)]
     return _record(
-        robot.nominal, name, motion, t_s, rate, heading, integrate(start_pose, body),
-        rng=rng, corrupted=corrupted,
-    )  # fmt: skip
+        robot.nominal,
+        name,
+        motion,
+        t_s,
+        rate,
+        heading,
+        integrate(start_pose, body),
+        rng=rng,
+        corrupted=corrupted,
+    )
 
 
 def _perturb(body: Array, draw: Array) -> Array:
@@ -240,9 +252,17 @@ def _springs(robot: HiddenRobot, p: Array, u: Array) -> Array:
 
 
 def _record(
-    nominal: Nominal, name: str, motion: str, t_s: Array, rate: Array, heading: Array, pose: Array,
-    *, rng: np.random.Generator, corrupted: bool,
-) -> Recording:  # fmt: skip
+    nominal: Nominal,
+    name: str,
+    motion: str,
+    t_s: Array,
+    rate: Array,
+    heading: Array,
+    pose: Array,
+    *,
+    rng: np.random.Generator,
+    corrupted: bool,
+) -> Recording:
     angle = np.vstack([np.zeros(4), np.cumsum(0.5 * (rate[1:] + rate[:-1]) * _STEP_S, axis=0)])
     angle += rng.uniform(-np.pi, np.pi, 4)
     register = np.trunc(_lag(rate, _RATE_LAG_S) / _RATE_UNIT_RAD_S) * _RATE_UNIT_RAD_S
@@ -259,9 +279,12 @@ def _record(
     truth[:, 2] = np.arctan2(np.sin(truth[:, 2]), np.cos(truth[:, 2]))
     receive = t_s[every] + rng.exponential(0.002, len(t_s[every]))
     return build_recording(
-        name, Log(t_s[every], wheels, receive), Log(at_s, truth, at_s + rng.exponential(0.001, len(at_s))),
-        motion=motion, nominal=nominal,
-    )  # fmt: skip
+        name,
+        Log(t_s[every], wheels, receive),
+        Log(at_s, truth, at_s + rng.exponential(0.001, len(at_s))),
+        motion=motion,
+        nominal=nominal,
+    )
 
 
 def make_set(
@@ -295,8 +318,13 @@ def make_set(
             bursts = 3 if rng.random() < slip_share else 0
             out.append(
                 simulate(
-                    robot, motion, name, rng, run_to_run=run_to_run, slip_bursts=bursts,
+                    robot,
+                    motion,
+                    name,
+                    rng,
+                    run_to_run=run_to_run,
+                    slip_bursts=bursts,
                     corrupted=name == corrupted,
                 )
-            )  # fmt: skip
+            )
     return out

@@ -39,10 +39,7 @@ class _Unit:
     @property
     def truth(self) -> tuple[float, float]:
         """Factors of positions and headings that convert the ground truth."""
-        return (
-            self.to_si if self.column == "x, y" else 1.0,
-            self.to_si if self.column == "theta" else 1.0,
-        )
+        return (self.to_si if self.column == "x, y" else 1.0, self.to_si if self.column == "theta" else 1.0)
 
     @property
     def alone(self) -> tuple[float, float]:

@@ -104,9 +104,12 @@ class Deployed:
 
 
 def deployed(
-    recordings: Sequence[Recording], geometry: WheelGeometry, nominal: WheelGeometry, correction: Array,
+    recordings: Sequence[Recording],
+    geometry: WheelGeometry,
+    nominal: WheelGeometry,
+    correction: Array,
     setting: Setting,
-) -> Deployed:  # fmt: skip
+) -> Deployed:
     """Score both ways to apply a calibration: `geometry`, or `correction` (3, 3) of nominal odometry.
 
     Args:

@@ -153,9 +153,15 @@ class Shelf:
 
 
 def shelve(
-    path: Path, result: Calibration, *, created: str, software: dict[str, str], verdict: str,
-    config: BenchConfig, robot: Identity,
-) -> KeptVersion:  # fmt: skip
+    path: Path,
+    result: Calibration,
+    *,
+    created: str,
+    software: dict[str, str],
+    verdict: str,
+    config: BenchConfig,
+    robot: Identity,
+) -> KeptVersion:
     """Put a calibration beside `path`, and in place if its validation passed.
 
     Args:
@@ -170,10 +176,14 @@ def shelve(
     shelf = Shelf(path)
     kept = shelf.add(
         calibration_file(
-            result, created=created, software=software, verdict=verdict, made_for=made_for(config),
+            result,
+            created=created,
+            software=software,
+            verdict=verdict,
+            made_for=made_for(config),
             robot=robot,
         )
-    )  # fmt: skip
+    )
     return shelf.apply(kept.file.version, config) if verdict in PASSED else kept
 
 
@@ -269,8 +279,11 @@ def check_made_for(file: CalibrationFile, config: BenchConfig, path: str) -> Non
 def _other_servos(there: MadeFor | None, here: MadeFor | None) -> list[str]:
     if there is None or here is None:
         return []
-    sections = {"servo_model": "servos.model_number", "drive_ids": "servos.drive_ids",
-                "steer_ids": "servos.steer_ids"}  # fmt: skip
+    sections = {
+        "servo_model": "servos.model_number",
+        "drive_ids": "servos.drive_ids",
+        "steer_ids": "servos.steer_ids",
+    }
     problems = []
     for name in MadeFor.model_fields:
         if getattr(there, name) is None or getattr(here, name) is None:

@@ -92,8 +92,13 @@ def _module(name: str) -> str:
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__)
-@click.option("--progress", type=click.Choice(PROGRESS), default=PROGRESS[0], show_default=True,
-              help="Who reads stderr: a person, or a program, a JSON object per line.")  # fmt: skip
+@click.option(
+    "--progress",
+    type=click.Choice(PROGRESS),
+    default=PROGRESS[0],
+    show_default=True,
+    help="Who reads stderr: a person, or a program, a JSON object per line.",
+)
 @click.option("-v", "--verbose", count=True, help="More messages on stderr (twice: debug).")
 def cli(verbose: int, progress: str) -> None:
     """Hardware-in-the-loop bench for a 4WIS4WID wall-climbing robot."""

@@ -30,9 +30,16 @@ from hil.vocabulary.result_files import ACCEPTANCE_TABLE
 @click.option("--out", type=OUT, help="Results folder [default: out/accept/TIME].")
 @JSON
 def command(
-    bench: str, on_stand: bool, emulate: str | None, realtime: bool, seed: int, faults: tuple[str, ...],
-    answers: Path | None, out: Path | None, as_json: bool,
-) -> int:  # fmt: skip
+    bench: str,
+    on_stand: bool,
+    emulate: str | None,
+    realtime: bool,
+    seed: int,
+    faults: tuple[str, ...],
+    answers: Path | None,
+    out: Path | None,
+    as_json: bool,
+) -> int:
     """Everything that supplier or lab sign on the first day, on one page.
 
     Doctor, the contract of every device and the age of its samples without motion. Then, when all of it is
@@ -55,16 +62,19 @@ def command(
     interrupts = asked_to_end()
     source = BenchSource(
         bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults, watch=watching()
-    )  # fmt: skip
+    )
     with interrupts.installed(), interrupts.deferred():
         with reporting() as report:
             told, code = accept(
                 Acceptance(
-                    source, local_time, on_stand=on_stand,
-                    operator=operator(answers), report=report,
+                    source,
+                    local_time,
+                    on_stand=on_stand,
+                    operator=operator(answers),
+                    report=report,
                     interrupts=interrupts,
                 )
-            )  # fmt: skip
+            )
         try:
             told = write_acceptance(folder, told)
         except HilError as error:

@@ -38,11 +38,21 @@ def command() -> None:
 
 @command.command("on")
 @_BENCH
-@click.option("--force", "force_n", type=FiniteRange(0.0, 500.0, min_open=True),
-              help="N [default: what the bench file wants on its wall].")  # fmt: skip
+@click.option(
+    "--force",
+    "force_n",
+    type=FiniteRange(0.0, 500.0, min_open=True),
+    help="N [default: what the bench file wants on its wall].",
+)
 @click.option("--duty", type=FiniteRange(0.0, 1.0, min_open=True), help="Share of the voltage, not a force.")
-@click.option("--wait", "wait_s", type=FiniteRange(0.0, 120.0), default=15.0, show_default=True,
-              help="Seconds that it may take to get there.")  # fmt: skip
+@click.option(
+    "--wait",
+    "wait_s",
+    type=FiniteRange(0.0, 120.0),
+    default=15.0,
+    show_default=True,
+    help="Seconds that it may take to get there.",
+)
 @_TETHERED
 @JSON
 def switch_on(
@@ -93,9 +103,12 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
     kind, spec = next(iter(specs.items()))
     if found[kind] is None and (others := adhesion.other_keepers(specs.values())):
         raise DeviceError(
-            kind, "it has no keeper and was not stopped; on its bus is kept " + "; ".join(others),
-            port=spec.name, expected="the one that runs", remedy=f"name that one in [{kind}] of {bench}",
-        )  # fmt: skip
+            kind,
+            "it has no keeper and was not stopped; on its bus is kept " + "; ".join(others),
+            port=spec.name,
+            expected="the one that runs",
+            remedy=f"name that one in [{kind}] of {bench}",
+        )
     if as_json:
         click.echo(json.dumps({**_told(specs, found), "confirmed_by": why}))
         return EXIT_PASS
@@ -184,10 +197,20 @@ def _show(spec: Spec, status: Status | DeviceError | None) -> None:
 
 @command.command("watch")
 @_BENCH
-@click.option("--every", "every_s", type=FiniteRange(0.1, 60.0), default=1.0, show_default=True,
-              help="Seconds between two lines.")  # fmt: skip
-@click.option("--duration", "duration_s", type=FiniteRange(0.0, min_open=True),
-              help="Seconds [default: until interrupted].")  # fmt: skip
+@click.option(
+    "--every",
+    "every_s",
+    type=FiniteRange(0.1, 60.0),
+    default=1.0,
+    show_default=True,
+    help="Seconds between two lines.",
+)
+@click.option(
+    "--duration",
+    "duration_s",
+    type=FiniteRange(0.0, min_open=True),
+    help="Seconds [default: until interrupted].",
+)
 def watch(bench: str, every_s: float, duration_s: float | None) -> int:
     """A line about fan and propellers, again and again. They do not mind when this ends.
 
@@ -223,9 +246,10 @@ def keep(bench: str, propellers: bool) -> int:
     if (spec := specs.get("thrust" if propellers else "adhesion")) is None:
         missing, wanted = ("propellers", "propellers on VESCs") if propellers else ("fan", "a fan on CAN")
         raise UsageError(
-            f"{bench} has no {missing} that can be kept", expected=f"{wanted}, not emulated here",
+            f"{bench} has no {missing} that can be kept",
+            expected=f"{wanted}, not emulated here",
             remedy="leave out --propellers" if propellers else "add [adhesion] to the bench file",
-        )  # fmt: skip
+        )
     if adhesion.keeper_status(spec) is not None:
         raise UsageError(
             f"{spec.name} has a keeper already", remedy="`hil adhesion status` names its process"

@@ -16,9 +16,10 @@ if TYPE_CHECKING:
     from hil.vocabulary.interfaces import Sink
 
 answers_option = click.option(
-    "--answers", type=FileName(path_type=Path, allow_dash=True),
+    "--answers",
+    type=FileName(path_type=Path, allow_dash=True),
     help="File that answers the operator's prompts; - for lines of stdin, as they are asked for.",
-)  # fmt: skip
+)
 
 
 def operator(answers: Path | None) -> Operator:

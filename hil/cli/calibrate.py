@@ -46,10 +46,20 @@ if TYPE_CHECKING:
 @click.option("--plots", type=FILE, help="Folder for figures and an HTML page.")
 @JSON
 def command(
-    data: tuple[str, ...], method: str, setting: str, model: str | None, signal: str | None,
-    bounds: float | None, seed: int, no_validation: bool, bench: str | None, out: Path | None,
-    topics: Path | None, plots: Path | None, as_json: bool,
-) -> int:  # fmt: skip
+    data: tuple[str, ...],
+    method: str,
+    setting: str,
+    model: str | None,
+    signal: str | None,
+    bounds: float | None,
+    seed: int,
+    no_validation: bool,
+    bench: str | None,
+    out: Path | None,
+    topics: Path | None,
+    plots: Path | None,
+    as_json: bool,
+) -> int:
     """Calibrate the odometry on recordings with ground truth.
 
     A result that does not explain the recordings is not written, and the exit code is 1. Corrupt recordings
@@ -70,13 +80,23 @@ def command(
     unusable: dict[str, str] = {}
     with reporting() as report:
         recordings = read_recordings(
-            data, lambda done, total: report("reading", done, total), topics=topics, nominal=robot,
+            data,
+            lambda done, total: report("reading", done, total),
+            topics=topics,
+            nominal=robot,
             unusable=unusable,
-        )  # fmt: skip
+        )
         result = calibrate(
-            recordings, chosen, MonotonicClock(), method=method, seed=seed, nominal=robot,
-            validate=not no_validation, unusable=unusable, report=report,
-        )  # fmt: skip
+            recordings,
+            chosen,
+            MonotonicClock(),
+            method=method,
+            seed=seed,
+            nominal=robot,
+            validate=not no_validation,
+            unusable=unusable,
+            report=report,
+        )
     for line in result.warnings:
         click.echo(f"warning: {line}", err=True)
     if out is not None and result.explains:
@@ -115,10 +135,13 @@ def _write(out: Path, result: Calibration, config: BenchConfig | None) -> None:
 
     created = datetime.now(timezone.utc).isoformat(timespec="seconds")
     file = write_calibration(
-        out, result, created=created, software={"hil": __version__, "numpy": np.__version__},
+        out,
+        result,
+        created=created,
+        software={"hil": __version__, "numpy": np.__version__},
         made_for=None if config is None else made_for(config),
         robot=None if config is None else identity(config),
-    )  # fmt: skip
+    )
     click.echo(f"wrote {out} (version {file.version})", err=True)
 
 
@@ -162,9 +185,10 @@ def _text(result: Calibration) -> str:
     )
     lines += [f"  {words}" for words in spectrum.directions]
     if result.validation:
-        lines.append(f"{'position RMSE mm / heading RMSE deg':36}" + "".join(
-            f"{m[:13]:>15}" for m in result.validation["nominal"]
-        ))  # fmt: skip
+        lines.append(
+            f"{'position RMSE mm / heading RMSE deg':36}"
+            + "".join(f"{m[:13]:>15}" for m in result.validation["nominal"])
+        )
     for name, table in result.validation.items():
         cells = "".join(
             f"{1e3 * row['rmse_position_m']:>8.1f} /{math.degrees(row['rmse_theta_rad']):5.2f}"

@@ -37,8 +37,13 @@ _LONGEST = 400
 @click.command()
 @click.argument("script", type=SCRIPT)
 @click.option("--seeds", default="0:10", show_default=True, help="Seeds: 0:10 for 0 to 9, or 1,4,7.")
-@click.option("--vary", "axes", multiple=True, metavar="KEY=A,B,...",
-              help="Setting and its values (repeatable). KEY as in --set, or `fault`.")  # fmt: skip
+@click.option(
+    "--vary",
+    "axes",
+    multiple=True,
+    metavar="KEY=A,B,...",
+    help="Setting and its values (repeatable). KEY as in --set, or `fault`.",
+)
 @click.option("--bench", type=BENCH, help="Bench file, or a shipped profile [default: the procedure's].")
 @click.option("--emulate", type=DEVICES, help="Devices to emulate: `all`, or names separated by commas.")
 @click.option(
@@ -54,19 +59,40 @@ _LONGEST = 400
 )
 @click.option("--calibration", type=FILE, help="calibration.toml to apply.")
 @click.option("--answers", type=FILE, help="File that answers the operator's prompts.")
-@click.option("--workers", type=click.IntRange(0, 1000), default=os.cpu_count() or 1,
-              help="Processes; 0 runs here, without Dask [default: one per core].")  # fmt: skip
+@click.option(
+    "--workers",
+    type=click.IntRange(0, 1000),
+    default=os.cpu_count() or 1,
+    help="Processes; 0 runs here, without Dask [default: one per core].",
+)
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler to use instead.")
 @click.option("--out", type=OUT, help="Results [default: out/campaign_NAME/TIME].")
-@click.option("--keep", type=click.Choice(["all", "results"]), default="all", show_default=True,
-              help="Of each run; `results` leaves out recordings and figures, for many runs.")  # fmt: skip
+@click.option(
+    "--keep",
+    type=click.Choice(["all", "results"]),
+    default="all",
+    show_default=True,
+    help="Of each run; `results` leaves out recordings and figures, for many runs.",
+)
 @click.option("--resume", is_flag=True, help="Run what is missing in --out; seeds and values may be added.")
 @JSON
 def command(
-    script: str, seeds: str, axes: tuple[str, ...], bench: str | None, emulate: str | None,
-    settings: tuple[str, ...], faults: tuple[str, ...], calibration: Path | None, answers: Path | None,
-    workers: int, scheduler: str | None, out: Path | None, keep: Keep, resume: bool, as_json: bool,
-) -> int:  # fmt: skip
+    script: str,
+    seeds: str,
+    axes: tuple[str, ...],
+    bench: str | None,
+    emulate: str | None,
+    settings: tuple[str, ...],
+    faults: tuple[str, ...],
+    calibration: Path | None,
+    answers: Path | None,
+    workers: int,
+    scheduler: str | None,
+    out: Path | None,
+    keep: Keep,
+    resume: bool,
+    as_json: bool,
+) -> int:
     """Run a procedure over seeds and settings on the emulated bench, in parallel, into one table.
 
     Example: hil campaign wall_tracking --seeds 0:20 --vary fault=imu:off@5,tracker:off@5
@@ -83,9 +109,15 @@ def command(
         proc = load_procedure(script)
     cases = expand(parse_seeds(seeds), [parse_axis(text) for text in axes])
     setup = Setup(
-        _absolute(script), _optional(bench), emulate, settings, tuple(map(_absolute, faults)),
-        _optional(calibration), _optional(answers), keep,
-    )  # fmt: skip
+        _absolute(script),
+        _optional(bench),
+        emulate,
+        settings,
+        tuple(map(_absolute, faults)),
+        _optional(calibration),
+        _optional(answers),
+        keep,
+    )
     check(setup, proc, cases)
     if workers or scheduler:
         check_dask()
@@ -172,10 +204,13 @@ def _run(
                 parcel = files_of(setup, proc, cases)
                 away = replace(setup, places=parcel.places)
                 spread(
-                    run_case_elsewhere, [replace(j, setup=away, luggage=parcel.name) for j in missing],
-                    lost=lambda job, reason: Delivery(lost(job, reason)), done=lambda got: done(arrived(got)),
-                    scheduler=scheduler, parcel=parcel,
-                )  # fmt: skip
+                    run_case_elsewhere,
+                    [replace(j, setup=away, luggage=parcel.name) for j in missing],
+                    lost=lambda job, reason: Delivery(lost(job, reason)),
+                    done=lambda got: done(arrived(got)),
+                    scheduler=scheduler,
+                    parcel=parcel,
+                )
             elif missing:
                 spread(run_case, missing, lost=lost, done=done, workers=workers)
     except KeyboardInterrupt:

@@ -43,10 +43,19 @@ DEFAULT = "emulated_delivered"
 @answers_option
 @JSON
 def command(
-    bench: str, quick: bool, seed: int, out: Path | None, resume: bool, emulate: str | None, realtime: bool,
-    settings: tuple[str, ...], faults: tuple[str, ...], start_pose: str | None, answers: Path | None,
+    bench: str,
+    quick: bool,
+    seed: int,
+    out: Path | None,
+    resume: bool,
+    emulate: str | None,
+    realtime: bool,
+    settings: tuple[str, ...],
+    faults: tuple[str, ...],
+    start_pose: str | None,
+    answers: Path | None,
     as_json: bool,
-) -> int:  # fmt: skip
+) -> int:
     """All procedures in order, each using what the others found, up to lines on the wall.
 
     Example: hil commission --quick
@@ -56,20 +65,31 @@ def command(
     from hil.vocabulary.clock import MonotonicClock
 
     source = BenchSource(
-        bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults,
-        overrides={**_overrides(settings), **start.start_override(start_pose)}, watch=watching(),
-    )  # fmt: skip
+        bench,
+        emulate=emulate,
+        seed=seed,
+        realtime=realtime,
+        faults=faults,
+        overrides={**_overrides(settings), **start.start_override(start_pose)},
+        watch=watching(),
+    )
     source = source.changed(overrides=start.asked_start(source.config))
     interrupts = asked_to_end()
     folder = results_folder("commission", out, COMMISSIONING_TABLE if resume else None)
     with interrupts.installed(), interrupts.deferred(), reporting() as report:
         told, code = commission(
             Commission(
-                source, folder, MonotonicClock(), local_time, quick=quick, resume=resume,
-                operator=operator(answers), report=report,
+                source,
+                folder,
+                MonotonicClock(),
+                local_time,
+                quick=quick,
+                resume=resume,
+                operator=operator(answers),
+                report=report,
                 interrupts=interrupts,
             )
-        )  # fmt: skip
+        )
     click.echo(json.dumps(told, allow_nan=False) if as_json else _text(told))
     return code
 

@@ -27,8 +27,7 @@ _START_S, _POLL_S, _STOP_S = 10.0, 0.05, 60.0
 @click.option(
     "--bench", type=BENCH, help="Bench file or profile that the page offers [default: each command's own]."
 )
-@click.option("--in", "where", type=FILE, default=Path("out"), show_default=True,
-              help="Folder of results.")  # fmt: skip
+@click.option("--in", "where", type=FILE, default=Path("out"), show_default=True, help="Folder of results.")
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the page [default: a free one].")
 @click.option("--stop", "stopping", is_flag=True, help="Stop what the console of this folder runs.")
 @JSON

@@ -45,9 +45,17 @@ _RECORDINGS = (".csv", ".csv.gz", ".mcap", ".db3")
 @BENCH
 @JSON
 def command(
-    folder: Path, seed: int, repetitions: int, plant: str | None, motions: str | None, contact: str | None,
-    corrupt: str | None, faults: tuple[str, ...], bench: str | None, as_json: bool,
-) -> int:  # fmt: skip
+    folder: Path,
+    seed: int,
+    repetitions: int,
+    plant: str | None,
+    motions: str | None,
+    contact: str | None,
+    corrupt: str | None,
+    faults: tuple[str, ...],
+    bench: str | None,
+    as_json: bool,
+) -> int:
     """Generate recordings (plain CSV) and, beside them, the hidden truth (truth.json).
 
     By formulas, a quarter of the recordings hold three slips of a second each, by millimetres.
@@ -80,9 +88,13 @@ def command(
         write_text(parts / _TRUTH, json.dumps(truth, indent=1) + "\n")
         _refuse(folder, sorted(n for n in _held(folder) if not _same(folder / n, parts / n)))
     summary = {
-        "folder": str(folder), "recordings": len(names), "seed": seed, "geometry": truth["nominal"],
-        "plant": world, "contact": touch,
-    }  # fmt: skip
+        "folder": str(folder),
+        "recordings": len(names),
+        "seed": seed,
+        "geometry": truth["nominal"],
+        "plant": world,
+        "contact": touch,
+    }
     click.echo(json.dumps(summary) if as_json else f"{len(names)} recordings in {folder}")
     return 0
 
@@ -143,9 +155,14 @@ def _contact(world: str, asked: str | None) -> str | None:
 
 
 def _from_formulas(
-    folder: Path, seed: int, repetitions: int, motions: tuple[str, ...], contact: str | None,
-    corrupt: str | None, bench: str | None,
-) -> dict[str, Any]:  # fmt: skip
+    folder: Path,
+    seed: int,
+    repetitions: int,
+    motions: tuple[str, ...],
+    contact: str | None,
+    corrupt: str | None,
+    bench: str | None,
+) -> dict[str, Any]:
     """Write recordings of a robot that obeys a formula; returns its truth."""
     from hil.calibration.synthetic import hidden_robot, make_set
     from hil.recording.plain_csv import write_plain
@@ -166,9 +183,14 @@ def _from_formulas(
 
 
 def _from_a_bench(
-    folder: Path, seed: int, repetitions: int, motions: tuple[str, ...], physics: tuple[str, str | None],
-    faults: tuple[str, ...], bench: str,
-) -> dict[str, Any]:  # fmt: skip
+    folder: Path,
+    seed: int,
+    repetitions: int,
+    motions: tuple[str, ...],
+    physics: tuple[str, str | None],
+    faults: tuple[str, ...],
+    bench: str,
+) -> dict[str, Any]:
     """Let an emulated bench drive the motions, each repetition in a world of its own; returns its truth."""
     from hil.bench import hidden_truth, open_bench
     from hil.config.loading import load_bench

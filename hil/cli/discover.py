@@ -28,19 +28,33 @@ if TYPE_CHECKING:
 )
 @click.option("--mocap", metavar="ADDRESS[:PORT]", help="Motion-capture server, and its command port.")
 @click.option(
-    "--at", "places", multiple=True, metavar="KIND.KEY=VALUE",
+    "--at",
+    "places",
+    multiple=True,
+    metavar="KIND.KEY=VALUE",
     help="Where a device is, by a key of its table (repeatable); serial ports then need --port.",
-)  # fmt: skip
-@click.option("--bench", "benches", type=FileName(path_type=Path), multiple=True,
-              help="Bench file whose devices that hold the robot are left alone (repeatable); "
-              "those of this folder are, too.")  # fmt: skip
+)
+@click.option(
+    "--bench",
+    "benches",
+    type=FileName(path_type=Path),
+    multiple=True,
+    help="Bench file whose devices that hold the robot are left alone (repeatable); "
+    "those of this folder are, too.",
+)
 @click.option("--on-stand", is_flag=True, help="The robot is on the floor or on a stand: do not ask.")
 @click.option("--out", type=OUT, help="Write the bench file here; never overwrites.")
 @JSON
 def command(
-    ports: tuple[str, ...], buses: tuple[str, ...], mocap: str | None, places: tuple[str, ...],
-    benches: tuple[Path, ...], on_stand: bool, out: Path | None, as_json: bool,
-) -> int:  # fmt: skip
+    ports: tuple[str, ...],
+    buses: tuple[str, ...],
+    mocap: str | None,
+    places: tuple[str, ...],
+    benches: tuple[Path, ...],
+    on_stand: bool,
+    out: Path | None,
+    as_json: bool,
+) -> int:
     """Ask everything that could be a device.
 
     What is at a serial port is not known before it is asked, and a controller of propellers may slow down at

@@ -40,9 +40,16 @@ _LEAST_WATCH_S = 0.1
 @click.option("--out", type=OUT, help="With --fix: file to write them to.")
 @JSON
 def command(
-    bench: str, emulate: str | None, realtime: bool, seed: int, faults: tuple[str, ...], watch_s: float,
-    fix: bool, out: Path | None, as_json: bool,
-) -> int:  # fmt: skip
+    bench: str,
+    emulate: str | None,
+    realtime: bool,
+    seed: int,
+    faults: tuple[str, ...],
+    watch_s: float,
+    fix: bool,
+    out: Path | None,
+    as_json: bool,
+) -> int:
     """Examine every device of a bench without moving it.
 
     Ends with 0 when nothing failed (warnings are allowed), else with 3; with 2 where the bench has no device.
@@ -68,8 +75,10 @@ def command(
         findings.append(finding)
         if not as_json:
             mark, colour = _MARKS[finding.level]
-            click.echo(f"{click.style(f'{mark:4}', fg=colour)} {finding.device:{width}} {finding.check}: "
-                       f"{finding.found}")  # fmt: skip
+            click.echo(
+                f"{click.style(f'{mark:4}', fg=colour)} {finding.device:{width}} {finding.check}: "
+                f"{finding.found}"
+            )
             if finding.level != "ok":
                 hints = [f"expected {finding.expected}"] * bool(finding.expected) + [finding.remedy]
                 click.echo(" " * (width + 6) + "; ".join(h for h in hints if h))

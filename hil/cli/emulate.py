@@ -44,24 +44,34 @@ _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
     "--fault", "faults", multiple=True, type=FAULT, help="Fault, for example imu:stuck@2+3 (repeatable)."
 )
 @click.option(
-    "--standard-ports", is_flag=True,
+    "--standard-ports",
+    is_flag=True,
     help="Motion capture at Motive's ports 1510 and 1511, CAN buses at python-can's own group and port.",
-)  # fmt: skip
+)
 @click.option(
-    "--out", type=OUT,
-    help="Write the line here as well, once everything answers; removed at the end.",
-)  # fmt: skip
+    "--out", type=OUT, help="Write the line here as well, once everything answers; removed at the end."
+)
 @click.option(
-    "--wait", "awaited", type=FILE, metavar="FILE",
+    "--wait",
+    "awaited",
+    type=FILE,
+    metavar="FILE",
     help="Serve nothing: wait until another emulator has put FILE there by --out, print it, end.",
-)  # fmt: skip
+)
 @click.option("--lifeline", is_flag=True, help="End as well when standard input is closed.")
 @click.option("--json", is_flag=True, expose_value=False, hidden=True, help="The line is JSON in any case.")
 @click.option("--await-start", is_flag=True, help="World time stands still until a byte on standard input.")
 def command(
-    bench: str, only: str, seed: int, faults: tuple[str, ...], standard_ports: bool, out: Path | None,
-    awaited: Path | None, lifeline: bool, await_start: bool,
-) -> int:  # fmt: skip
+    bench: str,
+    only: str,
+    seed: int,
+    faults: tuple[str, ...],
+    standard_ports: bool,
+    out: Path | None,
+    awaited: Path | None,
+    lifeline: bool,
+    await_start: bool,
+) -> int:
     """Serve emulated devices on PTYs, a CAN interface and loopback UDP.
 
     Prints one JSON line of endpoints on stdout, then runs until SIGINT or SIGTERM and ends with 0.
@@ -101,13 +111,19 @@ def command(
     except NoSuchDevice as error:
         raise UsageError(
             f"--only {error.device}: the bench has no such device",
-            expected="some of " + ", ".join(error.present), remedy=error.remedy,
-        ) from None  # fmt: skip
+            expected="some of " + ", ".join(error.present),
+            remedy=error.remedy,
+        ) from None
     descriptor = sys.stdin.fileno() if lifeline or await_start else None
     server = open_emulation(
-        config, only=names, seed=seed, faults=faults, lifeline=descriptor, await_start=await_start,
+        config,
+        only=names,
+        seed=seed,
+        faults=faults,
+        lifeline=descriptor,
+        await_start=await_start,
         standard_ports=standard_ports,
-    )  # fmt: skip
+    )
 
     _end_when_asked(server.stop, only_by_sigterm=await_start)
     endpoints = server.endpoints()

@@ -50,8 +50,9 @@ class EndpointsFile:
         except OSError as error:
             raise UsageError(
                 f"--out {path}: cannot be written ({reason_of(error)})",
-                expected="a file name in a folder that exists", remedy="choose another place",
-            ) from None  # fmt: skip
+                expected="a file name in a folder that exists",
+                remedy="choose another place",
+            ) from None
 
     def _refuse_a_living_one(self) -> None:
         if _of_a_living_emulator(self._path) is not None:
@@ -81,9 +82,10 @@ class EndpointsFile:
         except OSError as error:
             partial.unlink(missing_ok=True)
             raise DataError(
-                str(self._path), f"cannot be written ({reason_of(error)})",
+                str(self._path),
+                f"cannot be written ({reason_of(error)})",
                 remedy="choose a place with room for --out",
-            ) from None  # fmt: skip
+            ) from None
         self._text = text + "\n"
 
     def __enter__(self) -> EndpointsFile:
@@ -115,18 +117,20 @@ def await_endpoints(path: Path, patience_s: float) -> str:
     """
     if not path.parent.is_dir() or (path.exists() and not _left_behind(path)):
         raise UsageError(
-            f"--wait {path}: no endpoints will be there", expected="the name that was given to --out",
+            f"--wait {path}: no endpoints will be there",
+            expected="the name that was given to --out",
             remedy="look for a typing error",
-        )  # fmt: skip
+        )
     end_s = time.monotonic() + patience_s
     while (text := _of_a_living_emulator(path)) is None:
         if time.monotonic() >= end_s:
             found = "was left behind by an emulator that is gone" if path.exists() else "has not appeared"
             raise DeviceTimeoutError(
-                "emulate", f"{path} {found} after {patience_s:g} s",
+                "emulate",
+                f"{path} {found} after {patience_s:g} s",
                 expected=f"hil emulate --out {path} in another terminal, or before in the background",
                 remedy="look at what it says",
-            )  # fmt: skip
+            )
         time.sleep(_LOOK_S)
     return text
 

@@ -36,17 +36,27 @@ _COLUMNS = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
     help="Wheel signal [default: position, or the file's].",
 )
 @click.option(
-    "--deploy", type=click.Choice(["parameters", "twist"]), default="parameters", show_default=True,
+    "--deploy",
+    type=click.Choice(["parameters", "twist"]),
+    default="parameters",
+    show_default=True,
     help="Apply the calibration as wheel parameters, or as a 3x3 correction of nominal odometry.",
-)  # fmt: skip
+)
 @BENCH
 @click.option("--topics", type=FILE, help="Topic mapping of another robot's bags.")
 @click.option("--plots", type=FILE, help="Folder for figures and an HTML page.")
 @JSON
 def command(
-    data: tuple[str, ...], calibration: Path | None, model: str | None, signal: str | None,
-    deploy: str, bench: str | None, topics: Path | None, plots: Path | None, as_json: bool,
-) -> int:  # fmt: skip
+    data: tuple[str, ...],
+    calibration: Path | None,
+    model: str | None,
+    signal: str | None,
+    deploy: str,
+    bench: str | None,
+    topics: Path | None,
+    plots: Path | None,
+    as_json: bool,
+) -> int:
     """Odometry error table of recordings: folders of odom_N/abs_N pairs, or plain CSV files.
 
     With --calibration it says to how many of them that was fitted: errors on those are in sample.
@@ -122,9 +132,13 @@ def _robot(calibration: Path | None, bench: str | None) -> tuple[CalibrationFile
 
 
 def _tracks(
-    recordings: list[Recording], file: CalibrationFile | None, robot: Nominal, model: str, signal: str,
+    recordings: list[Recording],
+    file: CalibrationFile | None,
+    robot: Nominal,
+    model: str,
+    signal: str,
     deploy: str,
-) -> list[Track]:  # fmt: skip
+) -> list[Track]:
     from hil.calibration.evaluation import track_all
 
     if file is not None and deploy == "twist":
@@ -172,9 +186,10 @@ def _text(table: dict[str, Any], told: list[str]) -> str:
     motions: dict[str, dict[str, float]] = table["motions"]
     for name, row in motions.items():
         lines.append(
-            f"{name:14}" + "".join(f"{row[c]:10.4f}" for c in _COLUMNS)
+            f"{name:14}"
+            + "".join(f"{row[c]:10.4f}" for c in _COLUMNS)
             + f"{row['rmse_position_m'] * 1e3:10.2f}{math.degrees(row['rmse_theta_rad']):10.2f}"
-        )  # fmt: skip
+        )
     mean: dict[str, float] = table["mean"]
     lines.append(
         f"{'mean':74}{mean['rmse_position_m'] * 1e3:10.2f}{math.degrees(mean['rmse_theta_rad']):10.2f}"

@@ -17,9 +17,7 @@ from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE, DataError
 @click.option("--out", type=OUT, help="File to write [default: beside RECORDING].")
 @click.option("--topics", type=FILE, help="Topic mapping of another robot's bag.")
 @JSON
-def command(
-    recording: Path, kind: str | None, out: Path | None, topics: Path | None, as_json: bool
-) -> int:  # fmt: skip
+def command(recording: Path, kind: str | None, out: Path | None, topics: Path | None, as_json: bool) -> int:
     """Write one row per wheel sample; a damaged recording gives what it has and exit code 2.
 
     RECORDING is one of ours, or a bag of another robot with --topics: wheels and ground truth, no estimate.
@@ -45,9 +43,11 @@ def command(
         found = read_bag(recording, read_topic_map(topics))
         if found.later:
             raise DataError(
-                str(recording), "its stamps step back: one table cannot hold both parts",
-                expected="stamps that go on", remedy="cut the recording there",
-            )  # fmt: skip
+                str(recording),
+                "its stamps step back: one table cannot hold both parts",
+                expected="stamps that go on",
+                remedy="cut the recording there",
+            )
         records = list(to_cycles(found))
     if not any(record.measurements.wheels for record in records):
         why = f" that can be read ({'; '.join(problems)})" if problems else ""
@@ -58,9 +58,14 @@ def command(
         click.echo(f"hil: {recording}: {problem}", err=True)
     if as_json:
         result = {
-            "recording": str(recording), "out": str(target), "format": chosen, "cycles": len(records),
-            "rows": rows, "columns": list(columns), "problems": problems,
-        }  # fmt: skip
+            "recording": str(recording),
+            "out": str(target),
+            "format": chosen,
+            "cycles": len(records),
+            "rows": rows,
+            "columns": list(columns),
+            "problems": problems,
+        }
         click.echo(json.dumps(result))
     else:
         click.echo(f"{target}: {rows} rows of {len(records)} cycles")

@@ -49,8 +49,12 @@ class Asked:
 @click.option(
     "--plants", default=DEFAULTS["plants"], show_default=True, help="Physics, by commas: own, mujoco."
 )
-@click.option("--random", "count", type=click.IntRange(1, 100_000),
-              help="So many runs with one to four faults at random moments instead.")  # fmt: skip
+@click.option(
+    "--random",
+    "count",
+    type=click.IntRange(1, 100_000),
+    help="So many runs with one to four faults at random moments instead.",
+)
 @click.option(
     "--bench",
     type=BENCH,
@@ -58,16 +62,29 @@ class Asked:
     show_default=True,
     help="Bench file, or a shipped profile.",
 )
-@click.option("--workers", type=click.IntRange(0, 1000), default=0, show_default=True,
-              help="Processes (needs the extra `campaign`); 0 runs here.")  # fmt: skip
-@click.option("--out", type=OUT, default=Path("out/faults"), show_default=True,
-              help="Folder of the pages.")  # fmt: skip
+@click.option(
+    "--workers",
+    type=click.IntRange(0, 1000),
+    default=0,
+    show_default=True,
+    help="Processes (needs the extra `campaign`); 0 runs here.",
+)
+@click.option("--out", type=OUT, default=Path("out/faults"), show_default=True, help="Folder of the pages.")
 @click.option("--resume", is_flag=True, help="Go on with the cells that are missing in --out.")
 @JSON
 def command(
-    quick: bool, seeds: str, only: tuple[str, ...], moments: str, plants: str, count: int | None, bench: str,
-    workers: int, out: Path, resume: bool, as_json: bool,
-) -> int:  # fmt: skip
+    quick: bool,
+    seeds: str,
+    only: tuple[str, ...],
+    moments: str,
+    plants: str,
+    count: int | None,
+    bench: str,
+    workers: int,
+    out: Path,
+    resume: bool,
+    as_json: bool,
+) -> int:
     """Every fault of every emulated device, at four moments of a climb, judged, on one page.
 
     Example: hil faults --quick
@@ -134,8 +151,9 @@ def _cells(asked: Asked) -> tuple[Cell, ...]:
     if real := [name for name in config.devices() if name not in config.emulated()]:
         raise UsageError(
             f"bench {config.name}: {', '.join(real)} cannot be real in a fault campaign",
-            expected="every device emulated", remedy="use --bench emulated",
-        )  # fmt: skip
+            expected="every device emulated",
+            remedy="use --bench emulated",
+        )
     for plant in physics:
         check_faults(load_bench(config, overrides={"emulation.plant": plant}), ())
     if asked.quick:
@@ -152,9 +170,10 @@ def _known(option: str, text: str, names: Sequence[str]) -> tuple[str, ...]:
     for name in given:
         if name not in names:
             raise UsageError(
-                f"{option} {name!r} is unknown", expected="of " + ", ".join(names),
+                f"{option} {name!r} is unknown",
+                expected="of " + ", ".join(names),
                 remedy=did_you_mean(name, names),
-            )  # fmt: skip
+            )
     return given
 
 
@@ -172,12 +191,18 @@ def _json(verdicts: Sequence[CellVerdict], table: Path, page: Path) -> dict[str,
         "cells": len(verdicts),
         "failed": [
             {
-                "device": v.cell.device, "fault": v.cell.fault, "moment": v.cell.moment, "seed": v.cell.seed,
-                "plant": v.cell.plant, "specs": list(v.cell.specs), "why": "; ".join(v.why),
+                "device": v.cell.device,
+                "fault": v.cell.fault,
+                "moment": v.cell.moment,
+                "seed": v.cell.seed,
+                "plant": v.cell.plant,
+                "specs": list(v.cell.specs),
+                "why": "; ".join(v.why),
             }
-            for v in verdicts if v.why
+            for v in verdicts
+            if v.why
         ],
         "quiet": [v.cell.name for v in verdicts if not v.told and not v.why],
         "table": str(table),
         "page": str(page),
-    }  # fmt: skip
+    }

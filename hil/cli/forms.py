@@ -28,8 +28,18 @@ _OFFERED = {
 _NEVER = {"as_json", "answers", "out", "fix", "dry", "resume", "commands", "record", "script", "settings"}
 """Options that the console sets itself, or that belong to a terminal."""
 _SEEN = ("--bench", "--quick")
-_UNITS = {"m_s": "m/s", "rad_s": "rad/s", "rad": "rad", "deg": "deg", "mm": "mm", "ms": "ms", "m": "m",
-          "s": "s", "hz": "Hz", "n": "N"}  # fmt: skip
+_UNITS = {
+    "m_s": "m/s",
+    "rad_s": "rad/s",
+    "rad": "rad",
+    "deg": "deg",
+    "mm": "mm",
+    "ms": "ms",
+    "m": "m",
+    "s": "s",
+    "hz": "Hz",
+    "n": "N",
+}
 _BENCH, _EMULATE, _SET = "--bench", "--emulate", "--set"
 
 
@@ -155,9 +165,13 @@ def _field(option: click.Option, *, more: bool) -> Field:
         return replace(plain, kind="choice", choices=tuple(map(str, kind.choices)))
     if isinstance(kind, (click.IntRange, click.FloatRange)):
         return replace(
-            plain, kind="integer" if isinstance(kind, click.IntRange) else "number",
-            unit=_unit(option.name or ""), low=kind.min, high=kind.max, low_open=kind.min_open,
-        )  # fmt: skip
+            plain,
+            kind="integer" if isinstance(kind, click.IntRange) else "number",
+            unit=_unit(option.name or ""),
+            low=kind.min,
+            high=kind.max,
+            low_open=kind.min_open,
+        )
     return replace(plain, choices=benches() if plain.name == _BENCH else ())
 
 

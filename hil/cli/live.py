@@ -90,22 +90,33 @@ if TYPE_CHECKING:
 @start.option
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
 @click.option(
-    "--replay",
-    "repeated",
-    type=FILE,
-    help="Recording whose motion the emulated robot repeats, at the wire.",
+    "--replay", "repeated", type=FILE, help="Recording whose motion the emulated robot repeats, at the wire."
 )
 @click.option(
     "--fault", "faults", multiple=True, type=FAULT, help="Fault, for example imu:stuck@2+3 (repeatable)."
 )
 @JSON
 def command(
-    bench: str, emulate: str | None, source: Path | None, commands: str, dead_man_s: float,
-    duration_s: float | None, feedback: str, observers: tuple[str, ...], controller: str | None,
-    view: str | None, record: Path | None, unrecorded: bool, on_failure: OnFailure,
-    calibration: Path | None, start_pose: str | None, seed: int, repeated: Path | None,
-    faults: tuple[str, ...], as_json: bool,
-) -> int:  # fmt: skip
+    bench: str,
+    emulate: str | None,
+    source: Path | None,
+    commands: str,
+    dead_man_s: float,
+    duration_s: float | None,
+    feedback: str,
+    observers: tuple[str, ...],
+    controller: str | None,
+    view: str | None,
+    record: Path | None,
+    unrecorded: bool,
+    on_failure: OnFailure,
+    calibration: Path | None,
+    start_pose: str | None,
+    seed: int,
+    repeated: Path | None,
+    faults: tuple[str, ...],
+    as_json: bool,
+) -> int:
     """Run the control-estimate loop at its rate in real time.
 
     Every session is recorded, in a new file: see --record and --no-record.
@@ -180,9 +191,12 @@ def _loaded(
 
 
 def _session(
-    bench: Bench, plan: LivePlan, recorder: McapRecorder | None, monitor: RerunMonitor | None,
+    bench: Bench,
+    plan: LivePlan,
+    recorder: McapRecorder | None,
+    monitor: RerunMonitor | None,
     stop: StopRequest,
-) -> LiveSession:  # fmt: skip
+) -> LiveSession:
     """The session that this bench is opened for; a program that reads the progress watches it as well."""
     from hil.live import LiveSession
 

@@ -14,11 +14,21 @@ _NO_RANGE = re.compile(r"('[^']*')( is not a valid (?:integer|float)(?: range)?\
 _EXTRA = re.compile(r"^Got unexpected extra arguments? \((?P<given>.*)\)$", re.S)
 _EXAMPLE = re.compile(r"^\s*(Example: .*(?:\n\s+\S.*)*)", re.M)
 _SAID: dict[str, tuple[str, ...]] = {
-    "show": ("open",), "view": ("open",), "ls": ("list",), "rm": ("delete",), "remove": ("delete",),
-    "undo": ("rollback",), "start": ("on",), "stop": ("off",), "fan": ("adhesion",),
-    "check": ("doctor",), "test": ("run",), "scan": ("discover",), "compare": ("report", "diff"),
+    "show": ("open",),
+    "view": ("open",),
+    "ls": ("list",),
+    "rm": ("delete",),
+    "remove": ("delete",),
+    "undo": ("rollback",),
+    "start": ("on",),
+    "stop": ("off",),
+    "fan": ("adhesion",),
+    "check": ("doctor",),
+    "test": ("run",),
+    "scan": ("discover",),
+    "compare": ("report", "diff"),
     "serve": ("emulate",),
-}  # fmt: skip
+}
 _OPTIONS = ("help", "version")
 
 

@@ -173,7 +173,10 @@ def _watched(stream: Any) -> tuple[io.TextIOWrapper, _Raw]:
     stream.flush()
     raw = _Raw(stream.fileno())
     text = io.TextIOWrapper(
-        io.BufferedWriter(raw), encoding=stream.encoding, errors=stream.errors,
-        line_buffering=stream.line_buffering, write_through=stream.write_through,
-    )  # fmt: skip
+        io.BufferedWriter(raw),
+        encoding=stream.encoding,
+        errors=stream.errors,
+        line_buffering=stream.line_buffering,
+        write_through=stream.write_through,
+    )
     return text, raw

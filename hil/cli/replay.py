@@ -68,9 +68,17 @@ _COLUMNS = (
 @rerun_option("Show it: spawn, connect, serve, a rerun+http:// URL or a .rrd file.")
 @JSON
 def command(
-    recording: Path, estimators: tuple[str, ...], verify: bool, number: int | None, bench: str | None,
-    calibration: Path | None, topics: Path | None, page: Path | None, view: str | None, as_json: bool,
-) -> int:  # fmt: skip
+    recording: Path,
+    estimators: tuple[str, ...],
+    verify: bool,
+    number: int | None,
+    bench: str | None,
+    calibration: Path | None,
+    topics: Path | None,
+    page: Path | None,
+    view: str | None,
+    as_json: bool,
+) -> int:
     """Re-run estimation on a recording; with --verify, compare every decision with the recorded one.
 
     --verify says `identical`, `agrees` (computed by another arithmetic, as on another processor: the largest
@@ -166,10 +174,15 @@ def _write_page(
     from hil.report.replay_page import write_replay_page
 
     write_replay_page(
-        page, f"Replay of {opened.path.name}", motions, truth_of(next(iter(motions.values()))),
-        result["estimators"], [*opened.problems, *result["warnings"]], (result["note"],),
+        page,
+        f"Replay of {opened.path.name}",
+        motions,
+        truth_of(next(iter(motions.values()))),
+        result["estimators"],
+        [*opened.problems, *result["warnings"]],
+        (result["note"],),
         on_wall=opened.bench.config.environment.on_wall,
-    )  # fmt: skip
+    )
 
 
 def _write_verification(page: Path, opened: OpenedRecording, result: dict[str, Any]) -> None:

@@ -23,9 +23,8 @@ _COLOURS = {"PASS": "green", "MARGINAL": "yellow", "FAIL": "red", "ERROR": "red"
 _KEY_ROWS = 2
 
 _IN = click.option(
-    "--in", "where", type=FILE, default=Path("out"), show_default=True,
-    help="Folder of results.",
-)  # fmt: skip
+    "--in", "where", type=FILE, default=Path("out"), show_default=True, help="Folder of results."
+)
 _PROCEDURE = click.option("--procedure", type=PROCEDURE, default="", help="Only runs of this procedure.")
 _BENCH = click.option("--bench", default="", help="Only runs on the bench of this name.")
 
@@ -49,12 +48,18 @@ def _day(ctx: click.Context, parameter: click.Parameter, value: str | None) -> d
 def _filters(function: Callable[..., Any]) -> Callable[..., Any]:
     for option in (
         click.option("--since", metavar="YYYY-MM-DD", callback=_day, help="Only from this day on."),
-        click.option("--verdict", default="", metavar="|".join(_COLOURS), callback=_verdict,
-                     help="Only with this verdict."),
-        _BENCH, _PROCEDURE,
+        click.option(
+            "--verdict",
+            default="",
+            metavar="|".join(_COLOURS),
+            callback=_verdict,
+            help="Only with this verdict.",
+        ),
+        _BENCH,
+        _PROCEDURE,
         click.option("--all", "within", is_flag=True, help="Also the runs of campaigns and commissionings."),
         click.option("--limit", type=click.IntRange(1), default=30, show_default=True, help="Most rows."),
-    ):  # fmt: skip
+    ):
         function = option(function)
     return function
 
@@ -98,9 +103,14 @@ def _tell(where: Path, as_json: bool, asked: Mapping[str, Any], words: Sequence[
 
     limit = asked["limit"]
     found = chosen(
-        find_results(where), procedure=asked["procedure"], bench=asked["bench"], verdict=asked["verdict"],
-        since=asked["since"], words=words, within=asked["within"],
-    )  # fmt: skip
+        find_results(where),
+        procedure=asked["procedure"],
+        bench=asked["bench"],
+        verdict=asked["verdict"],
+        since=asked["since"],
+        words=words,
+        within=asked["within"],
+    )
     shown = found[:limit]
     if as_json:
         told = {"folder": str(where), "found": len(found), "results": [_as_json(kept) for kept in shown]}
@@ -118,11 +128,18 @@ def _tell(where: Path, as_json: bool, asked: Mapping[str, Any], words: Sequence[
 def _as_json(kept: Kept) -> dict[str, Any]:
     tree = kept.result
     return {
-        "name": kept.name, "folder": str(kept.folder), "kind": kept.kind, "procedure": kept.what,
-        "when": kept.when.isoformat(timespec="seconds"), "bench": kept.bench, "where": kept.where,
-        "verdict": kept.verdict, "why": kept.why, "within": kept.within,
+        "name": kept.name,
+        "folder": str(kept.folder),
+        "kind": kept.kind,
+        "procedure": kept.what,
+        "when": kept.when.isoformat(timespec="seconds"),
+        "bench": kept.bench,
+        "where": kept.where,
+        "verdict": kept.verdict,
+        "why": kept.why,
+        "within": kept.within,
         "measurements": {row["name"]: row["value"] for row in tree.get("measurements", ())},
-    }  # fmt: skip
+    }
 
 
 def _print(kept: Kept) -> None:
@@ -248,15 +265,28 @@ def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bo
 
 def _group_json(group: Any) -> dict[str, Any]:
     return {
-        "procedure": group.procedure, "bench": group.bench, "where": group.where, "runs": len(group.runs),
-        "ended_early": group.early, "settings": json.loads(group.settings),
+        "procedure": group.procedure,
+        "bench": group.bench,
+        "where": group.where,
+        "runs": len(group.runs),
+        "ended_early": group.early,
+        "settings": json.loads(group.settings),
         "measurements": [
-            {"name": s.name, "unit": s.unit, "limits": [s.low, s.high], "values": [p.value for p in s.points],
-             "calibrations": [p.calibration for p in s.points], "runs": [p.run for p in s.points],
-             "words": s.in_words(), **vars(s.chart), "state": s.state, "missing": s.missing}
+            {
+                "name": s.name,
+                "unit": s.unit,
+                "limits": [s.low, s.high],
+                "values": [p.value for p in s.points],
+                "calibrations": [p.calibration for p in s.points],
+                "runs": [p.run for p in s.points],
+                "words": s.in_words(),
+                **vars(s.chart),
+                "state": s.state,
+                "missing": s.missing,
+            }
             for s in group.series
         ],
-    }  # fmt: skip
+    }
 
 
 @command.command()

@@ -48,11 +48,15 @@ def show(record: Path, version: int | None, page: Path | None, as_json: bool) ->
         write_robot_page(page, found, date.today())
     if as_json:
         told = {
-            "record": str(record), "version": file.version, "created": file.created, "by": file.why,
-            "robot": file.robot.model_dump(mode="json", exclude_none=True), "parts": rows,
+            "record": str(record),
+            "version": file.version,
+            "created": file.created,
+            "by": file.why,
+            "robot": file.robot.model_dump(mode="json", exclude_none=True),
+            "parts": rows,
             "versions": [_described(v) for v in history.versions],
             "damaged": [{"path": str(path), "why": why} for path, why in history.damaged],
-        }  # fmt: skip
+        }
         click.echo(json.dumps(told, allow_nan=False))
         return 0
     click.echo(f"{file.robot.name}: version {file.version} of {record}, {file.created}, by {file.why}")
@@ -115,17 +119,26 @@ def _two(record: Path, first: int | None, second: int | None) -> tuple[RecordFil
 @_RECORD
 @click.option("--version", type=int, help="Version of the record to put in place.")
 @click.option(
-    "--from", "source", type=FILE,
+    "--from",
+    "source",
+    type=FILE,
     help="Take parts from part_NAME.toml, calibration.toml, bench_fragment.toml or another record.",
-)  # fmt: skip
+)
 @click.option("--bench", type=BENCH, help="Bench file or profile of the robot; needed with --from.")
-@click.option("--of-this-robot", is_flag=True,
-              help="You know that a file is of this robot which does not say of which it is.")  # fmt: skip
+@click.option(
+    "--of-this-robot",
+    is_flag=True,
+    help="You know that a file is of this robot which does not say of which it is.",
+)
 @JSON
 def apply(
-    record: Path, version: int | None, source: Path | None, bench: str | None, of_this_robot: bool,
+    record: Path,
+    version: int | None,
+    source: Path | None,
+    bench: str | None,
+    of_this_robot: bool,
     as_json: bool,
-) -> int:  # fmt: skip
+) -> int:
     """Put a version in place, or take parts from older files as a new version.
 
     What another robot, or a run that did not pass, has left is refused.
@@ -197,6 +210,11 @@ def _done(kept: KeptVersion, as_json: bool) -> int:
 def _described(kept: KeptVersion) -> dict[str, Any]:
     file = kept.file
     return {
-        "version": file.version, "created": file.created, "by": file.why, "parts": list(file.parts),
-        "in_place": kept.in_place, "path": str(kept.path), "sha256": file.sha256,
-    }  # fmt: skip
+        "version": file.version,
+        "created": file.created,
+        "by": file.why,
+        "parts": list(file.parts),
+        "in_place": kept.in_place,
+        "path": str(kept.path),
+        "sha256": file.sha256,
+    }

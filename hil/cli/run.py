@@ -65,14 +65,26 @@ class _WithParameters(click.Command):
     "--bench", type=BENCH, help="Bench file, or a shipped profile [default: the procedure's, emulated]."
 )
 @click.option("--emulate", type=DEVICES, help="Devices to emulate: `all`, or names separated by commas.")
-@click.option("--set", "settings", multiple=True, type=SETTING, metavar="KEY=VALUE",
-              help="Parameter of the procedure, or `bench.KEY` of the bench file.")  # fmt: skip
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    type=SETTING,
+    metavar="KEY=VALUE",
+    help="Parameter of the procedure, or `bench.KEY` of the bench file.",
+)
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
 @start.option
 @click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
-@click.option("--fault", "faults", multiple=True, type=FAULT, metavar="SPEC",
-              help="DEVICE:KIND[@START_S[+DURATION_S]][,OPTION=NUMBER...] in world time, e.g. imu:stuck@2+3; "
-              "repeatable. docs/faults.md lists devices, kinds and options.")  # fmt: skip
+@click.option(
+    "--fault",
+    "faults",
+    multiple=True,
+    type=FAULT,
+    metavar="SPEC",
+    help="DEVICE:KIND[@START_S[+DURATION_S]][,OPTION=NUMBER...] in world time, e.g. imu:stuck@2+3; "
+    "repeatable. docs/faults.md lists devices, kinds and options.",
+)
 @click.option("--calibration", type=FILE, help="calibration.toml to apply.")
 @click.option("--out", type=OUT, help="Results folder [default: out/NAME/TIME].")
 @click.option("--resume", is_flag=True, help="Continue an interrupted run (of --out, else the latest).")
@@ -81,15 +93,33 @@ class _WithParameters(click.Command):
 )
 @click.option("--quick", is_flag=True, help="The procedure's quick form; --set counts above it.")
 @answers_option
-@click.option("--on-recording-failure", "on_failure", type=click.Choice(["stop", "go-on"]), default="stop",
-              show_default=True, help="When the disk no longer takes recording or journal.")  # fmt: skip
+@click.option(
+    "--on-recording-failure",
+    "on_failure",
+    type=click.Choice(["stop", "go-on"]),
+    default="stop",
+    show_default=True,
+    help="When the disk no longer takes recording or journal.",
+)
 @JSON
 def command(
-    script: str, bench: str | None, emulate: str | None, settings: tuple[str, ...], seed: int,
-    start_pose: str | None, realtime: bool,
-    faults: tuple[str, ...], calibration: Path | None, out: Path | None, resume: bool, dry: bool,
-    quick: bool, answers: Path | None, on_failure: OnFailure, as_json: bool,
-) -> int:  # fmt: skip
+    script: str,
+    bench: str | None,
+    emulate: str | None,
+    settings: tuple[str, ...],
+    seed: int,
+    start_pose: str | None,
+    realtime: bool,
+    faults: tuple[str, ...],
+    calibration: Path | None,
+    out: Path | None,
+    resume: bool,
+    dry: bool,
+    quick: bool,
+    answers: Path | None,
+    on_failure: OnFailure,
+    as_json: bool,
+) -> int:
     """Run a procedure: a path to a Python file, or the name of a shipped one.
 
     `hil run SCRIPT --help` also lists the parameters of that procedure.
@@ -105,10 +135,15 @@ def command(
     given, overrides = split_settings(settings)
     parameters = proc.settings(given, quick=quick)
     source = BenchSource(
-        bench or proc.bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults,
-        overrides={**overrides, **start.start_override(start_pose)}, calibration=calibration,
+        bench or proc.bench,
+        emulate=emulate,
+        seed=seed,
+        realtime=realtime,
+        faults=faults,
+        overrides={**overrides, **start.start_override(start_pose)},
+        calibration=calibration,
         watch=watching(),
-    )  # fmt: skip
+    )
     if dry:
         from hil.procedure.dry_run import dry_run
 
@@ -134,22 +169,34 @@ def command(
 
 
 def _run(
-    proc: Procedure, source: Any, folder: Path, parameters: dict[str, Any], answers: Path | None,
-    resume: bool, on_failure: OnFailure, interrupts: Interrupts,
-) -> Result:  # fmt: skip
+    proc: Procedure,
+    source: Any,
+    folder: Path,
+    parameters: dict[str, Any],
+    answers: Path | None,
+    resume: bool,
+    on_failure: OnFailure,
+    interrupts: Interrupts,
+) -> Result:
     from hil.procedure.runner import RunOptions, run_procedure
     from hil.vocabulary.clock import MonotonicClock
 
     with reporting() as report:
         return run_procedure(
-            proc, source,
+            proc,
+            source,
             RunOptions(
-                folder=folder, clock=MonotonicClock(),
-                started=local_time(), parameters=parameters,
-                operator=operator(answers), report=report, resume=resume, on_recording_failure=on_failure,
+                folder=folder,
+                clock=MonotonicClock(),
+                started=local_time(),
+                parameters=parameters,
+                operator=operator(answers),
+                report=report,
+                resume=resume,
+                on_recording_failure=on_failure,
                 interrupts=interrupts,
             ),
-        )  # fmt: skip
+        )
 
 
 def _report_of(result: Result) -> tuple[str | None, int]:

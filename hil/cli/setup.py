@@ -23,9 +23,16 @@ _ROLES = {"drive": {"operating_mode": 1}, "steer": {"operating_mode": 3}}
 @click.option("--dry-run", is_flag=True, help="Read and check what would change; write nothing.")
 @JSON
 def command(
-    port: str, baud: int, servo_id: int, new_id: int | None, new_baud: int | None, role: str | None,
-    pairs: tuple[str, ...], dry_run: bool, as_json: bool,
-) -> int:  # fmt: skip
+    port: str,
+    baud: int,
+    servo_id: int,
+    new_id: int | None,
+    new_baud: int | None,
+    role: str | None,
+    pairs: tuple[str, ...],
+    dry_run: bool,
+    as_json: bool,
+) -> int:
     """Set up one servo; the only command that writes EEPROM. Connect one new servo at a time.
 
     Return Delay Time is set to 0 unless given, torque is off while writing, and everything is read back.
@@ -38,9 +45,15 @@ def command(
     _must_not_hold(port)
     registers = {"return_delay_time": 0, **(_ROLES[role] if role else {}), **dict(map(_pair, pairs))}
     found = set_up(
-        port, MonotonicClock(), baud=baud, servo_id=servo_id, new_id=new_id, new_baud=new_baud,
-        registers=registers, dry_run=dry_run,
-    )  # fmt: skip
+        port,
+        MonotonicClock(),
+        baud=baud,
+        servo_id=servo_id,
+        new_id=new_id,
+        new_baud=new_baud,
+        registers=registers,
+        dry_run=dry_run,
+    )
     if as_json:
         told = {"port": port, "id": servo_id, "registers": found, "written": not dry_run}
         click.echo(json.dumps(told))

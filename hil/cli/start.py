@@ -17,10 +17,12 @@ KEY = "environment.start_pose"
 _FORM = "x,y,theta: m, m, rad in the wall frame (theta also as 5deg)"
 
 option = click.option(
-    "--start", "start_pose", metavar="X,Y,THETA",
+    "--start",
+    "start_pose",
+    metavar="X,Y,THETA",
     help="Where the robot stands if no motion capture sees it: m, m, rad (or 5deg) in the wall frame; "
     "an emulated robot is put there [default: environment.start_pose].",
-)  # fmt: skip
+)
 
 
 def parse_start(text: str) -> tuple[float, float, float]:

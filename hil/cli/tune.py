@@ -26,9 +26,14 @@ if TYPE_CHECKING:
     from hil.robot.kinematics import WheelGeometry
 
 _DEFAULT = (
-    "wheels.per_sqrt_m", "wheels.step_m", "tracker.drift_per_sqrt_m", "tracker.position_m",
-    "process.acceleration_m_s2_sqrt_hz", "process.angular_acceleration_rad_s2_sqrt_hz", "gyro.rate_rad_s",
-)  # fmt: skip
+    "wheels.per_sqrt_m",
+    "wheels.step_m",
+    "tracker.drift_per_sqrt_m",
+    "tracker.position_m",
+    "process.acceleration_m_s2_sqrt_hz",
+    "process.angular_acceleration_rad_s2_sqrt_hz",
+    "gyro.rate_rad_s",
+)
 
 
 @click.command()
@@ -53,9 +58,15 @@ _DEFAULT = (
 @click.option("--out", type=OUT, help="Write the fitted [estimator] tables here.")
 @JSON
 def command(
-    recordings: tuple[Path, ...], check: tuple[Path, ...], names: tuple[str, ...], evaluations: int,
-    bench: str | None, calibration: Path | None, out: Path | None, as_json: bool,
-) -> int:  # fmt: skip
+    recordings: tuple[Path, ...],
+    check: tuple[Path, ...],
+    names: tuple[str, ...],
+    evaluations: int,
+    bench: str | None,
+    calibration: Path | None,
+    out: Path | None,
+    as_json: bool,
+) -> int:
     """Fit the estimator's noise by the likelihood of the true pose in RECORDINGS.
 
     Figures about which they say nothing, as the gyro's in recordings of wheels alone, are left out. With
@@ -117,8 +128,9 @@ def _check_out(out: Path, bench: str | None) -> None:
     if bench is not None and os.path.exists(bench) and out.samefile(bench):
         raise UsageError(
             f"--out {out}: is the bench file itself, whose comments would be lost",
-            expected="another name, for a copy of it", remedy="compare the copy with it, and take it over",
-        )  # fmt: skip
+            expected="another name, for a copy of it",
+            remedy="compare the copy with it, and take it over",
+        )
     if out.stat().st_size and "estimator" not in read_toml(out):
         raise UsageError(
             f"--out {out}: exists already and holds no [estimator], and nothing else is written over",
@@ -170,11 +182,13 @@ def _read(
                 raise DataError(str(path), "does not say how its run began")
             found.append(
                 TruthRun(
-                    tuple(r.measurements for r in run.records), run.start.state,
-                    truth_of(Motion(tuple(run.records))), opened.bench.geometry,
+                    tuple(r.measurements for r in run.records),
+                    run.start.state,
+                    truth_of(Motion(tuple(run.records))),
+                    opened.bench.geometry,
                     opened.bench.config.environment.kind,
                 )
-            )  # fmt: skip
+            )
         problems += [f"{path}: {what}" for what in opened.problems]
         if opened.tables:
             tables, geometry = [*tables, *opened.tables], opened.bench.geometry
@@ -205,13 +219,15 @@ def _same_robot(path: Path, header: dict[str, Any], config: BenchConfig) -> None
     keys = ("wheel_x_m", "wheel_y_m", "wheel_radius_m")
     problems = [
         f"robot.{k}: {list(recorded[k])} there, {list(mine[k])} in the bench file"
-        for k in keys if k in recorded and list(recorded[k]) != list(mine[k])
-    ]  # fmt: skip
+        for k in keys
+        if k in recorded and list(recorded[k]) != list(mine[k])
+    ]
     if problems:
         raise ConfigError(
             f"{path}: was recorded with another robot than that of the bench {config.name!r}",
-            problems=tuple(problems), remedy="give that robot's bench file, or leave --bench out",
-        )  # fmt: skip
+            problems=tuple(problems),
+            remedy="give that robot's bench file, or leave --bench out",
+        )
 
 
 def _geometry(used: WheelGeometry, bench: str | None) -> dict[str, object]:

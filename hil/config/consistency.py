@@ -164,10 +164,12 @@ def _of_servos(config: BenchConfig) -> Iterator[Problem]:
     for name, asked, clipped, limit in (
         ("steering_limit_rad", safety.steering_limit_rad, servos.steer_limit_rad, "steer_limit_rad"),
         (
-            "wheel_rate_limit_rad_s", safety.wheel_rate_limit_rad_s, servos.velocity_limit_rad_s,
+            "wheel_rate_limit_rad_s",
+            safety.wheel_rate_limit_rad_s,
+            servos.velocity_limit_rad_s,
             "velocity_limit_rad_s",
         ),
-    ):  # fmt: skip
+    ):
         if asked > clipped * _SAME:
             yield (
                 f"safety.{name}",

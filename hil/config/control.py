@@ -8,8 +8,7 @@ from hil.config.values import HeadingLimit, Strict, Switch, WheelRate, Within
 from hil.vocabulary.choices import LawName
 
 Gain = Annotated[
-    float,
-    Within(0.01, 100.0, "1/s; 0 corrects nothing, beyond 100 a loop of 100 Hz overshoots"),
+    float, Within(0.01, 100.0, "1/s; 0 corrects nothing, beyond 100 a loop of 100 Hz overshoots")
 ]
 DeadZone = Annotated[float, Within(0.0, 0.05, "a robot that far off (m, rad) has to be corrected")]
 Weight = Annotated[float, Within(1e-6, 1e6, "only the ratios of the weights count")]

@@ -195,20 +195,30 @@ _WALL = SlipModel(slip_m_s=0.002, creep=0.05)
 _FLOOR = SlipModel(slip_m_s=0.0002, slip_across_m_s=0.0002, creep=0.0, creep_across=0.0, yaw_rad_m=0.015)
 
 _NO_SLIP = {
-    "slip_m_s": 0.0, "slip_across_m_s": 0.0, "creep": 0.0, "creep_across": 0.0, "creep_per_sqrt_m": 0.0,
-    "yaw_rad_m": 0.0, "yaw_per_sqrt_m": 0.0,
-}  # fmt: skip
+    "slip_m_s": 0.0,
+    "slip_across_m_s": 0.0,
+    "creep": 0.0,
+    "creep_across": 0.0,
+    "creep_per_sqrt_m": 0.0,
+    "yaw_rad_m": 0.0,
+    "yaw_per_sqrt_m": 0.0,
+}
 _PAPER: dict[str, dict[str, Any]] = {
     "wheels": {"model": "paper", "source": "velocity", "step_m": 1e-4, "per_sqrt_m": 3e-3},
     "wall": _NO_SLIP,
     "floor": _NO_SLIP,
     "gyro": {"bias_rad_s": 0.0, "bias_rad_s_sqrt_s": 0.0, "use_gravity": False},
     "tracker": {
-        "use": "absolute", "position_m": 0.01, "heading_rad": 0.01, "drift_per_sqrt_m": 0.0,
-        "drift_per_sqrt_s": 0.0, "yaw_drift_per_sqrt_s": 0.0, "scale_sigma": 0.0,
+        "use": "absolute",
+        "position_m": 0.01,
+        "heading_rad": 0.01,
+        "drift_per_sqrt_m": 0.0,
+        "drift_per_sqrt_s": 0.0,
+        "yaw_drift_per_sqrt_s": 0.0,
+        "scale_sigma": 0.0,
     },
     "gates": {"on": False},
-}  # fmt: skip
+}
 
 
 _FREE_MOTION = {"acceleration_m_s2_sqrt_hz": 1.0, "angular_acceleration_rad_s2_sqrt_hz": 4.0}

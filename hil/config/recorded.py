@@ -37,9 +37,10 @@ def recorded_bench(
     if other:
         problems.append(f"perhaps because of other versions: {other}")
     raise ConfigError(
-        f"{origin}: {len(problems)} problem(s)", problems=tuple(problems),
+        f"{origin}: {len(problems)} problem(s)",
+        problems=tuple(problems),
         remedy="install the recorded versions, or give today's bench file with --bench" if other else "",
-    )  # fmt: skip
+    )
 
 
 def _other_versions(packages: Mapping[str, Any]) -> str:

@@ -8,13 +8,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from hil.config.device import DeviceConfig
 from hil.config.servo_models import ServoModel, model_text, models_text, servo_models
-from hil.config.servo_models.codes import (
-    BAUD_CODES,
-    CURRENT_POSITION,
-    EXTENDED,
-    POSITION,
-    WATCHDOG_STEP_S,
-)
+from hil.config.servo_models.codes import BAUD_CODES, CURRENT_POSITION, EXTENDED, POSITION, WATCHDOG_STEP_S
 from hil.config.values import Patience, Switch, WheelRate, Within
 
 Id = Annotated[int, Within(0, 252, "IDs of a DYNAMIXEL bus")]
@@ -26,9 +20,7 @@ _AHEAD_FROM_HZ = 100.0
 Turnaround = Annotated[float, Within(0.0, 0.1, "s; a cycle has 0.01 s")]
 
 STEER_MODES = {"position": POSITION, "extended": EXTENDED, "current_position": CURRENT_POSITION}
-_OWNED = (
-    "torque_enable", "status_return_level", "bus_watchdog", "goal_velocity", "goal_position",
-)  # fmt: skip
+_OWNED = ("torque_enable", "status_return_level", "bus_watchdog", "goal_velocity", "goal_position")
 
 
 class ServosConfig(DeviceConfig):

@@ -97,9 +97,12 @@ def start(root: Path, words: Sequence[str], title: str) -> Job:
 def detached(module: str, folder: Path) -> None:
     """Run a module on a folder in a session of its own, with no standard streams; raises `OSError`."""
     process = subprocess.Popen(
-        [sys.executable, "-m", module, str(folder)], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL, start_new_session=True,
-    )  # fmt: skip
+        [sys.executable, "-m", module, str(folder)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
     threading.Thread(target=process.wait, daemon=True).start()  # so that nothing of it is left when it ends
 
 
@@ -237,12 +240,22 @@ def state(job: Job) -> dict[str, Any]:
     """
     running = alive(job)
     told: dict[str, Any] = {
-        "name": job.name, "title": job.title, "command": " ".join(("hil", *job.words)),
+        "name": job.name,
+        "title": job.title,
+        "command": " ".join(("hil", *job.words)),
         "started": job.started,
-        "running": running, "stopping": running and (job.folder / STOPPED).exists(),
-        "finishing": running and (job.folder / FINISH).exists(), "question": None, "question_id": None,
-        "progress": None, "whole": None, "live": None, "held": None, "messages": [], "events": [],
-    }  # fmt: skip
+        "running": running,
+        "stopping": running and (job.folder / STOPPED).exists(),
+        "finishing": running and (job.folder / FINISH).exists(),
+        "question": None,
+        "question_id": None,
+        "progress": None,
+        "whole": None,
+        "live": None,
+        "held": None,
+        "messages": [],
+        "events": [],
+    }
     for place, line in _tail(job.folder / STDERR):
         _take(told, place, line)
     del told["messages"][:-_MOST_TOLD], told["events"][:-_MOST_TOLD]

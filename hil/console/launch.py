@@ -23,8 +23,10 @@ def main() -> None:
     if (folder / STOPPED).exists():  # by somebody who could not know this process yet
         return
     for descriptor, name, flags in (
-        (0, STDIN, os.O_RDWR), (1, STDOUT, os.O_WRONLY | os.O_CREAT), (2, STDERR, os.O_WRONLY | os.O_CREAT)
-    ):  # fmt: skip
+        (0, STDIN, os.O_RDWR),
+        (1, STDOUT, os.O_WRONLY | os.O_CREAT),
+        (2, STDERR, os.O_WRONLY | os.O_CREAT),
+    ):
         file = os.open(folder / name, flags, 0o600)
         os.dup2(file, descriptor)
         os.close(file)

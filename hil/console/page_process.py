@@ -37,11 +37,16 @@ _SANDBOX = {
 }
 """Pages of results may come from anywhere: they run without the rights of this console, and reach nothing."""
 _KINDS = {
-    ".html": "text/html; charset=utf-8", ".svg": "image/svg+xml", ".png": "image/png",
-    ".json": "application/json", ".xml": "text/xml", ".toml": "text/plain; charset=utf-8",
-    ".txt": "text/plain; charset=utf-8", ".csv": "text/plain; charset=utf-8",
+    ".html": "text/html; charset=utf-8",
+    ".svg": "image/svg+xml",
+    ".png": "image/png",
+    ".json": "application/json",
+    ".xml": "text/xml",
+    ".toml": "text/plain; charset=utf-8",
+    ".txt": "text/plain; charset=utf-8",
+    ".csv": "text/plain; charset=utf-8",
     ".jsonl": "text/plain; charset=utf-8",
-}  # fmt: skip
+}
 
 _PLACES = ("port", "channel", "server", "address", "serial")
 """Keys of the bench file that say where a device is."""
@@ -65,9 +70,13 @@ class PageProcess:
     """
 
     def __init__(
-        self, folder: Path, results: Path, actions: Callable[[], Sequence[Action]],
-        benches: Callable[[], Sequence[str]], bench: str | None,
-    ) -> None:  # fmt: skip
+        self,
+        folder: Path,
+        results: Path,
+        actions: Callable[[], Sequence[Action]],
+        benches: Callable[[], Sequence[str]],
+        bench: str | None,
+    ) -> None:
         self._jobs, self._results, self._own = folder / "jobs", results, bench is not None
         self._bench = bench or "emulated"
         self._make_actions = actions
@@ -90,21 +99,31 @@ class PageProcess:
             ("GET", "/style.css"): lambda _: asset("style.css"),
         }
         asked: dict[tuple[str, str], Route] = {
-            ("GET", "/api/offer"): self._offer, ("GET", "/api/state"): self._state,
-            ("GET", "/api/bench"): self._devices, ("GET", "/api/results"): self._history,
-            ("POST", "/api/start"): self._start, ("POST", "/api/answer"): self._answer,
-            ("POST", "/api/finish"): self._finish, ("GET", RESULTS): self._result,
-            ("GET", PAGES): self._file, ("GET", "/trends"): self._trends,
-        }  # fmt: skip
+            ("GET", "/api/offer"): self._offer,
+            ("GET", "/api/state"): self._state,
+            ("GET", "/api/bench"): self._devices,
+            ("GET", "/api/results"): self._history,
+            ("POST", "/api/start"): self._start,
+            ("POST", "/api/answer"): self._answer,
+            ("POST", "/api/finish"): self._finish,
+            ("GET", RESULTS): self._result,
+            ("GET", PAGES): self._file,
+            ("GET", "/trends"): self._trends,
+        }
         return pages | {key: _told(route) for key, route in asked.items()}
 
     def _offer(self, request: Request) -> Reply:
         offered = [action.to_json() for action in self._actions.values()]
         elsewhere = "" if self._results.resolve() == Path("out").resolve() else str(self._results)
         return as_json(
-            {"actions": offered, "benches": list(self._benches()), "bench": self._bench, "own": self._own,
-             "elsewhere": elsewhere}
-        )  # fmt: skip
+            {
+                "actions": offered,
+                "benches": list(self._benches()),
+                "bench": self._bench,
+                "own": self._own,
+                "elsewhere": elsewhere,
+            }
+        )
 
     def _state(self, request: Request) -> Reply:
         return as_json({"jobs": [self._job(job) for job in jobs.jobs(self._jobs, _SHOWN_JOBS)]})
@@ -190,13 +209,18 @@ class PageProcess:
             return as_json({"found": 0, "results": []})
         found = chosen(find_results(self._results), words=words)
         rows = [
-            {"name": k.name, "kind": k.kind, "procedure": k.what,
-             "when": f"{k.when.astimezone():%Y-%m-%d %H:%M}",
-             "bench": f"{k.bench} ({k.where})" if k.where else k.bench, "verdict": k.verdict,
-             "why": (k.result.get("error") or {}).get("message") or k.why,
-             "link": f"{RESULTS}{quote(k.name)}" if k.kind in RESULT_PAGES else None}
+            {
+                "name": k.name,
+                "kind": k.kind,
+                "procedure": k.what,
+                "when": f"{k.when.astimezone():%Y-%m-%d %H:%M}",
+                "bench": f"{k.bench} ({k.where})" if k.where else k.bench,
+                "verdict": k.verdict,
+                "why": (k.result.get("error") or {}).get("message") or k.why,
+                "link": f"{RESULTS}{quote(k.name)}" if k.kind in RESULT_PAGES else None,
+            }
             for k in found[:_MOST_RESULTS]
-        ]  # fmt: skip
+        ]
         return as_json({"found": len(found), "results": rows})
 
     def _result(self, request: Request) -> Reply:

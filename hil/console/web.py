@@ -113,10 +113,14 @@ class _Handler(BaseHTTPRequestHandler):
             reply = self._refusal(HTTPStatus.INTERNAL_SERVER_ERROR, f"{type(error).__name__}: {error}")
         self.send_response(reply.status)
         told = {
-            "Content-Type": reply.kind, "Content-Length": str(len(reply.content)),
-            "Cache-Control": "no-store", "X-Content-Type-Options": "nosniff",
-            "Referrer-Policy": "no-referrer", "Content-Security-Policy": self.server.policy, **reply.headers,
-        }  # fmt: skip
+            "Content-Type": reply.kind,
+            "Content-Length": str(len(reply.content)),
+            "Cache-Control": "no-store",
+            "X-Content-Type-Options": "nosniff",
+            "Referrer-Policy": "no-referrer",
+            "Content-Security-Policy": self.server.policy,
+            **reply.headers,
+        }
         for name, value in told.items():
             self.send_header(name, value)
         self.end_headers()

@@ -83,10 +83,14 @@ class JointScript:
     def to_mapping(self) -> dict[str, Any]:
         """Plain data from which `from_mapping` builds the same script, bit for bit."""
         stretches = [
-            {"duration_s": s.duration_s, "rate_rad_s": rate.tolist(), "steering_rad": angle.tolist(),
-             "ramp": s.ramp}
+            {
+                "duration_s": s.duration_s,
+                "rate_rad_s": rate.tolist(),
+                "steering_rad": angle.tolist(),
+                "ramp": s.ramp,
+            }
             for s, rate, angle in zip(self._stretches, self._rates, self._angles[1:], strict=True)
-        ]  # fmt: skip
+        ]
         return {
             "name": SCRIPT,
             "stretches": stretches,

@@ -16,14 +16,29 @@ from typing import Any, get_args, get_type_hints
 from hil.config.values import bounds_of
 
 BOUNDS: Mapping[str, tuple[float, float]] = {
-    "leakage_s": (0.01, 3600.0), "supply_v": (1.0, 60.0),
-    "_m_sqrt_m": (0.0, 1.0), "_rad_sqrt_s": (0.0, 1.0), "_m_s2": (0.0, 100.0), "_rad_s": (0.0, 100.0),
-    "_m_s": (0.0, 100.0), "_per_s": (0.0, 1000.0), "_probability": (0.0, 1.0), "_share": (0.0, 1.0),
-    "_sigma": (0.0, 0.5), "_ppm": (0.0, 10_000.0), "_hz": (1.0, 10_000.0), "_rad": (0.0, math.pi),
+    "leakage_s": (0.01, 3600.0),
+    "supply_v": (1.0, 60.0),
+    "_m_sqrt_m": (0.0, 1.0),
+    "_rad_sqrt_s": (0.0, 1.0),
+    "_m_s2": (0.0, 100.0),
+    "_rad_s": (0.0, 100.0),
+    "_m_s": (0.0, 100.0),
+    "_per_s": (0.0, 1000.0),
+    "_probability": (0.0, 1.0),
+    "_share": (0.0, 1.0),
+    "_sigma": (0.0, 0.5),
+    "_ppm": (0.0, 10_000.0),
+    "_hz": (1.0, 10_000.0),
+    "_rad": (0.0, math.pi),
     "_per_v": (1.0, 20_000.0),
-    "_ut": (0.0, 1000.0), "_ohm": (0.0, 10.0), "_v": (0.0, 60.0), "_a": (0.0, 100.0), "_c": (-50.0, 100.0),
-    "_s": (0.0, 60.0), "_m": (0.0, 10.0),
-}  # fmt: skip
+    "_ut": (0.0, 1000.0),
+    "_ohm": (0.0, 10.0),
+    "_v": (0.0, 60.0),
+    "_a": (0.0, 100.0),
+    "_c": (-50.0, 100.0),
+    "_s": (0.0, 60.0),
+    "_m": (0.0, 10.0),
+}
 """End of a name -> smallest and largest value; the first that fits counts. Vectors of lengths (`_m`) have a
 direction, so their parts may be negative."""
 

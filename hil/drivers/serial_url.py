@@ -65,9 +65,14 @@ class RemotePort(_Rfc2217):  # type: ignore[misc]
 
     def _reconfigure_port(self) -> None:
         wanted = (
-            self._baudrate, self._bytesize, self._parity, self._stopbits, self._rtscts, self._dsrdtr,
+            self._baudrate,
+            self._bytesize,
+            self._parity,
+            self._stopbits,
+            self._rtscts,
+            self._dsrdtr,
             self._xonxoff,
-        )  # fmt: skip
+        )
         if wanted != self._negotiated:
             super()._reconfigure_port()
             self._negotiated = wanted

@@ -53,9 +53,17 @@ def advance(x: Array, p: Array, dt_s: float, par: Parameters, points: Points, no
 
 @inner
 def moments(
-    number: int, x: Array, p: Array, aux: Array, par: Parameters, points: Points, count: int,
-    mean: Array, cross: Array, own: Array,
-) -> None:  # fmt: skip
+    number: int,
+    x: Array,
+    p: Array,
+    aux: Array,
+    par: Parameters,
+    points: Points,
+    count: int,
+    mean: Array,
+    cross: Array,
+    own: Array,
+) -> None:
     """Mean, cross covariance and covariance of the predicted rows; linear rows need no sigma points.
 
     Args:
@@ -140,10 +148,22 @@ def compare(
 
 @compiled
 def run(
-    marks: Ints, start: int, zero_ns: int, t_ns: Ints, numbers: Ints, rows: Records,
-    x: Array, p: Array, m: Records, pars: Records, points: Points, now_ns: int, now_x: Array, now_p: Array,
+    marks: Ints,
+    start: int,
+    zero_ns: int,
+    t_ns: Ints,
+    numbers: Ints,
+    rows: Records,
+    x: Array,
+    p: Array,
+    m: Records,
+    pars: Records,
+    points: Points,
+    now_ns: int,
+    now_x: Array,
+    now_p: Array,
     now_m: Records,
-) -> None:  # fmt: skip
+) -> None:
     """Go through the events of a ring from `start` on, and predict the newest state to `now_ns`.
 
     Checkpoint k is the state after event k, which is in slot (first + k) % capacity of every array.

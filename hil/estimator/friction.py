@@ -43,9 +43,13 @@ def contact_values(geometry: WheelGeometry) -> dict[str, Array]:
     """Values of `Contacts`, (4,) each."""
     g = geometry
     return {
-        "radius_m": g.radius_m, "steering_zero_rad": g.steering_zero_rad, "x_m": g.x_m, "y_m": g.y_m,
-        "load": g.load, "across": g.creep_ratio * g.load,
-    }  # fmt: skip
+        "radius_m": g.radius_m,
+        "steering_zero_rad": g.steering_zero_rad,
+        "x_m": g.x_m,
+        "y_m": g.y_m,
+        "load": g.load,
+        "across": g.creep_ratio * g.load,
+    }
 
 
 def contacts(geometry: WheelGeometry) -> Records:

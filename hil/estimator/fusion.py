@@ -48,14 +48,22 @@ _STATE = MEMORY_FLOATS
 _GATE_ROW, _GATE_POSE, _SAG, _SCALE_SIGMA, _SAG_SIGMA = range(_STATE + STATES, _STATE + STATES + 5)
 _FIGURES = {
     **{name: place(MEMORY, f"{s.NAME}.{path}") for s in SENSORS for name, path in s.FIGURES.items()},
-    "rejected_same_stamp": place(MEMORY, "duplicates"), "guarded": place(MEMORY, "guarded"),
-    "gate_wheels": _GATE_ROW, "gate_tracker": _GATE_POSE,
-    "gyro_bias_rad_s": _STATE + BIAS, "yaw_slip_rad_m": _STATE + YAW_SLIP,
-    "slip_up_m_s": _STATE + SLIP_X, "slip_left_m_s": _STATE + SLIP_Y, "sag_m_s": _SAG,
-    "creep_up": _STATE + CREEP_X, "creep_left": _STATE + CREEP_Y,
-    "scale": _STATE + SCALE, "scale_sigma": _SCALE_SIGMA, "sag_sigma_m_s": _SAG_SIGMA,
+    "rejected_same_stamp": place(MEMORY, "duplicates"),
+    "guarded": place(MEMORY, "guarded"),
+    "gate_wheels": _GATE_ROW,
+    "gate_tracker": _GATE_POSE,
+    "gyro_bias_rad_s": _STATE + BIAS,
+    "yaw_slip_rad_m": _STATE + YAW_SLIP,
+    "slip_up_m_s": _STATE + SLIP_X,
+    "slip_left_m_s": _STATE + SLIP_Y,
+    "sag_m_s": _SAG,
+    "creep_up": _STATE + CREEP_X,
+    "creep_left": _STATE + CREEP_Y,
+    "scale": _STATE + SCALE,
+    "scale_sigma": _SCALE_SIGMA,
+    "sag_sigma_m_s": _SAG_SIGMA,
     "gravity_offset_rad": _STATE + OFFSET,
-}  # fmt: skip
+}
 _PLACES = np.array(tuple(_FIGURES.values()))
 _NAMES = (*_FIGURES, *(f"rejected_{reason}" for reason in REASONS))
 _AT_SAG, _AT_SCALE_SIGMA, _AT_SAG_SIGMA, _AT_SLIP_UP = map(
@@ -121,9 +129,22 @@ class CompiledEngine(Engine):
         """One call for the whole stretch."""
         h = history
         run(
-            h.marks, begin, zero_ns, h.t_ns, h.numbers, h.rows, h.x, h.p, h.m,
-            self._par, self._points, now_ns, now.x, now.p, now.m,
-        )  # fmt: skip
+            h.marks,
+            begin,
+            zero_ns,
+            h.t_ns,
+            h.numbers,
+            h.rows,
+            h.x,
+            h.p,
+            h.m,
+            self._par,
+            self._points,
+            now_ns,
+            now.x,
+            now.p,
+            now.m,
+        )
 
 
 class FusionEstimator(Estimator):
@@ -136,9 +157,14 @@ class FusionEstimator(Estimator):
     """
 
     def __init__(
-        self, config: EstimatorConfig, geometry: WheelGeometry, surface: str, engine: Engine,
-        *, diagnostics: bool = True,
-    ) -> None:  # fmt: skip
+        self,
+        config: EstimatorConfig,
+        geometry: WheelGeometry,
+        surface: str,
+        engine: Engine,
+        *,
+        diagnostics: bool = True,
+    ) -> None:
         self.config, self.geometry, self.surface = config, geometry, surface
         self.engine, self._diagnosed = engine, diagnostics
         self._intake = Intake(config)

@@ -47,9 +47,17 @@ def earlier(
 
 @inner
 def insert(
-    first: int, count: int, t_ns: Ints, numbers: Ints, seqs: Ints, data: Array,
-    new_ns: int, new_number: int, new_seq: int, new: Array,
-) -> int:  # fmt: skip
+    first: int,
+    count: int,
+    t_ns: Ints,
+    numbers: Ints,
+    seqs: Ints,
+    data: Array,
+    new_ns: int,
+    new_number: int,
+    new_seq: int,
+    new: Array,
+) -> int:
     """Put one event (n,) into the ring (capacity, n) of `count` events; its place, -1 if it is there.
 
     The caller has made room. Event 0 is the base of the history: the new one comes after it.
@@ -105,9 +113,19 @@ def in_order(t_ns: Ints, number: int) -> Ints:
 
 @compiled
 def enter(
-    marks: Ints, t_ns: Ints, numbers: Ints, seqs: Ints, data: Array, span_ns: int, now_ns: int,
-    number: int, new_ns: Ints, new_numbers: Ints, new_seqs: Ints, new: Array,
-) -> int:  # fmt: skip
+    marks: Ints,
+    t_ns: Ints,
+    numbers: Ints,
+    seqs: Ints,
+    data: Array,
+    span_ns: int,
+    now_ns: int,
+    number: int,
+    new_ns: Ints,
+    new_numbers: Ints,
+    new_seqs: Ints,
+    new: Array,
+) -> int:
     """Put a cycle's samples into the ring, old ones first; the first place to replay from.
 
     Args:
@@ -140,9 +158,17 @@ def enter(
             put(data[i], new[n])
         else:
             place = insert(
-                marks[FIRST], marks[COUNT], t_ns, numbers, seqs, data,
-                new_ns[n], new_numbers[n], new_seqs[n], new[n],
-            )  # fmt: skip
+                marks[FIRST],
+                marks[COUNT],
+                t_ns,
+                numbers,
+                seqs,
+                data,
+                new_ns[n],
+                new_numbers[n],
+                new_seqs[n],
+                new[n],
+            )
         if place < 0:
             marks[DUPLICATE] += 1
         else:
@@ -213,7 +239,17 @@ class History:
         s = staged
         return int(
             enter(
-                self.marks, self.t_ns, self.numbers, self.seqs, self._data, self.span_ns, now_ns,
-                s.count, s.t_ns, s.numbers, s.seqs, s.data,
+                self.marks,
+                self.t_ns,
+                self.numbers,
+                self.seqs,
+                self._data,
+                self.span_ns,
+                now_ns,
+                s.count,
+                s.t_ns,
+                s.numbers,
+                s.seqs,
+                s.data,
             )
-        )  # fmt: skip
+        )

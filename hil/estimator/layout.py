@@ -118,13 +118,14 @@ def parameters(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -
     values: dict[str, Any] = {
         "filter": {
             "gate_row": gates.one_dof if gates.on else _NO_GATE,
-            "gate_pose": gates.three_dof if gates.on else _NO_GATE, "limit": gates.reanchor_after,
+            "gate_pose": gates.three_dof if gates.on else _NO_GATE,
+            "limit": gates.reanchor_after,
             "samples": config.time.nis_samples,
         },
         "process": process_values(config, surface),
         "work": np.zeros(1, dtype_of(Work)),
         **{s.NAME: s.values(config, geometry, surface) for s in SENSORS},
-    }  # fmt: skip
+    }
     return filled(PARAMETERS, values)
 
 

@@ -28,7 +28,7 @@ from hil.estimator.state import (
     V_Y,
     X,
     Y,
-)  # fmt: skip
+)
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import inner
 

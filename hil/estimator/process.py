@@ -77,13 +77,18 @@ def process_values(config: EstimatorConfig, surface: str) -> dict[str, float]:
     return {
         "acceleration": noise.acceleration_m_s2_sqrt_hz**2,
         "angular_acceleration": noise.angular_acceleration_rad_s2_sqrt_hz**2,
-        "slip_x": slip.slip_m_s**2, "slip_y": slip.slip_across_m_s**2, "slip_s": slip.slip_time_s,
-        "creep_x": walk_x**2, "creep_y": walk_y**2, "yaw_slip": slip.yaw_per_sqrt_m**2,
+        "slip_x": slip.slip_m_s**2,
+        "slip_y": slip.slip_across_m_s**2,
+        "slip_s": slip.slip_time_s,
+        "creep_x": walk_x**2,
+        "creep_y": walk_y**2,
+        "yaw_slip": slip.yaw_per_sqrt_m**2,
         "bias": config.gyro.bias_rad_s_sqrt_s**2,
         "sight_per_m": camera.drift_per_sqrt_m**2 * drifts,
         "sight_per_s": camera.drift_per_sqrt_s**2 * drifts,
-        "sight_turn": camera.yaw_drift_per_sqrt_s**2 * drifts, "scaled": camera.scale_sigma > 0,
-    }  # fmt: skip
+        "sight_turn": camera.yaw_drift_per_sqrt_s**2 * drifts,
+        "scaled": camera.scale_sigma > 0,
+    }
 
 
 @inner

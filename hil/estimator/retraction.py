@@ -101,9 +101,21 @@ def pull_carry(before: Array, x: Array, late: Array, spread: Array) -> None:
 
 @inner
 def settle(
-    number: int, x: Array, p: Array, z: Array, var: Array, aux: Array, count: int, par: Parameters,
-    point: Array, spread: Array, nu: Array, cross: Array, own: Array, h: Array,
-) -> None:  # fmt: skip
+    number: int,
+    x: Array,
+    p: Array,
+    z: Array,
+    var: Array,
+    aux: Array,
+    count: int,
+    par: Parameters,
+    point: Array,
+    spread: Array,
+    nu: Array,
+    cross: Array,
+    own: Array,
+    h: Array,
+) -> None:
     """The point that a sample's rows draw the state to, by Gauss and Newton, and the rows linearised there.
 
     Args:

@@ -92,9 +92,20 @@ def load_smoother() -> None:
     one, row = np.zeros(1, dtype=np.int64), np.zeros((1, STATES))
     square = np.zeros((1, STATES, STATES))
     compile_for(
-        backward, 0, one, one, np.zeros(1, ROW), row, square, np.zeros(1, MEMORY), np.zeros(1, PARAMETERS),
-        row[0].copy(), square[0].copy(), row.copy(), np.zeros((1, MOTION, MOTION)),
-    )  # fmt: skip
+        backward,
+        0,
+        one,
+        one,
+        np.zeros(1, ROW),
+        row,
+        square,
+        np.zeros(1, MEMORY),
+        np.zeros(1, PARAMETERS),
+        row[0].copy(),
+        square[0].copy(),
+        row.copy(),
+        np.zeros((1, MOTION, MOTION)),
+    )
 
 
 def _ordered(
@@ -134,9 +145,22 @@ class _Segment:
         x, p, m = np.empty((n, STATES)), np.empty((n, STATES, STATES)), np.empty(n, MEMORY)
         x[0], p[0], m[0] = x0, p0, m0[0]
         run(
-            np.array([0, n, 0, 0]), 1, self.zero_ns, self.t_ns, self.numbers, self.rows, x, p, m, par,
-            None, self.t_ns[-1], x0.copy(), p0.copy(), m0.copy(),
-        )  # fmt: skip
+            np.array([0, n, 0, 0]),
+            1,
+            self.zero_ns,
+            self.t_ns,
+            self.numbers,
+            self.rows,
+            x,
+            p,
+            m,
+            par,
+            None,
+            self.t_ns[-1],
+            x0.copy(),
+            p0.copy(),
+            m0.copy(),
+        )
         return x, p, m
 
 
@@ -150,9 +174,17 @@ def _segments(keys: Ints, data: Array, start_ns: int) -> list[_Segment]:
 
 @inner
 def pull_update(
-    number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters, after: Array,
-    late: Array, spread: Array,
-) -> None:  # fmt: skip
+    number: int,
+    t_ns: float,
+    x: Array,
+    p: Array,
+    m: Memory,
+    row: EventRow,
+    par: Parameters,
+    after: Array,
+    late: Array,
+    spread: Array,
+) -> None:
     """Carry what later samples say back through one sample's update, row by row in reverse, in place.
 
     Args:
@@ -209,9 +241,19 @@ def pull_update(
 
 @compiled
 def backward(
-    zero_ns: int, t_ns: Ints, numbers: Ints, rows: Records, x: Array, p: Array, m: Records, pars: Records,
-    late: Array, spread: Array, xs: Array, ps: Array,
-) -> None:  # fmt: skip
+    zero_ns: int,
+    t_ns: Ints,
+    numbers: Ints,
+    rows: Records,
+    x: Array,
+    p: Array,
+    m: Records,
+    pars: Records,
+    late: Array,
+    spread: Array,
+    xs: Array,
+    ps: Array,
+) -> None:
     """Backward pass over one stretch; `late` and `spread` go on to the one before it.
 
     Args:

@@ -15,9 +15,27 @@ from hil.vocabulary.geometry import Array
 
 STATES = 20
 (
-    X, Y, THETA, V_X, V_Y, OMEGA, SIGHT_X, SIGHT_Y, SIGHT_THETA, SCALE, BIAS, YAW_SLIP, SLIP_X, SLIP_Y,
-    CREEP_X, CREEP_Y, OFFSET, CLONE_X, CLONE_Y, CLONE_THETA,
-) = range(STATES)  # fmt: skip
+    X,
+    Y,
+    THETA,
+    V_X,
+    V_Y,
+    OMEGA,
+    SIGHT_X,
+    SIGHT_Y,
+    SIGHT_THETA,
+    SCALE,
+    BIAS,
+    YAW_SLIP,
+    SLIP_X,
+    SLIP_Y,
+    CREEP_X,
+    CREEP_Y,
+    OFFSET,
+    CLONE_X,
+    CLONE_Y,
+    CLONE_THETA,
+) = range(STATES)
 
 POSE = slice(X, THETA + 1)
 TWIST = slice(V_X, OMEGA + 1)

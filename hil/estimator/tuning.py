@@ -100,11 +100,18 @@ def tunable(config: EstimatorConfig, surface: str) -> dict[str, float]:
     names = {
         "process": ("acceleration_m_s2_sqrt_hz", "angular_acceleration_rad_s2_sqrt_hz"),
         "wheels": ("step_m", "per_sqrt_m", "steering_m_rad"),
-        surface: ("slip_m_s", "slip_across_m_s", "creep", "creep_across", "creep_per_sqrt_m", "yaw_rad_m",
-                  "yaw_per_sqrt_m"),
+        surface: (
+            "slip_m_s",
+            "slip_across_m_s",
+            "creep",
+            "creep_across",
+            "creep_per_sqrt_m",
+            "yaw_rad_m",
+            "yaw_per_sqrt_m",
+        ),
         "gyro": ("rate_rad_s", "bias_rad_s", "gravity_rad", "gravity_offset_rad"),
         "tracker": ("position_m", "heading_rad", "drift_per_sqrt_m", "yaw_drift_per_sqrt_s", "scale_sigma"),
-    }  # fmt: skip
+    }
     tree = config.model_dump()
     found = {f"{table}.{key}": float(tree[table][key]) for table, keys in names.items() for key in keys}
     return {name: value for name, value in found.items() if value > 0.0}

@@ -24,17 +24,7 @@ from hil.estimator.motion import fade, sight_shift, wall_shift
 from hil.estimator.process import add_noise, fade_covariance, mirror
 from hil.estimator.sensors import predicted
 from hil.estimator.small_matrices import spread, square_root
-from hil.estimator.state import (
-    CURVED,
-    OMEGA,
-    ROWS,
-    SCALE,
-    SIGHT_X,
-    SIGHT_Y,
-    STATES,
-    X,
-    Y,
-)
+from hil.estimator.state import CURVED, OMEGA, ROWS, SCALE, SIGHT_X, SIGHT_Y, STATES, X, Y
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import inner
 
@@ -145,9 +135,17 @@ def advance_unscented(x: Array, p: Array, dt_s: float, par: Parameters, w: Weigh
 
 @inner
 def moments_unscented(
-    number: int, x: Array, p: Array, aux: Array, par: Parameters, w: Weights, count: int,
-    mean: Array, cross: Array, own: Array,
-) -> None:  # fmt: skip
+    number: int,
+    x: Array,
+    p: Array,
+    aux: Array,
+    par: Parameters,
+    w: Weights,
+    count: int,
+    mean: Array,
+    cross: Array,
+    own: Array,
+) -> None:
     """Mean (8,), covariance with the state (8, 20) and covariance (8, 8) of rows, as `events.moments`."""
     work = par.work
     root, up, down, high, low = work.root[:], work.up[:], work.down[:], work.high[:], work.low[:]

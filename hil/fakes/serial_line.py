@@ -56,14 +56,7 @@ class SerialLine(Scheduled):
         latency_s: the adapter's latency timer; 0 hands every byte over as it arrives.
     """
 
-    def __init__(
-        self,
-        world: World,
-        chip: SerialChip,
-        *,
-        name: str = "",
-        latency_s: float = 0.001,
-    ) -> None:
+    def __init__(self, world: World, chip: SerialChip, *, name: str = "", latency_s: float = 0.001) -> None:
         self.world, self.chip, self.name = world, chip, name or chip.name
         self.faults = world.faults.of(chip.name)
         self._latency_ns = nanoseconds(latency_s)

@@ -81,10 +81,12 @@ def _free(device: str) -> _Held:
     users = programs_with_name(_NAME.format(DEFAULT_PORT))
     other = f"{named(users)} of this computer serves" if users else "another emulator of this computer serves"
     raise DeviceError(
-        device, f"{other} CAN there", port=f"udp_multicast:{DEFAULT_GROUP}",
+        device,
+        f"{other} CAN there",
+        port=f"udp_multicast:{DEFAULT_GROUP}",
         expected=f"python-can's own port {DEFAULT_PORT} for this one alone",
         remedy=f"end it{ending(users)}, or leave --standard-ports out",
-    )  # fmt: skip
+    )
 
 
 def _right_to(number: int) -> socket.socket | None:

@@ -189,9 +189,13 @@ class LiveSession:
         if limits.heading_limit_rad is not None:
             limits = replace(limits, heading_limit_rad=limits.heading_limit_rad - _HEADING_MARGIN_RAD)
         return VelocityReference(
-            lines, pose, self.bench.geometry.projection(), limits, dead_man_s=self.plan.dead_man_s,
+            lines,
+            pose,
+            self.bench.geometry.projection(),
+            limits,
+            dead_man_s=self.plan.dead_man_s,
             stops_after_s=servos.watchdog_s if servos is not None else 0.0,
-        )  # fmt: skip
+        )
 
     def _cycle(self, brain: Brain, trajectory: Trajectory | None, pose: Array) -> None:
         bench, plan = self.bench, self.plan

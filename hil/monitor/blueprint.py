@@ -29,9 +29,15 @@ TABS = ("Motion", "Servos", "Estimator", "Loop", "Health")
 """The tabs that every bench has; kinds of devices may add their own."""
 
 _PALETTE: tuple[Colour, ...] = (
-    (0, 110, 230), (245, 130, 48), (60, 180, 75), (200, 30, 70),
-    (145, 30, 180), (0, 160, 160), (170, 110, 40), (90, 90, 90),
-)  # fmt: skip
+    (0, 110, 230),
+    (245, 130, 48),
+    (60, 180, 75),
+    (200, 30, 70),
+    (145, 30, 180),
+    (0, 160, 160),
+    (170, 110, 40),
+    (90, 90, 90),
+)
 _BY_MEASUREMENT = {"wheels": 0, "gyro": 1, "tracker": 2, "gravity": 4, "mocap": 5}
 _BY_DEVICE = (0, 6, 1, 2, 5)
 """Colours of measurements by name and of the first kinds of devices: what belongs together looks alike."""
@@ -84,11 +90,7 @@ def blueprint(sight: Sight | None = None, tab: str = TABS[0]) -> Any:
     log = rrb.TextLogView(origin="/events", name="Faults and events")
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(
-                rrb.Tabs(*_views_of_the_robot(sight), active_tab=0),
-                log,
-                row_shares=[5, 1],
-            ),
+            rrb.Vertical(rrb.Tabs(*_views_of_the_robot(sight), active_tab=0), log, row_shares=[5, 1]),
             rrb.Tabs(*_plots(), active_tab=TABS.index(tab)),
             column_shares=[5, 4],
         ),
@@ -108,10 +110,14 @@ def _views_of_the_robot(sight: Sight | None) -> tuple[Any, ...]:
         if eye is not None:
             controls = rrb.EyeControls3D(position=eye.place, look_target=eye.target, eye_up=eye.up)
         return rrb.Spatial3DView(
-            origin=origin, contents=f"/{SCENE}/**", name=name, eye_controls=controls,
-            background=_BACKGROUND, line_grid=rrb.LineGrid3D(visible=False),
+            origin=origin,
+            contents=f"/{SCENE}/**",
+            name=name,
+            eye_controls=controls,
+            background=_BACKGROUND,
+            line_grid=rrb.LineGrid3D(visible=False),
             overrides={entity: [rr.Arrows3D.from_fields(show_labels=True)] for entity in labelled},
-        )  # fmt: skip
+        )
 
     area, eye, near = None, None, None
     if sight is not None:

@@ -92,9 +92,18 @@ class Moments:
         """
         pose = record.state.pose_body_in_wall
         return Moment(
-            t_s, record.cycle, pose, record.state.covariance, self._steering, self._wheel_angle,
-            self._truth, self._reference, self._slip(), self._loads(float(pose[2])), self._all_forces(),
-        )  # fmt: skip
+            t_s,
+            record.cycle,
+            pose,
+            record.state.covariance,
+            self._steering,
+            self._wheel_angle,
+            self._truth,
+            self._reference,
+            self._slip(),
+            self._loads(float(pose[2])),
+            self._all_forces(),
+        )
 
     def _note_wheels(self, record: CycleRecord) -> None:
         """The newest figures of every wheel; what a servo did not say stays as it was."""
@@ -148,9 +157,11 @@ class Moments:
         per_s = NS_PER_S / (end_ns - begin_ns)
         rolled = [np.diff(np.interp((begin_ns, end_ns), angles_ns, wheel))[0] for wheel in angles.T]
         return solid.slip_of_motion(
-            se2_log(between(begin, end)) * per_s, np.array(rolled) * per_s, self._steering,
+            se2_log(between(begin, end)) * per_s,
+            np.array(rolled) * per_s,
+            self._steering,
             self._scene.geometry,
-        )  # fmt: skip
+        )
 
     def _loads(self, heading_rad: float) -> Array:
         if self._plant:

@@ -83,15 +83,21 @@ class RobotView:
         rr = self._rr
         corner = (low_m[0] + _INSET_M, high_m[1] - _INSET_M, _ABOVE_M)
         axes = rr.Arrows3D(
-            origins=[corner] * 2, vectors=[(0.2, 0, 0), (0, 0.2, 0)], colors=_AXES, radii=0.005,
+            origins=[corner] * 2,
+            vectors=[(0.2, 0, 0), (0, 0.2, 0)],
+            colors=_AXES,
+            radii=0.005,
             labels=["X", "Y"],
-        )  # fmt: skip
+        )
         self._log(f"{WALL}/axes", axes, static=True)
         place = np.array([high_m[0] - _INSET_M, low_m[1] + _INSET_M, 0.1])
         gravity = rr.Arrows3D(
-            origins=[solid.wall_rotation(self._scene.tilt_rad) @ place], vectors=[(0, 0, -0.25)],
-            colors=[_WEIGHT], labels=["gravity"], radii=0.006,
-        )  # fmt: skip
+            origins=[solid.wall_rotation(self._scene.tilt_rad) @ place],
+            vectors=[(0, 0, -0.25)],
+            colors=[_WEIGHT],
+            labels=["gravity"],
+            radii=0.006,
+        )
         self._log(f"{SCENE}/gravity", gravity, static=True)
 
     def path(self, name: str, points: Array, *, static: bool = False) -> None:
@@ -152,9 +158,13 @@ class RobotView:
         ]
         labels = [f"{name} {float(np.linalg.norm(force)):.0f} N" for name, _, force, _ in named]
         arrows = rr.Arrows3D(
-            origins=origins, vectors=vectors, colors=[colour for *_, colour in named], labels=labels,
-            show_labels=False, radii=0.004,
-        )  # fmt: skip
+            origins=origins,
+            vectors=vectors,
+            colors=[colour for *_, colour in named],
+            labels=labels,
+            show_labels=False,
+            radii=0.004,
+        )
         self._log(f"{ROBOT}/forces", arrows)
 
     def _draw_frames(self) -> None:
@@ -172,9 +182,14 @@ class RobotView:
         for part in scene.mounted:
             w, *xyz = part.rotation_wxyz
             device = rr.Boxes3D(
-                half_sizes=[(0.012, 0.018, 0.010)], centers=[part.position_m], quaternions=[(*xyz, w)],
-                colors=[(31, 95, 168)], labels=[part.name], show_labels=False, fill_mode="solid",
-            )  # fmt: skip
+                half_sizes=[(0.012, 0.018, 0.010)],
+                centers=[part.position_m],
+                quaternions=[(*xyz, w)],
+                colors=[(31, 95, 168)],
+                labels=[part.name],
+                show_labels=False,
+                fill_mode="solid",
+            )
             self._log(f"{ROBOT}/devices/{part.name}", device, static=True)
         if scene.looks.mesh is None:
             self._draw_body()
@@ -194,12 +209,17 @@ class RobotView:
         rr, scene = self._rr, self._scene
         plate = rr.Boxes3D(
             sizes=[(*robot_parts.plate_size(scene.geometry), robot_parts.PLATE_THICKNESS_M)],
-            centers=[(0.0, 0.0, robot_parts.PLATE_HEIGHT_M)], colors=[robot_parts.LIGHT], fill_mode="solid",
-        )  # fmt: skip
+            centers=[(0.0, 0.0, robot_parts.PLATE_HEIGHT_M)],
+            colors=[robot_parts.LIGHT],
+            fill_mode="solid",
+        )
         fan = rr.Cylinders3D(
-            lengths=[_FAN_M[1]], radii=[_FAN_M[0]], colors=[robot_parts.DARK], fill_mode="solid",
+            lengths=[_FAN_M[1]],
+            radii=[_FAN_M[0]],
+            colors=[robot_parts.DARK],
+            fill_mode="solid",
             centers=[(0.0, 0.0, robot_parts.PLATE_HEIGHT_M + 0.5 * _FAN_M[1])],
-        )  # fmt: skip
+        )
         tubes = robot_parts.tubes(scene.robot, scene.geometry)
         frame = rr.LineStrips3D(
             [t.points for t in tubes], colors=[t.colour for t in tubes], radii=[t.radius_m for t in tubes]

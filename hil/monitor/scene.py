@@ -86,15 +86,19 @@ class Scene:
                     remedy="correct the path, or leave it out: the robot is then drawn from [robot]",
                 )
         return cls(
-            geometry, config.robot, config.environment, looks,
-            config.environment.x_range_m, config.environment.y_range_m,
+            geometry,
+            config.robot,
+            config.environment,
+            looks,
+            config.environment.x_range_m,
+            config.environment.y_range_m,
             tuple(
                 Mounted(name, device.mount_position_m, device.mount_rotation_wxyz)
                 for name, device in config.devices().items()
                 if isinstance(device, MountedConfig)
             ),
             config.devices(),
-        )  # fmt: skip
+        )
 
     @property
     def tilt_rad(self) -> float:

@@ -36,9 +36,15 @@ def body_outline(pose: Array, geometry: WheelGeometry) -> Array:
     half_x = float(np.max(np.abs(geometry.x_m))) + _BODY_MARGIN_M
     half_y = float(np.max(np.abs(geometry.y_m))) + _BODY_MARGIN_M
     corners = [
-        (half_x, half_y), (-half_x, half_y), (-half_x, -half_y), (half_x, -half_y),
-        (half_x, -0.3 * half_y), (1.2 * half_x, 0.0), (half_x, 0.3 * half_y), (half_x, half_y),
-    ]  # fmt: skip
+        (half_x, half_y),
+        (-half_x, half_y),
+        (-half_x, -half_y),
+        (half_x, -half_y),
+        (half_x, -0.3 * half_y),
+        (1.2 * half_x, 0.0),
+        (half_x, 0.3 * half_y),
+        (half_x, half_y),
+    ]
     return place(pose, np.array(corners))
 
 

@@ -20,12 +20,7 @@ from hil.monitor.file_pipe import PipedFile
 from hil.monitor.moments import Moments
 from hil.monitor.robot_view import RobotView
 from hil.monitor.scene import Scene
-from hil.monitor.series import (
-    Series,
-    SeriesCollector,
-    conditions,
-    finite,
-)
+from hil.monitor.series import Series, SeriesCollector, conditions, finite
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.signals import WHEELS, CycleRecord

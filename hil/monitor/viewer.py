@@ -111,9 +111,13 @@ def _start(options: list[str], *, outlives: bool) -> subprocess.Popen[bytes]:
     command = [_program(), "--bind", HOST, *options]
     try:
         return subprocess.Popen(
-            command, env=quiet, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-            start_new_session=outlives, preexec_fn=None if outlives else _end_with_parent,
-        )  # fmt: skip
+            command,
+            env=quiet,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            start_new_session=outlives,
+            preexec_fn=None if outlives else _end_with_parent,
+        )
     except OSError as error:
         raise RuntimeError(f"{command[0]} cannot be started ({reason_of(error)})") from None
 

@@ -5,6 +5,4 @@ from hil.procedure.context import Context
 from hil.procedure.declaration import PlannedStep, Procedure, procedure
 from hil.procedure.measurements import Measurement, Verdict
 
-__all__ = [
-    "BenchSource", "Context", "Measurement", "PlannedStep", "Procedure", "Verdict", "procedure",
-]  # fmt: skip
+__all__ = ["BenchSource", "Context", "Measurement", "PlannedStep", "Procedure", "Verdict", "procedure"]

@@ -33,14 +33,7 @@ from hil.procedure.commission.stages import off_the_wall
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.measurements import Verdict
 from hil.procedure.operator import Operator, Terminal
-from hil.vocabulary.errors import (
-    EXIT_ABORTED,
-    EXIT_DEVICE,
-    EXIT_LIMIT_FAILED,
-    EXIT_PASS,
-    Aborted,
-    HilError,
-)
+from hil.vocabulary.errors import EXIT_ABORTED, EXIT_DEVICE, EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, HilError
 from hil.vocabulary.finding import Finding
 from hil.vocabulary.progress import Report, silent
 from hil.vocabulary.versions import versions
@@ -75,8 +68,13 @@ class Stage:
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
         findings = [f.to_json() for f in self.findings]
-        return {"name": self.name, "title": TITLES[self.name], "verdict": self.verdict, "why": self.why,
-                "findings": findings}  # fmt: skip
+        return {
+            "name": self.name,
+            "title": TITLES[self.name],
+            "verdict": self.verdict,
+            "why": self.why,
+            "findings": findings,
+        }
 
 
 @dataclass(frozen=True)
@@ -185,17 +183,25 @@ class _Running:
         """Each device: whether it is real, and who it said it is."""
         real = self._asked.source.real
         return {
-            name: {"backend": "real" if name in real else "emulated",
-                   "model": getattr(table, "model", name), "identity": self._identities.get(name, {})}
+            name: {
+                "backend": "real" if name in real else "emulated",
+                "model": getattr(table, "model", name),
+                "identity": self._identities.get(name, {}),
+            }
             for name, table in self._config.devices().items()
-        }  # fmt: skip
+        }
 
     def _opened(self) -> tuple[Bench, list[Finding]]:
         source = self._asked.source
         return open_what_can_be(
-            source.bench, emulate=source.emulate, seed=source.seed, realtime=source.realtime,
-            faults=source.faults, overrides=source.overrides, calibration=source.calibration,
-        )  # fmt: skip
+            source.bench,
+            emulate=source.emulate,
+            seed=source.seed,
+            realtime=source.realtime,
+            faults=source.faults,
+            overrides=source.overrides,
+            calibration=source.calibration,
+        )
 
     def _look(self) -> None:
         """What `hil doctor` says."""
@@ -310,8 +316,11 @@ def _files(source: BenchSource) -> Iterator[dict[str, str]]:
         yield _file("record of the robot", Path(config.record.folder) / "record.toml")
     calibration = source.describe_calibration()
     if calibration is not None:
-        yield {"what": f"calibration, version {calibration['version']}", "path": calibration["path"],
-               "sha256": calibration["sha256"]}  # fmt: skip
+        yield {
+            "what": f"calibration, version {calibration['version']}",
+            "path": calibration["path"],
+            "sha256": calibration["sha256"],
+        }
 
 
 def _file(what: str, path: Path) -> dict[str, str]:

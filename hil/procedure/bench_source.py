@@ -85,9 +85,15 @@ class BenchSource:
         from hil.bench import open_bench
 
         return open_bench(
-            self.bench, emulate=self.emulate, seed=self.seed, realtime=self.realtime, faults=self.faults,
-            overrides=self.overrides, sinks=(*self.watch, *sinks), calibration=self.calibration,
-        )  # fmt: skip
+            self.bench,
+            emulate=self.emulate,
+            seed=self.seed,
+            realtime=self.realtime,
+            faults=self.faults,
+            overrides=self.overrides,
+            sinks=(*self.watch, *sinks),
+            calibration=self.calibration,
+        )
 
     def changed(
         self,

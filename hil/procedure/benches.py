@@ -69,9 +69,8 @@ class RunBenches(Notebook):
         self.guard = LoopGuard(interrupts)
         self._operator, self._interrupts = operator, interrupts
         self._recordings = Recordings(
-            folder, self.findings.recordings, journal, interrupts, on_recording_failure, self._note_lost,
-            keep,
-        )  # fmt: skip
+            folder, self.findings.recordings, journal, interrupts, on_recording_failure, self._note_lost, keep
+        )
         self._hold_history = hold_history.HoldHistory()
         self._path_history = path_history.PathHistory()
         self._bench: Bench | None = None

@@ -59,9 +59,17 @@ class Context(RunBenches):
         keep: Keep = "all",
     ) -> None:
         super().__init__(
-            source, folder, declared=declared, journal=journal, operator=operator, interrupts=interrupts,
-            past=past, past_held=past_held, on_recording_failure=on_recording_failure, keep=keep,
-        )  # fmt: skip
+            source,
+            folder,
+            declared=declared,
+            journal=journal,
+            operator=operator,
+            interrupts=interrupts,
+            past=past,
+            past_held=past_held,
+            on_recording_failure=on_recording_failure,
+            keep=keep,
+        )
         self.procedure, self.parameters = procedure, parameters
         self.clock, self.started = clock, started
         self._report = report

@@ -222,9 +222,18 @@ def procedure(
         _check_body(body, name)
         summary = (inspect.getdoc(body) or "").partition("\n")[0]
         return Procedure(
-            name, body, tuple(needs), parameters, measurements, plan, teardown_s, bench, dict(quick or {}),
-            summary, headline,
-        )  # fmt: skip
+            name,
+            body,
+            tuple(needs),
+            parameters,
+            measurements,
+            plan,
+            teardown_s,
+            bench,
+            dict(quick or {}),
+            summary,
+            headline,
+        )
 
     return declare
 
@@ -251,6 +260,7 @@ def _left_to_run(returned: object) -> str:
 
 def _never_run(name: str, what: str) -> UsageError:
     return UsageError(
-        f"procedure {name} {what}: a call of it runs nothing", expected=_PLAIN,
+        f"procedure {name} {what}: a call of it runs nothing",
+        expected=_PLAIN,
         remedy="write it without async and yield, or have it call asyncio.run",
-    )  # fmt: skip
+    )

@@ -124,9 +124,20 @@ def driven(sent: Sent[Any]) -> Driven:
         if recorder.shortfall:
             lost = f"{recorder.path.name} is not complete: {recorder.shortfall}"
     return Driven(
-        result, error, driven_s, bench.pressed, bench.held, tethered, bench.world_ns, bench.looked_ns,
-        tuple(bench.lost), hold, path, lost, objection,
-    )  # fmt: skip
+        result,
+        error,
+        driven_s,
+        bench.pressed,
+        bench.held,
+        tethered,
+        bench.world_ns,
+        bench.looked_ns,
+        tuple(bench.lost),
+        hold,
+        path,
+        lost,
+        objection,
+    )
 
 
 def _recorder(sent: Sent[Any], bench: Bench) -> tuple[McapRecorder | None, str]:

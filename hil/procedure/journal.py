@@ -25,8 +25,26 @@ from hil.vocabulary.reading import json_object, read_bytes
 LOG = logging.getLogger(__name__)
 
 SCHEMA = 1
-_KINDS = frozenset({"run", "resume", "step", "end_step", "checkpoint", "value", "measure", "attach", "table",
-                    "figure", "data", "note", "recording", "answer", "held", "end"})  # fmt: skip
+_KINDS = frozenset(
+    {
+        "run",
+        "resume",
+        "step",
+        "end_step",
+        "checkpoint",
+        "value",
+        "measure",
+        "attach",
+        "table",
+        "figure",
+        "data",
+        "note",
+        "recording",
+        "answer",
+        "held",
+        "end",
+    }
+)
 
 _HOLDS: Mapping[str, Mapping[str, type | tuple[type, ...]]] = {
     "checkpoint": {"title": str},
@@ -104,9 +122,10 @@ class Journal:
                 )
                 return
             raise RecordingError(
-                str(self.path), self.failure,
+                str(self.path),
+                self.failure,
                 remedy="make room and continue with --resume; --on-recording-failure go-on drives on without",
-            ) from None  # fmt: skip
+            ) from None
 
     def close(self) -> None:
         """Let go of the file. Idempotent."""

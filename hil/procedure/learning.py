@@ -51,10 +51,16 @@ def leave_part(
     """
     config = ctx.source.config
     part = Part(
-        procedure=ctx.procedure, verdict="PASS", measured=ctx.started, bench=config.name, surface=surface,
-        until=_until(ctx.started, config.record.valid_days), values=dict(values or {}),
-        figures=dict(figures or {}), covariance=covariance,
-    )  # fmt: skip
+        procedure=ctx.procedure,
+        verdict="PASS",
+        measured=ctx.started,
+        bench=config.name,
+        surface=surface,
+        until=_until(ctx.started, config.record.valid_days),
+        values=dict(values or {}),
+        figures=dict(figures or {}),
+        covariance=covariance,
+    )
     ctx.findings.learned[name] = NewPart(part, dict(files or {}))
 
 

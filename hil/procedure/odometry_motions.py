@@ -34,8 +34,13 @@ if TYPE_CHECKING:
 
 MotionName = Literal["line_x", "line_y", "circle_ccw", "circle_cw", "rotation_ccw", "rotation_cw"]
 MOTIONS: tuple[MotionName, ...] = (
-    "line_x", "line_y", "circle_ccw", "circle_cw", "rotation_ccw", "rotation_cw",
-)  # fmt: skip
+    "line_x",
+    "line_y",
+    "circle_ccw",
+    "circle_cw",
+    "rotation_ccw",
+    "rotation_cw",
+)
 OTHER_MOTIONS = ("diagonal", "arc_ccw", "arc_cw")
 """Of use to see whether a calibration holds for what it was not made with."""
 _SETTLE_S = 0.2
@@ -114,9 +119,14 @@ def reference(name: str, start: ArrayLike, sizes: Sizes, *, backwards: bool = Fa
 
 
 def followed(
-    name: str, start: ArrayLike, sizes: Sizes, geometry: WheelGeometry, config: BenchConfig, *,
+    name: str,
+    start: ArrayLike,
+    sizes: Sizes,
+    geometry: WheelGeometry,
+    config: BenchConfig,
+    *,
     backwards: bool = False,
-) -> Trajectory:  # fmt: skip
+) -> Trajectory:
     """`reference` from `start` (3,) as a robot of this geometry can drive it: a little slower where need be.
 
     A fit may set the wheels further out than the drawing does, so that a turn wants more of them. A speed
@@ -139,12 +149,8 @@ def drive_repetition(bench: Bench, repetition: Repetition) -> None:
     for name in repetition.motions:
         take_up_play(bench, reference(name, pose, repetition.sizes, backwards=backwards), pose)
         pose = stand(bench)
-        path = followed(
-            name, pose, repetition.sizes, bench.geometry, bench.config, backwards=backwards
-        )  # fmt: skip
-        motion = bench.drive(
-            path, feedback=repetition.feedback, hold_s=repetition.hold_s, start_pose=pose
-        )  # fmt: skip
+        path = followed(name, pose, repetition.sizes, bench.geometry, bench.config, backwards=backwards)
+        motion = bench.drive(path, feedback=repetition.feedback, hold_s=repetition.hold_s, start_pose=pose)
         file = repetition.folder / repetition.file(name)
         file.parent.mkdir(parents=True, exist_ok=True)
         write_plain(file, recording_of(motion, file.stem, name))

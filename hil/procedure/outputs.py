@@ -96,8 +96,9 @@ class Notebook:
             raise UsageError(
                 f"measurement {name!r} was set to {_what(value)} "
                 f"({Path(script.f_code.co_filename).name}, line {script.f_lineno})",
-                expected="one number", remedy="measure one element of it, its mean or its largest",
-            )  # fmt: skip
+                expected="one number",
+                remedy="measure one element of it, its mean or its largest",
+            )
         self._journal.add("measure", {"name": name, "value": number})
         self._keep_value(name, number, self.where)
 
@@ -283,8 +284,9 @@ def as_json(what: str, value: Any, default: Callable[[Any], Any] | None = None) 
     except (TypeError, ValueError, RecursionError) as error:
         raise UsageError(
             f"{what} is what JSON cannot hold ({error})",
-            expected="numbers, texts, lists and dictionaries", remedy="put the rest into a file",
-        ) from None  # fmt: skip
+            expected="numbers, texts, lists and dictionaries",
+            remedy="put the rest into a file",
+        ) from None
 
 
 def _plain(value: Any) -> Any:

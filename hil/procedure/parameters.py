@@ -37,9 +37,10 @@ def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, o
         if key.startswith(BENCH_PREFIX):
             if not all(key.split(".")):
                 raise UsageError(
-                    f"--set {text!r} names no key of the bench file", expected="bench.KEY=value",
+                    f"--set {text!r} names no key of the bench file",
+                    expected="bench.KEY=value",
                     remedy="write, for example, bench.loop.rate_hz=50",
-                )  # fmt: skip
+                )
             bench[key.removeprefix(BENCH_PREFIX)] = _plain(value)
         else:
             parameters[key] = value
@@ -176,10 +177,15 @@ def _described(name: str, schema: Mapping[str, Any], default: Any) -> Described:
     choices = value.get("enum", (value["const"],) if "const" in value else ())
     open_low = one.get("exclusiveMinimum")
     return Described(
-        name, str(one.get("type", "string")), written(default), one.get("minimum", open_low),
-        one.get("maximum", one.get("exclusiveMaximum")), open_low is not None,
-        tuple(map(str, choices)), str(schema.get("description", "")),
-    )  # fmt: skip
+        name,
+        str(one.get("type", "string")),
+        written(default),
+        one.get("minimum", open_low),
+        one.get("maximum", one.get("exclusiveMaximum")),
+        open_low is not None,
+        tuple(map(str, choices)),
+        str(schema.get("description", "")),
+    )
 
 
 def written(value: Any) -> str:

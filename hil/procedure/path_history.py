@@ -81,8 +81,11 @@ class PathHistory(Sink):
     def _draw_distances(figure: Figure, t_s: Array, paths: dict[str, Array]) -> None:
         from hil.report.run_plots import SERIES, legend, style
 
-        pairs = [(a, b) for a, b in (("truth", "reference"), ("estimate", "truth"), ("estimate", "reference"))
-                 if a in paths and b in paths][:2]  # fmt: skip
+        pairs = [
+            (a, b)
+            for a, b in (("truth", "reference"), ("estimate", "truth"), ("estimate", "reference"))
+            if a in paths and b in paths
+        ][:2]
         axes = style(figure.add_subplot(2, 1, 2), "time driven (s)", "distance (mm)")
         for (a, b), colour in zip(pairs, SERIES[1:], strict=False):
             apart_mm = 1e3 * np.linalg.norm(paths[a] - paths[b], axis=1)

@@ -34,9 +34,15 @@ class Recordings:
     """
 
     def __init__(
-        self, folder: Path, names: list[str], journal: Journal, interrupts: Interrupts, on_failure: OnFailure,
-        tell: Callable[[str], None], keep: Keep = "all",
-    ) -> None:  # fmt: skip
+        self,
+        folder: Path,
+        names: list[str],
+        journal: Journal,
+        interrupts: Interrupts,
+        on_failure: OnFailure,
+        tell: Callable[[str], None],
+        keep: Keep = "all",
+    ) -> None:
         self.on_failure: OnFailure = on_failure
         self.keep: Keep = keep
         self._folder, self._names, self._journal, self._interrupts = folder, names, journal, interrupts

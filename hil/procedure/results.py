@@ -46,9 +46,12 @@ class Failure:
     def to_json(self) -> dict[str, object]:
         """As in `result.json`."""
         return {
-            "type": self.kind, "message": self.message, "step": self.step, "finished": self.finished,
+            "type": self.kind,
+            "message": self.message,
+            "step": self.step,
+            "finished": self.finished,
             "frames": list(self.frames),
-        }  # fmt: skip
+        }
 
     @property
     def place(self) -> str:
@@ -103,9 +106,12 @@ class Result:
 
 
 def judge(
-    declared: Sequence[Measurement], values: Mapping[str, float], earlier: Mapping[str, list[float]],
-    measured_in: Mapping[str, str], ended: bool,
-) -> list[dict[str, Any]]:  # fmt: skip
+    declared: Sequence[Measurement],
+    values: Mapping[str, float],
+    earlier: Mapping[str, list[float]],
+    measured_in: Mapping[str, str],
+    ended: bool,
+) -> list[dict[str, Any]]:
     """Rows of the measurement table.
 
     Args:
@@ -121,13 +127,20 @@ def judge(
         missing = value is None and not ended
         rows.append(
             {
-                "name": m.name, "unit": m.unit, "value": value, "low": m.low, "high": m.high,
-                "marginal": m.marginal, "margin": None if value is None else m.margin(value),
+                "name": m.name,
+                "unit": m.unit,
+                "value": value,
+                "low": m.low,
+                "high": m.high,
+                "marginal": m.marginal,
+                "margin": None if value is None else m.margin(value),
                 "outcome": "NOT MEASURED" if missing else m.judge(value).value,
-                "limited": m.limited, "step": measured_in.get(m.name), "rationale": m.rationale,
+                "limited": m.limited,
+                "step": measured_in.get(m.name),
+                "rationale": m.rationale,
                 **({"earlier": earlier[m.name]} if m.name in earlier else {}),
             }
-        )  # fmt: skip
+        )
     return rows
 
 
@@ -158,10 +171,15 @@ def junit(tree: Mapping[str, Any]) -> str:
     broken = tree["verdict"] in ("ERROR", "ABORTED")
     duration = f"{tree.get('duration_s') or 0.0:.3f}"
     suite = ElementTree.Element(
-        "testsuite", name=f"hil.{name}", tests=str(len(rows) + 1), failures=str(failures),
-        errors=str(int(broken)), skipped=str(sum(r["outcome"] == "NOT MEASURED" for r in rows)),
-        time=duration, timestamp=str(tree.get("started", "")),
-    )  # fmt: skip
+        "testsuite",
+        name=f"hil.{name}",
+        tests=str(len(rows) + 1),
+        failures=str(failures),
+        errors=str(int(broken)),
+        skipped=str(sum(r["outcome"] == "NOT MEASURED" for r in rows)),
+        time=duration,
+        timestamp=str(tree.get("started", "")),
+    )
     properties = ElementTree.SubElement(suite, "properties")
     calibration = tree.get("calibration") or {}
     for key, value in (

@@ -18,15 +18,7 @@ from hil.procedure.conclusion import conclude, facts_of, failure, not_held
 from hil.procedure.context import Context
 from hil.procedure.declaration import Procedure
 from hil.procedure.interrupts import Interrupts, time_limit
-from hil.procedure.journal import (
-    SCHEMA,
-    Entry,
-    Journal,
-    PastRun,
-    differences,
-    drop_torn_line,
-    read_journal,
-)
+from hil.procedure.journal import SCHEMA, Entry, Journal, PastRun, differences, drop_torn_line, read_journal
 from hil.procedure.learning import keep_parts
 from hil.procedure.measurements import Measurement, Verdict
 from hil.procedure.operator import Operator, Terminal
@@ -102,9 +94,14 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
 
 
 def _recorded_run(
-    proc: Procedure, source: BenchSource, options: RunOptions, parameters: Any,
-    declared: tuple[Measurement, ...], header: Entry, past: PastRun | None,
-) -> Result:  # fmt: skip
+    proc: Procedure,
+    source: BenchSource,
+    options: RunOptions,
+    parameters: Any,
+    declared: tuple[Measurement, ...],
+    header: Entry,
+    past: PastRun | None,
+) -> Result:
     """The run itself, from its first word in the journal to the last in its folder."""
     interrupts = options.interrupts
     journal = Journal(options.folder / JOURNAL, options.on_recording_failure)
@@ -114,11 +111,22 @@ def _recorded_run(
         else:
             journal.add("resume", {"started": options.started})
         context = Context(
-            parameters, source, options.folder, procedure=proc.name, declared=declared, journal=journal,
-            clock=options.clock, started=options.started, operator=options.operator, report=options.report,
-            interrupts=interrupts, past=past.checkpoints if past else {}, past_held=past.held if past else (),
-            on_recording_failure=options.on_recording_failure, keep=options.keep,
-        )  # fmt: skip
+            parameters,
+            source,
+            options.folder,
+            procedure=proc.name,
+            declared=declared,
+            journal=journal,
+            clock=options.clock,
+            started=options.started,
+            operator=options.operator,
+            report=options.report,
+            interrupts=interrupts,
+            past=past.checkpoints if past else {},
+            past_held=past.held if past else (),
+            on_recording_failure=options.on_recording_failure,
+            keep=options.keep,
+        )
         if past is not None and "script" not in past.header:
             context.note(_SCRIPT_UNKNOWN)
         if options.keep == "results" and past is None:
@@ -138,9 +146,12 @@ def _recorded_run(
 
 
 def _learnt(
-    proc: Procedure, context: Context, declared: tuple[Measurement, ...], error: Failure | None,
+    proc: Procedure,
+    context: Context,
+    declared: tuple[Measurement, ...],
+    error: Failure | None,
     late: list[Failure],
-) -> dict[str, Any] | None:  # fmt: skip
+) -> dict[str, Any] | None:
     """What the run adds to the record of the robot; a record that does not take it is one of `late`."""
     verdict = conclude(proc, context, declared, error, late, {}).verdict
     kept, problem = keep_parts(context, verdict)

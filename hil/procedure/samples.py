@@ -77,21 +77,19 @@ def _series(motion: Motion, rows: Iterable[tuple[Stamp, bool, Array]], width: in
     return Series(
         np.array([(s.t_ns - origin_ns) / NS_PER_S for s in stamps], dtype=np.float64),
         np.array([(s.host_ns - origin_ns) / NS_PER_S for s in stamps], dtype=np.float64),
-        np.array(device, dtype=np.float64), values, len(every),
-    )  # fmt: skip
+        np.array(device, dtype=np.float64),
+        values,
+        len(every),
+    )
 
 
 def arrivals(motion: Motion, kind: str) -> Series:
     """When samples of any kind of device came, without their values, (n, 0)."""
     return _series(
         motion,
-        (
-            (s.stamp, worst(s) is Status.OK, np.empty(0))
-            for r in motion.records
-            for s in r.inputs.of(kind)
-        ),
+        ((s.stamp, worst(s) is Status.OK, np.empty(0)) for r in motion.records for s in r.inputs.of(kind)),
         0,
-    )  # fmt: skip
+    )
 
 
 def wheels(motion: Motion) -> Series:

@@ -58,9 +58,7 @@ def load_procedure(script: str) -> Procedure:
         module = _shipped(target)
     else:
         raise ConfigError(
-            f"procedure {script!r} is unknown",
-            expected=_known(),
-            remedy=meant(path) or _near(target),
+            f"procedure {script!r} is unknown", expected=_known(), remedy=meant(path) or _near(target)
         )
     return _choose(module, wanted, script)
 

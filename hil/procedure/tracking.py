@@ -83,16 +83,28 @@ def tracking_errors(motion: Motion) -> dict[str, float]:
     steering = motion.wheels[:, 4:]
     travel = np.nansum(np.abs(np.diff(steering, axis=0)), axis=0).mean()
     values = (
-        *rmse, worst, *end, np.count_nonzero(rates > 0.995 * 4.8) * float(np.median(np.diff(t_s))), travel,
+        *rmse,
+        worst,
+        *end,
+        np.count_nonzero(rates > 0.995 * 4.8) * float(np.median(np.diff(t_s))),
+        travel,
         seen,
-    )  # fmt: skip
+    )
     return dict(zip(_KEYS, map(float, values), strict=True))
 
 
 _KEYS = (
-    "rmse_x", "rmse_y", "rmse_heading", "worst", "end_x", "end_y", "end_heading", "saturated_s",
-    "steering_travel", "seen",
-)  # fmt: skip
+    "rmse_x",
+    "rmse_y",
+    "rmse_heading",
+    "worst",
+    "end_x",
+    "end_y",
+    "end_heading",
+    "saturated_s",
+    "steering_travel",
+    "seen",
+)
 
 
 def unseen(errors: Mapping[str, float]) -> str:
@@ -188,9 +200,13 @@ def _differences(runs: dict[str, dict[str, Any]], which: str, against: str) -> F
         for name, run in runs.items():
             error = np.array(run[which][k], dtype=np.float64) - np.array(run[against][k], np.float64)
             axes.plot(
-                run["t"], (wrap_array(error) if k == 2 else error) * factor, color=_colour(name),
-                ls=_DASHES.get(name, "-"), lw=1.3, label=LABELS.get(name, name),
-            )  # fmt: skip
+                run["t"],
+                (wrap_array(error) if k == 2 else error) * factor,
+                color=_colour(name),
+                ls=_DASHES.get(name, "-"),
+                lw=1.3,
+                label=LABELS.get(name, name),
+            )
         if k == 0:
             legend(axes, columns=len(runs))
     return figure

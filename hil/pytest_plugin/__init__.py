@@ -43,16 +43,24 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--bench", metavar="FILE", help="bench file or profile; its real devices are used as they are"
     )
     group.addoption(
-        "--emulate", metavar="NAMES", nargs="?", const="all", type=_devices,
+        "--emulate",
+        metavar="NAMES",
+        nargs="?",
+        const="all",
+        type=_devices,
         help="devices of --bench to emulate, separated by commas; all of them without NAMES",
-    )  # fmt: skip
+    )
     group.addoption("--hil-seed", metavar="N", type=_seed, default=0, help="seed of every emulated world")
     group.addoption("--hil-realtime", action="store_true", help="emulated devices at the wire, in real time")
     group.addoption(
-        "--hil-blind-spots", metavar="PATTERN", nargs="?", const="*", dest="hil_blind_spots",
+        "--hil-blind-spots",
+        metavar="PATTERN",
+        nargs="?",
+        const="*",
+        dest="hil_blind_spots",
         help="run the suite against robots that are broken on purpose (all, or =PATTERN of their names), and "
         "report what no test notices",
-    )  # fmt: skip
+    )
     parser.addini("hil_bench", "bench file or profile that is emulated when --bench is not given", default="")
 
 

@@ -139,5 +139,6 @@ def summary(reporter: TerminalReporter, found: Sequence[Seen]) -> None:
     reporter.write_line(
         f"{len(found)} broken robots: {len(found) - len(blind) - len(tolerated)} noticed, "
         f"{len(tolerated)} tolerated, {len(blind)} blind spots",
-        red=bool(blind), green=not blind,
-    )  # fmt: skip
+        red=bool(blind),
+        green=not blind,
+    )

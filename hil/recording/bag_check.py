@@ -149,6 +149,5 @@ def _check_mcap(path: Path, stream: BinaryIO, size: int) -> None:
         cut = isinstance(error, (EndOfFile, RecordLengthLimitExceeded, struct.error))
         why = f"it ends at byte {size}, within a record" if cut else str(error) or type(error).__name__
         raise DataError(
-            str(path), f"is not a readable rosbag2 recording ({why})",
-            remedy="repair it with `mcap recover`",
-        ) from None  # fmt: skip
+            str(path), f"is not a readable rosbag2 recording ({why})", remedy="repair it with `mcap recover`"
+        ) from None

@@ -56,9 +56,7 @@ class Shift(NamedTuple):
 
 
 def ptp_offsets(
-    now_ns: Callable[[], int],
-    folder: Path = DEVICES,
-    read: Callable[[int], int] | None = None,
+    now_ns: Callable[[], int], folder: Path = DEVICES, read: Callable[[int], int] | None = None
 ) -> tuple[PtpOffset, ...]:
     """Offsets of all hardware clocks that may be read; none where there are none.
 
@@ -112,9 +110,11 @@ def shift_between(first: str | Path, second: str | Path) -> Shift:
     for path, wall in walls.items():
         if wall is None:
             raise DataError(
-                path, "says nothing about the time of day", expected="a recording of a run in real time",
+                path,
+                "says nothing about the time of day",
+                expected="a recording of a run in real time",
                 remedy="align recordings of virtual time by their cycles",
-            )  # fmt: skip
+            )
     a, b = (walls[str(path)] for path in (first, second))
     assert a is not None
     assert b is not None

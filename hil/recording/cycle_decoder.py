@@ -15,16 +15,7 @@ from itertools import groupby
 from typing import Any
 
 from hil.recording.cycle_codec import CycleEncoder
-from hil.recording.cycle_layout import (
-    CODES,
-    FORMAT,
-    MAGIC,
-    SHAPES,
-    Layout,
-    added_in,
-    describe,
-    record_types,
-)
+from hil.recording.cycle_layout import CODES, FORMAT, MAGIC, SHAPES, Layout, added_in, describe, record_types
 from hil.recording.value_decoders import (
     PRIMITIVES,
     Decode,

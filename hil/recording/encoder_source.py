@@ -130,9 +130,13 @@ class EncoderSource:
             plain[layout](value)
         else:
             nested: dict[str, Callable[[Any, str], None]] = {
-                "class": self._class, "enum": self._enum, "samples": self._samples, "tuple": self._tuple,
-                "optional": self._optional, "mapping": self._mapping,
-            }  # fmt: skip
+                "class": self._class,
+                "enum": self._enum,
+                "samples": self._samples,
+                "tuple": self._tuple,
+                "optional": self._optional,
+                "mapping": self._mapping,
+            }
             nested[layout[0]](layout[1], value)
 
     def _str(self, value: str) -> None:

@@ -35,14 +35,18 @@ from hil.vocabulary.signals import CycleRecord, WheelMeasurement
 
 _POSE = ("x_m", "y_m", "theta_rad")
 COLUMNS = (
-    "t", *WHEEL_COLUMNS, *TRUTH_COLUMNS, *RATE_COLUMNS, "cycle",
+    "t",
+    *WHEEL_COLUMNS,
+    *TRUTH_COLUMNS,
+    *RATE_COLUMNS,
+    "cycle",
     *(f"estimate_{c}" for c in _POSE),
     *(f"estimate_{c}" for c in ("v_x_m_s", "v_y_m_s", "omega_rad_s")),
     *(f"sigma_{c}" for c in _POSE),
     *(f"reference_{c}" for c in _POSE),
     *(f"setpoint_w{i}_rad_s" for i in range(1, 5)),
     *(f"setpoint_delta{i}_rad" for i in range(1, 5)),
-)  # fmt: skip
+)
 
 
 def _truth(records: Sequence[CycleRecord]) -> tuple[Array, Array]:
@@ -79,9 +83,14 @@ def _cycle_columns(record: CycleRecord) -> list[float]:
     wanted = reference.pose_in_wall if reference is not None else [math.nan] * 3
     sigma = np.sqrt(np.maximum(np.diag(state.covariance)[:3], 0.0))
     return [
-        float(record.cycle), *state.pose_body_in_wall, *state.twist_body, *sigma, *wanted,
-        *setpoint.wheel_rate_rad_s, *setpoint.steering_rad,
-    ]  # fmt: skip
+        float(record.cycle),
+        *state.pose_body_in_wall,
+        *state.twist_body,
+        *sigma,
+        *wanted,
+        *setpoint.wheel_rate_rad_s,
+        *setpoint.steering_rad,
+    ]
 
 
 def with_added(records: Sequence[CycleRecord]) -> tuple[tuple[str, ...], Array]:

@@ -43,14 +43,20 @@ def _from_first_truth(recording: Recording) -> Recording:
     angle, steering, rate, receive_s = (
         interpolate(at_s, recording.t_s, values)
         for values in (
-            recording.wheel_angle_rad, recording.steering_rad, recording.wheel_rate_rad_s,
+            recording.wheel_angle_rad,
+            recording.steering_rad,
+            recording.wheel_rate_rad_s,
             recording.receive_s[:, None],
         )
-    )  # fmt: skip
+    )
     return replace(
-        recording, t_s=at_s, wheel_angle_rad=angle, steering_rad=steering, wheel_rate_rad_s=rate,
+        recording,
+        t_s=at_s,
+        wheel_angle_rad=angle,
+        steering_rad=steering,
+        wheel_rate_rad_s=rate,
         receive_s=receive_s[:, 0],
-    )  # fmt: skip
+    )
 
 
 def to_cycles(recording: Recording) -> tuple[CycleRecord, ...]:
@@ -68,9 +74,7 @@ def to_cycles(recording: Recording) -> tuple[CycleRecord, ...]:
             recording.steering_rad[k],
             _USABLE,
         )
-        measured = Measurements(
-            k, now_ns, (wheels,), mocap=tuple(_truth(recording, i) for i in seen)
-        )  # fmt: skip
+        measured = Measurements(k, now_ns, (wheels,), mocap=tuple(_truth(recording, i) for i in seen))
         records.append(_cycle(measured))
     return tuple(records)
 
@@ -90,7 +94,13 @@ def _cycle(measured: Measurements) -> CycleRecord:
     """A cycle in which nothing was estimated and nothing commanded."""
     t_ns, unknown, none = measured.t_ns, np.full(3, np.nan), np.full(4, np.nan)
     return CycleRecord(
-        measured.cycle, t_ns, t_ns, Inputs(measured.cycle, t_ns), measured,
-        RobotState(t_ns, unknown, unknown, np.full((6, 6), np.nan)), None,
-        WheelSetpoint(none, none), ServoSetpoint(none, none),
-    )  # fmt: skip
+        measured.cycle,
+        t_ns,
+        t_ns,
+        Inputs(measured.cycle, t_ns),
+        measured,
+        RobotState(t_ns, unknown, unknown, np.full((6, 6), np.nan)),
+        None,
+        WheelSetpoint(none, none),
+        ServoSetpoint(none, none),
+    )

@@ -46,9 +46,10 @@ class JointRows:
         rates_alone = not len(message.position) and len(message.velocity) >= len(index)
         if any(named) and len(message.position) < len(index) and not rates_alone:
             raise DataError(
-                str(self._path), f"{self._topic} carries {len(message.position)} positions",
+                str(self._path),
+                f"{self._topic} carries {len(message.position)} positions",
                 expected="one per joint",
-            )  # fmt: skip
+            )
         at = [index.get(name, -1) for name in self._names]
         rates = message.velocity if len(message.velocity) == len(message.name) else ()
         self._rows.append(

@@ -33,11 +33,17 @@ _FLUSH_NS = NS_PER_S // 2
 _FOREVER = "{sec: 9223372036, nsec: 854775807}"
 _LATCHED = "- " + "\n  ".join(
     (
-        "history: 1", "depth: 1", "reliability: 1", "durability: 1", f"deadline: {_FOREVER}",
-        f"lifespan: {_FOREVER}", "liveliness: 1", f"liveliness_lease_duration: {_FOREVER}",
+        "history: 1",
+        "depth: 1",
+        "reliability: 1",
+        "durability: 1",
+        f"deadline: {_FOREVER}",
+        f"lifespan: {_FOREVER}",
+        "liveliness: 1",
+        f"liveliness_lease_duration: {_FOREVER}",
         "avoid_ros_namespace_conventions: false",
     )
-)  # fmt: skip
+)
 _QOS = {"/tf_static": _LATCHED, "/robot_description": _LATCHED}
 """Quality of service with which a topic is to be played: who listens later gets the last message, too."""
 

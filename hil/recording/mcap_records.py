@@ -38,9 +38,14 @@ def top_level(stream: BinaryIO, limit: int) -> Iterator[tuple[int, Any]]:
     from mcap.stream_reader import read_magic
 
     wanted: dict[int, Any] = {
-        Opcode.CHUNK: Chunk, Opcode.CHUNK_INDEX: ChunkIndex, Opcode.METADATA: Metadata,
-        Opcode.FOOTER: Footer, Opcode.HEADER: Header, Opcode.CHANNEL: Channel, Opcode.MESSAGE: Message,
-    }  # fmt: skip
+        Opcode.CHUNK: Chunk,
+        Opcode.CHUNK_INDEX: ChunkIndex,
+        Opcode.METADATA: Metadata,
+        Opcode.FOOTER: Footer,
+        Opcode.HEADER: Header,
+        Opcode.CHANNEL: Channel,
+        Opcode.MESSAGE: Message,
+    }
     source = ReadDataStream(stream)
     read_magic(source)
     opcode = None
@@ -114,9 +119,11 @@ def _must_be_mcap(path: Path, reached: int, error: Exception | None) -> None:
     with path.open("rb") as stream:
         if stream.read(len(_ZSTD)) == _ZSTD:
             raise DataError(
-                str(path), "is packed as a whole", expected="a recording (.mcap)",
+                str(path),
+                "is packed as a whole",
+                expected="a recording (.mcap)",
                 remedy=f"unpack it with `zstd -d {path}`",
-            )  # fmt: skip
+            )
     if isinstance(error, InvalidMagic) or reached < _MAGIC_BYTES:
         raise DataError(
             str(path), "is not an MCAP file", expected="a recording (.mcap)", remedy=in_place_of(path)

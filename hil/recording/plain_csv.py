@@ -52,9 +52,11 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
     twice = [c for c in (*needed, *RATE_COLUMNS) if columns.count(c) > 1]
     if twice:
         raise DataError(
-            str(path), f"has the columns {', '.join(twice)} more than once", expected="each once",
+            str(path),
+            f"has the columns {', '.join(twice)} more than once",
+            expected="each once",
             remedy="delete the one that is not meant",
-        )  # fmt: skip
+        )
     table = _table(path, data, body, columns)
     if len(table) == 0:
         raise DataError(str(path), "has a header but no rows")

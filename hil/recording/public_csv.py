@@ -26,9 +26,16 @@ from hil.vocabulary.signals import WHEELS
 _NAMES = tuple(f"{w}_Wheel" for w in WHEELS) + tuple(f"{w}_Position" for w in WHEELS)
 _ODOM_COLUMNS = ("time", ".header.stamp.secs", ".header.stamp.nsecs", ".name", ".position", ".velocity")
 _ABS_COLUMNS = (
-    "time", ".header.stamp.secs", ".header.stamp.nsecs", ".pose.position.x", ".pose.position.y",
-    ".pose.orientation.x", ".pose.orientation.y", ".pose.orientation.z", ".pose.orientation.w",
-)  # fmt: skip
+    "time",
+    ".header.stamp.secs",
+    ".header.stamp.nsecs",
+    ".pose.position.x",
+    ".pose.position.y",
+    ".pose.orientation.x",
+    ".pose.orientation.y",
+    ".pose.orientation.z",
+    ".pose.orientation.w",
+)
 _WORDS = (".header.frame_id", ".name")
 _TUPLES = (".position", ".velocity", ".effort")
 _TO_COMMAS = bytes.maketrans(b";/:", b",,,")

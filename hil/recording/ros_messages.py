@@ -75,9 +75,13 @@ def _odometry(state: RobotState, place: Sequence[float], wall_ns: int) -> bytes:
     """`nav_msgs/Odometry` of an estimate: pose (7,) in the wall frame, twist in the body frame."""
     x, y, turn, ahead, left, spin = state.covariance.tolist()
     return _ODOMETRY.pack(
-        state.t_ns, wall_ns, place, (*x[:3], *y[:3], *turn[:3]),
-        state.twist_body.tolist(), (*ahead[3:], *left[3:], *spin[3:]),
-    )  # fmt: skip
+        state.t_ns,
+        wall_ns,
+        place,
+        (*x[:3], *y[:3], *turn[:3]),
+        state.twist_body.tolist(),
+        (*ahead[3:], *left[3:], *spin[3:]),
+    )
 
 
 def log(event: Event, wall_ns: int = 0) -> bytes:

@@ -84,9 +84,11 @@ def read_bag(path: str | Path, topics: TopicMap, nominal: Nominal | None = None)
             if plain == file:
                 raise
             raise DataError(
-                str(file), error.message.removeprefix(f"{plain}: "), expected=error.expected,
+                str(file),
+                error.message.removeprefix(f"{plain}: "),
+                expected=error.expected,
                 remedy=error.remedy,
-            ) from None  # fmt: skip
+            ) from None
     digest = (hashlib.sha256(file.read_bytes()).hexdigest(),) if file.is_file() else ()
     parts = [replace(part, sources=(str(file),), sha256=digest) for part in (found, *found.later)]
     return replace(parts[0], later=tuple(parts[1:]))
@@ -123,9 +125,10 @@ def _refuse_folder(folder: Path) -> None:
             str(folder), f"is a folder of {len(names)} recordings ({', '.join(names)})", remedy="name one"
         )
     raise DataError(
-        str(folder), "is a folder without a rosbag2 recording",
+        str(folder),
+        "is a folder without a rosbag2 recording",
         expected="metadata.yaml with its files, or a .mcap or .db3 file",
-    )  # fmt: skip
+    )
 
 
 def _times(path: Path, stamps: Mapping[str, Sequence[_Stamp]]) -> dict[str, Array]:

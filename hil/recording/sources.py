@@ -211,9 +211,11 @@ def _whole_or_not(path: Path, nominal: Nominal | None) -> Recording:
             raise
         why = error.message.removeprefix(f"{path}: ")
         raise DataError(
-            str(path), f"{'; '.join(problems)}; what could be read does not do: {why}",
-            expected=error.expected, remedy=COPY_AGAIN,
-        ) from None  # fmt: skip
+            str(path),
+            f"{'; '.join(problems)}; what could be read does not do: {why}",
+            expected=error.expected,
+            remedy=COPY_AGAIN,
+        ) from None
 
 
 def _pair(odom: Path, absolute: Path, nominal: Nominal | None, given: tuple[Path, ...]) -> Job:
@@ -227,9 +229,11 @@ def _file(path: Path, mapping: TopicMap | None, nominal: Nominal | None) -> Job:
         raise DataError(str(path), "is no recording", remedy=meant(path))
     if path.suffix in PACKED and mapping is None:
         raise DataError(
-            str(path), "is packed as a whole", expected="a recording as it was written",
+            str(path),
+            "is packed as a whole",
+            expected="a recording as it was written",
             remedy=f"unpack it with `zstd -d {path}`; bags of other robots are read packed, with --topics",
-        )  # fmt: skip
+        )
     if path.suffix != ".mcap" and rosbag.is_bag(path):
         return _bag(path, mapping, nominal)
     if path.suffix == ".mcap" and mapping is not None:

@@ -48,9 +48,7 @@ class Allowance:
         """
         self._left -= size
         if self._left < 0:
-            raise DataError(
-                str(self._path), f"unpacks to more than {self._most >> 20} MiB", remedy=_REMEDY
-            )  # fmt: skip
+            raise DataError(str(self._path), f"unpacks to more than {self._most >> 20} MiB", remedy=_REMEDY)
 
 
 def read_packed(path: Path) -> bytes:
@@ -137,9 +135,11 @@ def unpacked(path: Path) -> Iterator[Path]:
                 unpack_stream(source, target, Allowance(path, path.stat().st_size))
         except ValueError as error:
             raise DataError(
-                str(path), f"cannot be unpacked ({error})", expected="a whole file packed by zstd",
+                str(path),
+                f"cannot be unpacked ({error})",
+                expected="a whole file packed by zstd",
                 remedy="copy it again",
-            ) from None  # fmt: skip
+            ) from None
         except OSError as error:
             raise DataError(str(path), f"cannot be unpacked ({reason_of(error)})") from None
         yield plain

@@ -97,9 +97,14 @@ def _tyre(root: Xml.Element, wheel: str, radius_m: float) -> None:
 
 
 def _joint(
-    root: Xml.Element, name: str, parent: str, child: str, place: tuple[float, ...] = (0, 0, 0),
-    turn: tuple[float, ...] = (0, 0, 0), axis: tuple[float, ...] | None = None,
-) -> None:  # fmt: skip
+    root: Xml.Element,
+    name: str,
+    parent: str,
+    child: str,
+    place: tuple[float, ...] = (0, 0, 0),
+    turn: tuple[float, ...] = (0, 0, 0),
+    axis: tuple[float, ...] | None = None,
+) -> None:
     joint = Xml.SubElement(root, "joint", name=name, type="fixed" if axis is None else "continuous")
     Xml.SubElement(joint, "parent", link=parent)
     Xml.SubElement(joint, "child", link=child)

@@ -114,13 +114,7 @@ def decode_any(data: bytes, at: int) -> tuple[Any, int]:
     tag, at = data[at : at + 1], at + 1
     if tag == b"n":
         return None, at
-    plain = {
-        b"b": decode_bool,
-        b"i": decode_int,
-        b"f": decode_float,
-        b"s": decode_text,
-        b"a": decode_array,
-    }
+    plain = {b"b": decode_bool, b"i": decode_int, b"f": decode_float, b"s": decode_text, b"a": decode_array}
     if tag in plain:
         return plain[tag](data, at)
     if tag not in (b"t", b"m"):

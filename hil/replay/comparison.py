@@ -79,15 +79,29 @@ def estimate(records: Sequence[CycleRecord], estimator: Estimator, start: RobotS
 def _with_state(r: CycleRecord, state: RobotState) -> CycleRecord:
     """As `dataclasses.replace`, which takes four times as long."""
     return CycleRecord(
-        r.cycle, r.deadline_ns, r.start_ns, r.inputs, r.measurements, state, r.reference, r.setpoint,
-        r.command, r.events, r.observers, r.timing_ns, r.truth,
-    )  # fmt: skip
+        r.cycle,
+        r.deadline_ns,
+        r.start_ns,
+        r.inputs,
+        r.measurements,
+        state,
+        r.reference,
+        r.setpoint,
+        r.command,
+        r.events,
+        r.observers,
+        r.timing_ns,
+        r.truth,
+    )
 
 
 def smoothed(
-    records: Sequence[CycleRecord], config: EstimatorConfig, geometry: WheelGeometry, surface: str,
+    records: Sequence[CycleRecord],
+    config: EstimatorConfig,
+    geometry: WheelGeometry,
+    surface: str,
     start: RobotState,
-) -> Motion:  # fmt: skip
+) -> Motion:
     """The run with the states of the smoother, which knows all measurements at every cycle."""
     from hil.estimator.smoother import smooth
 
@@ -96,9 +110,14 @@ def smoothed(
 
 
 def compare_run(
-    run: RecordedRun, bench: Blueprint, kinds: Sequence[str] = COMPARED, *,
-    own: Mapping[str, Estimator] = MappingProxyType({}), source: str = "the recording", recorded: bool = True,
-) -> dict[str, Motion]:  # fmt: skip
+    run: RecordedRun,
+    bench: Blueprint,
+    kinds: Sequence[str] = COMPARED,
+    *,
+    own: Mapping[str, Estimator] = MappingProxyType({}),
+    source: str = "the recording",
+    recorded: bool = True,
+) -> dict[str, Motion]:
     """A run as it was estimated then (`recorded`), and as estimators see it, by kind or name.
 
     An observer of the user's own is there as it was recorded (`recorded NAME`): a recording has no code.

@@ -108,11 +108,7 @@ class OpenedRecording:
 
 
 def open_recording(
-    path: Path,
-    *,
-    bench: str | None = None,
-    calibration: Path | None = None,
-    topics: Path | None = None,
+    path: Path, *, bench: str | None = None, calibration: Path | None = None, topics: Path | None = None
 ) -> OpenedRecording:
     """Find out what a recording is, and put the bench of its making together.
 
@@ -168,9 +164,10 @@ def _refuse_folder(folder: Path) -> NoReturn:
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     count = f"{len(names)} recordings" if len(names) > 1 else "1 recording"
     raise DataError(
-        str(folder), f"is a folder of {count} ({', '.join(names[:_NAMED])}{more})",
+        str(folder),
+        f"is a folder of {count} ({', '.join(names[:_NAMED])}{more})",
         remedy=f"name one, as {folder / names[0]}",
-    )  # fmt: skip
+    )
 
 
 def _geometry(header: Mapping[str, Any]) -> WheelGeometry | None:
@@ -197,9 +194,13 @@ def _read_foreign(path: Path, topics: Path | None, robot: Nominal, tables: list[
 
 
 def _bench(
-    config: BenchConfig, geometry: WheelGeometry | None, calibration: Path | None, header: Mapping[str, Any],
-    *, recorded: bool = False,
-) -> Blueprint:  # fmt: skip
+    config: BenchConfig,
+    geometry: WheelGeometry | None,
+    calibration: Path | None,
+    header: Mapping[str, Any],
+    *,
+    recorded: bool = False,
+) -> Blueprint:
     """The bench of a configuration; a recorded configuration names every value, chosen by somebody or not."""
     if calibration is not None:
         found = read_calibration(calibration)

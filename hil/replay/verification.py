@@ -149,9 +149,13 @@ class RunCheck:
         self, bench: Blueprint, start: RunStart | None, *, exact: bool = True, number: int = 0
     ) -> None:
         self.result: dict[str, Any] = {
-            "run": number, "cycles": 0, "verdict": IDENTICAL, "verified": [], "references": "none",
+            "run": number,
+            "cycles": 0,
+            "verdict": IDENTICAL,
+            "verified": [],
+            "references": "none",
             "difference": None,
-        }  # fmt: skip
+        }
         self.agreement, self._exact = Agreement(), exact
         self._latest: int | None = None
         problem = "the recording does not say how this run began" if start is None else _foreign(start)
@@ -229,8 +233,9 @@ def verify_recording(opened: OpenedRecording, number: int | None = None) -> dict
     if opened.foreign:
         raise UsageError(
             f"{opened.path}: not a recording of this bench: there is nothing to verify",
-            expected="an .mcap recording that a run or `hil live` has made", remedy="leave --verify out",
-        )  # fmt: skip
+            expected="an .mcap recording that a run or `hil live` has made",
+            remedy="leave --verify out",
+        )
     recorded_with, here = opened.header.get("arithmetic", {}), fingerprint()
     checks, check, latest, count = list[RunCheck](), None, -1, 0
     with without_collector():
@@ -246,9 +251,10 @@ def verify_recording(opened: OpenedRecording, number: int | None = None) -> dict
     opened.must_hold(count, number)
     return {
         **_summary(checks),
-        "recorded_with": recorded_with, "verified_with": here,
+        "recorded_with": recorded_with,
+        "verified_with": here,
         "runs": [check.result for check in checks],
-    }  # fmt: skip
+    }
 
 
 def _summary(checks: list[RunCheck]) -> dict[str, Any]:

@@ -27,10 +27,17 @@ def write_acceptance(folder: Path, told: Mapping[str, Any]) -> dict[str, Any]:
         DataError: they cannot be written; then neither is there.
     """
     text = (json.dumps(told, indent=2, allow_nan=False) + "\n").encode()
-    page = environment().get_template("acceptance.html").render(
-        told=told, rows=[_counted(stage) for stage in told["stages"]],
-        digest=hashlib.sha256(text).hexdigest(), data=ACCEPTANCE_TABLE, sentence=_sentence(told["stages"]),
-    )  # fmt: skip
+    page = (
+        environment()
+        .get_template("acceptance.html")
+        .render(
+            told=told,
+            rows=[_counted(stage) for stage in told["stages"]],
+            digest=hashlib.sha256(text).hexdigest(),
+            data=ACCEPTANCE_TABLE,
+            sentence=_sentence(told["stages"]),
+        )
+    )
     with staged(folder) as parts:
         (parts / ACCEPTANCE_TABLE).write_bytes(text)
         (parts / ACCEPTANCE_PAGE).write_text(page, encoding="utf-8", errors="backslashreplace")

@@ -30,9 +30,12 @@ _ALLOWED = {False: "how far off a part may be by its drawing", True: "how far th
 
 
 def write_evaluation_page(
-    folder: Path, tracks: Sequence[Track], nominal: Sequence[Track] | None, table: Mapping[str, Any],
+    folder: Path,
+    tracks: Sequence[Track],
+    nominal: Sequence[Track] | None,
+    table: Mapping[str, Any],
     told: Sequence[str] = (),
-) -> Path:  # fmt: skip
+) -> Path:
     """Write figures and `index.html` of an error table; returns the page's path.
 
     Args:
@@ -58,10 +61,13 @@ def write_evaluation_page(
         *(told or ["nominal parameters"]),
     ]
     page = Overview(
-        f"Odometry of {table['recordings']} recordings", sentence,
-        _motion_figures(before, tracks if nominal is not None else None), [_error_table("Errors", table)],
-        table.get("warnings", []), facts,
-    )  # fmt: skip
+        f"Odometry of {table['recordings']} recordings",
+        sentence,
+        _motion_figures(before, tracks if nominal is not None else None),
+        [_error_table("Errors", table)],
+        table.get("warnings", []),
+        facts,
+    )
     return write_overview_folder(folder, page)
 
 
@@ -83,17 +89,31 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
     figures = [
         *_motion_figures(before, after),
         _parameters(result),
-        Drawn("weights", "Weights of the recordings", _weights(result),
-              "Red: left out." if result.rejected else "No recording was left out."),
-        Drawn("correlation", "Correlation of the estimates", _correlation(result),
-              "Strong colours: only the combination of two parameters is known, not each of them."),
-    ]  # fmt: skip
+        Drawn(
+            "weights",
+            "Weights of the recordings",
+            _weights(result),
+            "Red: left out." if result.rejected else "No recording was left out.",
+        ),
+        Drawn(
+            "correlation",
+            "Correlation of the estimates",
+            _correlation(result),
+            "Strong colours: only the combination of two parameters is known, not each of them.",
+        ),
+    ]
     page = Overview(
-        f"Calibration on {len(result.recordings)} recordings", _sentence(tables, result), figures,
-        [*_validation_tables(result), _error_table("Errors before", tables[0], shown=False),
-         _error_table("Errors after", tables[1], shown=False)],
-        result.warnings, facts,
-    )  # fmt: skip
+        f"Calibration on {len(result.recordings)} recordings",
+        _sentence(tables, result),
+        figures,
+        [
+            *_validation_tables(result),
+            _error_table("Errors before", tables[0], shown=False),
+            _error_table("Errors after", tables[1], shown=False),
+        ],
+        result.warnings,
+        facts,
+    )
     return write_overview_folder(folder, page)
 
 
@@ -127,12 +147,20 @@ def _motion_figures(before: Sequence[Track], after: Sequence[Track] | None) -> l
     kinds = [(before, SERIES[1], "before" if after is not None else "odometry")]
     kinds += [(after, SERIES[0], "after")] if after is not None else []
     return [
-        Drawn("ends", "Where odometry ends", _per_motion(kinds, _draw_ends),
-              "Odometry minus ground truth at the end of each recording; zero is right."),
-        Drawn("position", "Position errors", _per_motion(kinds, _draw_position),
-              "Distance of odometry from ground truth; logarithmic above 1 mm."),
+        Drawn(
+            "ends",
+            "Where odometry ends",
+            _per_motion(kinds, _draw_ends),
+            "Odometry minus ground truth at the end of each recording; zero is right.",
+        ),
+        Drawn(
+            "position",
+            "Position errors",
+            _per_motion(kinds, _draw_position),
+            "Distance of odometry from ground truth; logarithmic above 1 mm.",
+        ),
         Drawn("heading", "Heading errors", _per_motion(kinds, _draw_heading), "Odometry minus ground truth."),
-    ]  # fmt: skip
+    ]
 
 
 def _per_motion(kinds: Sequence[Kind], draw: Callable[[Axes, Sequence[Kind]], None]) -> Figure:
@@ -250,9 +278,10 @@ def _error_table(title: str, table: Mapping[str, Any], *, shown: bool = True) ->
     axes = (("x", 1e3, "mm"), ("y", 1e3, "mm"), ("theta", _DEG, "deg"))
     columns = [
         (f"e_{axis}_{which}", f"{sign} {words} ({unit})", factor)
-        for axis, factor, unit in axes for which, words in (("m", "largest"), ("a", "mean"))
+        for axis, factor, unit in axes
+        for which, words in (("m", "largest"), ("a", "mean"))
         for sign in (axis if axis != "theta" else "θ",)
-    ]  # fmt: skip
+    ]
     columns += [("rmse_position_m", "RMSE (mm)", 1e3), ("rmse_theta_rad", "RMSE (deg)", _DEG)]
     rows = [
         [_words(m), *(f"{factor * row[key]:.{1 if factor == 1e3 else 2}f}" for key, _, factor in columns)]
@@ -267,11 +296,16 @@ def _validation_tables(result: Calibration) -> list[Table]:
         return []
     motions = list(result.validation["nominal"])
     rows = [
-        [_words(name), *(
-            f"{table[m]['rmse_position_m'] * 1e3:.1f} / {_DEG * table[m]['rmse_theta_rad']:.2f}"
-            if m in table else "–" for m in motions
-        )]
+        [
+            _words(name),
+            *(
+                f"{table[m]['rmse_position_m'] * 1e3:.1f} / {_DEG * table[m]['rmse_theta_rad']:.2f}"
+                if m in table
+                else "–"
+                for m in motions
+            ),
+        ]
         for name, table in result.validation.items()
-    ]  # fmt: skip
+    ]
     title = "Validation: position RMSE (mm) / heading RMSE (deg)"
     return [Table(title, ["", *map(_words, motions)], rows)]

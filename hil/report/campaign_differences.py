@@ -30,9 +30,12 @@ class _Plan(BaseModel):
     def told(self) -> dict[str, str]:
         """Option, file or package -> what it was."""
         given = {
-            "SCRIPT": self.script, "--bench": self.bench, "--emulate": self.emulate,
-            "--calibration": self.calibration, "--fault": ", ".join(self.faults),
-        }  # fmt: skip
+            "SCRIPT": self.script,
+            "--bench": self.bench,
+            "--emulate": self.emulate,
+            "--calibration": self.calibration,
+            "--fault": ", ".join(self.faults),
+        }
         settings = (text.partition("=") for text in self.settings)
         return {
             **{f"--set {key.strip()}": value for key, _, value in settings},

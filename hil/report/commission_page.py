@@ -38,11 +38,20 @@ def write_commission_page(folder: Path, told: Mapping[str, Any], bench: str, now
         DataError: it cannot be written.
     """
     wall = told["wall"]
-    page = environment().get_template("commission.html").render(
-        told=told, bench=bench, now=now, seed=seed, headline=headline(wall),
-        figure=_figure(folder, wall) if wall else None, parts=_parts(Path(told["robot"]), now),
-        stages=[s | {"took": duration(s.get("seconds"))} for s in told["stages"]],
-    )  # fmt: skip
+    page = (
+        environment()
+        .get_template("commission.html")
+        .render(
+            told=told,
+            bench=bench,
+            now=now,
+            seed=seed,
+            headline=headline(wall),
+            figure=_figure(folder, wall) if wall else None,
+            parts=_parts(Path(told["robot"]), now),
+            stages=[s | {"took": duration(s.get("seconds"))} for s in told["stages"]],
+        )
+    )
     try:
         put_whole(folder / COMMISSIONING_PAGE, page.encode("utf-8", "backslashreplace"))
     except OSError as error:
@@ -58,9 +67,17 @@ def write_robot_page(path: Path, record: RobotRecord, today: date) -> Path:
     """
     file = record.read()
     parts = part_rows(file, today)
-    page = environment().get_template("robot.html").render(
-        file=file, parts=parts, sentence=_known(parts), history=record.history(), folder=str(record.folder)
-    )  # fmt: skip
+    page = (
+        environment()
+        .get_template("robot.html")
+        .render(
+            file=file,
+            parts=parts,
+            sentence=_known(parts),
+            history=record.history(),
+            folder=str(record.folder),
+        )
+    )
     return write_text(path, page)
 
 

@@ -105,8 +105,9 @@ def compare_campaigns(first: Path, second: Path) -> dict[str, Any]:
     if not cases:
         raise UsageError(
             f"{first} and {second} have no case in common",
-            expected="the same seeds and varied settings in both", remedy="put what differs into --set",
-        )  # fmt: skip
+            expected="the same seeds and varied settings in both",
+            remedy="put what differs into --set",
+        )
     every = [(rows[0][case], rows[1][case]) for case in cases]
     pairs = [(a, b) for a, b in every if a.tested and b.tested]
     names = dict.fromkeys(name for pair in pairs for row in pair for name in row.measurements)

@@ -139,7 +139,9 @@ def write_compare_page(path: Path, table: Mapping[str, Any]) -> Path:
     Raises:
         DataError: it cannot be written.
     """
-    page = environment().get_template("run_compare.html").render(
-        table=table, change=_change, sentence=_sentence(table), groups=grouped(table["measurements"])
-    )  # fmt: skip
+    page = (
+        environment()
+        .get_template("run_compare.html")
+        .render(table=table, change=_change, sentence=_sentence(table), groups=grouped(table["measurements"]))
+    )
     return write_text(path, page)

@@ -33,13 +33,25 @@ _PT_PER_IN = 72.0
 _GAP_PT, _MOST_STEPS = 4.0, 9
 _INK, _DARK_INK = "#18181b", "#ececf0"
 _LIGHT = {
-    "reference": "#71717a", "truth": "#18181b", "c1": "#2563eb", "c2": "#c76a06", "c3": "#047857",
-    "c4": "#7e22ce", "c5": "#c81e1e", "grid": "#e4e4e7",
-}  # fmt: skip
+    "reference": "#71717a",
+    "truth": "#18181b",
+    "c1": "#2563eb",
+    "c2": "#c76a06",
+    "c3": "#047857",
+    "c4": "#7e22ce",
+    "c5": "#c81e1e",
+    "grid": "#e4e4e7",
+}
 _DARK = {
-    "reference": "#9d9da8", "truth": "#f4f4f5", "c1": "#6ea8ff", "c2": "#f5a94a", "c3": "#4ade9c",
-    "c4": "#c79bff", "c5": "#ff7b72", "grid": "#2c2c33",
-}  # fmt: skip
+    "reference": "#9d9da8",
+    "truth": "#f4f4f5",
+    "c1": "#6ea8ff",
+    "c2": "#f5a94a",
+    "c3": "#4ade9c",
+    "c4": "#c79bff",
+    "c5": "#ff7b72",
+    "grid": "#2c2c33",
+}
 
 
 def save_figure(figure: Figure, path: Path) -> Path:

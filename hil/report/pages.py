@@ -18,9 +18,12 @@ from hil.vocabulary.digits import digits_apart
 
 _PLAIN = 1e6
 _READ = {
-    "m": ("mm", 1e3, 0.5), "m/s": ("mm/s", 1e3, 0.5), "s": ("ms", 1e3, 0.5),
-    "rad": ("deg", math.degrees(1.0), math.inf), "rad/s": ("deg/s", math.degrees(1.0), math.inf),
-}  # fmt: skip
+    "m": ("mm", 1e3, 0.5),
+    "m/s": ("mm/s", 1e3, 0.5),
+    "s": ("ms", 1e3, 0.5),
+    "rad": ("deg", math.degrees(1.0), math.inf),
+    "rad/s": ("deg/s", math.degrees(1.0), math.inf),
+}
 """Unit that people read, factor to it, and the size from which a value stays in its own unit."""
 
 

@@ -134,11 +134,14 @@ def _all_axes(figure: Figure) -> Iterator[dict[str, Any]]:
         series, areas = list(_series(axes)), list(_areas(axes))
         if series or areas:
             yield {
-                "title": axes.get_title(loc="left") or axes.get_title(), "series": series, "areas": areas,
-                "box": _box(figure, axes.get_window_extent()), "zoom": not _pictures(axes),
+                "title": axes.get_title(loc="left") or axes.get_title(),
+                "series": series,
+                "areas": areas,
+                "box": _box(figure, axes.get_window_extent()),
+                "zoom": not _pictures(axes),
                 "x": _scale(figure, axes.xaxis, axes.get_xlim()),
                 "y": _scale(figure, axes.yaxis, axes.get_ylim()),
-            }  # fmt: skip
+            }
 
 
 def _pictures(axes: Axes) -> list[Any]:
@@ -193,8 +196,13 @@ def _series(axes: Axes) -> Iterator[dict[str, Any]]:
         elif kind == "PathCollection":
             x, y = _in_data(axes, collection.get_offset_transform(), np.asarray(collection.get_offsets()))
             name = str(collection.get_label())
-            yield {"name": "" if name.startswith("_") else name, "x": x, "y": y, "mark": True,
-                   "colour": _colour(collection.get_facecolor()[0])}  # fmt: skip
+            yield {
+                "name": "" if name.startswith("_") else name,
+                "x": x,
+                "y": y,
+                "mark": True,
+                "colour": _colour(collection.get_facecolor()[0]),
+            }
     for bars in axes.containers:
         yield from _of_bars(bars)
 
@@ -206,10 +214,14 @@ def _of_line(axes: Axes, line: Line2D) -> Iterator[dict[str, Any]]:
     marked = line.get_marker() not in ("None", "", " ", None)
     if x and (drawn or marked):
         yield {
-            "name": "" if name.startswith("_") else name, "colour": _colour(line.get_color()), "x": x, "y": y,
-            "width": float(line.get_linewidth()) if drawn else 0.0, "mark": marked,
+            "name": "" if name.startswith("_") else name,
+            "colour": _colour(line.get_color()),
+            "x": x,
+            "y": y,
+            "width": float(line.get_linewidth()) if drawn else 0.0,
+            "mark": marked,
             "dashed": drawn and line.get_linestyle() not in ("-", "solid"),
-        }  # fmt: skip
+        }
 
 
 def _of_bars(bars: Any) -> Iterator[dict[str, Any]]:
@@ -222,9 +234,12 @@ def _of_bars(bars: Any) -> Iterator[dict[str, Any]]:
     name = str(bars.get_label() or "")
     places, ends = (_rounded(np.array(v, float)) for v in (places, ends))
     yield {
-        "name": "" if name.startswith("_") else name, "colour": _colour(bars[0].get_facecolor()),
-        "x": ends if lying else places, "y": places if lying else ends, "across": lying,
-    }  # fmt: skip
+        "name": "" if name.startswith("_") else name,
+        "colour": _colour(bars[0].get_facecolor()),
+        "x": ends if lying else places,
+        "y": places if lying else ends,
+        "across": lying,
+    }
 
 
 def _areas(axes: Axes) -> Iterator[dict[str, Any]]:

@@ -24,15 +24,22 @@ Numbers = Mapping[str, Mapping[str, float | None]]
 
 _DEG = math.degrees(1.0)
 _ERRORS = (
-    ("rmse_position_m", "position RMSE (mm)", 1e3), ("rmse_theta_rad", "heading RMSE (deg)", _DEG),
-    ("final_position_m", "at the end (mm)", 1e3), ("max_position_m", "largest (mm)", 1e3),
-)  # fmt: skip
+    ("rmse_position_m", "position RMSE (mm)", 1e3),
+    ("rmse_theta_rad", "heading RMSE (deg)", _DEG),
+    ("final_position_m", "at the end (mm)", 1e3),
+    ("max_position_m", "largest (mm)", 1e3),
+)
 _SURE = (
-    ("nees_pose", "NEES", 1.0), ("nis_wheels", "NIS wheels", 1.0), ("nis_gyro", "NIS gyro", 1.0),
-    ("nis_tracker", "NIS camera", 1.0), ("nis_gravity", "NIS gravity", 1.0),
-    ("lag1_gyro", "gyro, correlation", 1.0), ("rejected_wheels", "wheels left out", 1.0),
-    ("rejected_gyro", "gyro left out", 1.0), ("rejected_tracker", "camera left out", 1.0),
-)  # fmt: skip
+    ("nees_pose", "NEES", 1.0),
+    ("nis_wheels", "NIS wheels", 1.0),
+    ("nis_gyro", "NIS gyro", 1.0),
+    ("nis_tracker", "NIS camera", 1.0),
+    ("nis_gravity", "NIS gravity", 1.0),
+    ("lag1_gyro", "gyro, correlation", 1.0),
+    ("rejected_wheels", "wheels left out", 1.0),
+    ("rejected_gyro", "gyro left out", 1.0),
+    ("rejected_tracker", "camera left out", 1.0),
+)
 _NAMES = {"recorded": "as recorded", "ekf": "EKF", "ukf": "UKF"}
 _VERDICTS = {
     "identical": "Every measurement, estimate, reference, setpoint, command and event repeats bit for bit.",
@@ -46,9 +53,16 @@ _LITTLE_M = 0.05
 
 
 def write_replay_page(
-    path: Path, title: str, motions: Mapping[str, Motion], truth: Array, numbers: Numbers,
-    warnings: Sequence[str] = (), facts: Sequence[str] = (), *, on_wall: bool = True,
-) -> Path:  # fmt: skip
+    path: Path,
+    title: str,
+    motions: Mapping[str, Motion],
+    truth: Array,
+    numbers: Numbers,
+    warnings: Sequence[str] = (),
+    facts: Sequence[str] = (),
+    *,
+    on_wall: bool = True,
+) -> Path:
     """Write the page; returns its path.
 
     Args:
@@ -66,22 +80,37 @@ def write_replay_page(
     """
     drawn = dict(_drawn(motions))
     figures = [
-        Drawn("errors", "Errors", _errors(drawn, truth),
-              "Estimate minus motion capture."
-              + (" X is up the wall, Y to the left." if on_wall else "")),
-        Drawn("path", "Path", _path(drawn, truth, on_wall),
-              "Motion capture, and what each estimator believed. Of a line along X or Y, what it does "
-              "sideways is enlarged."),
-        Drawn("confidence", "How sure, and how wrong", _confidence(drawn, truth),
-              "NEES: the squared error over the variance that the estimator claims. Three (dashed) is ideal, "
-              "more is too sure of itself."),
-    ]  # fmt: skip
+        Drawn(
+            "errors",
+            "Errors",
+            _errors(drawn, truth),
+            "Estimate minus motion capture." + (" X is up the wall, Y to the left." if on_wall else ""),
+        ),
+        Drawn(
+            "path",
+            "Path",
+            _path(drawn, truth, on_wall),
+            "Motion capture, and what each estimator believed. Of a line along X or Y, what it does "
+            "sideways is enlarged.",
+        ),
+        Drawn(
+            "confidence",
+            "How sure, and how wrong",
+            _confidence(drawn, truth),
+            "NEES: the squared error over the variance that the estimator claims. Three (dashed) is ideal, "
+            "more is too sure of itself.",
+        ),
+    ]
     tables = [
         _table("Errors against motion capture", _ERRORS, numbers),
-        _table("How sure each was of itself", _SURE, numbers,
-               "NEES is ideal at 3, NIS at 1, the correlation of the gyro's innovations at 0. The last "
-               "columns count measurements that were refused."),
-    ]  # fmt: skip
+        _table(
+            "How sure each was of itself",
+            _SURE,
+            numbers,
+            "NEES is ideal at 3, NIS at 1, the correlation of the gyro's innovations at 0. The last "
+            "columns count measurements that were refused.",
+        ),
+    ]
     return write_overview(path, Overview(title, _sentence(numbers), figures, tables, warnings, facts))
 
 
@@ -215,7 +244,7 @@ def _table(title: str, columns: Sequence[tuple[str, str, float]], numbers: Numbe
     rows = [
         [_name(name), *(number(_times(row.get(key), factor)) for key, _, factor in known)]
         for name, row in numbers.items()
-    ]  # fmt: skip
+    ]
     return Table(title, ["estimator", *(label for _, label, _ in known)], rows, note)
 
 

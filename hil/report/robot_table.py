@@ -9,8 +9,13 @@ from typing import Any
 
 from hil.config.record import PARTS, Figure, Part, RecordFile
 
-_SHOWN = {"rad": ("deg", math.degrees(1.0)), "m": ("mm", 1e3), "s": ("ms", 1e3), "m/m": ("mm/m", 1e3),
-          "rad/m": ("deg/m", math.degrees(1.0))}  # fmt: skip
+_SHOWN = {
+    "rad": ("deg", math.degrees(1.0)),
+    "m": ("mm", 1e3),
+    "s": ("ms", 1e3),
+    "m/m": ("mm/m", 1e3),
+    "rad/m": ("deg/m", math.degrees(1.0)),
+}
 
 
 def part_rows(file: RecordFile, today: date) -> list[dict[str, Any]]:
@@ -29,8 +34,12 @@ def part_rows(file: RecordFile, today: date) -> list[dict[str, Any]]:
 
 def _row(name: str, part: Part | None, today: date) -> dict[str, Any]:
     kind = PARTS[name]
-    row: dict[str, Any] = {"part": name, "title": kind.title, "known": part is not None,
-                           "measured_by": kind.measured_by}  # fmt: skip
+    row: dict[str, Any] = {
+        "part": name,
+        "title": kind.title,
+        "known": part is not None,
+        "measured_by": kind.measured_by,
+    }
     if part is None:
         return row
     return row | {
@@ -48,8 +57,13 @@ def _row(name: str, part: Part | None, today: date) -> dict[str, Any]:
 
 def _figures(part: Part) -> Iterator[dict[str, Any]]:
     for name, figure in part.figures.items():
-        yield {"name": name, "value": figure.value, "sigma": figure.sigma, "unit": figure.unit,
-               "words": in_words(figure)}  # fmt: skip
+        yield {
+            "name": name,
+            "value": figure.value,
+            "sigma": figure.sigma,
+            "unit": figure.unit,
+            "words": in_words(figure),
+        }
 
 
 def in_words(figure: Figure) -> str:

@@ -66,9 +66,10 @@ def _image(folder: Path, figure: Mapping[str, Any]) -> Markup:
     path = inside(folder, figure["path"])
     if path is None:
         raise DataError(
-            str(folder / RESULT), f"names a figure outside its folder ({figure['path']})",
+            str(folder / RESULT),
+            f"names a figure outside its folder ({figure['path']})",
             remedy="ask for a results folder that holds its own figures",
-        )  # fmt: skip
+        )
     return figure_image(path, figure["title"])
 
 

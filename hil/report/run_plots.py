@@ -126,8 +126,10 @@ def kept_rows(*columns: Array, most: int = MOST_POINTS) -> NDArray[np.intp]:
     known = [np.isfinite(c) for c in columns]
     lowest = [
         np.where(k, sign * np.where(k, c, 0.0), np.inf)
-        for c, k in zip(columns, known, strict=True) if not np.all(np.diff(c) >= 0.0) for sign in (1.0, -1.0)
-    ]  # fmt: skip
+        for c, k in zip(columns, known, strict=True)
+        if not np.all(np.diff(c) >= 0.0)
+        for sign in (1.0, -1.0)
+    ]
     if not np.all(known):
         lowest.append(np.all(known, axis=0).astype(np.float64))
     kept = np.linspace(0, count - 1, most // 2).round().astype(np.intp)

@@ -143,9 +143,7 @@ def grouped(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 def _group(title: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     counts = Counter(str(row["outcome"]) for row in rows if "outcome" in row)
-    return {
-        "title": title, "rows": rows, "count": len(rows), "counts": counts, "bad": set(counts) - {"PASS"},
-    }  # fmt: skip
+    return {"title": title, "rows": rows, "count": len(rows), "counts": counts, "bad": set(counts) - {"PASS"}}
 
 
 def _title(name: str) -> str:

@@ -142,10 +142,7 @@ class SteeringWatch:
     """
 
     def __init__(
-        self,
-        config: EncodersConfig,
-        ids: tuple[int, ...] = (),
-        measured_rad: Sequence[float] | None = None,
+        self, config: EncodersConfig, ids: tuple[int, ...] = (), measured_rad: Sequence[float] | None = None
     ) -> None:
         self._check = CrossCheck(config, measured_rad)
         self._threshold_rad = config.horn_slip_threshold_rad

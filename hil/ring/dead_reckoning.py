@@ -154,8 +154,10 @@ class WheelTrack(Track):
         middle = heading.real + 0.5 * turn
         self._now = (
             place + step * complex(math.cos(middle), math.sin(middle)),
-            heading + turn, rolled + 0.25 * way, contradiction + worst,
-        )  # fmt: skip
+            heading + turn,
+            rolled + 0.25 * way,
+            contradiction + worst,
+        )
 
 
 class GyroTrack(Track):

@@ -152,9 +152,12 @@ class Brain:
         state = self._states[_OWN] = self._estimate(believed)  # 4
         if figures := self.supervisor.figures():
             state = RobotState(
-                state.t_ns, state.pose_body_in_wall, state.twist_body, state.covariance,
+                state.t_ns,
+                state.pose_body_in_wall,
+                state.twist_body,
+                state.covariance,
                 {**state.diagnostics, **figures},
-            )  # fmt: skip
+            )
         others = {name: observe(believed) for name, observe in self._observe.items()}
         self._states.update(others)
         lap("estimate")
@@ -285,10 +288,20 @@ class ControlLoop:
         lap("write")
         timing = {**laps.timing_ns, "lateness": start_ns - deadline_ns, "sinks": self._sinks_ns}
         record = CycleRecord(
-            self._cycle, deadline_ns, start_ns, inputs, decision.measurements, decision.state,
-            decision.reference, decision.setpoint, decision.command, decision.events, decision.observers,
-            timing, self._truth(),
-        )  # fmt: skip
+            self._cycle,
+            deadline_ns,
+            start_ns,
+            inputs,
+            decision.measurements,
+            decision.state,
+            decision.reference,
+            decision.setpoint,
+            decision.command,
+            decision.events,
+            decision.observers,
+            timing,
+            self._truth(),
+        )
         for sink in self.sinks:  # 9
             sink.write(record)
         lap("sinks")
@@ -350,8 +363,16 @@ class ControlLoop:
         nothing = Measurements(inputs.cycle, inputs.t_ns)
         state = RobotState(inputs.t_ns, np.full(3, np.nan), np.full(3, np.nan), np.full((6, 6), np.nan))
         record = CycleRecord(
-            self._cycle, inputs.t_ns, inputs.t_ns, inputs, nothing, state, self.brain.reference,
-            WheelSetpoint(zero, zero), ServoSetpoint(zero, zero), (event,),
-        )  # fmt: skip
+            self._cycle,
+            inputs.t_ns,
+            inputs.t_ns,
+            inputs,
+            nothing,
+            state,
+            self.brain.reference,
+            WheelSetpoint(zero, zero),
+            ServoSetpoint(zero, zero),
+            (event,),
+        )
         for sink in self.sinks:
             sink.write(record)

@@ -90,8 +90,11 @@ class LoopStatistics:
     def summary(self) -> dict[str, float]:
         """Counts, and mean, 99th percentile and worst per section (ms)."""
         out: dict[str, float] = {
-            "cycles": self.cycles, "late": self.late, "overruns": self.overruns, "skipped": self.skipped,
-        }  # fmt: skip
+            "cycles": self.cycles,
+            "late": self.late,
+            "overruns": self.overruns,
+            "skipped": self.skipped,
+        }
         for name, found in self.sections.items():
             out[f"{name}_mean_ms"] = found.mean_ns / 1e6
             out[f"{name}_p99_ms"] = found.quantile_ns(0.99) / 1e6

@@ -223,6 +223,7 @@ class MotionCheck:
             believed = [one for one in pairs if self._left_out.isdisjoint(one.names)]
             found += [
                 replace(one.doubt(t_ns, believed), unseen=self.capture.unseen(one))
-                for one in believed if one.news()
-            ]  # fmt: skip
+                for one in believed
+                if one.news()
+            ]
         return tuple(found)

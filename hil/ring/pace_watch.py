@@ -47,10 +47,7 @@ class PaceWatch:
         gap_ns = t_ns - before_ns
         if gap_ns > HELD_UP_NS:
             self._lasted_ns = 0  # told by its own name
-            stop(
-                "held_up",
-                stood_still(gap_ns),
-            )
+            stop("held_up", stood_still(gap_ns))
         elif self._cycle_ns and gap_ns > _PAUSE_NS and gap_ns > _PAUSE_CYCLES * self._cycle_ns:
             self._ended_ns, self._lasted_ns = t_ns, gap_ns
         if gap_ns < self._cycle_ns or not self._cycle_ns:

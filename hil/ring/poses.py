@@ -153,8 +153,10 @@ def _seen_from(
     back = (camera[_BACK], camera[_BACK + 1], camera[_BACK + 2], camera[_BACK + 3])
     scale = camera[_SCALE]
     way = (
-        (px - camera[_START]) / scale, (py - camera[_START + 1]) / scale, (pz - camera[_START + 2]) / scale
-    )  # fmt: skip
+        (px - camera[_START]) / scale,
+        (py - camera[_START + 1]) / scale,
+        (pz - camera[_START + 2]) / scale,
+    )
     turn = multiplied(mounted, multiplied(multiplied(back, (w, x, y, z)), conjugated(mounted)))
     moved, lever = rotated(mounted, rotated(back, way)), rotated(turn, place)
     x_m, y_m = place[0] + moved[0] - lever[0], place[1] + moved[1] - lever[1]

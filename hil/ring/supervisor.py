@@ -110,12 +110,7 @@ class Supervisor:
             against them.
     """
 
-    def __init__(
-        self,
-        limits: SafetyLimits,
-        *,
-        checks: Checks | None = None,
-    ) -> None:
+    def __init__(self, limits: SafetyLimits, *, checks: Checks | None = None) -> None:
         self.limits, self.checks = limits, checks if checks is not None else Checks()
         stale_s = dict(limits.stale_s)
         self._servos = ServoWatch(stale_s.pop("servos", None), limits.servo_ids)

@@ -211,8 +211,13 @@ def with_contact(total: Symmetric, contact: Triple, x: Array, y: Array) -> Symme
     xx, xy, yy = contact
     tx, ty = x * xy - y * xx, x * yy - y * xy
     return (
-        total[0] + xx, total[1] + xy, total[2] + tx, total[3] + yy, total[4] + ty, total[5] + x * ty - y * tx
-    )  # fmt: skip
+        total[0] + xx,
+        total[1] + xy,
+        total[2] + tx,
+        total[3] + yy,
+        total[4] + ty,
+        total[5] + x * ty - y * tx,
+    )
 
 
 def creep_stiffness(ux: Array, uy: Array, scale: Array, load: Array, ratio: float) -> Triple:
@@ -255,9 +260,13 @@ def inverse3(a: Symmetric) -> Symmetric:
     c0, c1, c2 = yy * tt - yt * yt, xt * yt - xy * tt, xy * yt - xt * yy
     over = 1.0 / np.maximum(xx * c0 + xy * c1 + xt * c2, _LEAST)
     return (
-        c0 * over, c1 * over, c2 * over, (xx * tt - xt * xt) * over, (xt * xy - xx * yt) * over,
+        c0 * over,
+        c1 * over,
+        c2 * over,
+        (xx * tt - xt * xt) * over,
+        (xt * xy - xx * yt) * over,
         (xx * yy - xy * xy) * over,
-    )  # fmt: skip
+    )
 
 
 def times(a: Symmetric, v: Triple) -> Triple:

@@ -141,10 +141,7 @@ def inverse(geometry: WheelGeometry, twist_body: ArrayLike) -> tuple[Array, Arra
 
 
 def forward(
-    geometry: WheelGeometry,
-    wheel_speed_m_s: ArrayLike,
-    steering_rad: ArrayLike,
-    model: str = "exact",
+    geometry: WheelGeometry, wheel_speed_m_s: ArrayLike, steering_rad: ArrayLike, model: str = "exact"
 ) -> Array:
     """Body twist (..., 3) of signed wheel speeds (..., 4) m/s and measured steering angles (..., 4) rad.
 

@@ -55,9 +55,13 @@ def check(
     """
     if not trajectory.duration_s <= _LONGEST_S:
         raise TrajectoryError(
-            trajectory.name, t_s=0.0, quantity="duration (s)", value=trajectory.duration_s, limit=_LONGEST_S,
+            trajectory.name,
+            t_s=0.0,
+            quantity="duration (s)",
+            value=trajectory.duration_s,
+            limit=_LONGEST_S,
             remedy="divide the motion",
-        )  # fmt: skip
+        )
     until_s = trajectory.duration_s if known is None else _new_s(trajectory, known)
     times_s = _times_s(trajectory, until_s, np.arange(0.0, until_s + _CHECK_STEP_S, _CHECK_STEP_S))
     for begin in range(0, len(times_s), _AT_ONCE):
@@ -127,9 +131,12 @@ def _check(trajectory: Trajectory, times_s: Array, projection: Array, limits: Mo
         k = int(np.argmax(beyond.any(axis=0)))
         first = held[int(np.argmax(beyond[:, k]))]
         raise TrajectoryError(
-            trajectory.name, t_s=float(times_s[k]), quantity=first.name, value=float(first.values[k]),
+            trajectory.name,
+            t_s=float(times_s[k]),
+            quantity=first.name,
+            value=float(first.values[k]),
             limit=first.limit,
-        )  # fmt: skip
+        )
     if known < len(times_s):
         raise TrajectoryError(
             trajectory.name, t_s=float(times_s[known]), quantity="reference", value=math.nan, limit=math.inf

@@ -50,10 +50,14 @@ class Trajectory:
     def to_mapping(self) -> dict[str, Any]:
         """Plain data from which `from_mapping` builds the same trajectory, bit for bit."""
         segments = [
-            {"kind": type(part.path).__name__.lower(), "path": asdict(part.path),
-             "duration_s": part.duration_s, "law": part.law}
+            {
+                "kind": type(part.path).__name__.lower(),
+                "path": asdict(part.path),
+                "duration_s": part.duration_s,
+                "law": part.law,
+            }
             for part in self.segments
-        ]  # fmt: skip
+        ]
         return {"name": self.name, "segments": segments}
 
     @classmethod
@@ -171,9 +175,15 @@ def _duration(length: float, turn_rad: float, speed: float, acceleration: float,
 
 
 def line(
-    start: ArrayLike, end: ArrayLike, *, speed_m_s: float = 0.1, acceleration_m_s2: float = 0.2,
-    duration_s: float | None = None, law: TimeLaw = "quintic", name: str = "line",
-) -> Trajectory:  # fmt: skip
+    start: ArrayLike,
+    end: ArrayLike,
+    *,
+    speed_m_s: float = 0.1,
+    acceleration_m_s2: float = 0.2,
+    duration_s: float | None = None,
+    law: TimeLaw = "quintic",
+    name: str = "line",
+) -> Trajectory:
     """Straight line between two poses (3,) in the wall frame (m, m, rad), heading changing along with it.
 
     Args:
@@ -199,9 +209,14 @@ def line(
 
 
 def rotation(
-    start: ArrayLike, angle_rad: float, *, speed_m_s: float = 0.1, acceleration_m_s2: float = 0.2,
-    law: TimeLaw = "quintic", name: str = "rotation",
-) -> Trajectory:  # fmt: skip
+    start: ArrayLike,
+    angle_rad: float,
+    *,
+    speed_m_s: float = 0.1,
+    acceleration_m_s2: float = 0.2,
+    law: TimeLaw = "quintic",
+    name: str = "rotation",
+) -> Trajectory:
     """Turn on the spot, counter-clockwise for positive angles.
 
     Args:
@@ -218,9 +233,16 @@ def rotation(
 
 
 def circle(
-    start: ArrayLike, radius_m: float, *, turns: float = 1.0, tangent: bool = True, speed_m_s: float = 0.1,
-    acceleration_m_s2: float = 0.2, law: TimeLaw = "quintic", name: str = "circle",
-) -> Trajectory:  # fmt: skip
+    start: ArrayLike,
+    radius_m: float,
+    *,
+    turns: float = 1.0,
+    tangent: bool = True,
+    speed_m_s: float = 0.1,
+    acceleration_m_s2: float = 0.2,
+    law: TimeLaw = "quintic",
+    name: str = "circle",
+) -> Trajectory:
     """Circle, counter-clockwise for positive `turns`, with tangent or fixed heading.
 
     Args:
@@ -242,9 +264,15 @@ def circle(
 
 
 def scan(
-    start: ArrayLike, length_m: float, lanes: int, spacing_m: float, *, speed_m_s: float = 0.1,
-    acceleration_m_s2: float = 0.2, name: str = "scan",
-) -> Trajectory:  # fmt: skip
+    start: ArrayLike,
+    length_m: float,
+    lanes: int,
+    spacing_m: float,
+    *,
+    speed_m_s: float = 0.1,
+    acceleration_m_s2: float = 0.2,
+    name: str = "scan",
+) -> Trajectory:
     """Boustrophedon: lanes along X, stepping along Y, heading fixed, at rest in the corners.
 
     Args:
@@ -270,9 +298,12 @@ def scan(
 
 
 def through(
-    poses: Sequence[ArrayLike], *, speed_m_s: float = 0.1, acceleration_m_s2: float = 0.2,
+    poses: Sequence[ArrayLike],
+    *,
+    speed_m_s: float = 0.1,
+    acceleration_m_s2: float = 0.2,
     name: str = "waypoints",
-) -> Trajectory:  # fmt: skip
+) -> Trajectory:
     """Straight quintic segments through poses, at rest at each.
 
     Args:

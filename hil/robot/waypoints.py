@@ -48,21 +48,26 @@ def _check(path: Path, found: list[tuple[int, list[float]]]) -> None:
     """Refuse what cannot be driven through, naming the line of the file."""
     if len(found) > MOST_WAYPOINTS:
         raise DataError(
-            str(path), f"holds more than {MOST_WAYPOINTS} waypoints", expected=f"at most {MOST_WAYPOINTS}",
+            str(path),
+            f"holds more than {MOST_WAYPOINTS} waypoints",
+            expected=f"at most {MOST_WAYPOINTS}",
             remedy="leave out points on straight lines, or divide the motion",
-        )  # fmt: skip
+        )
     before: list[float] = []
     for line_number, pose in found:
         if not all(abs(value) <= _FARTHEST for value in pose):
             raise DataError(
-                str(path), f"line {line_number} holds {', '.join(f'{value:g}' for value in pose)}",
+                str(path),
+                f"line {line_number} holds {', '.join(f'{value:g}' for value in pose)}",
                 expected=f"finite numbers from {-_FARTHEST:g} to {_FARTHEST:g}",
-            )  # fmt: skip
+            )
         if before and all(abs(a - b) < _SAME for a, b in zip(pose, before, strict=True)):
             raise DataError(
-                str(path), f"line {line_number} repeats the waypoint before it",
-                expected="waypoints that differ", remedy="leave it out",
-            )  # fmt: skip
+                str(path),
+                f"line {line_number} repeats the waypoint before it",
+                expected="waypoints that differ",
+                remedy="leave it out",
+            )
         before = pose
     if len(found) < 2:
         raise DataError(str(path), f"holds {len(found)} waypoint(s)", expected="at least 2")

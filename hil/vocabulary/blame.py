@@ -23,9 +23,11 @@ class PackageError(DeviceError):
     def __init__(self, kind: str, package: str, message: str, *, expected: str = "") -> None:
         self.kind = kind
         super().__init__(
-            f"{kind} ({package})", message, expected=expected,
+            f"{kind} ({package})",
+            message,
+            expected=expected,
             remedy=f"mend {package.split()[0]}, or install a version of it without this",
-        )  # fmt: skip
+        )
 
 
 @contextmanager

@@ -83,18 +83,11 @@ class ConfigError(HilError, ValueError):
     """A configuration file or option is wrong; `problems` lists every fault found at once."""
 
     def __init__(
-        self,
-        message: str,
-        *,
-        problems: tuple[str, ...] = (),
-        expected: str = "",
-        remedy: str = "",
+        self, message: str, *, problems: tuple[str, ...] = (), expected: str = "", remedy: str = ""
     ) -> None:
         self.problems = problems
         super().__init__(
-            "\n  ".join((message, *problems)) if problems else message,
-            expected=expected,
-            remedy=remedy,
+            "\n  ".join((message, *problems)) if problems else message, expected=expected, remedy=remedy
         )
 
 
@@ -138,9 +131,15 @@ class TrajectoryError(HilError, ValueError):
     """
 
     def __init__(
-        self, message: str, *, t_s: float, quantity: str, value: float, limit: float,
+        self,
+        message: str,
+        *,
+        t_s: float,
+        quantity: str,
+        value: float,
+        limit: float,
         remedy: str = "slow the motion down or change its shape",
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.t_s, self.quantity, self.value, self.limit = t_s, quantity, value, limit
         digits = digits_apart(value, (limit,))
         super().__init__(

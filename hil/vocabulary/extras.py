@@ -36,9 +36,12 @@ MODULES = {
 _CONDITION = re.compile(r"""(?P<what>\w+)\s*(?P<relation><=|>=|==|!=|<|>)\s*["'](?P<value>[^"']*)["']""")
 _RELATIONS = {"<": "below", "<=": "up to", "==": "", "!=": "other than", ">=": "from", ">": "above"}
 _WHAT = {
-    "python_version": "Python", "python_full_version": "Python", "platform_machine": "processor",
-    "sys_platform": "system", "platform_system": "system",
-}  # fmt: skip
+    "python_version": "Python",
+    "python_full_version": "Python",
+    "platform_machine": "processor",
+    "sys_platform": "system",
+    "platform_system": "system",
+}
 
 
 def packages() -> tuple[str, ...]:

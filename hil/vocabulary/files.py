@@ -49,7 +49,7 @@ def check_name(path: Path, whose: str = "") -> None:
             f"{whose + ': ' if whose else ''}{path}: no file can be there ({reason_of(error)})",
             expected="names of at most 255 bytes, 4095 with all folders" if too_long else "",
             remedy="choose a shorter name" if too_long else "choose another place",
-        ) from None  # fmt: skip
+        ) from None
 
 
 def write_text(path: Path, text: str) -> Path:

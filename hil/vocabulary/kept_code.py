@@ -22,9 +22,17 @@ from hil.vocabulary.errors import HilError, reason_of
 _LOG = logging.getLogger(__name__)
 
 _BROKEN = (
-    OSError, EOFError, pickle.UnpicklingError, ValueError, LookupError, AttributeError, TypeError,
-    ImportError, MemoryError, OverflowError,
-)  # fmt: skip
+    OSError,
+    EOFError,
+    pickle.UnpicklingError,
+    ValueError,
+    LookupError,
+    AttributeError,
+    TypeError,
+    ImportError,
+    MemoryError,
+    OverflowError,
+)
 """What reading a file that is not whole raises."""
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 

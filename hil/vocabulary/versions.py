@@ -12,9 +12,17 @@ from pathlib import Path
 import hil
 
 _PACKAGES = (
-    "numpy", "scipy", "numba", "dynamixel-sdk", "pyserial", "python-can", "cantools", "filterpy", "mcap",
+    "numpy",
+    "scipy",
+    "numba",
+    "dynamixel-sdk",
+    "pyserial",
+    "python-can",
+    "cantools",
+    "filterpy",
+    "mcap",
     "mujoco",
-)  # fmt: skip
+)
 
 
 ABSENT = "absent"

@@ -98,8 +98,9 @@ def levels_n(config: BenchConfig, count: int, highest_n: float) -> list[float]:
     if high_n - low_n < _LEAST_SPREAD_N:
         raise ConfigError(
             f"levels of force between {low_n:.1f} and {high_n:.1f} N tell nothing",
-            expected=f"{_LEAST_SPREAD_N:g} N between them", remedy="raise highest_n, or go to the floor",
-        )  # fmt: skip
+            expected=f"{_LEAST_SPREAD_N:g} N between them",
+            remedy="raise highest_n, or go to the floor",
+        )
     return [float(force_n) for force_n in np.linspace(high_n, low_n, count)]
 
 
@@ -135,9 +136,11 @@ def _mean(motion: Motion, asked_n: float, thrust_n: float) -> Level:
     ]
     if len(fan) < 5 or len(cells) < 5:
         raise DataError(
-            "adhesion_check", f"has {len(fan)} reports of the fan and {len(cells)} of the cells",
-            expected="5 of each at every level", remedy="`hil doctor` checks both; or raise dwell_s",
-        )  # fmt: skip
+            "adhesion_check",
+            f"has {len(fan)} reports of the fan and {len(cells)} of the cells",
+            expected="5 of each at every level",
+            remedy="`hil doctor` checks both; or raise dwell_s",
+        )
     first, second = np.mean(cells, axis=0).tolist()
     slow = [(s.input_a, s.input_v) for s in fan if math.isfinite(s.input_a) and math.isfinite(s.input_v)]
     amps, volts = np.mean(slow, axis=0).tolist() if slow else (math.nan, math.nan)
@@ -206,6 +209,7 @@ def draw(ctx: Context, found: Fit) -> None:
     seen = [x.cells_n for x in levels]
     axes.plot([1e-6 * x.speed_rpm**2 for x in levels], seen, "o", color=SERIES[0], ms=5)
     ctx.figure(
-        figure, "Force against speed",
+        figure,
+        "Force against speed",
         "Where the line meets the axis is the zero of the cells; no fan had to stop for it.",
-    )  # fmt: skip
+    )

@@ -22,10 +22,14 @@ if TYPE_CHECKING:
 def stream_table(ctx: Context, streams: Mapping[str, Stream]) -> None:
     """Rates, gaps and ages."""
     rows = [
-        [name, f"{s.rate_hz:.1f}", f"{100 * s.delivered:.1f}",
-         *(f"{1e3 * v:.2f}" for v in (*s.gap_s, *s.age_s))]
+        [
+            name,
+            f"{s.rate_hz:.1f}",
+            f"{100 * s.delivered:.1f}",
+            *(f"{1e3 * v:.2f}" for v in (*s.gap_s, *s.age_s)),
+        ]
         for name, s in streams.items()
-    ]  # fmt: skip
+    ]
     head = [
         "device",
         "rate (Hz)",
@@ -45,9 +49,14 @@ def note_exchanged(ctx: Context, straight: DriveJogs, across: DriveJogs, steer: 
     assert servos is not None
     for what, pairs, ids, seen, beside in (
         ("drive", exchanged_drives(straight, across), servos.drive_ids, "push", ""),
-        ("steer", exchanged_axes(steer), servos.steer_ids, "turn, by the encoders,",
-         ", or the two encoders, if the wheels turn as commanded"),
-    ):  # fmt: skip
+        (
+            "steer",
+            exchanged_axes(steer),
+            servos.steer_ids,
+            "turn, by the encoders,",
+            ", or the two encoders, if the wheels turn as commanded",
+        ),
+    ):
         for a, b in pairs:
             named |= {WHEELS[a], WHEELS[b]}
             ctx.note(
@@ -65,8 +74,14 @@ def draw_streams(ctx: Context, streams: Mapping[str, Stream]) -> None:
     axes = style(figure.add_subplot(), "time between samples (ms)", "")
     for row, stream in enumerate(streams.values()):
         middle, late, largest = (1e3 * v for v in stream.gap_s)
-        axes.plot([middle, late], [row, row], color=SERIES[0], lw=6, solid_capstyle="butt",
-                  label="median to 99 %" if row == 0 else None)  # fmt: skip
+        axes.plot(
+            [middle, late],
+            [row, row],
+            color=SERIES[0],
+            lw=6,
+            solid_capstyle="butt",
+            label="median to 99 %" if row == 0 else None,
+        )
         axes.plot([middle], [row], "|", color=PALETTE["truth"], ms=12, mew=2)
         axes.plot([largest], [row], "D", color=SERIES[1], ms=5, label="largest" if row == 0 else None)
     axes.set_xscale("log")
@@ -89,9 +104,10 @@ def draw_clocks(ctx: Context, streams: Mapping[str, Stream]) -> None:
             axes.plot(stream.lag[0], 1e3 * stream.lag[1], "o-", ms=3, lw=1.0, color=colour, label=label)
     legend(axes)
     ctx.figure(
-        figure, "Clocks",
+        figure,
+        "Clocks",
         "Smallest delay in each stretch of time. A falling line means that the device clock is fast.",
-    )  # fmt: skip
+    )
 
 
 def draw_directions(ctx: Context, rounds: Sequence[DriveJogs]) -> None:
@@ -103,26 +119,32 @@ def draw_directions(ctx: Context, rounds: Sequence[DriveJogs]) -> None:
         axes = style(figure.add_subplot(1, len(rounds), column), "to the right (m)", "forwards (m)", title)
         length, width = robot.outline_m
         axes.plot(
-            np.array([1, 1, -1, -1, 1]) * width / 2, np.array([1, -1, -1, 1, 1]) * length / 2,
-            color=PALETTE["reference"], lw=0.8,
-        )  # fmt: skip
+            np.array([1, 1, -1, -1, 1]) * width / 2,
+            np.array([1, -1, -1, 1, 1]) * length / 2,
+            color=PALETTE["reference"],
+            lw=0.8,
+        )
         for k, wheel in enumerate(WHEELS):
             x, y = robot.wheel_x_m[k], robot.wheel_y_m[k]
             _arrow(axes, x, y, jogs.expected[k], PALETTE["reference"], 3.5)
             right = jogs.agreement()[k] >= 0.5
             _arrow(axes, x, y, jogs.found[k], SERIES[0] if right else PALETTE["c5"], 1.5)
             axes.annotate(
-                f"{wheel}\n{jogs.agreement()[k]:+.2f}", (-np.sign(y) * 0.24, x), fontsize=8,
-                ha="center", va="center",
-            )  # fmt: skip
+                f"{wheel}\n{jogs.agreement()[k]:+.2f}",
+                (-np.sign(y) * 0.24, x),
+                fontsize=8,
+                ha="center",
+                va="center",
+            )
         axes.set_xlim(-0.3, 0.3)
         axes.set_ylim(-0.3, 0.3)
         axes.set_aspect("equal")
     ctx.figure(
-        figure, "Directions of the drives",
+        figure,
+        "Directions of the drives",
         "Grey: the direction in which this wheel should push the body when it rolls forwards. Colour: the "
         "direction measured (red: wrong), with the cosine between both. Seen from outside, front up.",
-    )  # fmt: skip
+    )
 
 
 def _arrow(axes: Axes, x: float, y: float, push: Array, colour: str, width: float) -> None:
@@ -132,6 +154,8 @@ def _arrow(axes: Axes, x: float, y: float, push: Array, colour: str, width: floa
     step = np.array([push[0] - turn * y, push[1] + turn * x])
     step *= 0.08 / max(float(np.linalg.norm(step)), 1e-9)
     axes.annotate(
-        "", (-(y + step[1]), x + step[0]), (-y, x),
+        "",
+        (-(y + step[1]), x + step[0]),
+        (-y, x),
         arrowprops={"arrowstyle": "-|>", "color": colour, "lw": width, "shrinkA": 0, "shrinkB": 0},
-    )  # fmt: skip
+    )

@@ -74,8 +74,10 @@ def judge_stream(device: str, motion: Motion, config: BenchConfig) -> Stream:
         min(1.0, len(series) / due(device, series, duration_s, config)),
         (float(np.median(gaps)), float(np.percentile(gaps, 99)), float(gaps.max())),
         (float(np.median(age)), float(np.percentile(age, 99))),
-        drift, uncertainty, lag,
-    )  # fmt: skip
+        drift,
+        uncertainty,
+        lag,
+    )
 
 
 def clock_drift(series: Series, arrived_s: Array) -> tuple[float, float, Array]:

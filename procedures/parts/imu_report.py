@@ -21,14 +21,22 @@ def draw_allan(ctx: Context, curves: Mapping[str, Allan], density: float) -> Non
     for colour, (axis, curve) in zip(SERIES, curves.items(), strict=False):
         axes.loglog(curve.tau_s, curve.deviation, color=colour, lw=1.5, label=f"chip {axis}")
         axes.fill_between(
-            curve.tau_s, curve.deviation * (1 - curve.spread), curve.deviation * (1 + curve.spread),
-            color=colour, alpha=0.15, lw=0,
-        )  # fmt: skip
+            curve.tau_s,
+            curve.deviation * (1 - curve.spread),
+            curve.deviation * (1 + curve.spread),
+            color=colour,
+            alpha=0.15,
+            lw=0,
+        )
     tau = curves["x"].tau_s
     axes.loglog(
-        tau, density / np.sqrt(tau), color=PALETTE["reference"], lw=1.0, ls="--",
+        tau,
+        density / np.sqrt(tau),
+        color=PALETTE["reference"],
+        lw=1.0,
+        ls="--",
         label=f"white noise {density:.4f} deg/s/√Hz",
-    )  # fmt: skip
+    )
     axes.grid(which="minor", color=PALETTE["grid"], lw=0.3)
     legend(axes)
     ctx.figure(figure, "Turn rate at rest", "Bands: one standard deviation of the estimate.")
@@ -46,9 +54,10 @@ def draw_headings(ctx: Context, true: Array, error: Array, offset: float, slope:
     axes.axhline(0.0, color=PALETTE["truth"], lw=0.6)
     legend(axes)
     ctx.figure(
-        figure, "Heading from gravity",
+        figure,
+        "Heading from gravity",
         "A constant part is a turned mount or an offset across; a slope is an offset along.",
-    )  # fmt: skip
+    )
     rows = [
         [f"{t:+.2f}", f"{t + e:+.2f}", f"{e:+.3f}"] for t, e in zip(true * _DEG, error * _DEG, strict=True)
     ]

@@ -19,15 +19,23 @@ Aged = Mapping[str, tuple[Delay, float]]
 def table(ctx: Context, signals: Aged) -> None:
     """Every signal's delay, age and size."""
     rows = [
-        [name, f"{1e3 * d.delay_s:+.2f}", f"± {1e3 * d.uncertainty_s:.2f}", f"{1e3 * age:.2f}",
-         f"{1e3 * (d.delay_s + age):.1f}", f"{d.gain:.3f}", f"{d.misfit:.3f}"]
+        [
+            name,
+            f"{1e3 * d.delay_s:+.2f}",
+            f"± {1e3 * d.uncertainty_s:.2f}",
+            f"{1e3 * age:.2f}",
+            f"{1e3 * (d.delay_s + age):.1f}",
+            f"{d.gain:.3f}",
+            f"{d.misfit:.3f}",
+        ]
         for name, (d, age) in signals.items()
-    ]  # fmt: skip
+    ]
     ctx.table(
         "Delays behind the command",
-        ["signal", "by stamps", "95 %", "age", "known after", "size", "misfit"], rows,
+        ["signal", "by stamps", "95 %", "age", "known after", "size", "misfit"],
+        rows,
         "ms; by stamps: mean delay of the response; age: median time to arrival; size: over the command's.",
-    )  # fmt: skip
+    )
 
 
 def draw_chain(ctx: Context, signals: Aged) -> None:
@@ -52,9 +60,13 @@ def draw_chain(ctx: Context, signals: Aged) -> None:
 
 
 def draw_signals(
-    ctx: Context, command: Callable[[Array], Array], signals: Mapping[str, tuple[Array, Array, Delay]],
-    title: str, label: str, factor: float,
-) -> None:  # fmt: skip
+    ctx: Context,
+    command: Callable[[Array], Array],
+    signals: Mapping[str, tuple[Array, Array, Delay]],
+    title: str,
+    label: str,
+    factor: float,
+) -> None:
     """The first seconds of the command and of every signal: to one size, without offset and drift."""
     figure = new_figure(5.2, 2.8)
     axes = style(figure.add_subplot(), "time (s)", label)

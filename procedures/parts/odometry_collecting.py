@@ -38,9 +38,13 @@ class Collected:
 
 
 def collect(
-    ctx: Context, label: str, repetitions: Sequence[Repetition], calibration: Path | None, workers: Workers,
+    ctx: Context,
+    label: str,
+    repetitions: Sequence[Repetition],
+    calibration: Path | None,
+    workers: Workers,
     so_far: Collected,
-) -> list[str]:  # fmt: skip
+) -> list[str]:
     """Drive repetitions, each in a checkpoint and a fresh world; in two worlds where time is virtual.
 
     Args:

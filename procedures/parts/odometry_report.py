@@ -20,9 +20,13 @@ _NAMED = 4
 
 
 def show(
-    ctx: Context, rounds: Sequence[Driven], fresh: Driven, result: Calibration, method: str,
+    ctx: Context,
+    rounds: Sequence[Driven],
+    fresh: Driven,
+    result: Calibration,
+    method: str,
     compared_methods: Sequence[str],
-) -> None:  # fmt: skip
+) -> None:
     """Everything that a person needs to judge the result."""
     model = result.setting.model
     columns = {"nominal": Odometry(result.nominal, model), method: Odometry(result.geometry, model)}
@@ -74,9 +78,11 @@ def method_table(ctx: Context, columns: Mapping[str, Odometry], fresh: Driven) -
         rows.append([name, *(f"{1e3 * row['rmse_position_m']:.2f}" for row in table["motions"].values())])
     motions = list(dict.fromkeys(r.motion.replace("_", " ") for r in fresh.recordings))
     ctx.table(
-        "Validation run under every method's parameters: position RMSE (mm)", ["parameters", *motions], rows,
+        "Validation run under every method's parameters: position RMSE (mm)",
+        ["parameters", *motions],
+        rows,
         "Motions driven with the result; the other rows only re-compute odometry from the same wheels.",
-    )  # fmt: skip
+    )
 
 
 def round_table(ctx: Context, runs: Sequence[Driven]) -> None:
@@ -90,8 +96,9 @@ def round_table(ctx: Context, runs: Sequence[Driven]) -> None:
         rows.append([run.label, len(run.recordings), *cells, f"{1e3 * table['mean']['rmse_position_m']:.2f}"])
     ctx.table(
         "Rounds: position RMSE (mm) with the parameters that drove them",
-        ["round", "recordings", *(m.replace("_", " ") for m in motions), "mean"], rows,
-    )  # fmt: skip
+        ["round", "recordings", *(m.replace("_", " ") for m in motions), "mean"],
+        rows,
+    )
 
 
 def observable_table(ctx: Context, result: Calibration) -> None:
@@ -99,10 +106,12 @@ def observable_table(ctx: Context, result: Calibration) -> None:
     pairs = zip(result.spectrum.directions, result.spectrum.information, strict=False)
     rows = [[k, words, f"{value:.3g}"] for k, (words, value) in enumerate(pairs, start=1)]
     ctx.table(
-        "What the data determine", ["", "combination (of 1 % or 1 deg)", "data / prior information"], rows,
+        "What the data determine",
+        ["", "combination (of 1 % or 1 deg)", "data / prior information"],
+        rows,
         "Wheels are always commanded together, so recordings show only these combinations; everything else "
         "stays where the prior puts it.",
-    )  # fmt: skip
+    )
 
 
 def parameter_table(ctx: Context, columns: Mapping[str, Odometry], result: Calibration) -> None:
@@ -110,9 +119,11 @@ def parameter_table(ctx: Context, columns: Mapping[str, Odometry], result: Calib
     z_std = result.intervals.std.reshape(4, 4)
     rows = []
     quantities = (
-        ("x_w (mm)", "x_m", 1e3), ("y_w (mm)", "y_m", 1e3), ("r (mm)", "radius_m", 1e3),
+        ("x_w (mm)", "x_m", 1e3),
+        ("y_w (mm)", "y_m", 1e3),
+        ("r (mm)", "radius_m", 1e3),
         ("steering zero (deg)", "steering_zero_rad", float(np.degrees(1.0))),
-    )  # fmt: skip
+    )
     for (label, key, scale), stds in zip(quantities, z_std, strict=True):
         for wheel in range(4):
             values = [getattr(o.geometry, key)[wheel] * scale for o in columns.values()]
@@ -121,24 +132,32 @@ def parameter_table(ctx: Context, columns: Mapping[str, Odometry], result: Calib
                 [f"{name} {wheel + 1} ({unit}", *(f"{v:.3f}" for v in values), f"{stds[wheel] * scale:.3f}"]
             )
     ctx.table(
-        "Table I: wheel parameters", ["parameter", *columns, "std"], rows,
+        "Table I: wheel parameters",
+        ["parameter", *columns, "std"],
+        rows,
         "Wheels 1 to 4 are FL, BL, BR, FR. Effective values: motions determine combinations, not each alone.",
-    )  # fmt: skip
+    )
 
 
 def error_table(ctx: Context, title: str, table: Any) -> None:
     """Table II or III: largest and mean-of-largest errors by motion."""
     keys = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
     rows = [
-        [m.replace("_", " "), *(f"{row[k]:.4f}" for k in keys), f"{1e3 * row['rmse_position_m']:.2f}",
-         f"{np.degrees(row['rmse_theta_rad']):.3f}"]
+        [
+            m.replace("_", " "),
+            *(f"{row[k]:.4f}" for k in keys),
+            f"{1e3 * row['rmse_position_m']:.2f}",
+            f"{np.degrees(row['rmse_theta_rad']):.3f}",
+        ]
         for m, row in table["motions"].items()
-    ]  # fmt: skip
+    ]
     head = ["motion", "e_x,m", "e_x,a", "e_y,m", "e_y,a", "e_θ,m", "e_θ,a", "RMSE mm", "RMSE deg"]
     ctx.table(
-        title, head, rows,
+        title,
+        head,
+        rows,
         "m and rad; m: largest of any repetition, a: mean over the repetitions of each one's largest.",
-    )  # fmt: skip
+    )
 
 
 def draw_rounds(ctx: Context, runs: Sequence[Driven]) -> None:
@@ -156,10 +175,11 @@ def draw_rounds(ctx: Context, runs: Sequence[Driven]) -> None:
     axes.set_xlim(-0.5, len(runs) - 0.2)
     axes.set_xticks(range(len(runs)), [r.label for r in runs], fontsize=8)
     ctx.figure(
-        figure, "Rounds",
+        figure,
+        "Rounds",
         "One point per recording, the line is the mean. Each round was driven with the parameters found "
         "by the rounds before it, so none is judged on what it was fitted to.",
-    )  # fmt: skip
+    )
 
 
 def draw_validation(ctx: Context, before: Sequence[Track], after: Sequence[Track]) -> None:
@@ -192,9 +212,10 @@ def _paths(axes: Any, motion: str, before: Track, after: Track, *, first: bool) 
         motion.replace("_", " "),
     )
     for pose, colour, width, name in (
-        (after.truth, PALETTE["truth"], 2.0, "truth"), (before.odometry, SERIES[1], 1.1, "before"),
+        (after.truth, PALETTE["truth"], 2.0, "truth"),
+        (before.odometry, SERIES[1], 1.1, "before"),
         (after.odometry, SERIES[0], 1.1, "after"),
-    ):  # fmt: skip
+    ):
         line = thin(after.t_s, np.degrees(pose[:, 2])) if turning else thin(pose[:, 0], pose[:, 1])
         axes.plot(*line, color=colour, lw=width, label=name if first else None)
     if motion.startswith("circle"):

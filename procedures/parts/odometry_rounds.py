@@ -105,9 +105,11 @@ def chosen(ctx: Context, rounds: Sequence[Driven], setting: Setting, model: str)
     ctx.note(choice.in_words())
     rows = [[name, f"{1e3 * error_m:.2f}"] for name, error_m in sorted(choice.held_out_m.items(), key=_error)]
     ctx.table(
-        f"Forward models, {ctx.where}", ["forward model", "position RMSE (mm)"], rows,
+        f"Forward models, {ctx.where}",
+        ["forward model", "position RMSE (mm)"],
+        rows,
         f"Each on {left_out} left out of its fit; the first is used.",
-    )  # fmt: skip
+    )
     return choice
 
 
@@ -134,9 +136,16 @@ def improve(ctx: Context, recordings: Sequence[Recording], choice: Choice, metho
     """
     paper = replace(nominal_of(ctx.source.config), geometry=choice.best.nominal)
     return calibrate(
-        recordings, choice.best.setting, ctx.clock, method=method, seed=ctx.seed, nominal=paper,
-        choice=choice, validate=False, report=ctx.progress,
-    )  # fmt: skip
+        recordings,
+        choice.best.setting,
+        ctx.clock,
+        method=method,
+        seed=ctx.seed,
+        nominal=paper,
+        choice=choice,
+        validate=False,
+        report=ctx.progress,
+    )
 
 
 def improvement_bound(before: Array, after: Array, rng: np.random.Generator) -> float:

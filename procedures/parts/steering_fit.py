@@ -73,10 +73,15 @@ def fit_axis(t_s: Array, steering_rad: Array, encoder_rad: Array, sweeps: int) -
     spread = math.sqrt((sweeps - 1) / sweeps * float(np.sum((np.array(without) - np.mean(without)) ** 2)))
     residual = difference - design @ whole
     return AxisFit(
-        float(whole[0]), 2.0 * math.hypot(spread, _formal(design, residual)), 2.0 * float(whole[1]),
-        math.hypot(whole[2], whole[3]), float(np.sqrt(np.mean(residual**2))),
-        theta, difference, design[:, [0, 2, 3, 4, 5]] @ whole[[0, 2, 3, 4, 5]],
-    )  # fmt: skip
+        float(whole[0]),
+        2.0 * math.hypot(spread, _formal(design, residual)),
+        2.0 * float(whole[1]),
+        math.hypot(whole[2], whole[3]),
+        float(np.sqrt(np.mean(residual**2))),
+        theta,
+        difference,
+        design[:, [0, 2, 3, 4, 5]] @ whole[[0, 2, 3, 4, 5]],
+    )
 
 
 def _weights(rows: int) -> Array:
@@ -118,9 +123,7 @@ def judge_leg(name: str, motion: Motion, config: BenchConfig) -> Leg:
     share, radius = load_shares(config), np.array(config.robot.wheel_radius_m)
     steps = np.diff(rolled.values[:, 0:4], axis=0) * radius
     steering = 0.5 * (rolled.values[1:, 8:12] + rolled.values[:-1, 8:12])
-    believed = np.array(
-        [np.sum(share * steps * np.cos(steering)), np.sum(share * steps * np.sin(steering))]
-    )  # fmt: skip
+    believed = np.array([np.sum(share * steps * np.cos(steering)), np.sum(share * steps * np.sin(steering))])
     pose = truth.values
     middle = 0.5 * (pose[1:, 2] + pose[:-1, 2])
     moved = np.array([rotation2(-a) @ d for a, d in zip(middle, np.diff(pose[:, :2], axis=0), strict=True)])

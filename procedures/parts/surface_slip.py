@@ -71,8 +71,11 @@ def slip_of(motion: Motion, rolled: Array) -> Slip:
     by_wheels = np.array([np.sum(c * step[:, 0] - s * step[:, 1]), np.sum(s * step[:, 0] + c * step[:, 1])])
     way_m = float(np.hypot(step[:, 0], step[:, 1]).sum())
     if way_m < 0.05:
-        raise DataError("surface_identification", f"rolled only {1e3 * way_m:.0f} mm in a motion",
-                        expected="the wheels to drive the line")  # fmt: skip
+        raise DataError(
+            "surface_identification",
+            f"rolled only {1e3 * way_m:.0f} mm in a motion",
+            expected="the wheels to drive the line",
+        )
     lost = truth[-1, :2] - truth[0, :2] - by_wheels
     turned = off[-1] - off[0]
     return Slip(float(-lost[0]), float(lost[1]), float(turned), way_m)
@@ -89,9 +92,11 @@ def _must_be_seen_to_its_end(known: NDArray[np.bool_], has: str, of: str) -> Non
     tenth = max(len(known) // 10, 1)
     if len(known) < _FEWEST_CYCLES or np.mean(known) < _LEAST_SEEN or not np.any(known[-tenth:]):
         raise DataError(
-            "surface_identification", f"has {has} for {100.0 * np.mean(known):.0f} % of {of}",
-            expected=f"at least {100.0 * _LEAST_SEEN:.0f} %, and its end", remedy="hil run bring_up",
-        )  # fmt: skip
+            "surface_identification",
+            f"has {has} for {100.0 * np.mean(known):.0f} % of {of}",
+            expected=f"at least {100.0 * _LEAST_SEEN:.0f} %, and its end",
+            remedy="hil run bring_up",
+        )
 
 
 @dataclass(frozen=True)
@@ -189,7 +194,8 @@ def draw(ctx: Any, rows: Sequence[dict[str, list[float]]]) -> None:
     axes.set_xlim(-0.6, len(names) - 0.4)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     ctx.figure(
-        figure, "Slip by direction",
+        figure,
+        "Slip by direction",
         "One point per motion. The difference between opposite directions is geometry (radii, steering "
         "zeros), their mean is slip.",
-    )  # fmt: skip
+    )

@@ -50,9 +50,12 @@ class Leg:
     def later(self, by_s: float) -> Leg:
         """The same leg, so much later."""
         return Leg(
-            self.begin_s + by_s, self.end_s + by_s, self.truth.later(by_s), self.seen.later(by_s),
+            self.begin_s + by_s,
+            self.end_s + by_s,
+            self.truth.later(by_s),
+            self.seen.later(by_s),
             self.aligned.later(by_s),
-        )  # fmt: skip
+        )
 
 
 def legs_of(trips: Sequence[Trip], start: Array, speed_m_s: float) -> list[Trajectory]:

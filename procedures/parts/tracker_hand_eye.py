@@ -101,9 +101,11 @@ def intervals(seen: Series, span_s: float = INTERVAL_S) -> Intervals:
 def join(parts: list[Intervals]) -> Intervals:
     """Intervals of several motions, whose times must be on one axis."""
     return Intervals(
-        np.concatenate([p.begin_s for p in parts]), np.concatenate([p.end_s for p in parts]),
-        np.concatenate([p.moved_m for p in parts]), Rotation.concatenate([p.turned for p in parts]),
-    )  # fmt: skip
+        np.concatenate([p.begin_s for p in parts]),
+        np.concatenate([p.end_s for p in parts]),
+        np.concatenate([p.moved_m for p in parts]),
+        Rotation.concatenate([p.turned for p in parts]),
+    )
 
 
 class Truth:
@@ -161,9 +163,11 @@ def solve(parts: Intervals, truth: Truth, believed_m: ArrayLike, believed_wxyz: 
     used = (np.abs(turn) > _LOWEST_TURN_RAD) | (np.hypot(*step_m.T) > _SHORTEST_STEP_M)
     if used.sum() < _FEWEST:
         raise DataError(
-            "tracker", f"{int(used.sum())} usable intervals of {INTERVAL_S} s with motion",
-            expected=f"at least {_FEWEST}", remedy="check confidence and light; drive further",
-        )  # fmt: skip
+            "tracker",
+            f"{int(used.sum())} usable intervals of {INTERVAL_S} s with motion",
+            expected=f"at least {_FEWEST}",
+            remedy="check confidence and light; drive further",
+        )
     parts = parts.only(used)
 
     def errors(z: Array) -> tuple[Array, Array]:
@@ -186,11 +190,20 @@ def solve(parts: Intervals, truth: Truth, believed_m: ArrayLike, believed_wxyz: 
     half = 2.0 * np.sqrt(np.diag(covariance))
     far = (np.abs(moved) > 4.0 * sigma[0]).any(axis=1) | (np.abs(turned) > 4.0 * sigma[1]).any(axis=1)
     return Extrinsics(
-        z[0:2], half[0:2], quat_multiply(quat_from_rotvec(z[2:5]), believed_wxyz), z[2:5], half[2:5],
-        1.0 + float(z[5]), float(half[5]), float(z[6]), float(half[6]),
-        float(np.sqrt(np.mean(moved**2))), float(np.sqrt(np.mean(turned**2))), float(far.mean()),
+        z[0:2],
+        half[0:2],
+        quat_multiply(quat_from_rotvec(z[2:5]), believed_wxyz),
+        z[2:5],
+        half[2:5],
+        1.0 + float(z[5]),
+        float(half[5]),
+        float(z[6]),
+        float(half[6]),
+        float(np.sqrt(np.mean(moved**2))),
+        float(np.sqrt(np.mean(turned**2))),
+        float(far.mean()),
         covariance,
-    )  # fmt: skip
+    )
 
 
 def _scatter(errors: Array) -> float:

@@ -25,27 +25,44 @@ def table(ctx: Context, found: Extrinsics) -> None:
     config = ctx.source.config.of(TrackerConfig)
     assert config is not None
     rows = [
-        [axis, f"{1e3 * config.mount_position_m[k]:+.1f}", f"{1e3 * found.position_m[k]:+.2f}",
-         f"± {1e3 * found.position_uncertainty_m[k]:.2f}", "mm"]
+        [
+            axis,
+            f"{1e3 * config.mount_position_m[k]:+.1f}",
+            f"{1e3 * found.position_m[k]:+.2f}",
+            f"± {1e3 * found.position_uncertainty_m[k]:.2f}",
+            "mm",
+        ]
         for k, axis in enumerate("xy")
-    ]  # fmt: skip
+    ]
     rows += [
-        [name, "0", f"{found.angles_rad[k] * _DEG:+.3f}",
-         f"± {found.angles_uncertainty_rad[k] * _DEG:.3f}", "deg"]
+        [
+            name,
+            "0",
+            f"{found.angles_rad[k] * _DEG:+.3f}",
+            f"± {found.angles_uncertainty_rad[k] * _DEG:.3f}",
+            "deg",
+        ]
         for k, name in enumerate(("roll", "pitch", "yaw"))
-    ]  # fmt: skip
+    ]
     rows.append(
         ["scale", f"{config.scale:.5f}", f"{found.scale:.5f}", f"± {found.scale_uncertainty:.5f}", "1"]
     )
     rows.append(
-        ["latency", f"{1e3 * config.latency_s:.1f}", f"{1e3 * (config.latency_s + found.late_s):.2f}",
-         f"± {1e3 * found.late_uncertainty_s:.2f}", "ms"]
-    )  # fmt: skip
+        [
+            "latency",
+            f"{1e3 * config.latency_s:.1f}",
+            f"{1e3 * (config.latency_s + found.late_s):.2f}",
+            f"± {1e3 * found.late_uncertainty_s:.2f}",
+            "ms",
+        ]
+    )
     ctx.table(
-        "Camera on the body", ["", "believed", "found", "95 %", "unit"], rows,
+        "Camera on the body",
+        ["", "believed", "found", "95 %", "unit"],
+        rows,
         "Angles are the turn of the mount against the one believed, about body axes. The height above the "
         "surface cannot be seen from motion along it.",
-    )  # fmt: skip
+    )
 
 
 def draw_path(ctx: Context, truth: Truth, seen: Series, found: Extrinsics) -> None:

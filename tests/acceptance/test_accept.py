@@ -95,16 +95,24 @@ def test_a_healthy_bench_passes_and_its_page_names_what_was_accepted(healthy):
     folder, code, told, _ = healthy
     assert (code, told["verdict"], failures(told)) == (0, "PASS", [])
     motion = {(f["device"], f["check"]): f["found"] for f in stages(told)["motion"]["findings"]}
-    for axis in (("servos", "command to steering"), ("encoders", "command to steering"),
-                 ("servos", "command to wheels")):  # fmt: skip
+    for axis in (
+        ("servos", "command to steering"),
+        ("encoders", "command to steering"),
+        ("servos", "command to wheels"),
+    ):
         assert 20.0 < float(motion[axis].split()[0]) < 150.0, axis  # 40 to 100 ms on the robot
     promises = {f["check"] for f in stages(told)["contract"]["findings"] if f["device"] == "encoders"}
     assert promises == set(acceptance.AT_REST)
     page, data = Path(told["page"]).read_text(), Path(told["data"]).read_bytes()
     for text in (
-        hashlib.sha256((folder / "my.toml").read_bytes()).hexdigest(), hashlib.sha256(data).hexdigest(),
-        "climber 2", "XH430-W210 (1010); firmware 46", "firmware 1", "signature", "accepted by",
-    ):  # fmt: skip
+        hashlib.sha256((folder / "my.toml").read_bytes()).hexdigest(),
+        hashlib.sha256(data).hexdigest(),
+        "climber 2",
+        "XH430-W210 (1010); firmware 46",
+        "firmware 1",
+        "signature",
+        "accepted by",
+    ):
         assert text in page, text
     assert json.loads(data)["verdict"] == "PASS"
 
@@ -121,8 +129,21 @@ def test_all_that_the_bench_was_made_from_is_named_with_its_hash(looked, bench, 
     used = []
     for known in (False, True):
         if known:
-            assert main(["robot", "apply", str(record), "--from", str(found), "--bench", str(path),
-                         "--of-this-robot"]) == 0  # fmt: skip
+            assert (
+                main(
+                    [
+                        "robot",
+                        "apply",
+                        str(record),
+                        "--from",
+                        str(found),
+                        "--bench",
+                        str(path),
+                        "--of-this-robot",
+                    ]
+                )
+                == 0
+            )
         told, _ = accept(Acceptance(BenchSource(path), now))
         files = {file["what"]: file for file in told["files"]}
         assert list(files) == ["bench file", "configuration as used", *["record of the robot"] * known]
@@ -167,16 +188,26 @@ def test_who_asks_it_to_end_has_the_check_finished_that_is_under_way_and_no_othe
 @pytest.mark.parametrize(
     ("tables", "options", "device", "found", "remedy"),
     [
-        (['[tracker]\nbackend = "emulated"', '[emulation.tracker]\nfirmware = "0.2.0.926"'], (), "tracker",
-         "0.2.0.926", "pyrealsense2 2.53.1"),
-        ([ENCODERS, "[emulation.encoders]\nlayout = 7"], (), "encoders",
-         "frames of layout 7", "flash the firmware"),
+        (
+            ['[tracker]\nbackend = "emulated"', '[emulation.tracker]\nfirmware = "0.2.0.926"'],
+            (),
+            "tracker",
+            "0.2.0.926",
+            "pyrealsense2 2.53.1",
+        ),
+        (
+            [ENCODERS, "[emulation.encoders]\nlayout = 7"],
+            (),
+            "encoders",
+            "frames of layout 7",
+            "flash the firmware",
+        ),
         ([f'{ENCODERS}dbc = "other.dbc"'], (), "encoders", "0x1A0", "encoders.dbc"),
         (['[imu]\nbackend = "emulated"'], ("--fault", "imu:off"), "imu", "no BNO055 answers", "power"),
         ([SERVOS], ("--fault", "servo.drive_BL:off"), "servos", "drive_BL", "power"),
     ],
     ids=["camera firmware", "node firmware", "node of another DBC", "silent IMU", "silent servo"],
-)  # fmt: skip
+)
 def test_a_sick_device_fails_with_its_name_and_what_to_do(
     hil, bench, tmp_path, tables, options, device, found, remedy
 ):
@@ -197,8 +228,11 @@ def test_its_result_is_listed_and_opened_as_any_other(hil, bench, tmp_path, caps
     assert main(["results", "list", "--in", str(tmp_path), "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)["results"]
     assert (row["kind"], row["bench"], row["where"], row["verdict"]) == (
-        "acceptance", "lab", "emulated", "FAIL",
-    )  # fmt: skip
+        "acceptance",
+        "lab",
+        "emulated",
+        "FAIL",
+    )
     assert main(["results", "open", "--in", str(tmp_path), "--no-browser", "out"]) == 0
     assert capsys.readouterr().out.strip() == str(tmp_path / "out" / "accept.html")
     signed = (tmp_path / "out" / "accept.html").read_bytes()
@@ -373,9 +407,10 @@ def test_what_a_busy_computer_has_not_heard_is_not_held_against_the_device(monke
 @pytest.mark.parametrize("named_by", ["--fault", "bench file"])
 def test_faults_of_devices_that_are_not_there_in_motion_do_not_end_it(bench, named_by):
     tables = [
-        SERVOS, '[load_cells]\nbackend = "emulated"\n[environment]\ntilt_rad = 1.5708\n'
-        'x_range_m = [-5.0, 5.0]\ny_range_m = [-5.0, 5.0]\n',
-    ]  # fmt: skip
+        SERVOS,
+        '[load_cells]\nbackend = "emulated"\n[environment]\ntilt_rad = 1.5708\n'
+        "x_range_m = [-5.0, 5.0]\ny_range_m = [-5.0, 5.0]\n",
+    ]
     given = ("load_cells:wrong,factor=0.9",)
     if named_by == "bench file":
         tables.append(f"[emulation]\nfaults = {list(given)}")

@@ -275,9 +275,13 @@ def test_whose_keeper_it_is_is_told_where_it_is_another_users(at_wire, hil, monk
 
 def test_a_speed_is_called_electrical_where_the_controller_counts_it_so():
     status = {
-        "state": "keeping", "sent": ("duty", 0.5), "report": {"erpm": 9000.0}, "report_age_s": 0.0,
-        "worst_gap_s": 0.05, "bus_error": "",
-    }  # fmt: skip
+        "state": "keeping",
+        "sent": ("duty", 0.5),
+        "report": {"erpm": 9000.0},
+        "report_age_s": 0.0,
+        "worst_gap_s": 0.05,
+        "bus_error": "",
+    }
     assert "9000 electrical 1/min" in adhesion.described(status, Spec("socketcan", "can0", 7))
     details = {"esc_index": 0, "node_id": 120, "rpm_per_v": 1750.0}
     dronecan = Spec("socketcan", "can0", 7, dialect="dronecan", details=details)
@@ -331,9 +335,11 @@ def robot(monkeypatch, *, up, cells_n, rpm):
         monkeypatch.setattr(module, "make_rig", lambda config, clock, connections: devices)
         monkeypatch.setattr(module, "WATCH_S", 0.05)
     return load_bench("emulated").model_copy(
-        update={name: load_bench("emulated").devices()[name].model_copy(update={"backend": "real"})
-                for name in devices}
-    )  # fmt: skip
+        update={
+            name: load_bench("emulated").devices()[name].model_copy(update={"backend": "real"})
+            for name in devices
+        }
+    )
 
 
 LEVEL, ON_THE_WALL, TILTED = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.3, 0.0, 0.954)
@@ -384,9 +390,13 @@ def asked_of(monkeypatch, *, up, cells_n, rpm, **asked):
     monkeypatch.setattr(adhesion, "keeper_status", lambda spec: None)
     with contextlib.suppress(DeviceError):  # it never gets there
         adhesion.switch_on(
-            config, force_n=asked.get("force_n"), duty=asked.get("duty"), wait_s=0.0, say=print,
+            config,
+            force_n=asked.get("force_n"),
+            duty=asked.get("duty"),
+            wait_s=0.0,
+            say=print,
             tethered=asked.get("tethered", False),
-        )  # fmt: skip
+        )
     return given
 
 
@@ -436,8 +446,9 @@ def test_a_fan_that_a_bench_commands_is_left_to_it(at_wire, hil):
         client.ask(connection, client.set_request(SetPoint("duty", 0.3)), spec)
         (pid,) = client.ask(connection, {"do": "status"}, spec)["set_by"]
         assert pid == os.getpid()
-    with subprocess.Popen([sys.executable, "-c", SETS, spec.to_json()], stdin=subprocess.PIPE,
-                          stdout=subprocess.PIPE, text=True) as bench:  # fmt: skip
+    with subprocess.Popen(
+        [sys.executable, "-c", SETS, spec.to_json()], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as bench:
         assert bench.stdout.readline() == "set\n"
         for more in ((), ("--tethered",)):
             code, _, err = hil("adhesion", "on", "--bench", path, "--force", "5", *more)

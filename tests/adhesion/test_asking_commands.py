@@ -75,10 +75,14 @@ def asking(words, path):
     """A command of `hil` at work, beside its bench file and without a terminal; without words, completion."""
     completing = {"_HIL_COMPLETE": "bash_complete", "COMP_WORDS": "hil doctor --bench ", "COMP_CWORD": "3"}
     with subprocess.Popen(
-        [sys.executable, "-m", "hil", *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE, text=True, cwd=path.parent,
+        [sys.executable, "-m", "hil", *words],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=path.parent,
         env={**ENVIRONMENT, **({} if words else completing), "XDG_STATE_HOME": os.environ["XDG_STATE_HOME"]},
-    ) as process:  # fmt: skip
+    ) as process:
         try:
             yield process
         finally:

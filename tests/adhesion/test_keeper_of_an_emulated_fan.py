@@ -139,9 +139,13 @@ ENDS = {
 def test_however_a_session_on_emulated_devices_ends_no_keeper_is_left(how, tmp_path):
     command = [sys.executable, "-m", "hil.cli", "live", "--bench", "emulated", "--no-record"]
     with subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        command,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
         env={**os.environ, "XDG_STATE_HOME": str(tmp_path)},
-    ) as session:  # fmt: skip
+    ) as session:
         end_s = time.monotonic() + STARTS_WITHIN_S
         while len(keepers_of(tmp_path)) < 2:
             assert session.poll() is None, session.stderr.read()

@@ -15,12 +15,24 @@ from hil.vocabulary.errors import UsageError
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "vesc_frames.json").read_text())
 DATABASE = cantools.database.load_file(vesc.DBC)
 IN_DBC = {
-    "erpm": "Erpm", "current_a": "MotorCurrent", "duty": "Duty", "drawn_ah": "ChargeDrawn",
-    "charged_ah": "ChargeReturned", "drawn_wh": "EnergyDrawn", "charged_wh": "EnergyReturned",
-    "fet_c": "FetTemperature", "motor_c": "MotorTemperature", "input_a": "InputCurrent",
-    "position_deg": "Position", "tachometer": "Tachometer", "input_v": "InputVoltage", "adc1_v": "Adc1",
-    "adc2_v": "Adc2", "adc3_v": "Adc3", "pulse": "Pulse",
-}  # fmt: skip
+    "erpm": "Erpm",
+    "current_a": "MotorCurrent",
+    "duty": "Duty",
+    "drawn_ah": "ChargeDrawn",
+    "charged_ah": "ChargeReturned",
+    "drawn_wh": "EnergyDrawn",
+    "charged_wh": "EnergyReturned",
+    "fet_c": "FetTemperature",
+    "motor_c": "MotorTemperature",
+    "input_a": "InputCurrent",
+    "position_deg": "Position",
+    "tachometer": "Tachometer",
+    "input_v": "InputVoltage",
+    "adc1_v": "Adc1",
+    "adc2_v": "Adc2",
+    "adc3_v": "Adc3",
+    "pulse": "Pulse",
+}
 
 
 def described(frame_id):

@@ -36,13 +36,16 @@ def main():
             pose = [float(v) for v in truth.pose_body_in_wall]
             tell(
                 {
-                    "fallen": bool(truth.fallen), "pose": pose, "adhesion_n": float(truth.adhesion_n),
+                    "fallen": bool(truth.fallen),
+                    "pose": pose,
+                    "adhesion_n": float(truth.adhesion_n),
                     "thrust_n": float(truth.thrust_n),
                     "torque": [bool(servo.table.get("torque_enable")) for servo in bus.servos],
                     "turning": [told_to_turn(servo) for servo in bus.servos[:4]],
-                    "wheels_rad_s": fastest[0], "steering_rad_s": fastest[1],
+                    "wheels_rad_s": fastest[0],
+                    "steering_rad_s": fastest[1],
                 }
-            )  # fmt: skip
+            )
             fastest = [0.0, 0.0]
     server.close()
 

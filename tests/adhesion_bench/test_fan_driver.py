@@ -162,8 +162,7 @@ def test_a_bus_that_falls_silent_says_when_the_motor_is_let_go_of(driver):
 
 
 @pytest.mark.parametrize(
-    ("spec", "status"),
-    [("adhesion:stuck@1", Status.FROZEN), ("adhesion:garbage@1", Status.IMPLAUSIBLE)],
+    ("spec", "status"), [("adhesion:stuck@1", Status.FROZEN), ("adhesion:garbage@1", Status.IMPLAUSIBLE)]
 )
 def test_reports_that_cannot_be_true_are_marked(spec, status, driver):
     with fan_world(faults=[spec], **{**ON, "start": "running", "timeout_s": 30.0}) as (_w, clock, _n, _b):

@@ -218,8 +218,7 @@ def test_one_controller_that_falls_silent_is_named():
 
 
 @pytest.mark.parametrize(
-    ("spec", "status"),
-    [("thrust:stuck@1", Status.FROZEN), ("thrust:garbage@1", Status.IMPLAUSIBLE)],
+    ("spec", "status"), [("thrust:stuck@1", Status.FROZEN), ("thrust:garbage@1", Status.IMPLAUSIBLE)]
 )
 def test_reports_that_cannot_be_true_are_marked(spec, status):
     with made(faults=[spec], start="running", timeout_s=30.0) as (_, clock, _, driver, _):

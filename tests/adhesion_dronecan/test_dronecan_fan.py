@@ -96,9 +96,14 @@ def test_a_command_for_others_is_not_obeyed(theirs):
 def test_a_node_that_asks_who_others_are_has_not_said_who_it_is(fan_world, driver, monkeypatch):
     asked = dronecan.uavcan.protocol.GetNodeInfo.Request()
     ((frame_id, data),) = libraries.frames_of(
-        asked, source=42, transfer_id=0, priority=30, dest_node_id=10,
-        service_not_message=True, request_not_response=True,
-    )  # fmt: skip
+        asked,
+        source=42,
+        transfer_id=0,
+        priority=30,
+        dest_node_id=10,
+        service_not_message=True,
+        request_not_response=True,
+    )
     question = can.Message(arbitration_id=frame_id, data=data, is_extended_id=True)
     take = CanLink.take
     monkeypatch.setattr(CanLink, "take", lambda link, *wait: [(0, question), *take(link, *wait)])

@@ -51,8 +51,10 @@ class Pulls:
         return self.first_s + self.times * self.period_s
 
     def faults(self, device):
-        return [parse_fault(f"{device}:unplug@{self.first_s + k * self.period_s:.6f}+{self.away_s}")
-                for k in range(self.times)]  # fmt: skip
+        return [
+            parse_fault(f"{device}:unplug@{self.first_s + k * self.period_s:.6f}+{self.away_s}")
+            for k in range(self.times)
+        ]
 
 
 class PulledPty(Face):

@@ -20,11 +20,13 @@ def without_devices(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("words", "told"),
-    [(["doctor"], "no device in none.toml: nothing was examined; add the table of a device"),
-     (["doctor", "--json"], "no device in none.toml: nothing was examined; add the table of a device"),
-     (["live"], "no device in none.toml: there is nothing to watch or to move; add the table of a device"),
-     (["doctor", "--emulate", "imu"], "--emulate imu: the bench has no device at all; add the table")],
-)  # fmt: skip
+    [
+        (["doctor"], "no device in none.toml: nothing was examined; add the table of a device"),
+        (["doctor", "--json"], "no device in none.toml: nothing was examined; add the table of a device"),
+        (["live"], "no device in none.toml: there is nothing to watch or to move; add the table of a device"),
+        (["doctor", "--emulate", "imu"], "--emulate imu: the bench has no device at all; add the table"),
+    ],
+)
 def test_a_bench_without_any_device_is_not_ok(without_devices, capsys, words, told):
     assert main([*words, "--bench", "none.toml"]) == 2
     assert told in capsys.readouterr().err
@@ -32,10 +34,12 @@ def test_a_bench_without_any_device_is_not_ok(without_devices, capsys, words, to
 
 @pytest.mark.parametrize(
     ("schema", "told"),
-    [("2", "another version of this program, which reads schema 1 (found 2); use a newer version of"),
-     ("0", "another version of this program, which reads schema 1 (found 0); use the version of"),
-     ('"1"', "schema: write it without quotes: schema = 1 (found '1')")],
-)  # fmt: skip
+    [
+        ("2", "another version of this program, which reads schema 1 (found 2); use a newer version of"),
+        ("0", "another version of this program, which reads schema 1 (found 0); use the version of"),
+        ('"1"', "schema: write it without quotes: schema = 1 (found '1')"),
+    ],
+)
 def test_a_bench_file_of_another_schema_is_told_what_to_do(tmp_path, schema, told):
     path = tmp_path / "bench.toml"
     path.write_text(f'schema = {schema}\nname = "x"\n[imu]\nport = "/dev/x"\n')

@@ -24,14 +24,26 @@ def calibration(tmp_path):
     def write(model, name="calibration.toml", loaded=False):
         nominal = WheelGeometry.nominal()
         wheels = {
-            "x_w_m": nominal.x_m.tolist(), "y_w_m": nominal.y_m.tolist(), "r_m": nominal.radius_m.tolist()
-        }  # fmt: skip
+            "x_w_m": nominal.x_m.tolist(),
+            "y_w_m": nominal.y_m.tolist(),
+            "r_m": nominal.radius_m.tolist(),
+        }
         tree = {
-            "schema": 1, "version": 4, "created": "2026-01-01", "method": "gauss-newton",
-            "setting": "all", "model": model, "signal": "position", "parameters": wheels, "nominal": wheels,
-            "std": {}, "twist_correction": np.eye(3).tolist(), "cost_before": 2.0, "cost_after": 1.0,
+            "schema": 1,
+            "version": 4,
+            "created": "2026-01-01",
+            "method": "gauss-newton",
+            "setting": "all",
+            "model": model,
+            "signal": "position",
+            "parameters": wheels,
+            "nominal": wheels,
+            "std": {},
+            "twist_correction": np.eye(3).tolist(),
+            "cost_before": 2.0,
+            "cost_after": 1.0,
             "recordings": {},
-        }  # fmt: skip
+        }
         if model == "creep" or loaded:
             tree["tyres"] = TYRES
         save_calibration(tmp_path / name, CalibrationFile.model_validate(tree))

@@ -166,9 +166,10 @@ def test_a_hardware_error_is_told_in_words(tmp_path):
 )
 def test_discover_writes_the_model_down_or_says_that_it_is_not_known(models, told):
     config = load_bench(
-        "emulated", overrides=dict.fromkeys(("encoders", "imu", "tracker", "mocap"))
+        "emulated",
+        overrides=dict.fromkeys(("encoders", "imu", "tracker", "mocap"))
         | {"emulation.servos.model_by_joint": models},
-    )  # fmt: skip
+    )
     world = build_world(config, seed=1)
     connected = connect_in_process(config, world)
     port = connected.connections["servos"].values["port"]
@@ -257,11 +258,14 @@ def test_discover_without_an_answer_and_with_nonsense(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("place", "told"),
     [
-        ("nothing.host=1", "kinds are encoders, tracker, mocap"), ("imu.port=x", "kinds are encoders"),
-        ("tracker", "KIND.KEY=VALUE"), ("tracker.model=none", "one of t265, mavlink"),
-        ("mocap.command_port=many", "--at mocap.command_port: "), ("mocap.sever=x", "command_port"),
+        ("nothing.host=1", "kinds are encoders, tracker, mocap"),
+        ("imu.port=x", "kinds are encoders"),
+        ("tracker", "KIND.KEY=VALUE"),
+        ("tracker.model=none", "one of t265, mavlink"),
+        ("mocap.command_port=many", "--at mocap.command_port: "),
+        ("mocap.sever=x", "command_port"),
     ],
-)  # fmt: skip
+)
 def test_discover_names_what_is_wrong_with_a_place(place, told, capsys):
     assert main(["discover", "--at", place]) == 2
     assert told in capsys.readouterr().err

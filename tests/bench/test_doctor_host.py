@@ -18,9 +18,15 @@ from hil.vocabulary.port_users import programs_with
 
 ROOT = Path(__file__).resolve().parents[2]
 SYSTEM_COMMANDS = {  # with the Debian package that has each
-    "apt": "apt", "fuser": "psmisc", "ip": "iproute2", "systemctl": "systemd", "tee": "coreutils",
-    "udevadm": "udev", "usermod": "passwd", "kill": "procps",
-}  # fmt: skip
+    "apt": "apt",
+    "fuser": "psmisc",
+    "ip": "iproute2",
+    "systemctl": "systemd",
+    "tee": "coreutils",
+    "udevadm": "udev",
+    "usermod": "passwd",
+    "kill": "procps",
+}
 
 
 def write(path, text):
@@ -34,14 +40,24 @@ def machine(tmp_path):
     tree = tmp_path / "sys/devices/pci0000:00/0000:00:14.0/usb1"
     write(tree / "idVendor", "1d6b")
     hub = tree / "1-2"
-    for key, value in {"idVendor": "0424", "idProduct": "2514", "bDeviceClass": "09",
-                       "bmAttributes": "e0", "bMaxPower": "2mA"}.items():  # fmt: skip
+    for key, value in {
+        "idVendor": "0424",
+        "idProduct": "2514",
+        "bDeviceClass": "09",
+        "bmAttributes": "e0",
+        "bMaxPower": "2mA",
+    }.items():
         write(hub / key, value)
     adapter = hub / "1-2.1"
     for key, value in {
-        "idVendor": "0403", "idProduct": "6014", "serial": "FT4THV1A", "product": "USB <-> Serial Converter",
-        "speed": "480", "bMaxPower": "90mA", "power/control": "on",
-    }.items():  # fmt: skip
+        "idVendor": "0403",
+        "idProduct": "6014",
+        "serial": "FT4THV1A",
+        "product": "USB <-> Serial Converter",
+        "speed": "480",
+        "bMaxPower": "90mA",
+        "power/control": "on",
+    }.items():
         write(adapter / key, value)
     camera = hub / "1-2.4"
     for key, value in {
@@ -53,9 +69,12 @@ def machine(tmp_path):
         write(camera / key, value)
     tty = adapter / "1-2.1:1.0/ttyUSB0"
     write(tty / "latency_timer", "1")
-    links = {"class/tty/ttyUSB0/device": tty, "bus/usb/devices/1-2.1": adapter,
-             "bus/usb/devices/1-2.4": camera,
-             "bus/usb-serial/devices/ttyUSB0": tty}  # fmt: skip
+    links = {
+        "class/tty/ttyUSB0/device": tty,
+        "bus/usb/devices/1-2.1": adapter,
+        "bus/usb/devices/1-2.4": camera,
+        "bus/usb-serial/devices/ttyUSB0": tty,
+    }
     for name, target in links.items():
         link = tmp_path / "sys" / name
         link.parent.mkdir(parents=True, exist_ok=True)

@@ -42,10 +42,15 @@ def climb(bench):
 
 
 LOSSES = [
-    ("servos:brownout", 0.05), ("servos:brownout", 0.3), ("servos:brownout", 1.0), ("servos:reset", 0.0),
-    ("servos:unplug", 1.0), ("servo.drive_FL:brownout", 0.3), ("servo.steer_BR:reset", 0.0),
+    ("servos:brownout", 0.05),
+    ("servos:brownout", 0.3),
+    ("servos:brownout", 1.0),
+    ("servos:reset", 0.0),
+    ("servos:unplug", 1.0),
+    ("servo.drive_FL:brownout", 0.3),
+    ("servo.steer_BR:reset", 0.0),
     ("servo.drive_BL:off", 1.0),
-]  # fmt: skip
+]
 
 
 def fault(kind, at_s, duration_s):
@@ -89,10 +94,13 @@ OPENING = {"asked": 0.2, "set up": 0.41, "enabled": 0.43}
 @pytest.mark.parametrize(
     ("kind", "duration_s"),
     [
-        ("servos:brownout", 0.05), ("servos:reset", 0.0), ("servos:unplug", 0.3),
-        ("servo.steer_FL:brownout", 0.05), ("servo.drive_BL:off", 1.0),
+        ("servos:brownout", 0.05),
+        ("servos:reset", 0.0),
+        ("servos:unplug", 0.3),
+        ("servo.steer_FL:brownout", 0.05),
+        ("servo.drive_BL:off", 1.0),
     ],
-)  # fmt: skip
+)
 def test_whenever_it_happens_while_the_bench_opens_the_robot_is_held_in_the_end(kind, duration_s, at_s):
     with hil.open_bench("emulated", seed=3, faults=[fault(kind, at_s, duration_s)]) as bench:
         wait(bench, max(0.0, at_s + duration_s + 0.3 - bench.clock.now_ns() / SECOND))

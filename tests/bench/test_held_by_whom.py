@@ -66,9 +66,11 @@ def test_a_way_within_the_noise_of_a_coarse_sensor_is_none(still, moved_m):
 @pytest.mark.parametrize("plant", ["own", "mujoco"])
 def test_a_camera_that_was_just_in_doubt_does_not_witness_that_the_robot_rests(plant):
     held, stop, _, speed_m_s = left(
-        "plant:adhesion_loss@2.8,factor=0.4", "tracker:wrong@2.5,scale=0",
-        without=("mocap", "load_cells"), **{"emulation.plant": plant},
-    )  # fmt: skip
+        "plant:adhesion_loss@2.8,factor=0.4",
+        "tracker:wrong@2.5,scale=0",
+        without=("mocap", "load_cells"),
+        **{"emulation.plant": plant},
+    )
     assert stop.reason == "sensors_disagree"
     assert speed_m_s > 0.1, "it slides or falls"
     assert held.state == "NOT HELD"

@@ -22,8 +22,10 @@ HOP = line((0, 0, 0), (0.12, 0, 0), duration_s=2.4)
 SEES = ("imu", "tracker", "mocap")
 PRESSES = ("adhesion", "load_cells")
 REAL_SERVOS = {
-    "servos.backend": "real", "servos.port": "/dev/no-such-port", "environment.start_pose": [0.0, 0.0, 0.0],
-}  # fmt: skip
+    "servos.backend": "real",
+    "servos.port": "/dev/no-such-port",
+    "environment.start_pose": [0.0, 0.0, 0.0],
+}
 
 
 @contextmanager
@@ -149,10 +151,7 @@ def test_real_servos_beside_emulated_sensors_are_not_held_by_them():
 
 def test_an_emulated_camera_stops_the_drive_of_real_servos():
     """It rests while the wheels roll: so the mix that the examples once showed could not pass."""
-    with (
-        servos_of_another_process() as overrides,
-        hil.open_bench("emulated", overrides=overrides) as bench,
-    ):
+    with servos_of_another_process() as overrides, hil.open_bench("emulated", overrides=overrides) as bench:
         with pytest.raises(SafetyStop) as stop:
             bench.drive(HOP)
         assert stop.value.reason == "sensors_disagree"
@@ -241,9 +240,11 @@ def test_an_emulated_fan_does_not_press_a_real_robot(tmp_path):
         try:
             found = json.loads(child.stdout.readline())
             there = {
-                "servos.port": found["servos"]["port"], "servos.baud": found["servos"]["baud"],
-                "imu.port": found["imu"]["port"], "tracker.endpoint.port": found["tracker"]["port"],
-            }  # fmt: skip
+                "servos.port": found["servos"]["port"],
+                "servos.baud": found["servos"]["baud"],
+                "imu.port": found["imu"]["port"],
+                "tracker.endpoint.port": found["tracker"]["port"],
+            }
             with hil.open_bench(str(mix), overrides=there) as bench:
                 bench.observe(0.5)
         finally:

@@ -65,9 +65,10 @@ def drive(bench, number):
     """The n-th of several drives; how far off its estimate ends (m), and three of its sigmas."""
     last = []
     bench.drive(
-        line(number * FAR, (number + 1) * FAR, duration_s=3.0), hold_s=0.5,
+        line(number * FAR, (number + 1) * FAR, duration_s=3.0),
+        hold_s=0.5,
         on_cycle=lambda record: last.append(record),
-    )  # fmt: skip
+    )
     record = last[-1]
     off = np.abs(record.state.pose_body_in_wall - bench.truth().pose_body_in_wall)[:2]
     return off, 3.0 * np.sqrt(np.diag(record.state.covariance)[:2])

@@ -167,10 +167,7 @@ def what_a_microstrain_says(clock):
 
 @pytest.mark.parametrize(
     ("name", "chip", "says"),
-    [
-        ("bno055", Bno055Chip, what_a_bno055_says),
-        ("microstrain", MicrostrainChip, what_a_microstrain_says),
-    ],
+    [("bno055", Bno055Chip, what_a_bno055_says), ("microstrain", MicrostrainChip, what_a_microstrain_says)],
 )
 def test_an_inertial_unit_that_is_asked_keeps_its_settings(name, chip, says):
     world = World(TurningPlant(), seed=1)

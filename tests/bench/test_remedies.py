@@ -23,21 +23,35 @@ ROOMS = (
     "hil/drivers",
 )
 PROVOKED_BY = (
-    "tests/bench/test_doctor_host.py", "tests/bench/test_doctor_discover_setup.py",
-    "tests/bench/test_doctor_slow_adapter.py", "tests/bench/test_looks.py",
-    "tests/bench/test_bench_wheel_model.py", "tests/devices/test_packages_at_fault.py",
-    "tests/encoders/test_node_status.py", "tests/adhesion_bench/test_fan_driver.py",
-    "tests/adhesion_dronecan/test_dronecan_fan.py", "tests/adhesion_bench/test_propellers_on_vescs.py",
-    "tests/servos/test_servo_driver_open.py", "tests/servos/test_servo_models.py",
+    "tests/bench/test_doctor_host.py",
+    "tests/bench/test_doctor_discover_setup.py",
+    "tests/bench/test_doctor_slow_adapter.py",
+    "tests/bench/test_looks.py",
+    "tests/bench/test_bench_wheel_model.py",
+    "tests/devices/test_packages_at_fault.py",
+    "tests/encoders/test_node_status.py",
+    "tests/adhesion_bench/test_fan_driver.py",
+    "tests/adhesion_dronecan/test_dronecan_fan.py",
+    "tests/adhesion_bench/test_propellers_on_vescs.py",
+    "tests/servos/test_servo_driver_open.py",
+    "tests/servos/test_servo_models.py",
     "tests/imu_microstrain/test_microstrain_on_a_bench.py",
-    "tests/tracker_mavlink/test_mavlink_doctor.py", "tests/tracker_mavlink/test_mavlink_time.py",
+    "tests/tracker_mavlink/test_mavlink_doctor.py",
+    "tests/tracker_mavlink/test_mavlink_time.py",
     "tests/tracker/test_tracker_faults.py",
-)  # fmt: skip
+)
 """Tests that make a doctor's findings go wrong, one by one."""
 PROGRAMS = {  # with the Debian package that has each
-    "apt": "apt", "fuser": "psmisc", "hil": "this one", "ip": "iproute2", "ss": "iproute2",
-    "systemctl": "systemd", "tee": "coreutils", "udevadm": "udev", "usermod": "passwd",
-}  # fmt: skip
+    "apt": "apt",
+    "fuser": "psmisc",
+    "hil": "this one",
+    "ip": "iproute2",
+    "ss": "iproute2",
+    "systemctl": "systemd",
+    "tee": "coreutils",
+    "udevadm": "udev",
+    "usermod": "passwd",
+}
 
 
 def sites():
@@ -75,10 +89,24 @@ def test_every_finding_with_a_remedy_is_reached_by_a_test(tmp_path):
     paths = os.pathsep.join([str(ROOT), str(Path(__file__).parent)])
     environment = os.environ | {"REMEDIES_REACHED": str(told), "PYTHONPATH": paths}
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "remedies_reached", "-p", "no:cacheprovider", "-m", "",
-         *PROVOKED_BY],
-        cwd=ROOT, env=environment, capture_output=True, text=True,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "-p",
+            "remedies_reached",
+            "-p",
+            "no:cacheprovider",
+            "-m",
+            "",
+            *PROVOKED_BY,
+        ],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
     reached = json.loads(told.read_text())
     unreached = {
         remedy

@@ -203,10 +203,25 @@ def test_four_sensors_are_unplugged_while_hil_live_watches(tmp_path, capsys):
     faults = {"imu": (4.5, 3.6), "encoders": (5.0, 1.6), "tracker": (5.5, 2.6), "mocap": (4.0, 2.6)}
     spec = [word for name, (at, s) in faults.items() for word in ("--fault", f"{name}:unplug@{at}+{s}")]
     recording, bench = tmp_path / "run.mcap", tmp_path / "bench.toml"
-    bench.write_text('schema = 1\nname = "four"\n[environment]\nsurface = "floor"\ntilt_rad = 0.0\n'
-                     + "".join(f'[{name}]\nbackend = "emulated"\n' for name in faults))  # fmt: skip
-    code = main(["live", "--bench", str(bench), "--duration", "11", "--feedback", "odometry",
-                 "--record", str(recording), "--json", *spec])  # fmt: skip
+    bench.write_text(
+        'schema = 1\nname = "four"\n[environment]\nsurface = "floor"\ntilt_rad = 0.0\n'
+        + "".join(f'[{name}]\nbackend = "emulated"\n' for name in faults)
+    )
+    code = main(
+        [
+            "live",
+            "--bench",
+            str(bench),
+            "--duration",
+            "11",
+            "--feedback",
+            "odometry",
+            "--record",
+            str(recording),
+            "--json",
+            *spec,
+        ]
+    )
     told = json.loads(capsys.readouterr().out)
     assert code == 0, told
     assert not [t for t in threading.enumerate() if t.name.endswith(" again")]
@@ -215,7 +230,11 @@ def test_four_sensors_are_unplugged_while_hil_live_watches(tmp_path, capsys):
         good = [r.inputs.t_ns for r in records for s in r.inputs.of(name) if worst(s) is Status.OK]
         gap_s = max(b - a for a, b in itertools.pairwise(good)) / 1e9
         assert gap_s >= away_s - 0.1
-        said_s = [float(e.message.split()[-2]) for r in records for e in r.events
-                  if e.source == name and e.message.startswith("answers again")]  # fmt: skip
+        said_s = [
+            float(e.message.split()[-2])
+            for r in records
+            for e in r.events
+            if e.source == name and e.message.startswith("answers again")
+        ]
         assert max(said_s) == pytest.approx(gap_s, abs=0.02)
         assert good[-1] > records[-1].inputs.t_ns - 500_000_000

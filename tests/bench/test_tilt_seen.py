@@ -61,11 +61,15 @@ def test_what_is_no_gravity_says_nothing(scale):
 @pytest.mark.parametrize(
     ("profile", "degrees", "steeper", "refused"),
     [
-        ("emulated_floor", 20.0, False, False), ("emulated_floor", 30.0, True, True),
-        ("emulated_floor", 90.0, True, True), ("emulated", 90.0, False, False),
-        ("emulated", 70.0, False, False), ("emulated", 0.0, False, True), ("emulated", 120.0, True, True),
+        ("emulated_floor", 20.0, False, False),
+        ("emulated_floor", 30.0, True, True),
+        ("emulated_floor", 90.0, True, True),
+        ("emulated", 90.0, False, False),
+        ("emulated", 70.0, False, False),
+        ("emulated", 0.0, False, True),
+        ("emulated", 120.0, True, True),
     ],
-)  # fmt: skip
+)
 def test_only_a_wide_difference_counts(profile, degrees, steeper, refused):
     watch = TiltWatch(load_bench(profile))
     watch.saw(says(steep(degrees)))
@@ -79,10 +83,13 @@ def test_only_a_wide_difference_counts(profile, degrees, steeper, refused):
 
 @pytest.mark.parametrize(
     "samples",
-    [says(steep(90.0), count=9), says(steep(90.0), status=Status.FROZEN), says(steep(90.0), t_ns=0)[:5]
-     + says(steep(90.0), count=5, t_ns=5_000_000_000)],
+    [
+        says(steep(90.0), count=9),
+        says(steep(90.0), status=Status.FROZEN),
+        says(steep(90.0), t_ns=0)[:5] + says(steep(90.0), count=5, t_ns=5_000_000_000),
+    ],
     ids=["few", "bad", "old"],
-)  # fmt: skip
+)
 def test_few_bad_or_old_samples_say_nothing(samples):
     watch = TiltWatch(load_bench("emulated_floor"))
     watch.saw(samples)
@@ -104,10 +111,14 @@ def test_an_imu_of_another_world_or_without_servos_says_nothing_of_the_robot(mon
 @pytest.mark.parametrize(
     ("profile", "degrees", "level"),
     [
-        ("emulated", 0.0, "failure"), ("emulated", 60.0, "failure"), ("emulated", 80.0, "ok"),
-        ("emulated", 130.0, "failure"), ("emulated_floor", 20.0, "ok"), ("emulated_floor", 30.0, "failure"),
+        ("emulated", 0.0, "failure"),
+        ("emulated", 60.0, "failure"),
+        ("emulated", 80.0, "ok"),
+        ("emulated", 130.0, "failure"),
+        ("emulated_floor", 20.0, "ok"),
+        ("emulated_floor", 30.0, "failure"),
     ],
-)  # fmt: skip
+)
 def test_the_doctor_refuses_a_floor_for_a_wall_and_a_wall_for_a_floor(profile, degrees, level):
     (finding,) = tilt_finding(load_bench(profile), {"imu": says(steep(degrees))})
     assert finding.level == level

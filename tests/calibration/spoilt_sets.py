@@ -15,9 +15,17 @@ CORNERS = 0.1125 * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]
 RADIUS_M = 0.0254
 LAWS = ("creep", "dry", "loss", "both")
 KINDS = (
-    "stuck encoder", "stuck steering", "mirrored", "swapped wheels", "degrees", "time shift", "another body",
-    "another drive", "frozen truth", "leap of truth",
-)  # fmt: skip
+    "stuck encoder",
+    "stuck steering",
+    "mirrored",
+    "swapped wheels",
+    "degrees",
+    "time shift",
+    "another body",
+    "another drive",
+    "frozen truth",
+    "leap of truth",
+)
 _ROW_S, _FINE = 1.0 / 60.0, 2
 _COUNT_RAD = 2.0 * np.pi / 4096.0
 _STRAIGHT = ("line_x", "line_y", "diagonal")
@@ -123,12 +131,16 @@ def _shape(motion: str, length_m: float, speed_m_s: float, k: int) -> tuple[np.n
     v, curve = speed_m_s, speed_m_s / 0.5
     back = -1.0 if k == 3 and motion in _STRAIGHT else 1.0
     twist = {
-        "line_x": (back * v, 0.0, 0.0), "line_y": (0.0, back * v, 0.0),
-        "diagonal": (0.7 * back * v, 0.7 * back * v, 0.0), "arc": (0.9 * v, -0.4 * v, 0.8 * curve),
-        "circle_ccw": (v, 0.0, curve), "circle_cw": (v, 0.0, -curve),
-        "rotation_ccw": (0.0, 0.0, v / 0.16), "rotation_cw": (0.0, 0.0, -v / 0.16),
+        "line_x": (back * v, 0.0, 0.0),
+        "line_y": (0.0, back * v, 0.0),
+        "diagonal": (0.7 * back * v, 0.7 * back * v, 0.0),
+        "arc": (0.9 * v, -0.4 * v, 0.8 * curve),
+        "circle_ccw": (v, 0.0, curve),
+        "circle_cw": (v, 0.0, -curve),
+        "rotation_ccw": (0.0, 0.0, v / 0.16),
+        "rotation_cw": (0.0, 0.0, -v / 0.16),
         "curl": (-0.5 * v, 0.6 * v, -1.5 * curve),
-    }[motion]  # fmt: skip
+    }[motion]
     turning = motion.startswith("rotation")
     return np.array(twist), (2.0 * np.pi * 0.16 / v if turning else length_m / v)
 

@@ -38,8 +38,11 @@ def test_calibrate_then_evaluate_with_the_file(data, tmp_path, capsys):
     for key in ("method", "model", "signal", "std", "at_bound", "unobservable", "evaluations", "wall_s"):
         assert key in result
     assert {k: len(v) for k, v in result["parameters"].items()} == {
-        "x_w_m": 4, "y_w_m": 4, "r_m": 4, "delta0_rad": 4,
-    }  # fmt: skip
+        "x_w_m": 4,
+        "y_w_m": 4,
+        "r_m": 4,
+        "delta0_rad": 4,
+    }
     page = (tmp_path / "p" / "index.html").read_text()
     assert "data:image/svg+xml;base64" in page
     assert "http" not in page.replace("http-equiv", "")

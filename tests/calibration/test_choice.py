@@ -129,8 +129,11 @@ def test_models_that_may_be_as_right_are_in_the_intervals():
 def test_no_candidate_is_tried_twice():
     among = candidates(SETTING, WheelGeometry.nominal())
     assert [c.name for c in among] == [
-        "exact", "dry friction", "creep, equal loads, tyre ratio 1", "creep, equal loads, tyre ratio 0.4"
-    ]  # fmt: skip
+        "exact",
+        "dry friction",
+        "creep, equal loads, tyre ratio 1",
+        "creep, equal loads, tyre ratio 0.4",
+    ]
 
 
 def test_springs_that_roll_on_come_to_creep():

@@ -30,28 +30,40 @@ def driven(wheels=(0.0, END_S), truth=(0.0, END_S), *, drives=DRIVES, carried=0.
     pose = np.column_stack([x_m, np.zeros((len(x_m), 2))])
     pose += np.random.default_rng(1).normal(0.0, 2e-4, pose.shape)
     return build_recording(
-        "line_x_1", Log(wheel_s, np.column_stack([angle, np.zeros_like(angle)])), Log(truth_s, pose),
+        "line_x_1",
+        Log(wheel_s, np.column_stack([angle, np.zeros_like(angle)])),
+        Log(truth_s, pose),
         sources=("odom_1.csv", "abs_1.csv"),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(
     ("seen", "said"),
     [
-        ({"wheels": (0.0, 6.0)}, r"odom_1\.csv: the wheels cover 6\.0 s, the ground truth 20\.0 s: the "
-         r"ground truth moves 0\.70 m in the 14\.0 s after the last row of the wheels"),
-        ({"truth": (0.0, 6.0)}, r"abs_1\.csv: .*wheels roll 0\.70 m in the 14\.0 s after the last row of the "
-         r"ground truth"),
+        (
+            {"wheels": (0.0, 6.0)},
+            r"odom_1\.csv: the wheels cover 6\.0 s, the ground truth 20\.0 s: the "
+            r"ground truth moves 0\.70 m in the 14\.0 s after the last row of the wheels",
+        ),
+        (
+            {"truth": (0.0, 6.0)},
+            r"abs_1\.csv: .*wheels roll 0\.70 m in the 14\.0 s after the last row of the "
+            r"ground truth",
+        ),
         ({"truth": (5.0, END_S)}, r"wheels roll 0\.19 m in the 5\.0 s before the first row of the ground"),
         ({"wheels": (5.0, END_S)}, r"truth moves 0\.20 m in the 5\.0 s before the first row of the wheels"),
         ({"truth": (0.0, 9.5)}, "wheels roll 0.50 m in the 10.5 s after"),
         ({"wheels": (0.0, 2.0)}, "truth moves 1.00 m in the 18.0 s after"),
     ],
     ids=[
-        "wheels cut under way", "truth cut under way", "truth late", "wheels late", "truth ends at a stop",
+        "wheels cut under way",
+        "truth cut under way",
+        "truth late",
+        "wheels late",
+        "truth ends at a stop",
         "no drive in the wheels",
     ],
-)  # fmt: skip
+)
 def test_a_drive_that_was_seen_in_part_is_refused_with_both_times(seen, said):
     with pytest.raises(DataError, match=said) as error:
         covered(driven(**seen), Nominal())
@@ -131,9 +143,10 @@ def test_single_rows_of_ground_truth_that_are_off_at_rest_are_no_motion():
     pose = whole.truth_pose.copy()
     pose[-150:-148, 0] += 0.028
     again = build_recording(
-        "line_x_1", Log(whole.t_s, np.column_stack([whole.wheel_angle_rad, whole.steering_rad])),
+        "line_x_1",
+        Log(whole.t_s, np.column_stack([whole.wheel_angle_rad, whole.steering_rad])),
         Log(whole.truth_t_s, pose),
-    )  # fmt: skip
+    )
     assert covered(again, Nominal()).repairs == {}
 
 

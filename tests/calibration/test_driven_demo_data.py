@@ -58,7 +58,7 @@ def test_a_device_that_stays_silent_ends_it_as_that_devices_error_and_leaves_not
         (["--motions", "rotation_wc"], "'rotation_wc' is unknown; .*did you mean rotation_cw"),
         (["--plant", "own", "--motions", "scan"], "'scan' is unknown"),
     ],
-)  # fmt: skip
+)
 def test_what_does_not_go_together_is_named_and_leaves_nothing(tmp_path, capsys, words, message):
     assert main(["demo-data", str(tmp_path / "made"), *words]) == 2
     assert re.search(message, capsys.readouterr().err)

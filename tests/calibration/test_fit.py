@@ -273,8 +273,10 @@ def test_a_fit_ends_within_a_twentieth_of_a_standard_error_of_its_end(seed):
 
 def test_a_fit_that_did_not_end_is_no_secret(recordings, monkeypatch):
     monkeypatch.setattr("hil.calibration.fitting._NEAR", 0.0)
-    monkeypatch.setattr("hil.calibration.fitting.levenberg_marquardt", lambda p, z, limit=1:
-                        replace(levenberg_marquardt(p, z, 1), converged=False))  # fmt: skip
+    monkeypatch.setattr(
+        "hil.calibration.fitting.levenberg_marquardt",
+        lambda p, z, limit=1: replace(levenberg_marquardt(p, z, 1), converged=False),
+    )
     found = calibrate(recordings, RECOMMENDED, CLOCK, validate=False)
     assert not found.to_json()["converged"]
     assert any("the fit ended before its parameters had settled" in line for line in found.warnings)

@@ -17,12 +17,23 @@ ZEROS = (0.0,) * 4
 
 def tree(**changes):
     return {
-        "schema": 1, "version": 1, "created": "2026-01-01", "method": "lm", "setting": "all",
-        "model": "creep", "signal": "position", "parameters": PAPER | {"delta0_rad": ZEROS},
-        "nominal": PAPER, "std": {}, "cost_before": 2.0, "cost_after": 1.0, "recordings": {},
+        "schema": 1,
+        "version": 1,
+        "created": "2026-01-01",
+        "method": "lm",
+        "setting": "all",
+        "model": "creep",
+        "signal": "position",
+        "parameters": PAPER | {"delta0_rad": ZEROS},
+        "nominal": PAPER,
+        "std": {},
+        "cost_before": 2.0,
+        "cost_after": 1.0,
+        "recordings": {},
         "twist_correction": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-        "tyres": {"load": (1.0,) * 4, "creep_ratio": 0.7}, **changes,
-    }  # fmt: skip
+        "tyres": {"load": (1.0,) * 4, "creep_ratio": 0.7},
+        **changes,
+    }
 
 
 def text(dotted, value):
@@ -37,14 +48,27 @@ def text(dotted, value):
 
 
 IMPOSSIBLE = [
-    ("parameters.x_w_m.0", 1e9), ("parameters.x_w_m.0", -0.1117), ("parameters.x_w_m.2", 0.0),
-    ("parameters.y_w_m.3", float("nan")), ("parameters.y_w_m.1", 0.17), ("parameters.r_m.0", 0.0),
-    ("parameters.r_m.1", float("nan")), ("parameters.r_m.2", -0.0254), ("parameters.r_m.3", 0.0254 * 1.3),
-    ("parameters.delta0_rad.0", 1.6), ("parameters.delta0_rad.1", float("inf")),
-    ("nominal.r_m.0", 0.0), ("nominal.x_w_m.1", float("nan")), ("nominal.delta0_rad", [9.0] * 4),
-    ("twist_correction.0.0", float("nan")), ("twist_correction.1.1", 1e9), ("twist_correction.2.0", -1e3),
-    ("tyres.load.2", -1.0), ("tyres.load", [0.0] * 4), ("tyres.creep_ratio", float("nan")),
-]  # fmt: skip
+    ("parameters.x_w_m.0", 1e9),
+    ("parameters.x_w_m.0", -0.1117),
+    ("parameters.x_w_m.2", 0.0),
+    ("parameters.y_w_m.3", float("nan")),
+    ("parameters.y_w_m.1", 0.17),
+    ("parameters.r_m.0", 0.0),
+    ("parameters.r_m.1", float("nan")),
+    ("parameters.r_m.2", -0.0254),
+    ("parameters.r_m.3", 0.0254 * 1.3),
+    ("parameters.delta0_rad.0", 1.6),
+    ("parameters.delta0_rad.1", float("inf")),
+    ("nominal.r_m.0", 0.0),
+    ("nominal.x_w_m.1", float("nan")),
+    ("nominal.delta0_rad", [9.0] * 4),
+    ("twist_correction.0.0", float("nan")),
+    ("twist_correction.1.1", 1e9),
+    ("twist_correction.2.0", -1e3),
+    ("tyres.load.2", -1.0),
+    ("tyres.load", [0.0] * 4),
+    ("tyres.creep_ratio", float("nan")),
+]
 
 
 @pytest.mark.parametrize(("key", "value"), IMPOSSIBLE)
@@ -88,9 +112,11 @@ def test_what_the_fit_may_find_is_taken(tmp_path):
     """A wheel on every bound that `--bounds` permits, and a column that no recording has driven."""
     most = 1.0 + SHARE
     found = {
-        "x_w_m": [most * x for x in X], "y_w_m": [y / most for y in Y], "r_m": [most * r for r in R],
+        "x_w_m": [most * x for x in X],
+        "y_w_m": [y / most for y in Y],
+        "r_m": [most * r for r in R],
         "delta0_rad": [SHARE, -SHARE, 0.0, 0.0],
-    }  # fmt: skip
+    }
     twist = ((1.01, 0.0, -0.03), (0.0, 0.0, 0.0), (0.02, -2.9, 1.05))
     save_calibration(
         path := tmp_path / "c.toml",

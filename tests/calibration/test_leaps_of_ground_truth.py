@@ -118,9 +118,7 @@ def test_a_robot_that_drives_on_unseen_for_a_while_has_not_leapt(clean):
     seen = (clean.truth_t_s < 8.0) | (clean.truth_t_s > 11.0)
     assert np.linalg.norm(np.diff(clean.truth_pose[seen, :2], axis=0), axis=1).max() > 0.1
     found = build_recording(
-        "line_x_1",
-        Log(clean.t_s, wheels_of(clean)),
-        Log(clean.truth_t_s[seen], clean.truth_pose[seen]),
+        "line_x_1", Log(clean.t_s, wheels_of(clean)), Log(clean.truth_t_s[seen], clean.truth_pose[seen])
     )
     assert not any("leap" in what for what in found.repairs)
 

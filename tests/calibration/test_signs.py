@@ -57,8 +57,10 @@ def test_of_a_whole_set_the_one_column_is_named(good, words):
 
 def test_of_one_motion_all_that_it_may_be_is_named(good):
     with pytest.raises(DataError, match=r"^line_y_1: .*\(phi\).*, or if .*\(delta\)") as error:
-        check_signs([one if one.name != "line_y_1" else CHANGES["steering (delta) had"](one) for one in good],
-                    Nominal())  # fmt: skip
+        check_signs(
+            [one if one.name != "line_y_1" else CHANGES["steering (delta) had"](one) for one in good],
+            Nominal(),
+        )
     assert "likewise" not in str(error.value)
 
 

@@ -41,9 +41,11 @@ def test_a_robot_that_never_rests_or_never_moves_tells_nothing(data):
     steady = data[0]
     inside = (steady.t_s > 5.0) & (steady.t_s < 15.0)
     cut = replace(
-        steady, t_s=steady.t_s[inside], wheel_angle_rad=steady.wheel_angle_rad[inside],
+        steady,
+        t_s=steady.t_s[inside],
+        wheel_angle_rad=steady.wheel_angle_rad[inside],
         steering_rad=steady.steering_rad[inside],
-    )  # fmt: skip
+    )
     still = replace(steady, wheel_angle_rad=np.zeros_like(steady.wheel_angle_rad))
     assert different_clocks([late(cut, 0.2)]) == different_clocks([still]) == []
 

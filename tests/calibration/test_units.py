@@ -41,9 +41,11 @@ def test_times_that_are_not_seconds_are_named_with_their_step(turn, factor, begi
     t_s, wheels, truth_t_s, pose = turn
     with pytest.raises(DataError, match=rf"^turn\.csv: time \(t\) goes on by {said}"):
         build_recording(
-            "turn", Log((begin + t_s) * factor, wheels), Log((begin + truth_t_s) * factor, pose),
+            "turn",
+            Log((begin + t_s) * factor, wheels),
+            Log((begin + truth_t_s) * factor, pose),
             sources=("turn.csv",),
-        )  # fmt: skip
+        )
 
 
 def test_stamps_that_repeat_or_are_no_numbers_do_not_make_other_units(turn):

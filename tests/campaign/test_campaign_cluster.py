@@ -115,9 +115,12 @@ class Cluster:
         own.mkdir(parents=True)
         path = os.pathsep.join(p for p in sys.path if p)
         process = subprocess.Popen(
-            [sys.executable, "-m", *arguments], cwd=own, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            [sys.executable, "-m", *arguments],
+            cwd=own,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
             env={**os.environ, "PYTHONPATH": path, "TMPDIR": str(own), **environment},
-        )  # fmt: skip
+        )
         self.processes.append(process)
         return process
 
@@ -125,9 +128,17 @@ class Cluster:
         """The scheduler; its address comes from a file."""
         told = self.folder / "scheduler.json"
         self.scheduler = self._start(
-            "scheduler", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0",
-            "--no-dashboard", "--scheduler-file", str(told), *options,
-        )  # fmt: skip
+            "scheduler",
+            "distributed.cli.dask_scheduler",
+            "--host",
+            "127.0.0.1",
+            "--port",
+            "0",
+            "--no-dashboard",
+            "--scheduler-file",
+            str(told),
+            *options,
+        )
         deadline = time.monotonic() + 60
         while not (told.exists() and told.read_text().endswith("}")) and time.monotonic() < deadline:
             time.sleep(0.05)
@@ -141,10 +152,19 @@ class Cluster:
         own.write_text(preload)
         before = self.workers()
         self._start(
-            name, "distributed.cli.dask_worker", self.address, "--no-dashboard", "--nthreads", "1",
-            "--local-directory", str(self.folder / name), "--preload", str(own), "--no-nanny",
+            name,
+            "distributed.cli.dask_worker",
+            self.address,
+            "--no-dashboard",
+            "--nthreads",
+            "1",
+            "--local-directory",
+            str(self.folder / name),
+            "--preload",
+            str(own),
+            "--no-nanny",
             HIDDEN=os.pathsep.join(map(str, hidden)),
-        )  # fmt: skip
+        )
         deadline = time.monotonic() + 60
         while self.workers() == before and time.monotonic() < deadline:
             time.sleep(0.1)
@@ -186,12 +206,22 @@ def here(tmp_path, monkeypatch):
     save_calibration(
         Path("cal/calibration.toml"),
         CalibrationFile(
-            schema=1, version=3, created="2026-01-01T00:00:00+00:00", method="lm", setting="recommended",
-            model="exact", signal="velocity", parameters=known, nominal=nominal, std={},
-            twist_correction=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), cost_before=1.0,
-            cost_after=0.5, recordings={},
+            schema=1,
+            version=3,
+            created="2026-01-01T00:00:00+00:00",
+            method="lm",
+            setting="recommended",
+            model="exact",
+            signal="velocity",
+            parameters=known,
+            nominal=nominal,
+            std={},
+            twist_correction=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+            cost_before=1.0,
+            cost_after=0.5,
+            recordings={},
         ),
-    )  # fmt: skip
+    )
     profile = resources.files("hil.config.profiles").joinpath("emulated_floor.toml").read_text()
     Path("bench.toml").write_text(f'calibration = "cal/calibration.toml"\n{profile}')
     Path("late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "slow"\nat_s = 0.1\n')

@@ -329,8 +329,10 @@ def test_a_warning_of_a_run_names_its_case(tmp_path, monkeypatch, caplog, capsys
     assert main(["campaign", "warns.py", "--seeds", "0:2", "--workers", "0", "--out", "o"]) == 0
     logging.getLogger("hil.x").warning("after it")
     assert caplog.messages == [
-        "seed=0: tracker has started again", "seed=1: tracker has started again", "after it"
-    ]  # fmt: skip
+        "seed=0: tracker has started again",
+        "seed=1: tracker has started again",
+        "after it",
+    ]
 
 
 def test_a_run_that_is_aborted_ends_the_campaign_until_it_is_resumed(campaign, tmp_path):

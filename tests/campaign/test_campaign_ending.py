@@ -74,12 +74,19 @@ def test_jobs_are_taken_back_before_the_client_leaves(tmp_path):
             raise KeyboardInterrupt
 
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, memory_limit=0,
+        n_workers=2,
+        threads_per_worker=1,
+        processes=False,
+        dashboard_address=None,
+        memory_limit=0,
         local_directory=str(tmp_path),
-    ) as cluster:  # fmt: skip
+    ) as cluster:
         with pytest.raises(KeyboardInterrupt):
             spread(
-                job, range(400), lost=lambda number, reason: number, done=interrupted,
+                job,
+                range(400),
+                lost=lambda number, reason: number,
+                done=interrupted,
                 scheduler=cluster.scheduler_address,
-            )  # fmt: skip
+            )
         assert not cluster.scheduler.tasks

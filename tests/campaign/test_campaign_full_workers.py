@@ -46,9 +46,13 @@ def workers(tmp_path, monkeypatch):
 
     def start(n):
         cluster = distributed.LocalCluster(
-            n_workers=n, threads_per_worker=1, processes=False, dashboard_address=None, memory_limit=0,
+            n_workers=n,
+            threads_per_worker=1,
+            processes=False,
+            dashboard_address=None,
+            memory_limit=0,
             local_directory=str(tmp_path / "elsewhere"),
-        )  # fmt: skip
+        )
         found.append(cluster)
         return cluster, {w.address: w.local_directory for w in cluster.workers.values()}
 

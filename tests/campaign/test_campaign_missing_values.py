@@ -59,5 +59,8 @@ def test_parquet_says_why_there_is_no_value(holes):
     table = parquet.read_table(holes[0] / "rows").to_pydict()
     whys = dict(zip(zip(table["seed"], table["measurement"], strict=True), table["missing"], strict=True))
     assert [whys[seed, "two"] for seed in (0, 1, 2, 7)] == [
-        "", "no finite number", "never measured", "ended before",
-    ]  # fmt: skip
+        "",
+        "no finite number",
+        "never measured",
+        "ended before",
+    ]

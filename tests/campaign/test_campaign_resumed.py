@@ -121,8 +121,7 @@ def test_what_a_script_prints_is_no_part_of_the_json_object(campaign, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
-    [("hil_sources", "was begun with hil_sources"), ("numba", "was begun with numba")],
+    ("changed", "told"), [("hil_sources", "was begun with hil_sources"), ("numba", "was begun with numba")]
 )
 def test_other_versions_do_not_go_on_with_it(campaign, tmp_path, monkeypatch, changed, told):
     (tmp_path / "plain.py").write_text(PLAIN)

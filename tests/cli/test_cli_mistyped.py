@@ -133,10 +133,7 @@ def test_faults_on_a_bench_without_emulated_devices_are_refused(tmp_path):
 def test_every_option_that_a_fake_asks_for_is_one_that_a_user_may_give():
     """A fault's option that no device declares would be refused although it is read."""
     fakes = ROOT / "hil" / "fakes"
-    asked = {
-        (path.parent if path.parent != fakes else path).name: set()
-        for path in fakes.rglob("*.py")
-    }  # fmt: skip
+    asked = {(path.parent if path.parent != fakes else path).name: set() for path in fakes.rglob("*.py")}
     declared = dict.fromkeys(asked, "")
     for path in fakes.rglob("*.py"):
         text, key = path.read_text(encoding="utf-8"), (path.parent if path.parent != fakes else path).name
@@ -293,9 +290,14 @@ def main_of(name):
 def test_a_live_session_without_a_cycle_prints_no_empty_table():
     timing = {"cycles": 0.0, "late": 0.0, "overruns": 0.0, "skipped": 0.0}
     summary = {
-        "bench": "b", "rate_hz": 100.0, "ended": "error", "timing": timing, "samples": {}, "pose": None,
+        "bench": "b",
+        "rate_hz": 100.0,
+        "ended": "error",
+        "timing": timing,
+        "samples": {},
+        "pose": None,
         "held": {"state": "NOT HELD", "moved_m": 0.0, "why": "never opened"},
-    }  # fmt: skip
+    }
     assert "mean ms" not in _text(summary)
     timing |= {"cycles": 1.0} | {f"work_{kind}_ms": 1.0 for kind in ("mean", "p99", "worst")}
     assert "mean ms" in _text(summary)

@@ -35,10 +35,13 @@ def run(ctx):
 ROBOT = identity(load_bench("emulated_floor"))
 ZEROS = NewPart(
     Part(
-        procedure="steering_zero", verdict="PASS", measured="2026-11-22T10:00:00+00:00",
-        bench="emulated_floor", values={"alignment.steer_zero_rad": [0.01, -0.02, 0.03, -0.04]},
+        procedure="steering_zero",
+        verdict="PASS",
+        measured="2026-11-22T10:00:00+00:00",
+        bench="emulated_floor",
+        values={"alignment.steer_zero_rad": [0.01, -0.02, 0.03, -0.04]},
     )
-)  # fmt: skip
+)
 OUTPUTS = {"out", "page", "plots", "record", "folder"}
 """Names of parameters that say where to write; every other path is read."""
 

@@ -18,9 +18,13 @@ SHELLS = ("bash", "zsh", "fish")
 def _asked(environment, folder=None):
     """What the program says to a shell: nothing is said beside the answer."""
     done = subprocess.run(
-        [sys.executable, "-m", "hil"], capture_output=True, text=True, env={**os.environ, **environment},
-        cwd=folder, check=False,
-    )  # fmt: skip
+        [sys.executable, "-m", "hil"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **environment},
+        cwd=folder,
+        check=False,
+    )
     assert (done.returncode, done.stderr) == (0, "")
     return done.stdout
 
@@ -46,9 +50,12 @@ def test_a_shell_is_answered(shell):
 
 def test_a_shell_that_is_not_known_is_named():
     done = subprocess.run(
-        [sys.executable, "-m", "hil"], capture_output=True, text=True, check=False,
+        [sys.executable, "-m", "hil"],
+        capture_output=True,
+        text=True,
+        check=False,
         env={**os.environ, "_HIL_COMPLETE": "ash_source"},
-    )  # fmt: skip
+    )
     assert done.returncode == 2
     assert "ash_source" in done.stderr
     assert "Traceback" not in done.stderr
@@ -126,12 +133,19 @@ def test_bash_itself_completes(words, reply, here):
     program.chmod(0o755)
     line = shlex.join(["hil", *words])
     done = subprocess.run(
-        ["bash", "-c", 'eval "$(_HIL_COMPLETE=bash_source hil)"; '
-         f"COMP_WORDS=({line}); COMP_CWORD={len(words)}; _hil_completion hil; "
-         'printf "%s\n" "${COMPREPLY[@]}"'],
-        capture_output=True, text=True, check=False, cwd=here,
+        [
+            "bash",
+            "-c",
+            'eval "$(_HIL_COMPLETE=bash_source hil)"; '
+            f"COMP_WORDS=({line}); COMP_CWORD={len(words)}; _hil_completion hil; "
+            'printf "%s\n" "${COMPREPLY[@]}"',
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=here,
         env={**os.environ, "PATH": f"{here}{os.pathsep}{os.environ['PATH']}"},
-    )  # fmt: skip
+    )
     assert [one for one in done.stdout.splitlines() if one] == reply, done.stderr
 
 

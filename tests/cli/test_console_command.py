@@ -102,13 +102,19 @@ def test_what_is_filled_in_becomes_the_words_of_the_command(offered):
 
 @pytest.mark.parametrize(
     ("name", "values", "field"),
-    [("bring_up", {"--seed": "-1"}, "--seed"), ("bring_up", {"--seed": "x"}, "--seed"),
-     ("live", {"--duration": "0"}, "--duration"), ("bring_up", {"watch_s": "many"}, "watch_s"),
-     ("bring_up", {"--bench": "nope.toml"}, "--bench"), ("doctor", {"--bench": "nope.toml"}, "--bench"),
-     ("live", {"--bench": "emulated_floor", "--emulate": "arm"}, "--emulate"),
-     ("bring_up", {"devices": "imu"}, ""), ("a procedure of your own", {}, "SCRIPT"),
-     ("a procedure of your own", {"SCRIPT": "absent.py"}, "SCRIPT")],
-)  # fmt: skip
+    [
+        ("bring_up", {"--seed": "-1"}, "--seed"),
+        ("bring_up", {"--seed": "x"}, "--seed"),
+        ("live", {"--duration": "0"}, "--duration"),
+        ("bring_up", {"watch_s": "many"}, "watch_s"),
+        ("bring_up", {"--bench": "nope.toml"}, "--bench"),
+        ("doctor", {"--bench": "nope.toml"}, "--bench"),
+        ("live", {"--bench": "emulated_floor", "--emulate": "arm"}, "--emulate"),
+        ("bring_up", {"devices": "imu"}, ""),
+        ("a procedure of your own", {}, "SCRIPT"),
+        ("a procedure of your own", {"SCRIPT": "absent.py"}, "SCRIPT"),
+    ],
+)
 def test_what_is_wrong_is_named_beside_its_field(offered, name, values, field):
     assert list(offered[name].problems(values)) == [field]
 
@@ -131,10 +137,14 @@ def test_a_port_that_is_taken_is_named(place, capsys):
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [(["--bench", "absent.toml"], "absent.toml"), (["--in", "file"], "file"),
-     (["--in", "/proc/absent"], "/proc/absent"), (["--stop", "--in", "absent"], "absent"),
-     (["--stop", "--bench", "emulated"], "--bench")],
-)  # fmt: skip
+    [
+        (["--bench", "absent.toml"], "absent.toml"),
+        (["--in", "file"], "file"),
+        (["--in", "/proc/absent"], "/proc/absent"),
+        (["--stop", "--in", "absent"], "absent"),
+        (["--stop", "--bench", "emulated"], "--bench"),
+    ],
+)
 def test_what_it_cannot_use_is_named_and_nothing_is_started(place, capsys, words, said):
     (place / "file").write_text("mine")
     assert main(["console", *words]) == 2
@@ -144,10 +154,12 @@ def test_what_it_cannot_use_is_named_and_nothing_is_started(place, capsys, words
 
 @pytest.mark.parametrize(
     ("mode", "said"),
-    [(0o600, "open http://127.0.0.1:41873/?token=secret in a browser"),
-     (0o640, "end that console (kill PID) and start it again"),
-     (None, "give the same command again in ten seconds")],
-)  # fmt: skip
+    [
+        (0o600, "open http://127.0.0.1:41873/?token=secret in a browser"),
+        (0o640, "end that console (kill PID) and start it again"),
+        (None, "give the same command again in ten seconds"),
+    ],
+)
 def test_a_second_console_of_the_same_folder_is_refused_and_says_how_to_get_in(place, capsys, mode, said):
     """Whoever has closed the terminal of the first has lost its address."""
     folder = place / "out" / "console"
@@ -196,8 +208,11 @@ def test_stop_from_a_shell_says_that_nothing_runs(place, capsys):
     assert "nothing runs" in capsys.readouterr().out
     assert main(["console", "--stop", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {
-        "stopped": [], "last": None, "not_held": [], "button_ended": False
-    }  # fmt: skip
+        "stopped": [],
+        "last": None,
+        "not_held": [],
+        "button_ended": False,
+    }
 
 
 def test_a_console_that_ends_in_order_takes_the_button_with_it(place, capsys, monkeypatch):

@@ -66,8 +66,10 @@ def test_what_is_killed_while_it_compiles_leaves_no_process(tmp_path):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     with subprocess.Popen(
         [sys.executable, "-m", "hil.cli", "info", "--compile"],
-        env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    ) as process:  # fmt: skip
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    ) as process:
         end_s = time.monotonic() + 30
         while not (others := below(process.pid)) and time.monotonic() < end_s:
             time.sleep(0.05)

@@ -13,16 +13,30 @@ from hil.vocabulary.errors import DeviceError
 GONE = "nowhere.toml"
 WRONG = {
     "list": ["planets"],
-    "accept": ["--bench", GONE], "adhesion": ["status", "--bench", GONE],
-    "calibrate": ["nowhere"], "calibration": ["list", GONE], "campaign": ["latency", "--bench", GONE],
-    "commission": ["--bench", GONE], "console": ["--bench", GONE], "robot": ["show", GONE],
-    "demo-data": ["data", "--bench", GONE], "discover": ["--port", ""], "doctor": ["--bench", GONE],
-    "emulate": ["--bench", GONE], "evaluate": ["nowhere"], "export": [GONE],
-    "faults": ["--bench", GONE], "info": ["--magic"],
-    "live": ["--bench", GONE], "replay": [GONE], "report": [GONE], "results": ["list", "nowhere"],
+    "accept": ["--bench", GONE],
+    "adhesion": ["status", "--bench", GONE],
+    "calibrate": ["nowhere"],
+    "calibration": ["list", GONE],
+    "campaign": ["latency", "--bench", GONE],
+    "commission": ["--bench", GONE],
+    "console": ["--bench", GONE],
+    "robot": ["show", GONE],
+    "demo-data": ["data", "--bench", GONE],
+    "discover": ["--port", ""],
+    "doctor": ["--bench", GONE],
+    "emulate": ["--bench", GONE],
+    "evaluate": ["nowhere"],
+    "export": [GONE],
+    "faults": ["--bench", GONE],
+    "info": ["--magic"],
+    "live": ["--bench", GONE],
+    "replay": [GONE],
+    "report": [GONE],
+    "results": ["list", "nowhere"],
     "run": ["latency", "--bench", GONE],
-    "setup": ["--port", "/dev/no-such-port", "--id", "999"], "tune": ["nowhere"],
-}  # fmt: skip
+    "setup": ["--port", "/dev/no-such-port", "--id", "999"],
+    "tune": ["nowhere"],
+}
 
 
 def one_object(capsys):

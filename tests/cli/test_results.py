@@ -96,8 +96,9 @@ def test_trends_of_a_folder_without_runs_write_no_page(tmp_path, capsys):
     assert (code, list(tmp_path.iterdir())) == (0, [])
     assert "No page was written" in out
     assert json.loads(call(capsys, "trends", "--in", str(tmp_path), "--json")[1]) == {
-        "page": None, "groups": [],
-    }  # fmt: skip
+        "page": None,
+        "groups": [],
+    }
 
 
 def test_a_path_that_is_refused_is_told_without_numbers_of_the_system(tmp_path, capsys, monkeypatch):

@@ -34,9 +34,13 @@ from hil.vocabulary.result_files import COMMISSIONING_TABLE
 
 TINY = (
     Stage("tracker_extrinsics", "floor", 1.0, {"turn_deg": 30.0, "way_m": 0.15, "repetitions": 1}),
-    Stage("wall_ablation", "wall", 1.0,
-          {"length_m": 0.1, "duration_s": 4.0, "hold_s": 0.5, "cases": ("x_line",), "processes": 1}),
-)  # fmt: skip
+    Stage(
+        "wall_ablation",
+        "wall",
+        1.0,
+        {"length_m": 0.1, "duration_s": 4.0, "hold_s": 0.5, "cases": ("x_line",), "processes": 1},
+    ),
+)
 SOURCE = BenchSource("emulated_delivered", seed=1)
 PROFILES = Path(profiles.__file__).parent
 
@@ -176,10 +180,13 @@ def test_settings_of_an_ablation_hold_what_a_part_was_measured_on_top_of():
     known = ("signs", "zeros", "backlash", "geometry", "camera", "slip", "hold")
     found = {s.name: s.known for s in settings_of(known, PARTS)}
     assert found == {
-        NOTHING: (), "zeros known": ("signs", "zeros"),
-        "zeros and geometry known": ("signs", "zeros", "geometry"), "camera known": ("camera",),
-        "zeros and geometry and slip known": ("signs", "zeros", "geometry", "slip"), EVERYTHING: known,
-    }  # fmt: skip
+        NOTHING: (),
+        "zeros known": ("signs", "zeros"),
+        "zeros and geometry known": ("signs", "zeros", "geometry"),
+        "camera known": ("camera",),
+        "zeros and geometry and slip known": ("signs", "zeros", "geometry", "slip"),
+        EVERYTHING: known,
+    }
 
 
 def test_signs_that_bring_up_found_are_told_from_those_believed(tmp_path):
@@ -323,9 +330,12 @@ def test_what_rests_on_a_key_that_has_changed_is_repeated_and_named(key, value, 
 @pytest.mark.parametrize(("count", "more"), [(1, ""), (3, ""), (4, " and 1 more"), (5, " and 2 more")])
 def test_of_many_keys_that_have_changed_three_are_named_and_the_others_counted(count, more):
     changes = {
-        "robot.mass_kg": 3.3, "robot.supply_v": 11.5, "tracker.scale_sigma": 0.1, "imu.prefetch": False,
+        "robot.mass_kg": 3.3,
+        "robot.supply_v": 11.5,
+        "tracker.scale_sigma": 0.1,
+        "imu.prefetch": False,
         "adhesion.rated_force_n": 44.0,
-    }  # fmt: skip
+    }
     now = config_of(**dict(list(changes.items())[:count]))
     (ablation,) = (stage for stage in TINY if stage.name == "wall_ablation")
     why = why_again(ablation, rests_on(SOURCE.config, {}, None), now, {})

@@ -107,8 +107,7 @@ def test_a_run_that_was_killed_while_it_drove_is_one_too_and_doctor_that_was_kil
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
-    [(["run", "x"], {}), (["run", "x", "--bench=emulated_floor"], {"virtual_time": True})],
+    ("words", "told"), [(["run", "x"], {}), (["run", "x", "--bench=emulated_floor"], {"virtual_time": True})]
 )
 def test_an_emulated_robot_is_called_so(tmp_path, words, told):
     left(tmp_path, 1, LOOSE, words, **told)

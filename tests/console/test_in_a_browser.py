@@ -101,8 +101,9 @@ def answer(browser, console, question, text):
     """Fill in and press `Done` twice, and Enter, as soon as the page takes an answer."""
     browser.until(
         f"document.querySelector('.question')?.innerText.includes('{question}')"
-        " && !document.querySelector('.question button').disabled", console.frame,
-    )  # fmt: skip
+        " && !document.querySelector('.question button').disabled",
+        console.frame,
+    )
     code = f"""(() => {{
         const form = document.querySelector(".question form");
         const found = form.querySelector("input").value;
@@ -123,8 +124,9 @@ def test_no_click_answers_a_question_that_nobody_has_seen(console, tmp_path):
         answer(browser, console, "which colour is first?", "red")
         browser.until(
             "document.querySelector('.question')?.innerText.includes('which colour is second?')"
-            " && !document.querySelector('.question button').disabled", console.frame,
-        )  # fmt: skip
+            " && !document.querySelector('.question button').disabled",
+            console.frame,
+        )
         other = """(async () => {
             const form = document.querySelector(".question form");
             const job = (await (await fetch("/api/state")).json()).jobs[0];
@@ -310,10 +312,15 @@ def test_no_word_of_the_devices_is_broken_and_no_half_of_a_desk_is_empty(console
 def test_no_word_of_the_history_is_broken(console, tmp_path, size):
     """A phone has no room for four columns: the last of them had 75 px, and its words were cut."""
     run = {
-        "schema": 1, "procedure": "surface_identification", "verdict": "ERROR", "measurements": [],
-        "bench": "emulated_delivered", "started": "2026-03-01T10:00:00+00:00", "virtual_time": True,
+        "schema": 1,
+        "procedure": "surface_identification",
+        "verdict": "ERROR",
+        "measurements": [],
+        "bench": "emulated_delivered",
+        "started": "2026-03-01T10:00:00+00:00",
+        "virtual_time": True,
         "error": {"type": "SafetyStop", "message": "robot stopped (stale_adhesion): nothing usable from it"},
-    }  # fmt: skip
+    }
     folder = console.folder.parent / "surface_identification" / "20260301"
     folder.mkdir(parents=True)
     (folder / "result.json").write_text(json.dumps(run))

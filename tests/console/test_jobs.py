@@ -103,8 +103,9 @@ def test_of_two_answers_at_once_one_is_taken(asking, monkeypatch):
     seen = jobs.state(job)
     monkeypatch.setattr(jobs, "state", lambda job: seen)
     assert [jobs.answer(job, one, "a"), jobs.answer(job, one, "b")] == [
-        "", "somebody else has just answered that question"
-    ]  # fmt: skip
+        "",
+        "somebody else has just answered that question",
+    ]
     assert got() == "a\n"
 
 
@@ -162,11 +163,15 @@ def line(**told):
 
 def test_what_a_running_job_says_is_its_state(tmp_path):
     said = (
-        "a message\n" + line(progress={"what": "in all", "done": 1, "total": 9, "left_s": 4.0})
-        + line(progress={"what": "a step", "done": 2, "total": 5, "left_s": None}) + line(question="old?")
-        + line(answered="yes") + line(live={"pose": [1, 2, 3], "events": ["imu: stuck"]})
-        + line(question="ready?") + '{"live": {"po'
-    )  # fmt: skip
+        "a message\n"
+        + line(progress={"what": "in all", "done": 1, "total": 9, "left_s": 4.0})
+        + line(progress={"what": "a step", "done": 2, "total": 5, "left_s": None})
+        + line(question="old?")
+        + line(answered="yes")
+        + line(live={"pose": [1, 2, 3], "events": ["imu: stuck"]})
+        + line(question="ready?")
+        + '{"live": {"po'
+    )
     state = jobs.state(job_in(tmp_path, process=jobs.identity(os.getpid()), err=said))
     assert state["running"]
     assert (state["whole"]["done"], state["progress"]["done"]) == (1, 2)
@@ -197,10 +202,15 @@ HELD = {"state": "HELD", "moved_m": 0.0, "why": "at rest"}
         ({"ok": False, "findings": []}, "", "FAIL", "x: FAIL"),
         ({"error": {"message": "no port", "remedy": "plug it in", "exit_code": 3}}, "", "ERROR", "x: ERROR"),
         ({"error": {"message": "no", "exit_code": 4}}, line(held=HELD), "ABORTED", "x: HELD: at rest"),
-        (None, "", "ENDED", "x: it ended without a result: it was killed, or could not start; "
-         "check whether the robot is held"),
+        (
+            None,
+            "",
+            "ENDED",
+            "x: it ended without a result: it was killed, or could not start; "
+            "check whether the robot is held",
+        ),
     ],
-)  # fmt: skip
+)
 def test_how_a_job_ended_is_in_what_it_wrote_last(tmp_path, out, err, verdict, words):
     job = job_in(tmp_path, out="" if out is None else json.dumps(out), err=err)
     state = jobs.state(job)
@@ -214,15 +224,27 @@ LEFT_OUT = {"name": "motion", "why": "not begun"}
 
 @pytest.mark.parametrize(
     ("out", "why"),
-    [({"ended": "SIGINT"}, "SIGINT"),
-     ({"ended": "2026-11-26T17:58:32+00:00", "stopped": "", "stages": [{"name": "doctor", "why": ""}]}, ""),
-     ({"ended": "2026-11-26T17:58:32+00:00", "stopped": "ended",
-       "stages": [{"name": "doctor", "why": "2 of 31 checks failed"}, LEFT_OUT]},
-      "doctor: 2 of 31 checks failed; motion: not begun"),
-     ({"stages": [LEFT_OUT], "stopped": {"procedure": "bring_up", "why": "0.2 s late"}},
-      "bring_up: 0.2 s late"),
-     ({"stages": [], "stopped": None}, "")],
-)  # fmt: skip
+    [
+        ({"ended": "SIGINT"}, "SIGINT"),
+        (
+            {"ended": "2026-11-26T17:58:32+00:00", "stopped": "", "stages": [{"name": "doctor", "why": ""}]},
+            "",
+        ),
+        (
+            {
+                "ended": "2026-11-26T17:58:32+00:00",
+                "stopped": "ended",
+                "stages": [{"name": "doctor", "why": "2 of 31 checks failed"}, LEFT_OUT],
+            },
+            "doctor: 2 of 31 checks failed; motion: not begun",
+        ),
+        (
+            {"stages": [LEFT_OUT], "stopped": {"procedure": "bring_up", "why": "0.2 s late"}},
+            "bring_up: 0.2 s late",
+        ),
+        ({"stages": [], "stopped": None}, ""),
+    ],
+)
 def test_why_a_job_ended_so_is_no_date(tmp_path, out, why):
     state = jobs.state(job_in(tmp_path, out=json.dumps({"verdict": "PASS"} | out)))
     assert state["why"] == why

@@ -89,8 +89,13 @@ def test_an_answer_without_its_question_or_its_text_is_refused(page):
     job = job_in(asks, process=jobs.identity(os.getpid()), err=json.dumps({"question": "ready?"}) + "\n")
     (told,) = tree(page("GET", "/api/state"))["jobs"]
     assert (told["question"], told["question_id"]) == ("ready?", 0)
-    for body in ({"text": ""}, {"question_id": None, "text": ""}, {"question_id": "0", "text": ""},
-                 {"question_id": False, "text": ""}, {"question_id": 0}):  # fmt: skip
+    for body in (
+        {"text": ""},
+        {"question_id": None, "text": ""},
+        {"question_id": "0", "text": ""},
+        {"question_id": False, "text": ""},
+        {"question_id": 0},
+    ):
         with pytest.raises(Refused, match="expected the question_id") as refused:
             page("POST", "/api/answer", {"job": job.name, **body})
         assert refused.value.status == HTTPStatus.BAD_REQUEST
@@ -148,9 +153,22 @@ def test_a_page_of_results_is_shown_without_the_rights_of_the_console(page):
 
 @pytest.mark.parametrize(
     "name",
-    ["../secret.txt", "/etc/hostname", "run/../../secret.txt", "link.txt", "linked/secret.txt",
-     "console/stop.json", ".hidden.txt", "run", "", "absent.html", "run/tool.py", "nul\0l.html", "x" * 5000],
-)  # fmt: skip
+    [
+        "../secret.txt",
+        "/etc/hostname",
+        "run/../../secret.txt",
+        "link.txt",
+        "linked/secret.txt",
+        "console/stop.json",
+        ".hidden.txt",
+        "run",
+        "",
+        "absent.html",
+        "run/tool.py",
+        "nul\0l.html",
+        "x" * 5000,
+    ],
+)
 def test_nothing_else_of_this_computer_is_shown(page, tmp_path, name):
     (tmp_path / "secret.txt").write_text("secret")
     (page.results / "run").mkdir()

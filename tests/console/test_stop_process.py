@@ -107,9 +107,10 @@ def test_it_serves_by_itself_from_a_folder(tmp_path):
         told = json.loads((tmp_path / STOP).read_text())
         assert (tmp_path / STOP).stat().st_mode & 0o077 == 0
         request = urllib.request.Request(
-            f"http://127.0.0.1:{told['port']}/stop", b"{}",
+            f"http://127.0.0.1:{told['port']}/stop",
+            b"{}",
             {"Authorization": "Bearer secret", "Content-Type": "application/json"},
-        )  # fmt: skip
+        )
         with urllib.request.urlopen(request, timeout=10) as reply:
             assert json.load(reply) == {"asked": []}
     finally:

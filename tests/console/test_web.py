@@ -77,9 +77,15 @@ def test_a_change_comes_from_a_page_of_the_console_only(ask, server):
 
 @pytest.mark.parametrize(
     ("body", "headers", "status"),
-    [("[]", {}, 400), ("{", {}, 400), ("[" * 9000, {}, 400), ("", {"Content-Length": "-1"}, 413),
-     ("", {"Content-Length": "many"}, 413), ("", {"Content-Length": str(1 << 30)}, 413)],
-)  # fmt: skip
+    [
+        ("[]", {}, 400),
+        ("{", {}, 400),
+        ("[" * 9000, {}, 400),
+        ("", {"Content-Length": "-1"}, 413),
+        ("", {"Content-Length": "many"}, 413),
+        ("", {"Content-Length": str(1 << 30)}, 413),
+    ],
+)
 def test_what_is_no_small_object_is_refused(ask, body, headers, status):
     assert ask("POST", "/change", body, Cookie=COOKIE, **AS_JSON, **headers)[0] == status
 

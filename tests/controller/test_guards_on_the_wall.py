@@ -85,8 +85,10 @@ def test_a_sensor_that_stays_silent_stops_the_robot(device):
 def test_heading_beyond_its_limit_stops_the_robot():
     """A robot that does not correct its heading turns as it climbs; the limit is set close to see it soon."""
     limits = {
-        "control__law": "nonlinear", "control__gains": [4.0, 4.0, 0.01], "safety__heading_limit_rad": 0.008,
-    }  # fmt: skip
+        "control__law": "nonlinear",
+        "control__gains": [4.0, 4.0, 0.01],
+        "safety__heading_limit_rad": 0.008,
+    }
     with open_wall(**limits) as bench:
         with pytest.raises(SafetyStop, match=r"heading -0\.5 deg exceeds 0\.5 deg") as stop:
             drive(bench, 0.6, 12.0)
@@ -96,9 +98,10 @@ def test_heading_beyond_its_limit_stops_the_robot():
 
 def test_commands_stay_within_limits_whatever_the_gains():
     wild = {
-        "control__law": "nonlinear", "control__gains": [80.0, 80.0, 80.0],
+        "control__law": "nonlinear",
+        "control__gains": [80.0, 80.0, 80.0],
         "safety__wheel_rate_limit_rad_s": 2.0,
-    }  # fmt: skip
+    }
     records = []
     with open_wall(**wild) as bench:
         start = np.array([0.01, 0.01, 0.0])

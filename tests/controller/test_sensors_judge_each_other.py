@@ -50,8 +50,12 @@ def straight(to):
     return line(ORIGIN, [*to[:2], 0.0])
 
 
-MOTIONS = {"up": (UP, "ekf", 0.8, 0), "up later": (UP, "ukf", 2.5, 1), "across": (ACROSS, "ekf", 1.5, 2),
-           "back": (BACK, "ukf", 3.2, 3)}  # fmt: skip
+MOTIONS = {
+    "up": (UP, "ekf", 0.8, 0),
+    "up later": (UP, "ukf", 2.5, 1),
+    "across": (ACROSS, "ekf", 1.5, 2),
+    "back": (BACK, "ukf", 3.2, 3),
+}
 QUICK = {(0.3, "up"), (0.3, "across"), (0.5, "up later"), (2.0, "back"), (0.0, "across")}
 
 
@@ -91,9 +95,10 @@ def test_a_frozen_camera_is_named_at_once_and_lived_without_for_a_while(way, at_
 
 LONG = line(ORIGIN, [1.5, 0.0, 0.0], duration_s=30.0)
 BLIND = {
-    "tracker:stuck@0": ("frozen", 0.0), "tracker:wrong@0.3,confidence=0": ("not tracked", 0.3),
+    "tracker:stuck@0": ("frozen", 0.0),
+    "tracker:wrong@0.3,confidence=0": ("not tracked", 0.3),
     "tracker:wrong@2.5,confidence=1": ("low confidence", 2.5),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("fault", list(BLIND))
@@ -153,8 +158,7 @@ def test_a_gyro_that_turns_by_itself_is_the_one_that_is_named():
 
 
 @pytest.mark.parametrize(
-    ("fault", "source"),
-    [("tracker:wrong@1.5,scale=0.3", "tracker"), ("imu:wrong@1.5,rate_rad_s=0.2", "imu")],
+    ("fault", "source"), [("tracker:wrong@1.5,scale=0.3", "tracker"), ("imu:wrong@1.5,rate_rad_s=0.2", "imu")]
 )
 def test_on_the_floor_who_lies_is_left_out_and_the_others_go_on_with_a_sigma_that_covers_the_truth(
     fault, source
@@ -218,23 +222,35 @@ def test_a_servo_whose_encoder_slips_is_named_and_stops_the_robot(fault, servo, 
 
 
 SILENT = {
-    "servos:unplug": "none of the eight answers", "servo.drive_BL:off": "drive_BL (ID 2): timeout",
-    "servo.2:corrupt": "drive_BL (ID 2): crc", "servo.steer_FR:brownout": "steer_FR (ID 8): timeout",
-}  # fmt: skip
+    "servos:unplug": "none of the eight answers",
+    "servo.drive_BL:off": "drive_BL (ID 2): timeout",
+    "servo.2:corrupt": "drive_BL (ID 2): crc",
+    "servo.steer_FR:brownout": "steer_FR (ID 8): timeout",
+}
 SILENT_TOO = {
-    "servos:off": "none of the eight", "servos:baud_mismatch": "none of the eight",
-    "servos:brownout": "none of the eight", "servos:garbage": "none of the eight",
-    "servos:corrupt": "none of the eight", "servos:truncate": "none of the eight",
-    "servos:drop": "none of the eight", "servos:reset": "none of the eight",
-    "servo.7:intermittent": "steer_BR (ID 7): timeout", "servo.2:garbage": "drive_BL (ID 2): timeout",
-    "servo.2:drop": "drive_BL (ID 2): timeout", "servo.6:reset": "steer_BL (ID 6): timeout",
-}  # fmt: skip
+    "servos:off": "none of the eight",
+    "servos:baud_mismatch": "none of the eight",
+    "servos:brownout": "none of the eight",
+    "servos:garbage": "none of the eight",
+    "servos:corrupt": "none of the eight",
+    "servos:truncate": "none of the eight",
+    "servos:drop": "none of the eight",
+    "servos:reset": "none of the eight",
+    "servo.7:intermittent": "steer_BR (ID 7): timeout",
+    "servo.2:garbage": "drive_BL (ID 2): timeout",
+    "servo.2:drop": "drive_BL (ID 2): timeout",
+    "servo.6:reset": "steer_BL (ID 6): timeout",
+}
 
 
 @pytest.mark.parametrize("fault", [*SILENT, *(pytest.param(f, marks=pytest.mark.long) for f in SILENT_TOO)])
 def test_servos_that_fall_silent_in_motion_are_named_with_what_to_do(fault):
-    options = {"corrupt": ",probability=1", "drop": ",probability=1", "truncate": ",probability=1",
-               "intermittent": ",duty=0.9"}.get(fault.split(":")[1], "")  # fmt: skip
+    options = {
+        "corrupt": ",probability=1",
+        "drop": ",probability=1",
+        "truncate": ",probability=1",
+        "intermittent": ",duty=0.9",
+    }.get(fault.split(":")[1], "")
     ride = Ride(straight([0.1, 0, 0]), f"{fault}@1{options}")
     assert ride.stop.reason == "stale_servos"
     assert (SILENT | SILENT_TOO)[fault] in str(ride.stop)
@@ -265,14 +281,22 @@ def test_who_steers_by_odometry_is_told_of_the_camera_and_drives_on():
 
 
 SURVIVED = [
-    "tracker:jump@2.5,distance_m=0.3", "tracker:delayed@2+1,delay_s=0.2", "tracker:off@1.5+0.8",
+    "tracker:jump@2.5,distance_m=0.3",
+    "tracker:delayed@2+1,delay_s=0.2",
+    "tracker:off@1.5+0.8",
     "encoders:delayed@1,delay_s=0.03",
-]  # fmt: skip
+]
 SURVIVED_TOO = [
-    "tracker:delayed,delay_s=0.05", "tracker:intermittent@1", "tracker:wrong@2+1,confidence=1",
-    "tracker:drop@1,probability=0.5", "tracker:slow@1,factor=4", "tracker:reset@2", "imu:off@2+0.4",
-    "imu:jump@2", "servos:delayed@2,delay_s=0.02",
-]  # fmt: skip
+    "tracker:delayed,delay_s=0.05",
+    "tracker:intermittent@1",
+    "tracker:wrong@2+1,confidence=1",
+    "tracker:drop@1,probability=0.5",
+    "tracker:slow@1,factor=4",
+    "tracker:reset@2",
+    "imu:off@2+0.4",
+    "imu:jump@2",
+    "servos:delayed@2,delay_s=0.02",
+]
 
 
 @pytest.mark.parametrize("fault", SURVIVED + [pytest.param(f, marks=pytest.mark.long) for f in SURVIVED_TOO])
@@ -301,13 +325,15 @@ def clean_rides(seeds):
     walls = (
         (line(ORIGIN, [1.5, 0, 0], duration_s=30.0), "ekf"),
         (line(ORIGIN, [0, 1.5, 0], duration_s=30.0), "ukf"),
-        (scan(ORIGIN, 0.5, 3, 0.1, speed_m_s=0.1), "ekf"), (line(ORIGIN, [-0.6, -0.6, 0.15]), "ekf"),
+        (scan(ORIGIN, 0.5, 3, 0.1, speed_m_s=0.1), "ekf"),
+        (line(ORIGIN, [-0.6, -0.6, 0.15]), "ekf"),
         (line(ORIGIN, [0.6, -0.6, -0.15]), "ukf"),
-    )  # fmt: skip
+    )
     floors = (
-        (circle(ORIGIN, 0.3), "ekf"), (line(ORIGIN, [0.0, 0.0, 3.0]), "ukf"),
+        (circle(ORIGIN, 0.3), "ekf"),
+        (line(ORIGIN, [0.0, 0.0, 3.0]), "ukf"),
         (through([ORIGIN, [0.3, 0.1, 1.0], [0.1, -0.2, -1.0]]), "ekf"),
-    )  # fmt: skip
+    )
     rides = [("emulated", *walls[k % len(walls)], k) for k in range(seeds)]
     return rides + [("emulated_floor", *floors[k % len(floors)], k) for k in range((seeds + 4) // 5)]
 

@@ -331,8 +331,9 @@ def test_nonsense_stops_the_robot(bad):
     gains = (math.nan, 4.0, 3.0) if bad == "gains" else (4.0, 4.0, 3.0)
     controller = make_controller(
         ControlConfig.model_construct(**{**ControlConfig().model_dump(), "law": "nonlinear", "gains": gains}),
-        CAD, trajectory,
-    )  # fmt: skip
+        CAD,
+        trajectory,
+    )
     pose = [math.nan, 0, 0] if bad == "state" else [0, 0, 0]
     goal = [math.nan, 0, 0] if bad == "reference" else [0.1, 0, 0]
     with pytest.raises(SafetyStop, match="not_finite"):

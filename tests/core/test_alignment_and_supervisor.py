@@ -85,9 +85,13 @@ def test_tracker_mount_scale_and_start_frame_cancel(attitude, scale):
         camera_m = body_m + quat_rotate(turn, mount.position_m)
         camera_wxyz = quat_multiply(wall_in_world, quat_multiply(turn, mount.rotation_wxyz))
         sample = TrackerSample(
-            Stamp(k, k, k), scale * quat_rotate(wall_in_world, camera_m), camera_wxyz, np.zeros(3),
-            np.zeros(3), 3,
-        )  # fmt: skip
+            Stamp(k, k, k),
+            scale * quat_rotate(wall_in_world, camera_m),
+            camera_wxyz,
+            np.zeros(3),
+            np.zeros(3),
+            3,
+        )
         (measured,) = alignment.measure(Inputs(k, k, tracker=(sample,))).tracker
         np.testing.assert_allclose(measured.pose, [*body_m[:2], yaw], atol=1e-9)
 
@@ -105,8 +109,9 @@ def test_a_camera_that_started_again_has_another_frame_and_tells_the_same_motion
         turn = quat_from_yaw(0.02 * k)
         camera_m = np.array([0.01, -0.02, 0.0]) * k + quat_rotate(turn, mount.position_m)
         attitude = quat_multiply(frames[new], quat_multiply(turn, mount.rotation_wxyz))
-        sample = TrackerSample(Stamp(k, k, k), quat_rotate(frames[new], camera_m), attitude, np.zeros(3),
-                               np.zeros(3), 3, state)  # fmt: skip
+        sample = TrackerSample(
+            Stamp(k, k, k), quat_rotate(frames[new], camera_m), attitude, np.zeros(3), np.zeros(3), 3, state
+        )
         measured += alignment.measure(Inputs(k, k, tracker=(sample,))).tracker
     assert [m.valid for m in measured] == [True] * 10 + [False] + [True] * 8
     begin, end = measured[11].pose, measured[-1].pose
@@ -135,9 +140,13 @@ def test_gravity_in_the_wall_plane_gives_heading_through_the_mount(heading):
     rate_body = np.array([0.0, 0.0, 0.7])
     back = quat_conjugate(mount.rotation_wxyz)
     sample = ImuSample(
-        STAMP, np.array([1.0, 0, 0, 0]), quat_rotate(back, rate_body), np.zeros(3),
-        quat_rotate(back, up_body), (3, 3, 3, 3),
-    )  # fmt: skip
+        STAMP,
+        np.array([1.0, 0, 0, 0]),
+        quat_rotate(back, rate_body),
+        np.zeros(3),
+        quat_rotate(back, up_body),
+        (3, 3, 3, 3),
+    )
     on_wall = Alignment(AlignmentParameters(imu=mount)).measure(Inputs(0, 0, imu=(sample,)))
     assert on_wall.gyro[0].gravity_heading_rad == pytest.approx(heading, abs=1e-12)
     assert on_wall.gyro[0].yaw_rate_rad_s == pytest.approx(0.7)
@@ -212,8 +221,7 @@ def test_a_run_that_follows_a_pose_is_one_that_does_not_wait():
 
 
 @pytest.mark.parametrize(
-    ("pose", "reason"),
-    [((0, 0, 0.27), "heading"), ((np.nan, 0, 0), "not_finite"), ((0.6, 0, 0), "tracking")],
+    ("pose", "reason"), [((0, 0, 0.27), "heading"), ((np.nan, 0, 0), "not_finite"), ((0.6, 0, 0), "tracking")]
 )
 def test_the_guard_names_why_it_stops(pose, reason):
     reference = Reference(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
@@ -242,9 +250,14 @@ def test_limits_scale_all_wheels_alike_and_refuse_nonsense():
 def imu_inputs(cycle, force, status=Status.OK):
     stamp = Stamp(cycle * 10_000_000, cycle * 10_000_000, cycle)
     sample = ImuSample(
-        stamp, np.array([1.0, 0, 0, 0]), np.zeros(3), np.array([force - 9.81, 0, 0]), np.array([9.81, 0, 0]),
-        (3, 3, 3, 3), status,
-    )  # fmt: skip
+        stamp,
+        np.array([1.0, 0, 0, 0]),
+        np.zeros(3),
+        np.array([force - 9.81, 0, 0]),
+        np.array([9.81, 0, 0]),
+        (3, 3, 3, 3),
+        status,
+    )
     return Inputs(cycle, stamp.t_ns, imu=(sample,))
 
 
@@ -400,8 +413,9 @@ def test_an_absurd_camera_or_capture_pose_leaves_no_trace(place, value):
             spoilt = good[place].copy()
             spoilt[0] = value
             good[place] = spoilt
-        camera = TrackerSample(stamp, velocity_m_s=np.zeros(3), angular_velocity_rad_s=np.zeros(3),
-                               confidence=3, **good)  # fmt: skip
+        camera = TrackerSample(
+            stamp, velocity_m_s=np.zeros(3), angular_velocity_rad_s=np.zeros(3), confidence=3, **good
+        )
         capture = MocapSample(stamp, tracking_valid=True, latency_s=0.0, marker_error_m=0.0, **good)
         measured = alignment.measure(Inputs(cycle, cycle, tracker=(camera,), mocap=(capture,)))
         assert len(measured.tracker) == (0 if cycle == 2 else 1)

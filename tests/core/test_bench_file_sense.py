@@ -12,19 +12,48 @@ from hil.procedure.bench_source import BenchSource
 from hil.vocabulary.errors import ConfigError
 
 NUMBERS = (
-    "safety.servo_stale_s", "safety.imu_stale_s", "safety.tracker_stale_s", "safety.wheel_rate_limit_rad_s",
-    "safety.steering_limit_rad", "safety.heading_limit_rad", "safety.tracking_error_limit_m",
-    "safety.body_speed_limit_m_s", "safety.adhesion_limit_m_s2", "control.wheel_speed_m_s",
-    "control.acceleration_m_s2", "control.steering_rate_rad_s", "control.heading_limit_rad",
-    "control.servo_lag_s", "control.goal_position_m", "loop.rate_hz", "loop.late_after_s",
-    "servos.watchdog_s", "servos.velocity_limit_rad_s", "servos.steer_limit_rad", "servos.fail_after_s",
-    "servos.dead_poll_s", "servos.health_period_s", "imu.fail_after_s", "imu.stuck_after_s",
-    "encoders.fail_after_s", "tracker.stale_after_s", "tracker.max_speed_m_s", "mocap.stale_after_s",
-    "estimator.process.acceleration_m_s2_sqrt_hz", "estimator.gates.one_dof",
-    "estimator.gates.three_dof", "estimator.tracker.position_m", "estimator.tracker.jump_m",
-    "estimator.wheels.longest_gap_s", "estimator.time.future_s", "estimator.wall.slip_m_s",
-    "robot.mass_kg", "robot.yaw_inertia_kg_m2", "robot.propeller_y_m", "adhesion.timeout_s",
-)  # fmt: skip
+    "safety.servo_stale_s",
+    "safety.imu_stale_s",
+    "safety.tracker_stale_s",
+    "safety.wheel_rate_limit_rad_s",
+    "safety.steering_limit_rad",
+    "safety.heading_limit_rad",
+    "safety.tracking_error_limit_m",
+    "safety.body_speed_limit_m_s",
+    "safety.adhesion_limit_m_s2",
+    "control.wheel_speed_m_s",
+    "control.acceleration_m_s2",
+    "control.steering_rate_rad_s",
+    "control.heading_limit_rad",
+    "control.servo_lag_s",
+    "control.goal_position_m",
+    "loop.rate_hz",
+    "loop.late_after_s",
+    "servos.watchdog_s",
+    "servos.velocity_limit_rad_s",
+    "servos.steer_limit_rad",
+    "servos.fail_after_s",
+    "servos.dead_poll_s",
+    "servos.health_period_s",
+    "imu.fail_after_s",
+    "imu.stuck_after_s",
+    "encoders.fail_after_s",
+    "tracker.stale_after_s",
+    "tracker.max_speed_m_s",
+    "mocap.stale_after_s",
+    "estimator.process.acceleration_m_s2_sqrt_hz",
+    "estimator.gates.one_dof",
+    "estimator.gates.three_dof",
+    "estimator.tracker.position_m",
+    "estimator.tracker.jump_m",
+    "estimator.wheels.longest_gap_s",
+    "estimator.time.future_s",
+    "estimator.wall.slip_m_s",
+    "robot.mass_kg",
+    "robot.yaw_inertia_kg_m2",
+    "robot.propeller_y_m",
+    "adhesion.timeout_s",
+)
 
 
 def refused(**overrides):
@@ -82,10 +111,17 @@ def test_a_limit_says_what_it_would_take(path, value, told):
 @pytest.mark.parametrize(
     "path",
     [
-        "safety.tethered", "control.integral", "adhesion.by_need", "estimator.gates.on", "tracker.mapping",
-        "estimator.mocap.use", "imu.prefetch", "servos.prefetch", "emulation.randomise_truth",
+        "safety.tethered",
+        "control.integral",
+        "adhesion.by_need",
+        "estimator.gates.on",
+        "tracker.mapping",
+        "estimator.mocap.use",
+        "imu.prefetch",
+        "servos.prefetch",
+        "emulation.randomise_truth",
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("value", ["yes", "true", 1, 0, 1.0])
 def test_a_switch_is_true_or_false(path, value):
     (problem,) = refused(**{path: value})
@@ -142,13 +178,21 @@ def test_on_a_wall_the_watchdog_stops_the_wheels_within_a_tenth_of_a_second(watc
 
 def test_every_senseless_limit_is_told_at_once_also_beside_a_contradiction():
     problems = refused(
-        safety__wheel_rate_limit_rad_s=1e9, safety__tracking_error_limit_m=math.inf, servos__watchdog_s=0.0,
-        servos__velocity_limit_rad_s=1e9, loop__speed_hz=3.0, safety__heading_limit_rad=1.0,
-    )  # fmt: skip
+        safety__wheel_rate_limit_rad_s=1e9,
+        safety__tracking_error_limit_m=math.inf,
+        servos__watchdog_s=0.0,
+        servos__velocity_limit_rad_s=1e9,
+        loop__speed_hz=3.0,
+        safety__heading_limit_rad=1.0,
+    )
     assert sorted(p.partition(":")[0] for p in problems) == [
-        "loop.speed_hz", "safety.heading_limit_rad", "safety.tracking_error_limit_m",
-        "safety.wheel_rate_limit_rad_s", "servos.velocity_limit_rad_s", "servos.watchdog_s",
-    ]  # fmt: skip
+        "loop.speed_hz",
+        "safety.heading_limit_rad",
+        "safety.tracking_error_limit_m",
+        "safety.wheel_rate_limit_rad_s",
+        "servos.velocity_limit_rad_s",
+        "servos.watchdog_s",
+    ]
 
 
 def test_a_robot_on_a_rope_may_be_turned_until_it_slides():

@@ -107,19 +107,25 @@ def test_a_whole_number_too_large_for_a_fraction_is_no_traceback():
 
 
 REFUSED = {
-    'port = "\\u0000"': "imu.port", "reply_timeout_s = -1": "imu.reply_timeout_s",
-    "prefetch = 1": "imu.prefetch", "baud = true": "imu.baud", 'baud = "115200"': "imu.baud",
-    "baud = 1e300": "imu.baud", "fail_after_s = inf": "imu.fail_after_s",
+    'port = "\\u0000"': "imu.port",
+    "reply_timeout_s = -1": "imu.reply_timeout_s",
+    "prefetch = 1": "imu.prefetch",
+    "baud = true": "imu.baud",
+    'baud = "115200"': "imu.baud",
+    "baud = 1e300": "imu.baud",
+    "fail_after_s = inf": "imu.fail_after_s",
     "[encoders]\nrate_hz = 1e-300": "encoders.rate_hz",
     "[safety]\nservo_stale_s = true": "safety.servo_stale_s",
-    "[control]\ngains = [0, 0, 0]": "control.gains.0", "[robot]\nwheel_x_m = 0": "robot.wheel_x_m",
-    "[robot]\nwheel_x_m = [0, 0, 0, 0]": "robot", "[tracker]\nopen_timeout_s = -5": "tracker.open_timeout_s",
+    "[control]\ngains = [0, 0, 0]": "control.gains.0",
+    "[robot]\nwheel_x_m = 0": "robot.wheel_x_m",
+    "[robot]\nwheel_x_m = [0, 0, 0, 0]": "robot",
+    "[tracker]\nopen_timeout_s = -5": "tracker.open_timeout_s",
     "[estimator.gates]\nreanchor_after = 1e21": "estimator.gates.reanchor_after",
     '[encoders]\nchannel = "a\\u0000b"': "encoders.channel",
     "[encoders]\noptions = {port = 1e300}": "encoders.options.port",
     '[emulation]\nfaults = ["\\u0000"]': "emulation.faults",
     '[environment]\nsurface = "\\u001b"': "environment.surface",
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("text", "key"), REFUSED.items(), ids=REFUSED.values())

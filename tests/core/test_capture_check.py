@@ -42,11 +42,12 @@ def cycle(k, rolled, seen, captured, *, axes_rad=0.0, mocap=True):
     angle = way / GEOMETRY.radius_m
     late_ns, soon_ns = t_ns - 25_000_000, t_ns - 5_000_000
     return Measurements(
-        k, t_ns,
+        k,
+        t_ns,
         wheels=(WheelMeasurement(Stamp(t_ns, t_ns, k), angle, angle, steering, (True,) * 4),),
         tracker=(pose("tracker", late_ns, t_ns, seen(late_ns * 1e-9)),),
         mocap=(pose("mocap", soon_ns, t_ns, captured(soon_ns * 1e-9), axes_rad),) if mocap else (),
-    )  # fmt: skip
+    )
 
 
 def at(speed_m_s):
@@ -146,12 +147,13 @@ def test_what_a_camera_invents_in_the_wall_adds_up_while_the_robot_turns():
         angle = speed / GEOMETRY.radius_m * t_s
         found += check.update(
             Measurements(
-                k, t_ns,
+                k,
+                t_ns,
                 wheels=(WheelMeasurement(Stamp(t_ns, t_ns, k), angle, speed, steering, (True,) * 4),),
                 tracker=(pose("tracker", late_ns, t_ns, drift_m_s * late_ns * 1e-9, rate * late_ns * 1e-9),),
                 mocap=(pose("mocap", late_ns, t_ns, (0.0, 0.0), rate * late_ns * 1e-9),),
             )
-        )  # fmt: skip
+        )
     assert {d.source for d in found if "motion capture" in d.message} == {"tracker"}
 
 
@@ -164,9 +166,16 @@ USED = frozenset(("tracker", "imu"))
 
 @pytest.mark.parametrize(
     ("source", "on_wall", "spared"),
-    [("tracker", False, True), ("imu", False, True), ("mocap", False, True), ("servos", False, False),
-     ("tracker", True, False), ("imu", True, False), ("mocap", True, True)],
-)  # fmt: skip
+    [
+        ("tracker", False, True),
+        ("imu", False, True),
+        ("mocap", False, True),
+        ("servos", False, False),
+        ("tracker", True, False),
+        ("imu", True, False),
+        ("mocap", True, True),
+    ],
+)
 def test_who_can_be_left_out_depends_on_the_surface(source, on_wall, spared):
     left_out = LeftOut(USED, on_wall=on_wall)
     assert left_out.can_do_without(doubt(source)) is spared

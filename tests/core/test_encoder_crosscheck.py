@@ -130,8 +130,10 @@ def test_a_slip_is_told_with_both_devices_and_then_stops(servo, config):
     assert "+0.200 rad" in said
 
 
-@pytest.mark.parametrize(("off_rad", "told", "stopped"), [(0.028, 0, False), (0.032, 1, False),
-                                                          (-0.058, 1, False), (-0.062, 1, True)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("off_rad", "told", "stopped"),
+    [(0.028, 0, False), (0.032, 1, False), (-0.058, 1, False), (-0.062, 1, True)],
+)
 def test_more_than_the_threshold_is_told_and_twice_as_much_stops(off_rad, told, stopped):
     events, stops = watched(off_rad, cycles=400)
     assert len(events) == told

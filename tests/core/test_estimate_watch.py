@@ -28,9 +28,17 @@ class Run:
     """Straight ahead at these speeds (2,), m/s; sigma of the estimate in m along both axes."""
 
     def __init__(
-        self, true, *, estimate=None, camera=None, wheels=None, sigma_m=0.0005, sigma_rad=1e-4, axes_rad=0.0,
-        follows=True
-    ):  # fmt: skip
+        self,
+        true,
+        *,
+        estimate=None,
+        camera=None,
+        wheels=None,
+        sigma_m=0.0005,
+        sigma_rad=1e-4,
+        axes_rad=0.0,
+        follows=True,
+    ):
         self.true = true
         self.estimate, self.camera, self.wheels = (
             true if speed is None else np.asarray(speed) for speed in (estimate, camera, wheels)
@@ -52,11 +60,12 @@ class Run:
         _, steering = inverse(GEOMETRY, np.array([*self.wheels, 0.0]))
         angle = np.hypot(*self.wheels) * t_ns * 1e-9 / GEOMETRY.radius_m
         return Measurements(
-            k, t_ns,
+            k,
+            t_ns,
             wheels=(WheelMeasurement(Stamp(t_ns, t_ns, k), angle, angle, steering, (True,) * 4),),
             tracker=(self.pose("tracker", self.camera, t_ns - 25_000_000, t_ns),),
             mocap=(self.pose("mocap", self.true, t_ns - 5_000_000, t_ns, self.axes_rad, valid),),
-        )  # fmt: skip
+        )
 
     def cycle(self, k, **changed):
         self.events += self.supervisor.check(Inputs(k, k * PERIOD_NS), self.measured(k, **changed))

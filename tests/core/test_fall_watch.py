@@ -43,9 +43,9 @@ def stops(*cycles, watch=None):
     return found
 
 
-@pytest.mark.parametrize(("told", "bad", "good", "reason"), [
-    (felt, 3.9, 4.1, "adhesion"), (seen, 0.51, 0.49, "sliding"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("told", "bad", "good", "reason"), [(felt, 3.9, 4.1, "adhesion"), (seen, 0.51, 0.49, "sliding")]
+)
 def test_three_samples_in_a_row_are_needed_and_enough(told, bad, good, reason):
     assert stops(told(bad), told(bad), told(bad)) == [[], [], [reason]]
     assert stops(told(bad, bad, bad)) == [[reason]]

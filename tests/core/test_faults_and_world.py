@@ -104,12 +104,20 @@ def test_a_fault_acts_in_its_half_open_interval():
 
 
 def test_a_fault_takes_over_from_one_of_its_kind_that_began_earlier():
-    plan = FaultPlan([parse_fault(f"camera:wrong@{span},scale={scale}") for span, scale in
-                      (("4+2", 0.5), ("2", 0.9), ("8", 0.3))])  # fmt: skip
+    plan = FaultPlan(
+        [
+            parse_fault(f"camera:wrong@{span},scale={scale}")
+            for span, scale in (("4+2", 0.5), ("2", 0.9), ("8", 0.3))
+        ]
+    )
     found = {t: plan.find("camera", "wrong", t * 10**9) for t in (1, 3, 5, 7, 9)}
     assert {t: fault and fault.option("scale", 1.0) for t, fault in found.items()} == {
-        1: None, 3: 0.9, 5: 0.5, 7: 0.9, 9: 0.3
-    }  # fmt: skip
+        1: None,
+        3: 0.9,
+        5: 0.5,
+        7: 0.9,
+        9: 0.3,
+    }
 
 
 def test_what_acts_once_acts_each_time_that_it_is_planned():

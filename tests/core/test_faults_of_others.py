@@ -11,10 +11,20 @@ from tests.to_the_bit import bits
 
 CYCLES, RATE_HZ = 60, 100
 LATER = (
-    "servos:stuck", "servo.drive_FL:off", "servo.steer_BR:slow", "servos:drop", "imu:garbage",
-    "tracker:stuck", "mocap:drop", "encoders:corrupt", "encoder.BL:wrong", "adhesion:wrong",
-    "thrust:slow", "load_cells:jump", "plant:adhesion_loss",
-)  # fmt: skip
+    "servos:stuck",
+    "servo.drive_FL:off",
+    "servo.steer_BR:slow",
+    "servos:drop",
+    "imu:garbage",
+    "tracker:stuck",
+    "mocap:drop",
+    "encoders:corrupt",
+    "encoder.BL:wrong",
+    "adhesion:wrong",
+    "thrust:slow",
+    "load_cells:jump",
+    "plant:adhesion_loss",
+)
 
 
 def told(*faults):

@@ -39,9 +39,12 @@ BOUNDED = settings(
 DEEP_TOML = "a = " + "[" * 100_000
 DEEP_JSON = "[" * 100_000
 TOMLS = {
-    "bench": load_bench, "calibration": lambda path: read_calibration(Path(path)),
-    "faults": lambda path: read_faults([str(path)]), "topics": read_topic_map, "imu": ImuCalibration.load,
-}  # fmt: skip
+    "bench": load_bench,
+    "calibration": lambda path: read_calibration(Path(path)),
+    "faults": lambda path: read_faults([str(path)]),
+    "topics": read_topic_map,
+    "imu": ImuCalibration.load,
+}
 FOUND_TOML = (
     DEEP_TOML,
     "a = " + "{a = " * 100_000,
@@ -55,13 +58,36 @@ FOUND_TOML = (
     'fault = [{device = "imu", kind = "stuck", options = {x = nan}}]',
     "accelerometer_offset = 1\nmagnetometer_offset = 1\ngyroscope_offset = 1\n"
     "accelerometer_radius = 1\nmagnetometer_radius = 1",
-    "\x00", "\ufeffa = 1", "a = 1979-05-27", "= 1", "a = '''",
-)  # fmt: skip
+    "\x00",
+    "\ufeffa = 1",
+    "a = 1979-05-27",
+    "= 1",
+    "a = '''",
+)
 
 WORDS = st.sampled_from(
-    ["schema", "name", "fault", "device", "kind", "at_s", "options", "servos", "wheels", "truth", "topic",
-     "drive", "parameters", "gyroscope_offset", "accelerometer_radius", "x", "version", "imu", "stuck"]
-)  # fmt: skip
+    [
+        "schema",
+        "name",
+        "fault",
+        "device",
+        "kind",
+        "at_s",
+        "options",
+        "servos",
+        "wheels",
+        "truth",
+        "topic",
+        "drive",
+        "parameters",
+        "gyroscope_offset",
+        "accelerometer_radius",
+        "x",
+        "version",
+        "imu",
+        "stuck",
+    ]
+)
 SCALARS = st.none() | st.booleans() | st.integers(-(2**70), 2**70) | st.floats() | st.text(max_size=8) | WORDS
 TREES = st.recursive(
     SCALARS,
@@ -151,10 +177,29 @@ def result(**values):
 
 
 RESULT_KEYS = st.sampled_from(
-    ["procedure", "verdict", "measurements", "error", "teardown_errors", "steps", "tables", "figures", "held",
-     "attachments", "recordings", "notes", "parameters", "config", "calibration", "versions", "loop",
-     "faults", "duration_s", "seed"]
-)  # fmt: skip
+    [
+        "procedure",
+        "verdict",
+        "measurements",
+        "error",
+        "teardown_errors",
+        "steps",
+        "tables",
+        "figures",
+        "held",
+        "attachments",
+        "recordings",
+        "notes",
+        "parameters",
+        "config",
+        "calibration",
+        "versions",
+        "loop",
+        "faults",
+        "duration_s",
+        "seed",
+    ]
+)
 ROWS = st.dictionaries(
     st.sampled_from(["name", "unit", "value", "low", "high", "margin", "outcome", "limited", "rationale"]),
     SCALARS,
@@ -195,11 +240,42 @@ def test_any_setting_is_a_value_or_a_text(value):
 
 
 ENTRIES = st.fixed_dictionaries(
-    {"kind": st.sampled_from(["run", "resume", "step", "checkpoint", "value", "measure", "attach", "table",
-                              "figure", "note", "recording", "end"]) | SCALARS},
-    optional={key: TREES for key in ("title", "value", "name", "path", "text", "verdict", "schema", "head",
-                                     "rows", "note", "caption")},
-)  # fmt: skip
+    {
+        "kind": st.sampled_from(
+            [
+                "run",
+                "resume",
+                "step",
+                "checkpoint",
+                "value",
+                "measure",
+                "attach",
+                "table",
+                "figure",
+                "note",
+                "recording",
+                "end",
+            ]
+        )
+        | SCALARS
+    },
+    optional={
+        key: TREES
+        for key in (
+            "title",
+            "value",
+            "name",
+            "path",
+            "text",
+            "verdict",
+            "schema",
+            "head",
+            "rows",
+            "note",
+            "caption",
+        )
+    },
+)
 
 
 @BOUNDED

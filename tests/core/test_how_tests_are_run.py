@@ -52,9 +52,12 @@ def test_what_a_test_starts_neither_ignores_nor_blocks_a_signal():
     told = {}
     for mended in ("", "from tests.signals import as_a_program_begins; as_a_program_begins()"):
         done = subprocess.run(
-            [sys.executable, "-c", INHERITED.format(mended=mended)], cwd=TESTS.parent, capture_output=True,
-            text=True, check=True,
-        )  # fmt: skip
+            [sys.executable, "-c", INHERITED.format(mended=mended)],
+            cwd=TESTS.parent,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
         masks = [int(line.split()[1], 16) for line in done.stdout.split("\n") if line]
         told[bool(mended)] = [mask & OF_PROGRAMS for mask in masks]
     assert all(told[False])
@@ -81,9 +84,13 @@ def ignore_hang_ups():
 )
 def test_what_ends_the_run_ends_its_lanes_and_a_closed_terminal_does_not_under_nohup(numbers, before):
     with subprocess.Popen(
-        [sys.executable, "-c", LANES], cwd=TESTS.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        text=True, preexec_fn=before,
-    ) as run:  # fmt: skip
+        [sys.executable, "-c", LANES],
+        cwd=TESTS.parent,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=before,
+    ) as run:
         lane = int(run.stdout.readline())
         for number in numbers:
             assert run.poll() is None

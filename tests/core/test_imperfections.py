@@ -43,15 +43,25 @@ def test_no_number_of_any_device_takes_nonsense_and_each_takes_its_default(kind,
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("servos.ids", [1] * 8), ("servos.ids", [1, 2]), ("servos.baud", 5), ("servos.model_number", 7),
-        ("servos.firmware", 999), ("servos.eeprom", {"1": {"x": 1}}), ("servos.return_delay", -1),
-        ("servos.eeprom", {"1": {"velocity_limit": 10**12}}), ("servos.model_by_joint", {"9": 1010}),
-        ("servos.drive_start_counts", [10**12, 0, 0, 0]), ("tracker.settle_s", [0.1, float("nan"), 0.1]),
-        ("tracker.mount_rotation_wxyz", [0.0] * 4), ("tracker.mount_position_m", [0.0, 0.0, 1e9]),
-        ("tracker.settle_s", [True, 0.1, 0.1]), ("imu.leakage_s", 0.0), ("servos.supply_v", 0.0),
+        ("servos.ids", [1] * 8),
+        ("servos.ids", [1, 2]),
+        ("servos.baud", 5),
+        ("servos.model_number", 7),
+        ("servos.firmware", 999),
+        ("servos.eeprom", {"1": {"x": 1}}),
+        ("servos.return_delay", -1),
+        ("servos.eeprom", {"1": {"velocity_limit": 10**12}}),
+        ("servos.model_by_joint", {"9": 1010}),
+        ("servos.drive_start_counts", [10**12, 0, 0, 0]),
+        ("tracker.settle_s", [0.1, float("nan"), 0.1]),
+        ("tracker.mount_rotation_wxyz", [0.0] * 4),
+        ("tracker.mount_position_m", [0.0, 0.0, 1e9]),
+        ("tracker.settle_s", [True, 0.1, 0.1]),
+        ("imu.leakage_s", 0.0),
+        ("servos.supply_v", 0.0),
         ("mocap.rate_hz", 0.0),
     ],
-)  # fmt: skip
+)
 def test_a_bench_is_checked_without_any_fault(key, value):
     config = load_bench("emulated", overrides={f"emulation.{key}": value})
     with pytest.raises(ConfigError, match=rf"emulation\.{key}"):

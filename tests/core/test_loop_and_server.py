@@ -143,9 +143,13 @@ def make(silent_after_ns=NEVER_NS, sinks=lambda clock: ()):
     clock = VirtualClock(World(StillPlant()))
     rig = Rig(clock, servos=Servos(clock, silent_after_ns), sensors={"mocap": Mocap(clock)})
     brain = Brain(
-        Supervisor(SafetyLimits()), Alignment(AlignmentParameters()), Standing(), Forward(),
-        lambda t_s: Reference(t_s, np.zeros(3), np.zeros(3), np.zeros(3)), {"shadow": Standing()},
-    )  # fmt: skip
+        Supervisor(SafetyLimits()),
+        Alignment(AlignmentParameters()),
+        Standing(),
+        Forward(),
+        lambda t_s: Reference(t_s, np.zeros(3), np.zeros(3), np.zeros(3)),
+        {"shadow": Standing()},
+    )
     brain.reset(RobotState(0, np.zeros(3), np.zeros(3), np.eye(6)))
     return rig, ControlLoop(rig, clock, brain, sinks=sinks(clock))
 

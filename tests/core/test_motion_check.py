@@ -49,11 +49,12 @@ class Robot:
         pose = camera.pop("pose", pose)
         valid = camera.pop("valid", True)
         return Measurements(
-            k, t_ns,
+            k,
+            t_ns,
             wheels=(WheelMeasurement(stamp, angles, speed, steering, (True,) * 4),),
             gyro=(GyroMeasurement(stamp, self.gyro, math.nan, np.zeros(2)),),
             tracker=(PoseMeasurement(late, "tracker", pose, 3, valid),),
-        )  # fmt: skip
+        )
 
 
 def doubts(robot, cycles=400, check=None):
@@ -103,10 +104,17 @@ def test_the_message_says_how_much_each_told_and_what_may_be_wrong(twist, seen, 
 
 @pytest.mark.parametrize(
     ("share", "on_wall", "honest"),
-    [((-0.10, 0.0), True, True), ((0.0, 0.049), True, True), ((0.049, 0.0), True, True),
-     ((-0.14, 0.0), True, False), ((0.08, 0.0), True, False), ((0.0, 0.08), True, False),
-     ((-0.08, 0.0), False, False), ((-0.049, 0.0), False, True)],
-)  # fmt: skip
+    [
+        ((-0.10, 0.0), True, True),
+        ((0.0, 0.049), True, True),
+        ((0.049, 0.0), True, True),
+        ((-0.14, 0.0), True, False),
+        ((0.08, 0.0), True, False),
+        ((0.0, 0.08), True, False),
+        ((-0.08, 0.0), False, False),
+        ((-0.049, 0.0), False, True),
+    ],
+)
 def test_creep_on_a_wall_takes_away_and_adds_nothing(share, on_wall, honest):
     """Climbing at 0.1 m/s for 8 s; the camera sees so much more of it, along and across."""
     robot = Robot((0.1, 0, 0), camera=(0.1 * (1.0 + share[0]), 0.1 * share[1], 0.0))

@@ -60,10 +60,15 @@ def test_work_in_quick_pieces_has_a_pace_too():
 @pytest.mark.parametrize(
     ("left_s", "words"),
     [
-        (None, ""), (1.0, "a few seconds left"), (38.0, "about 40 s left"), (89.9, "about 90 s left"),
-        (121.0, "about 2 min left"), (3000.0, "about 50 min left"), (9000.0, "about 2.5 h left"),
+        (None, ""),
+        (1.0, "a few seconds left"),
+        (38.0, "about 40 s left"),
+        (89.9, "about 90 s left"),
+        (121.0, "about 2 min left"),
+        (3000.0, "about 50 min left"),
+        (9000.0, "about 2.5 h left"),
     ],
-)  # fmt: skip
+)
 def test_left_in_words(left_s, words):
     assert in_words(left_s) == words
 

@@ -40,9 +40,13 @@ def watched(device, statuses, stale_s=None, begin=0):
 
 
 TOLD = [
-    (Status.FROZEN, "frozen"), (Status.IMPLAUSIBLE, "cannot be"), (Status.NOT_FINITE, "no numbers"),
-    (Status.JUMP, "jumped"), (Status.RESET, "started again"), (Status.HARDWARE_ERROR, "hardware error"),
-]  # fmt: skip
+    (Status.FROZEN, "frozen"),
+    (Status.IMPLAUSIBLE, "cannot be"),
+    (Status.NOT_FINITE, "no numbers"),
+    (Status.JUMP, "jumped"),
+    (Status.RESET, "started again"),
+    (Status.HARDWARE_ERROR, "hardware error"),
+]
 
 
 @pytest.mark.parametrize("device", list(MAKERS))
@@ -69,8 +73,9 @@ def test_what_passes_is_not_worth_a_word(device, status):
 def test_a_silence_is_told_when_it_has_lasted_and_so_is_its_end():
     told = watched("imu", [Status.OK, *[None] * 60, Status.OK, Status.OK], {"imu": 0.5})
     assert [(e.t_ns // PERIOD_NS, e.level, e.message) for e in told] == [
-        (51, "warning", "stale for 0.510 s"), (61, "info", "answers again, after 0.61 s"),
-    ]  # fmt: skip
+        (51, "warning", "stale for 0.510 s"),
+        (61, "info", "answers again, after 0.61 s"),
+    ]
 
 
 @pytest.mark.parametrize(("missing", "told"), [(90, []), (150, ["answers again, after 1.51 s"])])

@@ -51,9 +51,14 @@ def test_folder_environment_and_session_are_its_own(tmp_path):
     )
     kept = {name: value for name, value in os.environ.items() if name != "HOME"}
     done = subprocess.run(
-        [*HIL, "run", "mine.py"], cwd=tmp_path, env={**kept, "ONLY_HERE": "yes"}, capture_output=True,
-        text=True, start_new_session=True, timeout=END_S,
-    )  # fmt: skip
+        [*HIL, "run", "mine.py"],
+        cwd=tmp_path,
+        env={**kept, "ONLY_HERE": "yes"},
+        capture_output=True,
+        text=True,
+        start_new_session=True,
+        timeout=END_S,
+    )
     here = str(tmp_path)
     assert repr((here, "yes", False, True, ["run", "mine.py"], here)) in done.stderr
     assert "ONLY_HERE" not in os.environ
@@ -91,9 +96,12 @@ def test_pytest_is_forked_with_the_folder_of_its_tests(tmp_path):
     (tmp_path / "test_mine.py").write_text("from beside import HERE\ndef test_it():\n    assert HERE == 2\n")
     path = os.pathsep.join((str(tmp_path), os.environ.get("PYTHONPATH", ""))).strip(os.pathsep)
     with subprocess.Popen(
-        [sys.executable, "-mpytest", "-q", "-p", "no:cacheprovider"], cwd=tmp_path, stdout=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": path}, text=True,
-    ) as process:  # fmt: skip
+        [sys.executable, "-mpytest", "-q", "-p", "no:cacheprovider"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": path},
+        text=True,
+    ) as process:
         said, _ = process.communicate(timeout=END_S)
     assert process.forked
     assert process.returncode == 1

@@ -53,10 +53,21 @@ def climb(rangefinder, tmp_path_factory):
     """A results folder of the example's procedure, made where its package is installed."""
     out = tmp_path_factory.mktemp("climb") / "out"
     subprocess.run(
-        [sys.executable, "-m", "hil.cli", "run", EXAMPLE / "approach.py", "--bench", EXAMPLE / "bench.toml",
-         "--out", out],
-        env=environment(rangefinder), check=True, capture_output=True,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "hil.cli",
+            "run",
+            EXAMPLE / "approach.py",
+            "--bench",
+            EXAMPLE / "bench.toml",
+            "--out",
+            out,
+        ],
+        env=environment(rangefinder),
+        check=True,
+        capture_output=True,
+    )
     return out
 
 

@@ -39,10 +39,12 @@ def reader(tmp_path_factory):
         f"[install]\ntarget = {target}\nno-index = true\nno-deps = true\nno-build-isolation = false\n"
     )
     env = {
-        **os.environ, "PATH": f"{target / 'bin'}{os.pathsep}{os.environ['PATH']}",
-        "PYTHONPATH": f"{ROOT}{os.pathsep}{target}", "PIP_CONFIG_FILE": str(target / "pip.conf"),
+        **os.environ,
+        "PATH": f"{target / 'bin'}{os.pathsep}{os.environ['PATH']}",
+        "PYTHONPATH": f"{ROOT}{os.pathsep}{target}",
+        "PIP_CONFIG_FILE": str(target / "pip.conf"),
         "PYTEST_ADDOPTS": "-p no:cacheprovider",
-    }  # fmt: skip
+    }
 
     def follow(containing):
         (block,) = [b for b in BLOCKS if containing in b]
@@ -65,8 +67,11 @@ def installed(reader):
 @pytest.mark.long
 def test_another_model_is_installed_examined_and_keeps_the_contract(reader):
     assert [name for name, _ in FILES if "imu" in name] == [
-        "my-imu/pyproject.toml", "my-imu/my_imu.py", "my-imu/bench.toml", "my-imu/test_contract.py",
-    ]  # fmt: skip
+        "my-imu/pyproject.toml",
+        "my-imu/my_imu.py",
+        "my-imu/bench.toml",
+        "my-imu/test_contract.py",
+    ]
     told = reader("./my-imu")
     assert re.search(r"imu +my_imu +My IMU \(hil-my-imu 0\.1\.0\)", told)
     assert "imu       gravity: 9.8" in told
@@ -106,9 +111,15 @@ def test_the_example_passes_its_tests(reader):
 
 def test_every_block_of_the_guide_is_followed():
     followed = (
-        "./my-imu", "pip install ./examples/rangefinder", "--rerun", "--fault rangefinder",
-        "hil discover --on-stand", "cd examples", "./my-gap", "hil discover --at",
-    )  # fmt: skip
+        "./my-imu",
+        "pip install ./examples/rangefinder",
+        "--rerun",
+        "--fault rangefinder",
+        "hil discover --on-stand",
+        "cd examples",
+        "./my-gap",
+        "hil discover --at",
+    )
     assert [sum(key in block for key in followed) for block in BLOCKS] == [1] * len(followed)
 
 

@@ -13,7 +13,8 @@ FAILING = {
     "a constructor": (driver("__init__ = fail"), "its constructor raised RuntimeError: boom"),
     "open": (driver("open = fail"), "open() raised RuntimeError: boom"),
     "open for the system": (
-        driver("def open(self): raise OSError(5, 'gone')"), "open() raised OSError: [Errno 5] gone",
+        driver("def open(self): raise OSError(5, 'gone')"),
+        "open() raised OSError: [Errno 5] gone",
     ),
     "an end of the process": (driver("def read(self): sys.exit(7)"), "read() raised SystemExit: 7"),
     "nothing": (driver("def read(self): return None"), "read() gave None"),
@@ -29,30 +30,36 @@ FAILING = {
         "read() gave Sample.stamp with t_ns 1.5",
     ),
     "a value of another type": (
-        driver("def read(self): return (replace(self.sample(), value=None),)"), "gave Sample.value None",
+        driver("def read(self): return (replace(self.sample(), value=None),)"),
+        "gave Sample.value None",
     ),
     "a text in a tuple": (
-        driver("def read(self): return (self.sample(pair=('x', None)),)"), "gave Sample.pair ('x', None)",
+        driver("def read(self): return (self.sample(pair=('x', None)),)"),
+        "gave Sample.pair ('x', None)",
     ),
     "a tuple of another length": (
-        driver("def read(self): return (self.sample(pair=(1.0,)),)"), "gave Sample.pair (1.0,)",
+        driver("def read(self): return (self.sample(pair=(1.0,)),)"),
+        "gave Sample.pair (1.0,)",
     ),
     "a number beyond every float": (
-        driver("def read(self): return (self.sample(10**400),)"), "which no float holds",
+        driver("def read(self): return (self.sample(10**400),)"),
+        "which no float holds",
     ),
     "a number of thousands of digits": (
-        driver("def read(self): return (self.sample(10**9999),)"), "which no float holds",
+        driver("def read(self): return (self.sample(10**9999),)"),
+        "which no float holds",
     ),
     "a number beyond 64 bits": (
         driver("def read(self): return (self.sample(number=2**63),)"),
         "gave Sample.number 9223372036854775808, which 64 bits do not hold",
     ),
     "a text in a mapping": (
-        driver("def read(self): return (self.sample(more={'x': 'y'}),)"), "gave Sample.more {'x': 'y'}",
+        driver("def read(self): return (self.sample(more={'x': 'y'}),)"),
+        "gave Sample.more {'x': 'y'}",
     ),
     "a status too many": (CHANNELS, "gave Two.status of length 3"),
     "emulate": ("ITEM = thing(emulate=fail)\n", "emulate raised RuntimeError: boom"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.usefixtures("bench")
@@ -189,8 +196,10 @@ def test_figures_that_fail_are_named_and_the_rest_is_drawn(package, hil, tmp_pat
     done = subprocess.run(
         [sys.executable, "-m", "hil", "replay", "out/recording.mcap", "--rerun", "x.rrd"],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (folder, Path(__file__).parents[2])))},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert "hil: wrote x.rrd (" in done.stderr
     assert done.stderr.count("WARNING hil.monitor.series: thing (hil-evil 6.6): figures raised Runtime") == 1

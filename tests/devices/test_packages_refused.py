@@ -76,28 +76,32 @@ REFUSED = {
         ("hil-new 1.0", "the kind imu is there already (hil)", "give the kind another name"),
     ),
     "an alias of a kind": (
-        changed('replace(THING, aliases=("can",))'), ("hil-new 1.0", "the kind can is there already (hil)"),
+        changed('replace(THING, aliases=("can",))'),
+        ("hil-new 1.0", "the kind can is there already (hil)"),
     ),
     "a model without a driver": (
         changed("replace(THING, models=(replace(ONE, driver=None),))"),
         ("hil-new 1.0", "model one of thing has no driver"),
     ),
     "a model that forgets its driver": (
-        MODEL.replace(", driver=driver)", ")") + "ITEM = THING\n", ("hil-new 1.0", "missing", "'driver'"),
+        MODEL.replace(", driver=driver)", ")") + "ITEM = THING\n",
+        ("hil-new 1.0", "missing", "'driver'"),
     ),
     "a kind that there is not": (
         changed('replace(ONE, kind="imuu")'),
         ("hil-new 1.0", "is of the kind imuu, which there is not", "did you mean imu?"),
     ),
     "a model that there is": (
-        changed("BNO055"), ("hil-new 1.0", "a model bno055 of imu already (hil)", "give the model another"),
+        changed("BNO055"),
+        ("hil-new 1.0", "a model bno055 of imu already (hil)", "give the model another"),
     ),
     "two models of one name": (
         changed("replace(THING, models=(ONE, ONE))"),
         ("there is a model one of thing already (hil-new 1.0)",),
     ),
     "a model of another kind": (
-        changed("replace(THING, models=(BNO055,))"), ("the kind thing lists bno055, a model of imu",),
+        changed("replace(THING, models=(BNO055,))"),
+        ("the kind thing lists bno055, a model of imu",),
     ),
     "a kind without models": (changed("replace(THING, models=())"), ("'thing' with 0 models",)),
     "a name that is none": (changed('replace(THING, name="a thing")'), ("'a thing' with 1 models",)),
@@ -106,10 +110,12 @@ REFUSED = {
         for name in ("all", "plant", "Thing", "d\u00fcse", "_thing", "class", None)
     },
     "an end of the process": (
-        "import sys\nsys.exit(7)\n", ("hil-new 1.0", "cannot be loaded (SystemExit: 7)", "uninstall hil-new"),
+        "import sys\nsys.exit(7)\n",
+        ("hil-new 1.0", "cannot be loaded (SystemExit: 7)", "uninstall hil-new"),
     ),
     "a table without its name": (
-        changed("replace(ONE, config=DeviceConfig, kind='imu')"), ("no key for its own name", "Literal"),
+        changed("replace(ONE, config=DeviceConfig, kind='imu')"),
+        ("no key for its own name", "Literal"),
     ),
     "a table that is none": (
         MODEL.replace("(DeviceConfig)", "(__import__('pydantic').BaseModel)") + "ITEM = THING\n",
@@ -117,7 +123,7 @@ REFUSED = {
     ),
     "a default that its own key refuses": (
         MODEL.replace('port: str = "/dev/ttyUSB0"', 'gain: float = "high"') + "ITEM = THING\n",
-        ("hil-new 1.0", "wrong defaults in the table Config of model one of thing: gain = 'high': ",),
+        ("hil-new 1.0", "wrong defaults in the table Config of model one of thing: gain = 'high': "),
     ),
     "imperfections that are no function": (
         changed("replace(THING, models=(replace(ONE, imperfections=Sample),))"),
@@ -128,12 +134,14 @@ REFUSED = {
         ("safety is the name of another part of the bench file", "another name"),
     ),
     "something that moves the robot": (
-        changed("replace(THING, actuates=True)"), ("thing says that it moves the robot", "actuates=False"),
+        changed("replace(THING, actuates=True)"),
+        ("thing says that it moves the robot", "actuates=False"),
     ),
     "samples without a stamp": (
-        changed("replace(THING, sample=int)"), ("samples of the kind thing", "stamp and status"),
+        changed("replace(THING, sample=int)"),
+        ("samples of the kind thing", "stamp and status"),
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", REFUSED)

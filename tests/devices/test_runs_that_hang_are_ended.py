@@ -38,9 +38,13 @@ def ended(folder, packages, awaited, signals):
     """The process of a run that is sent signals once it has said where it is; at most half a minute."""
     words = ["run", "look.py", "--bench", "bench.toml", "--out", "out", "--json"]
     process = subprocess.Popen(
-        [sys.executable, "-m", "hil", *words], cwd=folder, env=environment(*packages), text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )  # fmt: skip
+        [sys.executable, "-m", "hil", *words],
+        cwd=folder,
+        env=environment(*packages),
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
     try:
         while (line := process.stderr.readline()) and awaited not in line:
             pass

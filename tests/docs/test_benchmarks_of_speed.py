@@ -13,9 +13,20 @@ GROWTH = runpy.run_path(str(ROOT / "benchmarks" / "growth.py"))
 TABLE = runpy.run_path(str(ROOT / "benchmarks" / "table.py"))
 START = runpy.run_path(str(ROOT / "benchmarks" / "start.py"))
 NOT_FOR_DRIVING = {
-    "matplotlib", "rosbags", "mujoco", "packaging", "pyarrow", "rich", "jinja2", "distributed", "rerun",
-    "hil.recording.public_csv", "hil.recording.rosbag", "hil.calibration.calibrate", "hil.report.run_page",
-}  # fmt: skip
+    "matplotlib",
+    "rosbags",
+    "mujoco",
+    "packaging",
+    "pyarrow",
+    "rich",
+    "jinja2",
+    "distributed",
+    "rerun",
+    "hil.recording.public_csv",
+    "hil.recording.rosbag",
+    "hil.calibration.calibrate",
+    "hil.report.run_page",
+}
 
 
 @pytest.mark.parametrize("power", [1, 2])

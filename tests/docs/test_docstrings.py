@@ -51,10 +51,13 @@ def raised(function):
     nodes = list(own_nodes(function))
     caught = {
         (raising, name)
-        for attempt in nodes if isinstance(attempt, ast.Try)
+        for attempt in nodes
+        if isinstance(attempt, ast.Try)
         for name in re.findall(r"\w+", " ".join(ast.unparse(h.type) for h in attempt.handlers if h.type))
-        for step in attempt.body for raising in ast.walk(step) if isinstance(raising, ast.Raise)
-    }  # fmt: skip
+        for step in attempt.body
+        for raising in ast.walk(step)
+        if isinstance(raising, ast.Raise)
+    }
     for node in nodes:
         call = node.exc if isinstance(node, ast.Raise) else None
         name = call.func.id if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) else ""

@@ -100,11 +100,18 @@ OTHERWISE = {
     **{
         f"hil run {name} --bench my.toml": (["--dry-run"], "lasts minutes; tests/procedures runs it whole")
         for name in (
-            "steering_zero", "odometry_calibration", "tracker_extrinsics", "adhesion_check",
-            "imu_calibration", "latency", "surface_identification", "wall_tracking", "wall_ablation",
+            "steering_zero",
+            "odometry_calibration",
+            "tracker_extrinsics",
+            "adhesion_check",
+            "imu_calibration",
+            "latency",
+            "surface_identification",
+            "wall_tracking",
+            "wall_ablation",
         )
     },
-}  # fmt: skip
+}
 """Lines that are not run as they stand there: what is added to them, and why."""
 JUDGES_PUNCTUALITY = ("doctor", "accept", "run", "live")
 """What also judges how punctual this computer is, of which others may take time: each has three tries, and

@@ -102,9 +102,13 @@ def folder(tmp_path_factory):
 def tried(place, line):
     path = f"{place / 'bin'}{os.pathsep}{os.environ['PATH']}"
     return subprocess.run(
-        ["sh", "-c", line], cwd=place, env={**os.environ, "PATH": path}, capture_output=True, text=True,
+        ["sh", "-c", line],
+        cwd=place,
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
         timeout=240,
-    )  # fmt: skip
+    )
 
 
 def each(line):

@@ -53,8 +53,9 @@ def test_a_verdict_of_the_page_is_that_of_today(two_worlds, row):
     procedures = two_worlds("procedures")
     found = procedures.run(row["procedure"], row["world"])
     assert (found["verdict"], [told.split(" = ")[0] for told in found["failed"]]) == (
-        row["verdict"], [told.split(" = ")[0] for told in row["failed"]]
-    )  # fmt: skip
+        row["verdict"],
+        [told.split(" = ")[0] for told in row["failed"]],
+    )
 
 
 @pytest.mark.long

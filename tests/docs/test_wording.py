@@ -18,8 +18,14 @@ except ModuleNotFoundError:
 
 ROOT = Path(__file__).resolve().parents[2]
 PAIRS = tomllib.loads((ROOT / "docs" / "wording.toml").read_text(encoding="utf-8"))["pair"]
-PAGES = sorted([*ROOT.glob("[PCRS]*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "examples").rglob("*.md"),
-                *(ROOT / "docs" / "ci-template").glob("*.md")])  # fmt: skip
+PAGES = sorted(
+    [
+        *ROOT.glob("[PCRS]*.md"),
+        *(ROOT / "docs").glob("*.md"),
+        *(ROOT / "examples").rglob("*.md"),
+        *(ROOT / "docs" / "ci-template").glob("*.md"),
+    ]
+)
 UNCHECKED = {"CHANGELOG.md"}
 
 
@@ -126,8 +132,10 @@ def test_strings_are_found_without_docstrings_and_with_what_is_filled_in():
     g(f"servo {x or 'nobody knows'} of " "the {bench}", 'one', key="and two")
 '''
     assert sorted(text for _, text in strings(source)) == [
-        "and two", "nobody knows", "servo {} of the {bench}",
-    ]  # fmt: skip
+        "and two",
+        "nobody knows",
+        "servo {} of the {bench}",
+    ]
 
 
 @pytest.mark.parametrize(

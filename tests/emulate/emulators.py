@@ -14,8 +14,11 @@ def emulator(*options):
     """A running emulator; its line is read when `endpoints` is called."""
     with subprocess.Popen(
         [sys.executable, "-m", "hil.cli", "emulate", *options],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    ) as process:  # fmt: skip
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
         try:
             yield SimpleNamespace(process=process, endpoints=lambda: endpoints_of(process))
         finally:

@@ -21,10 +21,19 @@ def run_example(name, endpoints_file):
     """A script in an interpreter that cannot import this project; what it printed."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("COV_CORE")}
     done = subprocess.run(
-        [sys.executable, "-c", "import sys, runpy; sys.modules['hil'] = None; sys.argv = sys.argv[1:]; "
-         "runpy.run_path(sys.argv[0], run_name='__main__')", EXAMPLES / f"{name}.py", endpoints_file],
-        capture_output=True, text=True, timeout=CLIENT_S, env=environment,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-c",
+            "import sys, runpy; sys.modules['hil'] = None; sys.argv = sys.argv[1:]; "
+            "runpy.run_path(sys.argv[0], run_name='__main__')",
+            EXAMPLES / f"{name}.py",
+            endpoints_file,
+        ],
+        capture_output=True,
+        text=True,
+        timeout=CLIENT_S,
+        env=environment,
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -74,10 +83,24 @@ def test_python_cans_logger_records_the_bus(served, tmp_path):
     where = served["can"]
     file = tmp_path / "bus.asc"
     with subprocess.Popen(
-        [sys.executable, "-u", "-c", LOGGER, "-i", where["interface"], "-c", where["channel"], "-f", file,
-         "--bus-kwargs", f"port={where['port']}"],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-    ) as logger:  # fmt: skip
+        [
+            sys.executable,
+            "-u",
+            "-c",
+            LOGGER,
+            "-i",
+            where["interface"],
+            "-c",
+            where["channel"],
+            "-f",
+            file,
+            "--bus-kwargs",
+            f"port={where['port']}",
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as logger:
         try:
             said = logger.stdout.readline() + logger.stdout.readline()
             with pytest.raises(subprocess.TimeoutExpired):

@@ -49,9 +49,11 @@ def test_a_fan_obeys_no_frame_of_another_host():
         pytest.skip("this user may make no networks of his own")
     paths = os.pathsep.join(path for path in sys.path if path)
     said = subprocess.run(
-        ["unshare", "-rn", sys.executable, TWO_HOSTS], capture_output=True, text=True,
+        ["unshare", "-rn", sys.executable, TWO_HOSTS],
+        capture_output=True,
+        text=True,
         env={**os.environ, "PYTHONPATH": paths},
-    )  # fmt: skip
+    )
     assert said.returncode == 0, said.stderr
     found = json.loads(said.stdout)
     assert found["foreign"] == [0.11, 0.12]

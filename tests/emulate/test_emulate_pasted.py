@@ -25,9 +25,13 @@ def test_the_block_works_as_printed(tmp_path, page):
         (tmp_path / "bin" / name).chmod(0o755)
     environment = {"PATH": f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
-        ["bash", "-e", "-c", f"{block}wait"], cwd=tmp_path, env=os.environ | environment,
-        capture_output=True, text=True, timeout=240,
-    )  # fmt: skip
+        ["bash", "-e", "-c", f"{block}wait"],
+        cwd=tmp_path,
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     assert [f"servo {i}: model " in done.stdout for i in range(1, 9)] == [True] * 8, done.stdout
     assert not (tmp_path / "endpoints.json").exists()

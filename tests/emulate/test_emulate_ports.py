@@ -67,9 +67,11 @@ def test_the_ports_and_the_group_of_the_bench_file_are_served(emulate, bench_fil
     where = emulate("--bench", bench_file(**keys, **({"multicast": multicast} if multicast else {})))["mocap"]
     assert where == {"server": "127.0.0.1", **keys, "multicast": multicast}
     client = NatNetClient(
-        command_port=command_port, data_port=data_port, use_multicast=multicast is not None,
+        command_port=command_port,
+        data_port=data_port,
+        use_multicast=multicast is not None,
         multicast_address=multicast or "239.255.42.99",
-    )  # fmt: skip
+    )
     assert len(frames_of(client)) >= 20
 
 

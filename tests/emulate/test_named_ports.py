@@ -73,10 +73,14 @@ def test_a_folder_that_is_not_there_is_named(tmp_path):
     ]
 
 
-@pytest.mark.parametrize(("port", "of_hardware", "linked"), [
-    ("/dev/no-such-folder/ttyUSB0", False, False), ("/dev/no-such-folder/ttyUSB0", True, True),
-    ("socket://127.0.0.1:4000", True, False),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("port", "of_hardware", "linked"),
+    [
+        ("/dev/no-such-folder/ttyUSB0", False, False),
+        ("/dev/no-such-folder/ttyUSB0", True, True),
+        ("socket://127.0.0.1:4000", True, False),
+    ],
+)
 def test_ports_of_hardware_are_made_where_that_was_asked_for(tmp_path, port, of_hardware, linked):
     path = tmp_path / "bench.toml"
     path.write_text(TWO.format(port))

@@ -83,9 +83,11 @@ def test_garbage_words_are_mostly_caught_and_never_raise(encoder_bench, drain):
 
 def test_stuck_words_and_wrong_angles_look_plausible(encoder_bench, steering_plant, drain):
     bench = encoder_bench(
-        "encoder.FL:stuck@0.5", "encoder.FR:wrong@0.5,offset_rad=0.3", plant=steering_plant(rate_rad_s=0.2),
+        "encoder.FL:stuck@0.5",
+        "encoder.FR:wrong@0.5,offset_rad=0.3",
+        plant=steering_plant(rate_rad_s=0.2),
         options=IDEAL,
-    )  # fmt: skip
+    )
     bench.driver.open()
     last = drain(bench, 150)[-1]
     truth = 0.2 * last.stamp.t_ns * 1e-9

@@ -12,9 +12,15 @@ from hil.drivers.encoders.node_status import NodeStatus
 
 DATABASE = cantools.database.load_file(SHIPPED_DBC)
 USUAL = {
-    "Layout": 1, "Firmware": 1, "Rate": 200, "ResetCause": 0, "ParityErrors": 0, "LateSets": 0,
-    "UnsentFrames": 0, "TimesOffBus": 0,
-}  # fmt: skip
+    "Layout": 1,
+    "Firmware": 1,
+    "Rate": 200,
+    "ResetCause": 0,
+    "ParityErrors": 0,
+    "LateSets": 0,
+    "UnsentFrames": 0,
+    "TimesOffBus": 0,
+}
 
 
 @pytest.fixture
@@ -46,10 +52,14 @@ def test_a_node_says_what_it_is(watched):
     [
         ([{"Layout": 7}], "failure", "frames of layout 7, the DBC describes 1", "firmware/as5045_node"),
         ([{"Rate": 100}], "warning", "100 Hz", "set encoders.rate_hz to 100"),
-        ([{"UnsentFrames": 3, "ParityErrors": 2}], "warning",
-         "2 words with wrong parity, 3 frames that the bus did not take", "termination"),
+        (
+            [{"UnsentFrames": 3, "ParityErrors": 2}],
+            "warning",
+            "2 words with wrong parity, 3 frames that the bus did not take",
+            "termination",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_with_a_node_is_named(watched, told, level, found, remedy):
     _, finding = watched(*told)
     assert finding.level == level
@@ -57,9 +67,7 @@ def test_what_is_wrong_with_a_node_is_named(watched, told, level, found, remedy)
     assert remedy in finding.remedy
 
 
-@pytest.mark.parametrize(
-    ("told", "counted"), [((9, 9), ""), ((250, 3), "9 times off the bus"), ((7,), "")]
-)  # fmt: skip
+@pytest.mark.parametrize(("told", "counted"), [((9, 9), ""), ((250, 3), "9 times off the bus"), ((7,), "")])
 def test_what_was_counted_before_is_history(told, counted):
     status = NodeStatus(EncodersConfig(node_id=4))
     for times in told:

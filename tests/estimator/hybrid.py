@@ -81,12 +81,14 @@ def streams(recording, seed, camera_errors=CAMERA, inertial_errors=INERTIAL):
         round((first_s - 0.1) * NS_PER_S),
         round(last_s * NS_PER_S),
         wheel_samples(
-            t_s[used], recording.wheel_angle_rad[used], recording.steering_rad[used],
+            t_s[used],
+            recording.wheel_angle_rad[used],
+            recording.steering_rad[used],
             recording.wheel_rate_rad_s[used],
         ),
         inertial(path, inertial_errors, rng, on_wall=False),
         camera(path, camera_errors, rng),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -176,8 +178,10 @@ def table(held, geometries, camera_errors, seeds=(0, 1)):
                 scores.append(run(estimator, streams(recording, seed, camera_errors)))
                 lost.append(getattr(estimator, "lost_s", None))
         if any(at is not None for at in lost):
-            print(f"{name:26} covariance lost in {sum(at is not None for at in lost)} of {len(lost)} runs, "
-                  f"the first time after {min(at for at in lost if at is not None):.2f} s")  # fmt: skip
+            print(
+                f"{name:26} covariance lost in {sum(at is not None for at in lost)} of {len(lost)} runs, "
+                f"the first time after {min(at for at in lost if at is not None):.2f} s"
+            )
             continue
         worst = 1e3 * max(s.rmse_m for s in scores)
         print("{:26} {:7.2f} {:7.3f} {:7.2f} {:7.2f} {:7.1f}".format(name, *mean(scores), worst), flush=True)

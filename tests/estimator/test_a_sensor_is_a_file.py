@@ -149,9 +149,13 @@ def test_a_sensor_is_added_by_a_file_and_a_line(tmp_path):
     added = "from hil.estimator.sensors import compass\n" + line.replace("mocap)", "mocap, compass)")
     (room / "__init__.py").write_text(text.replace(line, added))
     done = subprocess.run(
-        [sys.executable, "-c", RUN], cwd=tmp_path, capture_output=True, text=True, check=False,
+        [sys.executable, "-c", RUN],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
         env={**os.environ, "PYTHONPATH": str(tmp_path)},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     *filtered, smoothed = [[float(v) for v in line.split()] for line in done.stdout.splitlines()]
     assert len(filtered) == 2

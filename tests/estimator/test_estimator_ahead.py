@@ -75,9 +75,13 @@ def new_kernel():
 def test_what_is_compiled_ahead_is_what_the_filter_calls(pytestconfig):
     """Each kernel has one form, or one for each filter: another would be compiled beside it, in vain."""
     told = subprocess.run(
-        [sys.executable, "-c", ONE_FORM_EACH], cwd=pytestconfig.rootpath / "tests" / "estimator",
-        capture_output=True, text=True, check=True, timeout=200,
-    )  # fmt: skip
+        [sys.executable, "-c", ONE_FORM_EACH],
+        cwd=pytestconfig.rootpath / "tests" / "estimator",
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=200,
+    )
     forms = dict(line.split() for line in told.stdout.splitlines())
     assert len(forms) == 1 + len(ahead.here(None)) + len(ahead.beside(None))
     assert {name for name, count in forms.items() if count != "1"} == {"run", "advance", "moments", "compare"}

@@ -238,11 +238,20 @@ def test_what_cannot_be_used_is_refused_by_name_and_counted():
     gyro = GyroMeasurement(Stamp(t, t, 0), np.inf, np.nan, np.zeros(2))
     state = estimator.update(
         Measurements(
-            0, t, (wheels,), (gyro,),
-            (good, good, pose(t + 10**9, np.zeros(3), 2), pose(t - 5 * 10**9, np.zeros(3), 3),
-             pose(t, np.zeros(2), 4), pose(t, np.full(3, np.inf), 5)),
+            0,
+            t,
+            (wheels,),
+            (gyro,),
+            (
+                good,
+                good,
+                pose(t + 10**9, np.zeros(3), 2),
+                pose(t - 5 * 10**9, np.zeros(3), 3),
+                pose(t, np.zeros(2), 4),
+                pose(t, np.full(3, np.inf), 5),
+            ),
         )
-    )  # fmt: skip
+    )
     d = state.diagnostics
     assert (d["rejected_duplicate"], d["rejected_future"], d["rejected_late"]) == (1, 1, 1)
     assert (d["rejected_shape"], d["rejected_not_finite"]) == (1, 3)
@@ -253,11 +262,16 @@ def test_what_cannot_be_used_is_refused_by_name_and_counted():
     assert np.all(np.isfinite(state.covariance))
 
 
-@pytest.mark.parametrize("changes", [{"process": {"acceleration_m_s2_sqrt_hz": -0.1}},
-                                     {"mocap": {"position_m": 0.0}},
-                                     {"alpha": float("nan")},
-                                     {"gates": {"one_dof": -1.0}},
-                                     {"wall": {"slip_m_s": 0.001, "unknown": 1}}])  # fmt: skip
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"process": {"acceleration_m_s2_sqrt_hz": -0.1}},
+        {"mocap": {"position_m": 0.0}},
+        {"alpha": float("nan")},
+        {"gates": {"one_dof": -1.0}},
+        {"wall": {"slip_m_s": 0.001, "unknown": 1}},
+    ],
+)
 def test_impossible_noise_is_refused(changes):
     with pytest.raises(ValueError, match=r"process|mocap|alpha|gates|wall"):
         EstimatorConfig(**changes)
@@ -286,9 +300,14 @@ for kind in ("ekf", "ukf"):
 def in_process(prelude="", **environment):
     script = RUN.format(prelude=prelude, here=str(FilePath(__file__).parent))
     done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, timeout=280, cwd=ROOT,
-        env={**os.environ, **environment}, check=False,
-    )  # fmt: skip
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        timeout=280,
+        cwd=ROOT,
+        env={**os.environ, **environment},
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     lines = [line.split() for line in done.stdout.splitlines()]
     return [line[0] for line in lines], np.array([[float(v) for v in line[1:]] for line in lines])

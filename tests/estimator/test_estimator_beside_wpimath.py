@@ -89,12 +89,18 @@ def theirs(distances, angles, headings, vision, vision_sigma):
 CONFIG = EstimatorConfig(
     process={"acceleration_m_s2_sqrt_hz": 0.4, "angular_acceleration_rad_s2_sqrt_hz": 0.4},
     wheels={"per_sqrt_m": 0.01, "step_m": 1e-4, "longest_gap_s": 1.0},
-    wall={"slip_m_s": 0.0, "slip_across_m_s": 0.0, "creep": 0.0, "creep_across": 0.0, "yaw_rad_m": 0.0,
-          "yaw_per_sqrt_m": 0.0},
+    wall={
+        "slip_m_s": 0.0,
+        "slip_across_m_s": 0.0,
+        "creep": 0.0,
+        "creep_across": 0.0,
+        "yaw_rad_m": 0.0,
+        "yaw_per_sqrt_m": 0.0,
+    },
     gyro={"gravity_rad": 0.05, "gravity_per_m_s2": 0.0, "gravity_offset_rad": 0.0},
     tracker={"use": "off"},
     mocap={"use": True, "position_m": 0.1, "heading_rad": 0.05},
-)  # fmt: skip
+)
 
 
 def ours(distances, angles, headings, vision, kind):

@@ -125,9 +125,11 @@ def test_nees_and_nis_lie_in_the_95_percent_band_of_many_runs(kind):
 def start_up_nees(kind, sigma, runs=200):
     """A metre driven with a heading known to `sigma` only, then one position good to 5 mm: mean NEES."""
     config = EstimatorConfig(
-        kind=kind, gates={"on": False}, mocap={"use": True, "position_m": 5e-3, "heading_rad": 10.0},
+        kind=kind,
+        gates={"on": False},
+        mocap={"use": True, "position_m": 5e-3, "heading_rad": 10.0},
         process={"acceleration_m_s2_sqrt_hz": 1e-6, "angular_acceleration_rad_s2_sqrt_hz": 1e-6},
-    )  # fmt: skip
+    )
     found = []
     for seed in range(runs):
         rng = np.random.default_rng(seed)
@@ -155,8 +157,9 @@ def test_the_smoother_is_the_batch_solution_on_a_linear_chain():
     q, r, dt, n = 0.3, 0.05, 0.1, 30
     config = EstimatorConfig(
         process={"acceleration_m_s2_sqrt_hz": q, "angular_acceleration_rad_s2_sqrt_hz": 1e-9},
-        gates={"on": False}, mocap={"use": True, "position_m": r, "heading_rad": 10.0},
-    )  # fmt: skip
+        gates={"on": False},
+        mocap={"use": True, "position_m": r, "heading_rad": 10.0},
+    )
     rng, cycles, zs = np.random.default_rng(3), [], []
     for k in range(1, n + 1):
         t_ns = round(k * dt * 1e9)
@@ -203,8 +206,10 @@ def test_the_smoother_beats_the_filter_and_agrees_with_it_at_the_end():
             return np.mean(np.sum(error[:, :2] ** 2, axis=1)), np.mean(error[:, 2] ** 2)
 
         improved.append([squares(filtered), squares(states)])
-        late = [s.covariance[2, 2] <= f.covariance[2, 2] * (1 + 1e-9)
-                for s, f in zip(states[:-10], filtered, strict=False)]  # fmt: skip
+        late = [
+            s.covariance[2, 2] <= f.covariance[2, 2] * (1 + 1e-9)
+            for s, f in zip(states[:-10], filtered, strict=False)
+        ]
         assert np.mean(late) > 0.99
         assert np.linalg.eigvalsh(np.array([s.covariance for s in states])).min() > -1e-12
         assert np.allclose(states[-1].pose_body_in_wall, filtered[-1].pose_body_in_wall, atol=1e-3)

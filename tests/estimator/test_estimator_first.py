@@ -91,16 +91,21 @@ def test_bad_input_is_counted_and_never_makes_nan(kind):
         stamp = Stamp(t, t, k)
         state = estimator.update(
             Measurements(
-                k, t,
-                (WheelMeasurement(stamp, np.full(4, value), np.zeros(4), np.zeros(4), (True,) * 4),
-                 WheelMeasurement(stamp, np.zeros(3), np.zeros(4), np.zeros(4), (True,) * 4),
-                 WheelMeasurement(stamp, np.zeros(4), np.zeros(4), np.zeros(4), (True,) * 3)),
+                k,
+                t,
+                (
+                    WheelMeasurement(stamp, np.full(4, value), np.zeros(4), np.zeros(4), (True,) * 4),
+                    WheelMeasurement(stamp, np.zeros(3), np.zeros(4), np.zeros(4), (True,) * 4),
+                    WheelMeasurement(stamp, np.zeros(4), np.zeros(4), np.zeros(4), (True,) * 3),
+                ),
                 (GyroMeasurement(stamp, value, value, np.array([value, 0.0])),),
-                (PoseMeasurement(stamp, "tracker", np.array([value, 0.0, 0.0]), 3, True),
-                 PoseMeasurement(Stamp(t + 10**12, t, k), "tracker", np.zeros(3), 3, True),
-                 PoseMeasurement(Stamp(t - 10**12, t, k), "tracker", np.zeros(3), 3, True)),
+                (
+                    PoseMeasurement(stamp, "tracker", np.array([value, 0.0, 0.0]), 3, True),
+                    PoseMeasurement(Stamp(t + 10**12, t, k), "tracker", np.zeros(3), 3, True),
+                    PoseMeasurement(Stamp(t - 10**12, t, k), "tracker", np.zeros(3), 3, True),
+                ),
             )
-        )  # fmt: skip
+        )
         assert np.all(np.isfinite(state.pose_body_in_wall))
         assert np.all(np.isfinite(state.covariance))
     found = state.diagnostics

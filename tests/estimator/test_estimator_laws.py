@@ -80,11 +80,7 @@ def test_written_out_prediction_equals_the_matrix_product():
 @pytest.mark.parametrize("sensor", NUMBERS)
 @pytest.mark.parametrize(
     "changes",
-    [
-        {},
-        {"wheels": {"model": "dry-friction"}},
-        {"wheel_scale_sigma": 0.01, "tracker": {"scale_sigma": 0.0}},
-    ],
+    [{}, {"wheels": {"model": "dry-friction"}}, {"wheel_scale_sigma": 0.01, "tracker": {"scale_sigma": 0.0}}],
 )
 def test_measurement_jacobians(sensor, changes):
     rng = np.random.default_rng(3)
@@ -202,9 +198,12 @@ def test_on_a_linear_model_every_filter_is_the_kalman_filter(kind, engine):
     q, r, dt = 0.3, 0.05, 0.1
     process = {**STILL, "acceleration_m_s2_sqrt_hz": q}
     config = EstimatorConfig(
-        kind=kind, engine=engine, process=process, gates={"on": False},
+        kind=kind,
+        engine=engine,
+        process=process,
+        gates={"on": False},
         mocap={"use": True, "position_m": r, "heading_rad": 10.0},
-    )  # fmt: skip
+    )
     estimator = make_estimator(config, WheelGeometry.nominal(), surface="floor")
     start = np.diag([0.2**2, 1e-20, 0, 0.1**2, 0, 0])
     estimator.reset(RobotState(0, np.zeros(3), np.zeros(3), start))

@@ -106,8 +106,12 @@ def test_a_choice_of_estimators(recording, capsys):
     assert main(["replay", str(recording), "--estimator", "smoother", "--estimator", "odometry"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == [
-        "estimator", "recorded", "odometry", "smoother", "sensors:",
-    ]  # fmt: skip
+        "estimator",
+        "recorded",
+        "odometry",
+        "smoother",
+        "sensors:",
+    ]
     assert lines[-1] == "sensors: wheels, IMU, camera, motion capture"
 
 

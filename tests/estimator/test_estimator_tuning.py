@@ -28,8 +28,14 @@ def truth_run(seed, seconds=4.0):
 
 @pytest.fixture(scope="module")
 def no_slip():
-    still = {"slip_m_s": 0.0, "slip_across_m_s": 0.0, "creep": 0.0, "creep_across": 0.0, "yaw_rad_m": 0.0,
-             "yaw_per_sqrt_m": 0.0}  # fmt: skip
+    still = {
+        "slip_m_s": 0.0,
+        "slip_across_m_s": 0.0,
+        "creep": 0.0,
+        "creep_across": 0.0,
+        "yaw_rad_m": 0.0,
+        "yaw_per_sqrt_m": 0.0,
+    }
     return EstimatorConfig(wall=still, wheels={"step_m": 2e-3, "per_sqrt_m": 2e-2})
 
 

@@ -94,9 +94,11 @@ def package(tmp_path):
 def test_an_edited_inner_file_changes_what_the_outer_kernel_says(package, form, kind, tmp_path):
     pytest.importorskip("numba")
     environment = {
-        **os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1",
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+        "PYTHONDONTWRITEBYTECODE": "1",
         "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path]),
-    }  # fmt: skip
+    }
 
     def says(added):
         package(form, added, kind)

@@ -15,9 +15,11 @@ from hil.vocabulary.kernels import entry
 known_slip = entry(wheels.known_slip)
 
 KNOWN = {
-    "known_up": (-0.034, 0.001, 0.01), "known_down": (-0.036, -0.001, 0.02),
-    "known_left": (-0.05, 0.002, 0.03), "known_right": (-0.052, -0.002, 0.04),
-}  # fmt: skip
+    "known_up": (-0.034, 0.001, 0.01),
+    "known_down": (-0.036, -0.001, 0.02),
+    "known_left": (-0.05, 0.002, 0.03),
+    "known_right": (-0.052, -0.002, 0.04),
+}
 
 
 def slip_in_wall(direction_rad, heading_rad):
@@ -43,8 +45,12 @@ def test_each_direction_has_its_own_slip_whatever_the_heading(heading_rad):
 def test_between_the_axes_it_is_that_of_tyres_stiffer_along_than_across():
     """A pull downhill on wheels at an angle: each of its two parts gives way by its own stiffness."""
     along, across = 0.035, 0.051
-    plain = {"known_up": (-along, 0, 0), "known_down": (-along, 0, 0), "known_left": (-across, 0, 0),
-             "known_right": (-across, 0, 0)}  # fmt: skip
+    plain = {
+        "known_up": (-along, 0, 0),
+        "known_down": (-along, 0, 0),
+        "known_left": (-across, 0, 0),
+        "known_right": (-across, 0, 0),
+    }
     par = parameters(EstimatorConfig(wall=plain), WheelGeometry.nominal(), "wall")[0].wheels
     memory = first_memory()[0].wheels
     for angle in (0.3, 0.9, 2.0, -2.5):
@@ -65,8 +71,10 @@ def test_at_rest_there_is_none():
 def test_known_slip_tells_the_cameras_scale_on_a_climb(kind):
     """Nothing else does on a vertical line: with slip unknown the camera's 1 % stays in the estimate."""
     ends = {}
-    for name, wall in (("unknown", {}), ("known", {"known_up": (-CREEP, 0.0, 0.0), "creep": 0.001,
-                                                   "creep_per_sqrt_m": 0.0005})):  # fmt: skip
+    for name, wall in (
+        ("unknown", {}),
+        ("known", {"known_up": (-CREEP, 0.0, 0.0), "creep": 0.001, "creep_per_sqrt_m": 0.0005}),
+    ):
         parts, start, path = climb(0.01, 1)
         states = followed(
             EstimatorConfig(kind=kind, tracker=MATCHED, wall={"slip_m_s": 1e-4, **wall}), parts, start

@@ -146,7 +146,7 @@ def test_cycles_without_a_finite_pose_are_counted_in_a_warning(here, capsys):
         ("absent.py:X", "absent.py: no such file"),
         ("efk", f"'efk' is unknown; {EXPECTED}; did you mean ekf?"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_used_is_named(here, capsys, named, said):
     assert main(["replay", "line.mcap", "--estimator", named]) == 2
     out, err = capsys.readouterr()

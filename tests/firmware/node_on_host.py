@@ -13,10 +13,14 @@ HALF_CLOCK_NS = 500
 
 class Status(ctypes.Structure):
     _fields_ = (
-        ("firmware", ctypes.c_uint8), ("rate_hz", ctypes.c_uint16), ("reset_cause", ctypes.c_uint8),
-        ("parity_errors", ctypes.c_uint8), ("late_sets", ctypes.c_uint8),
-        ("unsent_frames", ctypes.c_uint8), ("times_off_bus", ctypes.c_uint8),
-    )  # fmt: skip
+        ("firmware", ctypes.c_uint8),
+        ("rate_hz", ctypes.c_uint16),
+        ("reset_cause", ctypes.c_uint8),
+        ("parity_errors", ctypes.c_uint8),
+        ("late_sets", ctypes.c_uint8),
+        ("unsent_frames", ctypes.c_uint8),
+        ("times_off_bus", ctypes.c_uint8),
+    )
 
 
 NOW = ctypes.CFUNCTYPE(ctypes.c_uint32, ctypes.c_void_p)
@@ -28,18 +32,30 @@ SEND = ctypes.CFUNCTYPE(ctypes.c_bool, ctypes.c_void_p, ctypes.c_uint32, ctypes.
 
 class Board(ctypes.Structure):
     _fields_ = (
-        ("context", ctypes.c_void_p), ("now_us", NOW), ("select", PIN), ("clock", PIN), ("data", BYTE),
-        ("wait_half_clock", CALL), ("take_back", BYTE), ("send", SEND), ("times_off_bus", BYTE),
+        ("context", ctypes.c_void_p),
+        ("now_us", NOW),
+        ("select", PIN),
+        ("clock", PIN),
+        ("data", BYTE),
+        ("wait_half_clock", CALL),
+        ("take_back", BYTE),
+        ("send", SEND),
+        ("times_off_bus", BYTE),
         ("feed_watchdog", CALL),
-    )  # fmt: skip
+    )
 
 
 class Node(ctypes.Structure):
     _fields_ = (
-        ("board", ctypes.POINTER(Board)), ("address", ctypes.c_uint32), ("period_us", ctypes.c_uint32),
-        ("due_us", ctypes.c_uint32), ("last_us", ctypes.c_uint32), ("time_us", ctypes.c_uint64),
-        ("sets", ctypes.c_uint32), ("status", Status),
-    )  # fmt: skip
+        ("board", ctypes.POINTER(Board)),
+        ("address", ctypes.c_uint32),
+        ("period_us", ctypes.c_uint32),
+        ("due_us", ctypes.c_uint32),
+        ("last_us", ctypes.c_uint32),
+        ("time_us", ctypes.c_uint64),
+        ("sets", ctypes.c_uint32),
+        ("status", Status),
+    )
 
 
 class Chips:
@@ -90,12 +106,17 @@ class HostBoard:
         self.off_bus = self.fed = 0
         self._library = library
         self.board = Board(
-            None, NOW(lambda _: self.t_ns // 1000 & 0xFFFFFFFF),
+            None,
+            NOW(lambda _: self.t_ns // 1000 & 0xFFFFFFFF),
             PIN(lambda _, low: self.chips.select(low, self.t_ns)),
             PIN(lambda _, high: self.chips.clock(high, self.t_ns)),
-            BYTE(lambda _: self.chips.data(self.t_ns)), CALL(self._wait), BYTE(self._take_back),
-            SEND(self._send), BYTE(lambda _: self.off_bus), CALL(self._feed),
-        )  # fmt: skip
+            BYTE(lambda _: self.chips.data(self.t_ns)),
+            CALL(self._wait),
+            BYTE(self._take_back),
+            SEND(self._send),
+            BYTE(lambda _: self.off_bus),
+            CALL(self._feed),
+        )
         self.node = Node()
         library.node_begin(ctypes.byref(self.node), ctypes.byref(self.board), address, rate_hz, cause)
 
@@ -142,8 +163,12 @@ def host_library(folder):
     subprocess.run(["make", "-C", FIRMWARE, f"OUT={folder}", "host"], check=True, capture_output=True)
     library = ctypes.CDLL(str(folder / "libnode.so"))
     library.node_begin.argtypes = (
-        ctypes.POINTER(Node), ctypes.POINTER(Board), ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint8,
-    )  # fmt: skip
+        ctypes.POINTER(Node),
+        ctypes.POINTER(Board),
+        ctypes.c_uint32,
+        ctypes.c_uint32,
+        ctypes.c_uint8,
+    )
     library.node_begin.restype = None
     library.node_poll.argtypes, library.node_poll.restype = (ctypes.POINTER(Node),), ctypes.c_bool
     library.as5045_parity_holds.argtypes = (ctypes.c_uint32,)

@@ -167,8 +167,10 @@ def test_the_driver_reads_the_compiled_node(driven, start_us):
         assert np.max(np.abs(error)) < 2 * np.pi / 4096
     assert str(driver.node_status) == "firmware 1, started by power"
     assert (driver.node_status.rate_hz, driver.node_status.other_layout, driver.node_status.counted) == (
-        200.0, "", "",
-    )  # fmt: skip
+        200.0,
+        "",
+        "",
+    )
     assert driver.passed_over == 0
 
 

@@ -104,9 +104,12 @@ def _state(path: Path) -> None:
 
 def _record(folder: Path) -> Path:
     part = Part(
-        procedure="a_test", verdict="PASS", measured="2026-11-22T10:00:00+00:00", bench="emulated",
+        procedure="a_test",
+        verdict="PASS",
+        measured="2026-11-22T10:00:00+00:00",
+        bench="emulated",
         values={"tracker.scale": 1.004, "tracker.scale_sigma": 0.001},
-    )  # fmt: skip
+    )
     robot, record = identity(load_bench("emulated")), RobotRecord(folder / "robot")
     record.add({"camera": NewPart(part)}, robot, created="2026-11-22T12:00:00+00:00", why="a test")
     return record.path

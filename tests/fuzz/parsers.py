@@ -79,11 +79,12 @@ def _servos() -> list[Fed]:
         Fed("servo sync read", lambda data: answers(data, False), [plain], seal=sealing.dynamixel),
         Fed("servo fast sync read", lambda data: answers(data, True), [fast], seal=sealing.dynamixel),
         Fed(
-            "servo instructions", lambda data: protocol.InstructionParser().feed(data, 0, 1000),
+            "servo instructions",
+            lambda data: protocol.InstructionParser().feed(data, 0, 1000),
             [protocol.packet(1, b"\x02\x84\x00\x04\x00"), protocol.packet(254, b"\x01")],
             seal=sealing.dynamixel,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _microstrain() -> list[Fed]:
@@ -152,7 +153,7 @@ def _holding() -> list[Fed]:
         Fed("keeper's answer", lambda d: understood(d, spec), told, (HilError,)),
         Fed("keeper's request", lambda d: _answered(d, "me", lambda a, w: a), asked),
         Fed("keeper's start", _text(Spec.from_json), [spec.to_json().encode()], (HilError,)),
-    ]  # fmt: skip
+    ]
 
 
 def _feed(data: bytes) -> None:
@@ -171,7 +172,7 @@ def _texts() -> list[Fed]:
         Fed("CDR text", text_of, [string("abcd")], (ValueError,)),
         Fed("camera feed", _feed, [INFO_RECORD.pack(FEED_MAGIC, FEED_INFO, b"T265", b"1", b"0.2.0.951")]),
         Fed("BNO055 requests", lambda d: RequestParser().feed(d, 0), [b"\xaa\x01\0\x08\xaa\0\x3d\x01\x0c"]),
-    ]  # fmt: skip
+    ]
 
 
 def parsers() -> list[Fed]:

@@ -31,9 +31,13 @@ def frame_of(data: bytes) -> can.Message:
     identifier = int.from_bytes(head[:4], "big") & (0x1FFFFFFF if extended else 0x7FF)
     body = b"" if remote else data[5:13]
     return can.Message(
-        arbitration_id=identifier, is_extended_id=extended, is_remote_frame=remote and not error,
-        is_error_frame=error, data=body, dlc=len(body),
-    )  # fmt: skip
+        arbitration_id=identifier,
+        is_extended_id=extended,
+        is_remote_frame=remote and not error,
+        is_error_frame=error,
+        data=body,
+        dlc=len(body),
+    )
 
 
 @dataclass

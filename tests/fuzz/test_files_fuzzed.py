@@ -9,9 +9,22 @@ from files import files
 from mutating import spoilt
 
 NAMES = [
-    "bench file", "fault timeline", "topics", "waypoints", "answers", "journal", "commissioning", "offsets",
-    "record", "calibration", "public data set", "data set", "result", "run page", "recording",
-]  # fmt: skip
+    "bench file",
+    "fault timeline",
+    "topics",
+    "waypoints",
+    "answers",
+    "journal",
+    "commissioning",
+    "offsets",
+    "record",
+    "calibration",
+    "public data set",
+    "data set",
+    "result",
+    "run page",
+    "recording",
+]
 SLOW = {"run page": 10, "recording": 40, "bench file": 40}
 named = pytest.mark.parametrize("name", NAMES)
 

@@ -112,11 +112,20 @@ def test_status_and_data_follow_the_mode(client):
 @pytest.mark.parametrize(
     ("mode", "acc", "mag", "gyr", "fused"),
     [
-        (1, 1, 0, 0, 0), (2, 0, 1, 0, 0), (3, 0, 0, 1, 0), (4, 1, 1, 0, 0), (5, 1, 0, 1, 0), (6, 0, 1, 1, 0),
-        (7, 1, 1, 1, 0), (8, 1, 0, 1, 1), (9, 1, 1, 0, 1), (10, 1, 1, 0, 1), (11, 1, 1, 1, 1),
+        (1, 1, 0, 0, 0),
+        (2, 0, 1, 0, 0),
+        (3, 0, 0, 1, 0),
+        (4, 1, 1, 0, 0),
+        (5, 1, 0, 1, 0),
+        (6, 0, 1, 1, 0),
+        (7, 1, 1, 1, 0),
+        (8, 1, 0, 1, 1),
+        (9, 1, 1, 0, 1),
+        (10, 1, 1, 0, 1),
+        (11, 1, 1, 1, 1),
         (12, 1, 1, 1, 1),
     ],
-)  # fmt: skip
+)
 def test_each_mode_switches_its_sensors_on(client, mode, acc, mag, gyr, fused):
     client.bench.plant.rate_rad_s = 0.3
     client.send(f"AA 00 3D 01 {mode:02X}")
@@ -126,8 +135,9 @@ def test_each_mode_switches_its_sensors_on(client, mode, acc, mag, gyr, fused):
 
 
 def test_units_change_the_counts(imu_bench):
-    quiet = ImuTruthOptions(accelerometer_noise_m_s2=0, accelerometer_offset_m_s2=0, gyro_noise_rad_s=0,
-                            gyro_bias_rad_s=0)  # fmt: skip
+    quiet = ImuTruthOptions(
+        accelerometer_noise_m_s2=0, accelerometer_offset_m_s2=0, gyro_noise_rad_s=0, gyro_bias_rad_s=0
+    )
     found = {}
     for units in (0x00, 0x17, 0x80):
         bench = imu_bench(options=quiet, overrun_probability=0.0)

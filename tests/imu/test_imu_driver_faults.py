@@ -175,9 +175,12 @@ def test_error_replies_are_protocol_samples(imu_bench, code):
 
 def test_wrong_slow_delayed_and_jump(imu_bench, turning_plant):
     bench = imu_bench(
-        "imu:wrong@1+1,rate_rad_s=0.5", "imu:slow@3+1,factor=10", "imu:delayed@5+1,delay_s=0.2",
-        "imu:jump@7+0.1,angle_rad=0.4", plant=turning_plant(tilt_rad=0.0),
-    )  # fmt: skip
+        "imu:wrong@1+1,rate_rad_s=0.5",
+        "imu:slow@3+1,factor=10",
+        "imu:delayed@5+1,delay_s=0.2",
+        "imu:jump@7+0.1,angle_rad=0.4",
+        plant=turning_plant(tilt_rad=0.0),
+    )
     bench.driver.open()
     run(bench, 0.9)
     before = run(bench, 0.5)[-1]

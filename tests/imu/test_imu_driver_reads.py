@@ -10,9 +10,14 @@ from hil.vocabulary.geometry import quat_conjugate, quat_rotate
 from hil.vocabulary.signals import Status
 
 IDEAL = ImuTruthOptions(
-    gyro_noise_rad_s=0, gyro_bias_rad_s=0, accelerometer_noise_m_s2=0, accelerometer_offset_m_s2=0,
-    magnetometer_noise_ut=0, magnetometer_offset_ut=0, yaw_drift_rad_s=0,
-)  # fmt: skip
+    gyro_noise_rad_s=0,
+    gyro_bias_rad_s=0,
+    accelerometer_noise_m_s2=0,
+    accelerometer_offset_m_s2=0,
+    magnetometer_noise_ut=0,
+    magnetometer_offset_ut=0,
+    yaw_drift_rad_s=0,
+)
 
 
 def settle(bench, cycles, period_ns=10_000_000):

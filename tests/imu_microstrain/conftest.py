@@ -15,9 +15,13 @@ from hil.fakes.serial_line import SerialLine
 from hil.fakes.world import VirtualClock, World
 
 IDEAL = MicrostrainTruthOptions(
-    gyro_noise_rad_s=0, gyro_bias_rad_s=0, accelerometer_noise_m_s2=0, accelerometer_offset_m_s2=0,
-    heading_drift_rad_s=0, filter_gravity_m_s2=9.80665,
-)  # fmt: skip
+    gyro_noise_rad_s=0,
+    gyro_bias_rad_s=0,
+    accelerometer_noise_m_s2=0,
+    accelerometer_offset_m_s2=0,
+    heading_drift_rad_s=0,
+    filter_gravity_m_s2=9.80665,
+)
 
 
 @pytest.fixture

@@ -23,9 +23,12 @@ def test_an_open_sensor_says_who_it_is(bench):
     identity = dict(b.driver.identity())
     assert identity.pop("serial").startswith("6286.")
     assert identity == {
-        "model": "3DM-CV7-AHRS", "model_number": "6286-9960", "firmware": "1.0.07", "rate": "111.1 Hz",
+        "model": "3DM-CV7-AHRS",
+        "model_number": "6286-9960",
+        "firmware": "1.0.07",
+        "rate": "111.1 Hz",
         "port": "hil://imu",
-    }  # fmt: skip
+    }
     b.driver.close()
     b.driver.close()
     assert b.driver.identity() == {}

@@ -30,10 +30,16 @@ def entries():
 
 def environment(python, machine):
     return {
-        "python_version": python, "python_full_version": f"{python}.5", "sys_platform": "linux",
-        "platform_system": "Linux", "platform_machine": machine, "os_name": "posix", "extra": "",
-        "implementation_name": "cpython", "platform_python_implementation": "CPython",
-    }  # fmt: skip
+        "python_version": python,
+        "python_full_version": f"{python}.5",
+        "sys_platform": "linux",
+        "platform_system": "Linux",
+        "platform_machine": machine,
+        "os_name": "posix",
+        "extra": "",
+        "implementation_name": "cpython",
+        "platform_python_implementation": "CPython",
+    }
 
 
 def holds(requirement, python, machine):
@@ -87,9 +93,12 @@ def test_make_installs_from_the_lock_and_nothing_else():
 
 @pytest.mark.parametrize(
     ("given", "folder", "by"),
-    [((), ".venv/", "--require-hashes"), (("LOCK=",), ".venv-newest/", "-e '.["),
-     (("OLDEST=1",), ".venv-oldest/", "--resolution lowest-direct")],
-)  # fmt: skip
+    [
+        ((), ".venv/", "--require-hashes"),
+        (("LOCK=",), ".venv-newest/", "-e '.["),
+        (("OLDEST=1",), ".venv-oldest/", "--resolution lowest-direct"),
+    ],
+)
 def test_make_takes_what_is_locked_the_newest_or_the_oldest(given, folder, by):
     """In a folder each, so that none is taken for another."""
     told = subprocess.run(

@@ -25,9 +25,12 @@ def wheel(tmp_path_factory):
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("dist")
     parts = ("hil", "procedures", "pyproject.toml", "PACKAGE.md", "LICENSE")
     listed = subprocess.run(
-        ["git", "ls-files", "-co", "--exclude-standard", *parts], cwd=ROOT, capture_output=True, text=True,
+        ["git", "ls-files", "-co", "--exclude-standard", *parts],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
         check=True,
-    ).stdout.split()  # fmt: skip
+    ).stdout.split()
     for name in listed:
         if (ROOT / name).exists():
             (source / name).parent.mkdir(parents=True, exist_ok=True)
@@ -83,9 +86,13 @@ def test_it_is_described(unpacked):
 def call(unpacked, folder, *arguments):
     """The command of the wheel in an empty folder; returns its standard output."""
     done = subprocess.run(
-        [sys.executable, *arguments], cwd=folder, env={**os.environ, "PYTHONPATH": str(unpacked)},
-        capture_output=True, text=True, timeout=240,
-    )  # fmt: skip
+        [sys.executable, *arguments],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(unpacked)},
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 

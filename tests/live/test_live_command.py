@@ -35,8 +35,12 @@ def live(folder, *options, **process):
     bench = patient_bench(folder, "emulated")
     return subprocess.Popen(
         [sys.executable, "-m", "hil.cli", "live", "--bench", str(bench), *options, "--json"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder, **process,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=folder,
+        **process,
+    )
 
 
 def commanded(process):
@@ -59,9 +63,20 @@ def driven(tmp_path_factory):
     folder = tmp_path_factory.mktemp("live")
     (folder / "square.csv").write_text(SQUARE)
     process = live(
-        folder, "--trajectory", str(folder / "square.csv"), "--observe", "ukf", "--observe", "odometry",
-        "--record", str(folder / "run.mcap"), "--rerun", str(folder / "run.rrd"), "--duration", "2.5",
-    )  # fmt: skip
+        folder,
+        "--trajectory",
+        str(folder / "square.csv"),
+        "--observe",
+        "ukf",
+        "--observe",
+        "odometry",
+        "--record",
+        str(folder / "run.mcap"),
+        "--rerun",
+        str(folder / "run.rrd"),
+        "--duration",
+        "2.5",
+    )
     out, err = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 0, err
     assert f"hil: wrote {folder / 'run.rrd'} (" in err
@@ -102,9 +117,16 @@ def test_nothing_stands_still_while_the_loop_begins(driven):
 def test_velocity_commands_move_and_silence_stops(tmp_path):
     """Commands by UDP for a while, then nothing: the dead man's time passes and the robot stands."""
     process = live(
-        tmp_path, "--command", "udp:0", "--dead-man", "0.3",
-        "--record", str(tmp_path / "run.mcap"), "--duration", "4",
-    )  # fmt: skip
+        tmp_path,
+        "--command",
+        "udp:0",
+        "--dead-man",
+        "0.3",
+        "--record",
+        str(tmp_path / "run.mcap"),
+        "--duration",
+        "4",
+    )
     address, token = commanded(process)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         while process.poll() is None and not _moved(tmp_path / "run.mcap"):
@@ -258,9 +280,16 @@ def test_a_disk_that_fills_up_stops_the_robot_or_not(tmp_path, policy, code):
     """The thread that writes finds no room while the robot is driven; nobody else's files are touched."""
     path = tmp_path / "run.mcap"
     process = live(
-        tmp_path, "--command", "udp:0", "--record", str(path), "--duration", "5",
-        "--on-recording-failure", policy,
-    )  # fmt: skip
+        tmp_path,
+        "--command",
+        "udp:0",
+        "--record",
+        str(path),
+        "--duration",
+        "5",
+        "--on-recording-failure",
+        policy,
+    )
     address, token = commanded(process)
     limited = False
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:

@@ -26,10 +26,19 @@ def port():
 
 @pytest.mark.parametrize(
     "data",
-    [b"v 1 0 0", b" v 1 0 0", b"stop", b"", b"0123456789abcde v 1 0 0", b"0123456789abcdeF v 1 0 0",
-     b"0123456789abcdefv 1 0 0", b"\xff\xff v 1 0 0", b"v 1 0 0 0123456789abcdef",
-     b"\n0123456789abcdef v 1 0 0"],
-)  # fmt: skip
+    [
+        b"v 1 0 0",
+        b" v 1 0 0",
+        b"stop",
+        b"",
+        b"0123456789abcde v 1 0 0",
+        b"0123456789abcdeF v 1 0 0",
+        b"0123456789abcdefv 1 0 0",
+        b"\xff\xff v 1 0 0",
+        b"v 1 0 0 0123456789abcdef",
+        b"\n0123456789abcdef v 1 0 0",
+    ],
+)
 def test_a_datagram_without_the_token_is_refused_counted_and_named(port, data, caplog):
     lines, send = port
     with caplog.at_level(logging.WARNING):

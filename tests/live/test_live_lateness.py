@@ -20,9 +20,12 @@ def statistics(cycles, late, work_ms):
 
 @pytest.mark.parametrize(
     ("late", "work_ms", "said"),
-    [(4, 3.0, None), (62, 3.0, "62 % of the cycles began late: other programs"),
-     (62, 11.0, "62 % of the cycles began late: one takes 11.0 ms of 10.0 ms; lower loop.rate_hz")],
-)  # fmt: skip
+    [
+        (4, 3.0, None),
+        (62, 3.0, "62 % of the cycles began late: other programs"),
+        (62, 11.0, "62 % of the cycles began late: one takes 11.0 ms of 10.0 ms; lower loop.rate_hz"),
+    ],
+)
 def test_what_to_do_depends_on_who_takes_the_time(late, work_ms, said):
     told = advice(statistics(100, late, work_ms).summary(), 100.0)
     assert told.startswith(said) if said else told == ""
@@ -31,9 +34,12 @@ def test_what_to_do_depends_on_who_takes_the_time(late, work_ms, said):
 
 @pytest.mark.parametrize(
     ("given", "said"),
-    [((), "in the bench file"), (("--rerun",), ", or leave --rerun out"),
-     (("--observe", "--rerun"), ", or leave --observe and --rerun out")],
-)  # fmt: skip
+    [
+        ((), "in the bench file"),
+        (("--rerun",), ", or leave --rerun out"),
+        (("--observe", "--rerun"), ", or leave --observe and --rerun out"),
+    ],
+)
 def test_only_options_that_were_given_are_to_be_left_out(monkeypatch, given, said):
     monkeypatch.setattr("hil.live.lateness.is_installed", lambda extra: True)
     assert advice(statistics(100, 62, 11.0).summary(), 100.0, given).endswith(said)
@@ -60,8 +66,14 @@ def test_it_is_said_once_after_two_seconds_and_at_the_end(caplog):
     assert message.startswith("75 % of the cycles began late")
     timing = told.summary()
     summary = {
-        "bench": "b", "rate_hz": 100.0, "ended": "duration", "timing": timing, "samples": {}, "pose": None,
-        "held": {"state": "HELD", "moved_m": 0.0, "why": "torque on"}, "advice": advice(timing, 100.0),
-    }  # fmt: skip
+        "bench": "b",
+        "rate_hz": 100.0,
+        "ended": "duration",
+        "timing": timing,
+        "samples": {},
+        "pose": None,
+        "held": {"state": "HELD", "moved_m": 0.0, "why": "torque on"},
+        "advice": advice(timing, 100.0),
+    }
     assert "150 late (21.4 %)" in _text(summary)
     assert "21 % of the cycles began late" in _text(summary)

@@ -83,8 +83,11 @@ def test_the_system_is_left_as_it_was_found():
         )
     assert gc.get_freeze_count() == 0
     assert before == (
-        gc.isenabled(), sys.getswitchinterval(), os.sched_getscheduler(0), os.sched_getaffinity(0)
-    )  # fmt: skip
+        gc.isenabled(),
+        sys.getswitchinterval(),
+        os.sched_getscheduler(0),
+        os.sched_getaffinity(0),
+    )
 
 
 def test_refusals_say_what_to_do_and_stop_nothing():

@@ -30,10 +30,19 @@ pytestmark = [
 def served():
     """Endpoints of emulated servos, IMU and encoders on a floor, served by another process."""
     child = subprocess.Popen(
-        [sys.executable, "-m", "hil.cli", "emulate", "--bench", "emulated_floor",
-         "--only", "servos,imu,encoders"],
-        stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "hil.cli",
+            "emulate",
+            "--bench",
+            "emulated_floor",
+            "--only",
+            "servos,imu,encoders",
+        ],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     yield json.loads(child.stdout.readline())
     child.terminate()
     child.communicate(timeout=20)

@@ -49,9 +49,10 @@ def mocap_bench():
         world = World(plant, seed=seed, faults=FaultPlan([parse_fault(spec) for spec in faults]))
         settings = MocapConfig(**{"backend": "emulated", **(config or {})})
         server = NatNetServer(
-            world, options=options, **{"up_axis": settings.up_axis, "multicast": settings.multicast,
-                                       **server_options},
-        )  # fmt: skip
+            world,
+            options=options,
+            **{"up_axis": settings.up_axis, "multicast": settings.multicast, **server_options},
+        )
         world.faults.check()
         clock = VirtualClock(world)
         driver = NatNetMocap(settings, clock, datagrams=server.datagrams)

@@ -246,9 +246,12 @@ def test_what_cannot_be_a_pose_is_no_number(mocap_bench, body, status):
 
 @pytest.mark.parametrize(
     ("clock_hz", "suffix"),
-    [(0, (0, 0, 12.5, 1000, 1400, 2000)), (10_000_000, (0, 0, 12.5, 0, 0, 0)),
-     (10_000_000, (0, 0, math.nan, 3000, 1400, 2000))],
-)  # fmt: skip
+    [
+        (0, (0, 0, 12.5, 1000, 1400, 2000)),
+        (10_000_000, (0, 0, 12.5, 0, 0, 0)),
+        (10_000_000, (0, 0, math.nan, 3000, 1400, 2000)),
+    ],
+)
 def test_without_exposure_stamps_the_frame_time_serves_and_latency_is_unknown(mocap_bench, clock_hz, suffix):
     bench, post, driver = posted(mocap_bench, talk(clock_hz=clock_hz))
     driver.open()

@@ -11,8 +11,22 @@ from hil.vocabulary.signals import Status
 
 
 def test_all_faults_of_this_file_are_the_supported_ones():
-    tested = {"off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent", "drop", "corrupt",
-              "truncate", "duplicate", "unplug", "jump", "reset"}  # fmt: skip
+    tested = {
+        "off",
+        "stuck",
+        "garbage",
+        "wrong",
+        "slow",
+        "delayed",
+        "intermittent",
+        "drop",
+        "corrupt",
+        "truncate",
+        "duplicate",
+        "unplug",
+        "jump",
+        "reset",
+    }
     assert set(SUPPORTED_FAULTS) == tested
 
 
@@ -166,9 +180,11 @@ def test_a_wrong_pose_looks_plausible(mocap_bench, watch):
 
 def test_slow_late_and_repeated_frames(mocap_bench, watch):
     bench = mocap_bench(
-        "mocap:slow@1+1,factor=5", "mocap:duplicate@3+1,probability=1", "mocap:delayed@5+1,delay_s=0.2",
+        "mocap:slow@1+1,factor=5",
+        "mocap:duplicate@3+1,probability=1",
+        "mocap:delayed@5+1,delay_s=0.2",
         "mocap:delayed@7,delay_s=0.7",
-    )  # fmt: skip
+    )
     bench.driver.open()
     watch(bench, 0.99)
     assert len(watch(bench, 1.0)) == pytest.approx(20, abs=2)

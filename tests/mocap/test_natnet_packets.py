@@ -38,10 +38,7 @@ def test_emulated_frames_have_the_published_layout(version):
     flat = [v for m in MARKERS for v in m]
     sets = [build.text(n) + build.points(*flat) for n in ("other", "robot")]
     sets.append(build.text("all") + build.points(*flat, *flat))
-    bodies = [
-        build.body(2),
-        build.body(1, (-1.5, 0.25, 4.0), (0.5, -0.5, 0.5, 0.5), 0.00025, 0),
-    ]
+    bodies = [build.body(2), build.body(1, (-1.5, 0.25, 4.0), (0.5, -0.5, 0.5, 0.5), 0.00025, 0)]
     labelled = [
         struct.pack("<i3ffhf", i << 16 | k + 1, *MARKERS[k], 0.014, 0x0A, error)
         for i, error in ((2, 0.0005), (1, 0.00025))

@@ -53,15 +53,19 @@ def shown(k: int) -> CycleRecord:
     pose = np.array([0.0005 * k, 0.0, 0.01])
     ok = (Status.OK,) * 8
     return CycleRecord(
-        k, t_ns, t_ns,
+        k,
+        t_ns,
+        t_ns,
         Inputs(
-            k, t_ns,
+            k,
+            t_ns,
             servos=(ServoSample(stamp, np.arange(8.0), np.ones(8), np.zeros(8), ok),),
             health=(ServoHealth(stamp, np.full(8, 12.0), np.full(8, 41.0), ok),) if k % 50 == 0 else (),
             mocap=(MocapSample(stamp, pose, np.array([1.0, 0, 0, 0]), True, 0.004, 1e-4),) if k % 2 else (),
         ),
         Measurements(
-            k, t_ns,
+            k,
+            t_ns,
             (WheelMeasurement(stamp, np.zeros(4), np.ones(4), np.zeros(4), (True,) * 4),),
             mocap=(PoseMeasurement(stamp, "mocap", pose, 3, True),),
         ),
@@ -71,7 +75,7 @@ def shown(k: int) -> CycleRecord:
         ServoSetpoint(np.zeros(4), np.zeros(4)),
         (Event(t_ns, "error", "imu", "stale"),) if k == 7 else (),
         timing_ns={"read": 500_000, "decide": 250_000},
-    )  # fmt: skip
+    )
 
 
 def column(series: Series, name: str) -> np.ndarray:
@@ -335,8 +339,10 @@ def test_a_viewer_that_is_not_there_is_no_silent_end(tmp_path, caplog, capfd):
 def test_the_monitors_process_ends_quietly_where_its_parent_went_while_it_started():
     with subprocess.Popen(
         [sys.executable, "-m", "hil.monitor", "spawn"],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    ) as process:  # fmt: skip
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
         process.stdout.close()
         put(process.stdin, b"scene")
         process.stdin.close()

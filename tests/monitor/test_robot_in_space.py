@@ -28,9 +28,11 @@ from hil.vocabulary.geometry import Array, quat_rotate, rotation2  # noqa: E402
 from hil.vocabulary.signals import CycleRecord, WheelMeasurement  # noqa: E402
 
 GEOMETRY = WheelGeometry(
-    np.array([0.11, -0.12, -0.11, 0.10]), np.array([0.12, 0.11, -0.10, -0.11]), np.full(4, 0.025),
+    np.array([0.11, -0.12, -0.11, 0.10]),
+    np.array([0.12, 0.11, -0.10, -0.11]),
+    np.full(4, 0.025),
     np.array([0.02, -0.01, 0.0, 0.03]),
-)  # fmt: skip
+)
 ROBOT, TRUTH = "/scene/wall/estimate", "/scene/wall/truth"
 BODY = (f"{ROBOT}/body/plate", f"{ROBOT}/body/fan", f"{ROBOT}/body/frame")
 

@@ -68,8 +68,10 @@ def test_forces_that_a_device_tells_replace_the_assumed_ones(monkeypatch):
     follower = Moments(Scene())
     follower.note(shown(0))
     assert [f.name for f in follower.at(shown(0), 0.0).forces] == [
-        "fan (assumed)", "left propeller (assumed)", "right propeller (assumed)"
-    ]  # fmt: skip
+        "fan (assumed)",
+        "left propeller (assumed)",
+        "right propeller (assumed)",
+    ]
     monkeypatch.setattr(moments, "kinds", lambda: {"imu": imu})
     follower.note(shown(1))
     assert follower.at(shown(1), 0.01).forces == (told,)
@@ -91,9 +93,11 @@ def hanging(fan=None, throttle=None, **tables):
 
 
 def test_fan_and_propellers_tell_their_forces_by_speed_and_throttle():
-    forces = hanging(15_000.0, 0.5, **{
-        "adhesion.rated_force_n": 44.0, "adhesion.rated_rpm": 30_000.0, "thrust.full_force_n": 40.0,
-    })  # fmt: skip
+    forces = hanging(
+        15_000.0,
+        0.5,
+        **{"adhesion.rated_force_n": 44.0, "adhesion.rated_rpm": 30_000.0, "thrust.full_force_n": 40.0},
+    )
     assert sorted(forces) == ["fan", "left propeller", "right propeller"]
     np.testing.assert_allclose(forces["fan"].force_n, [0, 0, -11.0])
     np.testing.assert_allclose(forces["left propeller"].force_n, [4.0, 0, 0])

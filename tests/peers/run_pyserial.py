@@ -23,8 +23,19 @@ from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import World
 from hil.vocabulary.clock import MonotonicClock
 
-MODULES = ("test", "test_advanced", "test_cancel", "test_context", "test_high_load", "test_iolib",
-           "test_readline", "test_settings_dict", "test_timeout_class", "test_url", "test_util")  # fmt: skip
+MODULES = (
+    "test",
+    "test_advanced",
+    "test_cancel",
+    "test_context",
+    "test_high_load",
+    "test_iolib",
+    "test_readline",
+    "test_settings_dict",
+    "test_timeout_class",
+    "test_url",
+    "test_util",
+)
 
 
 class Echo(SerialChip):

@@ -12,10 +12,23 @@ def source_of(package, folder):
     """Folder of a package's unpacked source; skips where no package index can be reached."""
     wanted = f"{package}=={version(package)}"
     told = subprocess.run(
-        [sys.executable, "-m", "pip", "download", "--no-deps", "--no-binary", ":all:",
-         "--disable-pip-version-check", "--dest", folder, wanted],
-        capture_output=True, text=True, timeout=240,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "pip",
+            "download",
+            "--no-deps",
+            "--no-binary",
+            ":all:",
+            "--disable-pip-version-check",
+            "--dest",
+            folder,
+            wanted,
+        ],
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
     archives = list(folder.glob("*.tar.gz"))
     if told.returncode or not archives:
         pytest.skip(f"the source distribution of {wanted} cannot be had: {told.stderr.strip()[-200:]}")

@@ -34,9 +34,7 @@ SERIAL_IN_VIRTUAL_TIME = {
     "test_cancel.TestCancelWrite.test_cancel_once": BLOCKS,
 }
 
-CAN_AT_THE_WIRE = {
-    "test_unique_message_instances": "python-can's udp_multicast has no receive_own_messages",
-}
+CAN_AT_THE_WIRE = {"test_unique_message_instances": "python-can's udp_multicast has no receive_own_messages"}
 NO_MODEM = "a pseudo-terminal has no modem lines"
 SERIAL_AT_THE_WIRE = {
     "test.Test0_DataWires.test1_RTS": NO_MODEM,
@@ -67,8 +65,11 @@ def test_a_peers_own_suite_passes_but_for_what_is_listed(tmp_path, package, scri
     source = source_of(package, tmp_path)
     done = subprocess.run(
         [sys.executable, HERE / script[0], source, *script[1:]],
-        capture_output=True, text=True, timeout=240, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=240,
+        check=True,
+    )
     told = json.loads(done.stdout.splitlines()[-1])
     assert len(told["run"]) >= at_least
     assert set(told["bad"]) == set(cannot), told["bad"]

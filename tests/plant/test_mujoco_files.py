@@ -61,7 +61,8 @@ def test_masses_and_wheels_are_those_of_the_file(written):
 
 WRONG = {
     "a joint that is missing": (
-        (r"steer_BL", "stear_BL"), "joint steer_BL is missing; did you mean stear_BL?",
+        (r"steer_BL", "stear_BL"),
+        "joint steer_BL is missing; did you mean stear_BL?",
     ),
     "a joint that slides": ((r'"steer_FR" ', '"steer_FR" type="slide" '), "joint steer_FR is not a hinge"),
     "a fifth wheel": (
@@ -81,11 +82,13 @@ WRONG = {
         r"wheel FL stands at x = 112\.5, y = 112\.5 m; \[robot\] has it at 0\.1125, 0\.1125: correct",
     ),
     "a cylinder that lies flat": (
-        (r'"ellipsoid"', '"cylinder"'), r"wheel FL \(cylinder\): its axis is 90 deg off that of joint",
+        (r'"ellipsoid"', '"cylinder"'),
+        r"wheel FL \(cylinder\): its axis is 90 deg off that of joint",
     ),
     "wheels out of round": ((r'size="0\.0254 ', 'size="0.026 '), r"wheel FL .* is out of round by 2\.4 %"),
     "wheels off their centre": (
-        (r'"ellipsoid"', '"ellipsoid" pos="0 0 0.005"'), r"wheel FL \(ellipsoid\) turns 5 mm off its centre",
+        (r'"ellipsoid"', '"ellipsoid" pos="0 0 0.005"'),
+        r"wheel FL \(ellipsoid\) turns 5 mm off its centre",
     ),
     "wheels of another robot": (
         (r"0\.0254 0\.012 0\.0254", "0.05 0.012 0.05"),
@@ -93,10 +96,12 @@ WRONG = {
     ),
     "a mass in g": ((r' mass="2\.99"', ' mass="2990"'), r"weighs 2\.99e\+03 kg; \[robot\] mass_kg is 3\.25"),
     "a number that is none": (
-        (r'"-0\.1125 0\.1125 0\.0254"', '"-0.1125 nan 0.0254"'), "body fork_BL: pos is not finite",
+        (r'"-0\.1125 0\.1125 0\.0254"', '"-0.1125 nan 0.0254"'),
+        "body fork_BL: pos is not finite",
     ),
     "a robot that stands askew": (
-        (r'<body name="robot"', '<body name="robot" euler="0 0 90"'), "body robot is turned in the file",
+        (r'<body name="robot"', '<body name="robot" euler="0 0 90"'),
+        "body robot is turned in the file",
     ),
     "a ground of its own": (
         (r"<worldbody>", '<worldbody><geom name="floor" type="plane" size="1 1 1"/>'),
@@ -112,15 +117,17 @@ WRONG = {
         "1 actuators; expected none",
     ),
     "a step that servos do not bear": (
-        (r"<worldbody>", '<option timestep="0.01"/><worldbody>'), "option timestep = 0.01 s is unstable",
+        (r"<worldbody>", '<option timestep="0.01"/><worldbody>'),
+        "option timestep = 0.01 s is unstable",
     ),
     "a wheel that turns backwards": (
-        (r'"drive_BR" axis="0 1 0"', '"drive_BR" axis="0 -1 0"'), r"joint drive_BR turns about \(0, -1, 0\)",
+        (r'"drive_BR" axis="0 1 0"', '"drive_BR" axis="0 -1 0"'),
+        r"joint drive_BR turns about \(0, -1, 0\)",
     ),
     "no XML": ((r"<worldbody>", "<worldbody"), r"mine\.xml, line 2: no well-formed XML .*correct the file"),
     "no MJCF": ((r"<freejoint/>", "<freejoint/><tyre/>"), r"mine\.xml, line 4, tyre: .*unrecognized element"),
     "no mass": ((r' mass="2\.99"', ' mass="0"'), r"mine\.xml, line 3, robot: mass and inertia of moving"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", WRONG)

@@ -82,8 +82,7 @@ def test_one_seed_is_one_robot_near_or_far_from_its_nominal_geometry():
 
 
 @pytest.mark.parametrize(
-    "command",
-    [JointCommand("velocity", float("nan")), JointCommand("position", 0.0, current_limit_a=-1.0)],
+    "command", [JointCommand("velocity", float("nan")), JointCommand("position", 0.0, current_limit_a=-1.0)]
 )
 def test_what_is_no_command_is_refused(command):
     with pytest.raises(UsageError, match="finite goal"):

@@ -13,10 +13,15 @@ STICKY = 1000.0
 TALL = {"centre_of_mass_m": (-0.049, -0.03, 0.2), "propeller_height_m": 0.02, "thrust_compensation": 0.4}
 CROOKED = {"wheel_x_m": (0.11, -0.13, -0.10, 0.14), "wheel_y_m": (0.12, 0.10, -0.11, -0.09)}
 POSTURES = [
-    (math.pi, 0.0, {}), (math.pi, 0.7, {}), (2.4, -0.5, {}), (math.pi / 2, 0.0, TALL),
-    (math.pi / 2, 0.2, TALL), (1.9, -0.2, TALL), (math.pi, 0.3, CROOKED),
+    (math.pi, 0.0, {}),
+    (math.pi, 0.7, {}),
+    (2.4, -0.5, {}),
+    (math.pi / 2, 0.0, TALL),
+    (math.pi / 2, 0.2, TALL),
+    (1.9, -0.2, TALL),
+    (math.pi, 0.3, CROOKED),
     (math.pi / 2, -0.1, {**TALL, **CROOKED}),
-]  # fmt: skip
+]
 
 
 def after_a_moment(robot, force_n, tilt_rad, heading_rad):

@@ -20,9 +20,13 @@ def test_the_template_runs_as_it_stands(tmp_path):
         file.write("\nWATCH_S = 6.0\n")
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
     done = subprocess.run(
-        ["sh", "ci.sh"], cwd=project, env={**os.environ, "PATH": path}, capture_output=True, text=True,
+        ["sh", "ci.sh"],
+        cwd=project,
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
         timeout=240,
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     cases = list(ElementTree.parse(project / "results" / "tests.xml").iter("testcase"))
     skipped = [case.get("name") for case in cases if case.find("skipped") is not None]

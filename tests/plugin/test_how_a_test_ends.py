@@ -83,19 +83,34 @@ def test_a_robot_that_is_lost_is_named_and_is_a_warning_where_no_fault_did_it(py
         consecutive=False,
     )
     assert {name: seen["held"] for name, seen in found.items()} == {
-        "test_lost_on_purpose": "NOT HELD", "test_lost": "NOT HELD", "test_kept": "HELD",
+        "test_lost_on_purpose": "NOT HELD",
+        "test_lost": "NOT HELD",
+        "test_kept": "HELD",
         "test_torque_off": "NOT HELD",
-    }  # fmt: skip
+    }
     assert "adhesion is lost" in found["test_lost"]["not_held"]
     assert "not_held" not in found["test_kept"]
 
 
 def test_at_the_wire_it_is_an_error_that_says_how_to_have_it_again(pytester):
-    result, found = run(pytester, LOST, "--hil-realtime", "-k", "test_lost", "--deselect",
-                        "test_mine.py::test_lost_on_purpose", "-o", "addopts=")  # fmt: skip
+    result, found = run(
+        pytester,
+        LOST,
+        "--hil-realtime",
+        "-k",
+        "test_lost",
+        "--deselect",
+        "test_mine.py::test_lost_on_purpose",
+        "-o",
+        "addopts=",
+    )
     result.assert_outcomes(passed=1, errors=1, deselected=3)
-    result.stdout.fnmatch_lines(["*bench emulated: the test has left the robot NOT HELD: *",
-                                 "repeat with --hil-seed=0 --hil-realtime"])  # fmt: skip
+    result.stdout.fnmatch_lines(
+        [
+            "*bench emulated: the test has left the robot NOT HELD: *",
+            "repeat with --hil-seed=0 --hil-realtime",
+        ]
+    )
     assert found["test_lost"]["held"] == "NOT HELD"
     assert "site-packages" not in result.stdout.str()
 
@@ -109,9 +124,13 @@ def item(warned, *, real=(), fails=False, blind=None):
             raise warning
 
     return SimpleNamespace(
-        user_properties=[], add_report_section=lambda *told: None, warn=warn, iter_markers=lambda name: (),
-        source=SimpleNamespace(real=real), config=SimpleNamespace(getoption=lambda name: blind),
-    )  # fmt: skip
+        user_properties=[],
+        add_report_section=lambda *told: None,
+        warn=warn,
+        iter_markers=lambda name: (),
+        source=SimpleNamespace(real=real),
+        config=SimpleNamespace(getoption=lambda name: blind),
+    )
 
 
 @pytest.mark.parametrize(
@@ -126,17 +145,17 @@ def item(warned, *, real=(), fails=False, blind=None):
         ((), False, ("imu:off",), False, False, 0),
     ],
 )
-def test_a_lost_robot_is_an_error_where_it_matters(
-    monkeypatch, real, wire, faults, fails, raised, warns
-):  # fmt: skip
+def test_a_lost_robot_is_an_error_where_it_matters(monkeypatch, real, wire, faults, fails, raised, warns):
     warned = []
     monkeypatch.setattr(ending, "source_of", lambda _: tested.source)
     tested = item(warned, real=real, fails=fails)
     bench = SimpleNamespace(
-        config=SimpleNamespace(name="lab"), held=Held("NOT HELD", None, "it fell"), faults=faults,
+        config=SimpleNamespace(name="lab"),
+        held=Held("NOT HELD", None, "it fell"),
+        faults=faults,
         faults_not_begun=tuple,
         world=None if wire else SimpleNamespace(faults=SimpleNamespace(touched=bool(faults))),
-    )  # fmt: skip
+    )
     if raised:
         with pytest.raises(pytest.fail.Exception, match="bench lab: the test has left the robot NOT HELD"):
             ending.end(tested, bench, passed=True)
@@ -151,8 +170,13 @@ def test_a_robot_that_is_broken_on_purpose_is_no_warning(monkeypatch):
     tested = item(warned, blind="*")
     monkeypatch.setattr(ending, "source_of", lambda _: tested.source)
     world = SimpleNamespace(faults=SimpleNamespace(touched=False))
-    bench = SimpleNamespace(config=SimpleNamespace(name="lab"), held=Held("NOT HELD", None, "it fell"),
-                            faults=(), faults_not_begun=tuple, world=world)  # fmt: skip
+    bench = SimpleNamespace(
+        config=SimpleNamespace(name="lab"),
+        held=Held("NOT HELD", None, "it fell"),
+        faults=(),
+        faults_not_begun=tuple,
+        world=world,
+    )
     ending.end(tested, bench, passed=True)
     assert warned == []
 
@@ -234,12 +258,14 @@ def test_that_only_enables(bench):
 
 def test_a_fault_that_began_during_the_look_is_told_as_such(pytester):
     result, _ = run(pytester, DURING_THE_LOOK, "-rA")
-    result.stdout.fnmatch_lines([
-        "*fault plant:adhesion_loss@0.8 began only after the stop, at 0.80 s of world time, while the bench "
-        "checked that the robot is held: the bench was closed at 0.4* s of world time, so that nothing that "
-        "was done has met it; fault imu:off@1000 never acted: the bench was closed at 0.4* s of world time, "
-        "before it began*",
-    ])  # fmt: skip
+    result.stdout.fnmatch_lines(
+        [
+            "*fault plant:adhesion_loss@0.8 began only after the stop, at 0.80 s of world time, while the "
+            "bench checked that the robot is held: the bench was closed at 0.4* s of world time, so that "
+            "nothing that was done has met it; fault imu:off@1000 never acted: the bench was closed at "
+            "0.4* s of world time, before it began*"
+        ]
+    )
     assert "adhesion_loss@0.8 never acted" not in result.stdout.str()
 
 
@@ -272,8 +298,12 @@ def test_a_seed_that_is_none_ends_the_run_before_the_first_test(pytester, given)
 
 
 def test_repeating_a_test_takes_all_options_that_chose_its_bench():
-    given = {"bench": "my bench.toml", "emulate": "imu", "hil_realtime": True,
-             "override_ini": ["hil_bench=lab.toml", "addopts="]}  # fmt: skip
+    given = {
+        "bench": "my bench.toml",
+        "emulate": "imu",
+        "hil_realtime": True,
+        "override_ini": ["hil_bench=lab.toml", "addopts="],
+    }
     tested = SimpleNamespace(config=SimpleNamespace(getoption=given.get), iter_markers=lambda name: ())
     bench = SimpleNamespace(
         seed=7, config=SimpleNamespace(name="lab"), clock=SimpleNamespace(now_ns=lambda: 10**9)

@@ -163,13 +163,7 @@ def ran(cycles, late):
 
 @pytest.mark.parametrize(
     ("late", "before", "after", "problem"),
-    [
-        (15, 0, 0, False),
-        (16, 0, 0, True),
-        (100, 30, 0, False),
-        (100, 0, 30, False),
-        (100, 20, 20, True),
-    ],
+    [(15, 0, 0, False), (16, 0, 0, True), (100, 30, 0, False), (100, 0, 30, False), (100, 20, 20, True)],
 )
 def test_late_cycles_are_held_against_an_idle_loop(late, before, after, problem):
     said = too_late(ran(1500, late), (ran(500, before), ran(500, after)))
@@ -342,12 +336,22 @@ def lab(pytester):
     save_calibration(
         pytester.path / "calibration.toml",
         CalibrationFile(
-            schema=1, version=3, created="2026-01-01T00:00:00+00:00", method="lm", setting="recommended",
-            model="exact", signal="velocity", parameters=parameters, nominal=parameters, std={},
-            twist_correction=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), cost_before=1.0,
-            cost_after=0.5, recordings={},
+            schema=1,
+            version=3,
+            created="2026-01-01T00:00:00+00:00",
+            method="lm",
+            setting="recommended",
+            model="exact",
+            signal="velocity",
+            parameters=parameters,
+            nominal=parameters,
+            std={},
+            twist_correction=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+            cost_before=1.0,
+            cost_after=0.5,
+            recordings={},
         ),
-    )  # fmt: skip
+    )
     (pytester.path / "lab.toml").write_text(LAB.format(calibration='calibration = "calibration.toml"'))
 
 
@@ -419,9 +423,15 @@ def test_a_project_that_asks_for_no_bench_pays_nothing(run):
             return bench + " too"
         """
     result, found = run(
-        "-W", "error", "-p", "no:cacheprovider", "-p", "no:hypothesispytest", test_stranger=STRANGER,
+        "-W",
+        "error",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:hypothesispytest",
+        test_stranger=STRANGER,
         conftest=conftest,
-    )  # fmt: skip
+    )
     assert [case.outcome for case in found.values()] == ["passed", "passed"], result.stdout.str()
     assert not any(case.properties for case in found.values())
     assert "hil" not in next(line for line in result.outlines if line.startswith("rootdir"))

@@ -139,7 +139,9 @@ def test_what_comes_from_another_process_keeps_its_calls(here, traceback_sent):
         measuring.chained(None)
     except KeyError as error:
         keep_chain(error)
-        sent = pickle.loads(pickle.dumps(error)).with_traceback(error.__traceback__ if traceback_sent else None)
+        sent = pickle.loads(pickle.dumps(error)).with_traceback(
+            error.__traceback__ if traceback_sent else None
+        )
         sent.__cause__ = error.__cause__ if traceback_sent else None
     functions = [frame.function for frame in chain_of(sent)]
     assert functions[1:] == ["chained", "chained", "deep"]
@@ -157,7 +159,10 @@ def test_a_module_beside_a_script_is_found_from_any_folder(here):
     code = "import sys; sys.path.remove(''); from hil.cli import main; sys.exit(main(sys.argv[1:]))"
     done = subprocess.run(
         [sys.executable, "-c", code, "run", "../boom.py", "--out", "out", "--json"],
-        cwd=here / "elsewhere", capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        cwd=here / "elsewhere",
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["notes"] == ["found"]

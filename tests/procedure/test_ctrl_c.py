@@ -37,9 +37,13 @@ def struck(words, folder, **settings):
         "from hil.cli import script; sys.argv[0] = 'hil'; script()"
     )
     with subprocess.Popen(
-        [sys.executable, "-c", program, *words], cwd=folder, text=True, env={**os.environ, **settings},
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    ) as process:  # fmt: skip
+        [sys.executable, "-c", program, *words],
+        cwd=folder,
+        text=True,
+        env={**os.environ, **settings},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
         said = iter(process.stdout.readline, "")
         next(line for line in said if "there" in line)
         process.send_signal(signal.SIGINT)

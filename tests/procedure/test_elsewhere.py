@@ -19,9 +19,13 @@ from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import Aborted, DataError, TrajectoryError
 
 SHORT = {
-    "cases": ["y_line"], "feedbacks": ["odometry", "ekf"], "optimal": False, "length_m": 0.06,
-    "duration_s": 2.0, "hold_s": 0.5,
-}  # fmt: skip
+    "cases": ["y_line"],
+    "feedbacks": ["odometry", "ekf"],
+    "optimal": False,
+    "length_m": 0.06,
+    "duration_s": 2.0,
+    "hold_s": 0.5,
+}
 
 
 def run(folder, processes, *faults):

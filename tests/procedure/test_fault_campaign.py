@@ -13,10 +13,15 @@ from hil.procedure.faults.quiet import why_quiet
 from hil.vocabulary.errors import ConfigError, HilError, UsageError
 
 SUPPORTED = {
-    "plant": ("adhesion_loss",), "servos": ("off", "jump"), "servo.drive_FL": ("off",),
-    "servo.drive_BL": ("off",), "servo.1": ("off",), "encoder.FL": ("stuck",), "encoder.BR": ("stuck",),
+    "plant": ("adhesion_loss",),
+    "servos": ("off", "jump"),
+    "servo.drive_FL": ("off",),
+    "servo.drive_BL": ("off",),
+    "servo.1": ("off",),
+    "encoder.FL": ("stuck",),
+    "encoder.BR": ("stuck",),
     "imu": ("wrong",),
-}  # fmt: skip
+}
 
 
 def cells(**given):
@@ -26,9 +31,13 @@ def cells(**given):
 def test_one_of_eight_servos_and_four_encoders_stands_for_the_others():
     found = {(c.device, c.fault) for c in cells()}
     assert found == {
-        ("plant", "adhesion_loss"), ("servos", "off"), ("servos", "jump"), ("servo.drive_FL", "off"),
-        ("encoder.FL", "stuck"), ("imu", "wrong"),
-    }  # fmt: skip
+        ("plant", "adhesion_loss"),
+        ("servos", "off"),
+        ("servos", "jump"),
+        ("servo.drive_FL", "off"),
+        ("encoder.FL", "stuck"),
+        ("imu", "wrong"),
+    }
     assert len(cells()) == 6 * len(MOMENTS)
     assert len(cells(seeds=(0, 1), plants=("own", "mujoco"), moments=("open",))) == 6 * 4
 
@@ -69,11 +78,14 @@ def test_random_runs_are_the_same_for_the_same_arguments():
 @pytest.mark.parametrize(
     ("device", "fault", "why"),
     [
-        ("encoder.FL", "corrupt", "refused by their check"), ("thrust", "stuck", "sends nothing back"),
-        ("mocap", "slow", "longer run"), ("imu", "slow", "nobody notices"),
-        ("servo.steer_FL", "slow", "within their time"), ("tracker", "wrong", "nobody notices"),
+        ("encoder.FL", "corrupt", "refused by their check"),
+        ("thrust", "stuck", "sends nothing back"),
+        ("mocap", "slow", "longer run"),
+        ("imu", "slow", "nobody notices"),
+        ("servo.steer_FL", "slow", "within their time"),
+        ("tracker", "wrong", "nobody notices"),
     ],
-)  # fmt: skip
+)
 def test_of_every_silence_the_page_says_why(device, fault, why):
     assert why in why_quiet(device, fault)
     assert "the run was over" in why_quiet(device, fault, ["stop"])
@@ -121,11 +133,14 @@ def test_a_failed_cell_is_told_with_its_reason_and_is_exit_code_1(tmp_path, monk
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (("--plants", "moon"), "moon"), (("--moments", "later"), "later"), (("--only", "imu:of"), "imu:off"),
-        (("--quick", "--random", "3"), "exclude"), (("--seeds", "x"), "--seeds"),
+        (("--plants", "moon"), "moon"),
+        (("--moments", "later"), "later"),
+        (("--only", "imu:of"), "imu:off"),
+        (("--quick", "--random", "3"), "exclude"),
+        (("--seeds", "x"), "--seeds"),
         (("--bench", "sensors"), "cannot be real"),
     ],
-)  # fmt: skip
+)
 def test_what_there_is_not_is_refused_before_anything_runs(arguments, named):
     with pytest.raises(HilError, match=named) as refused:
         command.main([*arguments], standalone_mode=False)

@@ -45,16 +45,26 @@ MUTANTS = {
     "a device error that accuses another device": {"error": ended_by(DeviceError("servos", "imu, imu"))},
     "a stop that accuses nobody": {"stop": Ended("imu", "not_finite")},
     "a bench that did not open, and a robot that slid": {
-        "cycles": 0, "error": IMU_STOP, "held": NOT_HELD, "moved_m": 0.3
+        "cycles": 0,
+        "error": IMU_STOP,
+        "held": NOT_HELD,
+        "moved_m": 0.3,
     },
     "a bench that did not open, and a robot that fell": {
-        "cycles": 0, "error": IMU_STOP, "held": NOT_HELD, "fallen": True
+        "cycles": 0,
+        "error": IMU_STOP,
+        "held": NOT_HELD,
+        "fallen": True,
     },
     "a bench that did not open, and a robot that slid afterwards": {
-        "cycles": 0, "error": IMU_STOP, "held": NOT_HELD, "crept_m": 0.3
+        "cycles": 0,
+        "error": IMU_STOP,
+        "held": NOT_HELD,
+        "crept_m": 0.3,
     },
     "an estimate two metres wrong that says one metre": {
-        "off_m": np.array([2.0, 0.0]), "sigma_m": np.array([1.0, 1.0])
+        "off_m": np.array([2.0, 0.0]),
+        "sigma_m": np.array([1.0, 1.0]),
     },
     "an estimate that is no number": {"off_m": np.full(2, np.nan)},
     "an estimate beyond its sigmas": {"off_m": np.array([0.03, 0.0]), "sigma_m": np.array([5e-3, 5e-3])},
@@ -65,7 +75,7 @@ MUTANTS = {
     "a robot of which nothing is said": {"held": None},
     "a recording that cannot be read": {"unreadable": "torn"},
     "an exception of another kind": {"foreign": "KeyError: 3"},
-}  # fmt: skip
+}
 
 
 def test_a_good_run_passes():

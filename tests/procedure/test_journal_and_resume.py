@@ -154,8 +154,18 @@ def run(ctx):
 def test_after_kill_9_the_command_line_resumes(tmp_path):
     script = tmp_path / "killed.py"
     script.write_text(SCRIPT)
-    command = [sys.executable, "-m", "hil.cli", "run", str(script), "--bench", "sensors", "--out",
-               str(tmp_path / "out"), "--json"]  # fmt: skip
+    command = [
+        sys.executable,
+        "-m",
+        "hil.cli",
+        "run",
+        str(script),
+        "--bench",
+        "sensors",
+        "--out",
+        str(tmp_path / "out"),
+        "--json",
+    ]
     environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
     first = subprocess.run(command, capture_output=True, timeout=60, env=environment)
     assert first.returncode == -signal.SIGKILL
@@ -196,8 +206,11 @@ def test_an_edited_script_does_not_go_on_with_what_the_old_one_finished(run_smal
     folder = tmp_path / "r"
     assert run_small(limited(tmp_path, LIMITED), folder).verdict.value == "ERROR"
     (folder / "go").touch()
-    edited = (LIMITED.replace("0.9", "60").replace('Measurement("b", "1")', 'Measurement("c", "1")')
-              .replace("lambda: 0.5", "lambda: 55.0"))  # fmt: skip
+    edited = (
+        LIMITED.replace("0.9", "60")
+        .replace('Measurement("b", "1")', 'Measurement("c", "1")')
+        .replace("lambda: 0.5", "lambda: 55.0")
+    )
     before = (folder / "journal.jsonl").read_bytes()
     with pytest.raises(ConfigError) as caught:
         run_small(limited(tmp_path, edited), folder, resume=True)

@@ -23,11 +23,19 @@ from hil.vocabulary.errors import ConfigError, UsageError
 @pytest.mark.parametrize(
     ("value", "verdict"),
     [
-        (-0.001, "FAIL"), (0.0, "MARGINAL"), (0.999, "MARGINAL"), (1.0, "PASS"), (9.0, "PASS"),
-        (9.5, "MARGINAL"), (10.0, "MARGINAL"), (10.001, "FAIL"), (math.nan, "FAIL"), (math.inf, "FAIL"),
+        (-0.001, "FAIL"),
+        (0.0, "MARGINAL"),
+        (0.999, "MARGINAL"),
+        (1.0, "PASS"),
+        (9.0, "PASS"),
+        (9.5, "MARGINAL"),
+        (10.0, "MARGINAL"),
+        (10.001, "FAIL"),
+        (math.nan, "FAIL"),
+        (math.inf, "FAIL"),
         (None, "FAIL"),
     ],
-)  # fmt: skip
+)
 def test_a_value_is_judged_by_its_distance_to_the_limits(value, verdict):
     assert Measurement("m", "mm", low=0.0, high=10.0, marginal=1.0).judge(value) is Verdict(verdict)
 
@@ -62,14 +70,17 @@ def test_without_limits_a_value_is_reported_and_a_missing_one_fails():
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"high": 1.0}, {"unit": "mm", "low": 2.0, "high": 1.0}, {"unit": "mm", "high": math.inf},
+        {"high": 1.0},
+        {"unit": "mm", "low": 2.0, "high": 1.0},
+        {"unit": "mm", "high": math.inf},
         {"unit": "mm", "high": 1.0, "marginal": -0.1},
         {"unit": "mm", "low": 0.0, "high": 1.0, "marginal": 0.6},
         {"unit": "mm", "marginal": 1.0},
-        {"unit": "mm", "high": "1"}, {"unit": "mm", "low": [1.0]},
+        {"unit": "mm", "high": "1"},
+        {"unit": "mm", "low": [1.0]},
         {"unit": "mm", "high": 1.0, "marginal": None},
     ],
-)  # fmt: skip
+)
 def test_a_limit_that_means_nothing_is_refused_at_declaration(wrong):
     with pytest.raises(UsageError, match="measurement 'm'"):
         Measurement("m", **wrong)

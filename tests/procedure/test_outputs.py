@@ -52,8 +52,9 @@ def test_numbers_and_arrays_of_numpy_are_left_as_plain_ones(run_small):
     result = run_small(numeric)
     assert result.exit_code == 0
     assert result_of(result)["data"] == {
-        "rows": [[0, 1, 2], [3, 4, 5]], "facts": {"count": 3, "held": True, "pair": [0.5, None]},
-    }  # fmt: skip
+        "rows": [[0, 1, 2], [3, 4, 5]],
+        "facts": {"count": 3, "held": True, "pair": [0.5, None]},
+    }
 
 
 @pytest.mark.parametrize("wrong", [Path("/x"), {1, 2}, {("a", 1): 2}, np.array([Path("/x")]), 1 + 2j])

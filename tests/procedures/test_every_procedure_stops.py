@@ -22,18 +22,28 @@ SHORT = {
     "imu_calibration": {"rest_s": 5.0, "headings": 4, "dwell_s": 0.5, "learn_s": 4.0},
     "latency": {"reversals": 10, "devices": "imu"},
     "odometry_calibration": {
-        "motions": "line_x,rotation_ccw", "repetitions": 2, "validation_repetitions": 1, "line_m": 0.3,
-        "turns": 0.1, "max_rounds": 2, "compared_methods": "", "processes": 1,
+        "motions": "line_x,rotation_ccw",
+        "repetitions": 2,
+        "validation_repetitions": 1,
+        "line_m": 0.3,
+        "turns": 0.1,
+        "max_rounds": 2,
+        "compared_methods": "",
+        "processes": 1,
     },
     "steering_zero": {"sweep_s": 2.0, "sweeps": 1, "leg_m": 0.1, "legs": 1},
     "surface_identification": {"length_m": 0.2, "repetitions": 4, "hold_step_deg": 2.0},
     "tracker_extrinsics": {"turn_deg": 30.0, "way_m": 0.1, "repetitions": 1},
     "wall_ablation": {"cases": "y_line", "length_m": 0.1, "duration_s": 3.0, "hold_s": 0.5, "processes": 1},
     "wall_tracking": {
-        "cases": "y_line", "feedbacks": "odometry", "optimal": False, "length_m": 0.1, "duration_s": 3.0,
+        "cases": "y_line",
+        "feedbacks": "odometry",
+        "optimal": False,
+        "length_m": 0.1,
+        "duration_s": 3.0,
         "hold_s": 0.5,
     },
-}  # fmt: skip
+}
 NAMES = shipped_names()
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 

@@ -87,8 +87,13 @@ def test_the_scale_from_session_to_session_is_assumed_until_versions_of_the_reco
     assert session_spread(asked, 1.0) == pytest.approx(0.001)
     for number in range(12):
         scale = 1.004 if number % 2 else 0.996
-        part = Part(procedure="a", verdict="PASS", measured=f"2026-01-{number + 1:02d}", bench="b",
-                    figures={"scale": Figure(value=scale)})  # fmt: skip
+        part = Part(
+            procedure="a",
+            verdict="PASS",
+            measured=f"2026-01-{number + 1:02d}",
+            bench="b",
+            figures={"scale": Figure(value=scale)},
+        )
         record.add({"camera": NewPart(part)}, identity(config), created="2026-02-01", why="a test")
     assert session_spread(asked, 1.0) == pytest.approx(0.004, rel=0.15)
 
@@ -125,8 +130,13 @@ def test_backlash_that_is_known_is_what_standard_errors_allow_for(tmp_path):
     record = RobotRecord(tmp_path / "robot")
     asked = Asked(BenchSource("emulated", overrides={"record.folder": str(record.folder)}), Parameters())
     assert known_play_rad(asked) == pytest.approx(np.radians(0.125))
-    part = Part(procedure="a", verdict="PASS", measured="2026-01-01", bench="b",
-                figures={"FL": Figure(value=0.003), "BL": Figure(value=0.005)})  # fmt: skip
+    part = Part(
+        procedure="a",
+        verdict="PASS",
+        measured="2026-01-01",
+        bench="b",
+        figures={"FL": Figure(value=0.003), "BL": Figure(value=0.005)},
+    )
     record.add({"backlash": NewPart(part)}, identity(load_bench("emulated")), created="2026-02-01", why="t")
     asked = Asked(BenchSource("emulated", overrides={"record.folder": str(record.folder)}), Parameters())
     assert known_play_rad(asked) == 0.0025

@@ -14,9 +14,13 @@ import pytest
 from hil.recording.plain_csv import read_plain
 
 SETTINGS = {
-    "motions": "rotation_ccw", "repetitions": 2, "validation_repetitions": 1, "turns": 0.1,
-    "max_rounds": 2, "compared_methods": "",
-}  # fmt: skip
+    "motions": "rotation_ccw",
+    "repetitions": 2,
+    "validation_repetitions": 1,
+    "turns": 0.1,
+    "max_rounds": 2,
+    "compared_methods": "",
+}
 DEADLINE_S = 120.0
 
 
@@ -36,9 +40,12 @@ def steps(folder):
 
 def kill_after(folder, title, processes):
     child = subprocess.Popen(
-        command(folder, processes), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}, start_new_session=True,
-    )  # fmt: skip
+        command(folder, processes),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+        start_new_session=True,
+    )
     deadline = time.monotonic() + DEADLINE_S
     while title not in steps(folder) and child.poll() is None and time.monotonic() < deadline:
         wait(0.02)

@@ -32,9 +32,15 @@ from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import ConfigError
 
 SMALL = {
-    "motions": "line_x,line_y,rotation_ccw", "repetitions": 2, "validation_repetitions": 1,
-    "line_m": 0.35, "turns": 0.15, "max_rounds": 2, "compared_methods": "ga", "processes": 1,
-}  # fmt: skip
+    "motions": "line_x,line_y,rotation_ccw",
+    "repetitions": 2,
+    "validation_repetitions": 1,
+    "line_m": 0.35,
+    "turns": 0.15,
+    "max_rounds": 2,
+    "compared_methods": "ga",
+    "processes": 1,
+}
 
 
 @pytest.fixture(scope="module")
@@ -116,8 +122,17 @@ def test_a_round_is_driven_with_what_the_round_before_found(small):
     assert not np.array_equal(first.geometry.vector(), second.geometry.vector())
 
 
-TINY = {"motions": "line_x,line_y,circle_ccw", "repetitions": 2, "validation_repetitions": 1, "line_m": 0.5,
-        "radius_m": 0.3, "turns": 0.2, "max_rounds": 2, "compared_methods": "", "processes": 1}  # fmt: skip
+TINY = {
+    "motions": "line_x,line_y,circle_ccw",
+    "repetitions": 2,
+    "validation_repetitions": 1,
+    "line_m": 0.5,
+    "radius_m": 0.3,
+    "turns": 0.2,
+    "max_rounds": 2,
+    "compared_methods": "",
+    "processes": 1,
+}
 
 
 @pytest.mark.long
@@ -153,9 +168,12 @@ def test_two_processes_record_the_same_bytes_as_one(tmp_path):
     for processes in (1, 2):
         used = watched("odometry_calibration") if processes == 1 else plain_source()
         options = RunOptions(
-            tmp_path / str(processes), MonotonicClock(), "2026-01-01T00:00:00",
-            {**parameters, "processes": processes}, operator=Nobody(),
-        )  # fmt: skip
+            tmp_path / str(processes),
+            MonotonicClock(),
+            "2026-01-01T00:00:00",
+            {**parameters, "processes": processes},
+            operator=Nobody(),
+        )
         run_procedure(load_procedure("odometry_calibration"), used, options)
     first = {p.name: p.read_bytes() for p in (tmp_path / "1" / "recordings").rglob("*.csv")}
     second = {p.name: p.read_bytes() for p in (tmp_path / "2" / "recordings").rglob("*.csv")}
@@ -261,9 +279,12 @@ def calibrated(folder, seed, parameters):
     """
     source = plain_source().changed(seed=seed)
     options = RunOptions(
-        folder, MonotonicClock(), "2026-01-01T00:00:00", {"compared_methods": "", **parameters},
+        folder,
+        MonotonicClock(),
+        "2026-01-01T00:00:00",
+        {"compared_methods": "", **parameters},
         operator=Nobody(),
-    )  # fmt: skip
+    )
     result = run_procedure(load_procedure("odometry_calibration"), source, options)
     assert result.verdict.value in ("PASS", "MARGINAL"), (seed, result.measurements)
     file = read_calibration(folder / "calibration.toml")

@@ -19,8 +19,12 @@ from hil.vocabulary.clock import MonotonicClock, nanoseconds
 from hil.vocabulary.errors import ConfigError
 
 QUICK = {
-    "length_m": "0.2", "repetitions": "2", "hold_from_deg": "22", "hold_to_deg": "38", "hold_step_deg": "2",
-}  # fmt: skip
+    "length_m": "0.2",
+    "repetitions": "2",
+    "hold_from_deg": "22",
+    "hold_to_deg": "38",
+    "hold_step_deg": "2",
+}
 WHOLE = {"length_m": "0.4", "hold_step_deg": "1"}
 DAMPING_N_S_M = 30.0
 

@@ -55,8 +55,12 @@ def test_figures_and_table_are_those_of_the_paper(lines):
         assert word in drawn
     (table,) = tree["tables"]
     assert [row[0] for row in table["rows"]] == [
-        "x line odometry", "x line ekf", "y line odometry", "y line ekf", "y line optimal",
-    ]  # fmt: skip
+        "x line odometry",
+        "x line ekf",
+        "y line odometry",
+        "y line ekf",
+        "y line optimal",
+    ]
 
 
 @pytest.mark.long

@@ -28,9 +28,13 @@ from hil.vocabulary.errors import DataError
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 
 SHORT = {
-    "cases": ["x_line"], "feedbacks": ["odometry", "ekf"], "optimal": False, "length_m": 0.1,
-    "duration_s": 3.0, "hold_s": 1.5,
-}  # fmt: skip
+    "cases": ["x_line"],
+    "feedbacks": ["odometry", "ekf"],
+    "optimal": False,
+    "length_m": 0.1,
+    "duration_s": 3.0,
+    "hold_s": 1.5,
+}
 GAPS = "mocap:intermittent@1,period_s=2,duty=0.97"
 
 
@@ -97,9 +101,13 @@ def blind(motion, begin, end):
     truth = motion.mocap
     truth[begin:end] = np.nan
     return SimpleNamespace(
-        mocap=truth, reference=motion.reference, records=motion.records, t_s=motion.t_s, wheels=motion.wheels,
+        mocap=truth,
+        reference=motion.reference,
+        records=motion.records,
+        t_s=motion.t_s,
+        wheels=motion.wheels,
         estimate=motion.estimate,
-    )  # fmt: skip
+    )
 
 
 def test_what_was_seen_is_measured_and_the_rest_is_not(driven):

@@ -100,11 +100,23 @@ def calibrated(path, robot):
     told = load_bench("emulated").robot
     parameters = {"x_w_m": told.wheel_x_m, "y_w_m": told.wheel_y_m, "r_m": told.wheel_radius_m}
     file = CalibrationFile(
-        schema=1, version=1, created="2026-01-01T00:00:00+00:00", method="lm", setting="recommended",
-        model="exact", signal="velocity", parameters=parameters, nominal=parameters, std={},
-        twist_correction=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), cost_before=1.0,
-        cost_after=0.5, recordings={}, verdict="PASS", robot=robot,
-    )  # fmt: skip
+        schema=1,
+        version=1,
+        created="2026-01-01T00:00:00+00:00",
+        method="lm",
+        setting="recommended",
+        model="exact",
+        signal="velocity",
+        parameters=parameters,
+        nominal=parameters,
+        std={},
+        twist_correction=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
+        cost_before=1.0,
+        cost_after=0.5,
+        recordings={},
+        verdict="PASS",
+        robot=robot,
+    )
     save_calibration(path, file)
     return path
 
@@ -198,7 +210,7 @@ def with_zeros(zeros):
         ("[tracker]\nscale = 0.5\n", "tracker.scale: 0.5: tracker_extrinsics lets 0.97 to 1.03"),
         ("[tracker]\nscale_sigma = 0.5\n", "tracker.scale_sigma"),
     ],
-)  # fmt: skip
+)
 def test_values_that_cannot_be_meant_are_named_with_file_and_key(tmp_path, bench, text, told, capsys):
     source = tmp_path / "found.toml"
     source.write_text(text)

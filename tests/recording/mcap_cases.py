@@ -89,7 +89,10 @@ def driving_record(k: int) -> CycleRecord:
             mocap=(PoseMeasurement(stamp, "mocap", pose + noise[40:43], 3, True),),
         ),
         state=RobotState(
-            t_ns, pose + noise[43:46], twist, np.diag(np.full(6, 1e-4)),
+            t_ns,
+            pose + noise[43:46],
+            twist,
+            np.diag(np.full(6, 1e-4)),
             {"nis_wheels": 3.1 + float(noise[46]), "odometry_x_m": 0.05 * t_s},
         ),
         reference=Reference(t_s, pose, twist, np.zeros(3)),
@@ -98,7 +101,7 @@ def driving_record(k: int) -> CycleRecord:
         events=(Event(t_ns, "warning", "imu", "stale for 0.5 s"),) if k == 3 else (),
         timing_ns={"read": 500_000 + k, "decide": 300_000, "write": 100_000, "lateness": 20_000},
         truth={"pose": pose, "slipping": False, "note": None, "wheels": (1, 2.5)} if k % 2 else None,
-    )  # fmt: skip
+    )
 
 
 def doubles(*shape: int) -> st.SearchStrategy[np.ndarray]:
@@ -132,8 +135,14 @@ INPUTS = st.builds(
     encoders=few(st.builds(EncoderSample, STAMPS, doubles(4), STATUS4, few(st.integers(0, 2**18)))),
     imu=few(
         st.builds(
-            ImuSample, STAMPS, doubles(4), doubles(3), doubles(3), doubles(3),
-            st.tuples(*[st.integers(0, 3)] * 4), STATUS,
+            ImuSample,
+            STAMPS,
+            doubles(4),
+            doubles(3),
+            doubles(3),
+            doubles(3),
+            st.tuples(*[st.integers(0, 3)] * 4),
+            STATUS,
         )
     ),
     tracker=few(
@@ -147,7 +156,7 @@ INPUTS = st.builds(
     load_cells=few(
         st.builds(LoadCellSample, STAMPS, doubles(2), st.tuples(STATUS, STATUS), few(st.integers(0, 2**18)))
     ),
-)  # fmt: skip
+)
 MEASUREMENTS = st.builds(
     Measurements,
     cycle=NS,

@@ -19,9 +19,14 @@ RADIUS_M, HALF_M = 0.0254, 0.1125
 WHEELS_M = np.array([[HALF_M, HALF_M], [-HALF_M, HALF_M], [-HALF_M, -HALF_M], [HALF_M, -HALF_M]])
 REST_S, DRIVE_S = 1.5, 17.0
 COLUMNS = (
-    "t", *(f"phi{i}" for i in range(1, 5)), *(f"delta{i}" for i in range(1, 5)), "x", "y", "theta",
+    "t",
+    *(f"phi{i}" for i in range(1, 5)),
+    *(f"delta{i}" for i in range(1, 5)),
+    "x",
+    "y",
+    "theta",
     *(f"w{i}" for i in range(1, 5)),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)

@@ -179,10 +179,16 @@ def test_a_mapping_that_names_one_thing_twice_is_refused(topics, old, new, said)
 @pytest.mark.parametrize(
     ("name", "motion"),
     [
-        ("line_x", "line_x"), ("line_x_2", "line_x"), ("circle_ccw", "circle_ccw"), ("run_10", "run"),
-        ("line", "line"), ("slow_run_a", "slow_run_a"), ("_3", "_3"), ("line_x_2b", "line_x_2b"),
+        ("line_x", "line_x"),
+        ("line_x_2", "line_x"),
+        ("circle_ccw", "circle_ccw"),
+        ("run_10", "run"),
+        ("line", "line"),
+        ("slow_run_a", "slow_run_a"),
+        ("_3", "_3"),
+        ("line_x_2b", "line_x_2b"),
     ],
-)  # fmt: skip
+)
 def test_only_a_number_makes_a_repetition(name, motion):
     """`line_x` and `line_y` had been two repetitions of `line`, one held out of a fit to the other."""
     assert motion_of(name) == motion
@@ -252,7 +258,7 @@ def mcap(path, *, profile="ros2", schema="ros2msg", encoding="cdr"):
         ({"profile": "", "schema": "jsonschema", "encoding": "json"}, "'', encoded as json, jsonschema)"),
         ({"profile": ""}, "is an MCAP file, but no rosbag2 recording (profile '', encoded as cdr, ros2msg)"),
     ],
-)  # fmt: skip
+)
 def test_an_mcap_file_of_another_kind_is_to_be_converted(tmp_path, topics, made, said):
     """They were to be repaired with `mcap recover`, though nothing in them is broken."""
     mcap(tmp_path / "line_x_1.mcap", **made)

@@ -33,17 +33,19 @@ def moved(record, by_ns):
     inputs = record.inputs
     servos = tuple(
         dataclasses.replace(
-            s,
-            stamp=dataclasses.replace(s.stamp, t_ns=s.stamp.t_ns + by_ns, host_ns=s.stamp.host_ns + by_ns),
+            s, stamp=dataclasses.replace(s.stamp, t_ns=s.stamp.t_ns + by_ns, host_ns=s.stamp.host_ns + by_ns)
         )
         for s in inputs.servos
     )
     state = dataclasses.replace(record.state, t_ns=record.state.t_ns + by_ns)
     inputs = dataclasses.replace(inputs, t_ns=inputs.t_ns + by_ns, servos=servos)
     return dataclasses.replace(
-        record, start_ns=record.start_ns + by_ns, deadline_ns=record.deadline_ns + by_ns, inputs=inputs,
+        record,
+        start_ns=record.start_ns + by_ns,
+        deadline_ns=record.deadline_ns + by_ns,
+        inputs=inputs,
         state=state,
-    )  # fmt: skip
+    )
 
 
 def recording(path, zero_s, wall_error_ns=0, ptp_error_ns=None):

@@ -143,10 +143,16 @@ def test_samples_of_other_packages_and_other_estimators_are_too():
 @pytest.mark.parametrize(
     "given",
     [
-        [0.5, 1.0, 2.0], np.arange(3), np.arange(3, dtype=np.float32), np.ones(3) > 0, np.ones(4),
-        np.ones((3, 1)), np.ones((0, 3)), np.float64(1.0),
+        [0.5, 1.0, 2.0],
+        np.arange(3),
+        np.arange(3, dtype=np.float32),
+        np.ones(3) > 0,
+        np.ones(4),
+        np.ones((3, 1)),
+        np.ones((0, 3)),
+        np.float64(1.0),
     ],
-)  # fmt: skip
+)
 def test_arrays_of_other_types_and_shapes_are_written_as_what_they_are(given):
     record = driving_record(3)
     other = dataclasses.replace(record, state=dataclasses.replace(record.state, twist_body=given))

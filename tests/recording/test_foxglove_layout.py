@@ -31,10 +31,16 @@ def test_every_panel_is_placed_once():
 def test_every_plotted_path_leads_to_a_number_of_a_recording():
     recorded, messages = {}, CycleMessages(KINDS, FrameTree({}))
     for k in range(10):
-        recorded |= {topic: STORE.deserialize_cdr(data, TOPICS[topic])
-                     for topic, _, data in messages.of(driving_record(k))}  # fmt: skip
-    paths = [p["value"] for name, config in LAYOUT["configById"].items() if name.startswith("Plot!")
-             for p in config["paths"]]  # fmt: skip
+        recorded |= {
+            topic: STORE.deserialize_cdr(data, TOPICS[topic])
+            for topic, _, data in messages.of(driving_record(k))
+        }
+    paths = [
+        p["value"]
+        for name, config in LAYOUT["configById"].items()
+        if name.startswith("Plot!")
+        for p in config["paths"]
+    ]
     assert len(paths) > 20
     for path in paths:
         topic, *fields = path.split(".")

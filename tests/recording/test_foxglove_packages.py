@@ -16,9 +16,13 @@ from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S, WallOffset
 
 PACKAGES = (
-    "@foxglove/rosmsg@5.0.5", "@foxglove/rosmsg-msgs-common@3.2.3", "@foxglove/rosmsg2-serialization@3.1.0",
-    "@mcap/core@2.2.2", "@mcap/nodejs@1.0.2", "@mcap/support@1.1.0",
-)  # fmt: skip
+    "@foxglove/rosmsg@5.0.5",
+    "@foxglove/rosmsg-msgs-common@3.2.3",
+    "@foxglove/rosmsg2-serialization@3.1.0",
+    "@mcap/core@2.2.2",
+    "@mcap/nodejs@1.0.2",
+    "@mcap/support@1.1.0",
+)
 """`@foxglove/schemas` is not among them: it has the schemas `foxglove.*`, of which a recording uses none."""
 LAYOUT = Path(__file__).parents[2] / "docs" / "foxglove" / "layout.json"
 CYCLES = 120
@@ -33,15 +37,21 @@ def told(tmp_path_factory):
     folder = tmp_path_factory.mktemp("foxglove")
     fetched = subprocess.run(
         ["npm", "install", "--no-audit", "--no-fund", "--prefix", folder, *PACKAGES],
-        capture_output=True, text=True, check=False, timeout=240,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=240,
+    )
     if fetched.returncode != 0:
         pytest.skip(f"npm does not get Foxglove's packages: {fetched.stderr.strip()[-200:]}")
     script = shutil.copy(Path(__file__).with_name("foxglove_reads.mjs"), folder)
     said = subprocess.run(
         ["node", script, recording(folder / "run.mcap"), LAYOUT],
-        capture_output=True, text=True, check=False, timeout=60,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
     assert said.returncode == 0, said.stderr
     return json.loads(said.stdout)
 

@@ -38,17 +38,18 @@ TREES = st.recursive(
     SCALARS,
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=4), inner, max_size=3),
     max_leaves=8,
-)  # fmt: skip
+)
 KINDS = st.sampled_from(
     ["int", "float", "bool", "str", "array", "any", "Stamp", "CycleRecord", "Status", "nothing"]
 )
 LAYOUTS = st.recursive(
     KINDS | SCALARS,
-    lambda inner: st.tuples(
-        st.sampled_from(["tuple", "optional", "mapping", "class", "enum"]), inner | KINDS
-    ).map(list) | st.lists(inner, max_size=3),
+    lambda inner: (
+        st.tuples(st.sampled_from(["tuple", "optional", "mapping", "class", "enum"]), inner | KINDS).map(list)
+        | st.lists(inner, max_size=3)
+    ),
     max_leaves=5,
-)  # fmt: skip
+)
 
 
 def write(path, messages, header=None, layout=None):
@@ -83,9 +84,11 @@ START = {"state": STATE, "feedback": "odometry", "controller": None, "observers"
 
 
 ARC = {
-    "kind": "arc", "law": "constant", "duration_s": 1,
+    "kind": "arc",
+    "law": "constant",
+    "duration_s": 1,
     "path": {"start": [0, 0, 0], "radius_m": "x", "angle_rad": 1},
-}  # fmt: skip
+}
 
 
 def note(kind, data):
@@ -133,9 +136,11 @@ def test_any_header_text_ends_a_command_with_a_message(tmp_path, capsys, text):
 
 @BOUNDED
 @given(
-    name=st.sampled_from(sorted(describe()["classes"])), field=st.integers(0, 30), layout=LAYOUTS,
+    name=st.sampled_from(sorted(describe()["classes"])),
+    field=st.integers(0, 30),
+    layout=LAYOUTS,
     rest=st.sampled_from(["replace", "drop", "add", "empty"]),
-)  # fmt: skip
+)
 @example(name="Stamp", field=0, layout=["class", "Stamp"], rest="add")
 @example(name="Inputs", field=0, layout="str", rest="replace")
 @example(name="CycleRecord", field=0, layout=["tuple", ["class", "Event"]], rest="replace")

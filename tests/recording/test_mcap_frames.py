@@ -159,8 +159,10 @@ def test_the_offset_is_kept_as_metadata_at_start_and_end(recording):
     with recording.open("rb") as stream:
         kept = {m.name: m.metadata for m in make_reader(stream).iter_metadata()}
     assert kept["hil_clock_at_start"] == {
-        "offset_ns": str(EPOCH_NS), "uncertainty_ns": "300", "measured_ns": "5"
-    }  # fmt: skip
+        "offset_ns": str(EPOCH_NS),
+        "uncertainty_ns": "300",
+        "measured_ns": "5",
+    }
 
 
 def test_virtual_time_has_no_offset_and_stays_the_same_bytes(tmp_path):

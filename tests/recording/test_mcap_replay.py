@@ -103,9 +103,14 @@ def run(cycles, the_brain, record_of=driving_record):
             yield dataclasses.replace(source, events=(event,))
             return
         yield dataclasses.replace(
-            source, measurements=decision.measurements, state=decision.state, reference=decision.reference,
-            setpoint=decision.setpoint, command=decision.command, events=decision.events,
-        )  # fmt: skip
+            source,
+            measurements=decision.measurements,
+            state=decision.state,
+            reference=decision.reference,
+            setpoint=decision.setpoint,
+            command=decision.command,
+            events=decision.events,
+        )
 
 
 def recorded(path, *runs, start=START):

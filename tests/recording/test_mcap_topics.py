@@ -39,9 +39,12 @@ def write_bag(folder, storage=StoragePlugin.MCAP, speed_m_s=SPEED_M_S):
             angle = x_m / NOMINAL_RADIUS_M * np.array([1.0, 1.0, -1.0, -1.0])
             names = [f"{kind}{i}" for kind in "sw" for i in range(1, 5)]
             message = joint(
-                header=head, name=names, position=np.r_[np.zeros(4), angle], velocity=np.array([]),
+                header=head,
+                name=names,
+                position=np.r_[np.zeros(4), angle],
+                velocity=np.array([]),
                 effort=np.array([]),
-            )  # fmt: skip
+            )
             writer.write(wheels, t_ns, store.serialize_cdr(message, joint.__msgtype__))
             body = types["geometry_msgs/msg/Pose"](
                 position=point(x=x_m, y=0.0, z=0.1), orientation=quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
@@ -51,9 +54,11 @@ def write_bag(folder, storage=StoragePlugin.MCAP, speed_m_s=SPEED_M_S):
                 covariance=np.zeros(36),
             )
             message = pose(
-                header=head, child_frame_id="", pose=with_covariance(pose=body, covariance=np.zeros(36)),
+                header=head,
+                child_frame_id="",
+                pose=with_covariance(pose=body, covariance=np.zeros(36)),
                 twist=still,
-            )  # fmt: skip
+            )
             writer.write(truth, t_ns, store.serialize_cdr(message, pose.__msgtype__))
     return folder
 

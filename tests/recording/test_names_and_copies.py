@@ -83,8 +83,11 @@ def test_as_few_folders_are_named_as_tell_apart(days, tmp_path, drives, monkeypa
     lab = days / "1"
     shutil.rmtree(days / "2")
     assert [r.name for r in read_recordings([lab, other])] == [
-        "lab/1/line_x_1", "line_y_1", "rotation_ccw_1", "shop/1/line_x_1",
-    ]  # fmt: skip
+        "lab/1/line_x_1",
+        "line_y_1",
+        "rotation_ccw_1",
+        "shop/1/line_x_1",
+    ]
     monkeypatch.chdir(lab)
     assert read_recordings([".", other])[0].name == "lab/1/line_x_1"
     assert [r.name for r in read_recordings([other])] == ["line_x_1"]

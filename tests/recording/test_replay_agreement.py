@@ -242,8 +242,10 @@ def test_another_kernel_of_the_matrix_library_is_another_arithmetic(record):
     kernel = kernels[os.environ.get("OPENBLAS_CORETYPE") == kernels[0]]
     done = subprocess.run(
         [sys.executable, "-m", "hil", "replay", record(fingerprint(), 0.0), "--verify", "--json"],
-        env={**os.environ, "OPENBLAS_CORETYPE": kernel}, stdout=subprocess.PIPE, check=False,
-    )  # fmt: skip
+        env={**os.environ, "OPENBLAS_CORETYPE": kernel},
+        stdout=subprocess.PIPE,
+        check=False,
+    )
     found = json.loads(done.stdout)
     assert done.returncode == 0
     assert found["verdict"] in ("agrees", "identical")

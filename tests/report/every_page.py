@@ -45,10 +45,12 @@ def run(ctx: Context) -> None:
     ctx.note("A note.")
 '''
 WALL = {
-    name: {case: {"end_m": end, "rmse_x_m": end / 2, "rmse_y_m": end / 3, "rmse_heading_rad": 0.01}
-           for case in ("x_line", "y_line")}
+    name: {
+        case: {"end_m": end, "rmse_x_m": end / 2, "rmse_y_m": end / 3, "rmse_heading_rad": 0.01}
+        for case in ("x_line", "y_line")
+    }
     for name, end in {"nothing known": 0.03, "geometry": 0.012, "everything known": 0.002}.items()
-}  # fmt: skip
+}
 
 
 def hil(*arguments):
@@ -111,11 +113,15 @@ def _trends(root):
     for day in range(30):
         value = 4.0 + 0.05 * max(0, day - 10) + noise[day]
         tree = {
-            "schema": 1, "procedure": "gap", "verdict": "PASS", "bench": "lab", "virtual_time": False,
+            "schema": 1,
+            "procedure": "gap",
+            "verdict": "PASS",
+            "bench": "lab",
+            "virtual_time": False,
             "started": (datetime(2030, 3, 1, tzinfo=timezone.utc) + timedelta(days=day)).isoformat(),
             "calibration": {"path": "c.toml", "version": 1 + (day >= 10), "sha256": "ab" * 4},
             "measurements": [{"name": "width", "unit": "mm", "value": value, "high": 6.0, "outcome": "PASS"}],
-        }  # fmt: skip
+        }
         (root / f"{day:02}").mkdir(parents=True)
         (root / f"{day:02}" / "result.json").write_text(json.dumps(tree))
     hil("results", "trends", "--in", root)
@@ -132,9 +138,14 @@ def _commissioning(folder):
     record.add({"zeros": part}, robot, created="2030-01-01T10:00:00+00:00", why="steering_zero")
     stages = [
         {"name": "bring_up", "verdict": "PASS", "seconds": 12.0, "folder": "01_bring_up"},
-        {"name": "latency", "verdict": "FAIL", "seconds": 130.0, "folder": "02_latency",
-         "why": "imu.age is 60 ms, at most 50 ms"},
-    ]  # fmt: skip
+        {
+            "name": "latency",
+            "verdict": "FAIL",
+            "seconds": 130.0,
+            "folder": "02_latency",
+            "why": "imu.age is 60 ms, at most 50 ms",
+        },
+    ]
     stopped = {"procedure": "latency", "verdict": "FAIL", "why": "imu.age", "do": "look at the cable"}
     told = {
         "verdict": "FAIL",

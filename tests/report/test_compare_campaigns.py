@@ -67,10 +67,12 @@ def test_campaigns_that_say_nothing_about_each_other_are_refused(tmp_path, capsy
     (tmp_path / "d").mkdir()
     (tmp_path / "d" / "campaign.json").write_text('{"schema": 1, "rows": 3}')
     for others, told in (
-        ((b,), "have no case in common"), ((c,), "different procedures: climb, turn"),
-        ((str(tmp_path / "d"),), "is not the result of a campaign"), ((b, c), "3 campaigns to compare"),
+        ((b,), "have no case in common"),
+        ((c,), "different procedures: climb, turn"),
+        ((str(tmp_path / "d"),), "is not the result of a campaign"),
+        ((b, c), "3 campaigns to compare"),
         ((str(tmp_path / "none"),), "cannot be read"),
-    ):  # fmt: skip
+    ):
         assert main(["report", a, *others]) == 2
         assert told in capsys.readouterr().err
 
@@ -161,9 +163,12 @@ def test_what_they_were_given_differently_is_listed(tmp_path, capsys):
     assert main(["report", *folders]) == 0
     assert "not known: a plan.json is missing" in capsys.readouterr().out
     plan = {
-        "script": "climb", "settings": ["gain=1", "bench.name=a"], "faults": [], "make": {"numpy": "2.0"},
+        "script": "climb",
+        "settings": ["gain=1", "bench.name=a"],
+        "faults": [],
+        "make": {"numpy": "2.0"},
         "contents": {"/x.toml": "ab" * 32},
-    }  # fmt: skip
+    }
     other = {**plan, "settings": ["gain=2", "bench.name=a"], "faults": ["imu:off@1"]}
     (tmp_path / "one" / "plan.json").write_text(json.dumps(plan))
     for changed, told in (

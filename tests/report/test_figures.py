@@ -94,8 +94,19 @@ def test_a_path_along_a_line_shows_what_it_does_sideways(x_m, y_m, aspect):
     assert _path({"EKF": motion}, np.full_like(poses, np.nan), on_wall=True).axes[0].get_aspect() == 1.0
 
 
-RANGES = [(0.0, 0.02), (0.0, 0.55), (0.0, 0.999), (0.0, 1.2), (0.0, 9.0), (0.1, 25.0), (0.0, 90.0),
-          (0.0, 5000.0), (2.0, 9.0), (3.0, 4.0), (200.0, 300.0)]  # fmt: skip
+RANGES = [
+    (0.0, 0.02),
+    (0.0, 0.55),
+    (0.0, 0.999),
+    (0.0, 1.2),
+    (0.0, 9.0),
+    (0.1, 25.0),
+    (0.0, 90.0),
+    (0.0, 5000.0),
+    (2.0, 9.0),
+    (3.0, 4.0),
+    (200.0, 300.0),
+]
 
 
 @pytest.mark.parametrize(("low", "high"), RANGES)
@@ -146,9 +157,12 @@ def calibration(std, bounds=None):
     nominal = np.concatenate([np.full(8, 0.1125), np.full(4, 0.0254), np.zeros(4)])
     sizes = np.concatenate([nominal[:12], np.ones(4)])
     problem = SimpleNamespace(
-        nominal=nominal, sizes=sizes, prior_std=0.01 * sizes, upper=nominal + 0.05 * sizes,
+        nominal=nominal,
+        sizes=sizes,
+        prior_std=0.01 * sizes,
+        upper=nominal + 0.05 * sizes,
         setting=SimpleNamespace(bounds=bounds),
-    )  # fmt: skip
+    )
     solution = SimpleNamespace(z=nominal + 0.012 * sizes)
     intervals = SimpleNamespace(quantile=2.5, std=std * sizes)
     return SimpleNamespace(fit=SimpleNamespace(problem=problem, solution=solution), intervals=intervals)

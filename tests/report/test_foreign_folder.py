@@ -36,20 +36,44 @@ SVG = """<?xml version="1.0"?>
 
 def tree(evil):
     return {
-        "schema": 1, "procedure": f"p{evil}", "verdict": "ERROR", "summary": evil, "bench": evil,
-        "started": evil, "seed": 1, "faults": [evil], "emulated": [evil], "git_revision": evil,
+        "schema": 1,
+        "procedure": f"p{evil}",
+        "verdict": "ERROR",
+        "summary": evil,
+        "bench": evil,
+        "started": evil,
+        "seed": 1,
+        "faults": [evil],
+        "emulated": [evil],
+        "git_revision": evil,
         "held": {"state": evil, "moved_m": 0.001, "why": evil},
         "error": {"type": evil, "message": evil, "step": evil},
         "teardown_errors": [{"type": evil, "message": evil, "step": evil}],
-        "measurements": [{"name": evil, "unit": evil, "value": 1.0, "low": 0.0, "high": 2.0, "margin": 1.0,
-                          "outcome": "PASS", "limited": True, "rationale": evil}],
+        "measurements": [
+            {
+                "name": evil,
+                "unit": evil,
+                "value": 1.0,
+                "low": 0.0,
+                "high": 2.0,
+                "margin": 1.0,
+                "outcome": "PASS",
+                "limited": True,
+                "rationale": evil,
+            }
+        ],
         "steps": [{"title": evil, "outcome": evil, "depth": 1, "bench_s": 1.0, "wall_s": 1.0}],
         "tables": [{"title": evil, "head": [evil], "rows": [[evil]], "note": evil}],
         "figures": [{"title": evil, "caption": evil, "path": "figures/evil.svg"}],
-        "attachments": [{"name": evil, "path": evil}], "recordings": [evil], "notes": [evil],
-        "parameters": {evil: evil}, "config": {evil: [evil]}, "versions": {evil: evil}, "loop": {evil: evil},
+        "attachments": [{"name": evil, "path": evil}],
+        "recordings": [evil],
+        "notes": [evil],
+        "parameters": {evil: evil},
+        "config": {evil: [evil]},
+        "versions": {evil: evil},
+        "loop": {evil: evil},
         "calibration": {"path": evil, "version": evil, "sha256": evil},
-    }  # fmt: skip
+    }
 
 
 class Page(HTMLParser):
@@ -120,10 +144,15 @@ def test_text_and_figures_of_a_foreign_folder_stay_text_and_pictures(folder):
 
 READINGS = {
     "size": [100.0, 50.0],
-    "axes": [{"box": [0.0, 0.0, 90.0, 40.0], "x": {"label": "t", "limits": [0.0, 1.0]},
-              "y": {"label": "v", "limits": [0.0, 1.0]},
-              "series": [{"name": EVIL, "colour": "c1", "x": [0.0, 1.0], "y": [0.0, None]}]}],
-}  # fmt: skip
+    "axes": [
+        {
+            "box": [0.0, 0.0, 90.0, 40.0],
+            "x": {"label": "t", "limits": [0.0, 1.0]},
+            "y": {"label": "v", "limits": [0.0, 1.0]},
+            "series": [{"name": EVIL, "colour": "c1", "x": [0.0, 1.0], "y": [0.0, None]}],
+        }
+    ],
+}
 
 
 def with_readings(folder, readings):
@@ -142,10 +171,16 @@ def test_readings_of_a_foreign_figure_are_numbers_and_names(folder):
 @pytest.mark.parametrize(
     "change",
     [
-        {"colour": "url(http://127.0.0.1/x)"}, {"colour": "c9"}, {"x": ["1", "2"]}, {"x": [1e999, 0.0]},
-        {"onload": "alert(1)"}, {"y": [0.0] * 5000}, {"name": "x" * 5000}, {"width": "3;x"},
+        {"colour": "url(http://127.0.0.1/x)"},
+        {"colour": "c9"},
+        {"x": ["1", "2"]},
+        {"x": [1e999, 0.0]},
+        {"onload": "alert(1)"},
+        {"y": [0.0] * 5000},
+        {"name": "x" * 5000},
+        {"width": "3;x"},
     ],
-)  # fmt: skip
+)
 def test_readings_that_are_not_sound_are_left_out(folder, change):
     axes = READINGS["axes"][0]
     wrong = {**READINGS, "axes": [{**axes, "series": [axes["series"][0] | change]}]}
@@ -200,12 +235,21 @@ def test_no_control_character_of_a_foreign_folder_reaches_the_terminal(folder, c
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("measurements", [{"name": 1}]), ("measurements", {}), ("steps", [{"title": "a", "depth": "0;x"}]),
-        ("figures", [1]), ("notes", "x"), ("duration_s", "long"), ("calibration", 3), ("procedure", ["x"]),
-        ("attachments", [{"name": "x", "path": None}]), ("tables", [{"title": "", "head": [], "rows": [1]}]),
-        ("duration_s", float("inf")), ("held", {"state": "HELD", "moved_m": "far"}), ("config", []),
+        ("measurements", [{"name": 1}]),
+        ("measurements", {}),
+        ("steps", [{"title": "a", "depth": "0;x"}]),
+        ("figures", [1]),
+        ("notes", "x"),
+        ("duration_s", "long"),
+        ("calibration", 3),
+        ("procedure", ["x"]),
+        ("attachments", [{"name": "x", "path": None}]),
+        ("tables", [{"title": "", "head": [], "rows": [1]}]),
+        ("duration_s", float("inf")),
+        ("held", {"state": "HELD", "moved_m": "far"}),
+        ("config", []),
     ],
-)  # fmt: skip
+)
 def test_a_value_of_the_wrong_kind_is_named(folder, key, value):
     change(folder[0], **{key: value})
     with pytest.raises(DataError, match=key) as caught:
@@ -231,10 +275,21 @@ def test_a_browser_runs_and_fetches_nothing_of_a_foreign_folder(folder, tmp_path
     if not policy:
         page.write_text(re.sub("<meta http-equiv=[^>]*>", "", page.read_text()))
     found = subprocess.run(
-        [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}",
-         "--virtual-time-budget=2000", "--dump-dom", f"file://{page}"],
-        capture_output=True, text=True, timeout=60, check=True,
-    ).stdout  # fmt: skip
+        [
+            CHROMIUM,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            f"--user-data-dir={tmp_path / 'profile'}",
+            "--virtual-time-budget=2000",
+            "--dump-dom",
+            f"file://{page}",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    ).stdout
     assert "<title>ran</title>" not in found
     assert "data:image/svg+xml" in found
     assert asked == []

@@ -92,10 +92,20 @@ def root(tmp_path):
 def test_everything_is_shown_as_what_it_is(root):
     found = {k.name: k for k in find_results(root)}
     assert {name: k.kind for name, k in found.items()} == {
-        "gap/one": "run", "trial": "campaign", "trial/runs/seed_0": "run", "whole": "commissioning",
-        "struck/cut": "unfinished", "newer": "foreign", "torn": "foreign", "list": "foreign",
-        "other": "foreign", "page": "foreign", "junk": "foreign", "accept": "acceptance", "signed": "foreign",
-    }  # fmt: skip
+        "gap/one": "run",
+        "trial": "campaign",
+        "trial/runs/seed_0": "run",
+        "whole": "commissioning",
+        "struck/cut": "unfinished",
+        "newer": "foreign",
+        "torn": "foreign",
+        "list": "foreign",
+        "other": "foreign",
+        "page": "foreign",
+        "junk": "foreign",
+        "accept": "acceptance",
+        "signed": "foreign",
+    }
     one = found["gap/one"]
     assert (one.what, one.bench, one.where, one.verdict) == ("gap", "lab", "emulated", "PASS")
     assert one.when == datetime(2026, 3, 1, 10, tzinfo=timezone.utc)
@@ -253,14 +263,18 @@ def write(folder, number, **changed):
     """A result by hand: the width drifts from the 20th run on, with another calibration from the 10th on."""
     value = 4.0 + 0.05 * max(0, number - 10) + NOISE[number]
     tree = {
-        "schema": 1, "procedure": "gap", "verdict": "PASS", "bench": "lab", "virtual_time": False,
+        "schema": 1,
+        "procedure": "gap",
+        "verdict": "PASS",
+        "bench": "lab",
+        "virtual_time": False,
         "started": (BEGIN + timedelta(days=number)).isoformat(),
         "calibration": {"path": "c.toml", "version": 1 + (number >= 10), "sha256": f"{number >= 10}" * 4},
         "measurements": [
             {"name": "width", "unit": "mm", "value": value, "high": 6.0, "outcome": "PASS"},
             {"name": "seen", "unit": "1", "value": 1.0, "outcome": "PASS", "limited": False},
         ],
-    } | changed  # fmt: skip
+    } | changed
     folder.mkdir(parents=True)
     (folder / "result.json").write_text(json.dumps(tree))
 

@@ -25,22 +25,20 @@ def test_a_campaign_says_which_limits_were_missed_and_how_often(tmp_path):
         measured = {n: limits | {"outcome": "FAIL" if n in failed else "PASS"} for n in ("end", "way")}
         measured = {} if error else measured
         verdict = "ERROR" if error else "FAIL" if failed else "PASS"
-        return Row(
-            Case(seed),
-            str(tmp_path / str(seed)),
-            verdict,
-            0,
-            1.0,
-            {} if error else measured,
-            error,
-        )
+        return Row(Case(seed), str(tmp_path / str(seed)), verdict, 0, 1.0, {} if error else measured, error)
 
     rows = [row(1), row(2, "end"), row(3, "end", "way"), row(4, error="it fell")]
     tree = {
-        "procedure": "short", "cases": 4, "verdicts": {"PASS": 1, "FAIL": 2, "ERROR": 1}, "verdict": "ERROR",
-        "summary": "", "bench": "b", "groups": [], "alike": [],
+        "procedure": "short",
+        "cases": 4,
+        "verdicts": {"PASS": 1, "FAIL": 2, "ERROR": 1},
+        "verdict": "ERROR",
+        "summary": "",
+        "bench": "b",
+        "groups": [],
+        "alike": [],
         "rows": [{"case": r.case.name, "command": "hil"} for r in rows],
-    }  # fmt: skip
+    }
     said = lead(write_campaign_page(tmp_path / "page.html", tree, rows))
     assert said == "1 of 4 runs kept their limits. Beyond its limit: end in 2, way in 1. 1 ended early."
 

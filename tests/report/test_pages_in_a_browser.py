@@ -14,8 +14,19 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine to render the pages in"),
 ]
 
-KINDS = ("run", "comparison", "replay", "calibration", "evaluation", "campaign", "campaigns", "trends",
-         "commissioning", "robot", "acceptance")  # fmt: skip
+KINDS = (
+    "run",
+    "comparison",
+    "replay",
+    "calibration",
+    "evaluation",
+    "campaign",
+    "campaigns",
+    "trends",
+    "commissioning",
+    "robot",
+    "acceptance",
+)
 WITH_FIGURES = (
     "run",
     "replay",
@@ -72,14 +83,16 @@ def test_a_page_is_readable_and_asks_nobody(browser, pages, kind, width, dark):
 
 def first_plot(browser):
     """Where the first axes of the first figure are on the screen, in px: left, top, width, height."""
-    return json.loads(browser.run("""(() => {
+    return json.loads(
+        browser.run("""(() => {
         const plot = document.querySelector("[data-readings]");
         plot.scrollIntoView({ block: "center" });
         const known = JSON.parse(plot.dataset.readings);
         const frame = plot.querySelector(".over").getBoundingClientRect();
         const scale = frame.width / known.size[0], [x, y, w, h] = known.axes[0].box;
         return JSON.stringify([frame.left + x * scale, frame.top + y * scale, w * scale, h * scale]);
-    })()"""))  # fmt: skip
+    })()""")
+    )
 
 
 @pytest.mark.parametrize("width", [390, 1280])

@@ -37,9 +37,14 @@ def run(ctx):
     ctx.attach("a text", own)
 '''
 MINE = {
-    "thesis.txt": "years", "photos/a.jpg": "light", "photos/b.jpg": "light", "figures/mine.svg": "<svg/>",
-    "attachments/letter.txt": "dear", "recordings/round_1/mine.csv": "1", "calibration.toml": "mine = 1",
-}  # fmt: skip
+    "thesis.txt": "years",
+    "photos/a.jpg": "light",
+    "photos/b.jpg": "light",
+    "figures/mine.svg": "<svg/>",
+    "attachments/letter.txt": "dear",
+    "recordings/round_1/mine.csv": "1",
+    "calibration.toml": "mine = 1",
+}
 
 
 @procedure(name="gap", measurements=())
@@ -159,12 +164,22 @@ def hil(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("with_mine", [False, True])
 def test_a_commissioning_goes_with_its_procedures_and_its_record_and_nothing_else(root, with_mine):
     whole = root / "whole"
-    own = ("commission.html", "trends.html", "ablation.svg", "robot/record.toml", "robot/history/v0001.toml",
-           "robot/files/calibration-0123456789ab.toml", "robot/record.toml.part")  # fmt: skip
+    own = (
+        "commission.html",
+        "trends.html",
+        "ablation.svg",
+        "robot/record.toml",
+        "robot/history/v0001.toml",
+        "robot/files/calibration-0123456789ab.toml",
+        "robot/record.toml.part",
+    )
     mine = {
-        "thesis.txt": "years", "robot/notes.txt": "mind the cable", "01_gap/letter.txt": "dear",
-        "robot/files/mine.toml": "a = 1", "2_gap/journal.txt": "b",
-    }  # fmt: skip
+        "thesis.txt": "years",
+        "robot/notes.txt": "mind the cable",
+        "01_gap/letter.txt": "dear",
+        "robot/files/mine.toml": "a = 1",
+        "2_gap/journal.txt": "b",
+    }
     run(whole / "01_gap")
     run(whole / "01_gap-2")
     put(whole, {"commission.json": '{"options": {"bench": "lab"}, "done": {}}', **dict.fromkeys(own, "x")})
@@ -174,8 +189,9 @@ def test_a_commissioning_goes_with_its_procedures_and_its_record_and_nothing_els
     kept = files_of(whole / "a_run_of_mine") if with_mine else set()
     lost = removed(root, "whole")
     assert set(lost.stays) - {"given.txt"} == {
-        *(mine if with_mine else ()), *(f"a_run_of_mine/{name}" for name in kept)
-    }  # fmt: skip
+        *(mine if with_mine else ()),
+        *(f"a_run_of_mine/{name}" for name in kept),
+    }
     assert files_of(whole) == set(lost.stays)
     if with_mine:
         assert "whole/a_run_of_mine" in {k.name for k in find_results(root)}

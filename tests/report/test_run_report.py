@@ -80,9 +80,21 @@ class Page(HTMLParser):
 def test_the_page_says_everything_in_order_and_escapes_it(folder):
     page = Page((folder / "report.html").read_text())
     text = " ".join(" ".join(page.text).split())
-    order = ["1 of 3 limits failed: outside 1.5 mm, at most 1 mm.", "FAIL", "1 fail, 1 marginal, 1 pass",
-             "look & see", "Figure 0", "Figure 1", "inside", "4.25", "<b>reason</b> & more",
-             "Reported without a limit (1)", "Ends & means", "x <y>", "To repeat it"]  # fmt: skip
+    order = [
+        "1 of 3 limits failed: outside 1.5 mm, at most 1 mm.",
+        "FAIL",
+        "1 fail, 1 marginal, 1 pass",
+        "look & see",
+        "Figure 0",
+        "Figure 1",
+        "inside",
+        "4.25",
+        "<b>reason</b> & more",
+        "Reported without a limit (1)",
+        "Ends & means",
+        "x <y>",
+        "To repeat it",
+    ]
     text = text[text.index(order[0]) :]
     at = [text.index(word) for word in order]
     assert at == sorted(at)
@@ -289,8 +301,9 @@ def test_runs_of_other_seeds_and_faults_are_not_the_same(folder, tmp_path):
     (tmp_path / "result.json").write_text(json.dumps({**tree, **changed}))
     table = compare([folder, tmp_path])
     assert {row["key"]: row["values"][1] for row in table["differences"]} == {
-        "seed": "7", "faults": "imu:off@1, tracker:off",
-    }  # fmt: skip
+        "seed": "7",
+        "faults": "imu:off@1, tracker:off",
+    }
     assert "differs: faults" in comparison_text(table)
     same = compare([tmp_path, tmp_path])
     page = write_compare_page(tmp_path / "compare.html", same).read_text()

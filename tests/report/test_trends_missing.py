@@ -19,9 +19,13 @@ def write(root, day, verdict="PASS", **values):
         for name, value in values.items()
     ]
     tree = {
-        "schema": 1, "procedure": "gap", "verdict": verdict, "bench": "lab", "measurements": rows,
+        "schema": 1,
+        "procedure": "gap",
+        "verdict": verdict,
+        "bench": "lab",
+        "measurements": rows,
         "started": (BEGIN + timedelta(days=day)).isoformat(),
-    }  # fmt: skip
+    }
     (root / f"{day:02}").mkdir()
     (root / f"{day:02}" / "result.json").write_text(json.dumps(tree))
 

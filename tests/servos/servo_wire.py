@@ -75,9 +75,17 @@ class JointPlant(Plant):
     def truth(self):
         copies = (self.position.copy(), self.velocity.copy(), self.current.copy())
         return PlantState(
-            self._t_ns, np.zeros(3), np.zeros(3), np.zeros(2), *copies, self.position[4:].copy(),
-            np.full(4, 8.0), np.zeros((4, 2)), math.pi / 2, False,
-        )  # fmt: skip
+            self._t_ns,
+            np.zeros(3),
+            np.zeros(3),
+            np.zeros(2),
+            *copies,
+            self.position[4:].copy(),
+            np.full(4, 8.0),
+            np.zeros((4, 2)),
+            math.pi / 2,
+            False,
+        )
 
 
 class Wire:

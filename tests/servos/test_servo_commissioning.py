@@ -66,13 +66,21 @@ def test_an_adapter_that_is_pulled_during_a_scan_is_an_error(bus_of):
 def test_set_up_writes_registers_then_id_then_rate(bus_of):
     bench = bus_of()
     changed = set_up(
-        PORT, bench.clock, baud=1_000_000, servo_id=3, new_id=33, new_baud=3_000_000,
+        PORT,
+        bench.clock,
+        baud=1_000_000,
+        servo_id=3,
+        new_id=33,
+        new_baud=3_000_000,
         registers={"return_delay_time": 2, "velocity_limit": 230, "operating_mode": 1},
-    )  # fmt: skip
+    )
     assert changed == {
-        "return_delay_time": (0, 2), "velocity_limit": (210, 230), "operating_mode": (1, 1), "id": (3, 33),
+        "return_delay_time": (0, 2),
+        "velocity_limit": (210, 230),
+        "operating_mode": (1, 1),
+        "id": (3, 33),
         "baud_rate": (3, 5),
-    }  # fmt: skip
+    }
     servo = bench.bus.servos[2]
     assert (servo.id, servo.baud, servo.table.get("velocity_limit")) == (33, 3_000_000, 230)
     (found,) = scan(PORT, bench.clock, bauds=(3_000_000,), ids=range(40))
@@ -131,11 +139,7 @@ def test_a_value_that_does_not_stay_is_an_error(bus_of):
             said.add(error.message.split(": ", 1)[1])
         bench.line.close()
     texts = " ".join(said)
-    for part in (
-        "cannot be read",
-        "return_delay_time cannot be written",
-        "= 5 did not stay",
-    ):
+    for part in ("cannot be read", "return_delay_time cannot be written", "= 5 did not stay"):
         assert part in texts
 
 

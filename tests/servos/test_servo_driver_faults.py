@@ -15,8 +15,17 @@ from hil.vocabulary.signals import Status
 
 def test_all_faults_of_this_file_are_the_supported_ones():
     assert set(BUS_FAULTS) == {
-        "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent", "reset", "brownout", "jump",
-    }  # fmt: skip
+        "off",
+        "stuck",
+        "garbage",
+        "wrong",
+        "slow",
+        "delayed",
+        "intermittent",
+        "reset",
+        "brownout",
+        "jump",
+    }
     assert set(SERVO_FAULTS) - set(BUS_FAULTS) == {"drop", "corrupt"}
     assert set(LINE_FAULTS) == {"drop", "corrupt", "truncate", "duplicate", "baud_mismatch", "unplug"}
 
@@ -140,9 +149,11 @@ def test_all_servos_brown_out_and_come_back(servo_bench):
 
 def test_stuck_wrong_delayed_and_slow(servo_bench):
     bench = servo_bench(
-        "servo.1:stuck@1+0.5", "servo.5:wrong@2+0.5,angle_rad=0.3", "servo.3:delayed@3+1,delay_s=0.2",
+        "servo.1:stuck@1+0.5",
+        "servo.5:wrong@2+0.5,angle_rad=0.3",
+        "servo.3:delayed@3+1,delay_s=0.2",
         "servo.4:slow@5+0.5,answer_s=0.0005",
-    )  # fmt: skip
+    )
     bench.driver.enable()
     samples = cycles(bench, 6, ROLLING)
     frozen = between(samples, 1.05, 1.45)
@@ -195,7 +206,7 @@ def test_garbage_is_never_a_number(servo_bench, fault, fast):
         "servo.4:corrupt@1,probability=0.1",
         "servo.5:intermittent@1,period_s=0.2,duty=0.3",
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("fast", ["auto", False])
 def test_a_bad_line_costs_readings_but_never_truth(servo_bench, fault, fast):
     bench = servo_bench(fault, config={"fast_sync_read": fast}, seed=7)

@@ -18,8 +18,7 @@ from hil.vocabulary.signals import ServoSetpoint, Status
 
 
 @pytest.mark.parametrize(
-    "port",
-    ["/dev/nonexistent", "/dev/null", "/", "hil://nobody", "nonsense://x", "socket://127.0.0.1:9"],
+    "port", ["/dev/nonexistent", "/dev/null", "/", "hil://nobody", "nonsense://x", "socket://127.0.0.1:9"]
 )
 def test_a_port_that_cannot_be_opened_is_a_device_error(port):
     driver = DynamixelServos(ServosConfig(port=port), MonotonicClock())
@@ -64,9 +63,11 @@ def test_a_bus_that_is_just_starting_is_waited_for(servo_bench):
 def test_missing_and_wrong_servos_are_in_one_table(servo_bench):
     with pytest.raises(DeviceError) as caught:
         servo_bench(
-            absent=frozenset({2, 7}), model_by_joint={0: 1030}, firmware_by_joint={4: 30},
+            absent=frozenset({2, 7}),
+            model_by_joint={0: 1030},
+            firmware_by_joint={4: 30},
             ids=(1, 2, 3, 4, 5, 6, 7, 8),
-        )  # fmt: skip
+        )
     text = str(caught.value)
     assert "4 of 8 servos" in text
     assert "drive_FL (ID 1): found model 1030 (XM430-W210), firmware 46" in text
@@ -154,10 +155,12 @@ def test_an_eeprom_that_does_not_fit_is_told_and_left_alone(servo_bench, joint, 
         ({0: 3, 4: 1}, "drive_FL (ID 1) and steer_FL (ID 5) have each other's operating mode"),
         ({2: 3, 4: 1}, "drive_BR (ID 3) and steer_FL (ID 5) have"),
         ({0: 3, 1: 3, 4: 1, 5: 1}, "drive_FL (ID 1), drive_BL (ID 2) and steer_FL (ID 5), steer_BL (ID 6)"),
-        ({0: 3}, "nothing is written"), ({4: 1}, "nothing is written"),
-        ({0: 3, 1: 3, 4: 1}, "nothing is written"), ({0: 4, 4: 1}, "nothing is written"),
+        ({0: 3}, "nothing is written"),
+        ({4: 1}, "nothing is written"),
+        ({0: 3, 1: 3, 4: 1}, "nothing is written"),
+        ({0: 4, 4: 1}, "nothing is written"),
     ],
-)  # fmt: skip
+)
 def test_exchanged_ids_are_named_before_any_register(servo_bench, modes, first):
     """Written into the EEPROM, the mode of a drive would let a steering axis turn without end."""
     with pytest.raises(DeviceError) as caught:
@@ -294,8 +297,10 @@ def test_findings_tell_what_could_be_better(servo_bench):
     assert "drive_FL: input voltage" in found["hardware errors"].found
     assert found["reply time"].level == "warning"
     assert "latency timer" in found["reply time"].remedy
-    assert all("--port hil://servos --baud 1000000 --id 1 --register" in found[c].remedy
-               for c in ("return delay", "shutdown"))  # fmt: skip
+    assert all(
+        "--port hil://servos --baud 1000000 --id 1 --register" in found[c].remedy
+        for c in ("return delay", "shutdown")
+    )
 
 
 def test_limits_in_the_eeprom_below_those_of_the_bench_are_told_with_a_remedy(servo_bench):
@@ -317,8 +322,13 @@ def test_a_closed_driver_refuses_and_closing_twice_is_fine(servo_bench):
     bench.driver.close()
     assert bench.driver.identity() == {}
     bench.driver.stop()
-    for use in (bench.driver.read, bench.driver.enable, bench.driver.release, bench.driver.diagnose,
-                bench.driver.read_health):  # fmt: skip
+    for use in (
+        bench.driver.read,
+        bench.driver.enable,
+        bench.driver.release,
+        bench.driver.diagnose,
+        bench.driver.read_health,
+    ):
         with pytest.raises(DeviceError, match="used while closed"):
             use()
 

@@ -17,8 +17,13 @@ LOW, HIGH = 700, 3400
 def block(**registers):
     """The registers of one servo, from address 0 on."""
     data = bytearray(147)
-    for name, raw in {"velocity_limit": 1023, "min_position_limit": LOW, "max_position_limit": HIGH,
-                      "present_position": 2048, **registers}.items():  # fmt: skip
+    for name, raw in {
+        "velocity_limit": 1023,
+        "min_position_limit": LOW,
+        "max_position_limit": HIGH,
+        "present_position": 2048,
+        **registers,
+    }.items():
         register = TABLE[name]
         data[register.address : register.address + register.size] = register.encode(raw)
     return bytes(data)
@@ -32,11 +37,20 @@ def goals(blocks=None, **config):
 @pytest.mark.parametrize(
     ("register", "goal"),
     [
-        (2048, 2048), (2048 + 4096, 2048), (2048 - 3 * 4096, 2048), (4096 * 1000 + 3000, 3000),
-        (LOW, LOW), (LOW - 1, LOW), (0, LOW), (-4096 + LOW, LOW), (HIGH, HIGH), (HIGH + 1, HIGH),
-        (4095, HIGH), (-1, HIGH),
+        (2048, 2048),
+        (2048 + 4096, 2048),
+        (2048 - 3 * 4096, 2048),
+        (4096 * 1000 + 3000, 3000),
+        (LOW, LOW),
+        (LOW - 1, LOW),
+        (0, LOW),
+        (-4096 + LOW, LOW),
+        (HIGH, HIGH),
+        (HIGH + 1, HIGH),
+        (4095, HIGH),
+        (-1, HIGH),
     ],
-)  # fmt: skip
+)
 def test_a_servo_of_one_turn_holds_within_it_and_within_its_limits(register, goal):
     """A goal beyond one turn or the limits is ignored in silence: the servo would keep its old one."""
     registers = np.array([9000, -9000, 5, 0, register, 2048, register, 2048])
@@ -45,8 +59,9 @@ def test_a_servo_of_one_turn_holds_within_it_and_within_its_limits(register, goa
 
 
 def test_limits_are_those_of_each_servo():
-    blocks = [block()] * 4 + [block(min_position_limit=1000 + 10 * k, max_position_limit=2000 + 10 * k)
-                              for k in range(4)]  # fmt: skip
+    blocks = [block()] * 4 + [
+        block(min_position_limit=1000 + 10 * k, max_position_limit=2000 + 10 * k) for k in range(4)
+    ]
     held = goals(blocks)[0].still(np.array([0, 0, 0, 0, 0, 0, 4000, 4000]))
     assert held[4:].tolist() == [1000, 1010, 2020, 2030]
 

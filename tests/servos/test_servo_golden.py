@@ -60,9 +60,12 @@ def test_the_group_reads_of_the_driver_are_the_vendors():
 
 def test_statuses_of_the_emulated_servos(wire):
     bench = wire(
-        model_by_joint={0: 1030}, firmware_by_joint={0: 38}, steer_mode=3, eeprom={0: {"operating_mode": 3}},
+        model_by_joint={0: 1030},
+        firmware_by_joint={0: 38},
+        steer_mode=3,
+        eeprom={0: {"operating_mode": 3}},
         drive_start_counts=(166, 0, 0, 0),
-    )  # fmt: skip
+    )
     assert bench.send(ASKED["ping"]) == SAID["ping"]
     assert bench.send(ASKED["write"]) == SAID["ok"]
     assert bench.bus.servos[0].table.get("goal_position") == 512

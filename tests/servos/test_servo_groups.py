@@ -103,8 +103,10 @@ def test_what_later_servos_do_when_one_is_absent_is_an_option(wire, behaviour, h
     answers = group.answers(data)
     if fast and behaviour == "skip":
         heard = [1, 2, 4, 5, 6, 7, 8]
-        gaps = [b.ready_ns - a.ready_ns - len(a.data) * BYTE_NS
-                for a, b in zip(bench.replies, bench.replies[1:], strict=False)]  # fmt: skip
+        gaps = [
+            b.ready_ns - a.ready_ns - len(a.data) * BYTE_NS
+            for a, b in zip(bench.replies, bench.replies[1:], strict=False)
+        ]
         assert gaps == [0, 8 * BYTE_NS, 0, 0, 0, 0]
     assert [i for i, a in answers.items() if a.status is Status.OK] == heard
 
@@ -136,12 +138,19 @@ def test_a_servo_told_to_answer_pings_only_is_silent_in_a_group(wire, code):
 @pytest.mark.parametrize(
     ("code", "parameters"),
     [
-        (SYNC_READ, b""), (SYNC_READ, POSITION), (FAST_SYNC_READ, POSITION[:3]), (BULK_READ, b""),
-        (BULK_READ, b"\x01" + POSITION + b"\x02"), (FAST_BULK_READ, b"\x01\x84"),
-        (SYNC_WRITE, b"\x41"), (SYNC_WRITE, word(65) + word(1) + b"\x01"), (BULK_WRITE, b"\x01\x41\x00"),
-        (BULK_WRITE, b"\x01" + word(65) + word(4) + b"\x01"), (SYNC_WRITE, word(65) + word(0) + b"\x01"),
+        (SYNC_READ, b""),
+        (SYNC_READ, POSITION),
+        (FAST_SYNC_READ, POSITION[:3]),
+        (BULK_READ, b""),
+        (BULK_READ, b"\x01" + POSITION + b"\x02"),
+        (FAST_BULK_READ, b"\x01\x84"),
+        (SYNC_WRITE, b"\x41"),
+        (SYNC_WRITE, word(65) + word(1) + b"\x01"),
+        (BULK_WRITE, b"\x01\x41\x00"),
+        (BULK_WRITE, b"\x01" + word(65) + word(4) + b"\x01"),
+        (SYNC_WRITE, word(65) + word(0) + b"\x01"),
     ],
-)  # fmt: skip
+)
 def test_cut_group_instructions_do_nothing(wire, code, parameters):
     bench = wire()
     assert bench.send(instruction(ALL, code, parameters)) == b""

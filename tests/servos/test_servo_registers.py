@@ -21,12 +21,26 @@ def steer(wire):
 def test_defaults_are_the_vendors(wire):
     client = Client(wire(), 5)
     expected = {
-        "model_number": 1010, "velocity_limit": 210, "current_limit": 648, "shutdown": 52, "pwm_limit": 885,
-        "max_position_limit": 4095, "temperature_limit": 80, "min_voltage_limit": 95, "position_p_gain": 900,
-        "velocity_i_gain": 1920, "goal_pwm": 885, "goal_current": 648, "status_return_level": 2,
-        "indirect_address_1": 224, "indirect_address_28": 251, "indirect_address_29": 634,
-        "indirect_address_56": 661, "present_input_voltage": 111, "present_temperature": 27,
-    }  # fmt: skip
+        "model_number": 1010,
+        "velocity_limit": 210,
+        "current_limit": 648,
+        "shutdown": 52,
+        "pwm_limit": 885,
+        "max_position_limit": 4095,
+        "temperature_limit": 80,
+        "min_voltage_limit": 95,
+        "position_p_gain": 900,
+        "velocity_i_gain": 1920,
+        "goal_pwm": 885,
+        "goal_current": 648,
+        "status_return_level": 2,
+        "indirect_address_1": 224,
+        "indirect_address_28": 251,
+        "indirect_address_29": 634,
+        "indirect_address_56": 661,
+        "present_input_voltage": 111,
+        "present_temperature": 27,
+    }
     assert {name: client.get(name) for name in expected} == expected
 
 

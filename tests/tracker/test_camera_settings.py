@@ -38,7 +38,7 @@ SCALED = dataclasses.replace(IDEAL, scale_sigma=0.03)
 @pytest.mark.parametrize(
     ("keys", "told"),
     [({}, (0, 0, 0, 0)), ({"mapping": True}, (1, 0, 0, 0)), (dict.fromkeys(KEYS, True), (1, 1, 1, 1))],
-)  # fmt: skip
+)
 def test_the_camera_is_told_what_to_do_with_its_map(tracker_bench, keys, told):
     bench = tracker_bench(config=keys)
     assert tuple(bench.camera.settings[name] for name in MAP) == (1, 1, 1, 1)  # as it is plugged in
@@ -106,9 +106,12 @@ class NoSettings:
 
 @pytest.mark.parametrize(
     ("known", "keys", "what"),
-    [(False, {}, "no settings for its map"), (True, {"mapping": True}, "does not take enable_mapping = 1"),
-     (True, {"wheel_odometry": True}, "takes no wheel odometry")],
-)  # fmt: skip
+    [
+        (False, {}, "no settings for its map"),
+        (True, {"mapping": True}, "does not take enable_mapping = 1"),
+        (True, {"wheel_odometry": True}, "takes no wheel odometry"),
+    ],
+)
 def test_a_camera_with_other_firmware_is_named(tracker_bench, known, keys, what):
     bench = tracker_bench(config=keys)
     pipeline = bench.camera.pipeline()

@@ -87,9 +87,10 @@ def test_a_frozen_camera_is_frozen_whatever_it_says_of_its_confidence(tracker_be
 
 def test_wrong_scale_looks_plausible_and_wrong_confidence_is_told(tracker_bench, travelling_plant, follow):
     bench = tracker_bench(
-        "tracker:wrong@1+1,scale=1.5", "tracker:wrong@3,confidence=0",
+        "tracker:wrong@1+1,scale=1.5",
+        "tracker:wrong@3,confidence=0",
         plant=travelling_plant(twist=(0.1, 0.0, 0.0)),
-    )  # fmt: skip
+    )
     bench.driver.open()
     samples = follow(bench, 3.4)
     good = [s for s in samples if s.stamp.t_ns < 2_950_000_000]

@@ -96,9 +96,15 @@ def test_gravity_lies_in_the_wall_so_that_heading_drift_tilts_the_path(
 ):
     """Yaw drift of the camera is about gravity: on the wall it is not a heading error of the robot."""
     options = TrackerTruthOptions(
-        scale_sigma=0, yaw_walk_rad_sqrt_s=0, position_walk_m_sqrt_m=0, position_noise_m=0, angle_noise_rad=0,
-        jitter_s=0, clock_ppm=0, yaw_rate_sigma_rad_s=0.01,
-    )  # fmt: skip
+        scale_sigma=0,
+        yaw_walk_rad_sqrt_s=0,
+        position_walk_m_sqrt_m=0,
+        position_noise_m=0,
+        angle_noise_rad=0,
+        jitter_s=0,
+        clock_ppm=0,
+        yaw_rate_sigma_rad_s=0.01,
+    )
     errors = {}
     for tilt_rad in (FLOOR, WALL):
         plant = travelling_plant(twist=(0.0, 0.0, 0.0), start=(0, 0, 0), tilt_rad=tilt_rad)

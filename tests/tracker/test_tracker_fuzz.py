@@ -123,11 +123,14 @@ def tracker_at(address, **values):
 @pytest.mark.parametrize(
     "answers",
     [
-        [b"x"], [INFO[:-1]], [struct.pack("<3sB", b"XX1", FEED_INFO) + bytes(96)],
-        [INFO], [INFO, b"noise", POSE_RECORD.pack(b"XX1", 4, 1, 1.0, *[0.0] * 13, 3)],
+        [b"x"],
+        [INFO[:-1]],
+        [struct.pack("<3sB", b"XX1", FEED_INFO) + bytes(96)],
+        [INFO],
+        [INFO, b"noise", POSE_RECORD.pack(b"XX1", 4, 1, 1.0, *[0.0] * 13, 3)],
         [INFO_RECORD.pack(FEED_MAGIC, FEED_INFO, b"D435", b"1", b"1"), good_pose(1)],
     ],
-)  # fmt: skip
+)
 def test_a_server_that_is_no_t265_is_a_device_error(stranger, answers):
     driver = tracker_at(stranger(answers))
     with pytest.raises(DeviceError):

@@ -97,11 +97,24 @@ def odometry(common):
 
     def make(time_s=1.0, **changes):
         fields = {
-            "frame_id": 20, "child_frame_id": 12, "x": 0.0, "y": 0.0, "z": 0.0, "q": [1.0, 0.0, 0.0, 0.0],
-            "vx": 0.0, "vy": 0.0, "vz": 0.0, "rollspeed": 0.0, "pitchspeed": 0.0, "yawspeed": 0.0,
-            "pose_covariance": [NAN] + [0.0] * 20, "velocity_covariance": [NAN] + [0.0] * 20,
-            "reset_counter": 0, "estimator_type": 3, "quality": 80,
-        }  # fmt: skip
+            "frame_id": 20,
+            "child_frame_id": 12,
+            "x": 0.0,
+            "y": 0.0,
+            "z": 0.0,
+            "q": [1.0, 0.0, 0.0, 0.0],
+            "vx": 0.0,
+            "vy": 0.0,
+            "vz": 0.0,
+            "rollspeed": 0.0,
+            "pitchspeed": 0.0,
+            "yawspeed": 0.0,
+            "pose_covariance": [NAN] + [0.0] * 20,
+            "velocity_covariance": [NAN] + [0.0] * 20,
+            "reset_counter": 0,
+            "estimator_type": 3,
+            "quality": 80,
+        }
         return common.MAVLink_odometry_message(round(time_s * 1e6), **{**fields, **changes})
 
     return make

@@ -119,9 +119,12 @@ def test_a_frozen_sender_is_frozen_whatever_it_says_of_its_quality(mavlink_bench
 
 def test_wrong_scale_looks_plausible_and_wrong_quality_and_frames_are_told(mavlink_bench, travelling_plant):
     bench = mavlink_bench(
-        "tracker:wrong@2+1,scale=1.5", "tracker:wrong@4+1,quality=-1", "tracker:wrong@5+1,quality=5",
-        "tracker:wrong@6+1,frame=0", plant=travelling_plant(twist=(0.1, 0.0, 0.0)),
-    )  # fmt: skip
+        "tracker:wrong@2+1,scale=1.5",
+        "tracker:wrong@4+1,quality=-1",
+        "tracker:wrong@5+1,quality=5",
+        "tracker:wrong@6+1,frame=0",
+        plant=travelling_plant(twist=(0.1, 0.0, 0.0)),
+    )
     bench.driver.open()
     good = until(bench, 3.95)
     assert set(kinds(good)) == {Status.OK}

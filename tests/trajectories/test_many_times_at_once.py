@@ -23,14 +23,20 @@ WAYS = st.floats(0.01, 3.0).flatmap(lambda way: st.sampled_from([way, -way]))
 LAWS = st.sampled_from(["quintic", "constant"])
 DWELLS = st.builds(
     lambda pose, duration_s, law: tr.Trajectory("dwell", (Segment(Straight(pose, pose), duration_s, law),)),
-    POSES, st.sampled_from([0.1, 0.25, 1.0, 1.0 / 3.0]), LAWS,
-)  # fmt: skip
+    POSES,
+    st.sampled_from([0.1, 0.25, 1.0, 1.0 / 3.0]),
+    LAWS,
+)
 LINES = st.builds(lambda a, way, law: tr.line(a, (a[0] + way, a[1], a[2] + 0.1), law=law), POSES, WAYS, LAWS)
 TURNS = st.builds(lambda a, way, law: tr.rotation(a, way, law=law), POSES, WAYS, LAWS)
 CIRCLES = st.builds(
     lambda a, radius_m, turns, law, tangent: tr.circle(a, radius_m, turns=turns, law=law, tangent=tangent),
-    POSES, st.floats(0.01, 2.0), WAYS, LAWS, st.booleans(),
-)  # fmt: skip
+    POSES,
+    st.floats(0.01, 2.0),
+    WAYS,
+    LAWS,
+    st.booleans(),
+)
 SCANS = st.builds(lambda a, lanes: tr.scan(a, 0.3, lanes, 0.05), POSES, st.integers(1, 5))
 LONG = st.builds(
     lambda count: tr.through([(0.01 * (k % 7), 1e-4 * k, 0.001 * k) for k in range(count)]),
@@ -87,12 +93,14 @@ def refusal(trajectory, limits):
 @given(
     trajectory=ANY,
     limits=st.builds(
-        MotionLimits, wheel_speed_m_s=st.floats(0.02, 0.13), wheel_acceleration_m_s2=st.floats(0.03, 0.25),
+        MotionLimits,
+        wheel_speed_m_s=st.floats(0.02, 0.13),
+        wheel_acceleration_m_s2=st.floats(0.03, 0.25),
         heading_limit_rad=st.none() | st.floats(0.1, 3.0),
         x_range_m=st.none() | st.tuples(st.floats(-2.0, 0.0), st.floats(0.0, 2.0)),
         y_range_m=st.none() | st.tuples(st.floats(-2.0, 0.0), st.floats(0.0, 2.0)),
     ),
-)  # fmt: skip
+)
 def test_a_refusal_is_the_same_as_by_looking_one_by_one(trajectory, limits):
     assert refusal(trajectory, limits) == refusal(OneByOne(trajectory), limits)
 

@@ -68,11 +68,14 @@ def test_quintic_peaks_are_as_stated():
 @pytest.mark.parametrize(
     ("name", "duration", "turn"),
     [
-        ("line_x", 80.0, 0.0), ("line_y", 80.0, 0.0), ("circle_ccw", 62.83, 2 * math.pi),
-        ("circle_cw", 62.83, -2 * math.pi), ("rotation_ccw", 40.02, 2 * math.pi),
+        ("line_x", 80.0, 0.0),
+        ("line_y", 80.0, 0.0),
+        ("circle_ccw", 62.83, 2 * math.pi),
+        ("circle_cw", 62.83, -2 * math.pi),
+        ("rotation_ccw", 40.02, 2 * math.pi),
         ("rotation_cw", 40.02, -2 * math.pi),
     ],
-)  # fmt: skip
+)
 def test_recorded_motions(name, duration, turn):
     trajectory = tr.recorded_motion(name)
     assert trajectory.duration_s == pytest.approx(duration, abs=0.01)
@@ -117,8 +120,10 @@ def test_what_is_over_before_anybody_looks_is_looked_at(duration_s):
     """At rest at both of its ends, which may be all that equal steps see."""
     slow = tr.line(ORIGIN, [0.1, 0, 0])
     jump = tr.line([0.1, 0, 0], [0.9, 0, 0], duration_s=duration_s)
-    for one in (tr.line(ORIGIN, [0.8, 0, 0], duration_s=duration_s),
-                tr.Trajectory("with a jump", (*slow.segments, *jump.segments))):  # fmt: skip
+    for one in (
+        tr.line(ORIGIN, [0.8, 0, 0], duration_s=duration_s),
+        tr.Trajectory("with a jump", (*slow.segments, *jump.segments)),
+    ):
         with pytest.raises(TrajectoryError, match="wheel ") as error:
             check(one, CAD, MotionLimits())
         assert 0.0 < one.duration_s - error.value.t_s <= duration_s
@@ -154,10 +159,7 @@ def test_waypoints_from_csv(tmp_path):
 @pytest.mark.parametrize(
     ("rows", "told"),
     [
-        (
-            "0,0,0\n0.1,0,0\n0.1,0,0\n",
-            "line 4 repeats the waypoint before it; expected",
-        ),
+        ("0,0,0\n0.1,0,0\n0.1,0,0\n", "line 4 repeats the waypoint before it; expected"),
         ("0,0,0\n1e-9,0,0\n", "line 3 repeats"),
         ("0,0,0\n1e300,0,0\n", r"line 3 holds 1e\+300, 0, 0; expected finite numbers from -1000 to 1000"),
         ("0,0,nan\n1,0,0\n", "line 2 holds 0, 0, nan"),
@@ -229,11 +231,7 @@ def test_impossible_requests_are_refused():
         tr.recorded_motion("tango")
 
 
-@pytest.mark.parametrize(
-    "trajectory",
-    [*ALL, tr.recorded_motion("rotation_cw")],
-    ids=lambda t: t.name,
-)
+@pytest.mark.parametrize("trajectory", [*ALL, tr.recorded_motion("rotation_cw")], ids=lambda t: t.name)
 def test_a_trajectory_survives_json_bit_for_bit(trajectory):
     again = tr.Trajectory.from_mapping(json.loads(json.dumps(trajectory.to_mapping())))
     assert again == trajectory

@@ -191,8 +191,7 @@ def test_flush_waits_until_the_bytes_have_left(wired):
 
 
 @pytest.mark.parametrize(
-    ("kind", "seen"),
-    [("drop", b""), ("duplicate", b"ABAB" * 2), ("unplug", None), ("baud_mismatch", b"")],
+    ("kind", "seen"), [("drop", b""), ("duplicate", b"ABAB" * 2), ("unplug", None), ("baud_mismatch", b"")]
 )
 def test_wire_faults_act_while_they_are_active(wired, kind, seen):
     option = ",probability=1" if kind in ("drop", "duplicate") else ""

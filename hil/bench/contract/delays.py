@@ -59,12 +59,16 @@ def punctuality(config: BenchConfig) -> Finding:
     found = idle_for(config, _IDLE_S)
     late = found.late / max(found.cycles, 1)
     return Finding(
-        "bench", "this computer", "ok" if late <= BUSY_SHARE else "warning",
+        "bench",
+        "this computer",
+        "ok" if late <= BUSY_SHARE else "warning",
         f"{found.late} of {found.cycles} cycles of a loop that does nothing began late",
         f"at most {BUSY_SHARE:.0%}",
-        "" if late <= BUSY_SHARE else "end other programs, set loop.fifo_priority, then accept again: "
+        ""
+        if late <= BUSY_SHARE
+        else "end other programs, set loop.fifo_priority, then accept again: "
         "this computer may be what delays samples",
-    )  # fmt: skip
+    )
 
 
 def idle_for(config: BenchConfig, seconds: float) -> LoopStatistics:
@@ -105,9 +109,10 @@ def delays_in_motion(bench: Bench) -> Iterator[Finding]:
     if encoders:
         yield _agreement(1e3 * float(np.median(steering)), 1e3 * float(np.median(encoders)))
     for device, check, found in (
-        ("servos", "command to steering", steering), ("encoders", "command to steering", encoders),
+        ("servos", "command to steering", steering),
+        ("encoders", "command to steering", encoders),
         ("servos", "command to wheels", wheels),
-    ):  # fmt: skip
+    ):
         if found:
             yield _delay(device, check, np.array(found))
 
@@ -116,10 +121,13 @@ def _delay(device: str, check: str, found_s: Array) -> Finding:
     median, spread = 1e3 * float(np.median(found_s)), 1e3 * float(np.ptp(found_s))
     right = _LEAST_S <= 1e-3 * median <= _MOST_S
     return Finding(
-        device, check, "ok" if right else "failure",
+        device,
+        check,
+        "ok" if right else "failure",
         f"{median:.1f} ms (span of {len(found_s)}: {spread:.1f} ms)",
-        f"{1e3 * _LEAST_S:g} to {1e3 * _MOST_S:g} ms", "" if right else _BUS,
-    )  # fmt: skip
+        f"{1e3 * _LEAST_S:g} to {1e3 * _MOST_S:g} ms",
+        "" if right else _BUS,
+    )
 
 
 def _agreement(servos_ms: float, encoders_ms: float) -> Finding:
@@ -128,11 +136,13 @@ def _agreement(servos_ms: float, encoders_ms: float) -> Finding:
     right = apart_ms <= 1e3 * _APART_S
     late, other = ("servos", "encoders") if servos_ms > encoders_ms else ("encoders", "servos")
     return Finding(
-        late if not right else "servos", "servos and encoders tell of one turn", "ok" if right else "failure",
+        late if not right else "servos",
+        "servos and encoders tell of one turn",
+        "ok" if right else "failure",
         f"servos {servos_ms:.1f} ms, encoders {encoders_ms:.1f} ms after the command",
         f"at most {1e3 * _APART_S:g} ms apart",
         "" if right else f"the {late} tell it later than the {other}: look for what holds their answers up",
-    )  # fmt: skip
+    )
 
 
 def _watch(bench: Bench, setpoint: ServoSetpoint) -> dict[str, tuple[Array, Array]]:

@@ -38,9 +38,10 @@ def each_fault_acts(subject: Subject) -> str:
     idle = [fault for fault in declared if _seen(subject.anew, kind, fault) == healthy]
     if idle:
         raise Broken(
-            f"{kind} declares {', '.join(idle)}, and nothing changes by it", "another sample or motion",
+            f"{kind} declares {', '.join(idle)}, and nothing changes by it",
+            "another sample or motion",
             "model the fault in the emulated device, or do not declare it",
-        )  # fmt: skip
+        )
     return f"{len(declared)} faults change something"
 
 

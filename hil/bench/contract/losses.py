@@ -34,9 +34,10 @@ def loses_next_to_nothing(subject: Subject) -> str:
         if idle.late > BUSY_SHARE * idle.cycles:
             return f"{told}; this computer is too busy to say whether the others were lost"
     raise Broken(
-        f"{told} ({share:.0%})", f"{limit:.0%} or more in {_WATCH_S:g} s, as bring_up asks for",
+        f"{told} ({share:.0%})",
+        f"{limit:.0%} or more in {_WATCH_S:g} s, as bring_up asks for",
         "check cable, plugs, termination and supply; `hil doctor` says more",
-    )  # fmt: skip
+    )
 
 
 def _watched(subject: Subject) -> tuple[int, float]:

@@ -29,7 +29,8 @@ def sees_no_motion(subject: Subject) -> str:
     told = f"{1e3 * speed_m_s:.2g} mm/s"
     if speed_m_s > MOST_M_S:
         raise Broken(
-            f"the robot moves at {told} by what it says", f"at most {1e3 * MOST_M_S:g} mm/s while it stands",
+            f"the robot moves at {told} by what it says",
+            f"at most {1e3 * MOST_M_S:g} mm/s while it stands",
             "have the robot stand still; clean the lenses, light the scene, look at markers and rigid body",
-        )  # fmt: skip
+        )
     return told

@@ -25,7 +25,7 @@ _GRABBERS = {
         "takes adapters with CP210x, CH340 and FTDI chips for Braille displays: the port vanishes",
         "sudo apt remove brltty",
     ),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,13 @@ def _names(name: str, port: str, host: Host) -> Iterator[Finding]:
     stable = next((link for link in links if link.resolve() == device), None)
     if stable is not None and not Path(port).is_symlink():
         yield Finding(
-            name, "port name", "warning", f"{port} is the adapter that was plugged in at that time",
-            "a name that stays", f'port = "{stable}"',
-        )  # fmt: skip
+            name,
+            "port name",
+            "warning",
+            f"{port} is the adapter that was plugged in at that time",
+            "a name that stays",
+            f'port = "{stable}"',
+        )
 
 
 def _sharers(name: str, port: str, host: Host) -> Iterator[Finding]:
@@ -98,9 +102,13 @@ def _sharers(name: str, port: str, host: Host) -> Iterator[Finding]:
     others = programs_with(port, host.proc)
     if others:
         yield Finding(
-            name, "other programs", "failure", f"{port} is open in {named(others)}", "nobody else",
+            name,
+            "other programs",
+            "failure",
+            f"{port} is open in {named(others)}",
+            "nobody else",
             f"close it, or kill {others[0].pid}",
-        )  # fmt: skip
+        )
 
 
 def _supply(name: str, adapter: UsbDevice) -> Iterator[Finding]:
@@ -109,20 +117,32 @@ def _supply(name: str, adapter: UsbDevice) -> Iterator[Finding]:
         hub, asked_ma = starved
         found = f"the devices of hub {hub}, which has no supply, ask for {asked_ma} mA"
         yield Finding(
-            name, "USB supply", "warning", found, f"at most {HUB_BUDGET_MA} mA",
+            name,
+            "USB supply",
+            "warning",
+            found,
+            f"at most {HUB_BUDGET_MA} mA",
             "give the hub a supply of its own, or use a port of the computer",
-        )  # fmt: skip
+        )
     if adapter.may_sleep:
         found = f"the kernel may suspend {adapter.name or adapter.place}"
         yield Finding(
-            name, "USB suspend", "warning", found, "never",
+            name,
+            "USB suspend",
+            "warning",
+            found,
+            "never",
             f"echo on | sudo tee {adapter.folder / 'power/control'}",
-        )  # fmt: skip
+        )
 
 
 def _camera(found: UsbDevice) -> Iterator[Finding]:
     slow = 0 < found.speed_mbit < _USB3_MBIT
     yield Finding(
-        "tracker", "USB speed", "warning" if slow else "ok", f"{found.speed_mbit:g} Mbit/s",
-        f"{_USB3_MBIT:g} Mbit/s", "use a blue port and a USB 3 cable of at most 2 m",
-    )  # fmt: skip
+        "tracker",
+        "USB speed",
+        "warning" if slow else "ok",
+        f"{found.speed_mbit:g} Mbit/s",
+        f"{_USB3_MBIT:g} Mbit/s",
+        "use a blue port and a USB 3 cable of at most 2 m",
+    )

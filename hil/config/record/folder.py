@@ -89,9 +89,10 @@ class RobotRecord:
 
     def _nothing_there(self) -> ConfigError:
         return ConfigError(
-            f"{self.folder}: no record of a robot there", expected=f"a folder with {IN_PLACE}",
+            f"{self.folder}: no record of a robot there",
+            expected=f"a folder with {IN_PLACE}",
             remedy="make one with `hil commission`",
-        )  # fmt: skip
+        )
 
     def _read(self, path: Path) -> RecordFile:
         file = read_version(path, f"hil robot rollback {self.folder}")
@@ -99,8 +100,9 @@ class RobotRecord:
         if problems:
             raise ConfigError(
                 f"{path}: {len(problems)} part(s) cannot be used; nothing of the record is applied",
-                problems=tuple(problems), remedy=f"go back: hil robot rollback {self.folder}",
-            )  # fmt: skip
+                problems=tuple(problems),
+                remedy=f"go back: hil robot rollback {self.folder}",
+            )
         return file
 
     def _missing(self, file: RecordFile) -> Iterator[str]:
@@ -182,9 +184,14 @@ class RobotRecord:
                 below = {p: merged[p].digest() for p in PARTS[name].on if p in merged}
                 merged[name] = new[name].model_copy(update={"made_with": below})
         file = RecordFile(
-            schema_version=1, version=self._next(), created=created, why=why, robot=robot, parts=merged,
+            schema_version=1,
+            version=self._next(),
+            created=created,
+            why=why,
+            robot=robot,
+            parts=merged,
             previous="" if before is None else before.sha256,
-        )  # fmt: skip
+        )
         whole, gone = file.without_stale()
         self._put_in_place(self._write(whole))
         return gone
@@ -243,9 +250,11 @@ class RobotRecord:
 def check_robot(file: RecordFile, robot: Identity, path: Path) -> None:
     """Refuse the record of another robot; raises `ConfigError` with everything that differs."""
     check_robot_is(
-        file.robot, robot, f"{path}: the record of another robot; nothing of it is applied",
+        file.robot,
+        robot,
+        f"{path}: the record of another robot; nothing of it is applied",
         "name this robot's record in [record], or another folder (--set bench.record.folder=DIR)",
-    )  # fmt: skip
+    )
 
 
 def check_robot_is(

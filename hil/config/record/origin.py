@@ -62,10 +62,12 @@ class Origin:
         """
         if self.robot is not None:
             check_robot_is(
-                self.robot, robot, f"{path}: of another robot; nothing of it was applied",
+                self.robot,
+                robot,
+                f"{path}: of another robot; nothing of it was applied",
                 "take a file that was measured on this robot, or name the bench file of that one",
                 "in the file",
-            )  # fmt: skip
+            )
         elif not of_this_robot:
             raise ConfigError(
                 f"{path}: does not say of which robot it is; nothing of it was applied",

@@ -67,8 +67,9 @@ def _check_valid(record: RobotRecord, parts: Mapping[str, Part], surface: object
     if problems:
         raise ConfigError(
             f"{record.path}: {len(problems)} part(s) do not hold here; nothing of the record is applied",
-            problems=tuple(problems), remedy="or leave them out: [record] without = [...]",
-        )  # fmt: skip
+            problems=tuple(problems),
+            remedy="or leave them out: [record] without = [...]",
+        )
 
 
 def _environment(tree: Mapping[str, Any], overrides: Mapping[str, object], key: str) -> object:
@@ -149,8 +150,9 @@ def check_record(file: RecordFile | None, config: Any, seed: int | None) -> None
     unknown = [name for name in settings.without if name not in PARTS]
     if unknown:
         raise ConfigError(
-            f"record.without: {', '.join(unknown)}: no such part", expected="some of " + ", ".join(PARTS),
+            f"record.without: {', '.join(unknown)}: no such part",
+            expected="some of " + ", ".join(PARTS),
             remedy=did_you_mean(unknown[0], PARTS),
-        )  # fmt: skip
+        )
     if file is not None:
         check_robot(file, identity(config, seed), RobotRecord(Path(settings.folder)).path)

@@ -59,13 +59,20 @@ PARTS: Mapping[str, PartKind] = {
     ),
     "backlash": PartKind("whole backlash of the steering gears", (), "steering_zero", ("signs",)),
     "geometry": PartKind(
-        "wheel positions, radii, loads and tyres", ("calibration",), "odometry_calibration",
+        "wheel positions, radii, loads and tyres",
+        ("calibration",),
+        "odometry_calibration",
         ("signs", "zeros"),
     ),
     "camera": PartKind(
         "mount, scale and latency of the tracking camera",
-        ("tracker.mount_position_m", "tracker.mount_rotation_wxyz", "tracker.scale", "tracker.scale_sigma",
-         "tracker.latency_s"),
+        (
+            "tracker.mount_position_m",
+            "tracker.mount_rotation_wxyz",
+            "tracker.scale",
+            "tracker.scale_sigma",
+            "tracker.latency_s",
+        ),
         "tracker_extrinsics",
     ),
     "inertial": PartKind(
@@ -85,7 +92,7 @@ PARTS: Mapping[str, PartKind] = {
         ("adhesion.rated_force_n", "adhesion.rated_rpm", "load_cells.zero_n"),
         "adhesion_check",
     ),
-}  # fmt: skip
+}
 
 
 def part_of(key: str) -> str | None:
@@ -203,10 +210,15 @@ class Identity(_Model):
 
 
 _KEYS = {
-    "name": "robot.name", "body": "robot", "servo_model": "servos.model_number",
-    "drive_ids": "servos.drive_ids", "steer_ids": "servos.steer_ids", "wheel_x_m": "robot.wheel_x_m",
-    "wheel_y_m": "robot.wheel_y_m", "wheel_radius_m": "robot.wheel_radius_m",
-}  # fmt: skip
+    "name": "robot.name",
+    "body": "robot",
+    "servo_model": "servos.model_number",
+    "drive_ids": "servos.drive_ids",
+    "steer_ids": "servos.steer_ids",
+    "wheel_x_m": "robot.wheel_x_m",
+    "wheel_y_m": "robot.wheel_y_m",
+    "wheel_radius_m": "robot.wheel_radius_m",
+}
 
 
 def _shown(value: object) -> str:

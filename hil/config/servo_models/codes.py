@@ -18,16 +18,7 @@ MODE_NAMES: Mapping[int, str] = MappingProxyType(
 )
 
 BAUD_RATES: Mapping[int, int] = MappingProxyType(
-    {
-        0: 9_600,
-        1: 57_600,
-        2: 115_200,
-        3: 1_000_000,
-        4: 2_000_000,
-        5: 3_000_000,
-        6: 4_000_000,
-        7: 4_500_000,
-    }
+    {0: 9_600, 1: 57_600, 2: 115_200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000, 7: 4_500_000}
 )
 """Rate by code of the register Baud Rate."""
 

@@ -54,9 +54,14 @@ def kept_on_can(
     """
     values = {key: getattr(setting.config, key) for key in told}
     device = on_can(
-        setting, channel, subnet=subnet, dbc=dbc, listens=True, told=values,
+        setting,
+        channel,
+        subnet=subnet,
+        dbc=dbc,
+        listens=True,
+        told=values,
         parts={"keep": KeptInWorld(setting.world).keep},
-    )  # fmt: skip
+    )
 
     def begin_in_use() -> None:
         for node in nodes:

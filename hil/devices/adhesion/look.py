@@ -20,13 +20,21 @@ def look(watched: Watched) -> Iterator[Finding]:
         return
     newest = samples[-1]
     yield _held(
-        "battery", newest.input_v, "V", newest.input_v > config.low_input_v, f"over {config.low_input_v:g} V",
+        "battery",
+        newest.input_v,
+        "V",
+        newest.input_v > config.low_input_v,
+        f"over {config.low_input_v:g} V",
         "charge the fan's battery; switch on status message 5",
-    )  # fmt: skip
+    )
     yield _held(
-        "power stage", newest.fet_c, "degC", newest.fet_c < config.hot_fet_c,
-        f"below {config.hot_fet_c:g} degC", "let it cool down; switch on status message 4",
-    )  # fmt: skip
+        "power stage",
+        newest.fet_c,
+        "degC",
+        newest.fet_c < config.hot_fet_c,
+        f"below {config.hot_fet_c:g} degC",
+        "let it cool down; switch on status message 4",
+    )
     force_n = config.force_at_n(newest.speed_rpm)
     yield Finding("adhesion", "speed", "ok", f"{newest.speed_rpm:.0f} 1/min, good for {force_n:.1f} N")
 

@@ -27,9 +27,12 @@ def controllers(search: Search, buses: Iterable[C]) -> Iterator[tuple[C, list[in
         kept = bus.bus in map(bus_of, keepers())
         search.say(f"{'listening' if kept else 'asking'} for VESCs on {bus.interface}:{bus.channel}")
         asked = VescConfig(
-            interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, options=bus.options,
+            interface=bus.interface,
+            channel=bus.channel,
+            bitrate=bus.bitrate,
+            options=bus.options,
             open_timeout_s=SEARCH_S,
-        )  # fmt: skip
+        )
         link = CanLink("adhesion", asked, search.clock)
         try:
             link.open()

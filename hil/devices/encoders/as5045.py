@@ -35,9 +35,14 @@ def _emulate(setting: Setting) -> EmulatedDevice:
     config: EncodersConfig = setting.config
     channel = channel_of(setting)
     EncoderNode(
-        setting.world, channel, rate_hz=config.rate_hz, node_id=config.node_id, sign=config.sign,
-        zero_rad=config.zeros_rad, options=setting.options(EncoderTruthOptions),
-    )  # fmt: skip
+        setting.world,
+        channel,
+        rate_hz=config.rate_hz,
+        node_id=config.node_id,
+        sign=config.sign,
+        zero_rad=config.zeros_rad,
+        options=setting.options(EncoderTruthOptions),
+    )
     return on_can(setting, channel, subnet=163, dbc=config.dbc_path)
 
 

@@ -21,10 +21,14 @@ def look(watched: Watched) -> Iterator[Finding]:
     broken = encoders.bus_error or f"{config.channel} is down" * down
     level: Level = "failure" if broken else "warning" if encoders.error_frames else "ok"
     yield Finding(
-        "encoders", "CAN state", level, broken or f"{encoders.error_frames} error frames", "no error frames",
+        "encoders",
+        "CAN state",
+        level,
+        broken or f"{encoders.error_frames} error frames",
+        "no error frames",
         f"check bit rate ({config.bitrate}), termination (60 ohm) and wiring; "
         f"sudo ip link set {config.channel} up type can bitrate {config.bitrate} restart-ms 100",
-    )  # fmt: skip
+    )
     yield _node(watched)
     yield from _frames(watched)
     for i, wheel in enumerate(WHEELS):
@@ -38,15 +42,22 @@ def _frames(watched: Watched) -> Iterator[Finding]:
     encoders, bus = watched.device, watched.config.bus
     if encoders.two_nodes:
         yield Finding(
-            "encoders", "identifiers", "failure", encoders.two_nodes, f"one node of each identifier on {bus}",
+            "encoders",
+            "identifiers",
+            "failure",
+            encoders.two_nodes,
+            f"one node of each identifier on {bus}",
             "set the address switch of one of them otherwise, and encoders.node_id to that of ours",
-        )  # fmt: skip
+        )
     if encoders.malformed:
         yield Finding(
-            "encoders", "frame length", "warning", f"{encoders.malformed} frames of a wrong length",
+            "encoders",
+            "frame length",
+            "warning",
+            f"{encoders.malformed} frames of a wrong length",
             f"frames as in {watched.config.dbc_path.name}",
             "look which other node sends with these identifiers, or name the node's DBC in encoders.dbc",
-        )  # fmt: skip
+        )
 
 
 def _node(watched: Watched) -> Finding:

@@ -18,10 +18,13 @@ _MESSAGE = CdrForm(TIME, "imu", Doubles(37))
 def imu_message(sample: ImuSample, wall_ns: int = 0) -> bytes:
     """`sensor_msgs/Imu`; acceleration with gravity (specific force), as REP 145 asks."""
     numbers = (
-        *xyzw(sample.quaternion_wxyz), *NO_COVARIANCE,
-        *sample.gyro_rad_s.tolist(), *NO_COVARIANCE,
-        *sample.specific_force_m_s2.tolist(), *NO_COVARIANCE,
-    )  # fmt: skip
+        *xyzw(sample.quaternion_wxyz),
+        *NO_COVARIANCE,
+        *sample.gyro_rad_s.tolist(),
+        *NO_COVARIANCE,
+        *sample.specific_force_m_s2.tolist(),
+        *NO_COVARIANCE,
+    )
     return _MESSAGE.pack(sample.stamp.t_ns, wall_ns, numbers)
 
 

@@ -24,10 +24,13 @@ def look(watched: Watched) -> Iterator[Finding]:
         system, gyro, accelerometer, magnetometer = good[-1].calibration
         calibrated: Level = "ok" if min(gyro, accelerometer) >= 2 else "warning"
         yield Finding(
-            "imu", "calibration", calibrated,
+            "imu",
+            "calibration",
+            calibrated,
             f"system {system} gyro {gyro} accelerometer {accelerometer} magnetometer {magnetometer}",
-            "gyro and accelerometer 2 or more", "hil run imu_calibration, or rest and tilt the robot",
-        )  # fmt: skip
+            "gyro and accelerometer 2 or more",
+            "hil run imu_calibration, or rest and tilt the robot",
+        )
     norm = float(np.mean([np.linalg.norm(s.gravity_m_s2) for s in good]))
     level: Level = "ok" if abs(norm - GRAVITY_M_S2) < _TOLERANCE_M_S2 else "failure"
     yield Finding(

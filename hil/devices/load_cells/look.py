@@ -21,9 +21,13 @@ def look(watched: Watched) -> Iterator[Finding]:
     assert isinstance(config, LoadCellsConfig)
     if malformed := getattr(watched.device, "malformed", 0):
         yield Finding(
-            "load_cells", "frames", "warning", f"{malformed} frames or lines that are no conversion",
-            "conversions only", "look what else sends there, and at load_cells.dbc or load_cells.baud",
-        )  # fmt: skip
+            "load_cells",
+            "frames",
+            "warning",
+            f"{malformed} frames or lines that are no conversion",
+            "conversions only",
+            "look what else sends there, and at load_cells.dbc or load_cells.baud",
+        )
     for i, label in enumerate(watched.kind.labels):
         statuses = (sample.status[i] for sample in watched.samples)
         found = losses("load_cells", statuses, watched.due, "check the cell's cable and its converter")
@@ -35,13 +39,21 @@ def look(watched: Watched) -> Iterator[Finding]:
     noise_n, total_n = float(forces_n.std(axis=0).max()), float(forces_n.mean(axis=0).sum())
     noisy: Level = "ok" if noise_n < _NOISE_N else "warning"
     yield Finding(
-        "load_cells", "noise", noisy, f"{noise_n:.2f} N", f"below {_NOISE_N:g} N at rest",
+        "load_cells",
+        "noise",
+        noisy,
+        f"{noise_n:.2f} N",
+        f"below {_NOISE_N:g} N at rest",
         "screen the cells' cables; keep them away from the fan's",
-    )  # fmt: skip
+    )
     found_once = config.zero_n != (0.0, 0.0)
     level: Level = "failure" if total_n < _NEGATIVE_N else "ok" if found_once else "warning"
     told = f"{total_n:.1f} N now" + ("" if found_once else "; no zero was ever found")
     yield Finding(
-        "load_cells", "zero", level, told, "a force >= 0, and load_cells.zero_n of a fan at rest",
+        "load_cells",
+        "zero",
+        level,
+        told,
+        "a force >= 0, and load_cells.zero_n of a fan at rest",
         "hil run adhesion_check",
-    )  # fmt: skip
+    )

@@ -29,13 +29,21 @@ def look(watched: Watched) -> Iterator[Finding]:
         f"{len(tracked)} of {len(samples)} frames, {len(samples) / watch_s:.0f} Hz, longest gap {gap_s:.2f} s"
     )
     yield Finding(
-        "mocap", "tracking", level, told, f"nearly all frames tracked, gaps below {_GAP_S:g} s",
+        "mocap",
+        "tracking",
+        level,
+        told,
+        f"nearly all frames tracked, gaps below {_GAP_S:g} s",
         "check markers, occlusion and the rigid body's definition",
-    )  # fmt: skip
+    )
     if tracked:
         latency_s = float(np.median([s.latency_s for s in tracked]))
         late = not math.isfinite(latency_s) or latency_s > _LATE_S
         yield Finding(
-            "mocap", "latency", "warning" if late else "ok", f"{latency_s * 1e3:.1f} ms",
-            f"below {_LATE_S * 1e3:g} ms", "use a wired network",
-        )  # fmt: skip
+            "mocap",
+            "latency",
+            "warning" if late else "ok",
+            f"{latency_s * 1e3:.1f} ms",
+            f"below {_LATE_S * 1e3:g} ms",
+            "use a wired network",
+        )

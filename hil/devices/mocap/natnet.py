@@ -39,9 +39,15 @@ def _emulate(setting: Setting) -> EmulatedDevice:
     options = setting.options(MocapTruthOptions)
     major, minor = map(int, options.natnet.split("."))
     server = NatNetServer(
-        setting.world, options=options, version=(major, minor), up_axis=config.up_axis,
-        command_port=config.command_port, data_port=config.data_port, multicast=config.multicast, **body,
-    )  # fmt: skip
+        setting.world,
+        options=options,
+        version=(major, minor),
+        up_axis=config.up_axis,
+        command_port=config.command_port,
+        data_port=config.data_port,
+        multicast=config.multicast,
+        **body,
+    )
     if setting.standard_ports:
         server.offered_group = _MOTIVE_GROUP
     chosen = {key: getattr(config, key) for key in _MOTIVE_PORTS if key in config.model_fields_set}

@@ -27,10 +27,13 @@ def look(watched: Watched) -> Iterator[Finding]:
         if code
     }
     yield Finding(
-        "servos", "hardware errors", "failure" if alerts else "ok",
-        ", ".join(f"{servo}: {error}" for servo, error in alerts.items()) or "none", "none",
+        "servos",
+        "hardware errors",
+        "failure" if alerts else "ok",
+        ", ".join(f"{servo}: {error}" for servo, error in alerts.items()) or "none",
+        "none",
         "remove the cause, then switch the servos' supply off and on",
-    )  # fmt: skip
+    )
     yield from _health(watched, watched.device)
 
 
@@ -46,10 +49,18 @@ def _health(watched: Watched, servos: Any) -> Iterator[Finding]:
     low_v: float = servos.model.low_supply_v
     low, hot = np.nanmin(volts) < low_v, np.nanmax(celsius) > _HOT_C
     yield Finding(
-        "servos", "supply", "warning" if low else "ok", f"{np.nanmin(volts):.1f} to {np.nanmax(volts):.1f} V",
-        f"at least {low_v:g} V", "charge or replace the battery; check the wiring",
-    )  # fmt: skip
+        "servos",
+        "supply",
+        "warning" if low else "ok",
+        f"{np.nanmin(volts):.1f} to {np.nanmax(volts):.1f} V",
+        f"at least {low_v:g} V",
+        "charge or replace the battery; check the wiring",
+    )
     yield Finding(
-        "servos", "temperature", "warning" if hot else "ok", f"up to {np.nanmax(celsius):.0f} C",
-        f"below {_HOT_C:g} C", "let the servos cool; look for a jam",
-    )  # fmt: skip
+        "servos",
+        "temperature",
+        "warning" if hot else "ok",
+        f"up to {np.nanmax(celsius):.0f} C",
+        f"below {_HOT_C:g} C",
+        "let the servos cool; look for a jam",
+    )

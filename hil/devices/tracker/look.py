@@ -23,6 +23,10 @@ def look(watched: Watched) -> Iterator[Finding]:
     if watched.samples:
         confidence = watched.samples[-1].confidence
         yield Finding(
-            "tracker", "confidence", "ok" if confidence >= 2 else "warning", f"{confidence} of 3",
-            "2 or 3", "move the camera a little; the scene needs texture",
-        )  # fmt: skip
+            "tracker",
+            "confidence",
+            "ok" if confidence >= 2 else "warning",
+            f"{confidence} of 3",
+            "2 or 3",
+            "move the camera a little; the scene needs texture",
+        )

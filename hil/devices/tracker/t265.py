@@ -47,9 +47,7 @@ def _emulate(setting: Setting) -> EmulatedDevice:
         mount_position_m=config.mount_position_m,
         mount_rotation_wxyz=config.mount_rotation_wxyz,
     )
-    return Wired(
-        lambda: Connection(parts={"pipeline": camera.pipeline()}), lambda: TrackerFace(camera)
-    )  # fmt: skip
+    return Wired(lambda: Connection(parts={"pipeline": camera.pipeline()}), lambda: TrackerFace(camera))
 
 
 def _reach(endpoint: Mapping[str, Any]) -> Mapping[str, Any]:

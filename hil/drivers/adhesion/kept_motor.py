@@ -105,9 +105,10 @@ class KeptMotor(Holding[S], Generic[C, S]):
         """A duty as it is; raises `UsageError` for one that cannot be meant."""
         if not (math.isfinite(duty) and 0.0 < duty <= 1.0):
             raise UsageError(
-                f"{self.name}: a duty of {duty:g}", expected="above 0, at most 1",
+                f"{self.name}: a duty of {duty:g}",
+                expected="above 0, at most 1",
                 remedy=f"`hil adhesion off` lets {self.noun} come to rest",
-            )  # fmt: skip
+            )
         return SetPoint("duty", duty)
 
     def _silence(self, whose: str, silent_ns: int, then: str) -> DeviceTimeoutError:

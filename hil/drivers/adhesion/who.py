@@ -48,14 +48,20 @@ class Seen:
             raise self._absent(name, link, config)
         if self.pongs[own] > 1:
             raise DeviceError(
-                name, f"{self.pongs[own]} controllers have the id {own}: each would obey", port=port,
-                expected="one", remedy=_IDS,
-            )  # fmt: skip
+                name,
+                f"{self.pongs[own]} controllers have the id {own}: each would obey",
+                port=port,
+                expected="one",
+                remedy=_IDS,
+            )
         if not self.statuses[own]:
             raise DeviceError(
-                name, f"controller {own} answers, but sends no status message", port=port,
-                expected="status messages 1, 4 and 5", remedy=_MASKS,
-            )  # fmt: skip
+                name,
+                f"controller {own} answers, but sends no status message",
+                port=port,
+                expected="status messages 1, 4 and 5",
+                remedy=_MASKS,
+            )
         if answers.settings is not None:
             self._check_timeout(name, port, answers.settings.timeout_s, spec)
 
@@ -64,32 +70,41 @@ class Seen:
         least_s = 10.0 * spec.period_s
         if timeout_s == 0.0:
             raise DeviceError(
-                name, "the controller's time-out is 0: its motor would run for ever once nobody commands it",
-                port=port, expected=f"at least {least_s:g} s", remedy=_TIMEOUT,
-            )  # fmt: skip
+                name,
+                "the controller's time-out is 0: its motor would run for ever once nobody commands it",
+                port=port,
+                expected=f"at least {least_s:g} s",
+                remedy=_TIMEOUT,
+            )
         if timeout_s < least_s - 1e-9:
             raise DeviceError(
                 name,
                 f"the controller's time-out of {timeout_s:g} s is too short for commands every "
                 f"{spec.period_s:g} s: one late command would let go of the robot",
-                port=port, expected=f"at least {least_s:g} s", remedy=_TIMEOUT,
-            )  # fmt: skip
+                port=port,
+                expected=f"at least {least_s:g} s",
+                remedy=_TIMEOUT,
+            )
 
     def _absent(self, name: str, link: CanLink, config: VescConfig) -> DeviceError:
         others = sorted({*self.pongs, *self.statuses})[:_MOST_LISTED]
         if others:
             told = ", ".join(map(str, others))
             return DeviceError(
-                name, f"no controller has the id {config.controller_id}; there: {told}", port=link.port,
+                name,
+                f"no controller has the id {config.controller_id}; there: {told}",
+                port=link.port,
                 expected=f"controller {config.controller_id}",
                 remedy=f"set {name}.{self.key} to {others[0]} if that is the one",
-            )  # fmt: skip
+            )
         return DeviceTimeoutError(
-            name, f"no VESC answers{link.told()}", port=link.port,
+            name,
+            f"no VESC answers{link.told()}",
+            port=link.port,
             expected=f"controller {config.controller_id} at {config.bitrate} bit/s",
             remedy=remedy_of_silence(name, config, "the controller") + "; VESC Tool has its bit rate in App "
             "Settings, General, CAN Baud Rate",
-        )  # fmt: skip
+        )
 
     def findings(self, name: str, config: VescConfig, answers: Answers) -> Iterator[Finding]:
         """What the doctor tells of how the controller is set."""

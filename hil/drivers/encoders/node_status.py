@@ -11,9 +11,11 @@ from hil.drivers.dbc import load_database
 
 _MESSAGE, _LAYOUT = "NodeStatus", "Layout"
 _COUNTERS = {
-    "ParityErrors": "words with wrong parity", "LateSets": "late sample sets",
-    "UnsentFrames": "frames that the bus did not take", "TimesOffBus": "times off the bus",
-}  # fmt: skip
+    "ParityErrors": "words with wrong parity",
+    "LateSets": "late sample sets",
+    "UnsentFrames": "frames that the bus did not take",
+    "TimesOffBus": "times off the bus",
+}
 
 
 class NodeStatus:

@@ -118,17 +118,21 @@ class CanCells(Sensor[LoadCellSample]):
             raise self._silent(self._config.open_timeout_s)
         told = ", ".join(f"0x{i:X}" for i in sorted(heard)[:8])
         raise DeviceError(
-            self.name, f"no frame of the cells; seen {told}", port=self._link.port,
+            self.name,
+            f"no frame of the cells; seen {told}",
+            port=self._link.port,
             expected=f"0x{self._frame_id:X} ({self._length} bytes)",
             remedy="check load_cells.dbc and load_cells.node_id",
-        )  # fmt: skip
+        )
 
     def _silent(self, duration_s: float) -> DeviceTimeoutError:
         return DeviceTimeoutError(
-            self.name, f"no conversion for {duration_s:.1f} s{self._link.told()}", port=self._link.port,
+            self.name,
+            f"no conversion for {duration_s:.1f} s{self._link.told()}",
+            port=self._link.port,
             expected=f"{self._config.rate_hz:g} per second",
             remedy=remedy_of_silence(self.name, self._config, "the cells' node"),
-        )  # fmt: skip
+        )
 
 
 class _Field:
@@ -154,16 +158,18 @@ def _layout(config: CanCellsConfig) -> tuple[int, int, tuple[_Field, ...]]:
         signals = [by_name[name] for name in config.signals]
         if any(s.length != _BITS or not s.is_signed for s in signals):
             raise DataError(
-                str(path), f"message {message.name} has counts of another width",
+                str(path),
+                f"message {message.name} has counts of another width",
                 expected="signed 24-bit counts",
-            )  # fmt: skip
+            )
         fields = tuple(_field(s, message.length) for s in signals)
         return message.frame_id + config.node_id, message.length, fields
     raise DataError(
-        str(path), "no message has both " + " and ".join(config.signals),
+        str(path),
+        "no message has both " + " and ".join(config.signals),
         expected="both names of load_cells.signals in one message of the DBC",
         remedy="correct load_cells.signals or load_cells.dbc",
-    )  # fmt: skip
+    )
 
 
 def _field(signal: Any, length: int) -> _Field:

@@ -119,7 +119,9 @@ class LineCells(Sensor[LoadCellSample]):
     def _silent(self, duration_s: float, malformed: int) -> DeviceTimeoutError:
         seen = f", {malformed} lines that are none" * bool(malformed)
         return DeviceTimeoutError(
-            self.name, f"no conversion for {duration_s:.1f} s{seen}", port=self._config.port,
+            self.name,
+            f"no conversion for {duration_s:.1f} s{seen}",
+            port=self._config.port,
             expected=f"{self._config.rate_hz:g} lines per second",
             remedy="check cable, supply and baud rate of the cells' microcontroller",
-        )  # fmt: skip
+        )

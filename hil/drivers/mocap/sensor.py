@@ -47,12 +47,7 @@ class NatNetMocap(Sensor[MocapSample]):
 
     name = "mocap"
 
-    def __init__(
-        self,
-        config: MocapConfig,
-        clock: Clock,
-        datagrams: DatagramFactory | None = None,
-    ) -> None:
+    def __init__(self, config: MocapConfig, clock: Clock, datagrams: DatagramFactory | None = None) -> None:
         self._config, self._clock = config, clock
         self._datagrams = datagrams
         self._session: Session | None = None

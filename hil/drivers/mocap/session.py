@@ -9,14 +9,7 @@ from hil.config.mocap import MocapConfig
 from hil.drivers.mocap.datagrams import Address, Datagram, DatagramFactory, DatagramPort
 from hil.drivers.mocap.frames import Frame, FrameParser, frame_number
 from hil.drivers.mocap.models import parse_models
-from hil.drivers.mocap.packets import (
-    MalformedPacket,
-    Message,
-    ServerInfo,
-    parse_server_info,
-    request,
-    split,
-)
+from hil.drivers.mocap.packets import MalformedPacket, Message, ServerInfo, parse_server_info, request, split
 from hil.vocabulary.clock import Clock, nanoseconds
 
 _LOG = logging.getLogger(__name__)
@@ -143,8 +136,10 @@ class Session:
         if self.floods == 1:
             _LOG.warning(
                 "%d datagrams of no use at once: somebody floods the ports of %s:%d (%d from strangers)",
-                _MOST_WASTED, *self._address, self.strangers,
-            )  # fmt: skip
+                _MOST_WASTED,
+                *self._address,
+                self.strangers,
+            )
 
     @property
     def overflowed(self) -> int:

@@ -52,11 +52,7 @@ class FoundServo:
 
 
 def scan(
-    port: str,
-    clock: Clock,
-    *,
-    bauds: Iterable[int] = _USUAL,
-    ids: Iterable[int] = _ALL_IDS,
+    port: str, clock: Clock, *, bauds: Iterable[int] = _USUAL, ids: Iterable[int] = _ALL_IDS
 ) -> tuple[FoundServo, ...]:
     """Servos at a port, by one broadcast ping per baud rate (about 3 ms per ID asked for).
 

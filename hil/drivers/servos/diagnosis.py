@@ -33,11 +33,14 @@ def reply_time(bus: Bus, config: ServosConfig, clock: Clock, device: str) -> Fin
     told = f"{kept_s * 1e3:.1f} ms beyond the wire" if math.isfinite(kept_s) else "no reply"
     timer = latency_timer(config.port)
     return Finding(
-        device, "reply time", "ok" if kept_s <= limit_s else "warning", told,
+        device,
+        "reply time",
+        "ok" if kept_s <= limit_s else "warning",
+        told,
         f"below {limit_s * 1e3:g} ms",
         "an adapter as delivered keeps replies for 16 ms: set its latency timer to 1 ms"
         + (f": echo 1 | sudo tee {timer}" if timer else ""),
-    )  # fmt: skip
+    )
 
 
 def findings(
@@ -70,29 +73,48 @@ def findings(
     open_to_harm = [j for j, s in enumerate(shutdown) if s & protection != protection]
     return (
         Finding(
-            device, "return delay", "warning" if slow else "ok", f"up to {max(delays) * 1e6:.0f} us",
-            f"{config.return_delay_s * 1e6:.0f} us", _for_each(config, slow, step),
+            device,
+            "return delay",
+            "warning" if slow else "ok",
+            f"up to {max(delays) * 1e6:.0f} us",
+            f"{config.return_delay_s * 1e6:.0f} us",
+            _for_each(config, slow, step),
         ),
         Finding(
-            device, "reads", "ok" if fast else "warning", "fast sync read" if fast else "plain sync read",
-            f"firmware {model.fast_read_firmware} on all servos", "update the firmware with DYNAMIXEL Wizard",
+            device,
+            "reads",
+            "ok" if fast else "warning",
+            "fast sync read" if fast else "plain sync read",
+            f"firmware {model.fast_read_firmware} on all servos",
+            "update the firmware with DYNAMIXEL Wizard",
         ),
         Finding(
-            device, "goals", "ok" if mapped else "warning", "one sync write" if mapped else "one bulk write",
-            "the bench's indirect addresses", "release torque once, then open again",
+            device,
+            "goals",
+            "ok" if mapped else "warning",
+            "one sync write" if mapped else "one bulk write",
+            "the bench's indirect addresses",
+            "release torque once, then open again",
         ),
         Finding(
-            device, "hardware errors", "failure" if alerts else "ok", alerts or "none", "none",
+            device,
+            "hardware errors",
+            "failure" if alerts else "ok",
+            alerts or "none",
+            "none",
             "remove the cause, then switch the servos' supply off and on",
         ),
         Finding(
-            device, "shutdown", "warning" if open_to_harm else "ok",
-            ", ".join(f"0x{s:02X}" for s in sorted(set(shutdown))), f"0x{protection:02X}",
+            device,
+            "shutdown",
+            "warning" if open_to_harm else "ok",
+            ", ".join(f"0x{s:02X}" for s in sorted(set(shutdown))),
+            f"0x{protection:02X}",
             "let overload, shock and heat switch the motor off: "
             + _for_each(config, open_to_harm, f"--register shutdown={protection}"),
         ),
         _limits(config, registers, blocks, device),
-    )  # fmt: skip
+    )
 
 
 def _for_each(config: ServosConfig, joints: list[int], change: str) -> str:
@@ -118,7 +140,9 @@ def _limits(config: ServosConfig, registers: RegisterMap, blocks: list[bytes], d
     wide = high >= config.steer_limit_rad and low <= -config.steer_limit_rad
     enough = rate >= config.velocity_limit_rad_s and (wide or config.steer_mode == "extended")
     return Finding(
-        device, "limits", "ok" if enough else "warning",
+        device,
+        "limits",
+        "ok" if enough else "warning",
         f"wheels {rate:.2f} rad/s, steering {low:.2f} to {high:.2f} rad, "
         f"{min(values('current_limit')):.2f} A, "
         f"{max(values('min_voltage_limit')):.1f} to {min(values('max_voltage_limit')):.1f} V, "
@@ -126,4 +150,4 @@ def _limits(config: ServosConfig, registers: RegisterMap, blocks: list[bytes], d
         f"wheels {config.velocity_limit_rad_s:g} rad/s, steering +-{config.steer_limit_rad:.2f} rad",
         "write velocity_limit, min_position_limit and max_position_limit with `hil setup ... --register`, "
         "or lower the bench's limits",
-    )  # fmt: skip
+    )

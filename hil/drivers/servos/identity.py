@@ -4,18 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 
-from hil.config.servo_models import (
-    ServoModel,
-    model_text,
-    models_text,
-    servo_models,
-    shared_register,
-)
-from hil.config.servo_models.codes import (
-    BAUD_RATES,
-    MODE_NAMES,
-    VELOCITY,
-)
+from hil.config.servo_models import ServoModel, model_text, models_text, servo_models, shared_register
+from hil.config.servo_models.codes import BAUD_RATES, MODE_NAMES, VELOCITY
 from hil.config.servos import STEER_MODES, ServosConfig
 from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.packets import Answer
@@ -127,10 +117,7 @@ def _identity_problem(answer: Answer, config: ServosConfig, expected: int) -> tu
                 found,
                 f"exchange the servo: all eight must be of one model, others are {model_text(expected)}",
             )
-        return (
-            found,
-            f"set servos.model_number = {number} if all eight are that, or exchange the servo",
-        )
+        return (found, f"set servos.model_number = {number} if all eight are that, or exchange the servo")
     if firmware < max(config.min_firmware, model.table["bus_watchdog"].firmware):
         return found, "update the firmware with DYNAMIXEL Wizard"
     return "", ""

@@ -87,8 +87,11 @@ class RollCall:
         if joint in self.late_s and before is None:
             _LOG.warning(
                 "%s: %s answers after %.0f ms, at most %.0f ms are expected: it holds up the others",
-                self._bus.device, name, 1e3 * took_s, 1e3 * in_time_s,
-            )  # fmt: skip
+                self._bus.device,
+                name,
+                1e3 * took_s,
+                1e3 * in_time_s,
+            )
         elif before is not None and joint not in self.late_s:
             again = "answers in time again" if took_s < math.inf else "does not answer any more"
             _LOG.warning("%s: %s %s", self._bus.device, name, again)

@@ -154,10 +154,12 @@ class TeensyThrust(Holding[ThrustSample]):
             self._failing_ns = self._failing_ns or now_ns
             if now_ns - self._failing_ns > nanoseconds(0.5):
                 raise DeviceTimeoutError(
-                    self.name, f"the port takes nothing ({error}): the propellers go on as told last",
-                    port=self._config.port, expected="a port that takes a line",
+                    self.name,
+                    f"the port takes nothing ({error}): the propellers go on as told last",
+                    port=self._config.port,
+                    expected="a port that takes a line",
                     remedy="plug it in again; secure the robot first",
-                ) from None  # fmt: skip
+                ) from None
             return False
         self._failing_ns = 0
         return True

@@ -168,9 +168,12 @@ def identity_of(device: Any, library: Any, name: str) -> dict[str, str]:
     )
     if MODEL not in model:
         raise DeviceError(
-            name, f"the camera is a {model}", port=serial, expected="a T265",
+            name,
+            f"the camera is a {model}",
+            port=serial,
+            expected="a T265",
             remedy="set tracker.serial to the T265's serial number",
-        )  # fmt: skip
+        )
     return {"model": model, "serial": serial, "firmware": firmware}
 
 

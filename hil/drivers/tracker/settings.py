@@ -90,9 +90,11 @@ def tell(device: Any, library: Any, config: T265Config, name: str, *, beside: bo
 
 def _other_firmware(name: str, what: str) -> DeviceError:
     return DeviceError(
-        name, what, expected=f"firmware {LAST_FIRMWARE}, which pyrealsense2 {LAST_VERSION} loads",
+        name,
+        what,
+        expected=f"firmware {LAST_FIRMWARE}, which pyrealsense2 {LAST_VERSION} loads",
         remedy="install that version and plug the camera in anew; or set tracker.wheel_odometry = false",
-    )  # fmt: skip
+    )
 
 
 class WheelVelocities:

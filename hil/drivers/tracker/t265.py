@@ -76,11 +76,7 @@ class T265Tracker(Sensor[TrackerSample]):
     name = "tracker"
 
     def __init__(
-        self,
-        config: T265Config,
-        clock: Clock,
-        pipeline: Pipeline | None = None,
-        library: Any = None,
+        self, config: T265Config, clock: Clock, pipeline: Pipeline | None = None, library: Any = None
     ) -> None:
         self._config, self._clock = config, clock
         self._given, self._library = pipeline, library
@@ -248,9 +244,24 @@ class T265Tracker(Sensor[TrackerSample]):
             data = frame.as_pose_frame().get_pose_data()
             p, v, q, w = data.translation, data.velocity, data.rotation, data.angular_velocity
             raw = (
-                host_ns, frame.get_frame_number(), frame.get_timestamp(), data.tracker_confidence,
-                -p.z, -p.x, p.y, q.w, -q.z, -q.x, q.y, -v.z, -v.x, v.y, -w.z, -w.x, w.y,
-            )  # fmt: skip
+                host_ns,
+                frame.get_frame_number(),
+                frame.get_timestamp(),
+                data.tracker_confidence,
+                -p.z,
+                -p.x,
+                p.y,
+                q.w,
+                -q.z,
+                -q.x,
+                q.y,
+                -v.z,
+                -v.x,
+                v.y,
+                -w.z,
+                -w.x,
+                w.y,
+            )
         except VENDOR_ERRORS:
             self.malformed += 1
             return

@@ -35,11 +35,14 @@ ANGLE_ROW = 1
 GATED_TOGETHER = False
 START = {"t_ns": -1.0, "rate.nis_mean": 1.0, "gravity.nis_mean": 1.0}
 FIGURES = {
-    "nis_gyro": "rate.nis", "nis_gravity": "gravity.nis",
-    "nis_mean_gyro": "rate.nis_mean", "nis_mean_gravity": "gravity.nis_mean",
+    "nis_gyro": "rate.nis",
+    "nis_gravity": "gravity.nis",
+    "nis_mean_gyro": "rate.nis_mean",
+    "nis_mean_gravity": "gravity.nis_mean",
     "innovation_gyro_rad_s": "innovation_rad_s",
-    "rejected_gyro": "rate.rejected", "rejected_gravity": "gravity.rejected",
-}  # fmt: skip
+    "rejected_gyro": "rate.rejected",
+    "rejected_gravity": "gravity.rejected",
+}
 
 RATE, GRAVITY = 0, 1
 """Rows of a sample."""
@@ -93,9 +96,11 @@ def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> di
     """Values of `Parameters`."""
     g = config.gyro
     return {
-        "rate": g.rate_rad_s**2, "gravity": g.gravity_rad**2, "gravity_pulled": g.gravity_per_m_s2**2,
+        "rate": g.rate_rad_s**2,
+        "gravity": g.gravity_rad**2,
+        "gravity_pulled": g.gravity_per_m_s2**2,
         "gravity_used": g.use_gravity and surface == "wall",
-    }  # fmt: skip
+    }
 
 
 def pack(sample: GyroMeasurement) -> Sequence[float] | str:

@@ -33,9 +33,12 @@ ANGLE_ROW = 2
 GATED_TOGETHER = True
 START = {"t_ns": -1.0, "frame_t_ns": -1.0, "tally.nis_mean": 1.0}
 FIGURES = {
-    "nis_tracker": "tally.nis", "nis_mean_tracker": "tally.nis_mean", "innovation_tracker_m": "innovation_m",
-    "rejected_tracker": "tally.rejected", "reanchored_tracker": "tally.reanchored",
-}  # fmt: skip
+    "nis_tracker": "tally.nis",
+    "nis_mean_tracker": "tally.nis_mean",
+    "innovation_tracker_m": "innovation_m",
+    "rejected_tracker": "tally.rejected",
+    "reanchored_tracker": "tally.reanchored",
+}
 
 DOUBTED = 4.0
 """Variances of a pose below the best quality, as a multiple."""
@@ -98,11 +101,16 @@ def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> di
     """Values of `Parameters`."""
     t, relative = config.tracker, config.tracker.use == "relative"
     return {
-        "used": t.use != "off", "position": t.position_m**2, "heading": t.heading_rad**2,
-        "quality": t.least_quality, "baseline_s": t.baseline_s * relative,
-        "jump_m": t.jump_m if relative else _NO_GATE, "jump_rad": t.jump_rad if relative else _NO_GATE,
-        "fastest_m_s": t.fastest_m_s, "fastest_rad_s": t.fastest_rad_s,
-    }  # fmt: skip
+        "used": t.use != "off",
+        "position": t.position_m**2,
+        "heading": t.heading_rad**2,
+        "quality": t.least_quality,
+        "baseline_s": t.baseline_s * relative,
+        "jump_m": t.jump_m if relative else _NO_GATE,
+        "jump_rad": t.jump_rad if relative else _NO_GATE,
+        "fastest_m_s": t.fastest_m_s,
+        "fastest_rad_s": t.fastest_rad_s,
+    }
 
 
 @inner

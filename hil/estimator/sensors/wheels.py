@@ -22,15 +22,7 @@ import numpy as np
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.friction import Contacts, contact_values, weighted_twist, windowed_twist
 from hil.estimator.motion import sinc, sinc_slope
-from hil.estimator.sensors.sensor import (
-    DUPLICATE,
-    FARTHEST_RAD,
-    USED,
-    Tally,
-    is_repeated,
-    no_frame,
-    tally,
-)
+from hil.estimator.sensors.sensor import DUPLICATE, FARTHEST_RAD, USED, Tally, is_repeated, no_frame, tally
 from hil.estimator.small_matrices import check_size, put
 from hil.estimator.state import (
     CLONE_THETA,
@@ -63,11 +55,16 @@ ANGLE_ROW = -1
 GATED_TOGETHER = False
 START = {"t_ns": -1.0, "tally.nis_mean": 1.0}
 FIGURES = {
-    "nis_wheels": "tally.nis", "nis_mean_wheels": "tally.nis_mean", "innovation_wheels_m": "innovation_m",
-    "rejected_wheels": "tally.rejected", "reanchored_wheels": "tally.reanchored",
-    "rejected_wheel_fl": "refused.0", "rejected_wheel_bl": "refused.1", "rejected_wheel_br": "refused.2",
+    "nis_wheels": "tally.nis",
+    "nis_mean_wheels": "tally.nis_mean",
+    "innovation_wheels_m": "innovation_m",
+    "rejected_wheels": "tally.rejected",
+    "reanchored_wheels": "tally.reanchored",
+    "rejected_wheel_fl": "refused.0",
+    "rejected_wheel_bl": "refused.1",
+    "rejected_wheel_br": "refused.2",
     "rejected_wheel_fr": "refused.3",
-}  # fmt: skip
+}
 
 ROLLING_S = 0.5
 SLOWEST_M_S = 1e-5
@@ -161,14 +158,21 @@ def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> di
         of_body[:BODY_ROWS] = np.eye(BODY_ROWS)
         of_wheels[:BODY_ROWS] = forward_matrix(geometry.x_m, geometry.y_m, model)
     return {
-        "step": w.step_m**2, "per_m": w.per_sqrt_m**2, "per_s": w.per_sqrt_s**2,
-        "steering": w.steering_m_rad**2, "longest_gap_s": w.longest_gap_s,
-        "from_rate": w.source == "velocity", "rows": ROWS if w.model == "equations" else BODY_ROWS,
+        "step": w.step_m**2,
+        "per_m": w.per_sqrt_m**2,
+        "per_s": w.per_sqrt_s**2,
+        "steering": w.steering_m_rad**2,
+        "longest_gap_s": w.longest_gap_s,
+        "from_rate": w.source == "velocity",
+        "rows": ROWS if w.model == "equations" else BODY_ROWS,
         "friction_window_s": w.friction_window_s if w.model in ("dry-friction", "creep") else 0.0,
-        "creeping": w.model == "creep", "scaled": config.wheel_scale_sigma > 0,
+        "creeping": w.model == "creep",
+        "scaled": config.wheel_scale_sigma > 0,
         "known": np.array([slip.known_up, slip.known_down, slip.known_left, slip.known_right]),
-        "contacts": contact_values(geometry), "of_body": of_body, "of_wheels": of_wheels,
-    }  # fmt: skip
+        "contacts": contact_values(geometry),
+        "of_body": of_body,
+        "of_wheels": of_wheels,
+    }
 
 
 def is_used(config: EstimatorConfig) -> bool:

@@ -73,9 +73,17 @@ def settings_reply(
 ) -> bytes:
     """Answer to the settings: what firmware 6 begins them with."""
     return struct.pack(
-        ">BIBIIHHBBB", GET_APPCONF, _SIGNATURE, controller_id, round(1000 * timeout_s), 0,
-        round(rates_hz[0]), round(rates_hz[1]), *masks, 2,
-    ) + bytes(64)  # fmt: skip
+        ">BIBIIHHBBB",
+        GET_APPCONF,
+        _SIGNATURE,
+        controller_id,
+        round(1000 * timeout_s),
+        0,
+        round(rates_hz[0]),
+        round(rates_hz[1]),
+        *masks,
+        2,
+    ) + bytes(64)
 
 
 def in_pieces(own_id: int, asker_id: int, payload: bytes) -> Iterator[Outgoing]:

@@ -7,14 +7,7 @@ import struct
 from collections.abc import Callable
 from functools import cache
 
-from hil.fakes.imu.registers import (
-    UNIT_ANDROID,
-    UNIT_EULER_RAD,
-    UNIT_FAHRENHEIT,
-    UNIT_MG,
-    UNIT_RAD_S,
-    Mode,
-)
+from hil.fakes.imu.registers import UNIT_ANDROID, UNIT_EULER_RAD, UNIT_FAHRENHEIT, UNIT_MG, UNIT_RAD_S, Mode
 from hil.fakes.imu.sample import GRAVITY_M_S2, Counts, Outputs, counts
 from hil.fakes.imu.sensors import Sensed
 from hil.vocabulary.arithmetic import quick

@@ -41,9 +41,15 @@ Counts = tuple[
 
 
 def sense(
-    motion: BodyMotion, dt: float, magnetometer: bool, draws: Rows, row: int, offsets: Vector, chip: Vector,
+    motion: BodyMotion,
+    dt: float,
+    magnetometer: bool,
+    draws: Rows,
+    row: int,
+    offsets: Vector,
+    chip: Vector,
     state: Vector,
-) -> Outputs:  # fmt: skip
+) -> Outputs:
     """Sensor outputs and what the fusion makes of them.
 
     Args:
@@ -109,11 +115,7 @@ def sense(
 
 def turned(m: Vector, x: float, y: float, z: float) -> Three:
     """A vector in body axes in the chip's output axes."""
-    return (
-        m[0] * x + m[1] * y + m[2] * z,
-        m[3] * x + m[4] * y + m[5] * z,
-        m[6] * x + m[7] * y + m[8] * z,
-    )
+    return (m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z)
 
 
 def attitude(theta: float, tilt: float, chip: Vector, state: Vector) -> Four:

@@ -85,11 +85,7 @@ def apply(m: Matrix, v: Vector) -> Vector:
     """Matrix times vector."""
     x, y, z = v
     a, b, c = m
-    return (
-        a[0] * x + a[1] * y + a[2] * z,
-        b[0] * x + b[1] * y + b[2] * z,
-        c[0] * x + c[1] * y + c[2] * z,
-    )
+    return (a[0] * x + a[1] * y + a[2] * z, b[0] * x + b[1] * y + b[2] * z, c[0] * x + c[1] * y + c[2] * z)
 
 
 def transpose(m: Matrix) -> Matrix:
@@ -141,11 +137,7 @@ class InertialSensors:
         self.calibration = SelfCalibration()
         self._rng = rng
         self._draws, self._row = rows(np.zeros((1, sample.DRAWS))), 0
-        spread = (
-            options.accelerometer_offset_m_s2,
-            options.gyro_bias_rad_s,
-            options.magnetometer_offset_ut,
-        )
+        spread = (options.accelerometer_offset_m_s2, options.gyro_bias_rad_s, options.magnetometer_offset_ut)
         drawn = [tuple(float(x) for x in rng.normal(0.0, s, 3)) for s in spread]
         self.true_offsets = SensorOffsets(*drawn)  # type: ignore[arg-type]
         yaw_drift_rad_s = float(rng.normal(0.0, options.yaw_drift_rad_s))
@@ -164,9 +156,16 @@ class InertialSensors:
         self._offsets = vector([0.0] * sample.OFFSETS_SIZE)
         self._offsets_of: tuple[object, ...] = (None,) * 4
         self._sense = quick(
-            sample.sense, BodyMotion(*[0.0] * 9), 0.0, False, self._draws, 0, self._offsets, self._chip,
+            sample.sense,
+            BodyMotion(*[0.0] * 9),
+            0.0,
+            False,
+            self._draws,
+            0,
+            self._offsets,
+            self._chip,
             self._state,
-        )  # fmt: skip
+        )
         self.set_remap(0x24, 0x00)
         self.restart_fusion()
 
@@ -201,9 +200,15 @@ class InertialSensors:
         if not self._row:
             self._draws, self._row = rows(self._rng.standard_normal((_BLOCK, sample.DRAWS))), _BLOCK
         outputs = self._sense(
-            body, dt_s, mode.magnetometer, self._draws, _BLOCK - self._row, self._offsets, self._chip,
+            body,
+            dt_s,
+            mode.magnetometer,
+            self._draws,
+            _BLOCK - self._row,
+            self._offsets,
+            self._chip,
             self._state,
-        )  # fmt: skip
+        )
         self._row -= 1
         return named(Sensed, outputs)
 

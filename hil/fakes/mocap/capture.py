@@ -52,9 +52,12 @@ class CaptureVolume:
         self._options, self._rng = options, rng
         self._body, self._body_id = body, body_id
         self._by = Capture(
-            options.height_m, options.position_noise_m, options.angle_noise_rad, options.marker_error_m,
+            options.height_m,
+            options.position_noise_m,
+            options.angle_noise_rad,
+            options.marker_error_m,
             up_axis == "y",
-        )  # fmt: skip
+        )
         self._draws, self._row = rows(np.zeros((1, DRAWS))), 0
         self._see = quick(seen_at, (0.0, 0.0, 0.0), Capture(), self._draws, 0)
         name = "distractor" + "2" * (body == "distractor")

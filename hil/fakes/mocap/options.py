@@ -48,11 +48,6 @@ class MocapTruthOptions:
 
 
 STILL = MocapTruthOptions(
-    position_noise_m=0.0,
-    angle_noise_rad=0.0,
-    gaps_per_s=0.0,
-    jitter_s=0.0,
-    stalls_per_s=0.0,
-    clock_ppm=0.0,
+    position_noise_m=0.0, angle_noise_rad=0.0, gaps_per_s=0.0, jitter_s=0.0, stalls_per_s=0.0, clock_ppm=0.0
 )
 """A capture system without noise, gaps and jitter; its frames are still 4 ms old when sent."""

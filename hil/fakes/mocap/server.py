@@ -239,9 +239,7 @@ class NatNetServer(Scheduled):
             return self._command(payload.split(b"\0")[0].decode("utf-8", "replace"), known)
         return encode.message(encode.UNRECOGNISED)
 
-    def _heard(
-        self, kind: int, payload: bytes, known: Client | None, outlet: Outlet, t_ns: int
-    ) -> Client:  # fmt: skip
+    def _heard(self, kind: int, payload: bytes, known: Client | None, outlet: Outlet, t_ns: int) -> Client:
         """A client that has shown a sign of life; those of a multicast group never keep a stream alive."""
         group, version = self.offered_group, self._version if known is None else known.version
         asked = tuple(payload[_BITSTREAM])

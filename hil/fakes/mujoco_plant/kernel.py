@@ -99,9 +99,10 @@ def look_at_body(s: State, qpos: Array, qvel: Array) -> None:
     s.body[2] += turned - 2.0 * math.pi * math.floor(turned / (2.0 * math.pi) + 0.5)
     s.velocity[0], s.velocity[1] = qvel[0], qvel[1]
     s.velocity[2] = (
-        2.0 * (x * z - w * y) * qvel[3] + 2.0 * (y * z + w * x) * qvel[4]
+        2.0 * (x * z - w * y) * qvel[3]
+        + 2.0 * (y * z + w * x) * qvel[4]
         + (1.0 - 2.0 * (x * x + y * y)) * qvel[5]
-    )  # fmt: skip
+    )
 
 
 def look_at_wheels(s: State, a: Places, qpos: Array, qvel: Array) -> None:

@@ -19,7 +19,7 @@ from hil.fakes.mujoco_plant.contact import (
     IMPEDANCE,
     TIME_CONSTANT_S,
     ContactSetting,
-)  # fmt: skip
+)
 from hil.fakes.mujoco_plant.reading import (
     JOINTS,
     compiled,
@@ -138,20 +138,27 @@ def _dress(
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
     spec.worldbody.add_geom(
-        name="bench_surface", type=mj.mjtGeom.mjGEOM_PLANE, size=[_SURFACE_M, _SURFACE_M, 1.0], contype=0,
+        name="bench_surface",
+        type=mj.mjtGeom.mjGEOM_PLANE,
+        size=[_SURFACE_M, _SURFACE_M, 1.0],
+        contype=0,
         conaffinity=0,
-    )  # fmt: skip
+    )
     robot = next(j for j in spec.joints if j.type == mj.mjtJoint.mjJNT_FREE).parent
     robot.add_site(name="bench_fan")
     robot.add_site(name="bench_propellers", pos=[0.0, 0.0, p.propeller_height_m])
     names = tuple(f"bench_{w}" for w in WHEELS)
     for geom, name in zip(tyres, names, strict=True):
         spec.add_pair(
-            name=name, geomname1="bench_surface", geomname2=geom.name, condim=3,
+            name=name,
+            geomname1="bench_surface",
+            geomname2=geom.name,
+            condim=3,
             friction=[p.contact.friction, p.contact.friction, 0.0, 0.0, 0.0],
-            solref=[TIME_CONSTANT_S, 1.0], solreffriction=[FRICTION_TIME_CONSTANT_S, 1.0],
+            solref=[TIME_CONSTANT_S, 1.0],
+            solreffriction=[FRICTION_TIME_CONSTANT_S, 1.0],
             solimp=[IMPEDANCE, IMPEDANCE, 1e-3, 0.5, 2.0],
-        )  # fmt: skip
+        )
     for joint in JOINTS:
         spec.add_actuator(name=joint, trntype=mj.mjtTrn.mjTRN_JOINT, target=joint)
     for name, site, gear in (

@@ -86,10 +86,13 @@ def put_on_ellipsoids(mj: Any, spec: Any, model: Any) -> list[Any]:
         seen = look_at_wheel(mj, model, wheel, number)
         if seen.shape in ("cylinder", "capsule"):
             geom = geom.parent.add_geom(
-                name=f"bench_{wheel}_tyre", type=mj.mjtGeom.mjGEOM_ELLIPSOID, mass=0.0,
+                name=f"bench_{wheel}_tyre",
+                type=mj.mjtGeom.mjGEOM_ELLIPSOID,
+                mass=0.0,
                 size=[seen.radius_m, seen.radius_m, seen.half_width_m],
-                pos=model.geom_pos[number], quat=model.geom_quat[number],
-            )  # fmt: skip
+                pos=model.geom_pos[number],
+                quat=model.geom_quat[number],
+            )
         out.append(geom)
     return out
 

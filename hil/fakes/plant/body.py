@@ -44,9 +44,15 @@ class SteppedBody(Plant):
     """
 
     def __init__(
-        self, parameters: TrueParameters, robots: Records, *, tilt_rad: float, faults: FaultPlan | None,
-        step_ns: int, by_hand: bool,
-    ) -> None:  # fmt: skip
+        self,
+        parameters: TrueParameters,
+        robots: Records,
+        *,
+        tilt_rad: float,
+        faults: FaultPlan | None,
+        step_ns: int,
+        by_hand: bool,
+    ) -> None:
         self.parameters, self.by_hand = parameters, by_hand
         self.tilt_rad = tilt_rad
         plan = faults if faults is not None else FaultPlan()
@@ -181,10 +187,21 @@ class SteppedBody(Plant):
         states.setflags(write=False)
         s = states[0]
         return PlantState(
-            self.t_ns, s.origin.pose, s.origin.twist, s.origin.acceleration, s.angle, s.rate, s.amps,
-            s.heading, s.load, s.slip.reshape(4, 2), self.tilt_rad, float(s.fallen) != 0.0,
-            self.adhesion_n(), float(self._constants.thrust),
-        )  # fmt: skip
+            self.t_ns,
+            s.origin.pose,
+            s.origin.twist,
+            s.origin.acceleration,
+            s.angle,
+            s.rate,
+            s.amps,
+            s.heading,
+            s.load,
+            s.slip.reshape(4, 2),
+            self.tilt_rad,
+            float(s.fallen) != 0.0,
+            self.adhesion_n(),
+            float(self._constants.thrust),
+        )
 
     def _seen(self) -> Records:
         """A copy (1,) of the state, with what else can be seen of the robot."""

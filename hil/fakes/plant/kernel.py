@@ -168,11 +168,7 @@ def move(vx: float, vy: float, turn: float, c: Constants, s: State, q: Commands)
     if s.slid > c.fall_slide and c.gravity > 0.0:
         s.fallen = 1.0
     s.velocity[0], s.velocity[1], s.velocity[2] = vx, vy, turn
-    s.body[0], s.body[1], s.body[2] = (
-        s.body[0] + c.dt * vx,
-        s.body[1] + c.dt * vy,
-        s.body[2] + c.dt * turn,
-    )
+    s.body[0], s.body[1], s.body[2] = (s.body[0] + c.dt * vx, s.body[1] + c.dt * vy, s.body[2] + c.dt * turn)
 
 
 def origin_velocity(c: Constants, s: State) -> tuple[float, float]:

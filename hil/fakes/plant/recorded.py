@@ -21,8 +21,12 @@ _POSE_WINDOW, _JOINT_WINDOW, _ORDER = 51, 21, 3
 _SHORTEST_S = 1.0
 _EVEN_LOAD_N = 8.0
 _JOINTS, _RATES, _POSE, _TWIST, _ACCELERATION = (
-    slice(0, 8), slice(8, 16), slice(16, 19), slice(19, 22), slice(22, 24),
-)  # fmt: skip
+    slice(0, 8),
+    slice(8, 16),
+    slice(16, 19),
+    slice(19, 22),
+    slice(22, 24),
+)
 
 
 @dataclass(frozen=True)
@@ -146,10 +150,14 @@ def _tabulate(motion: RecordedMotion) -> Array:
 
     return np.column_stack(
         [
-            joints, smooth(joints, _JOINT_WINDOW, 1), pose,
-            in_body(velocity), velocity[:, 2], in_body(acceleration),
+            joints,
+            smooth(joints, _JOINT_WINDOW, 1),
+            pose,
+            in_body(velocity),
+            velocity[:, 2],
+            in_body(acceleration),
         ]
-    )  # fmt: skip
+    )
 
 
 def _on_grid(grid_s: Array, t_s: Array, values: Array) -> Array:

@@ -8,14 +8,7 @@ from __future__ import annotations
 
 import math
 
-from hil.config.servo_models.codes import (
-    CURRENT,
-    CURRENT_POSITION,
-    EXTENDED,
-    POSITION,
-    PWM,
-    VELOCITY,
-)
+from hil.config.servo_models.codes import CURRENT, CURRENT_POSITION, EXTENDED, POSITION, PWM, VELOCITY
 from hil.fakes.plant_api import JointCommand, Plant
 from hil.fakes.servos.memory import ControlTable
 from hil.fakes.servos.motion import STEP, Trajectory

@@ -14,10 +14,18 @@ from hil.fakes.servos import protocol
 
 GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 _MEASURED = (
-    "realtime_tick", "moving", "moving_status", "present_pwm", "present_current", "present_velocity",
-    "present_position", "velocity_trajectory", "position_trajectory", "present_input_voltage",
+    "realtime_tick",
+    "moving",
+    "moving_status",
+    "present_pwm",
+    "present_current",
+    "present_velocity",
+    "present_position",
+    "velocity_trajectory",
+    "position_trajectory",
+    "present_input_voltage",
     "present_temperature",
-)  # fmt: skip
+)
 _MOTION = ("present_current", "present_velocity", "present_position")
 _CODES = {1: "b", 2: "h", 4: "i"}
 _NOT_BACKED_UP = ("id", "baud_rate", "torque_enable", "bus_watchdog", *GOALS)

@@ -47,13 +47,7 @@ class Servo:
         temperature_limit, least_voltage, most_voltage: raw counts beyond which it raises an error.
     """
 
-    def __init__(
-        self,
-        joint: int,
-        plant: Plant,
-        options: ServoBusOptions,
-        model: ServoModel,
-    ) -> None:
+    def __init__(self, joint: int, plant: Plant, options: ServoBusOptions, model: ServoModel) -> None:
         self.joint, self._options, self._model = joint, options, model
         self.table = ControlTable(model)
         drive = joint < 4
@@ -148,9 +142,18 @@ class Servo:
         goal_velocity = round(trajectory.velocity)
         pwm = round(sign * duty * self._model.full_pwm)
         values = (
-            tick, moving, axis.moving_status(present), pwm, sign * current, sign * velocity,
-            present, goal_velocity, round(trajectory.position), voltage, celsius,
-        )  # fmt: skip
+            tick,
+            moving,
+            axis.moving_status(present),
+            pwm,
+            sign * current,
+            sign * velocity,
+            present,
+            goal_velocity,
+            round(trajectory.position),
+            voltage,
+            celsius,
+        )
         measured = self.table.layout.measured
         self.table.put_row(measured, measured.pack(*values))
 

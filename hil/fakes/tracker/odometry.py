@@ -87,11 +87,15 @@ class VisualOdometry:
         yaw_rate_rad_s = options.yaw_rate_sigma_rad_s * float(rng.standard_normal())
         self._errors = vector(
             (
-                yaw_rate_rad_s, options.yaw_walk_rad_sqrt_s, options.position_walk_m_sqrt_m,
-                options.position_noise_m, options.velocity_noise_m_s, options.rate_noise_rad_s,
+                yaw_rate_rad_s,
+                options.yaw_walk_rad_sqrt_s,
+                options.position_walk_m_sqrt_m,
+                options.position_noise_m,
+                options.velocity_noise_m_s,
+                options.rate_noise_rad_s,
                 options.angle_noise_rad,
             )
-        )  # fmt: skip
+        )
         self._world, self._state = vector([0.0] * WORLD_SIZE), vector([0.0] * STATE_SIZE)
         self._draws, self._row = rows(np.zeros((1, DRAWS))), 0
         self._step = quick(step, Way(), self._draws, 0, self._errors, self._world, self._state)
@@ -158,10 +162,20 @@ class VisualOdometry:
         way = named(
             Way,
             (
-                theta, omega, wall_x, wall_y, along, left, math.hypot(along, left), dt_s, scale * self.scale,
-                told_x, told_y, weight,
+                theta,
+                omega,
+                wall_x,
+                wall_y,
+                along,
+                left,
+                math.hypot(along, left),
+                dt_s,
+                scale * self.scale,
+                told_x,
+                told_y,
+                weight,
             ),
-        )  # fmt: skip
+        )
         told = self._step(way, self._draws, self._row, self._errors, self._world, self._state)
         position, velocity = named(Vector, told[:3]), named(Vector, told[3:6])
         rotation, rate = named(Quaternion, told[6:10]), named(Vector, told[10:])

@@ -12,9 +12,7 @@ from typing import NamedTuple
 from hil.vocabulary.arithmetic import Rows, Vector
 
 # What errs (7,).
-(
-    YAW_RATE, YAW_WALK, POSITION_WALK, POSITION_NOISE, VELOCITY_NOISE, RATE_NOISE, ANGLE_NOISE,
-) = range(7)  # fmt: skip
+(YAW_RATE, YAW_WALK, POSITION_WALK, POSITION_NOISE, VELOCITY_NOISE, RATE_NOISE, ANGLE_NOISE) = range(7)
 
 # The levelled world (17,): the wall's axes in it, and the parts of the camera's rotation (w, x, y, z) that go
 # with cosine and sine of half the body's heading.

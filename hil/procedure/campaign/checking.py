@@ -57,7 +57,8 @@ def _meaning(setup: Setup, proc: Procedure, case: Case) -> str:
     if not source.virtual:
         raise UsageError(
             f"bench {source.config.name}: {', '.join(source.real)} cannot be real in a campaign",
-            expected="every device emulated", remedy="add --emulate all",
-        )  # fmt: skip
+            expected="every device emulated",
+            remedy="add --emulate all",
+        )
     faults = repr(planned_faults(source.config, source.faults))
     return json.dumps([as_dict(parameters), source.config.model_dump(mode="json"), faults], sort_keys=True)

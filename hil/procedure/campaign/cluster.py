@@ -91,8 +91,7 @@ def _difference(who: str, there: dict[str, str], here: dict[str, str]) -> UsageE
 
 def _other(who: str, name: str, there: str, here: str) -> UsageError:
     return UsageError(
-        f"{who}: has {name} {there}, this computer {here}: results would not repeat",
-        remedy=_REMEDY,
+        f"{who}: has {name} {there}, this computer {here}: results would not repeat", remedy=_REMEDY
     )
 
 

@@ -92,8 +92,9 @@ def _held_against(path: Path, plan: dict[str, Any], held: dict[str, Any]) -> dic
         )
     other = [
         f"{name} {was}, now {held['make'].get(name)}"
-        for name, was in before.get("make", {}).items() if held["make"].get(name) != was
-    ]  # fmt: skip
+        for name, was in before.get("make", {}).items()
+        if held["make"].get(name) != was
+    ]
     if other:
         raise ConfigError(
             f"{path}: the campaign was begun with {', '.join(other)}; its runs could not be compared",

@@ -43,14 +43,22 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
         environment()
         .get_template("campaign.html")
         .render(
-            campaign=tree, sentence=_sentence(rows), untested=sum(not row.tested for row in rows),
+            campaign=tree,
+            sentence=_sentence(rows),
+            untested=sum(not row.tested for row in rows),
             alike=[in_a_sentence(found) for found in tree["alike"]],
-            not_tested=not_tested, lost=sum(row.lost for row in rows), in_words=in_words,
+            not_tested=not_tested,
+            lost=sum(row.lost for row in rows),
+            in_words=in_words,
             incomplete=any(m["missing"] for group in tree["groups"] for m in group["measurements"]),
-            figures=figures, rows=shown, hidden=len(rows) - len(shown), names=list(names),
-            reports=[_report(row) for row in shown], commands=[commands[row.case.name] for row in shown],
+            figures=figures,
+            rows=shown,
+            hidden=len(rows) - len(shown),
+            names=list(names),
+            reports=[_report(row) for row in shown],
+            commands=[commands[row.case.name] for row in shown],
         )
-    )  # fmt: skip
+    )
     return write_text(path, page)
 
 

@@ -41,9 +41,10 @@ def names(named: Mapping[str, Path]) -> dict[str, str]:
 
 
 def parcel(
-    named: Mapping[str, Path], written: Mapping[str, str] | None = None,
+    named: Mapping[str, Path],
+    written: Mapping[str, str] | None = None,
     beside: Mapping[str, Sequence[Path]] | None = None,
-) -> Parcel:  # fmt: skip
+) -> Parcel:
     """Pack the files of a campaign.
 
     Args:

@@ -16,8 +16,15 @@ from hil.vocabulary.extras import is_installed
 from hil.vocabulary.files import put_whole
 
 _END = b"PAR1"
-_NONE = {"measurement": None, "unit": None, "value": None, "outcome": None, "low": None, "high": None,
-         "missing": None}  # fmt: skip
+_NONE = {
+    "measurement": None,
+    "unit": None,
+    "value": None,
+    "outcome": None,
+    "low": None,
+    "high": None,
+    "missing": None,
+}
 
 
 def write_rows(folder: Path, row: Row, *, over: bool = True) -> None:
@@ -43,17 +50,33 @@ def write_rows(folder: Path, row: Row, *, over: bool = True) -> None:
     text, number = pa.string(), pa.float64()
     schema = pa.schema(
         {
-            "case": text, "seed": pa.int64(), "settings": pa.map_(text, text), "verdict": text,
-            "faults_not_begun": pa.list_(text), "exit_code": pa.int64(), "duration_s": number,
-            "error": text, "measurement": text, "unit": text,
-            "value": number, "outcome": text, "low": number, "high": number, "missing": text,
+            "case": text,
+            "seed": pa.int64(),
+            "settings": pa.map_(text, text),
+            "verdict": text,
+            "faults_not_begun": pa.list_(text),
+            "exit_code": pa.int64(),
+            "duration_s": number,
+            "error": text,
+            "measurement": text,
+            "unit": text,
+            "value": number,
+            "outcome": text,
+            "low": number,
+            "high": number,
+            "missing": text,
         }
-    )  # fmt: skip
+    )
     own = {
-        "case": row.case.name, "seed": row.case.seed, "settings": list(row.case.settings),
-        "verdict": row.verdict, "faults_not_begun": list(row.faults_not_begun), "exit_code": row.exit_code,
-        "duration_s": row.duration_s, "error": row.error,
-    }  # fmt: skip
+        "case": row.case.name,
+        "seed": row.case.seed,
+        "settings": list(row.case.settings),
+        "verdict": row.verdict,
+        "faults_not_begun": list(row.faults_not_begun),
+        "exit_code": row.exit_code,
+        "duration_s": row.duration_s,
+        "error": row.error,
+    }
     measured: list[dict[str, Any]] = [{"measurement": name, **m} for name, m in row.measurements.items()]
     lines = [{**own, **values} for values in measured or [_NONE]]
     whole = io.BytesIO()

@@ -65,10 +65,13 @@ class Setup:
         for key in set(path_keys()) & set(overrides):
             overrides[key] = self.at(str(overrides[key]))
         source = BenchSource(
-            self.at(self.bench or proc.bench), emulate=self.emulate, seed=case.seed,
-            faults=tuple(map(self.at, self.all_faults(case))), overrides=overrides,
+            self.at(self.bench or proc.bench),
+            emulate=self.emulate,
+            seed=case.seed,
+            faults=tuple(map(self.at, self.all_faults(case))),
+            overrides=overrides,
             calibration=Path(self.at(self.calibration)) if self.calibration else None,
-        )  # fmt: skip
+        )
         return source, parameters
 
     def at(self, text: str) -> str:
@@ -210,10 +213,15 @@ def _result(job: Job) -> dict[str, Any]:
     source, parameters = setup.source(proc, job.case)
     operator = Terminal() if setup.answers is None else Answers(Path(setup.at(setup.answers)))
     options = RunOptions(
-        folder=folder, clock=MonotonicClock(), parameters=parameters, operator=operator,
+        folder=folder,
+        clock=MonotonicClock(),
+        parameters=parameters,
+        operator=operator,
         started=local_time(),
-        resume=_begun(folder), keep=setup.keep, interrupts=Interrupts(tell, PATIENCE_S),
-    )  # fmt: skip
+        resume=_begun(folder),
+        keep=setup.keep,
+        interrupts=Interrupts(tell, PATIENCE_S),
+    )
     with named_in_log(job.case.name):
         result = run_procedure(proc, source, options)
     if not any(error.step == KEEPING for error in result.teardown_errors):
@@ -249,11 +257,15 @@ def _row(job: Job, tree: dict[str, Any]) -> Row:
     kept = ("unit", "value", "outcome", "low", "high")
     error = tree.get("error") or next(iter(tree.get("teardown_errors", [])), None)
     return Row(
-        job.case, job.folder, tree["verdict"], tree["exit_code"], tree.get("duration_s") or 0.0,
+        job.case,
+        job.folder,
+        tree["verdict"],
+        tree["exit_code"],
+        tree.get("duration_s") or 0.0,
         {row["name"]: {k: row[k] for k in kept} | {"missing": missing(row)} for row in tree["measurements"]},
         "" if error is None else f"{error['type']} in {error['step']!r}: {error['message']}",
         tuple(tree["faults_not_begun"]),
-    )  # fmt: skip
+    )
 
 
 def _failed(job: Job, verdict: str, reason: str, code: int) -> Row:

@@ -79,11 +79,7 @@ def spread(
             done(_settled(work(job), job, lost))
         return
     check_dask()
-    with (
-        _client(min(workers, len(jobs)), scheduler) as client,
-        Strikes() as strikes,
-        ExitStack() as stack,
-    ):
+    with _client(min(workers, len(jobs)), scheduler) as client, Strikes() as strikes, ExitStack() as stack:
         from distributed import as_completed
 
         if scheduler:
@@ -184,9 +180,14 @@ def _with_workers(workers: int, stack: ExitStack) -> Client:
     from distributed import Client, LocalCluster
 
     options: dict[str, Any] = {
-        "n_workers": workers, "threads_per_worker": 1, "processes": True, "host": "127.0.0.1",
-        "dashboard_address": "127.0.0.1:0", "silence_logs": logging.CRITICAL, "memory_limit": 0,
-    }  # fmt: skip
+        "n_workers": workers,
+        "threads_per_worker": 1,
+        "processes": True,
+        "host": "127.0.0.1",
+        "dashboard_address": "127.0.0.1:0",
+        "silence_logs": logging.CRITICAL,
+        "memory_limit": 0,
+    }
     folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hil-campaign-"))
     try:
         with _interrupts_put_off(), config.set(_UNWATCHED):

@@ -113,9 +113,14 @@ def _statistics(name: str, rows: Sequence[Row]) -> dict[str, Any]:
     whys = [m["missing"] for m in found if m["missing"]] + [ENDED_BEFORE] * (len(rows) - len(found))
     first = found[0]
     some = {
-        "name": name, "unit": first["unit"], "low": first["low"], "high": first["high"],
-        "n": len(values), "of": len(rows), "missing": count(whys),
-    }  # fmt: skip
+        "name": name,
+        "unit": first["unit"],
+        "low": first["low"],
+        "high": first["high"],
+        "n": len(values),
+        "of": len(rows),
+        "missing": count(whys),
+    }
     if len(values) == 0:
         return some | dict.fromkeys(("mean", "std", "min", "median", "p95", "max"))
     return some | {
@@ -181,9 +186,16 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
                 settings = dict(row.case.settings)
                 values = [row.measurements.get(n, {}).get("value") for n in units]
                 writer.writerow(
-                    [row.case.name, row.case.seed, *(settings.get(k, "") for k in keys), row.verdict,
-                     "; ".join(row.faults_not_begun), f"{row.duration_s:.3f}",
-                     *("" if v is None else repr(v) for v in values), row.error]
-                )  # fmt: skip
+                    [
+                        row.case.name,
+                        row.case.seed,
+                        *(settings.get(k, "") for k in keys),
+                        row.verdict,
+                        "; ".join(row.faults_not_begun),
+                        f"{row.duration_s:.3f}",
+                        *("" if v is None else repr(v) for v in values),
+                        row.error,
+                    ]
+                )
     except OSError as error:
         raise DataError(str(path), f"cannot be written ({reason_of(error)})") from None

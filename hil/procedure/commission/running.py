@@ -70,9 +70,15 @@ class Commission:
     def options(self) -> dict[str, Any]:
         """What a resumed one must have alike."""
         source = self.source
-        return {"bench": str(source.bench), "emulate": source.emulate, "seed": source.seed,
-                "quick": self.quick, "realtime": source.realtime, "faults": list(source.faults),
-                "settings": json.loads(json.dumps(dict(source.overrides)))}  # fmt: skip
+        return {
+            "bench": str(source.bench),
+            "emulate": source.emulate,
+            "seed": source.seed,
+            "quick": self.quick,
+            "realtime": source.realtime,
+            "faults": list(source.faults),
+            "settings": json.loads(json.dumps(dict(source.overrides))),
+        }
 
 
 def commission(asked: Commission) -> tuple[dict[str, Any], int]:
@@ -232,10 +238,15 @@ class _Running:
         parameters = stage.parameters(asked.quick, source.config)
         folder, resume = self._folder(stage, number, source, parameters)
         options = RunOptions(
-            folder=folder, clock=asked.clock, started=asked.now(),
-            parameters=parameters, operator=asked.operator, report=self._within(stage), resume=resume,
+            folder=folder,
+            clock=asked.clock,
+            started=asked.now(),
+            parameters=parameters,
+            operator=asked.operator,
+            report=self._within(stage),
+            resume=resume,
             interrupts=asked.interrupts,
-        )  # fmt: skip
+        )
         result = run_procedure(stage.procedure, source, options)
         page_of(result)
         return result
@@ -292,7 +303,7 @@ def found_signs(folder: Path, config: BenchConfig) -> dict[str, object]:
         "alignment.drive_sign": config.alignment.drive_sign,
         "alignment.steer_sign": config.alignment.steer_sign,
         **({} if encoders is None else {"encoders.sign": encoders.sign}),
-    }  # fmt: skip
+    }
     try:
         tree = read_toml(path)
     except HilError:

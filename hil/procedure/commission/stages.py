@@ -18,9 +18,12 @@ from hil.vocabulary.kinds import kinds
 
 Place = Literal["floor", "wall"]
 _FLOOR: dict[str, object] = {
-    "environment.surface": "floor", "environment.tilt_rad": 0.0, "environment.x_range_m": None,
-    "environment.y_range_m": None, "environment.friction": None,
-}  # fmt: skip
+    "environment.surface": "floor",
+    "environment.tilt_rad": 0.0,
+    "environment.x_range_m": None,
+    "environment.y_range_m": None,
+    "environment.friction": None,
+}
 PROMPTS: Mapping[Place, str] = {
     "floor": "set the robot on the floor, 2 m free around it and in view of motion capture, then press Enter",
     "wall": "put the robot on its wall, on a tether, at its start pose, then press Enter",

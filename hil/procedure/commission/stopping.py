@@ -40,8 +40,14 @@ def stopped_at(result: Result, folder: Path) -> dict[str, Any]:
 def stopped_before(name: str, error: HilError, folder: Path) -> dict[str, Any]:
     """The same where a person, a signal or the disk ended it and no procedure was running."""
     first = f"{error.remedy}; then " if error.remedy else ""
-    return {"procedure": name, "verdict": Verdict.ABORTED.value, "why": error.message, "held": None,
-            "report": None, "do": first + go_on(folder)}  # fmt: skip
+    return {
+        "procedure": name,
+        "verdict": Verdict.ABORTED.value,
+        "why": error.message,
+        "held": None,
+        "report": None,
+        "do": first + go_on(folder),
+    }
 
 
 def go_on(folder: Path) -> str:

@@ -27,8 +27,19 @@ LEAST_ADHESION_N, LEAST_THRUST_N = 21.0, 13.0
 """Below them the shipped robot slides down its wall: of the fan's 45 N, and of the propellers' 22 N."""
 SEES = ("tracker", "mocap")
 """Kinds of the shipped bench that see a slide."""
-_LETS_GO = ("off", "brownout", "reset", "unplug", "baud_mismatch", "drop", "corrupt", "truncate", "garbage",
-            "intermittent", "slow")  # fmt: skip
+_LETS_GO = (
+    "off",
+    "brownout",
+    "reset",
+    "unplug",
+    "baud_mismatch",
+    "drop",
+    "corrupt",
+    "truncate",
+    "garbage",
+    "intermittent",
+    "slow",
+)
 """Faults of servos that take supply or bus, wholly or for a while, or answer when nobody listens any more."""
 
 
@@ -46,9 +57,9 @@ class FaultClass:
 
 
 PRESSES = FaultClass(
-    "what holds the robot", "5 mm, or, where fan or propellers truly give too little, a reported fall: "
-    "never HELD",
-)  # fmt: skip
+    "what holds the robot",
+    "5 mm, or, where fan or propellers truly give too little, a reported fall: never HELD",
+)
 TORQUE = FaultClass(
     "all servos without supply or bus",
     f"5 mm, and {1e3 * LIMP_M_S:.0f} mm/s until they are back, {RESTART_S:g} s after the fault; NOT HELD "
@@ -115,9 +126,10 @@ def need_not_be_held(cell: Cell) -> bool:
 
 def _is_without(cell: Cell) -> bool:
     return any(
-        _lasts(spec) for device, fault, spec in _parts(cell)
+        _lasts(spec)
+        for device, fault, spec in _parts(cell)
         if _class_of(device, fault) in (TORQUE, ONE_SERVO)
-    )  # fmt: skip
+    )
 
 
 def _is_unmeasured(cell: Cell) -> bool:

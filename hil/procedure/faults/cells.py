@@ -153,8 +153,12 @@ def random_cells(
             specs.append(f"{device}:{fault}@{rng.uniform(0.0, BEGUN_S + DURATION_S):.2f}{lasts}")
         cells.append(
             Cell(
-                "+".join(d for d, _ in drawn), "+".join(f for _, f in drawn), "random",
-                seeds[k % len(seeds)], plants[k % len(plants)], tuple(specs),
+                "+".join(d for d, _ in drawn),
+                "+".join(f for _, f in drawn),
+                "random",
+                seeds[k % len(seeds)],
+                plants[k % len(plants)],
+                tuple(specs),
             )
-        )  # fmt: skip
+        )
     return tuple(cells)

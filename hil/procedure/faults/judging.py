@@ -82,9 +82,12 @@ def judge(cell: Cell, seen: Seen) -> CellVerdict:
     others = {name for one in evidence if not one & by for name in one}
     ends = _ends(seen)
     measured = Measured(
-        moved_m=seen.moved_m, most_m=farthest_m(cell, seen.stopped_s, seen.looked_s), crept_m=seen.crept_m,
-        off_m=float(np.hypot(*seen.off_m)) if seen.cycles and not ends else 0.0, fell=seen.fallen,
-    )  # fmt: skip
+        moved_m=seen.moved_m,
+        most_m=farthest_m(cell, seen.stopped_s, seen.looked_s),
+        crept_m=seen.crept_m,
+        off_m=float(np.hypot(*seen.off_m)) if seen.cycles and not ends else 0.0,
+        fell=seen.fallen,
+    )
     return CellVerdict(
         cell,
         why=tuple(_wrong(cell, seen, measured)),

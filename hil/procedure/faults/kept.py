@@ -85,9 +85,11 @@ def _read(path: Path, head: dict[str, str]) -> tuple[CellVerdict, ...]:
         was = json_object(lines[0] if lines else b"{}")
         if different := [key for key in head if was.get(key) != head[key]]:
             raise DataError(
-                str(path), f"these verdicts are of another {' and '.join(different)}", expected=str(head),
+                str(path),
+                f"these verdicts are of another {' and '.join(different)}",
+                expected=str(head),
                 remedy="resume with the same bench and version, or leave --resume out",
-            )  # fmt: skip
+            )
         for line in lines[1:]:
             there.append(_verdict(json_object(line)))
     except (KeyError, TypeError, ValueError) as error:

@@ -6,13 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.procedure.faults.bounds import (
-    MOST_OFF_M,
-    SIGMAS,
-    SLACK_M,
-    STILL_M,
-    WATCHED_S,
-)
+from hil.procedure.faults.bounds import MOST_OFF_M, SIGMAS, SLACK_M, STILL_M, WATCHED_S
 from hil.vocabulary.files import write_text
 
 _HEAD = """# Reliability
@@ -47,14 +41,20 @@ def matrix_page(told: Mapping[str, Any]) -> str:
     counts = (
         f"{told['cells']} cells, {len(told['failed'])} failed, "
         f"{told['quiet_cells']} passed without a word about the device."
-        if told["cells"] else "No cells."
-    )  # fmt: skip
+        if told["cells"]
+        else "No cells."
+    )
     parts = [
         _HEAD.format(
-            command=told["command"], counts=counts, watched_s=WATCHED_S, sigmas=SIGMAS,
-            still_mm=1e3 * STILL_M, slack_mm=1e3 * SLACK_M, most_mm=1e3 * MOST_OFF_M,
+            command=told["command"],
+            counts=counts,
+            watched_s=WATCHED_S,
+            sigmas=SIGMAS,
+            still_mm=1e3 * STILL_M,
+            slack_mm=1e3 * SLACK_M,
+            most_mm=1e3 * MOST_OFF_M,
         )
-    ]  # fmt: skip
+    ]
     if told["classes"]:
         parts.append("\n## What is promised, and the worst that was measured\n\n")
         parts.append("| faults of | promised after the stop | measured | cells | failed |\n")

@@ -16,9 +16,11 @@ _AT_THE_END = "struck where the way ends: the run was over before it could be ju
 _LOST = "single messages are lost or refused by their check, and the next ones say the same"
 _OF_ANY: Mapping[str, str] = {
     "duplicate": "what comes twice counts once",
-    "drop": _LOST, "truncate": _LOST, "corrupt": _LOST,
+    "drop": _LOST,
+    "truncate": _LOST,
+    "corrupt": _LOST,
     "slow": "a stream is judged second by second: told within two seconds of a longer run",
-}  # fmt: skip
+}
 """By fault, of a device whose kind says nothing of it (`DeviceKind.passes`)."""
 
 

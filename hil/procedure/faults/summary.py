@@ -61,9 +61,14 @@ def _plant(plant: str, verdicts: Sequence[CellVerdict]) -> dict[str, Any]:
         mine = [v for v in verdicts if (v.cell.device, v.cell.fault) == (device, fault)]
         marks = [_mark([v for v in mine if v.cell.moment == m]) for m in moments]
         rows.append(
-            {"device": device, "fault": fault, "marks": marks, "measured": measured_in_words(mine),
-             "failed": any(v.why for v in mine)}
-        )  # fmt: skip
+            {
+                "device": device,
+                "fault": fault,
+                "marks": marks,
+                "measured": measured_in_words(mine),
+                "failed": any(v.why for v in mine),
+            }
+        )
     seeds = sorted({v.cell.seed for v in verdicts})
     return {"plant": plant, "seeds": seeds, "moments": moments, "rows": rows}
 

@@ -15,9 +15,15 @@ LAST = "last"
 
 
 def chosen(
-    found: Sequence[Kept], *, procedure: str = "", bench: str = "", verdict: str = "",
-    since: datetime | None = None, words: Sequence[str] = (), within: bool = False,
-) -> list[Kept]:  # fmt: skip
+    found: Sequence[Kept],
+    *,
+    procedure: str = "",
+    bench: str = "",
+    verdict: str = "",
+    since: datetime | None = None,
+    words: Sequence[str] = (),
+    within: bool = False,
+) -> list[Kept]:
     """Those that fit everything that is asked for, in their order.
 
     Args:

@@ -83,9 +83,11 @@ def find_results(root: Path) -> list[Kept]:
     if not root.is_dir():
         what = "is a file" if root.exists() else "there is no such folder"
         raise DataError(
-            str(root), what, expected="a folder of results",
+            str(root),
+            what,
+            expected="a folder of results",
             remedy="name one with --in, or run a procedure first",
-        )  # fmt: skip
+        )
     found: dict[Path, Kept] = {}
     for folder, files in _folders(root):
         owner = next((found[p] for p in folder.parents if p in found and p != root), None)
@@ -135,9 +137,16 @@ def _run(folder: Path, name: str) -> Kept:
     except DataError as error:
         return _foreign(folder, name, RESULT, _not_ours(folder, error))
     return Kept(
-        folder, name, RUN, tree["procedure"], _moment(tree["started"]) or _changed(folder / RESULT),
-        bench=tree["bench"] or "", where=_where(tree), verdict=tree["verdict"], result=tree,
-    )  # fmt: skip
+        folder,
+        name,
+        RUN,
+        tree["procedure"],
+        _moment(tree["started"]) or _changed(folder / RESULT),
+        bench=tree["bench"] or "",
+        where=_where(tree),
+        verdict=tree["verdict"],
+        result=tree,
+    )
 
 
 def _not_ours(folder: Path, error: DataError) -> str:
@@ -162,9 +171,16 @@ def _campaign(folder: Path, name: str) -> Kept:
     if problem or not isinstance(what, str):
         return _foreign(folder, name, CAMPAIGN_TABLE, problem or f"{CAMPAIGN_TABLE} is of no campaign")
     return Kept(
-        folder, name, CAMPAIGN, what, _changed(folder / CAMPAIGN_TABLE), bench=str(tree.get("bench", "")),
-        where="emulated", verdict=str(tree.get("verdict", "")), why=f"{tree.get('cases')} runs",
-    )  # fmt: skip
+        folder,
+        name,
+        CAMPAIGN,
+        what,
+        _changed(folder / CAMPAIGN_TABLE),
+        bench=str(tree.get("bench", "")),
+        where="emulated",
+        verdict=str(tree.get("verdict", "")),
+        why=f"{tree.get('cases')} runs",
+    )
 
 
 def _commissioning(folder: Path, name: str) -> Kept:
@@ -177,11 +193,15 @@ def _commissioning(folder: Path, name: str) -> Kept:
     verdicts = {k: str(v.get("verdict", "")) for k, v in done.items() if isinstance(v, dict)}
     bad = next(((k, v) for k, v in verdicts.items() if v not in (*PASSED, "SKIPPED")), None)
     return Kept(
-        folder, name, COMMISSIONING, "commissioning", _changed(folder / COMMISSIONING_TABLE),
+        folder,
+        name,
+        COMMISSIONING,
+        "commissioning",
+        _changed(folder / COMMISSIONING_TABLE),
         bench=str(options.get("bench", "")) if isinstance(options, dict) else "",
         verdict=bad[1] if bad else "",
         why=f"{len(verdicts)} procedures" + (f", stopped at {bad[0]}" if bad else ""),
-    )  # fmt: skip
+    )
 
 
 def _acceptance(folder: Path, name: str) -> Kept:
@@ -194,10 +214,16 @@ def _acceptance(folder: Path, name: str) -> Kept:
     whys = [f"{s.get('name')}: {s['why']}" for s in stages if isinstance(s, dict) and s.get("why")]
     when = _moment(tree.get("began")) or _changed(folder / ACCEPTANCE_TABLE)
     return Kept(
-        folder, name, ACCEPTANCE, "acceptance", when,
-        bench=str(tree.get("bench", "")), where="hardware" if real else "emulated", verdict=verdict,
+        folder,
+        name,
+        ACCEPTANCE,
+        "acceptance",
+        when,
+        bench=str(tree.get("bench", "")),
+        where="hardware" if real else "emulated",
+        verdict=verdict,
         why="; ".join(whys),
-    )  # fmt: skip
+    )
 
 
 def _faults(folder: Path, name: str) -> Kept:
@@ -208,10 +234,16 @@ def _faults(folder: Path, name: str) -> Kept:
         return _foreign(folder, name, FAULTS_TABLE, problem or f"{FAULTS_TABLE} is of no fault campaign")
     when = _moment(tree.get("began")) or _changed(folder / FAULTS_TABLE)
     return Kept(
-        folder, name, FAULTS, "fault campaign", when,
-        bench=str(tree.get("bench", "")), where="emulated", verdict=verdict,
+        folder,
+        name,
+        FAULTS,
+        "fault campaign",
+        when,
+        bench=str(tree.get("bench", "")),
+        where="emulated",
+        verdict=verdict,
         why=f"{cells} runs with faults, {len(failed)} failed",
-    )  # fmt: skip
+    )
 
 
 def _unfinished_faults(folder: Path, name: str) -> Kept:
@@ -233,9 +265,14 @@ def _unfinished(folder: Path, name: str) -> Kept:
         return _foreign(folder, name, JOURNAL, "journal.jsonl is not the journal of a run")
     state = "still running" if in_use(folder) else "struck down before its result; --resume continues it"
     return Kept(
-        folder, name, UNFINISHED, what, _moment(head.get("started")) or _changed(path),
-        bench=str(config.get("name", "")) if isinstance(config, dict) else "", why=state,
-    )  # fmt: skip
+        folder,
+        name,
+        UNFINISHED,
+        what,
+        _moment(head.get("started")) or _changed(path),
+        bench=str(config.get("name", "")) if isinstance(config, dict) else "",
+        why=state,
+    )
 
 
 def _unfinished_campaign(folder: Path, name: str) -> Kept | None:

@@ -19,9 +19,12 @@ from hil.report.run_plots import MOST_POINTS
 from hil.vocabulary.files import write_text
 
 _IN_WORDS = {
-    MISSING: "without a value in the newest runs", DRIFTING: "drifting",
-    OUTSIDE: "outside their control limits", STEADY: "steady", TOO_FEW: "with too few runs to judge",
-}  # fmt: skip
+    MISSING: "without a value in the newest runs",
+    DRIFTING: "drifting",
+    OUTSIDE: "outside their control limits",
+    STEADY: "steady",
+    TOO_FEW: "with too few runs to judge",
+}
 _WIDTH, _HEIGHT, _EDGE = 320.0, 110.0, 8.0
 
 
@@ -82,9 +85,14 @@ def drawing(series: Series) -> dict[str, Any]:
         if chart.centre is not None and chart.low is not None and chart.high is not None:
             above, below = y(chart.high), y(chart.low)
             control.append(
-                {"x": xs[0] - 3, "width": xs[-1] - xs[0] + 6, "top": above, "height": max(1.0, below - above),
-                 "centre": y(chart.centre)}
-            )  # fmt: skip
+                {
+                    "x": xs[0] - 3,
+                    "width": xs[-1] - xs[0] + 6,
+                    "top": above,
+                    "height": max(1.0, below - above),
+                    "centre": y(chart.centre),
+                }
+            )
         if first:
             calibrations.append(
                 {"x": round(xs[0] - step / 2, 1), "words": f"calibration {own[0].calibration}"}
@@ -114,15 +122,20 @@ def _readings(series: Series, step: float) -> str:
     return as_json(
         (_WIDTH, _HEIGHT),
         Readings(
-            box=(0.0, 0.0, _WIDTH, _HEIGHT), zoom=False,
+            box=(0.0, 0.0, _WIDTH, _HEIGHT),
+            zoom=False,
             x=Scale(label="", limits=(-edge, last + edge), names=dict(list(runs.items())[-MOST_POINTS:])),
             y=Scale(label=f"value{unit}", limits=(low - room, high + room)),
             series=[
-                Curve(colour="reference", x=list(map(float, range(last + 1)))[-MOST_POINTS:],
-                      y=values[-MOST_POINTS:], mark=True)
+                Curve(
+                    colour="reference",
+                    x=list(map(float, range(last + 1)))[-MOST_POINTS:],
+                    y=values[-MOST_POINTS:],
+                    mark=True,
+                )
             ],
         ),
-    )  # fmt: skip
+    )
 
 
 def _span(series: Series) -> tuple[float, float]:

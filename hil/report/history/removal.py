@@ -65,9 +65,10 @@ def loss(root: Path, kept: Kept) -> Loss:
         raise DataError(str(folder), "is not deleted: it is a link to somewhere else")
     if folder.resolve() == root.resolve():
         raise DataError(
-            str(folder), "is not deleted: it is the folder of results itself",
+            str(folder),
+            "is not deleted: it is the folder of results itself",
             remedy="name the folder above it with --in",
-        )  # fmt: skip
+        )
     if in_use(folder):
         raise DataError(
             str(folder), "is not deleted: a run is still writing to it", remedy="wait for its end"

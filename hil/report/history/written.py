@@ -85,8 +85,16 @@ def written(kept: Kept) -> list[str]:
     What makes the folder a result comes last: whoever is interrupted in the middle can delete it again.
     """
     folder, there = kept.folder, all_files(kept.folder)
-    marks = (RESULT, JOURNAL, CAMPAIGN_TABLE, PLAN, COMMISSIONING_TABLE, ACCEPTANCE_TABLE, FAULTS_TABLE,
-             FAULTS_CELLS)  # fmt: skip
+    marks = (
+        RESULT,
+        JOURNAL,
+        CAMPAIGN_TABLE,
+        PLAN,
+        COMMISSIONING_TABLE,
+        ACCEPTANCE_TABLE,
+        FAULTS_TABLE,
+        FAULTS_CELLS,
+    )
     own = [name for name in _own(kept, there) if not (folder / name).is_symlink()]
     own += [name for name in there if _BEGUN.fullmatch(name) and not (folder / name).is_symlink()]
     return sorted(own, key=lambda name: (name in marks, name))

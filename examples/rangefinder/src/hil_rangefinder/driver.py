@@ -102,9 +102,12 @@ class TfLuna(Sensor[RangeSample]):
             self._heard_ns = now_ns
         elif now_ns - self._heard_ns > self._fail_ns:
             raise DeviceTimeoutError(
-                self.name, f"no distance for {(now_ns - self._heard_ns) / NS_PER_S:.1f} s",
-                port=self._config.port, expected=f"{self._config.rate_hz} per second", remedy=_REMEDY,
-            )  # fmt: skip
+                self.name,
+                f"no distance for {(now_ns - self._heard_ns) / NS_PER_S:.1f} s",
+                port=self._config.port,
+                expected=f"{self._config.rate_hz} per second",
+                remedy=_REMEDY,
+            )
         last = len(data) - 1
         return tuple(self._sample(item, now_ns, last - k) for k, item in enumerate(data))
 
@@ -118,9 +121,12 @@ class TfLuna(Sensor[RangeSample]):
         version = link.ask(p.VERSION, until_ns=until_ns)
         if version is None or len(version) != 3:
             raise DeviceTimeoutError(
-                self.name, "no answer", port=self._config.port,
-                expected=f"a TF-Luna at {self._config.baud} baud", remedy=_REMEDY,
-            )  # fmt: skip
+                self.name,
+                "no answer",
+                port=self._config.port,
+                expected=f"a TF-Luna at {self._config.baud} baud",
+                remedy=_REMEDY,
+            )
         found = {"model": "TF-Luna", "firmware": firmware(version)}
         bar_code = link.ask(p.BAR_CODE, until_ns=self._clock.now_ns() + _BAR_CODE_NS)
         serial = (bar_code or b"").decode("ascii", "replace").strip("\0 ")
@@ -134,9 +140,12 @@ class TfLuna(Sensor[RangeSample]):
             if answer != (payload or b"\0"):
                 told = "nothing" if answer is None else answer.hex(" ")
                 raise DeviceError(
-                    self.name, f"setting 0x{command:02X} was answered with {told}", port=self._config.port,
-                    expected=(payload or b"\0").hex(" "), remedy="update the sensor's firmware",
-                )  # fmt: skip
+                    self.name,
+                    f"setting 0x{command:02X} was answered with {told}",
+                    port=self._config.port,
+                    expected=(payload or b"\0").hex(" "),
+                    remedy="update the sensor's firmware",
+                )
 
     def _watch_settings(self, link: Link, arrived: list[p.Reading | p.Answer | p.Lost], now_ns: int) -> None:
         """After a silence send the settings again: without power the sensor forgets them.

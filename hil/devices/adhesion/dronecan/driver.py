@@ -48,16 +48,20 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
         rivals = sorted(ours - {config.node_id})
         if rivals:
             raise DeviceError(
-                self.name, f"nodes {config.node_id} and {rivals[0]} both have index {config.esc_index}: "
-                "each would obey", port=self._link.port, expected="one",
+                self.name,
+                f"nodes {config.node_id} and {rivals[0]} both have index {config.esc_index}: each would obey",
+                port=self._link.port,
+                expected="one",
                 remedy="give each controller an index of its own (VESC Tool: UAVCAN ESC Index)",
-            )  # fmt: skip
+            )
         if config.node_id not in ours:
             raise DeviceError(
-                self.name, f"node {config.node_id} sends no esc.Status with index {config.esc_index}",
-                port=self._link.port, expected="esc.Status",
+                self.name,
+                f"node {config.node_id} sends no esc.Status with index {config.esc_index}",
+                port=self._link.port,
+                expected="esc.Status",
                 remedy="switch it on at 20 Hz or more, or set adhesion.esc_index",
-            )  # fmt: skip
+            )
         self._told = info
         return {
             "model": info or "DroneCAN motor controller",
@@ -94,9 +98,14 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
     def _ask_who_it_is(self, transfer_id: int) -> None:
         request = self._dronecan.uavcan.protocol.GetNodeInfo.Request()
         for frame_id, data in frames_of(
-            request, source=self._config.own_id, transfer_id=transfer_id % 32, priority=_PRIORITY,
-            dest_node_id=self._config.node_id, service_not_message=True, request_not_response=True,
-        ):  # fmt: skip
+            request,
+            source=self._config.own_id,
+            transfer_id=transfer_id % 32,
+            priority=_PRIORITY,
+            dest_node_id=self._config.node_id,
+            service_not_message=True,
+            request_not_response=True,
+        ):
             self._link.send(frame_id, data, extended=True)
 
     def _absent(self, nodes: list[int]) -> DeviceError:
@@ -104,15 +113,20 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
         others = [n for n in nodes if n != self._config.own_id][:_MOST_LISTED]
         if others:
             return DeviceError(
-                self.name, f"no node {node_id}; there: {', '.join(map(str, others))}", port=port,
-                expected=f"node {node_id}", remedy=f"set adhesion.node_id = {others[0]} if that is the fan's",
-            )  # fmt: skip
+                self.name,
+                f"no node {node_id}; there: {', '.join(map(str, others))}",
+                port=port,
+                expected=f"node {node_id}",
+                remedy=f"set adhesion.node_id = {others[0]} if that is the fan's",
+            )
         return DeviceTimeoutError(
-            self.name, f"no DroneCAN node answers{self._link.told()}", port=port,
+            self.name,
+            f"no DroneCAN node answers{self._link.told()}",
+            port=port,
             expected=f"node {node_id} at {self._config.bitrate} bit/s",
             remedy=remedy_of_silence(self.name, self._config, "the controller")
             + ", and that it speaks DroneCAN (VESC Tool: CAN Mode UAVCAN)",
-        )  # fmt: skip
+        )
 
     def _report(self, message: can.Message) -> EscStatus | None:
         said, config = self._reader.take(message.arbitration_id, message.data), self._config
@@ -138,11 +152,17 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
         """What the doctor wants to know of who it is and how it is kept."""
         silent = "it does not tell its time-out: the bench file says " + f"{self._config.timeout_s:g} s"
         return (
-            Finding(self.name, "identity", "ok" if self._told else "warning", self._told or "not told",
-                    "an answer to GetNodeInfo", "look at the node with `dronecan_gui_tool`"),
+            Finding(
+                self.name,
+                "identity",
+                "ok" if self._told else "warning",
+                self._told or "not told",
+                "an answer to GetNodeInfo",
+                "look at the node with `dronecan_gui_tool`",
+            ),
             Finding(self.name, "time-out", "warning", silent, "1 s", "look at it in VESC Tool"),
             finding(self.name, self._kept),
-        )  # fmt: skip
+        )
 
 
 def _described(payload: Any) -> str:

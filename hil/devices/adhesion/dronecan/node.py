@@ -103,11 +103,16 @@ class DroneCanNode(MotorNode):
         answer.hardware_version.unique_id = [self._node_id] * 16
         self._put(
             frames_of(
-                answer, source=self._node_id, transfer_id=asked.transfer_id, priority=asked.transfer_priority,
-                dest_node_id=asked.source_node_id, service_not_message=True, request_not_response=False,
+                answer,
+                source=self._node_id,
+                transfer_id=asked.transfer_id,
+                priority=asked.transfer_priority,
+                dest_node_id=asked.source_node_id,
+                service_not_message=True,
+                request_not_response=False,
             ),
             t_ns,
-        )  # fmt: skip
+        )
 
     def _node_status(self, t_ns: int) -> Any:
         status = self._messages.protocol.NodeStatus()

@@ -192,9 +192,12 @@ class MicrostrainImu(Sensor[ImuSample]):
             dialogue.take(packet)
         except RefusedError as error:
             raise DeviceError(
-                self.name, f"the sensor cannot be set up: {error}", port=port,
-                expected="an acknowledgement", remedy="update its firmware; switch it off and on",
-            ) from None  # fmt: skip
+                self.name,
+                f"the sensor cannot be set up: {error}",
+                port=port,
+                expected="an acknowledgement",
+                remedy="update its firmware; switch it off and on",
+            ) from None
         except UnsuitableError as error:
             raise DeviceError(
                 self.name, str(error), port=port, expected=error.expected, remedy=error.remedy

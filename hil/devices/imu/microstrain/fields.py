@@ -10,12 +10,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from hil.devices.imu.microstrain.packets import (
-    CHECKSUM_BYTES,
-    FIELD_HEAD_BYTES,
-    HEAD_BYTES,
-    Packet,
-)
+from hil.devices.imu.microstrain.packets import CHECKSUM_BYTES, FIELD_HEAD_BYTES, HEAD_BYTES, Packet
 from hil.vocabulary.geometry import Four, Three
 
 BASE, THREE_DM, FILTER = 0x01, 0x0C, 0x0D
@@ -39,8 +34,13 @@ REFUSALS = {
 }
 
 REFERENCE_TIME, STATUS, QUATERNION, ANGULAR_RATE, LINEAR_ACCELERATION, GRAVITY = (
-    0xD5, 0x10, 0x03, 0x0E, 0x0D, 0x13,
-)  # fmt: skip
+    0xD5,
+    0x10,
+    0x03,
+    0x0E,
+    0x0D,
+    0x13,
+)
 LAYOUTS = {
     REFERENCE_TIME: struct.Struct(">Q"),
     STATUS: struct.Struct(">3H"),
@@ -65,12 +65,7 @@ WARNINGS = {0x0004: "roll and pitch", 0x0008: "heading", 0x0040: "IMU bias", 0x0
 MAGNETOMETER = 4
 DYNAMICS_MODE = 1
 
-MODELS = {
-    "6286": "3DM-CV7-AHRS",
-    "6287": "3DM-CV7-AR",
-    "6288": "3DM-GV7-AHRS",
-    "6289": "3DM-GV7-AR",
-}
+MODELS = {"6286": "3DM-CV7-AHRS", "6287": "3DM-CV7-AR", "6288": "3DM-GV7-AHRS", "6289": "3DM-GV7-AR"}
 """Sensors by the first digits of their model number; all send the filter data above."""
 WITHOUT_MAGNETOMETER = ("6287", "6289")
 

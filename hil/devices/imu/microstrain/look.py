@@ -32,19 +32,25 @@ def look(watched: Watched) -> Iterator[Finding]:
     usual_hz = 1.0 / sorted(period_s)[len(period_s) // 2]
     right = abs(usual_hz - imu.rate_hz) < _RATE_SHARE * imu.rate_hz
     yield Finding(
-        "imu", "rate", "ok" if right and not lost else "warning",
-        f"{usual_hz:.1f} Hz, {lost} gaps", f"{imu.rate_hz:.1f} Hz without gaps",
+        "imu",
+        "rate",
+        "ok" if right and not lost else "warning",
+        f"{usual_hz:.1f} Hz, {lost} gaps",
+        f"{imu.rate_hz:.1f} Hz without gaps",
         "set the adapter's latency timer to 1 ms; raise the baud rate",
-    )  # fmt: skip
+    )
     due_s = watched.config.delay_s + 1.0 / watched.loop_hz + _LATE_S
     late = sum(1e-9 * (s.stamp.host_ns - s.stamp.t_ns) > due_s for s in good)
     share = late / len(good)
     level: Level = "failure" if share > LOSS_FAILURE else "warning" if share > LOSS_WARNING else "ok"
     yield Finding(
-        "imu", "late samples", level, f"{late} of {len(good)}",
+        "imu",
+        "late samples",
+        level,
+        f"{late} of {len(good)}",
         f"nearly none later than {due_s * 1e3:.0f} ms",
         "use a port of its own, not a hub; set the adapter's latency timer to 1 ms",
-    )  # fmt: skip
+    )
 
 
 def _filter(data: f.FilterData) -> Finding:
@@ -56,6 +62,10 @@ def _filter(data: f.FilterData) -> Finding:
     level: Level = "failure" if broken else "warning" if doubts or condition == "unstable" else "ok"
     told = f"{state}, {condition}" + (f", it warns of {' and '.join(doubts)}" if doubts else "")
     return Finding(
-        "imu", "filter", level, told, "vertical gyro or AHRS, stable",
+        "imu",
+        "filter",
+        level,
+        told,
+        "vertical gyro or AHRS, stable",
         "let the robot rest for some seconds; else switch the sensor off and on",
-    )  # fmt: skip
+    )

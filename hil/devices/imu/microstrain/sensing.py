@@ -114,9 +114,11 @@ class Sensing:
         up = rotated(conjugated(sensor_in_earth), (0.0, 0.0, 1.0))
         noise, o = self._draw(), self._options
         felt = _sum(
-            kinematic, _scaled(up, GRAVITY_M_S2), self.accelerometer_offset,
+            kinematic,
+            _scaled(up, GRAVITY_M_S2),
+            self.accelerometer_offset,
             _scaled(noise[:3], o.accelerometer_noise_m_s2),
-        )  # fmt: skip
+        )
         spin = rotated(self._body_to_sensor, (0.0, 0.0, turn))
         rate = _sum(spin, self.gyro_bias, _scaled(noise[3:], o.gyro_noise_rad_s))
         seen_up = self._vertical(up, kinematic, dt_s)

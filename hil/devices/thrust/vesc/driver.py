@@ -61,11 +61,7 @@ class VescThrust(KeptMotor[VescThrustConfig, ThrustSample]):
         self._known = {motor.controller_id: self._met(motor, spec) for motor in self._config.motors()}
         ids = ", ".join(map(str, self._config.controller_ids))
         told = dict.fromkeys(answers.firmware or "not told" for _, _, answers in self._known.values())
-        return {
-            "model": "VESC",
-            "port": f"{self._link.port}, controllers {ids}",
-            "firmware": ", ".join(told),
-        }
+        return {"model": "VESC", "port": f"{self._link.port}, controllers {ids}", "firmware": ", ".join(told)}
 
     def _met(self, motor: VescConfig, spec: Spec) -> tuple[VescConfig, Seen, Answers]:
         answers = Answers()

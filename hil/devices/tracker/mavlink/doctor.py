@@ -54,35 +54,48 @@ def _sender(session: Session, device: str) -> Finding:
     others = sorted(source for source in session.heard if source != session.source)
     also = "; also heard: " + ", ".join(f"{s}/{c}" for s, c in others) if others else ""
     return Finding(
-        device, "sender", level, f"{names}, {beat}{also}", "one sender with heartbeats",
+        device,
+        "sender",
+        level,
+        f"{names}, {beat}{also}",
+        "one sender with heartbeats",
         "switch its heartbeats on, so that routers and this bench know it",
-    )  # fmt: skip
+    )
 
 
 def _time(session: Session, config: MavlinkTrackerConfig, device: str) -> Finding:
     trip = session.trip()
     if trip is None:
         return Finding(
-            device, "time", "warning",
+            device,
+            "time",
+            "warning",
             f"answers no TIMESYNC: a pose is taken to be {config.latency_s * 1e3:g} ms older than the "
             "quickest arrivals",
-            "answers to TIMESYNC (111)", "switch them on at the sender, or measure tracker.latency_s",
-        )  # fmt: skip
+            "answers to TIMESYNC (111)",
+            "switch them on at the sender, or measure tracker.latency_s",
+        )
     if session.other_clock:
         return Finding(
-            device, "time", "warning",
+            device,
+            "time",
+            "warning",
             f"{session.other_clock} poses bear stamps of another clock than the one that answers TIMESYNC: "
             f"taken to be {config.latency_s * 1e3:g} ms older than the quickest arrivals",
-            "one clock for both", "have the sender stamp time_usec by the clock that answers TIMESYNC",
-        )  # fmt: skip
+            "one clock for both",
+            "have the sender stamp time_usec by the clock that answers TIMESYNC",
+        )
     trip_s = trip.duration_ns / NS_PER_S
     level: Level = "ok" if trip_s < _LONG_TRIP_S else "warning"
     steps = f"; its clock has stepped {session.sync.steps} times" if session.sync.steps else ""
     return Finding(
-        device, "time", level,
+        device,
+        "time",
+        level,
         f"round trip {trip_s * 1e3:.2f} ms, so known to {trip_s * 500:.2f} ms{steps}",
-        f"a round trip below {_LONG_TRIP_S * 1e3:g} ms", "use a wired network or a faster serial port",
-    )  # fmt: skip
+        f"a round trip below {_LONG_TRIP_S * 1e3:g} ms",
+        "use a wired network or a faster serial port",
+    )
 
 
 def _frames(message: Any, config: MavlinkTrackerConfig, device: str) -> Finding:
@@ -90,16 +103,23 @@ def _frames(message: Any, config: MavlinkTrackerConfig, device: str) -> Finding:
     axes = messages.axes_of(message.frame_id, message.child_frame_id, config.body_axes)
     if axes is None:
         return Finding(
-            device, "frames", "failure", f"{frame}, {child}", "LOCAL_FRD, BODY_FRD",
+            device,
+            "frames",
+            "failure",
+            f"{frame}, {child}",
+            "LOCAL_FRD, BODY_FRD",
             "set the frames of the sender's odometry",
-        )  # fmt: skip
+        )
     doubtful = config.body_axes is None and not axes.turn_world
     body = "front-right-down" if axes.turn_body else "front-left-up"
     return Finding(
-        device, "frames", "warning" if doubtful else "ok",
+        device,
+        "frames",
+        "warning" if doubtful else "ok",
         f"pose in {frame}, twist in {child}; the quaternion is taken to turn {body} axes",
-        "LOCAL_FRD, BODY_FRD", "say in tracker.body_axes (FRD or FLU) what the sender's quaternion turns",
-    )  # fmt: skip
+        "LOCAL_FRD, BODY_FRD",
+        "say in tracker.body_axes (FRD or FLU) what the sender's quaternion turns",
+    )
 
 
 def _quality(message: Any, config: MavlinkTrackerConfig, device: str) -> Finding:
@@ -111,9 +131,13 @@ def _quality(message: Any, config: MavlinkTrackerConfig, device: str) -> Finding
     else:
         found, level = f"{quality} %", "ok" if quality >= config.good_quality else "warning"
     return Finding(
-        device, "quality", level, found, f"at least {config.good_quality} %",  # type: ignore[arg-type]
+        device,
+        "quality",
+        level,  # type: ignore[arg-type]
+        found,
+        f"at least {config.good_quality} %",
         "move the camera a little; the scene needs light and texture",
-    )  # fmt: skip
+    )
 
 
 def _covariance(message: Any, config: MavlinkTrackerConfig, device: str) -> Finding:
@@ -132,6 +156,10 @@ def _rate(session: Session, device: str, samples: Sequence[TrackerSample], watch
     level: Level = "ok" if rate_hz >= _LEAST_HZ and share < _LOSS_WARNING else "warning"
     told = f"{rate_hz:.0f} poses per second, {session.lost} packets lost, {session.malformed} damaged"
     return Finding(
-        device, "rate", level, told, f"at least {_LEAST_HZ:g} Hz and nothing lost",
+        device,
+        "rate",
+        level,
+        told,
+        f"at least {_LEAST_HZ:g} Hz and nothing lost",
         "raise the rate of the sender's odometry; use a wired network, or a faster serial port",
-    )  # fmt: skip
+    )

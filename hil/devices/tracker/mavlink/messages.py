@@ -22,9 +22,14 @@ from hil.vocabulary.geometry import Array, Three, rotated
 
 DIALECT = "pymavlink.dialects.v20.common"
 FRAMES = {
-    "LOCAL_NED": 1, "LOCAL_ENU": 4, "BODY_NED": 8, "BODY_FRD": 12, "BODY_FLU": 13, "LOCAL_FRD": 20,
+    "LOCAL_NED": 1,
+    "LOCAL_ENU": 4,
+    "BODY_NED": 8,
+    "BODY_FRD": 12,
+    "BODY_FLU": 13,
+    "LOCAL_FRD": 20,
     "LOCAL_FLU": 21,
-}  # fmt: skip
+}
 """Numbers of MAV_FRAME by name; BODY_NED is the older name of BODY_FRD, BODY_FLU is no longer in use."""
 UPWARD = ("LOCAL_ENU", "LOCAL_FLU", "BODY_FLU")
 """Frames whose z points up, and y to the left of x."""
@@ -118,9 +123,20 @@ def odometry_of(estimate: Any, common: Any) -> Any:
     unknown = [UNKNOWN] * 21
     covariance = list(estimate.covariance) if any(estimate.covariance) else unknown
     return common.MAVLink_odometry_message(
-        estimate.usec, FRAMES["LOCAL_NED"], FRAMES["BODY_FRD"], estimate.x, estimate.y, estimate.z, turned,
-        *[UNKNOWN] * 6, covariance, unknown, estimate.reset_counter, 0, UNKNOWN_QUALITY,
-    )  # fmt: skip
+        estimate.usec,
+        FRAMES["LOCAL_NED"],
+        FRAMES["BODY_FRD"],
+        estimate.x,
+        estimate.y,
+        estimate.z,
+        turned,
+        *[UNKNOWN] * 6,
+        covariance,
+        unknown,
+        estimate.reset_counter,
+        0,
+        UNKNOWN_QUALITY,
+    )
 
 
 def twist_of(message: Any, axes: Axes, quaternion_wxyz: Sequence[float]) -> tuple[float, ...]:

@@ -53,10 +53,19 @@ class Estimate:
     def message(self, common: Any) -> Any:
         """The message, of a MAVLink dialect."""
         return common.MAVLink_odometry_message(
-            self.time_us, self.frame_id, self.child_frame_id, *self.position_m, list(self.quaternion_wxyz),
-            *self.velocity_m_s, *self.rates_rad_s, list(self.pose_covariance),
-            list(self.velocity_covariance), self.resets, common.MAV_ESTIMATOR_TYPE_VIO, self.quality,
-        )  # fmt: skip
+            self.time_us,
+            self.frame_id,
+            self.child_frame_id,
+            *self.position_m,
+            list(self.quaternion_wxyz),
+            *self.velocity_m_s,
+            *self.rates_rad_s,
+            list(self.pose_covariance),
+            list(self.velocity_covariance),
+            self.resets,
+            common.MAV_ESTIMATOR_TYPE_VIO,
+            self.quality,
+        )
 
 
 def estimate_of(

@@ -197,10 +197,19 @@ class Session:
         common = self._common
         self._send(
             common.MAVLink_command_long_message(
-                system, component, common.MAV_CMD_REQUEST_MESSAGE, 0,
-                common.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0, 0, 0, 0, 0, 0,
+                system,
+                component,
+                common.MAV_CMD_REQUEST_MESSAGE,
+                0,
+                common.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
+                0,
+                0,
+                0,
+                0,
+                0,
+                0,
             )
-        )  # fmt: skip
+        )
 
     def _send(self, message: Any) -> None:
         assert self._peer is not None

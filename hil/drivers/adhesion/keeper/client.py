@@ -49,9 +49,11 @@ def connect(spec: Spec) -> socket.socket | None:
     except OSError as error:
         connection.close()
         raise DeviceError(
-            spec.device, f"{spec.whose} keeper cannot be reached ({error})", port=spec.name,
+            spec.device,
+            f"{spec.whose} keeper cannot be reached ({error})",
+            port=spec.name,
             remedy="end programs that talk to it and try again",
-        ) from None  # fmt: skip
+        ) from None
     if not may_ask(os.getuid(), owner):
         connection.close()
         raise of_another(spec, _named(owner), _named(os.getuid()))
@@ -121,10 +123,12 @@ def understood(packet: bytes, spec: Spec) -> Status:
             raise ValueError("an error consists of texts")
     except (ValueError, TypeError, KeyError):
         raise DeviceError(
-            spec.device, f"{spec.whose} keeper answered what cannot be understood", port=spec.name,
+            spec.device,
+            f"{spec.whose} keeper answered what cannot be understood",
+            port=spec.name,
             expected="an answer of the same version of hil",
             remedy="see `hil adhesion status`; a keeper of another version goes on until `hil adhesion off`",
-        ) from None  # fmt: skip
+        ) from None
     if code == EXIT_USAGE:
         raise UsageError(message, expected=expected, remedy=remedy)
     told = message.partition(": ")[2] or message
@@ -163,9 +167,13 @@ class Starting:
         command += ["--log", str(log_path(spec).absolute())]
         paths = os.pathsep.join(os.path.abspath(p) for p in sys.path if p)
         self._child = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            start_new_session=True, env={**os.environ, "PYTHONPATH": paths},
-        )  # fmt: skip
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            env={**os.environ, "PYTHONPATH": paths},
+        )
         self._text = b""
 
     def said(self, timeout_s: float) -> dict[str, Any] | None:
@@ -209,7 +217,9 @@ def find_or_start(spec: Spec) -> socket.socket:
     found = connect(spec)
     if found is None:
         raise DeviceError(
-            spec.device, f"{spec.whose} keeper did not start: {said.get('error', 'it has ended')}",
-            port=spec.name, remedy=f"look at {log_path(spec)}",
-        )  # fmt: skip
+            spec.device,
+            f"{spec.whose} keeper did not start: {said.get('error', 'it has ended')}",
+            port=spec.name,
+            remedy=f"look at {log_path(spec)}",
+        )
     return found

@@ -39,9 +39,10 @@ def check_point(spec: Spec, point: SetPoint) -> None:
     if highest is None:
         known = ", ".join(spec.highest)
         raise UsageError(
-            f"{spec.device} set-point of {point.quantity}", expected=f"one of {known}",
+            f"{spec.device} set-point of {point.quantity}",
+            expected=f"one of {known}",
             remedy=did_you_mean(point.quantity, spec.highest) or f"ask {spec.whose} keeper for one of these",
-        )  # fmt: skip
+        )
     if not math.isfinite(point.value) or not 0.0 < point.value <= highest:
         raise UsageError(
             f"{spec.device} set-point {point.quantity} = {point.value:g}",

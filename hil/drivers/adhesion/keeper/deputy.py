@@ -56,13 +56,7 @@ class KeptByProcess(Kept):
         say: told in words when the bench stands in for the keeper, and when no longer.
     """
 
-    def __init__(
-        self,
-        spec: Spec,
-        clock: Clock,
-        *,
-        say: Callable[[str], None] = _LOG.warning,
-    ) -> None:
+    def __init__(self, spec: Spec, clock: Clock, *, say: Callable[[str], None] = _LOG.warning) -> None:
         self._spec, self._clock, self._say = spec, clock, say
         self._lock = threading.Lock()
         self._patience_ns = nanoseconds(_PATIENCE * spec.timeout_s)

@@ -166,7 +166,8 @@ def dialect(spec: Spec) -> Dialect:
     made = _DIALECTS.get(spec.dialect)
     if made is None:
         raise ConfigError(
-            f"no fan speaks {spec.dialect!r}", expected="one of " + ", ".join(_DIALECTS),
+            f"no fan speaks {spec.dialect!r}",
+            expected="one of " + ", ".join(_DIALECTS),
             remedy=did_you_mean(spec.dialect, _DIALECTS),
-        )  # fmt: skip
+        )
     return made(spec)

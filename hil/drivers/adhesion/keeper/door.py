@@ -93,11 +93,14 @@ def of_another(spec: Spec, owner: str, asker: str) -> DeviceError:
         asker: the user that the program runs as.
     """
     return DeviceError(
-        spec.device, f"{spec.whose} keeper belongs to {owner}, and this program to {asker}", port=spec.name,
+        spec.device,
+        f"{spec.whose} keeper belongs to {owner}, and this program to {asker}",
+        port=spec.name,
         expected=f"a keeper of {asker}, or a program of root",
-        remedy=f"run this as {owner}" + ("" if owner == "root" else ", or as root")
+        remedy=f"run this as {owner}"
+        + ("" if owner == "root" else ", or as root")
         + f"; a keeper that is no service ends {IDLE_S:g} s after the last program has left a motor at rest",
-    )  # fmt: skip
+    )
 
 
 class TakenError(DeviceError):
@@ -120,9 +123,12 @@ class Door:
         except OSError as error:
             self._listener.close()
             raise TakenError(
-                spec.device, f"it has a keeper already ({reason_of(error)})", port=spec.name,
-                expected="one keeper of a fan", remedy="`hil adhesion status` names its process",
-            ) from None  # fmt: skip
+                spec.device,
+                f"it has a keeper already ({reason_of(error)})",
+                port=spec.name,
+                expected="one keeper of a fan",
+                remedy="`hil adhesion status` names its process",
+            ) from None
         self._listener.listen(_MOST_CLIENTS)
         self._listener.setblocking(False)
         self._ready = selectors.DefaultSelector()
@@ -164,9 +170,12 @@ class Door:
             return of_another(spec, user(os.getuid()), user(uid))
         if self.clients >= _MOST_CLIENTS:
             return DeviceError(
-                spec.device, f"{spec.whose} keeper talks to {self.clients} programs already", port=spec.name,
-                expected=f"at most {_MOST_CLIENTS}", remedy="end programs that talk to it and try again",
-            )  # fmt: skip
+                spec.device,
+                f"{spec.whose} keeper talks to {self.clients} programs already",
+                port=spec.name,
+                expected=f"at most {_MOST_CLIENTS}",
+                remedy="end programs that talk to it and try again",
+            )
         return None
 
     def _answer(self, connection: socket.socket, answer: Answer) -> None:
@@ -213,6 +222,8 @@ def _answered(packet: bytes, who: Peer, answer: Answer) -> bytes:
 
 def _described(error: HilError) -> dict[str, object]:
     return {
-        "message": error.message[:_MOST_TEXT], "expected": error.expected, "remedy": error.remedy,
+        "message": error.message[:_MOST_TEXT],
+        "expected": error.expected,
+        "remedy": error.remedy,
         "exit_code": error.exit_code,
-    }  # fmt: skip
+    }

@@ -60,6 +60,10 @@ def finding(name: str, kept: Kept | None) -> Finding:
         f"; it is one{other}" if (other := of_whom(status)) else ""
     )
     return Finding(
-        name, "keeper", "warning" if trouble else "ok", trouble or does,
-        "a process of its own", "`hil adhesion status` says more",
-    )  # fmt: skip
+        name,
+        "keeper",
+        "warning" if trouble else "ok",
+        trouble or does,
+        "a process of its own",
+        "`hil adhesion status` says more",
+    )

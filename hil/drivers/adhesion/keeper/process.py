@@ -176,8 +176,9 @@ def _point(asked: Mapping[str, Any]) -> SetPoint:
     if not isinstance(quantity, str) or isinstance(value, bool) or not isinstance(value, (int, float)):
         raise UsageError(
             f"a set-point for the keeper of {quantity!r} and {value!r}",
-            expected="a quantity and a number", remedy=HOW_TO_ASK,
-        )  # fmt: skip
+            expected="a quantity and a number",
+            remedy=HOW_TO_ASK,
+        )
     try:
         return SetPoint(quantity, float(value))
     except OverflowError:

@@ -54,14 +54,16 @@ class Spec:
         figures = (self.period_s, self.timeout_s, self.ramp_up_s, self.ramp_down_s, *self.highest.values())
         if not all(math.isfinite(f) for f in figures) or min(*self.highest.values(), self.ramp_up_s) <= 0.0:
             raise ConfigError(
-                f"{self.name}: ramps and highest set-points", expected="finite, above 0",
+                f"{self.name}: ramps and highest set-points",
+                expected="finite, above 0",
                 remedy=f"correct ramp_up_s, ramp_down_s and the ratings of [{self.device}]",
-            )  # fmt: skip
+            )
         if not 0.0 < self.period_s <= _LONGEST_PERIOD_S:
             raise ConfigError(
                 f"{self.name}: period_s = {self.period_s:g}",
-                expected=f"above 0, at most {_LONGEST_PERIOD_S}", remedy="leave it out: it is 0.05 then",
-            )  # fmt: skip
+                expected=f"above 0, at most {_LONGEST_PERIOD_S}",
+                remedy="leave it out: it is 0.05 then",
+            )
         if self.timeout_s == 0.0:
             raise ConfigError(
                 f"{self.name}: {self.device}.timeout_s = 0: without a time-out {self.noun} would run for "
@@ -79,8 +81,9 @@ class Spec:
         if self.ramp_down_s < 1.0:
             raise ConfigError(
                 f"{self.name}: ramp_down_s = {self.ramp_down_s:g}: what stops at once drops the robot",
-                expected="at least 1 s", remedy=f"raise {self.device}.ramp_down_s",
-            )  # fmt: skip
+                expected="at least 1 s",
+                remedy=f"raise {self.device}.ramp_down_s",
+            )
 
     @property
     def name(self) -> str:
@@ -116,6 +119,7 @@ class Spec:
             if isinstance(error, ConfigError):
                 raise
             raise ConfigError(
-                f"the keeper's start ({error})", expected="what Spec.to_json writes",
+                f"the keeper's start ({error})",
+                expected="what Spec.to_json writes",
                 remedy="start it by `hil adhesion keep`",
-            ) from None  # fmt: skip
+            ) from None

@@ -17,8 +17,21 @@ _NICE, _FIFO_PRIORITY = -15, 20
 _OOM_SCORES = (-1000, -500)
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _MEANT_TO_END = ("SIGHUP", "SIGINT", "SIGTERM", "SIGQUIT")
-_OTHERS = ("SIGPIPE", "SIGALRM", "SIGUSR1", "SIGUSR2", "SIGTSTP", "SIGTTIN", "SIGTTOU", "SIGXCPU", "SIGXFSZ",
-           "SIGVTALRM", "SIGPROF", "SIGPWR", "SIGIO")  # fmt: skip
+_OTHERS = (
+    "SIGPIPE",
+    "SIGALRM",
+    "SIGUSR1",
+    "SIGUSR2",
+    "SIGTSTP",
+    "SIGTTIN",
+    "SIGTTOU",
+    "SIGXCPU",
+    "SIGXFSZ",
+    "SIGVTALRM",
+    "SIGPROF",
+    "SIGPWR",
+    "SIGIO",
+)
 
 
 def be_deaf(say: Callable[[str], None]) -> None:

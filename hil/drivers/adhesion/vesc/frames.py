@@ -205,8 +205,7 @@ def order_frame(order: Order) -> Frame:
         or not _LOWEST <= (raw := round(order.value * lsb_per_unit)) <= _HIGHEST
     ):
         raise UsageError(
-            f"{order.packet.name} {order.value}",
-            expected=f"a number within +-{_HIGHEST / lsb_per_unit:.6g}",
+            f"{order.packet.name} {order.value}", expected=f"a number within +-{_HIGHEST / lsb_per_unit:.6g}"
         )
     return Frame(address(order.packet, order.controller_id), _INT32.pack(raw) + _off_delay(order))
 
