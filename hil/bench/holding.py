@@ -41,6 +41,8 @@ from hil.vocabulary.signals import (
 
 LOG = logging.getLogger(__name__)
 _LOOK_NS = nanoseconds(0.02)
+_SELDOM_NS = nanoseconds(0.05)
+"""Where only time has to pass: a window still holds five sightings by the servos."""
 _CALM_M_S2 = 2.0
 """By how much the mean of what an accelerometer feels may differ from gravity: data sheets allow 0.8."""
 _ALL_NS = 2 * WINDOW_NS
@@ -212,7 +214,8 @@ class HoldWatch(Sink):
                 return self._verdict("HELD", why, seen)
             if self._clock.now_ns() >= end_ns and not self._press.waits:
                 return self._verdict("NOT HELD", doubt + late, seen)
-            self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
+            pause_ns = _SELDOM_NS if self._press.waits else _LOOK_NS
+            self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)
 
     def _believed(self, seen: Collection[str]) -> list[str]:
         """Those who have seen the robot and whose word was not in doubt."""

@@ -22,7 +22,7 @@ _BLIND_NS = nanoseconds(0.3)
 """Nobody need see it for so long: a slide that has begun is seen after that, too."""
 _BETTER = 1.2
 """So many times the friction that is believed a surface may have: on it a robot slides later."""
-_HALVINGS = 20
+_HALVINGS = 8
 
 
 class LeftAlone:
