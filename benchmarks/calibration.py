@@ -15,14 +15,10 @@ import argparse
 import json
 import resource
 import statistics
-from dataclasses import replace
-from itertools import count
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 
-from hil.calibration import problem as problems
 from hil.calibration.blocks import reduce_recordings
 from hil.calibration.calibrate import calibrate
 from hil.calibration.problem import PAPER, RECOMMENDED, Problem
@@ -78,23 +74,6 @@ def plain_samples(recordings):
     return out
 
 
-def compare_forms(recordings, cad):
-    """Time (ms) of normal equations by model: compiled, and by numpy on arrays; empty without numba."""
-    if problems.compiled_pass() is None:
-        return {}
-    found = {}
-    for setting in (RECOMMENDED, *(replace(RECOMMENDED, model=m) for m in ("creep", "exact"))):
-        taken_s = []
-        for form in (problems.compiled_pass, lambda: None):
-            with mock.patch.object(problems, "compiled_pass", form):
-                problem = Problem(reduce_recordings(recordings, setting.block_s), setting, cad)
-                at = (problem.nominal * (1 + 1e-5 * k) for k in count())
-                problem.normal_terms(next(at))
-                taken_s.append(seconds(lambda p=problem, at=at: p.normal_terms(next(at)), 20))
-        found[setting.model] = {"compiled_ms": 1e3 * taken_s[0], "arrays_ms": 1e3 * taken_s[1]}
-    return found
-
-
 def compare_cost(recordings, cad):
     """Time (ms) of one evaluation of the cost: ours, and a plain Python loop."""
     samples = plain_samples(recordings)
@@ -130,9 +109,9 @@ def main():
         loading_s = seconds(lambda: loaded.append(read_recordings([folder])))
     recordings = loaded[0] if loaded else make_set(hidden_robot(0), 0)
     cad = WheelGeometry.nominal()
-    cost, forms = compare_cost(recordings, cad), compare_forms(recordings, cad)
+    cost = compare_cost(recordings, cad)
     if as_json:
-        print(json.dumps({"cost": cost, "normal_equations": forms}, indent=1))
+        print(json.dumps({"cost": cost}, indent=1))
         return
     if loaded:
         print(f"loading {folder.name}: {loading_s:.2f} s")
@@ -140,13 +119,6 @@ def main():
         print("public recordings not found: generated ones are used")
     print(f"cost evaluation: plain loop {cost['loop_ms']:.0f} ms, here {cost['ours_ms']:.2f} ms")
     print(f"ratio: {cost['loop_ms'] / cost['ours_ms']:.0f}")
-    if not forms:
-        print("numba is not installed: passes run on arrays")
-    for model, it in forms.items():
-        print(
-            f"normal equations, {model:13} arrays {it['arrays_ms']:5.1f} ms, "
-            f"compiled {it['compiled_ms']:5.1f} ms, ratio: {it['arrays_ms'] / it['compiled_ms']:.1f}"
-        )
     whole(recordings)
     print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
 

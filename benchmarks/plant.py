@@ -20,15 +20,14 @@ from hil.config.robot import RobotConfig
 from hil.fakes.plant import WallRobot, make_plant
 from hil.fakes.plant_api import JointCommand
 from hil.vocabulary.clock import nanoseconds
-from hil.vocabulary.extras import is_installed
 
 _NEEDED = 150.0
 _PERIOD_NS = nanoseconds(0.01)
 
 
-def driving(compiled: bool) -> WallRobot:
+def driving() -> WallRobot:
     """A robot of the series that drives up the wall at two thirds of its speed."""
-    plant = make_plant(RobotConfig(), rng=np.random.default_rng(0), compiled=compiled)
+    plant = make_plant(RobotConfig(), rng=np.random.default_rng(0))
     for wheel in range(4):
         plant.command(wheel, JointCommand("velocity", 3.0))
         plant.command(wheel + 4, JointCommand("position", math.radians(10.0)))
@@ -57,14 +56,9 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=20.0, help="simulated seconds per repetition")
     parser.add_argument("--repeat", type=int, default=5)
     given = parser.parse_args()
-    found: dict[str, object] = {"numba": is_installed("fast"), "needed": _NEEDED}
-    interpreted = ratio(driving(False), min(given.seconds, 0.5), given.repeat, look=False)
-    found["interpreted"] = round(interpreted, 2)
-    if not is_installed("fast"):
-        print(json.dumps(found))
-        return 0
+    found: dict[str, object] = {"needed": _NEEDED}
     begin = time.process_time()
-    plant = driving(True)
+    plant = driving()
     found["first_call_s"] = round(time.process_time() - begin, 2)
     compiled = ratio(plant, given.seconds, given.repeat, look=False)
     found["compiled"] = round(compiled, 1)

@@ -18,6 +18,8 @@ import socket
 import struct
 import sys
 
+import numpy as np
+
 MODULES = (
     "hil.bench.opening",
     "hil.bench.doctor",
@@ -42,7 +44,8 @@ STATUS = struct.Struct("i")
 def prepare():
     """Import, load the machine code of the emulated robot, and keep both from the garbage collector."""
     from hil.cli import COMMANDS, cli
-    from hil.fakes.plant.compiled import choose_advance
+    from hil.config.robot import RobotConfig
+    from hil.fakes.plant import make_plant
     from hil.vocabulary.kinds import kinds
 
     for name in COMMANDS:
@@ -52,7 +55,7 @@ def prepare():
     for kind in kinds().values():
         for model in kind.models:
             importlib.import_module(model.emulate.__module__)
-    choose_advance(None)
+    make_plant(RobotConfig(), rng=np.random.default_rng(0))
     gc.collect()
     gc.freeze()
 

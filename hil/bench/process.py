@@ -18,7 +18,6 @@ from typing import Any
 import tomli_w
 
 from hil.config.bench import BenchConfig
-from hil.vocabulary.beside import last_words
 from hil.vocabulary.errors import DeviceError
 
 _LOG = logging.getLogger(__name__)
@@ -122,3 +121,10 @@ class EmulatorProcess:
             self._child.stdout.close()
         self._said.close()
         self._config.unlink(missing_ok=True)
+
+
+def last_words(said: str) -> str:
+    """Why a process of ours has ended, of all that it said: its error, without progress and calls."""
+    text = f"\n{said.strip()}"
+    begin = text.rfind("\nhil: ")
+    return text[begin:].removeprefix("\nhil: ") if begin >= 0 else text.splitlines()[-1]

@@ -1,26 +1,38 @@
 """One pass over recordings: what a fit asks for again and again, block by block, compiled by numba.
 
-The arithmetic is that of `hil.calibration.motion_models` and `hil.robot.odometry`, which numpy runs on arrays
-where numba is not installed; here it runs on numbers, and no array is made between wheels and residuals.
+The arithmetic is that of `hil.calibration.motion_models` and `hil.robot.odometry`, which numpy runs on
+arrays; here it runs on numbers, and no array is made between wheels and residuals.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from hil.calibration import motion_models
 from hil.calibration.evaluation import roll
 from hil.calibration.leaps import Bools
 from hil.calibration.motion_models import COLD, FRICTION, respond, settled
+from hil.robot import contact_laws
 from hil.robot.odometry import chord, chord_slopes
-from hil.vocabulary.extras import is_installed
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.jit import compile_for, inner, kernel
 
-Pass = Callable[..., None]
+_PARTS = (
+    *(contact_laws.slip, contact_laws.friction, contact_laws.raised, contact_laws.rolled_mean),
+    *(contact_laws.stiffness, contact_laws.reweighted, contact_laws.continued, contact_laws.polished),
+    *(contact_laws.stepped, contact_laws.dissipation, contact_laws.dissipation_slopes),
+    *(contact_laws.with_contact, contact_laws.creep_stiffness, contact_laws.creep_balance),
+    *(contact_laws.inverse3, contact_laws.times),
+    *(motion_models.mean_motion, motion_models.contact_response, motion_models.put_column),
+    *(motion_models.mean_response, respond, settled, roll, chord, chord_slopes),
+)
+"""What a pass is made of; numpy runs it on arrays, too."""
+for _plain in _PARTS:
+    inner(_plain)
 
 
 class Contacts(NamedTuple):
@@ -70,6 +82,7 @@ class Reckoned(NamedTuple):
     slopes: Array
 
 
+@kernel
 def run_pass(law: Contacts, z: Array, turned: Array, start: int, driven: Driven, reckoned: Reckoned) -> None:
     """Put scaled pose errors and their derivatives in place.
 
@@ -117,16 +130,10 @@ def run_pass(law: Contacts, z: Array, turned: Array, start: int, driven: Driven,
 
 
 @cache
-def compiled_pass() -> Pass | None:
-    """`run_pass` as machine code, loaded or compiled now; None without numba."""
-    if not is_installed("fast"):
-        return None
-    from hil.vocabulary.kernels import compile_for, compiled_with_parts
-
-    run = compiled_with_parts(run_pass)
+def load_pass() -> None:
+    """Load the machine code of `run_pass`; without one it is compiled."""
     law, one = Contacts(FRICTION, np.ones(4), 1.0, 1.0), np.zeros((1, 1, 3))
     known, counts = np.zeros((1, 1), dtype=np.bool_), np.zeros(1, dtype=np.int64)
     driven = Driven(np.zeros((1, 1, 8)), np.zeros((1, 3)), one, known, counts, np.ones((1, 3)))
     reckoned = Reckoned(np.zeros((3, 1)), one, np.zeros((1, 1, 3, 16)))
-    compile_for(run, law, np.ones(16), np.ones((2, 4)), COLD, driven, reckoned)
-    return run
+    compile_for(run_pass, law, np.ones(16), np.ones((2, 4)), COLD, driven, reckoned)

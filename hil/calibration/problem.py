@@ -19,7 +19,7 @@ from hil.calibration.blocks import Blocks
 from hil.calibration.evaluation import turned_wheels
 from hil.calibration.known import Known, Terms
 from hil.calibration.motion_models import Motions, make_model
-from hil.calibration.passes import Contacts, Driven, Reckoned, compiled_pass
+from hil.calibration.passes import Contacts, Driven, Reckoned, load_pass, run_pass
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate, integrate_with_jacobian
 from hil.vocabulary.geometry import Array
@@ -209,13 +209,7 @@ class Problem:
 
     def _residuals(self, z: Array, with_slopes: bool = False) -> tuple[Array, Array]:
         """Scaled pose errors (R, N, 3), if wanted derivatives (R, N, 3, m); valid until the next call."""
-        run = compiled_pass()
-        if run is None:
-            factors = self._row_factors()
-            if not with_slopes:
-                return self.errors(z) * factors, np.empty(0)
-            errors, slopes = self.errors_and_jacobian(z)
-            return errors * factors, slopes * factors[..., None]
+        load_pass()
         self._count[0] += 1
         blocks, model, law = self.blocks, self._model, self._model.law
         errors, slopes = self._known.rows(self.blocks.truth.shape, len(z))
@@ -224,7 +218,7 @@ class Problem:
             blocks.wheel_rad, blocks.start, blocks.truth, blocks.known, blocks.counts, self._scale
         )
         reckoned = Reckoned(model.last, errors, slopes if with_slopes else slopes[:0])
-        run(contacts, z, turned_wheels(z), model.start(z), driven, reckoned)
+        run_pass(contacts, z, turned_wheels(z), model.start(z), driven, reckoned)
         return errors, slopes
 
     def prior_cost(self, z: Array) -> float:

@@ -3,61 +3,52 @@
 from __future__ import annotations
 
 import json
-import logging
 import platform
-import subprocess
+from collections.abc import Callable
+from functools import partial
 
 import click
 
 from hil import __version__
 from hil.cli.options import JSON
-from hil.vocabulary.beside import beside, end_with_parent, last_words
-from hil.vocabulary.collector import seldom
+from hil.cli.progress import reporting
 from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE, HilError
-from hil.vocabulary.extras import MODULES, how_to_install, lacks, packages
+from hil.vocabulary.extras import MODULES, lacks, packages
 from hil.vocabulary.fingerprint import fingerprint
 from hil.vocabulary.kinds import kinds
+from hil.vocabulary.progress import Report
 from hil.vocabulary.versions import version_of
 
-_LOG = logging.getLogger(__name__)
+_COMPILING = "compiling numerical kernels"
 
 
-def _compile() -> None:
-    """Have numba compile everything, half of it in a process beside."""
-    from hil.calibration.passes import compiled_pass
+def _compile(report: Report) -> None:
+    """Have all kernels compiled, or loaded where they have been."""
+    from hil.bench import open_bench
+    from hil.calibration.passes import load_pass
     from hil.config.estimator import EstimatorConfig
     from hil.estimator.fusion import load_filter
-    from hil.estimator.unscented import points_of
-    from hil.vocabulary.kernels import not_kept
-
-    with beside("hil.cli.info", output=subprocess.PIPE) as others:
-        load_filter(alone=True)
-        load_filter(points_of(EstimatorConfig(kind="ukf")), alone=True)
-        compiled_pass()
-        assert others.stdout is not None
-        said = others.stdout.read().decode(errors="replace").strip()
-    if others.returncode:
-        raise HilError(
-            "half of the kernels is not compiled: "
-            f"{last_words(said) or f'a process ended with {others.returncode}'}"
-        )
-    if said and not not_kept():
-        _LOG.warning("%s", said)
-
-
-def _compile_others() -> None:
-    """First what the filter waits for, then both plants and the smoother."""
-    from hil.bench import open_bench
-    from hil.estimator.ahead import compile_beside
     from hil.estimator.smoother import load_smoother
+    from hil.estimator.unscented import points_of
     from hil.robot.trajectories import line
 
-    compile_beside()
-    for plant in ("own",) if lacks("mujoco") else ("own", "mujoco"):
+    def bench_with(plant: str) -> None:
         with open_bench("emulated", overrides={"emulation.plant": plant}) as bench:
             bench.observe(0.1, feedback="odometry")
             bench.make_brain(line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0)))
-    load_smoother()
+
+    plants = ("own",) if lacks("mujoco") else ("own", "mujoco")
+    steps: tuple[Callable[[], None], ...] = (
+        load_filter,
+        partial(load_filter, points_of(EstimatorConfig(kind="ukf"))),
+        load_smoother,
+        load_pass,
+        *(partial(bench_with, plant) for plant in plants),
+    )
+    for done, step in enumerate(steps):
+        report(_COMPILING, done, len(steps))
+        step()
+    report(_COMPILING, len(steps), len(steps))
 
 
 def _devices() -> dict[str, list[dict[str, str]]]:
@@ -76,15 +67,14 @@ def command(compiling: bool, as_json: bool) -> int:
 
     Ends with 2 when an installed package adds a device that cannot be used.
 
-    With --compile the machine code of estimators, smoother, calibration and emulated wall is made now (half
-    a minute, once for each version) instead of at the start of the first run.
+    With --compile the machine code of estimators, smoother, calibration and emulated wall is made now (one
+    or two minutes, once for each version) instead of at the start of the first run.
 
     Example: hil info --json
     """
-    if compiling and lacks("fast"):
-        _LOG.warning("nothing to compile: numba is %s; %s", lacks("fast"), how_to_install("fast"))
-    elif compiling:
-        _compile()
+    if compiling:
+        with reporting(quiet=as_json) as report:
+            _compile(report)
     found = {name: version_of(name) for name in packages()}
     missing = {name: lacks(name) for name in MODULES}
     host = platform.platform()
@@ -118,9 +108,3 @@ def command(compiling: bool, as_json: bool) -> int:
             origin = f" ({model['package']})" if model["package"] != "hil" else ""
             click.echo(f"  {kind:16} {model['model']:12} {model['title']}{origin}")
     return code
-
-
-if __name__ == "__main__":
-    end_with_parent()
-    seldom()
-    _compile_others()

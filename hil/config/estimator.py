@@ -230,7 +230,7 @@ class EstimatorConfig(Strict):
 
     Attributes:
         kind: `ekf`, `ukf`, or `odometry` (wheels alone, no filter).
-        engine: `compiled` (numba where it is installed, else the same code in plain numpy) or `filterpy`.
+        engine: `compiled` (by numba) or `filterpy`.
         preset: `paper` fills what is not given with the paper's estimator: velocity register, its forward
             model, absolute camera pose, no slip, bias or gravity, no gates.
         alpha, beta, kappa: spread of the sigma points.

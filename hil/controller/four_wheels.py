@@ -1,4 +1,4 @@
-"""What the module layer reckons for four wheels, on a flat vector (`hil.vocabulary.arithmetic`).
+"""What the module layer reckons for four wheels, on a flat vector.
 
 Between both functions numpy takes sines and cosines, whose last bit may be another one in machine code.
 """
@@ -8,8 +8,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from hil.vocabulary.arithmetic import Vector
-from hil.vocabulary.geometry import wrap
+from hil.vocabulary.geometry import Array, wrap
+from hil.vocabulary.jit import inner, kernel
+
+inner(wrap)
 
 _QUARTER_RAD = math.pi / 2.0
 _FOLLOWING = 0.9
@@ -38,6 +40,7 @@ class ModuleLimits(NamedTuple):
     contradiction_m_s: float = 0.004
 
 
+@inner
 def optimize(
     speed: float, angle_rad: float, measured_rad: float, limits: ModuleLimits
 ) -> tuple[float, float]:
@@ -59,7 +62,8 @@ def optimize(
     return speed, near
 
 
-def steer(n: Vector, limits: ModuleLimits, reach_rad: float) -> None:
+@kernel
+def steer(n: Array, limits: ModuleLimits, reach_rad: float) -> None:
     """Angles to hold and to command next, and the headings that follow from them.
 
     Args:
@@ -94,7 +98,8 @@ def steer(n: Vector, limits: ModuleLimits, reach_rad: float) -> None:
         n[TURNED + 8 + i] = angle - n[ZERO + i]
 
 
-def drive(n: Vector, limits: ModuleLimits, share: float) -> tuple[float, bool]:
+@kernel
+def drive(n: Array, limits: ModuleLimits, share: float) -> tuple[float, bool]:
     """Wheel rates to command, and the wheel vectors before they were slowed by a share.
 
     Args:
@@ -130,7 +135,8 @@ def drive(n: Vector, limits: ModuleLimits, share: float) -> tuple[float, bool]:
     return _slip(n), turning and follows
 
 
-def _slip(n: Vector) -> float:
+@inner
+def _slip(n: Array) -> float:
     """What the rigid-body motion that fits all wheels best, by least squares, leaves of one at most."""
     most = 0.0
     for row in range(ROLLED, ROLLED + 16, 8):

@@ -15,7 +15,7 @@ import numpy as np
 from hil.estimator.small_matrices import downdate
 from hil.estimator.state import ROWS, STATES
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import inner
+from hil.vocabulary.jit import inner
 
 
 @inner

@@ -33,7 +33,7 @@ from hil.estimator.small_matrices import put, put_rows, seen
 from hil.estimator.state import STATES
 from hil.estimator.unscented import Points, advance_unscented, moments_unscented
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled, inner
+from hil.vocabulary.jit import inner, kernel
 from hil.vocabulary.numpy_records import Ints, Records
 
 NONE_ACCEPTED = -1.0
@@ -146,7 +146,7 @@ def compare(
     m.accepted += account(number, m, shown, nis, var, count, gate, par.filter.samples)
 
 
-@compiled
+@kernel
 def run(
     marks: Ints,
     start: int,

@@ -41,7 +41,7 @@ from hil.estimator.small_matrices import square_root
 from hil.estimator.state import AUX, ROWS, SCALE, STATES
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled, entry
+from hil.vocabulary.jit import entry, kernel
 from hil.vocabulary.numpy_records import Records
 
 Bools = npt.NDArray[np.bool_]
@@ -100,7 +100,7 @@ def accepted(nu: Array, s: Array, usable: Bools, gate: float, nis: Array) -> lis
     return used
 
 
-@compiled
+@kernel
 def before(
     number: int, t_ns: float, m: Records, row: Records, par: Records, z: Array, var: Array, aux: Array
 ) -> tuple[int, int]:
@@ -115,7 +115,7 @@ def before(
     return use, count
 
 
-@compiled
+@kernel
 def counted(
     number: int, m: Records, par: Records, nu: Array, nis: Array, var: Array, count: int, gate: float
 ) -> None:
@@ -123,7 +123,7 @@ def counted(
     m[0].accepted += account(number, m[0], nu, nis, var, count, gate, par[0].filter.samples)
 
 
-@compiled
+@kernel
 def after(
     number: int, use: int, t_ns: float, x: Array, p: Array, m: Records, row: Records, par: Records
 ) -> None:
@@ -137,7 +137,7 @@ def after(
         m[0].guarded += guard(p)
 
 
-@compiled
+@kernel
 def rows_at(number: int, points: Array, aux: Array, par: Records) -> Array:
     """Rows (n, 8) that states (n, 20) predict."""
     out = np.zeros((points.shape[0], ROWS))
@@ -146,7 +146,7 @@ def rows_at(number: int, points: Array, aux: Array, par: Records) -> Array:
     return out
 
 
-@compiled
+@kernel
 def slopes_at(number: int, x: Array, aux: Array, par: Records) -> Array:
     """Their derivative (8, 20) at a state (20,)."""
     h = np.zeros((ROWS, STATES))
@@ -154,13 +154,13 @@ def slopes_at(number: int, x: Array, aux: Array, par: Records) -> Array:
     return h
 
 
-@compiled
+@kernel
 def rolling(t_ns: float, x: Array, m: Records, par: Records, out: Array) -> None:
     """`sensors.wheels.nominal`: fill `out` (2,) with the velocity, m/s, body frame; state (20,)."""
     nominal(t_ns, x, m[0].wheels, par[0].wheels, out)
 
 
-@compiled
+@kernel
 def noise_at(x: Array, dt_s: float, par: Records) -> Array:
     """Process noise (20, 20) of a step from a state (20,)."""
     q = np.zeros((STATES, STATES))

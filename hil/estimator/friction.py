@@ -15,7 +15,7 @@ import numpy as np
 from hil.robot.contact_laws import FRICTION_EPSILON, LEAST_ROLLED
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import inner
+from hil.vocabulary.jit import inner
 from hil.vocabulary.numpy_records import Four, Record, Records, dtype_of, filled
 
 STILL_M = 2.5e-5

@@ -14,7 +14,6 @@ from typing import Protocol
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.ahead import by_halves
 from hil.estimator.events import run
 from hil.estimator.history import History
 from hil.estimator.intake import REASONS, Intake
@@ -39,7 +38,7 @@ from hil.estimator.unscented import Points
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.interfaces import Estimator
-from hil.vocabulary.kernels import compile_for
+from hil.vocabulary.jit import compile_for
 from hil.vocabulary.numpy_records import Records, place
 from hil.vocabulary.signals import Measurements, RobotState
 
@@ -99,18 +98,16 @@ class Engine(Protocol):
 
 
 @cache
-def load_filter(points: Points = None, *, alone: bool = False) -> None:
+def load_filter(points: Points = None) -> None:
     """Load the machine code of `run`; without one it is compiled.
 
     Args:
         points: None for the EKF; which ones the UKF has does not matter.
-        alone: see `by_halves`.
     """
     h, now, par = History(0, 1), Now(), np.zeros(1, PARAMETERS)
-    with by_halves(points, alone=alone):
-        compile_for(
-            run, h.marks, 0, 0, h.t_ns, h.numbers, h.rows, h.x, h.p, h.m, par, points, 0, now.x, now.p, now.m
-        )
+    compile_for(
+        run, h.marks, 0, 0, h.t_ns, h.numbers, h.rows, h.x, h.p, h.m, par, points, 0, now.x, now.p, now.m
+    )
 
 
 class CompiledEngine(Engine):

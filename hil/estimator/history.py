@@ -15,7 +15,7 @@ from hil.estimator.sensors import MARK
 from hil.estimator.small_matrices import put
 from hil.estimator.state import STATES
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled, inner
+from hil.vocabulary.jit import inner, kernel
 from hil.vocabulary.numpy_records import Ints, Records, floats
 
 CAPACITY = 2048
@@ -111,7 +111,7 @@ def in_order(t_ns: Ints, number: int) -> Ints:
     return order
 
 
-@compiled
+@kernel
 def enter(
     marks: Ints,
     t_ns: Ints,

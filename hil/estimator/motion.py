@@ -30,7 +30,7 @@ from hil.estimator.state import (
     Y,
 )
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import inner
+from hil.vocabulary.jit import inner
 
 Slopes: TypeAlias = tuple[float, float, float, float]
 """Derivatives of a displacement by heading, speed ahead, speed to the left and yaw rate."""

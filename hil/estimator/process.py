@@ -30,7 +30,7 @@ from hil.estimator.state import (
     Y,
 )
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import inner
+from hil.vocabulary.jit import inner
 from hil.vocabulary.numpy_records import Record
 
 FADING = (THETA, SIGHT_THETA, SLIP_X, SLIP_Y)

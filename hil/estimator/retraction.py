@@ -21,7 +21,7 @@ from hil.estimator.sensors import GATED_TOGETHER, innovation, jacobian, predicte
 from hil.estimator.small_matrices import check_size, put, put_rows, seen
 from hil.estimator.state import CLONE_X, OMEGA, ROWS, STATES, THETA, X
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import inner
+from hil.vocabulary.jit import inner
 
 POSES = (X, CLONE_X)
 """Where the poses in the wall frame begin."""

@@ -1,15 +1,14 @@
-"""The four matrix operations that cost the most, and copies, each in two forms of one arithmetic.
+"""The four matrix operations that cost the most, and copies, as loops.
 
 `p` (20, 20) is a covariance, `root` (rows, 20) the first rows of the upper triangular U with U' U = P: row k
 is how far the state's numbers go in the k-th direction. `h` (8, 20) is a derivative of rows by the state,
 `odd` (20, 8) odd parts, `cross` (8, 20) the covariance of rows with the state, `own` (8, 8) that of the rows.
 
-Loops are quickest when compiled: a library call or a temporary array costs more than the work on a 20x20
-matrix. All go along rows in memory, so that the compiler takes several numbers at once; each sum is added up
-in the same order as one by one. Where one matrix is read and written (`hil.estimator.process`), `check_size`
-tells the compiler how far its rows lie apart; without that it would not dare. Array expressions are quickest
-when interpreted. Tests hold both forms against each other. Copies are here because numba takes four seconds
-to compile the message of one that does not fit.
+A library call or a temporary array costs more than the work on a 20x20 matrix. All go along rows in memory,
+so that the compiler takes several numbers at once; each sum is added up in the same order as one by one.
+Where one matrix is read and written (`hil.estimator.process`), `check_size` tells the compiler how far its
+rows lie apart; without that it would not dare. Copies are here because numba takes four seconds to compile
+the message of one that does not fit.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import numpy as np
 
 from hil.estimator.state import ROWS, STATES
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import AVAILABLE, compiled, inner
+from hil.vocabulary.jit import inner, kernel
 
 _ZERO_PIVOT = 1e-14
 
@@ -36,30 +35,23 @@ def check_size(p: Array) -> None:
         raise ValueError("a covariance of 20 states is needed")
 
 
-def put_loops(to: Array, of: Array) -> None:
+@inner
+def put(to: Array, of: Array) -> None:
     """`to[:] = of` of two vectors (n,)."""
     for i in range(to.shape[0]):
         to[i] = of[i]
 
 
-def put_arrays(to: Array, of: Array) -> None:
-    """As `put_loops`: two vectors (n,)."""
-    to[:] = of
-
-
-def put_rows_loops(to: Array, of: Array) -> None:
+@inner
+def put_rows(to: Array, of: Array) -> None:
     """Fill a matrix (n, m) with the upper left part of another that is no smaller."""
     for i in range(to.shape[0]):
         for j in range(to.shape[1]):
             to[i, j] = of[i, j]
 
 
-def put_rows_arrays(to: Array, of: Array) -> None:
-    """As `put_rows_loops`: (n, m) from one that is no smaller."""
-    to[:, :] = of[: to.shape[0], : to.shape[1]]
-
-
-def downdate_loops(p: Array, roots: Array, count: int) -> None:
+@inner
+def downdate(p: Array, roots: Array, count: int) -> None:
     """Subtract root root' from p (20, 20), in place, for the first `count` rows of roots (8, 20).
 
     Two rows at a time, one after the other: each number of p is read and written half as often.
@@ -77,13 +69,8 @@ def downdate_loops(p: Array, roots: Array, count: int) -> None:
                 p[i, j] -= last * roots[count - 1, j]
 
 
-def downdate_arrays(p: Array, roots: Array, count: int) -> None:
-    """As `downdate_loops`: p (20, 20), roots (8, 20)."""
-    for root in roots[:count]:
-        p -= np.outer(root, root)
-
-
-def square_root_loops(p: Array, root: Array) -> None:
+@kernel
+def square_root(p: Array, root: Array) -> None:
     """Fill `root` (rows, 20) with the first rows of U, where U' U = P, P (20, 20) positive semi-definite.
 
     A zero pivot leaves a zero row. Row k has no entry left of column k.
@@ -109,20 +96,8 @@ def square_root_loops(p: Array, root: Array) -> None:
                 root[i, j] -= scale * root[k, j]
 
 
-def square_root_arrays(p: Array, root: Array) -> None:
-    """As `square_root_loops`: p (20, 20), root (rows, 20)."""
-    root[:] = p[: len(root)]
-    for k in range(len(root)):
-        pivot = root[k, k]
-        if pivot <= _ZERO_PIVOT * p[k, k] or pivot <= 0.0:
-            root[k] = 0.0
-            continue
-        root[k] /= math.sqrt(pivot)
-        root[k, :k], root[k, k] = 0.0, math.sqrt(pivot)
-        root[k + 1 :] -= np.outer(root[k, k + 1 : len(root)], root[k])
-
-
-def seen_loops(p: Array, h: Array, count: int, cross: Array, own: Array) -> None:
+@inner
+def seen(p: Array, h: Array, count: int, cross: Array, own: Array) -> None:
     """Fill cross (8, 20) = h P and own (8, 8) = h P h' for the first `count` rows of h (8, 20)."""
     n, column = p.shape[0], np.empty(ROWS)
     for i in range(count):
@@ -146,13 +121,8 @@ def seen_loops(p: Array, h: Array, count: int, cross: Array, own: Array) -> None
                     own[i, j] += scale * column[j]
 
 
-def seen_arrays(p: Array, h: Array, count: int, cross: Array, own: Array) -> None:
-    """As `seen_loops`."""
-    cross[:count] = h[:count] @ p
-    own[:count] = cross[:count] @ h.T
-
-
-def spread_loops(root: Array, odd: Array, count: int, weight: float, cross: Array) -> None:
+@inner
+def spread(root: Array, odd: Array, count: int, weight: float, cross: Array) -> None:
     """Fill cross (8, 20) = weight odd' U for `count` columns of odd (20, 8), by those rows of U in `root`."""
     rows, n = root.shape
     for i in range(count):
@@ -163,16 +133,3 @@ def spread_loops(root: Array, odd: Array, count: int, weight: float, cross: Arra
             scale = odd[k, i]
             for j in range(n):
                 cross[i, j] += (weight * root[k, j]) * scale
-
-
-def spread_arrays(root: Array, odd: Array, count: int, weight: float, cross: Array) -> None:
-    """As `spread_loops`."""
-    cross[:count] = odd[: len(root), :count].T @ (weight * root)
-
-
-put = inner(put_loops) if AVAILABLE else put_arrays
-put_rows = inner(put_rows_loops) if AVAILABLE else put_rows_arrays
-downdate = inner(downdate_loops) if AVAILABLE else downdate_arrays
-square_root = compiled(square_root_loops) if AVAILABLE else square_root_arrays
-seen = inner(seen_loops) if AVAILABLE else seen_arrays
-spread = inner(spread_loops) if AVAILABLE else spread_arrays

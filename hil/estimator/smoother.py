@@ -38,7 +38,7 @@ from hil.estimator.start import start_of
 from hil.estimator.state import AUX, MOTION, POSE, ROWS, STATES, TWIST
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compile_for, compiled, inner
+from hil.vocabulary.jit import compile_for, inner, kernel
 from hil.vocabulary.numpy_records import Ints, Records
 from hil.vocabulary.signals import Measurements, RobotState
 
@@ -239,7 +239,7 @@ def pull_update(
     pull_carry(x, point, late, spread)
 
 
-@compiled
+@kernel
 def backward(
     zero_ns: int,
     t_ns: Ints,

@@ -26,7 +26,7 @@ from hil.estimator.sensors import predicted
 from hil.estimator.small_matrices import spread, square_root
 from hil.estimator.state import CURVED, OMEGA, ROWS, SCALE, SIGHT_X, SIGHT_Y, STATES, X, Y
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import inner
+from hil.vocabulary.jit import inner
 
 PLACES = (X, Y, SIGHT_X, SIGHT_Y)
 """The numbers of the state that do not move linearly."""

@@ -17,14 +17,14 @@ from hil.robot.kinematics import WheelGeometry, forward_matrix, projection, whee
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array, compose, se2_exp
 from hil.vocabulary.interfaces import Estimator
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.jit import kernel
 from hil.vocabulary.numpy_records import Records
 from hil.vocabulary.signals import Measurements, RobotState, WheelMeasurement
 
 _LEAST_WHEELS = 2
 
 
-@compiled
+@kernel
 def _windowed(u: Array, window: Array, decay: float, wheels: Records, creeping: bool) -> Array:
     """`windowed_twist` with the wheels as an array (1,), which is quicker to pass from Python."""
     return windowed_twist(u, window, decay, wheels[0], creeping)

@@ -6,7 +6,6 @@ import logging
 from collections.abc import Mapping, Sequence
 
 from hil.ring.loop_timing import LoopStatistics
-from hil.vocabulary.extras import how_to_install, is_installed
 
 LOG = logging.getLogger(__name__)
 
@@ -29,8 +28,6 @@ def advice(timing: Mapping[str, float], rate_hz: float, burdens: Sequence[str] =
     said = f"{100.0 * timing['late'] / timing['cycles']:.0f} % of the cycles began late: "
     if work_ms > _FULL * period_ms:
         said += f"one takes {work_ms:.1f} ms of {period_ms:.1f} ms; "
-        if not is_installed("fast"):
-            return f"{said}estimators run as plain Python, ten times slower: {how_to_install('fast')}"
         instead = f", or leave {' and '.join(burdens)} out" if burdens else ""
         return f"{said}lower loop.rate_hz in the bench file{instead}"
     return (

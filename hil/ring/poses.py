@@ -7,9 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.vocabulary.arithmetic import Vector, on_array
-from hil.vocabulary.geometry import Three, conjugated, multiplied, rotated, wrap
+from hil.vocabulary.geometry import Array, Three, conjugated, multiplied, rotated, wrap
+from hil.vocabulary.jit import compile_for, inner, kernel
 from hil.vocabulary.signals import Inputs, MocapSample, PoseMeasurement, Status, TrackerSample
+
+for _plain in (conjugated, multiplied, rotated, wrap):
+    inner(_plain)
 
 _FARTHEST_M = 1000.0
 _NOWHERE = np.full(3, np.nan)
@@ -58,7 +61,7 @@ class PoseAlignment:
 
     def __init__(self, mount: Mount, scale: float) -> None:
         self._camera = np.array((*mount.position_m, *mount.rotation_wxyz, scale, *[0.0] * 7))
-        self._seen_from = on_array(_seen_from, self._camera, *[0.0] * 7)
+        compile_for(_seen_from, self._camera, *[0.0] * 7)
         self.reset()
 
     def reset(self) -> None:
@@ -95,7 +98,7 @@ class PoseAlignment:
                 return None
             self._began = True
             self._camera[_START:] = (px, py, pz, *conjugated((w, x, y, z)))
-        x_m, y_m, yaw_rad = self._seen_from(self._camera, px, py, pz, w, x, y, z)
+        x_m, y_m, yaw_rad = _seen_from(self._camera, px, py, pz, w, x, y, z)
         if math.isnan(yaw_rad):
             return None
         pose = np.array((x_m, y_m, self._tracker_yaw.follow(yaw_rad)))
@@ -110,6 +113,7 @@ class PoseAlignment:
         return PoseMeasurement(sample.stamp, "mocap", np.array((x_m, y_m, yaw)), 3 if valid else 0, valid)
 
 
+@inner
 def _is_pose(x_m: float, y_m: float, z_m: float, w: float, x: float, y: float, z: float) -> bool:
     """Whether it can be one: on any wall that there is, and turned by a unit quaternion as devices send them.
 
@@ -123,13 +127,15 @@ def _is_pose(x_m: float, y_m: float, z_m: float, w: float, x: float, y: float, z
     )
 
 
+@inner
 def _yaw(w: float, z: float) -> float:
     """As `yaw_of_quat` of a quaternion with these parts."""
     return wrap(2.0 * math.atan2(z, w))
 
 
+@kernel
 def _seen_from(
-    camera: Vector, px: float, py: float, pz: float, w: float, x: float, y: float, z: float
+    camera: Array, px: float, py: float, pz: float, w: float, x: float, y: float, z: float
 ) -> Three:
     """The body beside where it was when the camera began, in the body's axes of then.
 

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 DISTRIBUTION = "hil-4wis4wid"
 MODULES = {
-    "fast": "numba",
     "rerun": "rerun",
     "parquet": "pyarrow",
     "t265": "pyrealsense2",

@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from hil.vocabulary.extras import is_installed
 from hil.vocabulary.versions import version_of
 
 _LIBM_CHOOSES_BY = ("avx2", "fma", "fma4")
@@ -32,7 +31,7 @@ def fingerprint() -> dict[str, str]:
     `machine` (of the processor), `python` (its sums of floats changed with 3.12), `numpy`, `scipy`, `simd`
     (instruction sets that numpy uses), `blas` (library, version and kernel), `libm` (version, and the
     processor's features that it chooses by), `numba` (its version, LLVM's, and the processor that it
-    compiles for; `absent` where the package runs without it).
+    compiles for).
     """
     return {
         "machine": platform.machine(),
@@ -98,13 +97,8 @@ def _masked() -> set[str]:
 
 
 def _numba() -> str:
-    if not is_installed("fast"):
-        return "absent"
-    try:
-        from llvmlite import binding
-        from numba.core import config
-    except ImportError:
-        return f"{version_of('numba')} cannot be imported"
+    from llvmlite import binding
+    from numba.core import config
 
     llvm = ".".join(map(str, binding.llvm_version_info))
     target = config.CPU_NAME or binding.get_host_cpu_name()

@@ -1,13 +1,11 @@
-"""The module layer as machine code, and as plain Python, beside the same in arrays: not a bit may differ."""
+"""The module layer beside the same in arrays: not a bit may differ."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.controller.allocation import ModuleLayer, ModuleLimits, optimize
 from hil.robot.kinematics import WheelGeometry, inverse, wheel_vectors
-from hil.vocabulary import arithmetic
 from hil.vocabulary.geometry import wrap_array
 
 CAD = WheelGeometry.nominal()
@@ -53,28 +51,13 @@ class ArrayLayer:
         return self.held
 
 
-@pytest.fixture(scope="module", params=["machine code", "plain Python"])
-def module_layer(request):
-    """What makes a module layer, as it is with and without numba."""
-    if request.param == "machine code":
-        pytest.importorskip("numba", reason="machine code needs the extra `fast`")
-        return ModuleLayer
-
-    def interpreted(*arguments):
-        with pytest.MonkeyPatch.context() as without:
-            without.setattr(arithmetic, "is_installed", lambda extra: False)
-            return ModuleLayer(*arguments)
-
-    return interpreted
-
-
 @given(st.integers(0, 10_000))
 @settings(max_examples=40)
-def test_the_module_layer_gives_the_bits_of_arrays(module_layer, seed):
+def test_the_module_layer_gives_the_bits_of_arrays(seed):
     """So that what was recorded can be repeated: a run by arrays and one by the layer do not differ."""
     rng = np.random.default_rng(seed)
     geometry = CAD.with_vector(np.concatenate([CAD.vector()[:12], rng.uniform(-0.05, 0.05, 4)]))
-    mine, theirs = (layer(geometry, ModuleLimits(), DT) for layer in (module_layer, ArrayLayer))
+    mine, theirs = (layer(geometry, ModuleLimits(), DT) for layer in (ModuleLayer, ArrayLayer))
     steering = rng.uniform(-2.0, 2.0, 4)
     for k in range(120):
         if k % 30 == 0:

@@ -12,7 +12,6 @@ from hil.config.loading import load_bench
 from hil.ring.alignment import Alignment, AlignmentParameters
 from hil.ring.poses import AT_ORIGIN, Mount, PoseAlignment
 from hil.ring.supervisor import Checks, SafetyLimits, Supervisor
-from hil.vocabulary import arithmetic
 from hil.vocabulary.errors import ConfigError, SafetyStop
 from hil.vocabulary.geometry import (
     quat_conjugate,
@@ -450,21 +449,6 @@ def test_a_camera_at_the_origin_tells_the_bodys_own_way_and_motion_capture_its_q
         seen = MocapSample(STAMP, np.array([0.1, 0.2, 0.0]), one, tracked, 0.0, 0.0)
         _, (found,) = alignment.measure(Inputs(0, 0, mocap=(seen,)))
         assert (found.valid, found.quality) == (tracked, quality)
-
-
-def test_a_pose_of_the_camera_is_the_same_with_and_without_machine_code(monkeypatch):
-    pytest.importorskip("numba", reason="machine code needs the extra `fast`")
-    rng = np.random.default_rng(3)
-    attitudes = rng.standard_normal((300, 4))
-    attitudes /= np.linalg.norm(attitudes, axis=1)[:, None]
-    mount = Mount(tuple(rng.normal(size=3).tolist()), tuple(attitudes[0].tolist()))
-    compiled = PoseAlignment(mount, 1.02)
-    monkeypatch.setattr(arithmetic, "is_installed", lambda extra: False)
-    interpreted, none = PoseAlignment(mount, 1.02), np.zeros(3)
-    for attitude in attitudes[1:]:
-        camera = Inputs(0, 0, tracker=(TrackerSample(STAMP, rng.normal(size=3), attitude, none, none, 3),))
-        ((one,), _), ((other,), _) = compiled.measure(camera), interpreted.measure(camera)
-        assert one.pose.tobytes() == other.pose.tobytes()
 
 
 def test_a_camera_of_which_only_the_place_is_named_looks_along_the_bodys_axes():

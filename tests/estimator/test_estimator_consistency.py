@@ -14,7 +14,7 @@ from hil.estimator.smoother import smooth
 from hil.estimator.state import CLONE, MOTION, POSE, ROWS, SCALE, STATES, V_X, V_Y, prior_variances
 from hil.estimator.unscented import points_of
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.kernels import entry
+from hil.vocabulary.jit import entry
 from hil.vocabulary.signals import Measurements, PoseMeasurement, RobotState, Stamp
 
 advance, moments, predicted = entry(events.advance), entry(events.moments), entry(sensors.predicted)

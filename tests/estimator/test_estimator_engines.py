@@ -1,4 +1,4 @@
-"""One filter, three ways to compute it: numba, plain numpy, filterpy. They agree to 1e-9."""
+"""One filter, two ways to compute it: our kernels and filterpy. They agree to 1e-9."""
 
 import numpy as np
 import pytest

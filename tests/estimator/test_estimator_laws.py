@@ -13,7 +13,7 @@ from hil.estimator.state import CLONE, OMEGA, POSE, ROWS, STATES, prior_variance
 from hil.estimator.state import SCALE as STATE_SCALE
 from hil.estimator.unscented import points_of
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.kernels import entry
+from hil.vocabulary.jit import entry
 from hil.vocabulary.numpy_records import dtype_of, filled
 from hil.vocabulary.signals import Measurements, PoseMeasurement, RobotState, Stamp
 
@@ -275,38 +275,30 @@ def test_covariance_stays_a_covariance_for_a_million_steps(kind):
     assert np.all(np.isfinite(x))
 
 
-def test_both_forms_of_the_costly_operations_agree():
+def test_the_costly_operations_are_the_products_that_they_stand_for():
     rng = np.random.default_rng(8)
     p, h = some_covariance(rng), rng.normal(size=(ROWS, STATES))
     p[5], p[:, 5] = 0.0, 0.0
-    loops, arrays, first = (np.full((rows, STATES), np.nan) for rows in (STATES, STATES, 6))
-    small.square_root_loops(p, loops)
-    small.square_root_arrays(p, arrays)
-    assert np.allclose(loops, arrays, atol=1e-12)
-    assert np.allclose(loops.T @ loops, p, atol=1e-10)
-    small.square_root_loops(p, first)
-    assert np.array_equal(first, loops[:6])
-    one, other = p.copy(), p.copy()
-    small.downdate_loops(one, h, 3)
-    small.downdate_arrays(other, h, 3)
-    assert np.array_equal(one, other)
-    results = []
-    for form in (small.seen_loops, small.seen_arrays):
-        cross, own = np.full((ROWS, STATES), np.nan), np.full((ROWS, ROWS), np.nan)
-        form(p, h, 5, cross, own)
-        results.append((cross[:5], own[:5, :5]))
-    assert np.allclose(results[0][0], results[1][0], atol=1e-12)
-    assert np.allclose(results[0][1], results[1][1], atol=1e-11)
-    a, b = np.zeros((ROWS, STATES)), np.zeros((ROWS, STATES))
-    odd = rng.normal(size=(STATES, ROWS))
-    small.spread_loops(loops[:10], odd, 3, 0.7, a)
-    small.spread_arrays(loops[:10], odd, 3, 0.7, b)
-    assert np.allclose(a, b, atol=1e-12)
-    for put, put_rows in ((small.put_loops, small.put_rows_loops), (small.put_arrays, small.put_rows_arrays)):
-        row, corner = np.full(STATES, np.nan), np.full((6, 6), np.nan)
-        put(row, p[0])
-        put_rows(corner, p)
-        assert np.array_equal(row, p[0])
-        assert np.array_equal(corner, p[:6, :6])
+    root, first = (np.full((rows, STATES), np.nan) for rows in (STATES, 6))
+    small.square_root(p, root)
+    assert np.array_equal(root, np.triu(root))
+    assert np.allclose(root.T @ root, p, atol=1e-10)
+    small.square_root(p, first)
+    assert np.array_equal(first, root[:6])
+    less = p.copy()
+    small.downdate(less, h, 3)
+    assert np.allclose(less, p - h[:3].T @ h[:3], atol=1e-12)
+    cross, own = np.full((ROWS, STATES), np.nan), np.full((ROWS, ROWS), np.nan)
+    small.seen(p, h, 5, cross, own)
+    assert np.allclose(cross[:5], h[:5] @ p, atol=1e-12)
+    assert np.allclose(own[:5, :5], h[:5] @ p @ h[:5].T, atol=1e-11)
+    odd, sums = rng.normal(size=(STATES, ROWS)), np.zeros((ROWS, STATES))
+    small.spread(root[:10], odd, 3, 0.7, sums)
+    assert np.allclose(sums[:3], 0.7 * odd[:10, :3].T @ root[:10], atol=1e-12)
+    row, corner = np.full(STATES, np.nan), np.full((6, 6), np.nan)
+    small.put(row, p[0])
+    small.put_rows(corner, p)
+    assert np.array_equal(row, p[0])
+    assert np.array_equal(corner, p[:6, :6])
     with pytest.raises(ValueError, match="20 states"):
         small.check_size(p[:6, :6])

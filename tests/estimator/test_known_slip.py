@@ -10,7 +10,7 @@ from hil.config.estimator import EstimatorConfig
 from hil.estimator.layout import first_memory, parameters
 from hil.estimator.sensors import wheels
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.kernels import entry
+from hil.vocabulary.jit import entry
 
 known_slip = entry(wheels.known_slip)
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
+from hil.bench.process import last_words
 from hil.devices.tracker.mavlink.messages import dialect
 from hil.drivers.tracker.library import realsense
 from hil.monitor import RerunMonitor
@@ -19,7 +20,6 @@ from hil.procedure.campaign.spread import spread
 from hil.recording.export import write_table
 from hil.recording.numbers import numbers_at_once
 from hil.vocabulary import extras
-from hil.vocabulary.beside import last_words
 from hil.vocabulary.errors import HilError, UsageError
 from hil.vocabulary.extras import DISTRIBUTION, how_to_install
 
@@ -40,7 +40,7 @@ def installed_by(line):
     return [Requirement(word) for word in words[4:]]
 
 
-@pytest.mark.parametrize("extra", ["fast", "rerun", "parquet", "campaign"])
+@pytest.mark.parametrize("extra", ["rerun", "parquet", "campaign"])
 def test_the_line_installs_what_the_extra_stands_for(extra):
     named = installed_by(how_to_install(extra))
     assert [(r.name, r.specifier) for r in named] == [(r.name, r.specifier) for r in behind(extra)]
@@ -48,8 +48,8 @@ def test_the_line_installs_what_the_extra_stands_for(extra):
 
 def test_the_line_is_one_that_pip_understands():
     """`--no-index` with an installed package: pip parses the line and has nothing to fetch."""
-    pytest.importorskip("numba", reason="the extra fast is not installed")
-    line = how_to_install("fast").split("install it with: ")[1]
+    pytest.importorskip("pyarrow", reason="the extra parquet is not installed")
+    line = how_to_install("parquet").split("install it with: ")[1]
     done = subprocess.run([*shlex.split(line), "--no-index", "--no-deps"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 

@@ -20,17 +20,16 @@ except ModuleNotFoundError:
 ROOT = Path(__file__).resolve().parents[2]
 OURS = [
     'camera==2.53.1.*; python_version < "3" and extra == "t265"',
-    'numba>=0.59; extra == "fast"',
     'rerun-sdk>=0.20; extra == "rerun"',
     'pyarrow==1.*; extra == "parquet"',
 ]
-VERSIONS = {"camera": "2.59.1", "numba": "0.60.0", "rerun-sdk": "0.21.0", "pyarrow": "26.0.1"}
+VERSIONS = {"camera": "2.59.1", "rerun-sdk": "0.21.0", "pyarrow": "26.0.1"}
 
 
 @pytest.fixture
 def installed(monkeypatch):
     """Another set of packages: everything but pymavlink and distributed."""
-    there = {"numba", "rerun", "pyarrow", "pyrealsense2"}
+    there = {"rerun", "pyarrow", "pyrealsense2"}
     monkeypatch.setattr(metadata, "requires", lambda name: OURS)
     monkeypatch.setattr(metadata, "version", VERSIONS.__getitem__)
     monkeypatch.setattr(util, "find_spec", lambda name: name in there or None)
@@ -38,7 +37,6 @@ def installed(monkeypatch):
 
 def test_each_extra_says_what_it_lacks(installed):
     assert {name: extras.lacks(name) for name in extras.MODULES} == {
-        "fast": "",
         "rerun": "",
         "parquet": "pyarrow 26.0.1 is installed; it needs pyarrow==1.*",
         "t265": "this Python cannot have it: camera is made for Python below 3; this is Python "
@@ -77,7 +75,7 @@ def test_info_tells_it(capsys, monkeypatch):
     assert main(["info"]) == 0
     told = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["t265", "no:", "not", "today"] in told
-    assert ["fast", "yes"] in told
+    assert ["rerun", "yes"] in told
 
 
 def test_info_names_every_package_that_this_python_takes_from_the_distribution(capsys):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hil.estimator import friction
 from hil.robot import contact_laws as law
 from hil.robot.kinematics import WheelGeometry, forward_matrix, projection, twist_of_vectors, wheel_vectors
-from hil.vocabulary.kernels import entry
+from hil.vocabulary.jit import entry
 
 creep_twist, friction_twist = entry(friction.creep_twist), entry(friction.friction_twist)
 

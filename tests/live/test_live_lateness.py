@@ -40,17 +40,8 @@ def test_what_to_do_depends_on_who_takes_the_time(late, work_ms, said):
         (("--observe", "--rerun"), ", or leave --observe and --rerun out"),
     ],
 )
-def test_only_options_that_were_given_are_to_be_left_out(monkeypatch, given, said):
-    monkeypatch.setattr("hil.live.lateness.is_installed", lambda extra: True)
+def test_only_options_that_were_given_are_to_be_left_out(given, said):
     assert advice(statistics(100, 62, 11.0).summary(), 100.0, given).endswith(said)
-
-
-def test_where_estimators_are_interpreted_the_package_that_compiles_them_is_named(monkeypatch):
-    monkeypatch.setattr("hil.live.lateness.is_installed", lambda extra: False)
-    told = advice(statistics(100, 62, 11.0).summary(), 100.0)
-    assert "plain Python" in told
-    assert "numba" in told
-    assert "numba" not in advice(statistics(100, 62, 3.0).summary(), 100.0)
 
 
 def test_it_is_said_once_after_two_seconds_and_at_the_end(caplog):

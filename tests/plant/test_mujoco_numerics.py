@@ -9,7 +9,6 @@ from plant_driving import MS_NS, build, drive, settle, wait
 
 from hil.fakes.mujoco_plant import CONTACTS
 from hil.fakes.mujoco_plant.model import as_built, build_model
-from hil.fakes.mujoco_plant.robot import PREPARED
 from hil.vocabulary.errors import DeviceError, UsageError
 
 
@@ -30,12 +29,6 @@ def test_neither_another_run_nor_the_split_of_time_changes_a_bit(contact):
     while parts.t_ns < plants[0].t_ns:
         parts.advance(min(plants[0].t_ns, parts.t_ns + int(rng.integers(1, 9)) * MS_NS + 7))
     assert _bits(plants[0]) == _bits(plants[1]) == _bits(parts)
-
-
-@pytest.mark.parametrize("contact", ["holding", "creep"])
-def test_machine_code_that_does_not_look_is_given_the_types_it_was_made_for(contact):
-    numba = pytest.importorskip("numba")
-    assert [numba.typeof(v) for v in robot(contact=contact)._prepared] == [numba.typeof(v) for v in PREPARED]
 
 
 def test_one_seed_is_one_robot_in_both_worlds():

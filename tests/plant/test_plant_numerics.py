@@ -9,6 +9,7 @@ from plant_driving import FLOOR, MS_NS, build, drive, release, settle, wait
 from hil.fakes.fault import make_fault
 from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import Patch
+from hil.fakes.plant.kernel import advance
 from hil.fakes.plant_api import JointCommand
 from hil.vocabulary.errors import UsageError
 
@@ -33,12 +34,13 @@ def _adventure(plant, rng, seconds=1.2):
 
 
 @pytest.mark.parametrize("case", [{}, {"surface": "patchy"}, FLOOR, {"tilt_rad": 2.0}])
-def test_compiled_and_interpreted_agree(case):
-    pytest.importorskip("numba", reason="the optional extra `fast` is not installed: nothing to compare")
+def test_machine_code_and_plain_python_agree(case, monkeypatch):
     runs = []
     for compiled in (True, False):
         faults = FaultPlan([make_fault("plant", "adhesion_loss", at=0.7, duration=0.2, factor=0.5)])
-        plant = build(3, random=True, compiled=compiled, faults=faults, **case)
+        if not compiled:
+            monkeypatch.setattr("hil.fakes.plant.robot.advance", advance.py_func)
+        plant = build(3, random=True, faults=faults, **case)
         runs.append(list(_adventure(plant, np.random.default_rng(5))))
     for fast, plain in zip(*runs, strict=True):
         for name, apart in _differences(fast, plain):

@@ -1,20 +1,21 @@
 """The sensors of the filter, one module each, and the kernels that the event loop calls for any of them.
 
-To add a sensor write a module that defines what `hil.estimator.sensors.sensor.Sensor` lists, and put it at
-the end of `SENSORS`. Its number is its place there, from 1: events of one stamp are taken in this order.
+To add a sensor write a module that defines what `hil.estimator.sensors.sensor.Sensor` lists, put it at the
+end of `SENSORS` and give it a line in each function below. Its number is its place there, from 1: events of
+one stamp are taken in this order. Of memory `m`, event row `row` and parameters `par` a sensor is given its
+own part.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 from hil.estimator.sensors import gyro, mocap, tracker, wheels
 from hil.estimator.sensors.sensor import Sensor
 from hil.estimator.state import ROWS
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import inner
+from hil.vocabulary.jit import inner
 
 SENSORS: tuple[Sensor, ...] = (wheels, gyro, tracker, mocap)
 
@@ -27,37 +28,120 @@ ANGLE_ROW = (-1, *(sensor.ANGLE_ROW for sensor in SENSORS))
 GATED_TOGETHER = (False, *(sensor.GATED_TOGETHER for sensor in SENSORS))
 """By number, as their names in `Sensor`."""
 
-_OWN = ("m", "row", "par")
+
+@inner
+def admit(number: int, t_ns: float, m: Any, row: Any, par: Any) -> int:
+    """`Sensor.admit` of the sensor with this number."""
+    if number == 1:
+        return wheels.admit(t_ns, m.wheels, row.wheels, par.wheels)
+    if number == 2:
+        return gyro.admit(t_ns, m.gyro, row.gyro, par.gyro)
+    if number == 3:
+        return tracker.admit(t_ns, m.tracker, row.tracker, par.tracker)
+    return mocap.admit(t_ns, m.mocap, row.mocap, par.mocap)
 
 
-def _by_number(name: str, arguments: str) -> Callable[..., Any]:
-    """A kernel (number, ...) that calls the kernel of this name of the sensor with that number.
-
-    Args:
-        name: as in `Sensor`.
-        arguments: its names of arguments; of `m`, `row` and `par` a sensor is given its own part.
-    """
-    lines = [f"def {name}(number, {arguments}):"]
-    scope: dict[str, Any] = {"__name__": __name__}
-    for number, sensor in enumerate(SENSORS, start=1):
-        scope[f"{name}_{number}"] = getattr(sensor, name)
-        passed = (f"{a}.{sensor.NAME}" if a in _OWN else a for a in arguments.split(", "))
-        lines.append(f"    if number == {number}:\n        return {name}_{number}({', '.join(passed)})")
-    lines[-1] = lines[-1].replace(f"if number == {len(SENSORS)}:", "else:")
-    exec(compile("\n".join(lines), __file__, "exec"), scope)
-    kernel: Callable[..., Any] = inner(scope[name])
-    return kernel
+@inner
+def observe(number: int, t_ns: float, m: Any, row: Any, par: Any, z: Array, var: Array, aux: Array) -> int:
+    """`Sensor.observe` of the sensor with this number."""
+    if number == 1:
+        return wheels.observe(t_ns, m.wheels, row.wheels, par.wheels, z, var, aux)
+    if number == 2:
+        return gyro.observe(t_ns, m.gyro, row.gyro, par.gyro, z, var, aux)
+    if number == 3:
+        return tracker.observe(t_ns, m.tracker, row.tracker, par.tracker, z, var, aux)
+    return mocap.observe(t_ns, m.mocap, row.mocap, par.mocap, z, var, aux)
 
 
-admit = _by_number("admit", "t_ns, m, row, par")
-observe = _by_number("observe", "t_ns, m, row, par, z, var, aux")
-predicted = _by_number("predicted", "x, aux, par, out")
-jacobian = _by_number("jacobian", "x, aux, par, h")
-account = _by_number("account", "m, nu, nis, var, count, gate, samples")
-let_in = _by_number("let_in", "limit, t_ns, p, m, par")
-new_frame = _by_number("new_frame", "t_ns, x, p, m, row, par")
-remember = _by_number("remember", "t_ns, x, p, m, row, par")
-undo = _by_number("undo", "t_ns, x, m, row, par, late, spread")
+@inner
+def predicted(number: int, x: Array, aux: Array, par: Any, out: Array) -> None:
+    """`Sensor.predicted` of the sensor with this number."""
+    if number == 1:
+        wheels.predicted(x, aux, par.wheels, out)
+    elif number == 2:
+        gyro.predicted(x, aux, par.gyro, out)
+    elif number == 3:
+        tracker.predicted(x, aux, par.tracker, out)
+    else:
+        mocap.predicted(x, aux, par.mocap, out)
+
+
+@inner
+def jacobian(number: int, x: Array, aux: Array, par: Any, h: Array) -> None:
+    """`Sensor.jacobian` of the sensor with this number."""
+    if number == 1:
+        wheels.jacobian(x, aux, par.wheels, h)
+    elif number == 2:
+        gyro.jacobian(x, aux, par.gyro, h)
+    elif number == 3:
+        tracker.jacobian(x, aux, par.tracker, h)
+    else:
+        mocap.jacobian(x, aux, par.mocap, h)
+
+
+@inner
+def account(
+    number: int, m: Any, nu: Array, nis: Array, var: Array, count: int, gate: float, samples: float
+) -> int:
+    """`Sensor.account` of the sensor with this number."""
+    if number == 1:
+        return wheels.account(m.wheels, nu, nis, var, count, gate, samples)
+    if number == 2:
+        return gyro.account(m.gyro, nu, nis, var, count, gate, samples)
+    if number == 3:
+        return tracker.account(m.tracker, nu, nis, var, count, gate, samples)
+    return mocap.account(m.mocap, nu, nis, var, count, gate, samples)
+
+
+@inner
+def let_in(number: int, limit: float, t_ns: float, p: Array, m: Any, par: Any) -> bool:
+    """`Sensor.let_in` of the sensor with this number."""
+    if number == 1:
+        return wheels.let_in(limit, t_ns, p, m.wheels, par.wheels)
+    if number == 2:
+        return gyro.let_in(limit, t_ns, p, m.gyro, par.gyro)
+    if number == 3:
+        return tracker.let_in(limit, t_ns, p, m.tracker, par.tracker)
+    return mocap.let_in(limit, t_ns, p, m.mocap, par.mocap)
+
+
+@inner
+def new_frame(number: int, t_ns: float, x: Array, p: Array, m: Any, row: Any, par: Any) -> None:
+    """`Sensor.new_frame` of the sensor with this number."""
+    if number == 1:
+        wheels.new_frame(t_ns, x, p, m.wheels, row.wheels, par.wheels)
+    elif number == 2:
+        gyro.new_frame(t_ns, x, p, m.gyro, row.gyro, par.gyro)
+    elif number == 3:
+        tracker.new_frame(t_ns, x, p, m.tracker, row.tracker, par.tracker)
+    else:
+        mocap.new_frame(t_ns, x, p, m.mocap, row.mocap, par.mocap)
+
+
+@inner
+def remember(number: int, t_ns: float, x: Array, p: Array, m: Any, row: Any, par: Any) -> None:
+    """`Sensor.remember` of the sensor with this number."""
+    if number == 1:
+        wheels.remember(t_ns, x, p, m.wheels, row.wheels, par.wheels)
+    elif number == 2:
+        gyro.remember(t_ns, x, p, m.gyro, row.gyro, par.gyro)
+    elif number == 3:
+        tracker.remember(t_ns, x, p, m.tracker, row.tracker, par.tracker)
+    else:
+        mocap.remember(t_ns, x, p, m.mocap, row.mocap, par.mocap)
+
+
+@inner
+def undo(number: int, t_ns: float, x: Array, m: Any, row: Any, par: Any, late: Array, spread: Array) -> None:
+    """`Sensor.undo` of the sensor with this number."""
+    if number == 1:
+        wheels.undo(t_ns, x, m.wheels, row.wheels, par.wheels, late, spread)
+    elif number == 2:
+        gyro.undo(t_ns, x, m.gyro, row.gyro, par.gyro, late, spread)
+    elif number == 3:
+        tracker.undo(t_ns, x, m.tracker, row.tracker, par.tracker, late, spread)
+    else:
+        mocap.undo(t_ns, x, m.mocap, row.mocap, par.mocap, late, spread)
 
 
 @inner

@@ -19,7 +19,7 @@ from hil.estimator.sensors.sensor import (
 from hil.estimator.state import THETA, X, Y
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import inner
+from hil.vocabulary.jit import inner
 from hil.vocabulary.numpy_records import Record
 
 NAME = "mocap"

@@ -10,7 +10,7 @@ import numpy as np
 from hil.estimator.sensors.sensor import FARTHEST_M, FARTHEST_RAD
 from hil.estimator.state import CLONE_X, THETA, X
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import inner
+from hil.vocabulary.jit import inner
 from hil.vocabulary.numpy_records import Record
 from hil.vocabulary.signals import PoseMeasurement
 

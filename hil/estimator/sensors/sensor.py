@@ -17,7 +17,7 @@ from typing import Any, Protocol
 from hil.config.estimator import EstimatorConfig
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import inner
+from hil.vocabulary.jit import inner
 from hil.vocabulary.numpy_records import Record
 
 FARTHEST_M, FARTHEST_RAD = 1e3, 1e6

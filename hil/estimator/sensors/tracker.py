@@ -24,7 +24,7 @@ from hil.estimator.sensors.sensor import (
 from hil.estimator.state import ROWS, SIGHT_X
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import inner
+from hil.vocabulary.jit import inner
 from hil.vocabulary.numpy_records import Record
 
 NAME = "tracker"

@@ -45,7 +45,7 @@ from hil.estimator.state import (
 )
 from hil.robot.kinematics import WheelGeometry, forward_matrix, projection
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import inner
+from hil.vocabulary.jit import inner
 from hil.vocabulary.numpy_records import Eight, Four, Record
 from hil.vocabulary.signals import WheelMeasurement
 

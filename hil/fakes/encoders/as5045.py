@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from hil.config.values import Within
-from hil.vocabulary.arithmetic import Rows, Vector
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.jit import inner, kernel
 
 OCF, COF, LIN, MAG_INC, MAG_DEC = 0x20, 0x10, 0x08, 0x04, 0x02
 COUNTS = 4096
@@ -71,7 +72,8 @@ def chip(
     return [*once, *twice, noise_rad, sign, zero_rad, 0.0, 0.0, 0.0]
 
 
-def word(chips: Vector, at: int, angle_rad: float, noise: float, more: int) -> int:
+@inner
+def word(chips: Array, at: int, angle_rad: float, noise: float, more: int) -> int:
     """The word of one chip.
 
     Args:
@@ -94,8 +96,9 @@ def word(chips: Vector, at: int, angle_rad: float, noise: float, more: int) -> i
     return bits | ones & 1
 
 
+@kernel
 def words(
-    chips: Vector, a_rad: float, b_rad: float, c_rad: float, d_rad: float, noise: Rows, row: int, more: int
+    chips: Array, a_rad: float, b_rad: float, c_rad: float, d_rad: float, noise: Array, row: int, more: int
 ) -> tuple[int, ...]:
     """Words of four chips whose axes stand so; see `word`.
 

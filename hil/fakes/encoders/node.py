@@ -26,7 +26,7 @@ from hil.fakes.encoders.as5045 import (
 from hil.fakes.fault import PERIODIC, STRIKES, Fault, Supported
 from hil.fakes.faults import Once
 from hil.fakes.world import Scheduled, World
-from hil.vocabulary.arithmetic import quick, rows, vector
+from hil.vocabulary.jit import compile_for
 from hil.vocabulary.signals import WHEELS
 
 AXIS_FAULTS: Supported = {
@@ -97,7 +97,7 @@ class EncoderNode(Scheduled):
         self._rng = world.rng(name)
         options = options if options is not None else EncoderTruthOptions()
         chips = [self._chip(options, s, z) for s, z in zip(sign, zero_rad, strict=True)]
-        self._chips = vector([number for numbers in chips for number in numbers])
+        self._chips = np.array([number for numbers in chips for number in numbers], dtype=np.float64)
         self._axes = tuple(f"encoder.{wheel}" for wheel in WHEELS)
         self._plan = world.faults.of(name, *self._axes)
         self._rate_hz = max(1, round(rate_hz))
@@ -105,8 +105,8 @@ class EncoderNode(Scheduled):
         self._period_ns = round(1e9 / rate_hz * (1.0 + 1e-6 * clock_ppm))
         self._rate_error = 1.0 - 1e-6 * clock_ppm
         self._jitter_ns = 1e9 * jitter_s
-        self._noise, self._late, self._row = rows(np.zeros((1, 5))), [0.0], 0
-        self._words = quick(words, self._chips, 0.0, 0.0, 0.0, 0.0, self._noise, 0, 0)
+        self._noise, self._late, self._row = np.zeros((1, 5)), [0.0], 0
+        compile_for(words, self._chips, 0.0, 0.0, 0.0, 0.0, self._noise, 0, 0)
         self._once = Once()
         self._frozen: dict[str, int] = {}
         self._dead = self._first_set = False
@@ -137,7 +137,7 @@ class EncoderNode(Scheduled):
             return
         started = OCF if t_ns - self._boot_ns >= START_UP_NS else 0
         a, b, c, d = self._world.plant.steering_rad()
-        told = self._words(self._chips, a, b, c, d, self._noise, row, started)
+        told = words(self._chips, a, b, c, d, self._noise, row, started)
         if self._first_set:
             self._first_set = False
             told = tuple(self._rng.integers(0, 1 << 18, 4).tolist())
@@ -167,7 +167,7 @@ class EncoderNode(Scheduled):
         self._row += 1
         if self._row == len(self._late):
             drawn = self._rng.standard_normal((_BLOCK, 5))
-            self._noise, self._late, self._row = rows(drawn), drawn[:, 4].tolist(), 0
+            self._noise, self._late, self._row = drawn, drawn[:, 4].tolist(), 0
         return self._row
 
     def _send(self, words: tuple[int, ...], t_ns: int, send_ns: int) -> None:

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
-from functools import cache
 
 from hil.fakes.imu.registers import UNIT_ANDROID, UNIT_EULER_RAD, UNIT_FAHRENHEIT, UNIT_MG, UNIT_RAD_S, Mode
-from hil.fakes.imu.sample import GRAVITY_M_S2, Counts, Outputs, counts
+from hil.fakes.imu.sample import GRAVITY_M_S2, counts
 from hil.fakes.imu.sensors import Sensed
-from hil.vocabulary.arithmetic import quick
 
 _BLOCK = struct.Struct("<22hbB")
 LENGTH = _BLOCK.size
@@ -22,22 +19,13 @@ GYRO_LSB_PER_RAD_S = 16.0 * 180.0 / math.pi
 MAG_LSB_PER_UT = 16.0
 
 
-@cache
-def _counting() -> Callable[[Outputs, float, float, float, float, bool], Counts]:
-    """`counts`, compiled if it can be."""
-    three = (0.0, 0.0, 0.0)
-    return quick(counts, Sensed(three, three, three, (1.0, 0.0, 0.0, 0.0), three, three), *[0.0] * 4, False)
-
-
 def encode(sensed: Sensed, mode: Mode, units: int, calibration: int, celsius: float) -> bytes:
     """Register block 0x08..0x35; what the mode switches off reads zero."""
     acc = 1000.0 / GRAVITY_M_S2 if units & UNIT_MG else ACC_LSB_PER_M_S2
     gyro = 900.0 if units & UNIT_RAD_S else GYRO_LSB_PER_RAD_S
     temperature = round((celsius * 1.8 + 32.0) / 2.0 if units & UNIT_FAHRENHEIT else celsius)
     degree = 900.0 if units & UNIT_EULER_RAD else 16.0 * 180.0 / math.pi
-    counted: tuple[int, ...] = _counting()(
-        sensed, acc, gyro, MAG_LSB_PER_UT, degree, bool(units & UNIT_ANDROID)
-    )
+    counted: tuple[int, ...] = counts(sensed, acc, gyro, MAG_LSB_PER_UT, degree, bool(units & UNIT_ANDROID))
     if not (mode.fusion and mode.accelerometer and mode.gyroscope):  # without magnetometer its field is 0
         counted = (
             *(counted[0:3] if mode.accelerometer else _ZERO),

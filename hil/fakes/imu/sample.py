@@ -1,4 +1,4 @@
-"""One set of outputs of the emulated BNO055, in flat vectors (`hil.vocabulary.arithmetic`).
+"""One set of outputs of the emulated BNO055, in flat vectors.
 
 It is sensed, fused and counted. All numbers stand in three vectors in SI units (magnetic field in uT) at the
 places named below: the chip as it is built, what calibration has left of its offsets, and the fusion's state.
@@ -9,8 +9,10 @@ from __future__ import annotations
 import math
 
 from hil.fakes.plant_api import BodyMotion
-from hil.vocabulary.arithmetic import Rows, Vector
-from hil.vocabulary.geometry import Four, Three, multiplied
+from hil.vocabulary.geometry import Array, Four, Three, multiplied
+from hil.vocabulary.jit import inner, kernel
+
+inner(multiplied)
 
 GRAVITY_M_S2 = 9.80665
 _FIELD_X, _FIELD_Y, _FIELD_Z = 22.0, 0.0, -42.0
@@ -40,15 +42,16 @@ Counts = tuple[
 ]  # fmt: skip
 
 
+@kernel
 def sense(
     motion: BodyMotion,
     dt: float,
     magnetometer: bool,
-    draws: Rows,
+    draws: Array,
     row: int,
-    offsets: Vector,
-    chip: Vector,
-    state: Vector,
+    offsets: Array,
+    chip: Array,
+    state: Array,
 ) -> Outputs:
     """Sensor outputs and what the fusion makes of them.
 
@@ -113,12 +116,14 @@ def sense(
     return (ax, ay, az), rate, field, fused, (ax - gx, ay - gy, az - gz), (gx, gy, gz)
 
 
-def turned(m: Vector, x: float, y: float, z: float) -> Three:
+@inner
+def turned(m: Array, x: float, y: float, z: float) -> Three:
     """A vector in body axes in the chip's output axes."""
     return (m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z)
 
 
-def attitude(theta: float, tilt: float, chip: Vector, state: Vector) -> Four:
+@inner
+def attitude(theta: float, tilt: float, chip: Array, state: Array) -> Four:
     """Attitude that the fusion would know without leaks: turned by its error, tilted, by its heading."""
     yaw, half, turn = 0.5 * state[YAW_ERROR], -0.5 * tilt, 0.5 * theta
     cy, sy, ch, sh = math.cos(yaw), math.sin(yaw), math.cos(half), math.sin(half)
@@ -130,6 +135,7 @@ def attitude(theta: float, tilt: float, chip: Vector, state: Vector) -> Four:
     )
 
 
+@inner
 def magnetic_field(q: Four) -> Three:
     """The earth's field in the axes of an attitude."""
     w, x, y, z = q
@@ -141,6 +147,7 @@ def magnetic_field(q: Four) -> Three:
     )
 
 
+@kernel
 def counts(outputs: Outputs, acc: float, gyro: float, field: float, angle: float, android: bool) -> Counts:
     """What the data registers hold: acceleration, field, rate, Euler angles, quaternion, linear, gravity.
 
@@ -167,6 +174,7 @@ def counts(outputs: Outputs, acc: float, gyro: float, field: float, angle: float
     )  # fmt: skip
 
 
+@inner
 def euler_rad(q: Four, android: bool) -> Three:
     """Heading (0..2 pi, clockwise), roll and pitch as the chip defines them (datasheet 3.6.2, table 3-12)."""
     w, x, y, z = q
@@ -176,6 +184,7 @@ def euler_rad(q: Four, android: bool) -> Three:
     return heading, roll, pitch if android else -pitch
 
 
+@inner
 def whole(value: float) -> int:
     """The nearest count that a register can hold."""
     if value > _MOST:

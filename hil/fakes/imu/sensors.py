@@ -18,8 +18,8 @@ from hil.fakes.imu import sample
 from hil.fakes.imu.calibration import SelfCalibration, SensorOffsets, Vector
 from hil.fakes.imu.registers import Mode
 from hil.fakes.plant_api import BodyMotion
-from hil.vocabulary.arithmetic import quick, rows, vector
 from hil.vocabulary.geometry import Four as Quaternion
+from hil.vocabulary.jit import compile_for
 from hil.vocabulary.records import named
 
 _BLOCK = 1024
@@ -136,13 +136,13 @@ class InertialSensors:
         self.options = options
         self.calibration = SelfCalibration()
         self._rng = rng
-        self._draws, self._row = rows(np.zeros((1, sample.DRAWS))), 0
+        self._draws, self._row = np.zeros((1, sample.DRAWS)), 0
         spread = (options.accelerometer_offset_m_s2, options.gyro_bias_rad_s, options.magnetometer_offset_ut)
         drawn = [tuple(float(x) for x in rng.normal(0.0, s, 3)) for s in spread]
         self.true_offsets = SensorOffsets(*drawn)  # type: ignore[arg-type]
         yaw_drift_rad_s = float(rng.normal(0.0, options.yaw_drift_rad_s))
         self._chip_in_body = chip_in_body
-        self._chip, self._state = vector([0.0] * sample.CHIP_SIZE), vector([0.0] * sample.STATE_SIZE)
+        self._chip, self._state = np.zeros(sample.CHIP_SIZE), np.zeros(sample.STATE_SIZE)
         for at, value in (
             (sample.AT_X, options.position_m[0]),
             (sample.AT_Y, options.position_m[1]),
@@ -153,9 +153,9 @@ class InertialSensors:
             (sample.YAW_DRIFT, yaw_drift_rad_s),
         ):
             self._chip[at] = value
-        self._offsets = vector([0.0] * sample.OFFSETS_SIZE)
+        self._offsets = np.zeros(sample.OFFSETS_SIZE)
         self._offsets_of: tuple[object, ...] = (None,) * 4
-        self._sense = quick(
+        compile_for(
             sample.sense,
             BodyMotion(*[0.0] * 9),
             0.0,
@@ -166,6 +166,9 @@ class InertialSensors:
             self._chip,
             self._state,
         )
+        three = (0.0, 0.0, 0.0)
+        sensed = Sensed(three, three, three, (1.0, 0.0, 0.0, 0.0), three, three)
+        compile_for(sample.counts, sensed, *[0.0] * 4, False)
         self.set_remap(0x24, 0x00)
         self.restart_fusion()
 
@@ -198,8 +201,8 @@ class InertialSensors:
             self._learn(body, dt_s)
         self._leave_offsets()
         if not self._row:
-            self._draws, self._row = rows(self._rng.standard_normal((_BLOCK, sample.DRAWS))), _BLOCK
-        outputs = self._sense(
+            self._draws, self._row = self._rng.standard_normal((_BLOCK, sample.DRAWS)), _BLOCK
+        outputs = sample.sense(
             body,
             dt_s,
             mode.magnetometer,

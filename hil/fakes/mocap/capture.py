@@ -9,8 +9,8 @@ import numpy as np
 from hil.fakes.mocap.options import MocapTruthOptions
 from hil.fakes.mocap.seeing import DRAWS, Capture, seen_at
 from hil.fakes.plant_api import BodyMotion
-from hil.vocabulary.arithmetic import Rows, quick, rows
-from hil.vocabulary.geometry import Four, Three
+from hil.vocabulary.geometry import Array, Four, Three
+from hil.vocabulary.jit import compile_for
 from hil.vocabulary.records import named
 
 _BLOCK = 512
@@ -58,8 +58,8 @@ class CaptureVolume:
             options.marker_error_m,
             up_axis == "y",
         )
-        self._draws, self._row = rows(np.zeros((1, DRAWS))), 0
-        self._see = quick(seen_at, (0.0, 0.0, 0.0), Capture(), self._draws, 0)
+        self._draws, self._row = np.zeros((1, DRAWS)), 0
+        compile_for(seen_at, (0.0, 0.0, 0.0), Capture(), self._draws, 0)
         name = "distractor" + "2" * (body == "distractor")
         self._other = self._body_at(name, body_id + 1, _DISTRACTOR, self._draws, 0)
         self._last: SeenBody | None = None
@@ -73,7 +73,7 @@ class CaptureVolume:
     def see(self, motion: BodyMotion, t_ns: int, hidden: bool = False) -> tuple[SeenBody, SeenBody]:
         """Both bodies at an exposure; a hidden body keeps its last pose and is not tracked."""
         if not self._row:
-            self._draws, self._row = rows(self._rng.standard_normal((_BLOCK, DRAWS))), _BLOCK
+            self._draws, self._row = self._rng.standard_normal((_BLOCK, DRAWS)), _BLOCK
         self._row -= 1
         often = self._options.occlusions_per_s / self._options.rate_hz
         if often and t_ns >= self._hidden_until_ns and self._rng.random() < often:
@@ -96,7 +96,7 @@ class CaptureVolume:
             self._gap_until_ns = t_ns + round(1e9 * max(0.0, longest_s * length - 1.0 / options.rate_hz))
         return True
 
-    def _body_at(self, name: str, identifier: int, place: Three, draws: Rows, row: int) -> SeenBody:
+    def _body_at(self, name: str, identifier: int, place: Three, draws: Array, row: int) -> SeenBody:
         """A body at a pose in the wall, with a row of noise."""
-        seen = self._see(place, self._by, draws, row)
+        seen = seen_at(place, self._by, draws, row)
         return named(SeenBody, (name, identifier, *seen, True))

@@ -1,4 +1,4 @@
-"""A rigid body as the cameras see it, in flat vectors (`hil.vocabulary.arithmetic`).
+"""A rigid body as the cameras see it.
 
 Poses are made in the wall frame (z out of the surface) and turned into the streamed axes: Motive's
 y-up stream has y out of the calibrated ground plane, so that (x, y, z) of the wall is (x, z, -y) there.
@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from hil.vocabulary.arithmetic import Rows
-from hil.vocabulary.geometry import Four, Three
+from hil.vocabulary.geometry import Array, Four, Three
+from hil.vocabulary.jit import inner, kernel
 
 DRAWS = 7
 """Numbers of one row of noise."""
@@ -38,7 +38,8 @@ class Capture(NamedTuple):
     y_up: bool = False
 
 
-def seen_at(place: Three, by: Capture, draws: Rows, row: int) -> tuple[Three, Four, Markers, float]:
+@kernel
+def seen_at(place: Three, by: Capture, draws: Array, row: int) -> tuple[Three, Four, Markers, float]:
     """Position (m), rotation (x, y, z, w), markers (m) and marker error (m) of a body, in streamed axes.
 
     Args:
@@ -66,6 +67,7 @@ def seen_at(place: Three, by: Capture, draws: Rows, row: int) -> tuple[Three, Fo
     return position, (qx, qy, qz, c - s * ez), markers, by.marker_error * (1.0 + 0.1 * abs(noise[6]))
 
 
+@inner
 def streamed(x: float, y: float, z: float, y_up: bool) -> Three:
     """A vector in the wall's axes in those of the stream."""
     if y_up:

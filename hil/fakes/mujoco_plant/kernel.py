@@ -1,6 +1,6 @@
 """What happens before every step of MuJoCo: servos act, friction goes by place, and the fall is judged.
 
-Plain Python on named records, compiled by numba where that is installed. The servos are those of the own
+The servos are those of the own
 plant (`hil.fakes.plant.joints`: firmware, motor, limits, play), with its constants `c`, state `s` and
 commands `q`; body and wheels are MuJoCo's, `qpos` (nq,) and `qvel` (nv,), found at the places `a`. `friction`
 (4, 5) is that of the wheels' contacts. A steering servo takes its fork along: the torque of a step is what
@@ -17,6 +17,7 @@ from hil.fakes.plant.joints import finish_joint, follow_references, steer_joint
 from hil.fakes.plant.kernel import friction_factor, look_from_origin
 from hil.fakes.plant.records import Constants, State
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.jit import inner, kernel
 from hil.vocabulary.numpy_records import Records
 
 FORK_DAMPING_N_M_S = 0.6
@@ -30,6 +31,7 @@ LOOK = -1.0
 """Instead of a ratio: the robot has begun to fall, or the simulation has lost its footing."""
 
 
+@kernel
 def prepare(
     robots: Records, patches: Records, qpos: Array, qvel: Array, ctrl: Array, friction: Array
 ) -> float:
@@ -77,6 +79,7 @@ def prepare(
     return ratio
 
 
+@kernel
 def finish(robots: Records, qpos: Array, qvel: Array) -> None:
     """What can be seen after a step: body, wheels, and the origin's mean acceleration over it, body axes."""
     robot = robots[0]
@@ -90,6 +93,7 @@ def finish(robots: Records, qpos: Array, qvel: Array) -> None:
     look_from_origin(s, 0.0, 0.0)
 
 
+@inner
 def look_at_body(s: State, qpos: Array, qvel: Array) -> None:
     """Pose of the body's origin (heading without jumps) and its velocity, wall axes."""
     w, x, y, z = qpos[3], qpos[4], qpos[5], qpos[6]
@@ -105,12 +109,14 @@ def look_at_body(s: State, qpos: Array, qvel: Array) -> None:
     )
 
 
+@inner
 def look_at_wheels(s: State, a: Places, qpos: Array, qvel: Array) -> None:
     """Angles and rates of the drives."""
     for i in range(4):
         s.angle[i], s.rate[i] = qpos[a.drive_q[i]], qvel[a.drive_v[i]]
 
 
+@inner
 def contacts(c: Constants, s: State, a: Places, patches: Records, qpos: Array, friction: Array) -> int:
     """Slip of every wheel in its own frame, and friction where it stands; how many wheels slide."""
     cosine, sine = math.cos(s.body[2]), math.sin(s.body[2])
@@ -130,6 +136,7 @@ def contacts(c: Constants, s: State, a: Places, patches: Records, qpos: Array, f
     return sliding
 
 
+@inner
 def is_sound(qpos: Array, qvel: Array) -> bool:
     """Whether the simulation still describes a robot: finite, not faster than sound, not kilometres away."""
     for value in qvel:

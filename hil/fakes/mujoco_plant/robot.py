@@ -7,9 +7,7 @@ it begins, and only then hangs.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 
@@ -22,18 +20,15 @@ from hil.fakes.mujoco_plant.records import ROBOT
 from hil.fakes.plant.body import SteppedBody, checked_pose
 from hil.fakes.plant.kernel import look_from_origin
 from hil.fakes.plant.parameters import TrueParameters
-from hil.fakes.plant.records import PATCH
 from hil.fakes.plant.robot import GRAVITY_M_S2, make_constants, make_patches
 from hil.fakes.plant.surfaces import Patch
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import ConfigError, DeviceError
-from hil.vocabulary.extras import is_installed
 from hil.vocabulary.geometry import Array, ArrayLike
+from hil.vocabulary.jit import compile_for
 from hil.vocabulary.numpy_records import Records
 from hil.vocabulary.signals import WHEELS
 
-PREPARED = (np.zeros(1, ROBOT), np.zeros(0, PATCH), *np.zeros((3, 1)), np.zeros((1, 5)))
-"""What `prepare` is given, by type."""
 _SETTLE_S = 0.4
 _AT_REST = 1e-3
 
@@ -84,7 +79,8 @@ class MujocoRobot(SteppedBody):
             data.ctrl,
             built.model.pair_friction,
         )
-        self._prepare, self._finish = _kernels()
+        compile_for(mk.prepare, *self._prepared)
+        compile_for(mk.finish, robots, data.qpos, data.qvel)
         self._settle()
         self._put(pose)
 
@@ -180,7 +176,7 @@ class MujocoRobot(SteppedBody):
         self._mujoco.mj_forward(model, data)
 
     def _integrate(self, n: int, adhesion_factor: float) -> None:
-        built, prepare, prepared = self._built, self._prepare, self._prepared
+        built, prepare, prepared = self._built, mk.prepare, self._prepared
         model, data, step = built.model, built.data, self._mujoco.mj_step
         option = model.opt
         self._blow(adhesion_factor)
@@ -190,7 +186,7 @@ class MujocoRobot(SteppedBody):
                 ratio = self._stumbled(done)
             option.impratio = ratio
             step(model, data)
-        self._finish(self._robots, data.qpos, data.qvel)
+        mk.finish(self._robots, data.qpos, data.qvel)
 
     def _blow(self, adhesion_factor: float) -> None:
         """Fan and propellers as they are now; a robot that has fallen has neither."""
@@ -234,14 +230,3 @@ class MujocoRobot(SteppedBody):
         s.heading[:] = self.steering_rad()
         s.load[:] = 0.0 if s.fallen else self._loads_n()
         return states
-
-
-@cache
-def _kernels() -> tuple[Callable[..., float], Callable[..., None]]:
-    """`prepare` and `finish`; machine code for the types of `PREPARED` where numba is installed."""
-    if not is_installed("fast"):
-        return mk.prepare, mk.finish
-    from hil.vocabulary.kernels import machine_code
-
-    robots, _, qpos, qvel, *_ = PREPARED
-    return machine_code(mk.prepare, *PREPARED), machine_code(mk.finish, robots, qpos, qvel)

@@ -1,6 +1,6 @@
 """The joints of an emulated robot: motors, their gears and the firmware's loops, without what wheels do.
 
-Plain Python on named records, as `hil.fakes.plant.kernel`, which steps them with body and wheels.
+On named records, as `hil.fakes.plant.kernel`, which steps them with body and wheels.
 """
 
 from __future__ import annotations
@@ -16,13 +16,16 @@ from hil.fakes.plant.records import (
     Constants,
     State,
 )
+from hil.vocabulary.jit import inner
 
 
+@inner
 def clip(value: float, limit: float) -> float:
     """Value within +-limit."""
     return min(max(value, -limit), limit)
 
 
+@inner
 def motor(
     j: int, dt: float, pull: float, drag: float, friction: float, c: Constants, s: State, q: Commands
 ) -> tuple[float, float, float, float]:
@@ -62,11 +65,13 @@ def motor(
     return rate, direction + 10.0 * kind, free, 1.0 / (slope + gain)
 
 
+@inner
 def threshold(value: float, friction: float) -> float:
     """What dry friction leaves of a torque."""
     return math.copysign(max(abs(value) - friction, 0.0), value)
 
 
+@inner
 def demand(j: int, dt: float, c: Constants, s: State, q: Commands) -> tuple[float, float]:
     """Voltage asked for by the firmware: (level, fall) of level - fall * rate after an implicit step."""
     mode = q.mode[j]
@@ -78,6 +83,7 @@ def demand(j: int, dt: float, c: Constants, s: State, q: Commands) -> tuple[floa
     return c.supply * q.goal[j], 0.0
 
 
+@inner
 def finish_joint(j: int, dt: float, rate: float, c: Constants, s: State, q: Commands) -> None:
     """Store a joint's new rate, angle, current and integrator (which rests while a limit acts)."""
     mode, limit_a, limit_v = q.mode[j], q.amps_limit[j], c.supply * q.duty_limit[j]
@@ -99,6 +105,7 @@ def finish_joint(j: int, dt: float, rate: float, c: Constants, s: State, q: Comm
     s.angle[j] += c.dt * rate
 
 
+@inner
 def follow_references(c: Constants, s: State, q: Commands) -> None:
     """Move the reference of every position loop towards its goal, as fast as its limit allows."""
     for j in range(8):
@@ -108,6 +115,7 @@ def follow_references(c: Constants, s: State, q: Commands) -> None:
             s.reference[j] = s.angle[j]
 
 
+@inner
 def steer_joint(i: int, c: Constants, s: State, q: Commands) -> float:
     """Turn one steering joint and, through its play, its wheel; returns the wheel's heading before.
 

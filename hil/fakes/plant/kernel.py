@@ -1,7 +1,6 @@
 """The physics of the robot on a surface: `n` internal steps on preallocated numbers, nothing else.
 
-Plain Python on named records, written once: interpreted on lists, or compiled by numba on arrays
-(`hil.fakes.plant.compiled`); both give the same figures. `docs/wall.md` describes the model.
+`docs/wall.md` describes the model.
 
 * Body: rigid, velocities of the centre of mass in wall axes, so inertia is diagonal and exact.
 * Contact of each wheel: bristle z with relaxation length L, z' = s - |r Om| / L z, F = -k z - c s,
@@ -21,11 +20,13 @@ import math
 
 from hil.fakes.plant.joints import finish_joint, follow_references, motor, steer_joint
 from hil.fakes.plant.records import Commands, Constants, State
+from hil.vocabulary.jit import inner, kernel
 from hil.vocabulary.numpy_records import Records
 
 PASSES = 4
 
 
+@inner
 def steer(c: Constants, s: State, q: Commands) -> None:
     """Turn the steering joints and, through their play, the wheels; contact directions at mid-step."""
     middle = s.body[2] + 0.5 * c.dt * s.velocity[2]
@@ -39,6 +40,7 @@ def steer(c: Constants, s: State, q: Commands) -> None:
         s.arm_x[i], s.arm_y[i] = cosine * x - sine * y, sine * x + cosine * y
 
 
+@inner
 def loads(adhesion_factor: float, c: Constants, s: State) -> None:
     """Normal loads from statics; a wheel does not pull. The robot falls when it tips or is let go.
 
@@ -64,6 +66,7 @@ def loads(adhesion_factor: float, c: Constants, s: State) -> None:
         s.load[i] *= total / positive
 
 
+@inner
 def friction_factor(patches: Records, x: float, y: float) -> float:
     """Friction at a place of the surface, as a share of the surface's own."""
     for k in range(len(patches)):
@@ -74,6 +77,7 @@ def friction_factor(patches: Records, x: float, y: float) -> float:
     return 1.0
 
 
+@inner
 def contacts(patches: Records, c: Constants, s: State) -> None:
     """Bristle forces per slip velocity, wheel frame, for the coming step."""
     for i in range(4):
@@ -94,6 +98,7 @@ def contacts(patches: Records, c: Constants, s: State) -> None:
         s.branch[i] = -99.0
 
 
+@inner
 def judge(vx: float, vy: float, turn: float, c: Constants, s: State, q: Commands) -> bool:
     """Wheel rates, motor branches and cone shares that go with a body velocity; whether any changed."""
     changed = False
@@ -116,6 +121,7 @@ def judge(vx: float, vy: float, turn: float, c: Constants, s: State, q: Commands
     return changed
 
 
+@inner
 def solve(c: Constants, s: State) -> tuple[float, float, float]:
     """Velocity of the centre of mass (wall axes) and turn rate after the step, wheels eliminated."""
     middle = s.body[2] + 0.5 * c.dt * s.velocity[2]
@@ -149,6 +155,7 @@ def solve(c: Constants, s: State) -> tuple[float, float, float]:
     return b0 / m00 - l10 * vy - l20 * turn, vy, turn
 
 
+@inner
 def move(vx: float, vy: float, turn: float, c: Constants, s: State, q: Commands) -> None:
     """Accept a solved step: bristles, wheels, body; a robot that slides away has fallen."""
     holding = 0
@@ -171,6 +178,7 @@ def move(vx: float, vy: float, turn: float, c: Constants, s: State, q: Commands)
     s.body[0], s.body[1], s.body[2] = (s.body[0] + c.dt * vx, s.body[1] + c.dt * vy, s.body[2] + c.dt * turn)
 
 
+@inner
 def origin_velocity(c: Constants, s: State) -> tuple[float, float]:
     """Velocity of the body's origin, wall axes."""
     cosine, sine = math.cos(s.body[2]), math.sin(s.body[2])
@@ -178,6 +186,7 @@ def origin_velocity(c: Constants, s: State) -> tuple[float, float]:
     return s.velocity[0] + s.velocity[2] * y, s.velocity[1] - s.velocity[2] * x
 
 
+@inner
 def look_from_origin(s: State, x: float, y: float) -> None:
     """Pose of the body's origin, and its twist in body axes, in which `s` follows the point (x, y)."""
     cosine, sine = math.cos(s.body[2]), math.sin(s.body[2])
@@ -190,6 +199,7 @@ def look_from_origin(s: State, x: float, y: float) -> None:
     twist[2] = turn
 
 
+@kernel
 def advance(robots: Records, patches: Records, n: int, adhesion_factor: float) -> None:
     """Integrate `n` steps; `acceleration` is the origin's mean over the last one, body axes.
 

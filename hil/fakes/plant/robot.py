@@ -11,7 +11,7 @@ from hil.config.robot import RobotConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.fakes.faults import FaultPlan
 from hil.fakes.plant.body import SteppedBody, checked_pose
-from hil.fakes.plant.compiled import choose_advance
+from hil.fakes.plant.kernel import advance
 from hil.fakes.plant.parameters import TrueParameters, draw, nominal_parameters
 from hil.fakes.plant.records import CONSTANTS, PATCH, ROBOT
 from hil.fakes.plant.surfaces import Patch, Surface, find_surface
@@ -32,7 +32,6 @@ class WallRobot(SteppedBody):
         patches: where the surface's friction differs.
         tilt_rad, faults, step_ns, by_hand: see `SteppedBody`.
         start_pose: (3,) of the body in the wall frame, at rest.
-        compiled: force the compiled (True) or the interpreted (False) physics.
     """
 
     def __init__(
@@ -44,7 +43,6 @@ class WallRobot(SteppedBody):
         start_pose: ArrayLike = (0.0, 0.0, 0.0),
         faults: FaultPlan | None = None,
         step_ns: int = STEP_NS,
-        compiled: bool | None = None,
         by_hand: bool = False,
     ) -> None:
         robots = np.zeros(1, ROBOT)
@@ -52,13 +50,12 @@ class WallRobot(SteppedBody):
         super().__init__(
             parameters, robots, tilt_rad=tilt_rad, faults=faults, step_ns=step_ns, by_hand=by_hand
         )
-        self._advance = choose_advance(compiled)
         self._patches = make_patches(patches)
         self._start(checked_pose(start_pose))
-        self._integrate(0, 1.0)  # loads the compiled code now
+        self._integrate(0, 1.0)  # loads the machine code now
 
     def _integrate(self, n: int, adhesion_factor: float) -> None:
-        self._advance(self._robots, self._patches, n, adhesion_factor)
+        advance(self._robots, self._patches, n, adhesion_factor)
 
     def bristle_deflection_m(self) -> Array:
         """Elastic deflection of the contacts (4, 2), wall axes: where contact energy is stored."""
@@ -165,7 +162,6 @@ def make_plant(
     geometry_share: float = 1.0,
     faults: FaultPlan | None = None,
     step_ns: int = STEP_NS,
-    compiled: bool | None = None,
     by_hand: bool = False,
 ) -> WallRobot:
     """The robot of a configuration on a surface.
@@ -181,7 +177,6 @@ def make_plant(
         geometry_share: see `hil.fakes.plant.parameters.draw`.
         faults: see `WallRobot`.
         step_ns: see `WallRobot`.
-        compiled: see `WallRobot`.
         by_hand: see `WallRobot`.
 
     Raises:
@@ -197,6 +192,5 @@ def make_plant(
         start_pose=start_pose,
         faults=faults,
         step_ns=step_ns,
-        compiled=compiled,
         by_hand=by_hand,
     )

@@ -1,4 +1,4 @@
-"""Counts of the eight servos, in flat vectors (`hil.vocabulary.arithmetic`).
+"""Counts of the eight servos, in flat vectors.
 
 Their history holds angles as they were on the grid, a row of eight for each of its points; they become counts
 when somebody looks.
@@ -6,7 +6,9 @@ when somebody looks.
 
 from __future__ import annotations
 
-from hil.vocabulary.arithmetic import Rows
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.jit import inner, kernel
+from hil.vocabulary.numpy_records import Ints
 
 # Rows of the scales (3, 8): counts per rad, velocity counts per count of a span, counts per A.
 PER_RAD, PER_SPAN, PER_A = range(3)
@@ -21,7 +23,8 @@ OLD, SPAN = 3, 19
 """How old the firmware's velocity is, and over how many points of the grid it is taken."""
 
 
-def count(history: Rows, dither: Rows, scales: Rows, first: int, last: int) -> None:
+@inner
+def count(history: Array, dither: Array, scales: Array, first: int, last: int) -> None:
     """Make counts of the angles in the history.
 
     Args:
@@ -38,7 +41,8 @@ def count(history: Rows, dither: Rows, scales: Rows, first: int, last: int) -> N
             values[j] = float(round(values[j] * per_rad[j] + added[j]))
 
 
-def show(now: Rows, history: Rows, dither: Rows, scales: Rows, first: int, row: int, shown: Rows) -> None:
+@kernel
+def show(now: Array, history: Array, dither: Array, scales: Array, first: int, row: int, shown: Ints) -> None:
     """Encoders, velocities and currents in the servos' counts, truncated towards zero.
 
     Args:

@@ -6,7 +6,6 @@ from hil.fakes.servos.faulty import ServoFaults
 from hil.fakes.servos.sensing import Sensing
 from hil.fakes.servos.servo import Servo
 from hil.fakes.servos.thermal import ThermalModel
-from hil.vocabulary.arithmetic import listed
 
 
 class LiveRegisters:
@@ -75,4 +74,4 @@ class LiveRegisters:
             self._measure()
 
     def _measure(self) -> None:
-        self._all = listed(self._sensing.measure())
+        self._all = self._sensing.measure().tolist()

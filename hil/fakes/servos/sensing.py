@@ -11,9 +11,10 @@ import numpy as np
 
 from hil.config.servo_models import ServoModel
 from hil.fakes.plant_api import Plant
-from hil.fakes.servos.counting import OLD, PER_RAD, PER_SPAN, SHOWN_COUNTS, SPAN, show
-from hil.vocabulary.arithmetic import Rows, listed, places, quick, rows
+from hil.fakes.servos.counting import ANGLES, CURRENTS, OLD, PER_RAD, PER_SPAN, SHOWN_COUNTS, SPAN, show
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.jit import compile_for
+from hil.vocabulary.numpy_records import Ints
 
 GRID_NS = 4_000_000
 _GRID_S = GRID_NS * 1e-9
@@ -44,20 +45,18 @@ class Sensing:
             (1.0 / m.rad_per_count, m.rad_per_count / (span_s * m.rad_s_per_count), 1.0 / m.a_per_count)
             for m in models
         ]
-        self._scales = rows(np.array(scales).T.copy())
+        self._scales = np.array(scales).T.copy()
         self._draw()
         at_rest = [float(round(a * s[PER_RAD])) for a, s in zip(plant.joints()[0], scales, strict=True)]
-        self._history = rows(np.tile(at_rest, (_ROWS, 1)))
+        self._history = np.tile(at_rest, (_ROWS, 1))
         self._row = self.ticks = 0
         self._raw_from = 1
-        self._now, self._shown = rows(np.zeros((2, 8))), rows(np.zeros((3, 8), dtype=np.int64))
-        self._show = quick(show, self._now, self._history, self._dither, self._scales, 0, 0, self._shown)
-        self._in_python = isinstance(self._now, list)
-        self._places, (self._angles, self._amps) = places(self._history), places(self._now)
+        self._now, self._shown = np.zeros((2, 8)), np.zeros((3, 8), dtype=np.int64)
+        compile_for(show, self._now, self._history, self._dither, self._scales, 0, 0, self._shown)
 
     def _draw(self) -> None:
         """Dither of the next samples of the grid, counts."""
-        self._dither = rows(self._rng.normal(0.0, _DITHER_COUNTS, (_ROWS, 8)))
+        self._dither = self._rng.normal(0.0, _DITHER_COUNTS, (_ROWS, 8))
 
     def tick(self) -> None:
         """Take one sample of the grid: the angles; they become counts, all together, when somebody looks."""
@@ -68,18 +67,16 @@ class Sensing:
             self._draw()
             row = self._raw_from = 0
         self._row = row
-        angles = self._plant.joints()[0]
-        self._places[row][:] = angles.tolist() if self._in_python else angles
+        self._history[row] = self._plant.joints()[0]
 
     def _count(self) -> None:
         """Make counts of the angles in the history from `_raw_from` on, and of those now."""
         row, (angles, _, amps) = self._row, self._plant.joints()
-        self._angles[:] = angles.tolist() if self._in_python else angles
-        self._amps[:] = amps.tolist() if self._in_python else amps
-        self._show(self._now, self._history, self._dither, self._scales, self._raw_from, row, self._shown)
+        self._now[ANGLES], self._now[CURRENTS] = angles, amps
+        show(self._now, self._history, self._dither, self._scales, self._raw_from, row, self._shown)
         self._raw_from = row + 1
 
-    def measure(self) -> Rows:
+    def measure(self) -> Ints:
         """`counts` and `velocity` now, and Present Current in its counts: (3, 8), until the next call."""
         self._count()
         return self._shown
@@ -88,7 +85,7 @@ class Sensing:
         """Encoder counts now (live), or as they were on the grid `age_ns` ago."""
         if not age_ns:
             self._count()
-            return listed(self._shown)[SHOWN_COUNTS]
+            return [int(n) for n in self._shown[SHOWN_COUNTS]]
         self._count()
         return [int(n) for n in self._history[(self._row - min(age_ns, HISTORY_NS) // GRID_NS) % _ROWS]]
 

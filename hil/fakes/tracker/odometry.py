@@ -15,7 +15,6 @@ import numpy as np
 from hil.fakes.plant_api import BodyMotion
 from hil.fakes.tracker.options import TrackerTruthOptions
 from hil.fakes.tracker.step import DRAWS, LAST_X, LAST_Y, POSITION, STATE_SIZE, WORLD_SIZE, Way, step
-from hil.vocabulary.arithmetic import quick, rows, vector
 from hil.vocabulary.geometry import (
     Array,
     quat_conjugate,
@@ -24,6 +23,7 @@ from hil.vocabulary.geometry import (
     quat_multiply,
     quat_rotate,
 )
+from hil.vocabulary.jit import compile_for
 from hil.vocabulary.records import named
 
 _BLOCK = 512
@@ -85,7 +85,7 @@ class VisualOdometry:
             session = np.random.default_rng((options.session, int(self.scale * 1e12)))
             self.scale += options.session_scale_sigma * float(session.standard_normal())
         yaw_rate_rad_s = options.yaw_rate_sigma_rad_s * float(rng.standard_normal())
-        self._errors = vector(
+        self._errors = np.array(
             (
                 yaw_rate_rad_s,
                 options.yaw_walk_rad_sqrt_s,
@@ -96,9 +96,9 @@ class VisualOdometry:
                 options.angle_noise_rad,
             )
         )
-        self._world, self._state = vector([0.0] * WORLD_SIZE), vector([0.0] * STATE_SIZE)
-        self._draws, self._row = rows(np.zeros((1, DRAWS))), 0
-        self._step = quick(step, Way(), self._draws, 0, self._errors, self._world, self._state)
+        self._world, self._state = np.zeros(WORLD_SIZE), np.zeros(STATE_SIZE)
+        self._draws, self._row = np.zeros((1, DRAWS)), 0
+        compile_for(step, Way(), self._draws, 0, self._errors, self._world, self._state)
         self._started = False
 
     def restart(self) -> None:
@@ -157,7 +157,7 @@ class VisualOdometry:
             u, v = self._in_wall(wheels, theta)
             told_x, told_y = u * dt_s, v * dt_s
         if not self._row:
-            self._draws, self._row = rows(self._rng.standard_normal((_BLOCK, DRAWS))), _BLOCK
+            self._draws, self._row = self._rng.standard_normal((_BLOCK, DRAWS)), _BLOCK
         self._row -= 1
         way = named(
             Way,
@@ -176,7 +176,7 @@ class VisualOdometry:
                 weight,
             ),
         )
-        told = self._step(way, self._draws, self._row, self._errors, self._world, self._state)
+        told = step(way, self._draws, self._row, self._errors, self._world, self._state)
         position, velocity = named(Vector, told[:3]), named(Vector, told[3:6])
         rotation, rate = named(Quaternion, told[6:10]), named(Vector, told[10:])
         return named(CameraPose, (position, velocity, rotation, rate))
@@ -196,6 +196,6 @@ class VisualOdometry:
             quat_multiply(world, self._mount_wxyz),
             quat_multiply(turned, self._mount_wxyz),
         )
-        self._world = vector(np.concatenate(parts))
-        self._state = vector([0.0, 0.0, 0.0, *in_wall, 0.0])
+        self._world = np.concatenate(parts)
+        self._state = np.array([0.0, 0.0, 0.0, *in_wall, 0.0])
         self._started = True

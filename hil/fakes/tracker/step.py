@@ -1,4 +1,4 @@
-"""One step of the emulated visual odometry, in flat vectors (`hil.vocabulary.arithmetic`).
+"""One step of the emulated visual odometry, in flat vectors.
 
 What the camera's way is comes by name; other numbers stand in three vectors in SI units at the places named
 below: what errs, the levelled world as `VisualOdometry` has fixed it, and the state.
@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from hil.vocabulary.arithmetic import Rows, Vector
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.jit import inner, kernel
 
 # What errs (7,).
 (YAW_RATE, YAW_WALK, POSITION_WALK, POSITION_NOISE, VELOCITY_NOISE, RATE_NOISE, ANGLE_NOISE) = range(7)
@@ -57,7 +58,8 @@ class Way(NamedTuple):
     weight: float = 0.0
 
 
-def step(way: Way, draws: Rows, row: int, errors: Vector, world: Vector, state: Vector) -> Pose:
+@kernel
+def step(way: Way, draws: Array, row: int, errors: Array, world: Array, state: Array) -> Pose:
     """Move as the odometry sees it, and return the pose that it tells.
 
     The step is scaled, turned by the heading error and walks; what the wheels have told pulls it towards
@@ -110,8 +112,9 @@ def step(way: Way, draws: Rows, row: int, errors: Vector, world: Vector, state: 
     )
 
 
+@inner
 def rotation(
-    theta: float, yaw: float, noise: Vector, errors: Vector, world: Vector
+    theta: float, yaw: float, noise: Array, errors: Array, world: Array
 ) -> tuple[float, float, float, float]:
     """Camera in the levelled world (x, y, z, w): heading error and noise on the left."""
     c, s = math.cos(0.5 * theta), math.sin(0.5 * theta)

@@ -1,0 +1,289 @@
+"""Machine code: kept by the state of all sources, lost without harm, told while made, ended by Ctrl-C."""
+
+import ast
+import importlib.util
+import logging
+import os
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+from numba.core import event
+
+from hil.vocabulary import jit
+from hil.vocabulary.errors import Aborted
+from hil.vocabulary.jit import cache_folder, compile_for, kernel
+
+ROOT = Path(__file__).parents[2]
+MODULE = """
+from hil.vocabulary.jit import inner, kernel
+
+@inner
+def added(x):
+    return x + 1.5
+
+@kernel
+def outer(x):
+    return 2.0 * added(x)
+"""
+
+
+def fresh(folder, text=MODULE):
+    """A module of kernels that has not been imported before."""
+    path = folder / "made.py"
+    path.write_text(text)
+    spec = importlib.util.spec_from_file_location("made", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def kept_in(tmp_path, monkeypatch, caplog):
+    """Folder in which this process keeps machine code for a while."""
+    kinds, ours, watch = ("numba:compile", "numba:run_pass"), jit._watch, jit._Watch()
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(jit, "_watch", watch)
+    caplog.set_level(logging.WARNING)
+    for kind in kinds:
+        event.unregister(kind, ours)
+        event.register(kind, watch)
+    yield tmp_path / "cache"
+    for kind in kinds:
+        event.unregister(kind, watch)
+        event.register(kind, ours)
+
+
+def from_the_cache(folder):
+    """Whether the kernel was found there."""
+    outer = fresh(folder).outer
+    assert outer(1.0) == 5.0
+    return sum(outer.stats.cache_hits.values()) == 1
+
+
+STEERED = """
+import numpy as np
+from hil.controller import four_wheels as at
+n = np.zeros(at.SIZE)
+n[at.SPEED], n[at.ANGLE] = 1.0, 0.5
+at.steer(n, at.ModuleLimits(), 1.0)
+print(n[at.HELD], sum(at.steer.stats.cache_hits.values()))
+"""
+
+
+def test_a_kernel_is_compiled_anew_when_a_function_in_another_file_changes(tmp_path):
+    shutil.copytree(ROOT / "hil", tmp_path / "hil", ignore=shutil.ignore_patterns("__pycache__"))
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    command = [sys.executable, "-c", STEERED]
+
+    def says():
+        environment["PYTHONPATH"] = str(tmp_path)
+        done = subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        )
+        return [float(word) for word in done.stdout.split()]
+
+    assert says() == [0.5, 0.0]
+    assert says() == [0.5, 1.0]
+    geometry = tmp_path / "hil" / "vocabulary" / "geometry.py"
+    text = geometry.read_text()
+    assert text.count("return math.pi - (math.pi - angle_rad)") == 1
+    geometry.write_text(text.replace("return math.pi - (math", "return 0.25 + math.pi - (math"))
+    assert says() == [0.75, 0.0]
+    (folder,) = (tmp_path / "hil" / "__pycache__" / "kernels").iterdir()
+    assert any(folder.rglob("*.nbc"))
+
+
+def test_a_folder_stands_for_one_state_of_the_sources_and_the_first_home_that_takes_it(tmp_path):
+    package, homes = tmp_path / "package", (tmp_path / "one", tmp_path / "other")
+    (package / "robot").mkdir(parents=True)
+    source = package / "robot" / "a.py"
+    source.write_text("a = 1")
+    first = cache_folder(package, homes)
+    assert Path(first).parent == homes[0]
+    assert cache_folder(package, homes) == first
+    source.write_text("a = 2")
+    second = cache_folder(package, homes)
+    assert [str(path) for path in homes[0].iterdir()] == [second]
+    shutil.rmtree(homes[0])
+    homes[0].write_text("a file where a folder is needed")
+    assert Path(cache_folder(package, homes)).parent == homes[1]
+    shutil.rmtree(homes[1])
+    homes[1].write_text("another one")
+    assert cache_folder(package, homes) == ""
+
+
+def test_all_that_a_kernel_may_use_counts_among_the_sources():
+    """Modules that define kernels import from those folders alone."""
+    for path in (ROOT / "hil").rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        if "hil.vocabulary.jit import" not in text or not ("@kernel" in text or "@inner" in text):
+            continue
+        found = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.ImportFrom) and n.module]
+        rooms = {n.module.split(".")[1] for n in found if n.module.startswith("hil.")}
+        assert rooms | {path.relative_to(ROOT / "hil").parts[0]} <= set(jit._SOURCES), path
+
+
+FULL = """
+import resource
+from made import outer
+
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+print(outer(1.0), outer(1))
+"""
+
+
+def test_a_full_disk_under_the_cache_is_told_once_and_ends_nothing(tmp_path):
+    (tmp_path / "made.py").write_text(MODULE)
+    cache, path = tmp_path / "cache", os.pathsep.join([str(tmp_path), *sys.path])
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": path}
+    done = subprocess.run(
+        [sys.executable, "-c", FULL], env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["5.0", "5.0"]
+    (line,) = done.stderr.splitlines()
+    assert str(cache) in line
+    assert "NUMBA_CACHE_DIR" in line
+
+
+@pytest.mark.parametrize("size", [0, 100])
+@pytest.mark.parametrize("kind", ["nbi", "nbc"])
+def test_a_broken_off_file_in_the_cache_is_replaced(kept_in, tmp_path, kind, size, caplog):
+    assert (from_the_cache(tmp_path), from_the_cache(tmp_path)) == (False, True)
+    (file,) = kept_in.glob(f"*/*.{kind}")
+    os.truncate(file, size)
+    assert (from_the_cache(tmp_path), from_the_cache(tmp_path)) == (False, True)
+    assert caplog.messages == []
+
+
+def test_a_signal_in_the_midst_of_the_cache_ends_the_run_all_the_same(kept_in, tmp_path, monkeypatch, caplog):
+    def struck(*_):
+        raise Aborted("by a signal")
+
+    for writing, reading in ((struck, pickle.load), (os.replace, struck)):
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "replace", writing)
+            patch.setattr(pickle, "load", reading)
+            with pytest.raises(Aborted):
+                from_the_cache(tmp_path)
+        from_the_cache(tmp_path)
+    assert caplog.messages == []
+
+
+def test_where_nothing_can_be_kept_it_is_told_once(kept_in, monkeypatch, tmp_path, caplog):
+    """Neither where the user said, nor beside the source, nor in the user's cache."""
+    for name in ("cache", "__pycache__", "of_the_user"):
+        (tmp_path / name).write_text("a file where a folder is needed")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "of_the_user"))
+    outer = fresh(tmp_path).outer
+    assert caplog.messages == []  # nothing is lost before something was compiled
+    assert (outer(1.0), outer(1)) == (5.0, 5.0)
+    (told,) = caplog.messages
+    assert "NUMBA_CACHE_DIR" in told
+
+
+def test_a_kernel_without_a_file_is_none_to_be_kept(kept_in, caplog):
+    exec("def f(x):\n    return x + 1.5", scope := {})
+    assert kernel(scope["f"])(1.0) == 2.5
+    assert caplog.messages == []
+
+
+def test_an_inner_function_is_machine_code_in_a_kernel_and_plain_in_python(kept_in, tmp_path):
+    made = fresh(tmp_path)
+    compile_for(made.outer, 1.0)
+    assert len(made.outer.signatures) == 1
+    assert (made.outer(3.0), made.added(3.0), jit.entry(made.added)(3.0)) == (9.0, 4.5, 4.5)
+    assert made.added(np.float32(1.0)) == 2.5
+
+
+def test_a_compilation_that_takes_long_is_told_with_what_does_it_beforehand(kept_in, monkeypatch, caplog):
+    monkeypatch.setattr(jit, "_FIRST_WORD_NS", -1)
+    kernel(lambda x: x + 1.0)(1.0)
+    (told,) = caplog.messages
+    assert "hil info --compile" in told
+
+
+class Strike(event.Listener):
+    """Ctrl-C at a certain step of a compilation."""
+
+    def __init__(self, step):
+        self.left = step
+
+    def on_start(self, _):
+        self.left -= 1
+        if self.left == 0:
+            signal.raise_signal(signal.SIGINT)
+
+    def on_end(self, _):
+        pass
+
+
+@pytest.fixture
+def struck():
+    """Compiles a kernel, with Ctrl-C at a step and a handler of one's own; the kernel."""
+    before = signal.getsignal(signal.SIGINT)
+
+    def compiled(step, handler):
+        signal.signal(signal.SIGINT, handler)
+        made = kernel(lambda x: x + 1.0)
+        try:
+            with event.install_listener("numba:run_pass", Strike(step)):
+                compile_for(made, 1.0)
+        finally:
+            assert signal.getsignal(signal.SIGINT) is handler
+            assert len(made.signatures) == (0 if sys.exc_info()[0] else 1)
+        return made
+
+    yield compiled
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize("step", [1, 5, 20])
+def test_an_interrupt_ends_a_compilation(struck, step):
+    with pytest.raises(KeyboardInterrupt):
+        struck(step, signal.default_int_handler)
+    assert kernel(lambda x: x + 1.0)(1.0) == 2.0
+
+
+def test_what_a_handler_raises_comes_as_it_is(struck):
+    def stop(*_):
+        raise Aborted("by a signal")
+
+    with pytest.raises(Aborted, match="by a signal"):
+        struck(5, stop)
+
+
+def test_a_handler_that_puts_interrupts_off_is_left_to_it(struck):
+    noted = []
+
+    def note(*_):
+        noted.append(1)
+
+    assert struck(5, note)(1.0) == 2.0
+    assert noted == [1]
+
+
+PLAIN = """
+import numpy as np, hil
+with hil.open_bench("emulated", seed=1) as bench:
+    motion = bench.observe(0.1, feedback="ekf")
+print(*motion.estimate[-1].tolist())
+"""
+
+
+def test_without_machine_code_everything_runs_as_plain_python():
+    poses = []
+    for asked in ("0", "1"):
+        environment = {**os.environ, "NUMBA_DISABLE_JIT": asked}
+        done = subprocess.run(
+            [sys.executable, "-c", PLAIN], env=environment, capture_output=True, text=True, timeout=250
+        )
+        assert done.returncode == 0, done.stderr
+        poses.append([float(v) for v in done.stdout.split()])
+    np.testing.assert_allclose(poses[0], poses[1], atol=1e-9)
