@@ -70,11 +70,9 @@ def of_servo_bus(told: Any) -> Iterator[Row]:
 
 
 def of_calibration(told: Any) -> Iterator[Row]:
-    """One evaluation of the cost against a plain loop, of the normal equations against numpy on arrays."""
+    """One evaluation of the cost against a plain loop."""
     it = told["cost"]
     yield _slower("calibration, one cost", it["ours_ms"], "plain Python loop", it["loop_ms"], "ms")
-    for law, it in told["normal_equations"].items():
-        yield _slower(f"normal equations, {law}", it["compiled_ms"], "numpy on arrays", it["arrays_ms"], "ms")
 
 
 def of_virtual_bench(told: Any) -> Iterator[Row]:

@@ -20,7 +20,6 @@ from hil.fakes.fault import STRIKES, Supported
 from hil.fakes.world import NEVER_NS, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import UsageError
-from hil.vocabulary.records import named
 
 WIRE_FAULTS: Supported = {
     "drop": STRIKES,
@@ -127,7 +126,7 @@ class CanChannel:
             self.send(message, t_ns, sender=sender)
             return
         arrival_ns = self._crossed_ns(extended, len(data), t_ns)
-        frame = named(CanFrame, (arrival_ns / NS_PER_S, frame_id, data, extended, False, False))
+        frame = CanFrame(arrival_ns / NS_PER_S, frame_id, data, extended, False, False)
         for queue, told in self._listeners:
             if queue is not sender:
                 queue.append((arrival_ns, frame))

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
 
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.records import quickly_made
 
 JointMode = Literal["off", "velocity", "position", "pwm", "current"]
 
@@ -50,7 +49,6 @@ class HoldingForces:
     propeller_gain: float = 1.0
 
 
-@quickly_made
 @dataclass(frozen=True)
 class PlantState:
     """Physical truth at `t_ns`.

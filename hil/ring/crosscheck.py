@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from hil.config.encoders import EncodersConfig
 from hil.vocabulary.geometry import wrap
 from hil.vocabulary.interfaces import Blame
-from hil.vocabulary.records import quickly_made
 from hil.vocabulary.signals import WHEELS, Event, Inputs, Measurements
 
 _SETTLED_RAD = 0.016
@@ -24,7 +23,6 @@ _NAN = math.nan
 _EVERY_NS, _TOLD_NS, _FAR = 48_000_000, 50_000_000, 2.0
 
 
-@quickly_made
 @dataclass(frozen=True)
 class CrossCheckResult:
     """Diagnostic per axis, wheel order, four each.

@@ -26,7 +26,6 @@ from hil.ring.supervisor import Supervisor
 from hil.vocabulary.clock import NS_PER_S, Clock
 from hil.vocabulary.errors import DeviceTimeoutError, HilError, SafetyStop
 from hil.vocabulary.interfaces import Controller, Estimator, Sink
-from hil.vocabulary.records import quickly_made
 from hil.vocabulary.signals import (
     CycleRecord,
     Event,
@@ -52,7 +51,6 @@ ReferenceAt = Callable[[float], Reference]
 Lap = Callable[[str], None]
 
 
-@quickly_made
 @dataclass(frozen=True)
 class Decision:
     """What the brain made of one cycle's inputs."""

@@ -16,7 +16,6 @@ from hil.ring.dead_reckoning import GyroTrack, Kept, WheelTrack, moved, rolled
 from hil.ring.doubts import CAMERA, STEP_NS, WHEELS, Doubt, Party, Relocalisation, Sum
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.records import quickly_made
 from hil.vocabulary.signals import Measurements, PoseMeasurement
 
 GYRO = Party("imu", "the gyro")
@@ -64,7 +63,6 @@ class Honest:
     stop_rad: float = 0.08
 
 
-@quickly_made
 @dataclass(frozen=True)
 class _Seen:
     """One instant: the camera's place and heading, the wheels' and the gyro's values."""

@@ -17,7 +17,6 @@ from operator import attrgetter
 from typing import Any
 
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.records import quickly_made
 from hil.vocabulary.suspects import SEPARATOR
 
 WHEELS = ("FL", "BL", "BR", "FR")
@@ -49,7 +48,6 @@ _OK = Status.OK
 _ALL_OK = (_OK,) * len(SERVOS)
 
 
-@quickly_made
 @dataclass(frozen=True)
 class Stamp:
     """When a sample was measured and when the host saw it.
@@ -67,7 +65,6 @@ class Stamp:
     device_ns: int | None = None
 
 
-@quickly_made
 @dataclass(frozen=True)
 class ServoSample:
     """One synchronised read of the eight servos; arrays of shape (8,), order `SERVOS`.
@@ -89,7 +86,6 @@ class ServoSample:
         return self.status == _ALL_OK
 
 
-@quickly_made
 @dataclass(frozen=True)
 class ServoHealth:
     """Slow bulk read: shape (8,), NaN where a servo did not answer."""
@@ -100,7 +96,6 @@ class ServoHealth:
     status: tuple[Status, ...]
 
 
-@quickly_made
 @dataclass(frozen=True)
 class ServoHold:
     """What the servos say about holding the robot, when they were last looked after.
@@ -123,7 +118,6 @@ class ServoHold:
     released: bool = False
 
 
-@quickly_made
 @dataclass(frozen=True)
 class EncoderSample:
     """External steering encoders (AS5045), shape (4,), rad in [-pi, pi), NaN where not OK."""
@@ -134,7 +128,6 @@ class EncoderSample:
     raw_word: tuple[int, ...]
 
 
-@quickly_made
 @dataclass(frozen=True)
 class ImuSample:
     """Rates, gravity and attitude of an inertial unit, in the sensor's own frame.
@@ -162,7 +155,6 @@ class ImuSample:
         return self.gravity_m_s2 + self.linear_acceleration_m_s2
 
 
-@quickly_made
 @dataclass(frozen=True)
 class TrackerSample:
     """Pose of a tracking camera in robot axes (x forward, y left, z up of the camera), in its start frame.
@@ -179,7 +171,6 @@ class TrackerSample:
     status: Status = Status.OK
 
 
-@quickly_made
 @dataclass(frozen=True)
 class MocapSample:
     """Motion-capture pose of the robot's rigid body in the capture frame."""
@@ -193,7 +184,6 @@ class MocapSample:
     status: Status = Status.OK
 
 
-@quickly_made
 @dataclass(frozen=True)
 class AdhesionSample:
     """What the fan's controller reports; NaN for what it has not reported yet, or no longer does.
@@ -219,7 +209,6 @@ class AdhesionSample:
     trouble: str = ""
 
 
-@quickly_made
 @dataclass(frozen=True)
 class ThrustSample:
     """The propellers that carry part of the weight.
@@ -236,7 +225,6 @@ class ThrustSample:
     status: Status = Status.OK
 
 
-@quickly_made
 @dataclass(frozen=True)
 class LoadCellSample:
     """The cells that measure with which force the fan presses; shape (2,), N, NaN where not OK.
@@ -250,7 +238,6 @@ class LoadCellSample:
     raw: tuple[int, ...]
 
 
-@quickly_made
 @dataclass(frozen=True)
 class Inputs:
     """Everything that the devices delivered since the previous cycle, oldest first per device.
@@ -302,7 +289,6 @@ def samples_of(kind: str) -> Callable[[Inputs], tuple[Any, ...]]:
     return lambda inputs: inputs.added.get(kind, ())
 
 
-@quickly_made
 @dataclass(frozen=True)
 class WheelMeasurement:
     """Aligned wheel state: shape (4,) each, wheel order; signs and zero offsets applied.
@@ -317,7 +303,6 @@ class WheelMeasurement:
     valid: tuple[bool, ...]
 
 
-@quickly_made
 @dataclass(frozen=True)
 class GyroMeasurement:
     """Aligned inertial sample in body axes.
@@ -334,7 +319,6 @@ class GyroMeasurement:
     acceleration_m_s2: Array
 
 
-@quickly_made
 @dataclass(frozen=True)
 class PoseMeasurement:
     """Planar pose of the body from a camera or the capture system, shape (3,): (m, m, rad unwrapped).
@@ -349,7 +333,6 @@ class PoseMeasurement:
     valid: bool
 
 
-@quickly_made
 @dataclass(frozen=True)
 class Measurements:
     """Aligned inputs of one cycle: what the estimator sees."""
@@ -375,7 +358,6 @@ def heard(cycles: Iterable[Measurements]) -> tuple[str, ...]:
     return tuple(name for name, there in found.items() if there)
 
 
-@quickly_made
 @dataclass(frozen=True)
 class RobotState:
     """Estimated state.
@@ -394,7 +376,6 @@ class RobotState:
     diagnostics: Mapping[str, float] = field(default_factory=dict)
 
 
-@quickly_made
 @dataclass(frozen=True)
 class Reference:
     """Where the robot should be at `t_s`: pose in the wall frame, body twist, acceleration in wall axes."""
@@ -406,7 +387,6 @@ class Reference:
     done: bool = False
 
 
-@quickly_made
 @dataclass(frozen=True)
 class WheelSetpoint:
     """Wheel rates and steering angles in the aligned (body) convention, shape (4,) each."""
@@ -415,7 +395,6 @@ class WheelSetpoint:
     steering_rad: Array
 
 
-@quickly_made
 @dataclass(frozen=True)
 class ServoSetpoint:
     """What goes on the bus: drive velocity goals and steering position goals of the servos themselves."""
@@ -424,7 +403,6 @@ class ServoSetpoint:
     steer_position_rad: Array
 
 
-@quickly_made
 @dataclass(frozen=True)
 class Event:
     """Something worth telling: a fault, a rejected sample, a stop, a mode change.
@@ -444,7 +422,6 @@ class Event:
         return tuple(self.source.split(SEPARATOR))
 
 
-@quickly_made
 @dataclass(frozen=True)
 class CycleRecord:
     """Everything about one cycle; what sinks receive and what `hil replay --verify` reproduces.

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 from hil.drivers.mocap.cursor import Cursor
 from hil.drivers.mocap.packets import MalformedPacket
-from hil.vocabulary.records import named
 
 _NUMBER = struct.Struct("<i")
 _BODY = struct.Struct("<i3f4ffh")
@@ -156,9 +155,10 @@ class _Shape:
         if values[1:place] != self._before or values[place + _POSE_VALUES : -_END_VALUES] != self._after:
             return None
         x, y, z, qx, qy, qz, qw, error, parameters = values[place : place + _POSE_VALUES]
-        body = named(BodyPose, ((x, y, z), (qx, qy, qz, qw), error, parameters & _TRACKED != 0))
+        body = BodyPose((x, y, z), (qx, qy, qz, qw), error, parameters & _TRACKED != 0)
         changed = values[-1] & _MODELS_CHANGED != 0
-        return named(Frame, (values[0], body, *values[-_END_VALUES:-1], changed))
+        stamp_s, exposure, received, sent = values[-_END_VALUES:-1]
+        return Frame(values[0], body, stamp_s, exposure, received, sent, changed)
 
 
 def _pass_over(cursor: Cursor, section: _Section, sized: bool) -> None:

@@ -12,7 +12,6 @@ from hil.drivers.servos.packets import ALERT, ERROR_NUMBER, ERROR_TEXT, Answer, 
 from hil.drivers.servos.port import PortLost, ServoPort
 from hil.vocabulary.clock import NS_PER_S, Clock
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
-from hil.vocabulary.records import named
 from hil.vocabulary.signals import Status
 
 T = TypeVar("T")
@@ -182,7 +181,7 @@ class Bus:
             self.port.writePort(after + group.request)
         except PortLost:
             pass  # who waits for the answer will see
-        return named(_Asked, (group, sent_ns, sent_ns + round(timeout_s * NS_PER_S)))
+        return _Asked(group, sent_ns, sent_ns + round(timeout_s * NS_PER_S))
 
     def _fetch(self, asked: _Asked) -> Exchange:
         clock, group = self._clock, asked.group
@@ -195,7 +194,7 @@ class Bus:
             clock.sleep_until_ns(asked.deadline_ns)
         received_ns = clock.now_ns()
         taken_ns = self._taken_ns(asked, len(data), received_ns)
-        return named(Exchange, (data, asked.sent_ns, received_ns, taken_ns))
+        return Exchange(data, asked.sent_ns, received_ns, taken_ns)
 
     def _taken_ns(self, asked: _Asked, count: int, received_ns: int) -> int:
         """When the servos heard the request: after the wire, and half of what a round trip costs.

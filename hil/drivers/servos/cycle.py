@@ -20,7 +20,6 @@ from hil.drivers.servos.packets import NO_ANSWER, Answer, GroupRead
 from hil.drivers.servos.registers import CYCLE_FIELDS, FULL_FIELDS, FULL_LEVEL, Fields, RegisterMap
 from hil.drivers.servos.roll_call import RollCall
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
-from hil.vocabulary.records import named
 from hil.vocabulary.signals import Status
 
 _DEAD_AFTER = 3
@@ -187,7 +186,7 @@ class CycleReader:
         if self._missed != _NONE_MISSED:
             self._missed = list(_NONE_MISSED)
         values = (registers, ALL_OK, _NO_ALERT, exchange.taken_ns, exchange.received_ns, full, ())
-        return named(Reading, values)
+        return Reading(*values)
 
     def _group(self, kind: _Kind, joints: tuple[int, ...]) -> tuple[GroupRead, float]:
         found = self._groups.get((kind, joints))

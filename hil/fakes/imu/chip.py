@@ -18,7 +18,6 @@ from hil.fakes.imu.output import EMPTY, LENGTH, encode
 from hil.fakes.imu.sensors import ImuTruthOptions, InertialSensors, matrix, names_each_axis, product, remap
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, Scheduled, World
-from hil.vocabulary.records import named
 
 __all__ = ["SUPPORTED_FAULTS", "Bno055Chip"]
 
@@ -130,7 +129,7 @@ class Bno055Chip(SerialChip, Scheduled):
             if faults is not None:
                 answer = faults.spoil(answer, t_ns)
             if answer:
-                replies.append(named(Reply, (ready_ns, answer)))
+                replies.append(Reply(ready_ns, answer))
         return replies
 
     def poll(self, t_ns: int) -> list[Reply]:

@@ -20,7 +20,6 @@ from hil.fakes.imu.registers import Mode
 from hil.fakes.plant_api import BodyMotion
 from hil.vocabulary.geometry import Four as Quaternion
 from hil.vocabulary.jit import compile_for
-from hil.vocabulary.records import named
 
 _BLOCK = 1024
 _STILL_RATE_RAD_S = 0.003
@@ -213,7 +212,7 @@ class InertialSensors:
             self._state,
         )
         self._row -= 1
-        return named(Sensed, outputs)
+        return Sensed(*outputs)
 
     def _learn(self, body: BodyMotion, dt_s: float) -> None:
         """Calibrate from how the chip stands and moves."""

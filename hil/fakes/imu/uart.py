@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from hil.vocabulary.records import named
-
 WRITE_SUCCESS, WRITE_FAIL, INVALID_ADDRESS, WRITE_DISABLED = 0x01, 0x03, 0x04, 0x05
 WRONG_START, BUS_OVERRUN, MAX_LENGTH, MIN_LENGTH, CHARACTER_TIMEOUT = 0x06, 0x07, 0x08, 0x09, 0x0A
 
@@ -70,7 +68,7 @@ class RequestParser:
             and 0 < data[3] <= LONGEST
         ):
             self._in_noise = False
-            return [named(Request, (data[2], data[3], None, 0))]
+            return [Request(data[2], data[3], None, 0)]
         self._buffer += data
         found: list[Request] = []
         while self._buffer:

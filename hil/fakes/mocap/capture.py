@@ -11,7 +11,6 @@ from hil.fakes.mocap.seeing import DRAWS, Capture, seen_at
 from hil.fakes.plant_api import BodyMotion
 from hil.vocabulary.geometry import Array, Four, Three
 from hil.vocabulary.jit import compile_for
-from hil.vocabulary.records import named
 
 _BLOCK = 512
 _RARE_GAP = 0.02
@@ -99,4 +98,4 @@ class CaptureVolume:
     def _body_at(self, name: str, identifier: int, place: Three, draws: Array, row: int) -> SeenBody:
         """A body at a pose in the wall, with a row of noise."""
         seen = seen_at(place, self._by, draws, row)
-        return named(SeenBody, (name, identifier, *seen, True))
+        return SeenBody(name, identifier, *seen, True)

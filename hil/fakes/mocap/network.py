@@ -11,7 +11,6 @@ from collections import deque
 from typing import NamedTuple, Protocol
 
 from hil.fakes.world import World
-from hil.vocabulary.records import named
 
 Address = tuple[str, int]
 
@@ -121,4 +120,4 @@ class WorldNetwork(Outlet):
             if port.number == number and host == (_HOST if port.group is None else port.group):
                 last_ns = port.queue[-1].arrived_ns if port.queue else 0
                 arrived_ns = ready_ns if ready_ns > last_ns else last_ns
-                port.queue.append(named(Arrival, (data, sender, arrived_ns)))
+                port.queue.append(Arrival(data, sender, arrived_ns))

@@ -19,7 +19,6 @@ from hil.fakes.mocap.options import MocapTruthOptions
 from hil.fakes.world import Scheduled, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import UsageError
-from hil.vocabulary.records import named
 
 __all__ = ["SUPPORTED_FAULTS", "NatNetServer"]
 
@@ -183,7 +182,7 @@ class NatNetServer(Scheduled):
         up_s = (t_ns - self._started_ns) * 1e-9 * self._stretch
         exposure = round(up_s * CLOCK_HZ)
         received, sent = exposure + self._receive_ticks, exposure + self._latency_ticks
-        return named(encode.FrameTimes, (up_s, exposure, received, sent))
+        return encode.FrameTimes(up_s, exposure, received, sent)
 
     def _stream(self, ready_ns: int, t_ns: int) -> None:
         self._arrived_ns = ready_ns

@@ -19,7 +19,6 @@ from hil.fakes.plant_api import BodyMotion, HoldingForces, JointCommand, Plant, 
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.geometry import Array, ArrayLike
 from hil.vocabulary.numpy_records import Records
-from hil.vocabulary.records import named
 
 _MODES = {
     "off": MODE_OFF,
@@ -77,7 +76,8 @@ class SteppedBody(Plant):
 
     def body(self) -> BodyMotion:
         """How the body's origin moves."""
-        return named(BodyMotion, (*self._motion.tolist(), self.tilt_rad))
+        x, y, theta, v_x, v_y, omega, a_x, a_y = self._motion.tolist()
+        return BodyMotion(x, y, theta, v_x, v_y, omega, a_x, a_y, self.tilt_rad)
 
     def steering_rad(self) -> list[float]:
         """True heading of each wheel in the body frame, wheel order."""

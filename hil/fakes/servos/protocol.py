@@ -11,8 +11,6 @@ from typing import NamedTuple
 
 from fastcrc import crc16
 
-from hil.vocabulary.records import named
-
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
 
@@ -165,4 +163,4 @@ def _whole(data: bytes) -> Instruction | None:
         return None
     if checksum(data[:-2]) != data[-2] | data[-1] << 8:
         return None
-    return named(Instruction, (data[4], data[7], unstuff(data[8:-2]), True))
+    return Instruction(data[4], data[7], unstuff(data[8:-2]), True)

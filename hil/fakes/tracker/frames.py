@@ -7,7 +7,6 @@ from typing import Any, NamedTuple, Protocol
 
 from hil.fakes.tracker.odometry import CameraPose, Quaternion, Vector
 from hil.fakes.tracker.wheel_input import WheelInput
-from hil.vocabulary.records import named
 
 MODEL = "Intel RealSense T265"
 
@@ -49,7 +48,7 @@ class PoseFrame(NamedTuple):
 
     def get_pose_data(self) -> PoseData:
         """The pose."""
-        return named(PoseData, (*self.pose, self.confidence, self.confidence))
+        return PoseData(*self.pose, self.confidence, self.confidence)
 
 
 FrameCallback = Callable[[PoseFrame], None]

@@ -24,7 +24,6 @@ from hil.vocabulary.geometry import (
     quat_rotate,
 )
 from hil.vocabulary.jit import compile_for
-from hil.vocabulary.records import named
 
 _BLOCK = 512
 _NEAR_VERTICAL = 0.2
@@ -159,27 +158,24 @@ class VisualOdometry:
         if not self._row:
             self._draws, self._row = self._rng.standard_normal((_BLOCK, DRAWS)), _BLOCK
         self._row -= 1
-        way = named(
-            Way,
-            (
-                theta,
-                omega,
-                wall_x,
-                wall_y,
-                along,
-                left,
-                math.hypot(along, left),
-                dt_s,
-                scale * self.scale,
-                told_x,
-                told_y,
-                weight,
-            ),
+        way = Way(
+            theta,
+            omega,
+            wall_x,
+            wall_y,
+            along,
+            left,
+            math.hypot(along, left),
+            dt_s,
+            scale * self.scale,
+            told_x,
+            told_y,
+            weight,
         )
         told = step(way, self._draws, self._row, self._errors, self._world, self._state)
-        position, velocity = named(Vector, told[:3]), named(Vector, told[3:6])
-        rotation, rate = named(Quaternion, told[6:10]), named(Vector, told[10:])
-        return named(CameraPose, (position, velocity, rotation, rate))
+        position, velocity = Vector(*told[:3]), Vector(*told[3:6])
+        rotation, rate = Quaternion(*told[6:10]), Vector(*told[10:])
+        return CameraPose(position, velocity, rotation, rate)
 
     def _start(self, theta_rad: float, tilt_rad: float, in_wall: tuple[float, float]) -> None:
         """Fix the levelled world by gravity and the direction the camera looks."""

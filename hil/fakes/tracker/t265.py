@@ -17,7 +17,6 @@ from hil.fakes.tracker.wheel_input import WheelInput
 from hil.fakes.world import NEVER_NS, Scheduled, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.records import named
 
 __all__ = ["SUPPORTED_FAULTS", "T265"]
 
@@ -172,7 +171,7 @@ class T265(Scheduled):
         if lost < options.drop_probability or (faults is not None and faults.silent(t_ns)):
             return
         timestamp_ms = self._epoch_ms + t_ns / _NS_PER_MS / self._stretch
-        frame = named(PoseFrame, (number, timestamp_ms, pose, self._confidence(body, t_ns)))
+        frame = PoseFrame(number, timestamp_ms, pose, self._confidence(body, t_ns))
         late_ns = round((options.latency_s + options.jitter_s * jitter) * NS_PER_S)
         if faults is not None:
             late_ns += faults.lateness_ns(t_ns)
