@@ -9,6 +9,7 @@ only outer products of one vector with itself are subtracted.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,21 +19,34 @@ from hil.vocabulary.geometry import Array
 from hil.vocabulary.jit import inner
 
 
-@inner
-def joint_nis(innovation: Array, own: Array, var: Array, count: int, nis: Array) -> float:
-    """Normalised innovation squared of all rows together: the sum of each row's given those before it.
+class Compared(NamedTuple):
+    """Rows of a sample beside the state.
 
-    Args:
-        innovation: (8,) measured minus predicted.
+    Attributes:
+        nu: (8,) innovation, measured minus predicted.
+        cross: (8, 20) covariance of the predicted rows with the state.
         own: (8, 8) covariance of the predicted rows.
-        var: (8,) noise variance per row.
-        count: number of rows.
-        nis: (8,) set to each row's part.
+        var: (8,) noise variance; a negative one leaves the row out.
+        nis: (8,) filled with normalised innovations squared.
+    """
+
+    nu: Array
+    cross: Array
+    own: Array
+    var: Array
+    nis: Array
+
+
+@inner
+def joint_nis(rows: Compared, count: int) -> float:
+    """Normalised innovation squared of `count` rows together: the sum of each one's given those before it.
+
+    Each row's part is put in `nis`; nothing else changes.
 
     Returns:
         Their sum; infinite where the rows have no covariance.
     """
-    nu, s = innovation[:count].copy(), own[:count, :count].copy()
+    nu, s, var, nis = rows.nu[:count].copy(), rows.own[:count, :count].copy(), rows.var, rows.nis
     total = 0.0
     for i in range(count):
         size = s[i, i] + var[i]
@@ -50,26 +64,21 @@ def joint_nis(innovation: Array, own: Array, var: Array, count: int, nis: Array)
 
 
 @inner
-def condition(
-    x: Array, p: Array, nu: Array, cross: Array, own: Array, var: Array, count: int, gate: float, nis: Array
-) -> int:
+def condition(x: Array, p: Array, rows: Compared, count: int, gate: float) -> int:
     """Update state and covariance in place, row by row.
 
     Args:
         x: (20,) state.
         p: (20, 20) covariance.
-        nu: (8,) innovation per row; used up.
-        cross: (8, 20) covariance of the predicted rows with the state; used up.
-        own: (8, 8) covariance of the predicted rows; used up.
-        var: (8,) noise variance per row; a negative one leaves the row out.
+        rows: innovation and covariances are used up; `nis` is set, to -1 where a row was left out.
         count: number of rows.
         gate: largest normalised innovation squared of one row.
-        nis: (8,) set to each row's normalised innovation squared, -1 where it was left out.
 
     Returns:
         Number of accepted rows.
     """
     used, n = 0, p.shape[0]
+    nu, cross, own, var, nis = rows
     for i in range(count):
         nis[i] = -1.0
         size = own[i, i] + var[i]

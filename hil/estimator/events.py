@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from hil.estimator.conditioning import condition, guard, joint_nis
-from hil.estimator.layout import EventRow, Memory, Parameters
+from hil.estimator.conditioning import Compared, condition, guard, joint_nis
+from hil.estimator.layout import EventRow, Events, Memory, Parameters, States
 from hil.estimator.process import advance_linear
 from hil.estimator.retraction import carry, follow, is_lost, is_unsure, lean, settle
 from hil.estimator.sensors import (
@@ -34,7 +34,7 @@ from hil.estimator.state import STATES
 from hil.estimator.unscented import Points, advance_unscented, moments_unscented
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.jit import inner, kernel
-from hil.vocabulary.numpy_records import Ints, Records
+from hil.vocabulary.numpy_records import Records
 
 NONE_ACCEPTED = -1.0
 """A gate that no row passes."""
@@ -52,40 +52,27 @@ def advance(x: Array, p: Array, dt_s: float, par: Parameters, points: Points, no
 
 
 @inner
-def moments(
-    number: int,
-    x: Array,
-    p: Array,
-    aux: Array,
-    par: Parameters,
-    points: Points,
-    count: int,
-    mean: Array,
-    cross: Array,
-    own: Array,
-) -> None:
-    """Mean, cross covariance and covariance of the predicted rows; linear rows need no sigma points.
+def moments(number: int, x: Array, p: Array, par: Parameters, points: Points, count: int) -> None:
+    """Rows that the state predicts, and their covariances; linear rows need no sigma points.
 
     Args:
         number: of the sensor.
         x: (20,) state.
         p: (20, 20) covariance.
-        aux: (5,) figures of `observe`.
-        par: of all kernels.
+        par: of all kernels; `observe` has filled `aux` of its `work`. There, `mean`, `cross` and `own` are
+            filled.
         points: of the UKF.
         count: number of rows.
-        mean: (8,) filled with the rows that the state predicts.
-        cross: (8, 20) filled with their covariance with the state.
-        own: (8, 8) filled with their covariance.
     """
     if points is not None and BENT[number] and not is_lost(p, 0.0):
-        moments_unscented(number, x, p, aux, par, points, count, mean, cross, own)
+        moments_unscented(number, x, p, par, points, count)
         return
-    predicted(number, x, aux, par, mean)
-    h = par.work.h[:]
+    w = par.work
+    predicted(number, x, w.aux[:], par, w.mean[:])
+    h = w.h[:]
     h[:, :] = 0.0
-    jacobian(number, x, aux, par, h)
-    seen(p, h, count, cross, own)
+    jacobian(number, x, w.aux[:], par, h)
+    seen(p, h, count, w.cross[:], w.own[:])
 
 
 @inner
@@ -106,7 +93,7 @@ def compare(
     """
     w = par.work
     z, var, aux, nu, nis, before = w.z[:], w.var[:], w.aux[:], w.nu[:], w.nis[:], w.before[:]
-    cross, own, mean, shown = w.cross[:], w.own[:], w.mean[:], w.shown[:]
+    mean, shown, rows = w.mean[:], w.shown[:], Compared(nu, w.cross[:], w.own[:], var, nis)
     z[:], var[:], aux[:] = 0.0, 0.0, 0.0
     count = observe(number, t_ns, m, row, par, z, var, aux)
     if count == 0:
@@ -117,29 +104,29 @@ def compare(
     unsure = linear and is_unsure(number, p)
     if unsure:
         spread = np.zeros((STATES, STATES))
-        settle(number, before, p, z, var, aux, count, par, x, spread, nu, cross, own, w.h[:])
+        settle(number, before, p, count, par, x, spread)
     else:
         mean[:] = 0.0
-        moments(number, x, p, aux, par, points, count, mean, cross, own)
+        moments(number, x, p, par, points, count)
         innovation(number, z, mean, var, count, nu)
     put(shown, nu)
     gate = par.filter.gate_row
     if GATED_TOGETHER[number]:
         gate = math.inf
-        if joint_nis(nu, own, var, count, nis) > par.filter.gate_pose:
+        if joint_nis(rows, count) > par.filter.gate_pose:
             gate = NONE_ACCEPTED
     if gate <= 0.0:
         put(x, before)
     elif unsure:
         point, toward = x.copy(), np.zeros(STATES)
         put_rows(p, spread)
-        condition(toward, p, nu, cross, own, var, count, gate, nis)
+        condition(toward, p, rows, count, gate)
         lean(before, point, toward, -1.0)
         put(x, before + toward)
         follow(before, x)
         carry(point, x, p)
     else:
-        condition(x, p, nu, cross, own, var, count, gate, nis)
+        condition(x, p, rows, count, gate)
         if linear:
             follow(before, x)
             carry(before, x, p)
@@ -148,43 +135,28 @@ def compare(
 
 @kernel
 def run(
-    marks: Ints,
+    events: Events,
+    states: States,
     start: int,
     zero_ns: int,
-    t_ns: Ints,
-    numbers: Ints,
-    rows: Records,
-    x: Array,
-    p: Array,
-    m: Records,
     pars: Records,
     points: Points,
     now_ns: int,
-    now_x: Array,
-    now_p: Array,
-    now_m: Records,
+    now: States,
 ) -> None:
     """Go through the events of a ring from `start` on, and predict the newest state to `now_ns`.
 
-    Checkpoint k is the state after event k, which is in slot (first + k) % capacity of every array.
-
     Args:
-        marks: first slot and number of events, then what does not matter here.
+        events: what is gone through.
+        states: after each event, in its place; filled from `start` on.
         start: first event to go through, at least 1.
         zero_ns: stamp that sensor memory counts from.
-        t_ns: (capacity,) stamps.
-        numbers: (capacity,) of sensors.
-        rows: (capacity,) samples.
-        x: (capacity, 20) states, and
-        p: (capacity, 20, 20) covariances, and
-        m: (capacity,) memories; filled from `start` on.
         pars: (1,) parameters of all kernels.
         points: of the UKF; None makes this the EKF, in machine code of its own.
         now_ns: where this is later than the newest event, the state is predicted to it.
-        now_x: (20,) and
-        now_p: (20, 20) and
-        now_m: (1,), filled with the newest state.
+        now: filled with the newest state, its memory an array (1,).
     """
+    (marks, t_ns, numbers, rows), (x, p, m) = events, states
     first, count, capacity, par = marks[0], marks[1], t_ns.shape[0], pars[0]
     rolling = par.work.rolling[:]
     for k in range(start, count):
@@ -210,10 +182,10 @@ def run(
             remember(number, stamp, x[i], p[i], m[i], rows[i], par)
             m[i].guarded += guard(p[i])
     last = (first + count - 1) % capacity
-    put(now_x, x[last])
-    put_rows(now_p, p[last])
-    now_m[0] = m[last]
+    put(now.x, x[last])
+    put_rows(now.p, p[last])
+    now.m[0] = m[last]
     ahead_ns = now_ns - t_ns[last]
     if ahead_ns > 0:
-        nominal(float(now_ns - zero_ns), now_x, m[last].wheels, par.wheels, rolling)
-        advance(now_x, now_p, ahead_ns / 1e9, par, points, rolling)
+        nominal(float(now_ns - zero_ns), now.x, m[last].wheels, par.wheels, rolling)
+        advance(now.x, now.p, ahead_ns / 1e9, par, points, rolling)

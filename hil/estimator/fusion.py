@@ -17,7 +17,7 @@ from hil.config.estimator import EstimatorConfig
 from hil.estimator.events import run
 from hil.estimator.history import History
 from hil.estimator.intake import REASONS, Intake
-from hil.estimator.layout import MEMORY, MEMORY_FLOATS, PARAMETERS, first_memory
+from hil.estimator.layout import MEMORY, MEMORY_FLOATS, PARAMETERS, States, first_memory
 from hil.estimator.sensors import SENSORS
 from hil.estimator.start import start_of
 from hil.estimator.state import (
@@ -78,6 +78,7 @@ class Now:
         figures: memory, state and gates, as the diagnostics pick from it, and room for what they derive.
         x, p: (20,) and (20, 20); x is a part of `figures`.
         m: (1,), a part of `figures`.
+        states: the three of them.
         pose, twist, covariance: (3,), (3,) and (6, 6), parts of x and p.
     """
 
@@ -86,6 +87,7 @@ class Now:
         self.m: Records = self.figures[:_STATE].view(MEMORY)
         self.x = self.figures[_STATE : _STATE + STATES]
         self.p = np.zeros((STATES, STATES))
+        self.states = States(self.x, self.p, self.m)
         self.pose, self.twist, self.covariance = self.x[POSE], self.x[TWIST], self.p[:MOTION, :MOTION]
 
 
@@ -105,9 +107,7 @@ def load_filter(points: Points = None) -> None:
         points: None for the EKF; which ones the UKF has does not matter.
     """
     h, now, par = History(0, 1), Now(), np.zeros(1, PARAMETERS)
-    compile_for(
-        run, h.marks, 0, 0, h.t_ns, h.numbers, h.rows, h.x, h.p, h.m, par, points, 0, now.x, now.p, now.m
-    )
+    compile_for(run, h.events, h.states, 0, 0, par, points, 0, now.states)
 
 
 class CompiledEngine(Engine):
@@ -124,24 +124,7 @@ class CompiledEngine(Engine):
 
     def run(self, history: History, begin: int, zero_ns: int, now_ns: int, now: Now) -> None:
         """One call for the whole stretch."""
-        h = history
-        run(
-            h.marks,
-            begin,
-            zero_ns,
-            h.t_ns,
-            h.numbers,
-            h.rows,
-            h.x,
-            h.p,
-            h.m,
-            self._par,
-            self._points,
-            now_ns,
-            now.x,
-            now.p,
-            now.m,
-        )
+        run(history.events, history.states, begin, zero_ns, self._par, self._points, now_ns, now.states)
 
 
 class FusionEstimator(Estimator):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.estimator.intake import Staged
-from hil.estimator.layout import MEMORY, ROW
+from hil.estimator.layout import MEMORY, ROW, Events, Samples, States
 from hil.estimator.sensors import MARK
 from hil.estimator.small_matrices import put
 from hil.estimator.state import STATES
@@ -46,39 +46,30 @@ def earlier(
 
 
 @inner
-def insert(
-    first: int,
-    count: int,
-    t_ns: Ints,
-    numbers: Ints,
-    seqs: Ints,
-    data: Array,
-    new_ns: int,
-    new_number: int,
-    new_seq: int,
-    new: Array,
-) -> int:
-    """Put one event (n,) into the ring (capacity, n) of `count` events; its place, -1 if it is there.
+def insert(marks: Ints, ring: Samples, new: Samples, n: int) -> int:
+    """Put the sample `n` of `new` into the ring of events; its place, -1 if it is there.
 
     The caller has made room. Event 0 is the base of the history: the new one comes after it.
     """
-    capacity = t_ns.shape[0]
-    place = count
+    t_ns, numbers, seqs, data = ring
+    new_ns, new_number, new_seq = new.t_ns[n], new.numbers[n], new.seqs[n]
+    first, capacity = marks[FIRST], t_ns.shape[0]
+    place = int(marks[COUNT])
     while place > 1:
         j = (first + place - 1) % capacity
-        order = earlier(new_ns, new_number, new_seq, new, t_ns[j], numbers[j], seqs[j], data[j])
+        order = earlier(new_ns, new_number, new_seq, new.data[n], t_ns[j], numbers[j], seqs[j], data[j])
         if order == 0:
             return -1
         if order > 0:
             break
         place -= 1
-    for k in range(count, place, -1):
+    for k in range(marks[COUNT], place, -1):
         i, j = (first + k) % capacity, (first + k - 1) % capacity
         t_ns[i], numbers[i], seqs[i] = t_ns[j], numbers[j], seqs[j]
         put(data[i], data[j])
     i = (first + place) % capacity
     t_ns[i], numbers[i], seqs[i] = new_ns, new_number, new_seq
-    put(data[i], new)
+    put(data[i], new.data[n])
     return place
 
 
@@ -112,63 +103,34 @@ def in_order(t_ns: Ints, number: int) -> Ints:
 
 
 @kernel
-def enter(
-    marks: Ints,
-    t_ns: Ints,
-    numbers: Ints,
-    seqs: Ints,
-    data: Array,
-    span_ns: int,
-    now_ns: int,
-    number: int,
-    new_ns: Ints,
-    new_numbers: Ints,
-    new_seqs: Ints,
-    new: Array,
-) -> int:
+def enter(marks: Ints, ring: Samples, span_ns: int, now_ns: int, number: int, new: Samples) -> int:
     """Put a cycle's samples into the ring, old ones first; the first place to replay from.
 
     Args:
         marks: (4,) first slot, number of events, refused as late, refused as duplicates; changed in place.
-        t_ns: (capacity,) stamps of the ring, and its
-        numbers: (capacity,),
-        seqs: (capacity,) and
-        data: (capacity, floats of a row), all changed in place.
+        ring: its samples, changed in place.
         span_ns: how far back a sample may lie.
         now_ns: time of the cycle.
         number: of new samples.
-        new_ns: (room,) their stamps in any order, and their
-        new_numbers: (room,),
-        new_seqs: (room,) and
-        new: (room, floats of a row).
+        new: these, in any order.
     """
+    t_ns, numbers, seqs, data = ring
     capacity = t_ns.shape[0]
     let_go(marks, t_ns, span_ns, now_ns, number)
     begin = int(marks[COUNT])
-    order = in_order(new_ns, number)
+    order = in_order(new.t_ns, number)
     for k in range(number):
         n, newest = order[k], (marks[FIRST] + marks[COUNT] - 1) % capacity
-        if new_ns[n] <= t_ns[marks[FIRST]] or number - k > capacity - marks[COUNT]:
+        if new.t_ns[n] <= t_ns[marks[FIRST]] or number - k > capacity - marks[COUNT]:
             marks[LATE] += 1
             continue
         place = marks[COUNT]
-        if new_ns[n] > t_ns[newest]:
+        if new.t_ns[n] > t_ns[newest]:
             i = (newest + 1) % capacity
-            t_ns[i], numbers[i], seqs[i] = new_ns[n], new_numbers[n], new_seqs[n]
-            put(data[i], new[n])
+            t_ns[i], numbers[i], seqs[i] = new.t_ns[n], new.numbers[n], new.seqs[n]
+            put(data[i], new.data[n])
         else:
-            place = insert(
-                marks[FIRST],
-                marks[COUNT],
-                t_ns,
-                numbers,
-                seqs,
-                data,
-                new_ns[n],
-                new_numbers[n],
-                new_seqs[n],
-                new[n],
-            )
+            place = insert(marks, ring, new, n)
         if place < 0:
             marks[DUPLICATE] += 1
         else:
@@ -189,6 +151,7 @@ class History:
         rows: (capacity,) samples.
         x, p, m: (capacity, 20), (capacity, 20, 20), (capacity,): state, covariance, memory after each event.
         marks: (4,) first slot, number of events, refused as late, refused as duplicates.
+        events, states: the same arrays, as `hil.estimator.events.run` takes them.
     """
 
     def __init__(self, span_ns: int, capacity: int = CAPACITY) -> None:
@@ -197,18 +160,20 @@ class History:
         self.numbers = np.zeros(capacity, dtype=np.int64)
         self.seqs = np.zeros(capacity, dtype=np.int64)
         self.rows: Records = np.zeros(capacity, ROW)
-        self._data = floats(self.rows)
+        self._ring = Samples(self.t_ns, self.numbers, self.seqs, floats(self.rows))
         self.x = np.zeros((capacity, STATES))
         self.p = np.zeros((capacity, STATES, STATES))
         self.m: Records = np.zeros(capacity, MEMORY)
         self.marks = np.zeros(4, dtype=np.int64)
+        self.events = Events(self.marks, self.t_ns, self.numbers, self.rows)
+        self.states = States(self.x, self.p, self.m)
         self._marks, self._stamps = self.marks.data, self.t_ns.data
 
     def reset(self, t_ns: int, x: Array, p: Array, m: Records) -> None:
         """Forget everything and start from one state (20,), covariance (20, 20) and memory (1,)."""
         self.marks[:] = 0, 1, 0, 0
         self.t_ns[0], self.numbers[0], self.seqs[0] = t_ns, MARK, 0
-        self._data[0] = 0.0
+        self._ring.data[0] = 0.0
         self.x[0], self.p[0], self.m[0] = x, p, m[0]
 
     @property
@@ -236,20 +201,4 @@ class History:
 
     def enter(self, staged: Staged, now_ns: int) -> int:
         """Put a cycle's samples in; the first place to replay from, `count` when nothing is new."""
-        s = staged
-        return int(
-            enter(
-                self.marks,
-                self.t_ns,
-                self.numbers,
-                self.seqs,
-                self._data,
-                self.span_ns,
-                now_ns,
-                s.count,
-                s.t_ns,
-                s.numbers,
-                s.seqs,
-                s.data,
-            )
-        )
+        return int(enter(self.marks, self._ring, self.span_ns, now_ns, staged.count, staged.samples))

@@ -5,7 +5,7 @@ Each is a numpy record: its own fields, and a part per sensor under the sensor's
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from hil.estimator.sensors import SENSORS
 from hil.estimator.state import AUX, ROWS, STATES
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.numpy_records import FLOAT_BYTES, Record, Records, dtype_of, filled, floats, place
+from hil.vocabulary.numpy_records import FLOAT_BYTES, Ints, Record, Records, dtype_of, filled, floats, place
 
 _NO_GATE = 1e300
 
@@ -45,7 +45,8 @@ class Work(Record):
 
     Attributes:
         z, var, aux: what `Sensor.observe` says of the sample.
-        mean, cross, own: see `hil.estimator.events.moments`; h: `Sensor.jacobian`.
+        mean, cross, own: rows that the state predicts, their covariance with the state, and their own.
+        h: `Sensor.jacobian`.
         nu, shown, nis: innovations, the same as they were before the update, and normalised.
         before: state before the update.
         rolling: velocity by the wheels, m/s.
@@ -99,6 +100,52 @@ class Memory(Record):
 
 class EventRow(Record):
     """One sample: a part per sensor, of which all but that of the sample's own sensor are zero."""
+
+
+class Samples(NamedTuple):
+    """Samples, one in each place.
+
+    Attributes:
+        t_ns: (n,) stamps, and their
+        numbers: (n,) of sensors,
+        seqs: (n,) sequence numbers and
+        data: (n, floats of a row) event rows.
+    """
+
+    t_ns: Ints
+    numbers: Ints
+    seqs: Ints
+    data: Array
+
+
+class Events(NamedTuple):
+    """A ring of events; event k is in place (first + k) % capacity of every array.
+
+    Attributes:
+        marks: first place and number of events, then what does not matter to who reads them.
+        t_ns: (capacity,) stamps.
+        numbers: (capacity,) of sensors.
+        rows: (capacity,) samples.
+    """
+
+    marks: Ints
+    t_ns: Ints
+    numbers: Ints
+    rows: Records
+
+
+class States(NamedTuple):
+    """What the filter knows after events, one in each place; or at one time, without the first dimension.
+
+    Attributes:
+        x: (n, 20) states, and
+        p: (n, 20, 20) their covariances, and
+        m: (n,) memories.
+    """
+
+    x: Array
+    p: Array
+    m: Records
 
 
 PARAMETERS = dtype_of(Parameters, **{s.NAME: dtype_of(s.Parameters) for s in SENSORS})

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from hil.estimator.conditioning import condition
+from hil.estimator.conditioning import Compared, condition
 from hil.estimator.layout import Parameters
 from hil.estimator.motion import sinc
 from hil.estimator.sensors import GATED_TOGETHER, innovation, jacobian, predicted
@@ -100,40 +100,23 @@ def pull_carry(before: Array, x: Array, late: Array, spread: Array) -> None:
 
 
 @inner
-def settle(
-    number: int,
-    x: Array,
-    p: Array,
-    z: Array,
-    var: Array,
-    aux: Array,
-    count: int,
-    par: Parameters,
-    point: Array,
-    spread: Array,
-    nu: Array,
-    cross: Array,
-    own: Array,
-    h: Array,
-) -> None:
+def settle(number: int, x: Array, p: Array, count: int, par: Parameters, point: Array, spread: Array) -> None:
     """The point that a sample's rows draw the state to, by Gauss and Newton, and the rows linearised there.
 
     Args:
         number: of the sensor.
         x: (20,) state.
         p: (20, 20) its covariance.
-        z: (8,) measured rows.
-        var: (8,) their variances.
-        aux: (5,) figures of `observe`.
         count: number of rows.
-        par: of all kernels.
+        par: of all kernels; `observe` has filled `z`, `var` and `aux` of its `work`. There, `nu` is filled
+            with the innovations less what the way from x to the point explains; `cross`, `own` and `h` with
+            covariances and derivative of the rows at the point.
         point: (20,) filled, and
-        spread: (20, 20) with the covariance `p` at it, and
-        nu: (8,) with the innovations less what the way from x to the point explains, and
-        cross: (8, 20) with the covariance of rows and state there, and
-        own: (8, 8) with that of the rows, and
-        h: (8, 20) with their derivative.
+        spread: (20, 20) with the covariance `p` at it.
     """
+    w = par.work
+    z, var, aux, nu = w.z[:], w.var[:], w.aux[:], w.nu[:]
+    cross, own, h = w.cross[:], w.own[:], w.h[:]
     toward, mean, ignored = np.zeros(STATES), np.zeros(ROWS), np.zeros(ROWS)
     for _ in range(_TURNS):
         put(point, x + toward)
@@ -148,5 +131,6 @@ def settle(
         innovation(number, z, mean, var, count, nu)
         nu += h @ toward
         toward[:] = 0.0
-        condition(toward, spread.copy(), nu.copy(), cross.copy(), own.copy(), var, count, math.inf, ignored)
+        rows = Compared(nu.copy(), cross.copy(), own.copy(), var, ignored)
+        condition(toward, spread.copy(), rows, count, math.inf)
         lean(x, point, toward, -1.0)

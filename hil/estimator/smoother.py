@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +23,10 @@ from hil.estimator.layout import (
     ROW,
     ROW_FLOATS,
     EventRow,
+    Events,
     Memory,
     Parameters,
+    States,
     first_memory,
     parameters,
 )
@@ -35,7 +38,7 @@ from hil.estimator.sensors.sensor import NEW_FRAME, USED
 from hil.estimator.sensors.wheels import nominal
 from hil.estimator.small_matrices import put, put_rows, seen
 from hil.estimator.start import start_of
-from hil.estimator.state import AUX, MOTION, POSE, ROWS, STATES, TWIST
+from hil.estimator.state import MOTION, POSE, ROWS, STATES, TWIST
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.jit import compile_for, inner, kernel
@@ -43,6 +46,18 @@ from hil.vocabulary.numpy_records import Ints, Records
 from hil.vocabulary.signals import Measurements, RobotState
 
 _SEGMENT = 512
+
+
+class Later(NamedTuple):
+    """What later samples say of a state x with covariance p.
+
+    Attributes:
+        late: (20,) and
+        spread: (20, 20): smoothed state = x - p late, smoothed covariance = p - p spread p.
+    """
+
+    late: Array
+    spread: Array
 
 
 def smooth(
@@ -72,40 +87,26 @@ def smooth(
     for segment in segments:
         x, p, m = segment.forward(*begins[-1], par)
         begins.append((x[-1].copy(), p[-1].copy(), m[-1:].copy()))
-    late, spread = np.zeros(STATES), np.zeros((STATES, STATES))
+    later = Later(np.zeros(STATES), np.zeros((STATES, STATES)))
     states: list[RobotState] = []
     for segment, begin in zip(reversed(segments), reversed(begins[:-1]), strict=True):
         x, p, m = segment.forward(*begin, par)
         xs, ps = np.zeros_like(x), np.zeros((len(x), MOTION, MOTION))
-        backward(
-            segment.zero_ns, segment.t_ns, segment.numbers, segment.rows, x, p, m, par, late, spread, xs, ps
-        )
-        for k in reversed(np.flatnonzero(segment.numbers[1:] == MARK) + 1):
+        backward(segment.zero_ns, segment.events, States(x, p, m), par, later, xs, ps)
+        for k in reversed(np.flatnonzero(segment.events.numbers[1:] == MARK) + 1):
             pose, twist = xs[k, POSE].copy(), xs[k, TWIST].copy()
-            states.append(RobotState(int(segment.t_ns[k]), pose, twist, ps[k].copy()))
+            states.append(RobotState(int(segment.events.t_ns[k]), pose, twist, ps[k].copy()))
     return tuple(reversed(states))
 
 
 @cache
 def load_smoother() -> None:
     """Load the machine code of `backward`; without one it is compiled."""
-    one, row = np.zeros(1, dtype=np.int64), np.zeros((1, STATES))
-    square = np.zeros((1, STATES, STATES))
-    compile_for(
-        backward,
-        0,
-        one,
-        one,
-        np.zeros(1, ROW),
-        row,
-        square,
-        np.zeros(1, MEMORY),
-        np.zeros(1, PARAMETERS),
-        row[0].copy(),
-        square[0].copy(),
-        row.copy(),
-        np.zeros((1, MOTION, MOTION)),
-    )
+    one, row, square = np.zeros(1, dtype=np.int64), np.zeros((1, STATES)), np.zeros((1, STATES, STATES))
+    events = Events(one, one, one, np.zeros(1, ROW))
+    states, later = States(row, square, np.zeros(1, MEMORY)), Later(row[0].copy(), square[0].copy())
+    par, ps = np.zeros(1, PARAMETERS), np.zeros((1, MOTION, MOTION))
+    compile_for(backward, 0, events, states, par, later, row, ps)
 
 
 def _ordered(
@@ -121,9 +122,9 @@ def _ordered(
     rows = [nothing[:0]]
     for m in measurements:
         s = intake.stage(m, start_ns)
-        found += zip(*(a[: s.count].tolist() for a in (s.t_ns, s.numbers, s.seqs)), strict=True)
+        found += zip(*(a[: s.count].tolist() for a in s.samples[:3]), strict=True)
         found.append((m.t_ns, MARK, m.cycle))
-        rows += [s.data[: s.count].copy(), nothing]
+        rows += [s.samples.data[: s.count].copy(), nothing]
     keys, data = np.array(found, dtype=np.int64).reshape(-1, 3), np.concatenate(rows)
     order = np.lexsort((*data.T[::-1], *keys.T[::-1]))
     keys, data = keys[order], data[order]
@@ -137,30 +138,16 @@ class _Segment:
     """A stretch of events; row 0 is the one before it."""
 
     def __init__(self, zero_ns: int, t_ns: Ints, numbers: Ints, rows: Records) -> None:
-        self.zero_ns, self.t_ns, self.numbers, self.rows = zero_ns, t_ns, numbers, rows
+        self.zero_ns, self.events = zero_ns, Events(np.array([0, len(t_ns), 0, 0]), t_ns, numbers, rows)
 
     def forward(self, x0: Array, p0: Array, m0: Records, par: Records) -> tuple[Array, Array, Records]:
         """States (n, 20), covariances and memories after each event, the one before it included."""
-        n = len(self.t_ns)
+        t_ns = self.events.t_ns
+        n = len(t_ns)
         x, p, m = np.empty((n, STATES)), np.empty((n, STATES, STATES)), np.empty(n, MEMORY)
         x[0], p[0], m[0] = x0, p0, m0[0]
-        run(
-            np.array([0, n, 0, 0]),
-            1,
-            self.zero_ns,
-            self.t_ns,
-            self.numbers,
-            self.rows,
-            x,
-            p,
-            m,
-            par,
-            None,
-            self.t_ns[-1],
-            x0.copy(),
-            p0.copy(),
-            m0.copy(),
-        )
+        end = States(x0.copy(), p0.copy(), m0.copy())
+        run(self.events, States(x, p, m), 1, self.zero_ns, par, None, t_ns[-1], end)
         return x, p, m
 
 
@@ -179,11 +166,9 @@ def pull_update(
     x: Array,
     p: Array,
     m: Memory,
-    row: EventRow,
-    par: Parameters,
+    sample: tuple[EventRow, Parameters],
     after: Array,
-    late: Array,
-    spread: Array,
+    later: Later,
 ) -> None:
     """Carry what later samples say back through one sample's update, row by row in reverse, in place.
 
@@ -193,19 +178,19 @@ def pull_update(
         x: (20,) predicted state.
         p: (20, 20) its covariance.
         m: memory before the sample; used up.
-        row: the sample.
-        par: of all kernels.
+        sample: its row, and the parameters of all kernels.
         after: (20,) state after the sample.
-        late: (20,) and
-        spread: (20, 20): smoothed state = x - p late, smoothed covariance = p - p spread p.
+        later: changed.
     """
-    z, var, aux = np.zeros(ROWS), np.zeros(ROWS), np.zeros(AUX)
+    (row, par), (late, spread) = sample, later
+    w = par.work
+    z, var, aux, mean, nu = w.z[:], w.var[:], w.aux[:], w.mean[:], w.nu[:]
+    cross, own, h = w.cross[:], w.own[:], w.h[:]
+    z[:], var[:], aux[:], mean[:], h[:, :] = 0.0, 0.0, 0.0, 0.0, 0.0
     count = observe(number, t_ns, m, row, par, z, var, aux)
-    mean, h = np.zeros(ROWS), np.zeros((ROWS, STATES))
-    cross, own = np.zeros((ROWS, STATES)), np.zeros((ROWS, ROWS))
-    nu, point = np.zeros(ROWS), x.copy()
+    point = x.copy()
     if is_unsure(number, p):
-        settle(number, x, p, z, var, aux, count, par, point, p.copy(), nu, cross, own, h)
+        settle(number, x, p, count, par, point, p.copy())
     else:
         predicted(number, x, aux, par, mean)
         jacobian(number, x, aux, par, h)
@@ -241,35 +226,20 @@ def pull_update(
 
 @kernel
 def backward(
-    zero_ns: int,
-    t_ns: Ints,
-    numbers: Ints,
-    rows: Records,
-    x: Array,
-    p: Array,
-    m: Records,
-    pars: Records,
-    late: Array,
-    spread: Array,
-    xs: Array,
-    ps: Array,
+    zero_ns: int, events: Events, states: States, pars: Records, later: Later, xs: Array, ps: Array
 ) -> None:
-    """Backward pass over one stretch; `late` and `spread` go on to the one before it.
+    """Backward pass over one stretch; `later` goes on to the one before it.
 
     Args:
         zero_ns: stamp that sensor memory counts from.
-        t_ns: (n,) stamps; row 0 of every array is the event before the stretch.
-        numbers: (n,) of sensors.
-        rows: (n,) samples.
-        x: (n, 20) states of the forward pass after each event.
-        p: (n, 20, 20) their covariances.
-        m: (n,) sensor memories; used up.
+        events: of the stretch, in order; the first one is the event before it.
+        states: of the forward pass after each event; memories are used up.
         pars: (1,) parameters of all kernels.
-        late: (20,) and
-        spread: (20, 20), see `pull_update`; changed in place.
+        later: changed in place.
         xs: (n, 20) and
         ps: (n, 6, 6), filled at the cycles' marks with smoothed states and the covariance of pose and twist.
     """
+    (_, t_ns, numbers, rows), (x, p, m), (late, spread) = events, states, later
     par, rolling = pars[0], np.zeros(2)
     for k in range(t_ns.shape[0] - 1, 0, -1):
         dt_s = (t_ns[k] - t_ns[k - 1]) * 1e-9
@@ -286,7 +256,8 @@ def backward(
                 before, spread_before = x[k - 1].copy(), p[k - 1].copy()
                 if dt_s > 0.0:
                     advance_linear(before, spread_before, dt_s, par.process, rolling)
-                pull_update(number, stamp, before, spread_before, m[k - 1], rows[k], par, x[k], late, spread)
+                sample = (rows[k], par)
+                pull_update(number, stamp, before, spread_before, m[k - 1], sample, x[k], later)
         if dt_s > 0.0:
             f = transition(x[k - 1], dt_s, par.process.slip_s, par.process.scaled, rolling)
             put(late, f.T @ late)

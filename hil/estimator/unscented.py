@@ -134,20 +134,10 @@ def advance_unscented(x: Array, p: Array, dt_s: float, par: Parameters, w: Weigh
 
 
 @inner
-def moments_unscented(
-    number: int,
-    x: Array,
-    p: Array,
-    aux: Array,
-    par: Parameters,
-    w: Weights,
-    count: int,
-    mean: Array,
-    cross: Array,
-    own: Array,
-) -> None:
-    """Mean (8,), covariance with the state (8, 20) and covariance (8, 8) of rows, as `events.moments`."""
+def moments_unscented(number: int, x: Array, p: Array, par: Parameters, w: Weights, count: int) -> None:
+    """As `events.moments`."""
     work = par.work
+    aux, mean, cross, own = work.aux[:], work.mean[:], work.cross[:], work.own[:]
     root, up, down, high, low = work.root[:], work.up[:], work.down[:], work.high[:], work.low[:]
     square_root(p, root)
     high[:], low[:] = 0.0, 0.0

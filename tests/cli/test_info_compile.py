@@ -27,7 +27,7 @@ def test_a_run_after_it_compiles_nothing(capsys):
     told = capsys.readouterr()
     assert json.loads(told.out)["hil"]
     with event.install_listener("numba:compile", listener := Compiled()), open_bench("emulated") as bench:
-        bench.drive(line((0.0, 0.0, 0.0), (0.01, 0.0, 0.0), duration_s=0.2), feedback="ekf")
+        bench.drive(line((0.0, 0.0, 0.0), (0.01, 0.0, 0.0), duration_s=1.0), feedback="ekf")
     assert listener.names == []
 
 

@@ -13,7 +13,7 @@ DRAWING = {"matplotlib"}
     ("modules", "unused"),
     [
         ("hil.procedures.wall_tracking, hil.procedure.runner", SOLVERS | DRAWING),
-        ("hil.procedures.bring_up, hil.procedures.latency", {"scipy", *SOLVERS, *DRAWING}),
+        ("hil.procedures.bring_up, hil.procedures.latency", SOLVERS | DRAWING),
         (
             "hil.procedures.adhesion_check, hil.procedures.imu_calibration, "
             "hil.procedures.surface_identification, hil.procedures.tracker_extrinsics",

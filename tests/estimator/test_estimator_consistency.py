@@ -6,6 +6,7 @@ from estimator_drives import drive
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator import conditioning, events, make_estimator, motion, process, sensors
+from hil.estimator.conditioning import Compared
 from hil.estimator.consistency import autocorrelation, band, nees, whiteness
 from hil.estimator.layout import ROW, first_memory, parameters
 from hil.estimator.sensors import NUMBERS, tracker, wheels
@@ -66,15 +67,17 @@ class World:
     def sense(self, sensor):
         number, count = NUMBERS[sensor], len(VARIANCE[sensor])
         aux = np.array([DT_S, 0.1 * DT_S, 0.1 * DT_S, 0.0, 0.0])
-        z, mean, nu = np.zeros(ROWS), np.zeros(ROWS), np.zeros(ROWS)
+        z, nu, work = np.zeros(ROWS), np.zeros(ROWS), self.par.work
         predicted(number, self.true, aux, self.par, z)
         z[:count] += np.sqrt(VARIANCE[sensor]) * self.rng.normal(size=count)
-        cross, own, var = np.zeros((ROWS, STATES)), np.zeros((ROWS, ROWS)), np.zeros(ROWS)
+        var = np.zeros(ROWS)
         var[:count] = VARIANCE[sensor]
-        moments(number, self.x, self.p, aux, self.par, self.points, count, mean, cross, own)
-        nu[:count] = (z - mean)[:count]
-        self.nis[sensor].append(joint_nis(nu, own, var, count, np.zeros(ROWS)))
-        condition(self.x, self.p, nu, cross, own, var, count, np.inf, np.zeros(ROWS))
+        work.aux[:] = aux
+        moments(number, self.x, self.p, self.par, self.points, count)
+        nu[:count] = (z - work.mean)[:count]
+        rows = Compared(nu, work.cross.copy(), work.own.copy(), var, np.zeros(ROWS))
+        self.nis[sensor].append(joint_nis(rows, count))
+        condition(self.x, self.p, rows, count, np.inf)
         if sensor == "wheels":
             clone_pose(self.x, self.p)
             self.true[CLONE] = self.true[POSE]

@@ -141,7 +141,8 @@ def test_row_by_row_conditioning_is_the_stacked_kalman_update():
         nu, cross, own, var = np.zeros(8), np.zeros((8, STATES)), np.zeros((8, 8)), np.zeros(8)
         nu[:count], var[:count], cross[:count] = z - h @ x, r, h @ p
         own[:count, :count] = h @ p @ h.T
-        assert condition(x, p, nu, cross, own, var, count, np.inf, np.zeros(8)) == count
+        rows = conditioning.Compared(nu, cross, own, var, np.zeros(8))
+        assert condition(x, p, rows, count, np.inf) == count
         assert np.allclose(x, want_x, atol=1e-9)
         assert np.allclose(p, want_p, atol=1e-9)
 
