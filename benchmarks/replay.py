@@ -27,7 +27,6 @@ from hil.replay.comparison import compare_run, table
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_recording
 from hil.robot.trajectories import scan
-from hil.vocabulary.collector import without_collector
 
 TARGET = 20.0
 LANE_M = 0.6
@@ -56,8 +55,7 @@ def compared(path: Path) -> None:
     """The estimators of `hil replay` on the longest run, and their table."""
     opened = open_recording(path)
     run = max(opened.runs, key=lambda r: len(r.records))
-    with without_collector():
-        table(compare_run(run, opened.bench))
+    table(compare_run(run, opened.bench))
 
 
 def ratios(work: Callable[[Path], None], path: Path, seconds: float, runs: int) -> dict[str, float]:

@@ -26,7 +26,6 @@ from hil.ring.rig import Rig
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.trajectories import Trajectory
 from hil.vocabulary.clock import Clock, nanoseconds
-from hil.vocabulary.collector import without_collector
 from hil.vocabulary.errors import ConfigError, DeviceError, check_number
 from hil.vocabulary.geometry import Array, ArrayLike
 from hil.vocabulary.interfaces import RUN_NOTE, Sink
@@ -275,7 +274,8 @@ class Bench(HeldRig):
         warm_up(brain, start.state)
         with ExitStack() as stack:
             stack.push(self._lost_device)
-            stack.enter_context(without_collector() if self.real_time is None else self.real_time)
+            if self.real_time is not None:
+                stack.enter_context(self.real_time)
             if drop_old:
                 self._hold.passed_over(self.rig.read(0))
             loop = self.make_loop(brain, start)

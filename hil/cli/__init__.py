@@ -19,7 +19,6 @@ import click
 from hil import __version__
 from hil.cli.options import PROGRESS, SuggestingGroup
 from hil.cli.output import Answered, Output, error_as_json, tell_calls
-from hil.vocabulary.collector import seldom
 from hil.vocabulary.errors import EXIT_ABORTED, Aborted, DefectError, HilError, UsageError
 from hil.vocabulary.errors import told as in_a_line
 from hil.vocabulary.reading import printable
@@ -155,7 +154,6 @@ def _complete(asked: str) -> int:
 
 def script() -> None:
     """Console entry point."""
-    seldom()
     try:
         output = Output()
     except Aborted as error:

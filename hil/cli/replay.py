@@ -156,15 +156,13 @@ def _compared(
 ) -> tuple[dict[str, Motion], dict[str, dict[str, float | None]]]:
     from hil.replay.comparison import compare_run, table
     from hil.replay.own_estimators import make_own
-    from hil.vocabulary.collector import without_collector
 
     kinds = [name for name in named if name in COMPARED]
     own = {name: make_own(name, opened.bench) for name in named if name not in COMPARED}
-    with without_collector():
-        motions = compare_run(
-            run, opened.bench, kinds, own=own, source=str(opened.path), recorded=not opened.foreign
-        )
-        return motions, table(motions)
+    motions = compare_run(
+        run, opened.bench, kinds, own=own, source=str(opened.path), recorded=not opened.foreign
+    )
+    return motions, table(motions)
 
 
 def _write_page(

@@ -7,7 +7,7 @@ the results folder is complete.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,6 @@ from hil.procedure.parameters import as_dict, make_parameters
 from hil.procedure.results import KEEPING, Failure, Result, write_result
 from hil.recording.mcap_writer import OnFailure
 from hil.vocabulary.clock import NS_PER_S, Clock
-from hil.vocabulary.collector import without_collector
 from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, DataError, RecordingError, reason_of
 from hil.vocabulary.files import make_folder, where_else
 from hil.vocabulary.progress import Report, silent
@@ -88,8 +87,7 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
         declared = proc.declared(parameters, source.config)
         header = header_of(proc, parameters, declared, source)
     past = _past(options, header, source.config)
-    unhindered = without_collector() if source.virtual else nullcontext()
-    with options.interrupts.installed(), options.interrupts.deferred(), unhindered:
+    with options.interrupts.installed(), options.interrupts.deferred():
         return _recorded_run(proc, source, options, parameters, declared, header, past)
 
 

@@ -13,8 +13,6 @@ from multiprocessing.pool import Pool
 from types import TracebackType
 from typing import TypeVar
 
-from hil.vocabulary.collector import seldom
-
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
@@ -56,5 +54,4 @@ class Workers:
 
 def _begin() -> None:
     """The first that a worker does: what its jobs need is imported afterwards."""
-    seldom()
     signal.signal(signal.SIGINT, signal.SIG_IGN)

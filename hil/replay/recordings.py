@@ -28,7 +28,6 @@ from hil.recording.runs import RecordedRun, read_runs
 from hil.recording.sources import find_recordings, read_recordings
 from hil.recording.topic_map import read_topic_map
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.collector import without_collector
 from hil.vocabulary.errors import DataError, HilError, UsageError
 
 _FOREIGN_BENCH = "emulated_floor"
@@ -63,8 +62,7 @@ class OpenedRecording:
     @cached_property
     def runs(self) -> Sequence[RecordedRun]:
         """All runs; raises `DataError` when there is none."""
-        with without_collector():
-            found = tuple(self.read())
+        found = tuple(self.read())
         self.must_hold(len(found), None)
         return found
 

@@ -21,7 +21,6 @@ from hil.replay.recordings import OpenedRecording
 from hil.ring.loop import OUTSIDE, Brain
 from hil.robot.trajectories import Trajectory
 from hil.vocabulary.choices import ESTIMATORS, LAWS
-from hil.vocabulary.collector import without_collector
 from hil.vocabulary.errors import SafetyStop, UsageError
 from hil.vocabulary.fingerprint import fingerprint
 from hil.vocabulary.signals import CycleRecord, Inputs, Reference
@@ -210,9 +209,8 @@ def _are_recorded(brain: Brain) -> bool:
 def verify_run(bench: Blueprint, run: RecordedRun) -> dict[str, Any]:
     """Whether a run repeats bit for bit; see `RunCheck.result`."""
     check = RunCheck(bench, run.start)
-    with without_collector():
-        for record in run.records:
-            check.take(record)
+    for record in run.records:
+        check.take(record)
     return check.result
 
 
@@ -238,16 +236,15 @@ def verify_recording(opened: OpenedRecording, number: int | None = None) -> dict
         )
     recorded_with, here = opened.header.get("arithmetic", {}), fingerprint()
     checks, check, latest, count = list[RunCheck](), None, -1, 0
-    with without_collector():
-        for k, start, record in read_stored_cycles(opened.path, opened.problems):
-            count = k + 1
-            if number is not None and k != number:
-                continue
-            if check is None or k != latest:
-                check = RunCheck(opened.bench, start, exact=recorded_with == here, number=k)
-                latest = k
-                checks.append(check)
-            check.take(record)
+    for k, start, record in read_stored_cycles(opened.path, opened.problems):
+        count = k + 1
+        if number is not None and k != number:
+            continue
+        if check is None or k != latest:
+            check = RunCheck(opened.bench, start, exact=recorded_with == here, number=k)
+            latest = k
+            checks.append(check)
+        check.take(record)
     opened.must_hold(count, number)
     return {
         **_summary(checks),
