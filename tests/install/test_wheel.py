@@ -12,6 +12,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from numba.core import caching
 from packaging.version import Version
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -52,13 +53,16 @@ def unpacked(wheel, tmp_path_factory):
 
 
 def bring_machine_code(folder):
-    """Have the unpacked package find what the checkout compiled: numba goes by time and size of a source."""
-    for index in (ROOT / "hil").rglob("__pycache__/*.nb[ci]"):
-        there = folder / index.relative_to(ROOT)
-        there.parent.mkdir(exist_ok=True)
-        shutil.copy(index, there)
+    """Have the unpacked package find what the checkout compiled: numba names folders by where sources are."""
+    named = caching.UserProvidedCacheLocator.get_suitable_cache_subpath
+    kept = Path("hil", "__pycache__", "kernels")
     for source in (ROOT / "hil").rglob("*.py"):
-        if (copy := folder / source.relative_to(ROOT)).exists():
+        copy = folder / source.relative_to(ROOT)
+        for state in (ROOT / kept).glob("*"):
+            if copy.exists() and (state / named(str(source))).is_dir():
+                there = folder / kept / state.name / named(str(copy))
+                shutil.copytree(state / named(str(source)), there, dirs_exist_ok=True)
+        if copy.exists():  # some versions of numba go by time and size
             shutil.copystat(source, copy)
 
 
