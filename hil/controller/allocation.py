@@ -16,7 +16,7 @@ from hil.controller import four_wheels as at
 from hil.controller.four_wheels import ModuleLimits, drive, optimize, steer
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.jit import compile_for
+from hil.vocabulary.jit import compile_for, plain
 from hil.vocabulary.signals import WheelSetpoint
 
 __all__ = ["ModuleLayer", "ModuleLimits", "optimize"]
@@ -53,8 +53,9 @@ class ModuleLayer:
         self._turned, self._cosines = n[at.TURNED : at.TURNED + 12], n[at.COSINE : at.COSINE + 12]
         self._headings, self._sines = self._turned[4:], n[at.SINE : at.SINE + 8]
         self._next, self._rolled = n[at.NEXT : at.NEXT + 4], n[at.ROLLED : at.ROLLED + 16].reshape(2, 8)
-        compile_for(steer, n, limits, self._reach_rad)
-        compile_for(drive, n, limits, 1.0)
+        self._limits = plain(limits)
+        compile_for(steer, n, self._limits, self._reach_rad)
+        compile_for(drive, n, self._limits, 1.0)
         self.reset()
 
     def reset(self) -> None:
@@ -86,10 +87,10 @@ class ModuleLayer:
         twist_body.dot(self._vectors_of_twist, self._wanted)
         np.hypot(self._wanted_x, self._wanted_y, self._speed)
         np.arctan2(self._wanted_y, self._wanted_x, self._angle)
-        steer(n, limits, self._reach_rad)
+        steer(n, self._limits, self._reach_rad)
         np.cos(self._turned, self._cosines)
         np.sin(self._headings, self._sines)
-        slip, self.following = drive(n, limits, 1.0)
+        slip, self.following = drive(n, self._limits, 1.0)
         if not slip < _SURELY * limits.contradiction_m_s:
             self._slow()
         return WheelSetpoint(self._rate.copy(), self._next.copy())
@@ -104,4 +105,4 @@ class ModuleLayer:
         peak = max(np.hypot(left[:, 0], left[:, 1]).tolist())
         limit = self.limits.contradiction_m_s
         if peak > limit:
-            _, self.following = drive(self._numbers, self.limits, limit / peak)
+            _, self.following = drive(self._numbers, self._limits, limit / peak)

@@ -71,7 +71,7 @@ def steer(n: Array, limits: ModuleLimits, reach_rad: float) -> None:
         limits: of the modules.
         reach_rad: by how much a module may be steered further; all are slowed alike and arrive together.
     """
-    farthest = 0.0
+    limits, farthest = ModuleLimits(*limits), 0.0
     for i in range(4):
         speed = n[SPEED + i]
         if speed < limits.still_speed_m_s:
@@ -110,6 +110,7 @@ def drive(n: Array, limits: ModuleLimits, share: float) -> tuple[float, bool]:
     Returns:
         By how much a wheel slips at most, m/s, but for rounding, and whether the wheels follow the twist.
     """
+    limits = ModuleLimits(*limits)
     fastest, turning, follows = 0.0, False, True
     for i in range(4):
         ahead = n[COSINE + i]

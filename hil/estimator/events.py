@@ -156,7 +156,7 @@ def run(
         now_ns: where this is later than the newest event, the state is predicted to it.
         now: filled with the newest state, its memory an array (1,).
     """
-    (marks, t_ns, numbers, rows), (x, p, m) = events, states
+    (marks, t_ns, numbers, rows), (x, p, m), (now_x, now_p, now_m) = events, states, now
     first, count, capacity, par = marks[0], marks[1], t_ns.shape[0], pars[0]
     rolling = par.work.rolling[:]
     for k in range(start, count):
@@ -182,10 +182,10 @@ def run(
             remember(number, stamp, x[i], p[i], m[i], rows[i], par)
             m[i].guarded += guard(p[i])
     last = (first + count - 1) % capacity
-    put(now.x, x[last])
-    put_rows(now.p, p[last])
-    now.m[0] = m[last]
+    put(now_x, x[last])
+    put_rows(now_p, p[last])
+    now_m[0] = m[last]
     ahead_ns = now_ns - t_ns[last]
     if ahead_ns > 0:
-        nominal(float(now_ns - zero_ns), now.x, m[last].wheels, par.wheels, rolling)
-        advance(now.x, now.p, ahead_ns / 1e9, par, points, rolling)
+        nominal(float(now_ns - zero_ns), now_x, m[last].wheels, par.wheels, rolling)
+        advance(now_x, now_p, ahead_ns / 1e9, par, points, rolling)

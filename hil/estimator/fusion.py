@@ -38,7 +38,7 @@ from hil.estimator.unscented import Points
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.interfaces import Estimator
-from hil.vocabulary.jit import compile_for
+from hil.vocabulary.jit import compile_for, plain
 from hil.vocabulary.numpy_records import Records, place
 from hil.vocabulary.signals import Measurements, RobotState
 
@@ -107,7 +107,7 @@ def load_filter(points: Points = None) -> None:
         points: None for the EKF; which ones the UKF has does not matter.
     """
     h, now, par = History(0, 1), Now(), np.zeros(1, PARAMETERS)
-    compile_for(run, h.events, h.states, 0, 0, par, points, 0, now.states)
+    compile_for(run, plain(h.events), plain(h.states), 0, 0, par, points, 0, plain(now.states))
 
 
 class CompiledEngine(Engine):
@@ -124,7 +124,8 @@ class CompiledEngine(Engine):
 
     def run(self, history: History, begin: int, zero_ns: int, now_ns: int, now: Now) -> None:
         """One call for the whole stretch."""
-        run(history.events, history.states, begin, zero_ns, self._par, self._points, now_ns, now.states)
+        events, states, newest = plain(history.events), plain(history.states), plain(now.states)
+        run(events, states, begin, zero_ns, self._par, self._points, now_ns, newest)
 
 
 class FusionEstimator(Estimator):

@@ -15,7 +15,7 @@ from hil.estimator.sensors import MARK
 from hil.estimator.small_matrices import put
 from hil.estimator.state import STATES
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.jit import inner, kernel
+from hil.vocabulary.jit import inner, kernel, plain
 from hil.vocabulary.numpy_records import Ints, Records, floats
 
 CAPACITY = 2048
@@ -52,12 +52,12 @@ def insert(marks: Ints, ring: Samples, new: Samples, n: int) -> int:
     The caller has made room. Event 0 is the base of the history: the new one comes after it.
     """
     t_ns, numbers, seqs, data = ring
-    new_ns, new_number, new_seq = new.t_ns[n], new.numbers[n], new.seqs[n]
+    new_ns, new_number, new_seq, added = new[0][n], new[1][n], new[2][n], new[3][n]
     first, capacity = marks[FIRST], t_ns.shape[0]
     place = int(marks[COUNT])
     while place > 1:
         j = (first + place - 1) % capacity
-        order = earlier(new_ns, new_number, new_seq, new.data[n], t_ns[j], numbers[j], seqs[j], data[j])
+        order = earlier(new_ns, new_number, new_seq, added, t_ns[j], numbers[j], seqs[j], data[j])
         if order == 0:
             return -1
         if order > 0:
@@ -69,7 +69,7 @@ def insert(marks: Ints, ring: Samples, new: Samples, n: int) -> int:
         put(data[i], data[j])
     i = (first + place) % capacity
     t_ns[i], numbers[i], seqs[i] = new_ns, new_number, new_seq
-    put(data[i], new.data[n])
+    put(data[i], added)
     return place
 
 
@@ -114,21 +114,21 @@ def enter(marks: Ints, ring: Samples, span_ns: int, now_ns: int, number: int, ne
         number: of new samples.
         new: these, in any order.
     """
-    t_ns, numbers, seqs, data = ring
+    (t_ns, numbers, seqs, data), (new_ns, new_numbers, new_seqs, new_data) = ring, new
     capacity = t_ns.shape[0]
     let_go(marks, t_ns, span_ns, now_ns, number)
     begin = int(marks[COUNT])
-    order = in_order(new.t_ns, number)
+    order = in_order(new_ns, number)
     for k in range(number):
         n, newest = order[k], (marks[FIRST] + marks[COUNT] - 1) % capacity
-        if new.t_ns[n] <= t_ns[marks[FIRST]] or number - k > capacity - marks[COUNT]:
+        if new_ns[n] <= t_ns[marks[FIRST]] or number - k > capacity - marks[COUNT]:
             marks[LATE] += 1
             continue
         place = marks[COUNT]
-        if new.t_ns[n] > t_ns[newest]:
+        if new_ns[n] > t_ns[newest]:
             i = (newest + 1) % capacity
-            t_ns[i], numbers[i], seqs[i] = new.t_ns[n], new.numbers[n], new.seqs[n]
-            put(data[i], new.data[n])
+            t_ns[i], numbers[i], seqs[i] = new_ns[n], new_numbers[n], new_seqs[n]
+            put(data[i], new_data[n])
         else:
             place = insert(marks, ring, new, n)
         if place < 0:
@@ -201,4 +201,5 @@ class History:
 
     def enter(self, staged: Staged, now_ns: int) -> int:
         """Put a cycle's samples in; the first place to replay from, `count` when nothing is new."""
-        return int(enter(self.marks, self._ring, self.span_ns, now_ns, staged.count, staged.samples))
+        ring, new = plain(self._ring), plain(staged.samples)
+        return int(enter(self.marks, ring, self.span_ns, now_ns, staged.count, new))

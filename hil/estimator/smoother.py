@@ -41,7 +41,7 @@ from hil.estimator.start import start_of
 from hil.estimator.state import MOTION, POSE, ROWS, STATES, TWIST
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.jit import compile_for, inner, kernel
+from hil.vocabulary.jit import compile_for, inner, kernel, plain
 from hil.vocabulary.numpy_records import Ints, Records
 from hil.vocabulary.signals import Measurements, RobotState
 
@@ -147,7 +147,7 @@ class _Segment:
         x, p, m = np.empty((n, STATES)), np.empty((n, STATES, STATES)), np.empty(n, MEMORY)
         x[0], p[0], m[0] = x0, p0, m0[0]
         end = States(x0.copy(), p0.copy(), m0.copy())
-        run(self.events, States(x, p, m), 1, self.zero_ns, par, None, t_ns[-1], end)
+        run(plain(self.events), plain(States(x, p, m)), 1, self.zero_ns, par, None, t_ns[-1], plain(end))
         return x, p, m
 
 

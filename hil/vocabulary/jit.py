@@ -30,6 +30,7 @@ from hil.vocabulary.clock import MonotonicClock, nanoseconds
 from hil.vocabulary.errors import HilError, reason_of
 
 F = TypeVar("F", bound=Callable[..., Any])
+T = TypeVar("T", bound=tuple[Any, ...])
 
 _LOG = logging.getLogger(__name__)
 _PACKAGE = Path(__file__).parents[1]
@@ -59,6 +60,11 @@ def inner(function: F) -> F:
 def entry(function: F) -> F:
     """An inner function as a kernel, too."""
     return kernel(function)
+
+
+def plain(values: T) -> T:
+    """A named tuple as a plain one: at a call numba recognises that five times quicker, by microseconds."""
+    return cast(T, tuple(values))
 
 
 def compile_for(function: Callable[..., Any], *arguments: Any) -> None:

@@ -8,6 +8,7 @@ import struct
 from hil.fakes.imu.registers import UNIT_ANDROID, UNIT_EULER_RAD, UNIT_FAHRENHEIT, UNIT_MG, UNIT_RAD_S, Mode
 from hil.fakes.imu.sample import GRAVITY_M_S2, counts
 from hil.fakes.imu.sensors import Sensed
+from hil.vocabulary.jit import plain
 
 _BLOCK = struct.Struct("<22hbB")
 LENGTH = _BLOCK.size
@@ -25,7 +26,9 @@ def encode(sensed: Sensed, mode: Mode, units: int, calibration: int, celsius: fl
     gyro = 900.0 if units & UNIT_RAD_S else GYRO_LSB_PER_RAD_S
     temperature = round((celsius * 1.8 + 32.0) / 2.0 if units & UNIT_FAHRENHEIT else celsius)
     degree = 900.0 if units & UNIT_EULER_RAD else 16.0 * 180.0 / math.pi
-    counted: tuple[int, ...] = counts(sensed, acc, gyro, MAG_LSB_PER_UT, degree, bool(units & UNIT_ANDROID))
+    counted: tuple[int, ...] = counts(
+        plain(sensed), acc, gyro, MAG_LSB_PER_UT, degree, bool(units & UNIT_ANDROID)
+    )
     if not (mode.fusion and mode.accelerometer and mode.gyroscope):  # without magnetometer its field is 0
         counted = (
             *(counted[0:3] if mode.accelerometer else _ZERO),

@@ -19,7 +19,7 @@ from hil.fakes.imu.calibration import SelfCalibration, SensorOffsets, Vector
 from hil.fakes.imu.registers import Mode
 from hil.fakes.plant_api import BodyMotion
 from hil.vocabulary.geometry import Four as Quaternion
-from hil.vocabulary.jit import compile_for
+from hil.vocabulary.jit import compile_for, plain
 
 _BLOCK = 1024
 _STILL_RATE_RAD_S = 0.003
@@ -155,19 +155,11 @@ class InertialSensors:
         self._offsets = np.zeros(sample.OFFSETS_SIZE)
         self._offsets_of: tuple[object, ...] = (None,) * 4
         compile_for(
-            sample.sense,
-            BodyMotion(*[0.0] * 9),
-            0.0,
-            False,
-            self._draws,
-            0,
-            self._offsets,
-            self._chip,
-            self._state,
+            sample.sense, (0.0,) * 9, 0.0, False, self._draws, 0, self._offsets, self._chip, self._state
         )
         three = (0.0, 0.0, 0.0)
         sensed = Sensed(three, three, three, (1.0, 0.0, 0.0, 0.0), three, three)
-        compile_for(sample.counts, sensed, *[0.0] * 4, False)
+        compile_for(sample.counts, plain(sensed), *[0.0] * 4, False)
         self.set_remap(0x24, 0x00)
         self.restart_fusion()
 
@@ -202,7 +194,7 @@ class InertialSensors:
         if not self._row:
             self._draws, self._row = self._rng.standard_normal((_BLOCK, sample.DRAWS)), _BLOCK
         outputs = sample.sense(
-            body,
+            plain(body),
             dt_s,
             mode.magnetometer,
             self._draws,

@@ -10,7 +10,7 @@ from hil.fakes.mocap.options import MocapTruthOptions
 from hil.fakes.mocap.seeing import DRAWS, Capture, seen_at
 from hil.fakes.plant_api import BodyMotion
 from hil.vocabulary.geometry import Array, Four, Three
-from hil.vocabulary.jit import compile_for
+from hil.vocabulary.jit import compile_for, plain
 
 _BLOCK = 512
 _RARE_GAP = 0.02
@@ -58,7 +58,7 @@ class CaptureVolume:
             up_axis == "y",
         )
         self._draws, self._row = np.zeros((1, DRAWS)), 0
-        compile_for(seen_at, (0.0, 0.0, 0.0), Capture(), self._draws, 0)
+        compile_for(seen_at, (0.0, 0.0, 0.0), plain(Capture()), self._draws, 0)
         name = "distractor" + "2" * (body == "distractor")
         self._other = self._body_at(name, body_id + 1, _DISTRACTOR, self._draws, 0)
         self._last: SeenBody | None = None
@@ -97,5 +97,5 @@ class CaptureVolume:
 
     def _body_at(self, name: str, identifier: int, place: Three, draws: Array, row: int) -> SeenBody:
         """A body at a pose in the wall, with a row of noise."""
-        seen = seen_at(place, self._by, draws, row)
+        seen = seen_at(place, plain(self._by), draws, row)
         return SeenBody(name, identifier, *seen, True)

@@ -48,6 +48,7 @@ def seen_at(place: Three, by: Capture, draws: Array, row: int) -> tuple[Three, F
         draws: noise, standard normal (n, 7).
         row: of the noise, that is this body's.
     """
+    by = Capture(*by)
     noise, height, y_up = draws[row], by.height, by.y_up
     x, y, theta = place
     c, s = math.cos(theta), math.sin(theta)

@@ -23,7 +23,7 @@ from hil.vocabulary.geometry import (
     quat_multiply,
     quat_rotate,
 )
-from hil.vocabulary.jit import compile_for
+from hil.vocabulary.jit import compile_for, plain
 
 _BLOCK = 512
 _NEAR_VERTICAL = 0.2
@@ -97,7 +97,7 @@ class VisualOdometry:
         )
         self._world, self._state = np.zeros(WORLD_SIZE), np.zeros(STATE_SIZE)
         self._draws, self._row = np.zeros((1, DRAWS)), 0
-        compile_for(step, Way(), self._draws, 0, self._errors, self._world, self._state)
+        compile_for(step, plain(Way()), self._draws, 0, self._errors, self._world, self._state)
         self._started = False
 
     def restart(self) -> None:
@@ -172,7 +172,7 @@ class VisualOdometry:
             told_y,
             weight,
         )
-        told = step(way, self._draws, self._row, self._errors, self._world, self._state)
+        told = step(plain(way), self._draws, self._row, self._errors, self._world, self._state)
         position, velocity = Vector(*told[:3]), Vector(*told[3:6])
         rotation, rate = Quaternion(*told[6:10]), Vector(*told[10:])
         return CameraPose(position, velocity, rotation, rate)

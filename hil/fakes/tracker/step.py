@@ -66,7 +66,7 @@ def step(way: Way, draws: Array, row: int, errors: Array, world: Array, state: A
     itself.
 
     Args:
-        way: of the camera since the last pose.
+        way: of the camera since the last pose; its numbers in a plain tuple will do.
         draws: noise, standard normal (n, 16).
         row: of the noise, that is this pose's.
         errors: (7,).
@@ -76,6 +76,7 @@ def step(way: Way, draws: Array, row: int, errors: Array, world: Array, state: A
     Returns:
         position (3,), velocity (3,), rotation x y z w, angular velocity (3,) in the T265's axes.
     """
+    way = Way(*way)
     noise, dt, scale = draws[row], way.dt, way.scale
     along, left, omega = way.along, way.left, way.omega
     root = math.sqrt(dt)
