@@ -12,21 +12,20 @@ from pathlib import Path
 from typing import Any
 
 from hil.recording.cdr import octet_array, string
-from hil.recording.cycle_codec import CycleEncoder
-from hil.recording.cycle_layout import describe
+from hil.recording.cycle_codec import FORMAT, CycleCodec
 from hil.recording.frames import FrameTree, recorded_offset
+from hil.recording.packages import needed_packages, recorded_kinds
 from hil.recording.ros_messages import CycleMessages, Message, topics_with, transforms
 from hil.recording.urdf import urdf
 from hil.vocabulary.clock import NS_PER_S, MonotonicClock, WallOffset
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import DeviceKind, kinds
 from hil.vocabulary.reading import toml_tables
 from hil.vocabulary.signals import KINDS, CycleRecord
 
 LOG = logging.getLogger(__name__)
 
 METADATA, CLOCK_AT_START, CLOCK_AT_END = "hil", "hil_clock_at_start", "hil_clock_at_end"
-PACKAGES = "packages"
+FORMAT_KEY, PACKAGES = "format", "packages"
 LIBRARY = "hil"
 """What the head of a file says wrote it."""
 _FLUSH_NS = NS_PER_S // 2
@@ -70,26 +69,6 @@ def definition(kind: str) -> str:
         found: str = get_typestore(Stores.ROS2_HUMBLE).generate_msgdef(kind, ros_version=2)[0]
     except Exception as error:
         raise ConfigError(f"message type {kind!r} cannot be recorded ({error})") from error
-    return found
-
-
-def _recorded(header: Mapping[str, Any]) -> tuple[DeviceKind, ...]:
-    """Kinds whose samples a recording holds: all of ours, and those of other packages that its bench has."""
-    present = header.get("config", {})
-    return tuple(kind for name, kind in kinds().items() if name in KINDS or present.get(name) is not None)
-
-
-def _packages(header: Mapping[str, Any]) -> dict[str, str]:
-    """Packages without which a recording cannot be read, by kind, or `KIND.MODEL` where they add a model."""
-    found = {}
-    for name, table in header.get("config", {}).items():
-        kind = kinds().get(name)
-        if kind is not None and isinstance(table, Mapping):
-            model = next((m for m in kind.models if m.name == table.get("model")), kind.models[0])
-            if name not in KINDS:
-                found[name] = kind.package
-            if model.package != kind.package:
-                found[f"{name}.{model.name}"] = model.package
     return found
 
 
@@ -158,9 +137,9 @@ class RecordingFile:
         self._frames = FrameTree(header)
         self._description = urdf(header) if "geometry" in header else ""
         self._file = _WholeWrites(path)
-        recorded = _recorded(header)
+        recorded = recorded_kinds(header)
         own = tuple(kind for kind in recorded if kind.name not in KINDS)
-        self._encoder = CycleEncoder(own)
+        self._codec = CycleCodec(own)
         self._messages = CycleMessages(recorded, self._frames, self._wall_ns)
         topics = topics_with(recorded)
         self._flushed_ns: int | None = None
@@ -172,8 +151,8 @@ class RecordingFile:
             METADATA,
             {
                 "header": json.dumps(header, default=str),
-                "layout": json.dumps(describe(own)),
-                PACKAGES: json.dumps(_packages(header)),
+                FORMAT_KEY: str(FORMAT),
+                PACKAGES: json.dumps(needed_packages(header)),
             },
         )
         if self._offset is not None:
@@ -204,7 +183,7 @@ class RecordingFile:
     def add_cycle(self, record: CycleRecord) -> None:
         """Add one cycle; flushes by the records' own time."""
         now_ns = record.start_ns
-        payload = octet_array(self._encoder.encode(record))
+        payload = octet_array(self._codec.encode(record))
         self._add(now_ns, [("/hil/cycle", record.inputs.t_ns, payload)])
         self.unflushed += 1
         if self._flushed_ns is None:

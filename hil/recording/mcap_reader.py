@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from hil.recording.cdr import octets_of, text_of
-from hil.recording.cycle_decoder import CycleDecoder, StoredCycle
-from hil.recording.cycle_layout import check_packages
-from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, LIBRARY, METADATA, PACKAGES
+from hil.recording.cycle_codec import FORMAT, CycleCodec
+from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, FORMAT_KEY, LIBRARY, METADATA, PACKAGES
 from hil.recording.mcap_records import COPY_AGAIN, RECORD, in_place_of, records_of
+from hil.recording.packages import added_kinds
 from hil.recording.unpacking import Allowance, chunk_data
 from hil.vocabulary.clock import WallOffset
 from hil.vocabulary.errors import ConfigError, DataError
@@ -28,8 +28,6 @@ _CYCLE, _NOTE = "/hil/cycle", "/hil/notes"
 _CHANNEL_ID = struct.Struct("<H")
 _MESSAGE_HEAD = 2 + 4 + 8 + 8
 GO_ON = "give a list as `problems` to go on with what could be read"
-
-Cycle = TypeVar("Cycle", CycleRecord, StoredCycle)
 
 
 class Note:
@@ -51,17 +49,16 @@ class RecordingReader:
         problems: what could not be read so far; complete once the iteration has ended.
 
     Raises:
-        DataError: not an MCAP file, not one of ours, or of a newer format.
+        DataError: not an MCAP file, not one of ours, or of another format.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.problems: list[str] = []
         self.packages: dict[str, Any] = {}
-        self.header, self._decoder = self._open()
-        self.problems += self._decoder.notes
+        self.header, self._codec = self._open()
 
-    def _open(self) -> tuple[dict[str, Any], CycleDecoder]:
+    def _open(self) -> tuple[dict[str, Any], CycleCodec]:
         from mcap.records import Chunk, Header, Metadata
 
         if self.path.is_dir() or self.path.suffix == ".db3":
@@ -86,13 +83,20 @@ class RecordingReader:
             raise DataError(str(self.path), problems[0], remedy=COPY_AGAIN)
         raise DataError(str(self.path), "holds no cycle records of this project", remedy=NEEDS_TOPICS)
 
-    def _described(self, at: int, metadata: Mapping[str, str]) -> tuple[dict[str, Any], CycleDecoder]:
-        """What the record at byte `at` says of the header and of how cycles are stored."""
+    def _described(self, at: int, metadata: Mapping[str, str]) -> tuple[dict[str, Any], CycleCodec]:
+        """What the record at byte `at` says of the header and of the samples in the cycles."""
         try:
-            self.packages = json_object(metadata.get(PACKAGES, "{}"))
-            check_packages(self.packages)
             header = json_object(metadata["header"])
-            return header, CycleDecoder(json_object(metadata["layout"]))
+            found = metadata.get(FORMAT_KEY, "1")
+            if found != str(FORMAT):
+                raise DataError(
+                    str(self.path),
+                    f"is a recording of format {found}",
+                    expected=f"format {FORMAT}, which this version writes and reads",
+                    remedy="read it with the version that wrote it",
+                )
+            self.packages = json_object(metadata[PACKAGES])
+            return header, CycleCodec(added_kinds(self.packages))
         except ConfigError as error:
             raise ConfigError(
                 f"{self.path}: {error.message}", expected=error.expected, remedy=error.remedy
@@ -106,13 +110,6 @@ class RecordingReader:
 
     def items(self) -> Iterator[CycleRecord | Note]:
         """Cycles and notes in the order in which they were written."""
-        return self._items(self._decoder.decode)
-
-    def stored(self) -> Iterator[StoredCycle | Note]:
-        """As `items`, with no more of the cycles read than it takes to decide again."""
-        return self._items(self._decoder.begin)
-
-    def _items(self, cycle_of: Callable[[bytes], Cycle]) -> Iterator[Cycle | Note]:
         from mcap.exceptions import McapError
         from mcap.records import Channel, Chunk, Message
 
@@ -135,9 +132,11 @@ class RecordingReader:
                 continue
             for topic, data in parts:
                 try:
-                    item = cycle_of(octets_of(data)) if topic == _CYCLE else _note(data)
+                    item = self._codec.decode(octets_of(data)) if topic == _CYCLE else _note(data)
                 except (ValueError, KeyError, TypeError) as error:
-                    self.problems.append(f"a message on {topic} cannot be read ({error})")
+                    problem = f"a message on {topic} cannot be read ({error})"
+                    if problem not in self.problems:
+                        self.problems.append(problem)
                     continue
                 cycles += topic == _CYCLE
                 yield item

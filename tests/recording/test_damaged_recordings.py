@@ -46,7 +46,7 @@ def test_an_empty_file_is_called_empty(tmp_path):
     ("find", "put", "message"),
     [
         (b"\x0c", b"\x2c", r"is damaged before byte \d+: what says how to read it is not there"),
-        (b"layout", b"lay\xffut", r"is damaged after byte \d+: the record at byte 32 does not hold"),
+        (b"packages", b"pack\xffges", r"is damaged after byte \d+: the record at byte 32 does not hold"),
         (b'{"config"', b'{"conf"g"', r"cannot be understood, or is damaged after byte 32 \("),
         (b"\x03\x00\x00\x00hil", b"\x03\x10\x00\x00hil", r"is damaged after byte \d+: the record at byte 32"),
     ],

@@ -15,9 +15,7 @@ from hil.bench.contract.subject import SHARE, SHORT_S, WATCH_S, Broken, Subject,
 from hil.bench.promises import EARLY_NS, OLDEST_NS
 from hil.devices.looks import MORE_FAILURE, surplus
 from hil.recording.compare import first_difference
-from hil.recording.cycle_codec import CycleEncoder
-from hil.recording.cycle_decoder import CycleDecoder
-from hil.recording.cycle_layout import DTYPES, describe
+from hil.recording.cycle_codec import DTYPES, CycleCodec
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.geometry import Array
@@ -165,7 +163,8 @@ def recorded_bit_for_bit(subject: Subject) -> str:
     own = () if kind.name in OURS else (kind,)
     delivered: dict[str, Any] = {"added": {kind.name: samples}} if own else {kind.name: samples}
     inputs = Inputs(0, 0, **delivered)
-    again = CycleDecoder(describe(own)).decode(CycleEncoder(own).encode(_record_of(inputs)))
+    codec = CycleCodec(own)
+    again = codec.decode(codec.encode(_record_of(inputs)))
     difference = first_difference({"inputs": inputs}, {"inputs": again.inputs})
     if difference is not None:
         raise Broken(f"recorded otherwise: {difference}", "what was written", _DRIVER)
