@@ -6,8 +6,6 @@ with `DataError`: recordings of other robots are read with a topic mapping (`hil
 
 from __future__ import annotations
 
-import io
-import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,9 +13,8 @@ from typing import Any
 from hil.recording.cdr import octets_of, text_of
 from hil.recording.cycle_codec import FORMAT, CycleCodec
 from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, FORMAT_KEY, LIBRARY, METADATA, PACKAGES
-from hil.recording.mcap_records import COPY_AGAIN, RECORD, in_place_of, records_of
+from hil.recording.mcap_records import COPY_AGAIN, in_place_of, records_of
 from hil.recording.packages import added_kinds
-from hil.recording.unpacking import Allowance, chunk_data
 from hil.vocabulary.clock import WallOffset
 from hil.vocabulary.errors import ConfigError, DataError
 from hil.vocabulary.reading import json_object
@@ -25,8 +22,6 @@ from hil.vocabulary.signals import CycleRecord
 
 NEEDS_TOPICS = "recordings of other robots need a topic mapping (--topics FILE)"
 _CYCLE, _NOTE = "/hil/cycle", "/hil/notes"
-_CHANNEL_ID = struct.Struct("<H")
-_MESSAGE_HEAD = 2 + 4 + 8 + 8
 GO_ON = "give a list as `problems` to go on with what could be read"
 
 
@@ -110,36 +105,37 @@ class RecordingReader:
 
     def items(self) -> Iterator[CycleRecord | Note]:
         """Cycles and notes in the order in which they were written."""
-        from mcap.exceptions import McapError
         from mcap.records import Channel, Chunk, Message
+        from mcap.stream_reader import breakup_chunk
 
-        allowance = Allowance(self.path, self.path.stat().st_size)
         topics: dict[int, str] = {}
         cycles = 0
         for at, record in records_of(self.path, self.problems):
-            if isinstance(record, Channel):
-                topics[record.id] = record.topic
-            if not isinstance(record, (Chunk, Message)):
-                continue
             try:
-                parts = _ours_of(record, allowance, topics)
-            except DataError as error:
-                why = error.message.removeprefix(f"{self.path}: ")
-                self.problems.append(f"{why}: what follows cycle {cycles} was not read")
-                return
-            except (McapError, ValueError, EOFError, MemoryError, OverflowError, struct.error) as error:
+                parts = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
+            except Exception as error:  # whatever unpacking makes of damaged bytes
                 self.problems.append(f"a chunk after cycle {cycles}, at byte {at}, is damaged ({error})")
                 continue
-            for topic, data in parts:
-                try:
-                    item = self._codec.decode(octets_of(data)) if topic == _CYCLE else _note(data)
-                except (ValueError, KeyError, TypeError) as error:
-                    problem = f"a message on {topic} cannot be read ({error})"
-                    if problem not in self.problems:
-                        self.problems.append(problem)
-                    continue
-                cycles += topic == _CYCLE
-                yield item
+            for part in parts:
+                if isinstance(part, Channel):
+                    topics[part.id] = part.topic
+                elif isinstance(part, Message):
+                    item = self._item(topics.get(part.channel_id, ""), part.data)
+                    if item is not None:
+                        cycles += isinstance(item, CycleRecord)
+                        yield item
+
+    def _item(self, topic: str, data: bytes) -> CycleRecord | Note | None:
+        """What a message on one of our own topics holds; None for others, and where it cannot be read."""
+        try:
+            if topic == _CYCLE:
+                return self._codec.decode(octets_of(data))
+            return _note(data) if topic == _NOTE else None
+        except (ValueError, KeyError, TypeError) as error:
+            problem = f"a message on {topic} cannot be read ({error})"
+            if problem not in self.problems:
+                self.problems.append(problem)
+            return None
 
     def __iter__(self) -> Iterator[CycleRecord]:
         """Cycle records only."""
@@ -151,47 +147,6 @@ def _note(data: bytes) -> Note:
     if not isinstance(note["kind"], str) or not isinstance(note["data"], dict):
         raise ValueError("a note without kind and data")
     return Note(note["kind"], note["data"])
-
-
-def _ours_of(record: Any, allowance: Allowance, topics: dict[int, str]) -> list[tuple[str, bytes]]:
-    """As `_ours`, of a chunk or of a message that is in none."""
-    from mcap.records import Message
-
-    if not isinstance(record, Message):
-        return _ours(chunk_data(record, allowance), topics)
-    topic = topics.get(record.channel_id, "")
-    return [(topic, record.data)] if topic in (_CYCLE, _NOTE) else []
-
-
-def _ours(data: bytes, topics: dict[int, str]) -> list[tuple[str, bytes]]:
-    """Topic and payload of a chunk's messages on our own topics; new channels go into `topics`.
-
-    The records of a chunk are told apart by hand: nine of ten are for other tools, and parsing all of them
-    is what takes the official reader its time (mcap.dev/spec, "Records").
-
-    Raises:
-        McapError, ValueError, struct.error: the chunk is damaged.
-    """
-    from mcap.data_stream import ReadDataStream
-    from mcap.opcode import Opcode
-    from mcap.records import Channel
-
-    length, at = len(data), 0
-    found = []
-    while at < length:
-        opcode, size = RECORD.unpack_from(data, at)
-        at += RECORD.size
-        if at + size > length:
-            raise ValueError("a record runs beyond the end of its chunk")
-        if opcode == Opcode.MESSAGE:
-            topic = topics.get(_CHANNEL_ID.unpack_from(data, at)[0])
-            if topic in (_CYCLE, _NOTE):
-                found.append((topic, data[at + _MESSAGE_HEAD : at + size]))
-        elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(ReadDataStream(io.BytesIO(data[at : at + size])))
-            topics[channel.id] = channel.topic
-        at += size
-    return found
 
 
 def read_cycles(path: str | Path, problems: list[str] | None = None) -> Iterator[CycleRecord]:

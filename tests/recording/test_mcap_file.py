@@ -137,7 +137,7 @@ def test_a_damaged_chunk_is_skipped_and_named(recording, tmp_path):
     [
         (b"", "is empty"),
         (b"t,phi1\n0,1\n" * 10, "is not an MCAP file"),
-        (b"\x89MCAP0\r\n" + b"\xff" * 64, "is damaged after byte 0"),
+        (b"\x89MCAP0\r\n" + b"\xff" * 64, "ends early at byte 17"),
     ],
 )
 def test_foreign_files_are_refused_by_name(tmp_path, content, reason):
