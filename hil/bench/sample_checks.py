@@ -118,7 +118,7 @@ def _of_status(count: int, value: Any) -> str:
 def _of_array(shape: tuple[int, ...] | None, value: Any) -> str:
     if not isinstance(value, np.ndarray):
         return short(value)
-    if value.dtype not in DTYPES.values():
+    if value.dtype not in DTYPES:
         return f"of {value.dtype}"
     return "" if shape is None or value.shape == shape else f"of shape {value.shape}"
 

@@ -1,15 +1,16 @@
 """Cycle records as MessagePack, and back: exact, typed, and readable without this package.
 
-Every class is a map of its fields by name, every `Status` its text. An array is an extension: its code is the
-type of its values (`d` float64, `f` float32, `q` int64, `?` bool), its data are the number of dimensions (one
-byte), their lengths (four bytes each) and the values in C order, all little endian. Numbers keep every bit.
-A field that the reader does not know is skipped; one that a record lacks gets its default.
+Every class is a map of its fields by name, every `Status` its text. An array is an extension. Its code is
+four times the number of its dimensions, plus the type of its values (0 float64, 1 float32, 2 int64, 3 bool).
+Its data are the values in C order, little endian; where there are several dimensions, their lengths come
+before them, four bytes each. Numbers keep every bit. A field that the reader does not know is skipped; one
+that a record lacks gets its default.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from types import GenericAlias
 from typing import Any
@@ -23,14 +24,9 @@ from hil.vocabulary.signals import CycleRecord
 
 FORMAT = 2
 """Of a recording: what the topic `/hil/cycle` holds. Files of another number are not read."""
-DTYPES: Mapping[str, np.dtype[Any]] = {
-    "d": np.dtype("<f8"),
-    "f": np.dtype("<f4"),
-    "q": np.dtype("<i8"),
-    "?": np.dtype("?"),
-}
-"""Types of arrays that are kept as they are, by the code of their extension."""
-_CODES = {dtype: ord(code) for code, dtype in DTYPES.items()}
+DTYPES: Sequence[np.dtype[Any]] = tuple(map(np.dtype, ("<f8", "<f4", "<i8", "?")))
+"""Types of arrays that are kept as they are."""
+_NUMBERS = {dtype: number for number, dtype in enumerate(DTYPES)}
 
 
 class CycleCodec:
@@ -76,7 +72,7 @@ class CycleCodec:
                     for name, found in record.inputs.added.items()
                 }
                 record = replace(record, inputs=replace(record.inputs, added=samples))
-        except (msgspec.MsgspecError, struct.error, KeyError, TypeError, IndexError, RecursionError) as error:
+        except (msgspec.MsgspecError, struct.error, KeyError, TypeError, ValueError, RecursionError) as error:
             raise ValueError(f"no cycle record: {error}") from None
         return record
 
@@ -84,10 +80,11 @@ class CycleCodec:
 def _packed(value: Any) -> Any:
     """What stands for a value that MessagePack has no form for."""
     if isinstance(value, np.ndarray):
-        if value.dtype not in _CODES:
-            value = value.astype("<i8" if value.dtype.kind in "iu" else "<f8")
-        head = struct.pack(f"<B{value.ndim}I", value.ndim, *value.shape)
-        return msgspec.msgpack.Ext(_CODES[value.dtype], head + value.tobytes())
+        number, dimensions = _NUMBERS.get(value.dtype), value.ndim
+        if number is None:
+            return _packed(value.astype("<i8" if value.dtype.kind in "iu" else "<f8"))
+        lengths = struct.pack(f"<{dimensions}I", *value.shape) if dimensions > 1 else b""
+        return msgspec.msgpack.Ext(4 * dimensions + number, lengths + value.tobytes())
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, Mapping):
@@ -97,8 +94,11 @@ def _packed(value: Any) -> Any:
 
 def _unpacked(code: int, data: memoryview) -> Any:
     """The array of an extension; its memory is its own."""
-    shape = struct.unpack_from(f"<{data[0]}I", data, 1)
-    return np.ndarray(shape, DTYPES[chr(code)], data, 1 + 4 * len(shape)).copy()
+    dimensions, number = divmod(code, 4)
+    values = np.frombuffer(data, DTYPES[number], offset=4 * dimensions if dimensions > 1 else 0)
+    if dimensions == 1:
+        return values.copy()
+    return values.reshape(struct.unpack_from(f"<{dimensions}I", data) if dimensions else ()).copy()
 
 
 def _array(kind: Any, value: Any) -> Any:

@@ -10,11 +10,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.recording.cdr import octets_of, text_of
 from hil.recording.cycle_codec import FORMAT, CycleCodec
 from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, FORMAT_KEY, LIBRARY, METADATA, PACKAGES
 from hil.recording.mcap_records import COPY_AGAIN, in_place_of, records_of
 from hil.recording.packages import added_kinds
+from hil.recording.topics import TOPICS
 from hil.vocabulary.clock import WallOffset
 from hil.vocabulary.errors import ConfigError, DataError
 from hil.vocabulary.reading import json_object
@@ -120,17 +120,19 @@ class RecordingReader:
                 if isinstance(part, Channel):
                     topics[part.id] = part.topic
                 elif isinstance(part, Message):
-                    item = self._item(topics.get(part.channel_id, ""), part.data)
+                    topic = topics.get(part.channel_id)
+                    item = self._item(topic, part.data) if topic in (_CYCLE, _NOTE) else None
                     if item is not None:
-                        cycles += isinstance(item, CycleRecord)
+                        cycles += topic == _CYCLE
                         yield item
 
     def _item(self, topic: str, data: bytes) -> CycleRecord | Note | None:
-        """What a message on one of our own topics holds; None for others, and where it cannot be read."""
+        """What a message on one of our own topics holds; None where it cannot be read."""
+        from hil.recording.ros_types import from_cdr
+
         try:
-            if topic == _CYCLE:
-                return self._codec.decode(octets_of(data))
-            return _note(data) if topic == _NOTE else None
+            held = from_cdr(data, TOPICS[topic]).data
+            return self._codec.decode(held.tobytes()) if topic == _CYCLE else _note(held)
         except (ValueError, KeyError, TypeError) as error:
             problem = f"a message on {topic} cannot be read ({error})"
             if problem not in self.problems:
@@ -142,8 +144,8 @@ class RecordingReader:
         return (item for item in self.items() if isinstance(item, CycleRecord))
 
 
-def _note(data: bytes) -> Note:
-    note = json_object(text_of(data))
+def _note(text: str) -> Note:
+    note = json_object(text)
     if not isinstance(note["kind"], str) or not isinstance(note["data"], dict):
         raise ValueError("a note without kind and data")
     return Note(note["kind"], note["data"])

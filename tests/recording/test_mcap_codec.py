@@ -75,7 +75,7 @@ KIND = DeviceKind(name="packs", noun="battery", sample=Pack, models=())
 SPECIAL = np.array([np.nan, np.inf, -np.inf, 0.0, -0.0, 5e-324])
 
 
-@pytest.mark.parametrize("dtype", DTYPES.values())
+@pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("shape", [(), (0,), (3,), (0, 3), (2, 3), (1, 2, 3, 1, 2)])
 def test_arrays_of_other_packages_keep_type_shape_and_bits(dtype, shape):
     codec, record = CycleCodec((KIND,)), driving_record(3)
@@ -114,12 +114,19 @@ def test_malformed_bytes_are_value_errors_or_records(cut, flip, value):
 
 
 @pytest.mark.parametrize(
-    "head", [b"\xff" * 17, b"\x01" + b"\xff" * 4, b"\x02\x00\x00\x01\x00" * 2, b"\x01", b""]
+    ("code", "data"),
+    [
+        (4, b"1234567"),
+        (8, b"\xff" * 16),
+        (8, b"\3\0\0\0" * 2 + b"12345678"),
+        (8, b"123"),
+        (-4, b""),
+        (127, b""),
+    ],
 )
-def test_an_array_that_is_not_there_is_refused(head):
-    data = CODEC.encode(driving_record(3))
-    tree = msgspec.msgpack.decode(data)
-    tree["state"]["twist_body"] = msgspec.msgpack.Ext(ord("d"), head)
+def test_an_array_that_is_not_there_is_refused(code, data):
+    tree = tree_of(driving_record(3))
+    tree["state"]["twist_body"] = msgspec.msgpack.Ext(code, data)
     with pytest.raises(ValueError, match="no cycle record"):
         CODEC.decode(msgspec.msgpack.encode(tree))
 
@@ -136,10 +143,13 @@ def test_a_record_says_its_fields_by_name_to_any_reader():
     servos = tree["inputs"]["servos"][0]
     assert servos["stamp"]["t_ns"] == record.inputs.servos[0].stamp.t_ns
     assert servos["status"] == ["ok"] * 8
-    angles = servos["position_rad"]
-    assert chr(angles.code) == "d"
-    assert (
-        bytes(angles.data) == b"\1\x08\0\0\0" + record.inputs.servos[0].position_rad.astype("<f8").tobytes()
+    angles, values = servos["position_rad"], record.inputs.servos[0].position_rad
+    assert (angles.code, bytes(angles.data)) == (4, values.astype("<f8").tobytes())
+    covariance = tree["state"]["covariance"]
+    assert covariance.code == 8
+    assert np.frombuffer(covariance.data, "<u4", 2).tolist() == [6, 6]
+    np.testing.assert_array_equal(
+        np.frombuffer(covariance.data, "<f8", 36, 8), record.state.covariance.ravel()
     )
 
 
