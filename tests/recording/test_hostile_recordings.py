@@ -12,10 +12,11 @@ from mcap_cases import driving_record
 
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.recording.cdr import octet_array, string
 from hil.recording.cycle_codec import FORMAT, CycleCodec
+from hil.recording.frames import FrameTree
 from hil.recording.mcap_file import METADATA
 from hil.recording.mcap_reader import Note, RecordingReader
+from hil.recording.ros_messages import CycleMessages
 from hil.recording.runs import RunStart, read_runs
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_recording
@@ -62,6 +63,7 @@ def write(path, messages, header=None, number=str(FORMAT)):
     return path
 
 
+MESSAGES = CycleMessages((), FrameTree({}))
 CONFIG = load_bench("emulated").model_dump(mode="json", by_alias=True)
 STATE = {"t_ns": 0, "pose_body_in_wall": [0] * 3, "twist_body": [0] * 3, "covariance": [[0] * 6] * 6}
 START = {"state": STATE, "feedback": "odometry", "controller": None, "observers": [], "trajectory": None}
@@ -76,11 +78,11 @@ ARC = {
 
 
 def note(kind, data):
-    return ("/hil/notes", string(json.dumps({"kind": kind, "data": data})))
+    return MESSAGES.note(0, json.dumps({"kind": kind, "data": data}))[::2]
 
 
 def cycle(data):
-    return ("/hil/cycle", octet_array(data))
+    return MESSAGES.cycle(0, data)[::2]
 
 
 def plays(path):

@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 from hil.recording.compare import first_difference
 from hil.recording.mcap_reader import Note, RecordingReader, read_cycles, read_header
 from hil.recording.mcap_writer import McapRecorder
-from hil.recording.ros_messages import topics_with
+from hil.recording.topics import topics_with
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.kinds import kinds
 
