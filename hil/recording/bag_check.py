@@ -1,19 +1,12 @@
-"""Looks through a bag before a library opens it that unpacks whatever it is given.
-
-Every compressed piece is unpacked once and let go of, within the bounds of `hil.recording.unpacking`, and
-the index has to name exactly the chunks that were looked at.
-"""
+"""Looks through a bag before it is read: whether it is one, and whole, and what to do where it is not."""
 
 from __future__ import annotations
 
-import struct
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
-from hil.recording.mcap_records import COPY_AGAIN, top_level
-from hil.recording.unpacking import Allowance, chunk_data, unpack_stream
+from hil.recording.mcap_records import COPY_AGAIN, ends_early
 from hil.vocabulary.errors import DataError, reason_of
 from hil.vocabulary.reading import must_be_file
 
@@ -29,7 +22,7 @@ def check_bag(path: Path) -> None:
     """Look through a `.mcap` file or a rosbag2 folder.
 
     Raises:
-        DataError: it cannot be read, is damaged or of another kind, or unpacks to more than a recording does.
+        DataError: it cannot be read, is damaged or of another kind.
     """
     try:
         for file in _files(path):
@@ -52,7 +45,7 @@ def _files(path: Path) -> Iterator[Path]:
 
 
 def _check(path: Path, stream: BinaryIO) -> None:
-    """Look through one file: MCAP, SQLite (nothing to unpack in it), or either packed as a whole."""
+    """Look through one file; SQLite, and what is packed as a whole, is left to its reader."""
     size = path.stat().st_size
     head = stream.read(len(_SQLITE))
     stream.seek(0)
@@ -60,19 +53,6 @@ def _check(path: Path, stream: BinaryIO) -> None:
         _check_mcap(path, stream, size)
     elif path.suffix == ".mcap":
         raise DataError(str(path), f"is not an MCAP file: it is {_kind(head)}", remedy=_for_kind(head))
-    elif head != _SQLITE:
-        with tempfile.TemporaryFile() as plain:
-            try:
-                unpack_stream(stream, plain, Allowance(path, size))
-            except DataError:
-                raise
-            except ValueError:
-                return
-            plain.seek(0)
-            if plain.read(len(_MCAP)) == _MCAP:
-                size = plain.seek(0, 2)
-                plain.seek(0)
-                _check_mcap(path, plain, size)
 
 
 def _kind(head: bytes) -> str:
@@ -117,37 +97,24 @@ def _check_origin(path: Path, profile: str, indexed: BinaryIO | None) -> None:
 
 
 def _check_mcap(path: Path, stream: BinaryIO, size: int) -> None:
-    from mcap.exceptions import EndOfFile, McapError, RecordLengthLimitExceeded
-    from mcap.records import Chunk, ChunkIndex, Footer, Header
+    from mcap.records import Chunk, Footer, Header
+    from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
-    allowance = Allowance(path, size)
     profile, indexed = "", False
-    starts: set[int] = set()
-    chunks: dict[int, tuple[Any, ...]] = {}
     try:
-        for at, record in top_level(stream, size):
-            starts.add(at)
+        for record in StreamReader(stream, emit_chunks=True, record_size_limit=size).records:
             if isinstance(record, Chunk):
-                chunk_data(record, allowance)
-                chunks[at] = (record.compression, len(record.data), record.uncompressed_size)
-            elif isinstance(record, ChunkIndex):
-                said = (record.compression, record.compressed_size, record.uncompressed_size)
-                if chunks.get(record.chunk_start_offset) != said:
-                    raise ValueError(
-                        f"its index names a chunk at {record.chunk_start_offset} that is not there"
-                    )
+                get_chunk_data_stream(record, validate_crc=True)
             elif isinstance(record, Header):
                 profile = record.profile
             elif isinstance(record, Footer):
-                if record.summary_start not in starts | {0}:
-                    raise ValueError("its index does not begin where it says")
                 indexed = record.summary_start > 0
         _check_origin(path, profile, stream if indexed else None)
     except DataError:
         raise
-    except (McapError, ValueError, EOFError, MemoryError, struct.error) as error:
-        cut = isinstance(error, (EndOfFile, RecordLengthLimitExceeded, struct.error))
-        why = f"it ends at byte {size}, within a record" if cut else str(error) or type(error).__name__
+    except Exception as error:  # whatever the library makes of damaged bytes
+        cut = f"it ends at byte {size}, within a record"
+        why = cut if ends_early(error) else str(error) or type(error).__name__
         raise DataError(
             str(path), f"is not a readable rosbag2 recording ({why})", remedy="repair it with `mcap recover`"
         ) from None

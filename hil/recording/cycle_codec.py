@@ -1,87 +1,140 @@
-"""Compact, exact serialisation of `hil.vocabulary.signals.CycleRecord`.
+"""Cycle records as MessagePack, and back: exact, typed, and readable without this package.
 
-Values are written field by field in the order of the dataclasses, floats as their 64 bits, so a
-decoded record equals the encoded one bit for bit (NaN payloads included). Little endian; the layout
-is that of `hil.recording.cycle_layout`, the way back is `hil.recording.cycle_decoder`.
+Every class is a map of its fields by name, every `Status` its text. An array is an extension. Its code is
+four times the number of its dimensions, plus the type of its values (0 float64, 1 float32, 2 int64, 3 bool).
+Its data are the values in C order, little endian; where there are several dimensions, their lengths come
+before them, four bytes each. Numbers keep every bit. A field that the reader does not know is skipped; one
+that a record lacks gets its default.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from enum import Enum
-from functools import cached_property, lru_cache
-from types import CodeType
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from types import GenericAlias
 from typing import Any
 
-from hil.recording.cycle_layout import BYTE, MAGIC, describe, record_types
-from hil.recording.encoder_source import EncoderSource
-from hil.recording.value_encoders import BY_NAME, Parts
+import msgspec
+import numpy as np
+
+from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.kinds import DeviceKind
 from hil.vocabulary.signals import CycleRecord
 
-DECIDED = ("measurements", "state", "reference", "setpoint", "command", "events", "observers")
-"""Fields of a cycle record that the brain makes of its inputs; they follow `inputs` without a gap."""
+FORMAT = 2
+"""Of a recording: what the topic `/hil/cycle` holds. Files of another number are not read."""
+DTYPES: Sequence[np.dtype[Any]] = tuple(map(np.dtype, ("<f8", "<f4", "<i8", "?")))
+"""Types of arrays that are kept as they are."""
+_NUMBERS = {dtype: number for number, dtype in enumerate(DTYPES)}
 
 
-@lru_cache(maxsize=8)
-def _compiled(added: tuple[DeviceKind, ...], decided: bool) -> tuple[CodeType, dict[str, Any]]:
-    """Code of a function `encode`, and the constants that it names.
-
-    Args:
-        added: kinds of other packages whose samples a record may hold.
-        decided: of the fields `DECIDED` alone, or of all.
-    """
-    layout = describe(added)
-    codes = {
-        name: {member._value_: BYTE.pack(i) for i, member in enumerate(kind)}
-        for name, kind in record_types(added).items()
-        if issubclass(kind, Enum)
-    }
-    source = EncoderSource(layout["classes"], codes)
-    fields = layout["classes"][layout["root"]]
-    source.function("encode", [field for field in fields if not decided or field[0] in DECIDED])
-    return compile(source.text(), "<encoder of cycle records>", "exec"), source.constants
-
-
-class CycleEncoder:
-    """Turns cycle records into bytes.
+class CycleCodec:
+    """Turns cycle records into bytes and back.
 
     Args:
         added: kinds of other packages whose samples they may hold.
+
+    Raises:
+        ConfigError: samples of one of these kinds cannot be recorded.
     """
 
     def __init__(self, added: tuple[DeviceKind, ...] = ()) -> None:
-        self._added = added
-        self._encode = self._function(decided=False)
+        for kind in added:
+            _check(kind)
+        self._added = {kind.name: GenericAlias(tuple, (kind.sample, ...)) for kind in added}
+        self._encoder = msgspec.msgpack.Encoder(enc_hook=_packed)
+        self._decoder = msgspec.msgpack.Decoder(CycleRecord, dec_hook=_array, ext_hook=_unpacked)
 
     def encode(self, record: CycleRecord) -> bytes:
         """Bytes of one record.
 
         Raises:
-            struct.error, AttributeError, TypeError: the record does not follow its type hints.
+            TypeError, ValueError, OverflowError: it holds what cannot be recorded.
         """
-        parts = [MAGIC]
-        self._encode(record, parts)
-        return b"".join(parts)
+        if not isinstance(record, CycleRecord):
+            raise TypeError(f"{type(record).__name__} is no cycle record")
+        return self._encoder.encode(record)
 
-    def decided(self, decision: Any) -> bytes:
-        """Bytes of the fields `DECIDED` of anything that has them, as they stand in a record.
+    def decode(self, data: bytes) -> CycleRecord:
+        """One record.
 
         Raises:
-            struct.error, AttributeError, TypeError: they do not follow their type hints.
+            ValueError: no such bytes.
         """
-        parts: Parts = []
-        self._encode_decided(decision, parts)
-        return b"".join(parts)
+        try:
+            record = self._decoder.decode(data)
+            if record.truth is not None:
+                record = replace(record, truth={key: _tuples(v) for key, v in record.truth.items()})
+            if record.inputs.added:
+                samples = {
+                    name: msgspec.convert(found, self._added[name], dec_hook=_array)
+                    for name, found in record.inputs.added.items()
+                }
+                record = replace(record, inputs=replace(record.inputs, added=samples))
+        except (msgspec.MsgspecError, struct.error, KeyError, TypeError, ValueError, RecursionError) as error:
+            raise ValueError(f"no cycle record: {error}") from None
+        return record
 
-    @cached_property
-    def _encode_decided(self) -> Callable[[Any, Parts], None]:
-        return self._function(decided=True)
 
-    def _function(self, *, decided: bool) -> Callable[[Any, Parts], None]:
-        """A function of its own: what it remembers of the record before is no other encoder's."""
-        code, constants = _compiled(self._added, decided)
-        scope: dict[str, Any] = {**BY_NAME, **constants}
-        exec(code, scope)  # as `dataclasses` does
-        encode: Callable[[Any, Parts], None] = scope["encode"]
-        return encode
+def _packed(value: Any) -> Any:
+    """What stands for a value that MessagePack has no form for."""
+    if isinstance(value, np.ndarray):
+        number, dimensions = _NUMBERS.get(value.dtype), value.ndim
+        if number is None:
+            return _packed(value.astype("<i8" if value.dtype.kind in "iu" else "<f8"))
+        lengths = struct.pack(f"<{dimensions}I", *value.shape) if dimensions > 1 else b""
+        return msgspec.msgpack.Ext(4 * dimensions + number, lengths + value.tobytes())
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"a {type(value).__name__} cannot be recorded")
+
+
+def _unpacked(code: int, data: memoryview) -> Any:
+    """The array of an extension; its memory is its own."""
+    dimensions, number = divmod(code, 4)
+    values = np.frombuffer(data, DTYPES[number], offset=4 * dimensions if dimensions > 1 else 0)
+    if dimensions == 1:
+        return values.copy()
+    return values.reshape(struct.unpack_from(f"<{dimensions}I", data) if dimensions else ()).copy()
+
+
+def _array(kind: Any, value: Any) -> Any:
+    """An array where one is wanted, also where a number or a list of numbers was recorded for it."""
+    return value if isinstance(value, np.ndarray) else np.asarray(value, dtype=np.float64)
+
+
+def _tuples(value: Any) -> Any:
+    """A value of a free mapping with tuples for its lists, as it was recorded."""
+    if isinstance(value, list):
+        return tuple(map(_tuples, value))
+    return {key: _tuples(item) for key, item in value.items()} if isinstance(value, dict) else value
+
+
+def _check(kind: DeviceKind) -> None:
+    """Raises `ConfigError` for a kind whose samples hold what cannot be recorded."""
+    try:
+        strange = {c for c in _classes(msgspec.inspect.type_info(kind.sample)) if c is not np.ndarray}
+        why = ", ".join(sorted(c.__name__ for c in strange))
+    except (TypeError, NameError, RecursionError) as error:
+        why = str(error)
+    if why:
+        raise ConfigError(
+            f"samples of the kind {kind.name} ({kind.package}) cannot be recorded ({why})",
+            expected="fields of type int, float, bool, str, Array, Status, Stamp, a dataclass of them, "
+            "X | None, tuple[X, ...] or Mapping[str, X]",
+        )
+
+
+def _classes(part: msgspec.Struct) -> Iterator[Any]:
+    """Classes in the description of a type that MessagePack has no form for."""
+    if isinstance(part, msgspec.inspect.CustomType):
+        yield part.cls
+        return
+    for name in part.__struct_fields__:
+        value = getattr(part, name)
+        for inner in value if isinstance(value, tuple) else (value,):
+            if isinstance(inner, (msgspec.inspect.Type, msgspec.inspect.Field)):
+                yield from _classes(inner)

@@ -5,28 +5,25 @@ from __future__ import annotations
 import json
 import logging
 import os
-from collections.abc import Iterable, Iterator, Mapping
-from functools import cache
-from importlib import resources
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from hil.recording.cdr import octet_array, string
-from hil.recording.cycle_codec import CycleEncoder
-from hil.recording.cycle_layout import describe
+from hil.recording.cycle_codec import FORMAT, CycleCodec
 from hil.recording.frames import FrameTree, recorded_offset
-from hil.recording.ros_messages import CycleMessages, Message, topics_with, transforms
+from hil.recording.packages import needed_packages, recorded_kinds
+from hil.recording.topics import topics_with
 from hil.recording.urdf import urdf
 from hil.vocabulary.clock import NS_PER_S, MonotonicClock, WallOffset
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import DeviceKind, kinds
-from hil.vocabulary.reading import toml_tables
 from hil.vocabulary.signals import KINDS, CycleRecord
+
+if TYPE_CHECKING:
+    from hil.recording.ros_messages import CycleMessages, Message
 
 LOG = logging.getLogger(__name__)
 
 METADATA, CLOCK_AT_START, CLOCK_AT_END = "hil", "hil_clock_at_start", "hil_clock_at_end"
-PACKAGES = "packages"
+FORMAT_KEY, PACKAGES = "format", "packages"
 LIBRARY = "hil"
 """What the head of a file says wrote it."""
 _FLUSH_NS = NS_PER_S // 2
@@ -46,51 +43,6 @@ _LATCHED = "- " + "\n  ".join(
 )
 _QOS = {"/tf_static": _LATCHED, "/robot_description": _LATCHED}
 """Quality of service with which a topic is to be played: who listens later gets the last message, too."""
-
-
-@cache
-def _definitions() -> dict[str, str]:
-    """Definitions of the message types that our own topics have; to ask rosbags takes a tenth of a second."""
-    text = resources.files("hil.recording").joinpath("message_definitions.toml").read_text(encoding="utf-8")
-    return toml_tables(text, "message_definitions.toml")
-
-
-@cache
-def definition(kind: str) -> str:
-    """Definition of a message type.
-
-    Raises:
-        ConfigError: ROS 2 has no such type.
-    """
-    if kind in _definitions():
-        return _definitions()[kind]
-    from rosbags.typesys import Stores, get_typestore
-
-    try:
-        found: str = get_typestore(Stores.ROS2_HUMBLE).generate_msgdef(kind, ros_version=2)[0]
-    except Exception as error:
-        raise ConfigError(f"message type {kind!r} cannot be recorded ({error})") from error
-    return found
-
-
-def _recorded(header: Mapping[str, Any]) -> tuple[DeviceKind, ...]:
-    """Kinds whose samples a recording holds: all of ours, and those of other packages that its bench has."""
-    present = header.get("config", {})
-    return tuple(kind for name, kind in kinds().items() if name in KINDS or present.get(name) is not None)
-
-
-def _packages(header: Mapping[str, Any]) -> dict[str, str]:
-    """Packages without which a recording cannot be read, by kind, or `KIND.MODEL` where they add a model."""
-    found = {}
-    for name, table in header.get("config", {}).items():
-        kind = kinds().get(name)
-        if kind is not None and isinstance(table, Mapping):
-            model = next((m for m in kind.models if m.name == table.get("model")), kind.models[0])
-            if name not in KINDS:
-                found[name] = kind.package
-            if model.package != kind.package:
-                found[f"{name}.{model.name}"] = model.package
-    return found
 
 
 class _WholeWrites:
@@ -148,6 +100,7 @@ class RecordingFile:
 
     Raises:
         OSError: it cannot be created.
+        ConfigError: samples or messages of a package cannot be recorded.
     """
 
     def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
@@ -158,13 +111,12 @@ class RecordingFile:
         self._frames = FrameTree(header)
         self._description = urdf(header) if "geometry" in header else ""
         self._file = _WholeWrites(path)
-        recorded = _recorded(header)
-        own = tuple(kind for kind in recorded if kind.name not in KINDS)
-        self._encoder = CycleEncoder(own)
-        self._messages = CycleMessages(recorded, self._frames, self._wall_ns)
-        topics = topics_with(recorded)
+        self._kinds = recorded_kinds(header)
+        added = tuple(kind for kind in self._kinds if kind.name not in KINDS)
+        self._codec = CycleCodec(added)
+        self._channels: dict[str, _Channel] = {}
+        self._messages: CycleMessages | None = None
         self._flushed_ns: int | None = None
-        self._safe_bytes = 0
         self.flushed = self.unflushed = 0
         self._mcap = Writer(self._file, compression=CompressionType.ZSTD, chunk_size=1 << 30)
         self._mcap.start(profile="ros2", library=LIBRARY)
@@ -172,25 +124,33 @@ class RecordingFile:
             METADATA,
             {
                 "header": json.dumps(header, default=str),
-                "layout": json.dumps(describe(own)),
-                PACKAGES: json.dumps(_packages(header)),
+                FORMAT_KEY: str(FORMAT),
+                PACKAGES: json.dumps(needed_packages(header)),
             },
         )
         if self._offset is not None:
             self._mcap.add_metadata(CLOCK_AT_START, _texts(self._offset))
-        schemas = {
-            kind: self._mcap.register_schema(kind, "ros2msg", definition(kind).encode())
-            for kind in sorted(set(topics.values()))
-        }
-        self._channels = {
-            topic: _Channel(
-                self._mcap.register_channel(
-                    topic, "cdr", schemas[kind], {"offered_qos_profiles": _QOS.get(topic, "")}
-                )
-            )
-            for topic, kind in topics.items()
-        }
         self._safe_bytes = self._file.tell()
+        if added:  # a message type that ROS 2 does not have is named before anything is recorded
+            self.begin()
+
+    def begin(self) -> CycleMessages:
+        """Describe the topics, unless that is done: it loads rosbags, which takes some tenths of a second."""
+        if self._messages is None:
+            from hil.recording.ros_messages import CycleMessages
+            from hil.recording.ros_types import definition
+
+            topics = topics_with(self._kinds)
+            schemas = {
+                name: self._mcap.register_schema(name, "ros2msg", definition(name).encode())
+                for name in sorted(set(topics.values()))
+            }
+            for topic, name in topics.items():
+                about = {"offered_qos_profiles": _QOS.get(topic, "")}
+                number = self._mcap.register_channel(topic, "cdr", schemas[name], about)
+                self._channels[topic] = _Channel(number)
+            self._messages = CycleMessages(self._kinds, self._frames, self._wall_ns)
+        return self._messages
 
     def _add(self, log_ns: int, items: Iterable[Message]) -> None:
         """Add messages, all logged at one time."""
@@ -203,30 +163,24 @@ class RecordingFile:
 
     def add_cycle(self, record: CycleRecord) -> None:
         """Add one cycle; flushes by the records' own time."""
-        now_ns = record.start_ns
-        payload = octet_array(self._encoder.encode(record))
-        self._add(now_ns, [("/hil/cycle", record.inputs.t_ns, payload)])
+        now_ns, messages = record.start_ns, self.begin()
+        self._add(now_ns, [messages.cycle(record.inputs.t_ns, self._codec.encode(record))])
         self.unflushed += 1
         if self._flushed_ns is None:
             self._flushed_ns = now_ns
-            self._add(now_ns, self._first(now_ns))
-        self._add(now_ns, self._messages.of(record))
+            self._add(now_ns, messages.first(now_ns, self._description))
+        self._add(now_ns, messages.of(record))
         if not 0 <= now_ns - self._flushed_ns < _FLUSH_NS:
             self._flushed_ns = now_ns
             self.flush()
 
-    def _first(self, t_ns: int) -> Iterator[Message]:
-        """What never moves, once in a recording."""
-        yield "/tf_static", t_ns, transforms(t_ns, self._frames.fixed, self._wall_ns)
-        if self._description:
-            yield "/robot_description", t_ns, string(self._description)
-
-    def add_note(self, t_ns: int, text: str) -> None:
+    def add_note(self, t_ns: int, note: str) -> None:
         """Add one free note."""
-        self._add(t_ns, [("/hil/notes", t_ns, string(text))])
+        self._add(t_ns, [self.begin().note(t_ns, note)])
 
     def flush(self) -> None:
         """Close the chunk and hand everything to the operating system."""
+        self.begin()
         self._mcap.flush()
         self._safe_bytes = self._file.tell()
         self.flushed += self.unflushed

@@ -6,18 +6,15 @@ with `DataError`: recordings of other robots are read with a topic mapping (`hil
 
 from __future__ import annotations
 
-import io
-import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from hil.recording.cdr import octets_of, text_of
-from hil.recording.cycle_decoder import CycleDecoder, StoredCycle
-from hil.recording.cycle_layout import check_packages
-from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, LIBRARY, METADATA, PACKAGES
-from hil.recording.mcap_records import COPY_AGAIN, RECORD, in_place_of, records_of
-from hil.recording.unpacking import Allowance, chunk_data
+from hil.recording.cycle_codec import FORMAT, CycleCodec
+from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, FORMAT_KEY, LIBRARY, METADATA, PACKAGES
+from hil.recording.mcap_records import COPY_AGAIN, in_place_of, records_of
+from hil.recording.packages import added_kinds
+from hil.recording.topics import TOPICS
 from hil.vocabulary.clock import WallOffset
 from hil.vocabulary.errors import ConfigError, DataError
 from hil.vocabulary.reading import json_object
@@ -25,11 +22,7 @@ from hil.vocabulary.signals import CycleRecord
 
 NEEDS_TOPICS = "recordings of other robots need a topic mapping (--topics FILE)"
 _CYCLE, _NOTE = "/hil/cycle", "/hil/notes"
-_CHANNEL_ID = struct.Struct("<H")
-_MESSAGE_HEAD = 2 + 4 + 8 + 8
 GO_ON = "give a list as `problems` to go on with what could be read"
-
-Cycle = TypeVar("Cycle", CycleRecord, StoredCycle)
 
 
 class Note:
@@ -51,17 +44,16 @@ class RecordingReader:
         problems: what could not be read so far; complete once the iteration has ended.
 
     Raises:
-        DataError: not an MCAP file, not one of ours, or of a newer format.
+        DataError: not an MCAP file, not one of ours, or of another format.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.problems: list[str] = []
         self.packages: dict[str, Any] = {}
-        self.header, self._decoder = self._open()
-        self.problems += self._decoder.notes
+        self.header, self._codec = self._open()
 
-    def _open(self) -> tuple[dict[str, Any], CycleDecoder]:
+    def _open(self) -> tuple[dict[str, Any], CycleCodec]:
         from mcap.records import Chunk, Header, Metadata
 
         if self.path.is_dir() or self.path.suffix == ".db3":
@@ -86,13 +78,20 @@ class RecordingReader:
             raise DataError(str(self.path), problems[0], remedy=COPY_AGAIN)
         raise DataError(str(self.path), "holds no cycle records of this project", remedy=NEEDS_TOPICS)
 
-    def _described(self, at: int, metadata: Mapping[str, str]) -> tuple[dict[str, Any], CycleDecoder]:
-        """What the record at byte `at` says of the header and of how cycles are stored."""
+    def _described(self, at: int, metadata: Mapping[str, str]) -> tuple[dict[str, Any], CycleCodec]:
+        """What the record at byte `at` says of the header and of the samples in the cycles."""
         try:
-            self.packages = json_object(metadata.get(PACKAGES, "{}"))
-            check_packages(self.packages)
             header = json_object(metadata["header"])
-            return header, CycleDecoder(json_object(metadata["layout"]))
+            found = metadata.get(FORMAT_KEY, "1")
+            if found != str(FORMAT):
+                raise DataError(
+                    str(self.path),
+                    f"is a recording of format {found}",
+                    expected=f"format {FORMAT}, which this version writes and reads",
+                    remedy="read it with the version that wrote it",
+                )
+            self.packages = json_object(metadata[PACKAGES])
+            return header, CycleCodec(added_kinds(self.packages))
         except ConfigError as error:
             raise ConfigError(
                 f"{self.path}: {error.message}", expected=error.expected, remedy=error.remedy
@@ -106,93 +105,50 @@ class RecordingReader:
 
     def items(self) -> Iterator[CycleRecord | Note]:
         """Cycles and notes in the order in which they were written."""
-        return self._items(self._decoder.decode)
-
-    def stored(self) -> Iterator[StoredCycle | Note]:
-        """As `items`, with no more of the cycles read than it takes to decide again."""
-        return self._items(self._decoder.begin)
-
-    def _items(self, cycle_of: Callable[[bytes], Cycle]) -> Iterator[Cycle | Note]:
-        from mcap.exceptions import McapError
         from mcap.records import Channel, Chunk, Message
+        from mcap.stream_reader import breakup_chunk
 
-        allowance = Allowance(self.path, self.path.stat().st_size)
         topics: dict[int, str] = {}
         cycles = 0
         for at, record in records_of(self.path, self.problems):
-            if isinstance(record, Channel):
-                topics[record.id] = record.topic
-            if not isinstance(record, (Chunk, Message)):
-                continue
             try:
-                parts = _ours_of(record, allowance, topics)
-            except DataError as error:
-                why = error.message.removeprefix(f"{self.path}: ")
-                self.problems.append(f"{why}: what follows cycle {cycles} was not read")
-                return
-            except (McapError, ValueError, EOFError, MemoryError, OverflowError, struct.error) as error:
+                parts = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
+            except Exception as error:  # whatever unpacking makes of damaged bytes
                 self.problems.append(f"a chunk after cycle {cycles}, at byte {at}, is damaged ({error})")
                 continue
-            for topic, data in parts:
-                try:
-                    item = cycle_of(octets_of(data)) if topic == _CYCLE else _note(data)
-                except (ValueError, KeyError, TypeError) as error:
-                    self.problems.append(f"a message on {topic} cannot be read ({error})")
-                    continue
-                cycles += topic == _CYCLE
-                yield item
+            for part in parts:
+                if isinstance(part, Channel):
+                    topics[part.id] = part.topic
+                elif isinstance(part, Message):
+                    topic = topics.get(part.channel_id)
+                    item = self._item(topic, part.data) if topic in (_CYCLE, _NOTE) else None
+                    if item is not None:
+                        cycles += topic == _CYCLE
+                        yield item
+
+    def _item(self, topic: str, data: bytes) -> CycleRecord | Note | None:
+        """What a message on one of our own topics holds; None where it cannot be read."""
+        from hil.recording.ros_types import from_cdr
+
+        try:
+            held = from_cdr(data, TOPICS[topic]).data
+            return self._codec.decode(held.tobytes()) if topic == _CYCLE else _note(held)
+        except (ValueError, KeyError, TypeError) as error:
+            problem = f"a message on {topic} cannot be read ({error})"
+            if problem not in self.problems:
+                self.problems.append(problem)
+            return None
 
     def __iter__(self) -> Iterator[CycleRecord]:
         """Cycle records only."""
         return (item for item in self.items() if isinstance(item, CycleRecord))
 
 
-def _note(data: bytes) -> Note:
-    note = json_object(text_of(data))
+def _note(text: str) -> Note:
+    note = json_object(text)
     if not isinstance(note["kind"], str) or not isinstance(note["data"], dict):
         raise ValueError("a note without kind and data")
     return Note(note["kind"], note["data"])
-
-
-def _ours_of(record: Any, allowance: Allowance, topics: dict[int, str]) -> list[tuple[str, bytes]]:
-    """As `_ours`, of a chunk or of a message that is in none."""
-    from mcap.records import Message
-
-    if not isinstance(record, Message):
-        return _ours(chunk_data(record, allowance), topics)
-    topic = topics.get(record.channel_id, "")
-    return [(topic, record.data)] if topic in (_CYCLE, _NOTE) else []
-
-
-def _ours(data: bytes, topics: dict[int, str]) -> list[tuple[str, bytes]]:
-    """Topic and payload of a chunk's messages on our own topics; new channels go into `topics`.
-
-    The records of a chunk are told apart by hand: nine of ten are for other tools, and parsing all of them
-    is what takes the official reader its time (mcap.dev/spec, "Records").
-
-    Raises:
-        McapError, ValueError, struct.error: the chunk is damaged.
-    """
-    from mcap.data_stream import ReadDataStream
-    from mcap.opcode import Opcode
-    from mcap.records import Channel
-
-    length, at = len(data), 0
-    found = []
-    while at < length:
-        opcode, size = RECORD.unpack_from(data, at)
-        at += RECORD.size
-        if at + size > length:
-            raise ValueError("a record runs beyond the end of its chunk")
-        if opcode == Opcode.MESSAGE:
-            topic = topics.get(_CHANNEL_ID.unpack_from(data, at)[0])
-            if topic in (_CYCLE, _NOTE):
-                found.append((topic, data[at + _MESSAGE_HEAD : at + size]))
-        elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(ReadDataStream(io.BytesIO(data[at : at + size])))
-            topics[channel.id] = channel.topic
-        at += size
-    return found
 
 
 def read_cycles(path: str | Path, problems: list[str] | None = None) -> Iterator[CycleRecord]:

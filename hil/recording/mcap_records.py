@@ -2,96 +2,48 @@
 
 from __future__ import annotations
 
-import io
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from hil.vocabulary.errors import DataError, reason_of
 from hil.vocabulary.mistaken import meant
 from hil.vocabulary.reading import must_be_file
 
-RECORD = struct.Struct("<BQ")
-"""What every record begins with: its kind, and how many bytes follow."""
 COPY_AGAIN = "copy it again from where it was recorded"
 _MAGIC_BYTES, _ZSTD = 8, b"\x28\xb5\x2f\xfd"
 
 
-def top_level(stream: BinaryIO, limit: int) -> Iterator[tuple[int, Any]]:
-    """Top-level records, in their order, with the byte at which each begins.
-
-    Header, channels, messages outside of chunks, chunks and their indices, metadata and footer are parsed,
-    None stands for every other: nine of ten are message indices, which no pass from the beginning needs.
-
-    Args:
-        stream: the file.
-        limit: most bytes of a record.
-
-    Raises:
-        McapError, ValueError, struct.error: damaged.
-    """
-    from mcap.data_stream import ReadDataStream
-    from mcap.exceptions import EndOfFile, RecordLengthLimitExceeded
-    from mcap.opcode import Opcode
-    from mcap.records import Channel, Chunk, ChunkIndex, Footer, Header, Message, Metadata
-    from mcap.stream_reader import read_magic
-
-    wanted: dict[int, Any] = {
-        Opcode.CHUNK: Chunk,
-        Opcode.CHUNK_INDEX: ChunkIndex,
-        Opcode.METADATA: Metadata,
-        Opcode.FOOTER: Footer,
-        Opcode.HEADER: Header,
-        Opcode.CHANNEL: Channel,
-        Opcode.MESSAGE: Message,
-    }
-    source = ReadDataStream(stream)
-    read_magic(source)
-    opcode = None
-    while opcode != Opcode.FOOTER:
-        at = source.count
-        opcode, length = RECORD.unpack(source.read(RECORD.size))
-        if length > limit:
-            if opcode not in iter(Opcode):
-                raise ValueError(f"what begins at byte {at} is no record")
-            raise RecordLengthLimitExceeded(opcode, length, limit)
-        data, kind = source.read(length), wanted.get(opcode)
-        if len(data) < length:
-            raise EndOfFile
-        try:
-            inside = ReadDataStream(io.BytesIO(data))
-            if kind is None:
-                yield at, None
-            else:
-                yield at, Message.read(inside, length) if kind is Message else kind.read(inside)
-        except (EndOfFile, UnicodeDecodeError, OverflowError, struct.error):
-            raise ValueError(f"the record at byte {at} does not hold what it says") from None
-    read_magic(source)
-
-
 def records_of(path: Path, problems: list[str]) -> Iterator[tuple[int, Any]]:
-    """What `top_level` gives; damage ends the iteration and is named in `problems`.
+    """Records of the file, a chunk as one, in their order, with the byte behind which each begins.
+
+    Damage ends the iteration and is named in `problems`.
 
     Raises:
         DataError: not there or not MCAP.
     """
-    from mcap.exceptions import McapError
+    from mcap.stream_reader import StreamReader
 
     try:
         must_be_file(path)
         with path.open("rb") as stream:
-            records, at = top_level(stream, max(1, path.stat().st_size)), 0
+            size = max(1, path.stat().st_size)
+            records, at = StreamReader(stream, emit_chunks=True, record_size_limit=size).records, 0
             while True:
                 try:
-                    at, record = next(records)
+                    record = next(records)
                 except StopIteration:
                     return
-                except (McapError, ValueError, EOFError, MemoryError, struct.error) as error:
-                    _must_be_mcap(path, stream.tell(), error if at == 0 else None)
+                except OSError:
+                    raise
+                except Exception as error:  # whatever the library makes of damaged bytes
+                    if at == 0:
+                        _must_be_mcap(path, stream.tell(), error)
                     problems.append(_damage(at, stream.tell(), error))
                     return
                 yield at, record
+                at = stream.tell()
     except OSError as error:
         raise DataError(str(path), f"cannot be read ({reason_of(error)})") from None
 
@@ -108,12 +60,10 @@ def in_place_of(path: Path) -> str:
     )
 
 
-def _must_be_mcap(path: Path, reached: int, error: Exception | None) -> None:
+def _must_be_mcap(path: Path, reached: int, error: Exception) -> None:
     """Refuse a file of another kind, given what its first record failed with."""
     from mcap.exceptions import InvalidMagic
 
-    if error is None:
-        return
     if reached == 0:
         raise DataError(str(path), "is empty", expected="a recording (.mcap)", remedy=COPY_AGAIN)
     with path.open("rb") as stream:
@@ -130,11 +80,17 @@ def _must_be_mcap(path: Path, reached: int, error: Exception | None) -> None:
         )
 
 
-def _damage(at: int, reached: int, error: Exception) -> str:
-    """What is wrong behind the record at byte `at`, where reading reached a byte."""
+def ends_early(error: Exception) -> bool:
+    """Whether reading failed because a file has fewer bytes than its records say."""
     from mcap.exceptions import EndOfFile, InvalidMagic, RecordLengthLimitExceeded
 
-    if isinstance(error, (EndOfFile, InvalidMagic, RecordLengthLimitExceeded, struct.error)):
-        why = f": {error}" if str(error) else ""
-        return f"ends early at byte {reached} (writer killed, disk full, or damaged there){why}"
-    return f"is damaged after byte {at}: {error or type(error).__name__}"
+    return isinstance(error, (EndOfFile, InvalidMagic, RecordLengthLimitExceeded, struct.error))
+
+
+def _damage(at: int, reached: int, error: Exception) -> str:
+    """What is wrong behind byte `at`, where reading reached a byte."""
+    why = str(error)
+    if ends_early(error):
+        told = f"ends early at byte {reached} (writer killed, disk full, or damaged there)"
+        return f"{told}: {why}" if why else told
+    return f"is damaged after byte {at}: {why or type(error).__name__}"

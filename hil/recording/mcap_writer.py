@@ -144,6 +144,8 @@ class McapRecorder(Sink):
                 self._recording.add_cycle(value)
             elif kind == "note":
                 self._recording.add_note(*value)
+            elif kind == "begin":
+                self._recording.begin()
             else:
                 self._recording.flush()
         except OSError as error:
@@ -164,6 +166,7 @@ class McapRecorder(Sink):
     def _work(self) -> None:
         """Thread: take what is handed on, and close the chunk once nothing has come for a while."""
         idle = False
+        self._take(("begin", None))
         while True:
             self._something.wait(_IDLE_S)
             self._something.clear()

@@ -4,10 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import chain
+from typing import Any
 
-from hil.recording.cdr import TIME, CdrForm, CdrWriter, Doubles
-from hil.recording.frames import BODY, CAMERA_START, WALL, Frame, FrameTree
+import numpy as np
+from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__PoseWithCovariance as PoseWithCovariance
+from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Transform as Transform
+from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__TransformStamped as TransformStamped
+from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Twist as Twist
+from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__TwistWithCovariance as TwistWithCovariance
+from rosbags.typesys.stores.ros2_humble import nav_msgs__msg__Odometry as Odometry
+from rosbags.typesys.stores.ros2_humble import rcl_interfaces__msg__Log as Log
+from rosbags.typesys.stores.ros2_humble import rosgraph_msgs__msg__Clock as Clock
+from rosbags.typesys.stores.ros2_humble import std_msgs__msg__String as String
+from rosbags.typesys.stores.ros2_humble import tf2_msgs__msg__TFMessage as TFMessage
+
+from hil.recording.frames import BODY, WALL, Frame, FrameTree
+from hil.recording.ros_types import MessageMaker, octets, to_cdr
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import DeviceKind
 from hil.vocabulary.signals import CycleRecord, Event, RobotState, samples_of
@@ -15,86 +27,62 @@ from hil.vocabulary.signals import CycleRecord, Event, RobotState, samples_of
 Message = tuple[str, int, bytes]
 """Topic, time of measurement (bench clock, ns), CDR bytes."""
 
-TOPICS = {
-    "/hil/cycle": "std_msgs/msg/UInt8MultiArray",
-    "/hil/notes": "std_msgs/msg/String",
-    "/hil/events": "rcl_interfaces/msg/Log",
-    "/tf": "tf2_msgs/msg/TFMessage",
-    "/tf_static": "tf2_msgs/msg/TFMessage",
-    "/clock": "rosgraph_msgs/msg/Clock",
-    "/robot_description": "std_msgs/msg/String",
-    "/odom": "nav_msgs/msg/Odometry",
-    "/reference": "geometry_msgs/msg/PoseStamped",
-}
-"""Topics that belong to no device, with their types."""
-
 _LOG_LEVEL = {"debug": 10, "info": 20, "warning": 30, "error": 40, "fatal": 50}
-_PLANAR = (0, 1, 5, 6, 7, 11, 30, 31, 35)
+_PLANAR = np.array([0, 1, 5, 6, 7, 11, 30, 31, 35])
 """Of a covariance of six (36 numbers), those of x, y and the turn about z."""
-_ODOMETRY = CdrForm(
-    TIME, WALL, BODY, Doubles(7), Doubles(36, _PLANAR), Doubles(6, (0, 1, 5)), Doubles(36, _PLANAR)
-)
-_REFERENCE = CdrForm(TIME, WALL, Doubles(7))
-_CLOCK = CdrForm(TIME)
 
 
-def _transform_form(*names: tuple[str, str]) -> CdrForm:
-    """Form of a `tf2_msgs/TFMessage`: seven numbers for each frame, which is named after its parent."""
-    parts = chain.from_iterable((TIME, parent, child, Doubles(7)) for parent, child in names)
-    return CdrForm(len(names), *parts)
-
-
-_BODY_ALONE = _transform_form((WALL, BODY))
-_BODY_AND_CAMERA = _transform_form((WALL, BODY), (WALL, CAMERA_START))
-
-
-def topics_with(kinds: Sequence[DeviceKind]) -> dict[str, str]:
-    """All topics of a recording with their types; those of a kind only if it is among `kinds`."""
-    return {**TOPICS, **{topic.name: topic.type for kind in kinds for topic in kind.topics}}
-
-
-def transforms(t_ns: int, frames: tuple[Frame, ...], wall_ns: int = 0) -> bytes:
+def transforms(t_ns: int, frames: Sequence[Frame], ros: MessageMaker) -> Any:
     """`tf2_msgs/TFMessage`."""
-    form = _transform_form(*((frame.parent, frame.child) for frame in frames))
-    return form.pack(t_ns, wall_ns, *map(_spatial_pose, frames))
-
-
-def _spatial_pose(frame: Frame) -> tuple[float, ...]:
-    """Position, and quaternion in the order of ROS."""
-    w, x, y, z = frame.quaternion_wxyz
-    return (*frame.position_m, x, y, z, w)
-
-
-def _planar_pose(pose: Array) -> tuple[float, ...]:
-    """Position, and quaternion in the order of ROS."""
-    x_m, y_m, theta_rad = pose.tolist()
-    return x_m, y_m, 0.0, 0.0, 0.0, math.sin(0.5 * theta_rad), math.cos(0.5 * theta_rad)
-
-
-def _odometry(state: RobotState, place: Sequence[float], wall_ns: int) -> bytes:
-    """`nav_msgs/Odometry` of an estimate: pose (7,) in the wall frame, twist in the body frame."""
-    x, y, turn, ahead, left, spin = state.covariance.tolist()
-    return _ODOMETRY.pack(
-        state.t_ns,
-        wall_ns,
-        place,
-        (*x[:3], *y[:3], *turn[:3]),
-        state.twist_body.tolist(),
-        (*ahead[3:], *left[3:], *spin[3:]),
+    return TFMessage(
+        [
+            TransformStamped(
+                ros.header(t_ns, frame.parent),
+                frame.child,
+                Transform(ros.vector(frame.position_m), ros.quaternion(frame.quaternion_wxyz)),
+            )
+            for frame in frames
+        ]
     )
 
 
-def log(event: Event, wall_ns: int = 0) -> bytes:
+def log(event: Event, ros: MessageMaker) -> Any:
     """`rcl_interfaces/Log` of an event."""
-    cdr = CdrWriter(wall_ns)
-    cdr.time(event.t_ns)
-    cdr.u8(_LOG_LEVEL.get(event.level, _LOG_LEVEL["warning"]))
-    cdr.text(event.source)
-    cdr.text(event.message)
-    cdr.text("")
-    cdr.text("")
-    cdr.u32(0)
-    return cdr.bytes()
+    return Log(
+        stamp=ros.time(event.t_ns),
+        level=_LOG_LEVEL.get(event.level, _LOG_LEVEL["warning"]),
+        name=event.source,
+        msg=event.message,
+        file="",
+        function="",
+        line=0,
+    )
+
+
+def _place(planar: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Position (3,) m and quaternion (4,), w first, of a planar pose."""
+    x_m, y_m, theta_rad = planar.tolist()
+    return (x_m, y_m, 0.0), (math.cos(0.5 * theta_rad), 0.0, 0.0, math.sin(0.5 * theta_rad))
+
+
+def _of_six(planar: Array) -> Array:
+    """Covariance (36,) of a pose or twist in space from that of x, y and the turn about z, (3, 3)."""
+    whole = np.zeros(36)
+    whole[_PLANAR] = planar.ravel()
+    return whole
+
+
+def _odometry(state: RobotState, ros: MessageMaker) -> Any:
+    """`nav_msgs/Odometry` of an estimate: pose in the wall frame, twist in the body frame."""
+    forward, left, spin = state.twist_body.tolist()
+    twist = Twist(ros.vector((forward, left, 0.0)), ros.vector((0.0, 0.0, spin)))
+    pose = ros.pose(*_place(state.pose_body_in_wall))
+    return Odometry(
+        ros.header(state.t_ns, WALL),
+        BODY,
+        PoseWithCovariance(pose, _of_six(state.covariance[:3, :3])),
+        TwistWithCovariance(twist, _of_six(state.covariance[3:, 3:])),
+    )
 
 
 class CycleMessages:
@@ -107,31 +95,44 @@ class CycleMessages:
     """
 
     def __init__(self, kinds: Sequence[DeviceKind], frames: FrameTree, wall_ns: int = 0) -> None:
-        self._frames, self._wall_ns = frames, wall_ns
+        self._frames, self._ros = frames, MessageMaker(wall_ns)
         self._topics = [
-            (topic.name, samples_of(kind.name), topic.encode) for kind in kinds for topic in kind.topics
+            (topic.name, samples_of(kind.name), topic.message) for kind in kinds for topic in kind.topics
         ]
+
+    def cycle(self, t_ns: int, encoded: bytes) -> Message:
+        """The cycle record itself."""
+        return "/hil/cycle", t_ns, to_cdr(octets(encoded))
+
+    def note(self, t_ns: int, note: str) -> Message:
+        """A note between two cycles."""
+        return "/hil/notes", t_ns, to_cdr(String(note))
+
+    def first(self, t_ns: int, description: str) -> Iterator[Message]:
+        """What never moves, once in a recording: frames, and the robot's URDF unless it is empty."""
+        yield "/tf_static", t_ns, to_cdr(transforms(t_ns, self._frames.fixed, self._ros))
+        if description:
+            yield "/robot_description", t_ns, to_cdr(String(description))
 
     def of(self, record: CycleRecord) -> Iterator[Message]:
         """Messages of one cycle, made as they are asked for; cycles come in their order."""
-        inputs, state, wall_ns = record.inputs, record.state, self._wall_ns
-        place = _planar_pose(state.pose_body_in_wall)
-        if self._frames.follow(record):
-            yield "/tf", state.t_ns, self._moving(state.t_ns, place)
-        yield "/clock", record.start_ns, _CLOCK.pack(record.start_ns, wall_ns)
-        for topic, samples, encode in self._topics:
-            for sample in samples(inputs):
-                yield topic, sample.stamp.t_ns, encode(sample, wall_ns)
-        yield "/odom", state.t_ns, _odometry(state, place, wall_ns)
-        if record.reference is not None:
-            place = _planar_pose(record.reference.pose_in_wall)
-            yield "/reference", inputs.t_ns, _REFERENCE.pack(inputs.t_ns, wall_ns, place)
-        for event in record.events:
-            yield "/hil/events", event.t_ns, log(event, wall_ns)
+        for topic, t_ns, made in self._made(record):
+            yield topic, t_ns, to_cdr(made)
 
-    def _moving(self, t_ns: int, place: Sequence[float]) -> bytes:
-        """`tf2_msgs/TFMessage` of the body's place (7,), and of where the camera began once that is known."""
-        start = self._frames.camera_start
-        if start is None:
-            return _BODY_ALONE.pack(t_ns, self._wall_ns, place)
-        return _BODY_AND_CAMERA.pack(t_ns, self._wall_ns, place, _spatial_pose(start))
+    def _made(self, record: CycleRecord) -> Iterator[tuple[str, int, Any]]:
+        inputs, state, ros = record.inputs, record.state, self._ros
+        if self._frames.follow(record):
+            body = Frame(WALL, BODY, *_place(state.pose_body_in_wall))
+            start = self._frames.camera_start
+            moving = (body,) if start is None else (body, start)
+            yield "/tf", state.t_ns, transforms(state.t_ns, moving, ros)
+        yield "/clock", record.start_ns, Clock(ros.time(record.start_ns))
+        for topic, samples, message in self._topics:
+            for sample in samples(inputs):
+                yield topic, sample.stamp.t_ns, message(sample, ros)
+        yield "/odom", state.t_ns, _odometry(state, ros)
+        if record.reference is not None:
+            place = _place(record.reference.pose_in_wall)
+            yield "/reference", inputs.t_ns, ros.pose_stamped(inputs.t_ns, WALL, *place)
+        for event in record.events:
+            yield "/hil/events", event.t_ns, log(event, ros)

@@ -175,12 +175,6 @@ def _messages(path: Path, wanted: tuple[str, ...]) -> Iterator[tuple[str, _Stamp
     check_bag(path)
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
-            if any(getattr(reader, "compression_mode", None) == "message" for reader in bag.readers):
-                raise DataError(
-                    str(path),
-                    "is packed message by message, which cannot be unpacked within bounds",
-                    remedy="convert it with `ros2 bag convert`, to MCAP with compressed chunks",
-                )
             there = {c.topic for c in bag.connections}
             missing = [t for t in wanted if t not in there]
             if missing:

@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.recording.cycle_decoder import StoredCycle
-from hil.recording.mcap_reader import GO_ON, Cycle, Note, RecordingReader
+from hil.recording.mcap_reader import GO_ON, Note, RecordingReader
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.interfaces import RUN_NOTE
 from hil.vocabulary.signals import CycleRecord, RobotState
@@ -113,23 +112,9 @@ def read_cycles_of_runs(
 ) -> Iterator[tuple[int, RunStart | None, CycleRecord]]:
     """Every cycle of a recording with the number of its run and how that began; see `read_runs`."""
     reader = RecordingReader(path)
-    return _of_runs(reader, reader.items(), problems)
-
-
-def read_stored_cycles(
-    path: str | Path, problems: list[str] | None = None
-) -> Iterator[tuple[int, RunStart | None, StoredCycle]]:
-    """As `read_cycles_of_runs`, with no more of the cycles read than it takes to decide again."""
-    reader = RecordingReader(path)
-    return _of_runs(reader, reader.stored(), problems)
-
-
-def _of_runs(
-    reader: RecordingReader, items: Iterator[Cycle | Note], problems: list[str] | None
-) -> Iterator[tuple[int, RunStart | None, Cycle]]:
     start: RunStart | None = None
     number, latest = 0, -1
-    for item in items:
+    for item in reader.items():
         begins = item.kind == RUN_NOTE if isinstance(item, Note) else item.cycle <= latest
         if begins and latest >= 0:
             start, number, latest = None, number + 1, -1

@@ -13,9 +13,7 @@ from typing import Any
 from hil.bench.blueprint import Blueprint
 from hil.controller.joint_script import SCRIPT, JointScript
 from hil.recording.compare import first_difference
-from hil.recording.cycle_codec import DECIDED
-from hil.recording.cycle_decoder import StoredCycle
-from hil.recording.runs import RecordedRun, RunStart, read_stored_cycles
+from hil.recording.runs import RecordedRun, RunStart, read_cycles_of_runs
 from hil.replay.agreement import LIMITS, Agreement, same_text
 from hil.replay.recordings import OpenedRecording
 from hil.ring.loop import OUTSIDE, Brain
@@ -27,6 +25,8 @@ from hil.vocabulary.signals import CycleRecord, Inputs, Reference
 
 IDENTICAL, AGREES, DIFFERS = "identical", "agrees", "differs"
 """Verdicts, from best to worst."""
+DECIDED = ("measurements", "state", "reference", "setpoint", "command", "events", "observers")
+"""Fields of a cycle record that the brain makes of its inputs."""
 FLIP = (
     "A sample or an event that falls to the other side of its threshold is more than the limits allow, and "
     "all that follows differs, too. Such a flip may come from the other arithmetic alone"
@@ -52,12 +52,8 @@ class RecordedReferences:
         return reference
 
 
-def verify_cycle(
-    cycle: CycleRecord | StoredCycle, brain: Brain, agreement: Agreement, *, exact: bool
-) -> tuple[str, str]:
+def verify_cycle(cycle: CycleRecord, brain: Brain, agreement: Agreement, *, exact: bool) -> tuple[str, str]:
     """Let a brain decide on one recorded cycle, the next of its run, and compare.
-
-    A stored cycle is compared with the decision as bytes; it is only read where they differ.
 
     Args:
         cycle: as recorded.
@@ -68,15 +64,13 @@ def verify_cycle(
     Returns:
         Verdict, and the first difference in words where that is `differs`.
     """
-    if cycle.inputs == Inputs(cycle.cycle, cycle.inputs.t_ns) and _from_outside(_read(cycle)):
+    if cycle.inputs == Inputs(cycle.cycle, cycle.inputs.t_ns) and _from_outside(cycle):
         return IDENTICAL, ""
     try:
         decision = brain.decide(cycle.inputs)
     except SafetyStop as stop:
-        return _compare_stop(_read(cycle), str(stop), exact=exact)
-    if isinstance(cycle, StoredCycle) and cycle.holds(decision):
-        return IDENTICAL, ""
-    recorded = {name: getattr(_read(cycle), name) for name in DECIDED}
+        return _compare_stop(cycle, str(stop), exact=exact)
+    recorded = {name: getattr(cycle, name) for name in DECIDED}
     decided = {name: getattr(decision, name) for name in DECIDED}
     difference = first_difference(recorded, decided)
     if difference is None:
@@ -95,10 +89,6 @@ def _compare_stop(record: CycleRecord, stop: str, *, exact: bool) -> tuple[str, 
     if not exact and len(said) == 1 and same_text(said[0], stop):
         return AGREES, ""
     return DIFFERS, f"events: replay stopped the robot: {stop}"
-
-
-def _read(cycle: CycleRecord | StoredCycle) -> CycleRecord:
-    return cycle.record if isinstance(cycle, StoredCycle) else cycle
 
 
 def _from_outside(record: CycleRecord) -> bool:
@@ -168,7 +158,7 @@ class RunCheck:
         self.result["verified"] = list(DECIDED)
         self._brain.reset(start.state)
 
-    def take(self, record: CycleRecord | StoredCycle) -> None:
+    def take(self, record: CycleRecord) -> None:
         """Compare the next cycle with what the brain makes of it; after a difference only count."""
         self.result["cycles"] += 1
         if self.result["difference"] is not None:
@@ -178,7 +168,7 @@ class RunCheck:
             return
         self._latest = record.cycle
         if isinstance(self._given, RecordedReferences):
-            self._given.add(_read(record))
+            self._given.add(record)
         verdict, difference = verify_cycle(record, self._brain, self.agreement, exact=self._exact)
         if verdict == DIFFERS:
             self._differs(f"cycle {record.cycle}: {difference}")
@@ -236,7 +226,7 @@ def verify_recording(opened: OpenedRecording, number: int | None = None) -> dict
         )
     recorded_with, here = opened.header.get("arithmetic", {}), fingerprint()
     checks, check, latest, count = list[RunCheck](), None, -1, 0
-    for k, start, record in read_stored_cycles(opened.path, opened.problems):
+    for k, start, record in read_cycles_of_runs(opened.path, opened.problems):
         count = k + 1
         if number is not None and k != number:
             continue

@@ -136,12 +136,12 @@ class Topic(NamedTuple):
 
     Attributes:
         name, type: of the topic, for example `/imu/data` and `sensor_msgs/msg/Imu`.
-        encode: CDR bytes of (sample, wall-clock time at the bench clock's zero in ns).
+        message: the message of (sample, `hil.recording.ros_types.MessageMaker`).
     """
 
     name: str
     type: str
-    encode: Callable[[Any, int], bytes]
+    message: Callable[[Any, Any], Any]
 
 
 class Plot(NamedTuple):

@@ -11,7 +11,6 @@ from installing import EXAMPLE, install
 
 from hil.cli import main
 from hil.config.bench import bench_model
-from hil.recording.cycle_layout import record_types
 from hil.vocabulary.kinds import kinds
 
 
@@ -30,7 +29,7 @@ def forget():
 
     def now():
         importlib.invalidate_caches()
-        for cached in (kinds, bench_model, record_types):
+        for cached in (kinds, bench_model):
             cached.cache_clear()
 
     known = set(sys.modules)

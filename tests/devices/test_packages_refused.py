@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from hil.recording.cycle_layout import describe
+from hil.recording.cycle_codec import CycleCodec
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.kinds import added
 
@@ -245,4 +245,4 @@ def test_samples_that_cannot_be_recorded_are_named(package, monkeypatch, forget)
     monkeypatch.syspath_prepend(package("hil-new", source, "THING"))
     forget()
     with pytest.raises(ConfigError, match=r"samples of the kind thing \(hil-new 1\.0\) cannot be recorded"):
-        describe(added())
+        CycleCodec(added())

@@ -28,7 +28,7 @@ from hil.fakes.fault import parse_fault
 from hil.fakes.imu.uart import RequestParser
 from hil.fakes.servos import protocol
 from hil.live.commands import parse_command
-from hil.recording.cdr import octet_array, octets_of, string, text_of
+from hil.recording.ros_types import MessageMaker, from_cdr, octets, to_cdr
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.reading import json_object, json_value, toml_tables
 from hil.vocabulary.tracker_feed import FEED_INFO, FEED_MAGIC, INFO_RECORD
@@ -160,6 +160,10 @@ def _feed(data: bytes) -> None:
     FeedDevice(data[: INFO_RECORD.size].ljust(INFO_RECORD.size, b"\0")).get_info("name")
 
 
+def _cdr(kind: str, sound: object) -> Fed:
+    return Fed(f"CDR {kind}", lambda data: from_cdr(data, kind), [to_cdr(sound)], (ValueError,))
+
+
 def _texts() -> list[Fed]:
     toml = b'schema = 1\n[imu]\nport = "x"\nrate = 1.5\n[[fault]]\nat = 1979-05-27\n'
     return [
@@ -168,8 +172,8 @@ def _texts() -> list[Fed]:
         Fed("JSON object", lambda d: json_object(d), [b'{"a": [1, {"b": true}]}'], (ValueError,)),
         Fed("fault", _text(parse_fault), [b"imu:stuck@2+3,a=0.2", b"plant:off"], (HilError,)),
         Fed("velocity command", _text(parse_command), [b"v 0.1 0 -0.2", b"stop"], (HilError,)),
-        Fed("CDR octets", octets_of, [octet_array(b"abcd")], (ValueError,)),
-        Fed("CDR text", text_of, [string("abcd")], (ValueError,)),
+        _cdr("std_msgs/msg/UInt8MultiArray", octets(b"abcd")),
+        _cdr("std_msgs/msg/String", MessageMaker().message("std_msgs/msg/String", data="abcd")),
         Fed("camera feed", _feed, [INFO_RECORD.pack(FEED_MAGIC, FEED_INFO, b"T265", b"1", b"0.2.0.951")]),
         Fed("BNO055 requests", lambda d: RequestParser().feed(d, 0), [b"\xaa\x01\0\x08\xaa\0\x3d\x01\x0c"]),
     ]

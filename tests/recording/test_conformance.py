@@ -4,21 +4,41 @@
 the file, as Foxglove does; `rosbags` by its own types.
 """
 
+import dataclasses
+
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.records import ChunkIndex, Statistics
 from mcap.stream_reader import StreamReader
 from mcap_cases import driving_record
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
 
 from hil.bench.blueprint import Blueprint
 from hil.config.loading import load_bench
 from hil.recording.frame_check import broken_frames, problems_of
 from hil.recording.frames import describe_clock
 from hil.recording.mcap_writer import McapRecorder
+from hil.recording.topics import topics_with
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S, WallOffset
+from hil.vocabulary.kinds import kinds
+from hil.vocabulary.signals import KINDS, AdhesionSample, LoadCellSample, Status, ThrustSample
 
 CYCLES = 120
+
+
+def with_forces(record):
+    """Fan, propellers and load cells beside the devices of every cycle; the fan has not said all yet."""
+    (imu,), nan = record.inputs.imu, float("nan")
+    inputs = dataclasses.replace(
+        record.inputs,
+        adhesion=(AdhesionSample(imu.stamp, 21000.0, 0.7, nan, 11.0, 14.8, 40.0, nan),),
+        thrust=(ThrustSample(imu.stamp, 0.25, nan),),
+        load_cells=(LoadCellSample(imu.stamp, np.array([51.0, nan]), (Status.OK, Status.CRC), (1, 2)),),
+    )
+    return dataclasses.replace(record, inputs=inputs)
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +48,8 @@ def recording(tmp_path_factory):
     clock = describe_clock(WallOffset(1_790_000_000 * NS_PER_S, 300, 5))
     recorder = McapRecorder(path, {**header, "clock": clock}, lossless=True)
     for k in range(CYCLES):
-        recorder.write(driving_record(k))
+        recorder.write(with_forces(driving_record(k)))
+    recorder.note(5, "mark", {"why": "a note"})
     recorder.close()
     assert recorder.failure == ""
     return path
@@ -51,16 +72,40 @@ def test_mcaps_own_reader_finds_every_sum_index_and_count_right(recording):
     assert all(c.schema_id in summary.schemas for c in summary.channels.values())
 
 
-def test_every_message_is_decoded_by_the_schemas_in_the_file(recording):
+def values_of(message):
+    """All that a message of either library holds, by the names of its fields."""
+    names = getattr(message, "__slots__", None) or [f.name for f in dataclasses.fields(message)]
+    return {
+        name.lstrip("_"): of_value(getattr(message, name))
+        for name in names
+        if name[:2] != "__" and not name.isupper()
+    }
+
+
+def of_value(value):
+    if isinstance(value, (list, tuple, np.ndarray, bytes)):
+        return [of_value(item) for item in value]
+    if isinstance(value, (str, int, float, np.generic)):
+        return repr(float(value)) if isinstance(value, (float, np.floating)) else str(value)
+    return values_of(value)
+
+
+def test_two_libraries_read_every_topic_alike(recording):
+    """mcap-ros2-support by the schemas in the file, rosbags by its own types."""
     decoders = pytest.importorskip("mcap_ros2.decoder", reason="mcap-ros2-support is not installed")
-    seen = set()
+    theirs, ours = {}, {}
     with recording.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[decoders.DecoderFactory()])
         for _, channel, _, message in reader.iter_decoded_messages():
-            seen.add(channel.topic)
-            if channel.topic == "/joint_states":
-                assert len(message.name) == len(message.position) == 8
-    assert {"/tf", "/tf_static", "/clock", "/joint_states", "/odom", "/imu/data"} <= seen
+            theirs.setdefault(channel.topic, []).append(values_of(message))
+    with AnyReader([recording], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
+        for connection, _, data in bag.messages():
+            ours.setdefault(connection.topic, []).append(values_of(bag.deserialize(data, connection.msgtype)))
+    shipped = tuple(kind for name, kind in kinds().items() if name in KINDS)
+    assert set(ours) == set(theirs) == set(topics_with(shipped))
+    for topic, messages in ours.items():
+        assert messages == theirs[topic], topic
+    assert len(ours["/joint_states"][7]["position"]) == 8
 
 
 def test_our_own_frames_hang_together(recording):

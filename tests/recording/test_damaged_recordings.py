@@ -4,10 +4,13 @@ import json
 import re
 
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
 from mcap_cases import driving_record
 
 from hil.bench import open_bench
 from hil.cli import main
+from hil.recording.compare import first_difference
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.mcap_writer import McapRecorder
 from hil.vocabulary.errors import DataError
@@ -46,9 +49,9 @@ def test_an_empty_file_is_called_empty(tmp_path):
     ("find", "put", "message"),
     [
         (b"\x0c", b"\x2c", r"is damaged before byte \d+: what says how to read it is not there"),
-        (b"layout", b"lay\xffut", r"is damaged after byte \d+: the record at byte 32 does not hold"),
+        (b"packages", b"pack\xffges", r"is damaged after byte 32: "),
         (b'{"config"', b'{"conf"g"', r"cannot be understood, or is damaged after byte 32 \("),
-        (b"\x03\x00\x00\x00hil", b"\x03\x10\x00\x00hil", r"is damaged after byte \d+: the record at byte 32"),
+        (b"\x03\x00\x00\x00hil", b"\x03\x10\x00\x00hil", r"is damaged after byte 32: "),
     ],
     ids=["kind of a record", "text", "JSON", "length of a text"],
 )
@@ -59,7 +62,7 @@ def test_flipped_bytes_of_the_head_are_damage(tmp_path, whole, find, put, messag
 
 def test_rubbish_between_records_is_damage(tmp_path, whole):
     assert re.match(
-        r"is damaged after byte 8: what begins at byte 32 is no record",
+        r"ends early at byte 41 \(writer killed, disk full, or damaged there\): unknown",
         told(tmp_path, whole[:32] + b"\xee" * 200 + whole[232:]),
     )
 
@@ -120,3 +123,52 @@ def test_what_was_readable_is_evaluated_and_the_damage_named(tmp_path, driven, c
     said = capsys.readouterr()
     assert re.search(r"ends early at byte \d+ .*; what could be read does not do: ", said.err)
     assert said.out == ""
+
+
+@pytest.mark.parametrize("compression", CompressionType)
+@pytest.mark.parametrize("chunked", [True, False])
+def test_a_recording_that_another_program_wrote_anew_is_read_and_its_damage_named(
+    tmp_path, whole, compression, chunked
+):
+    """`mcap filter` and others write with other compressions, or without chunks."""
+    path, anew = tmp_path / "run.mcap", tmp_path / "anew.mcap"
+    path.write_bytes(whole)
+    with anew.open("wb") as file:
+        writer = Writer(file, chunk_size=20_000, compression=compression, use_chunking=chunked)
+        copied(path, writer)
+    assert first_difference(tuple(read_cycles(path)), tuple(read_cycles(anew))) is None
+    data = anew.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    problems = []
+    cut = [record.cycle for record in read_cycles(path, problems)]
+    assert cut == list(range(len(cut)))
+    assert 5 < len(cut) < 45
+    assert re.match(r"ends early at byte \d+", problems[0])
+    if chunked:
+        at = len(data) // 2
+        path.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
+        problems.clear()
+        read = [record.cycle for record in read_cycles(path, problems)]
+        assert (read[0], read[-1]) == (0, 49)
+        assert 20 < len(read) < 50
+        (problem,) = problems
+        assert re.match(r"a chunk after cycle \d+, at byte \d+, is damaged", problem)
+        assert int(re.search(r"at byte (\d+)", problem).group(1)) < at
+
+
+def copied(path, writer):
+    """Write the messages and metadata of a recording by another writer."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream)
+        writer.start(profile="ros2", library="another")
+        for metadata in reader.iter_metadata():
+            writer.add_metadata(metadata.name, metadata.metadata)
+        ids = {}
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            if channel.id not in ids:
+                kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+                ids[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, kind)
+            writer.add_message(
+                ids[channel.id], message.log_time, message.data, message.publish_time, message.sequence
+            )
+        writer.finish()

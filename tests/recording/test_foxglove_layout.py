@@ -10,7 +10,8 @@ from rosbags.typesys import Stores, get_typestore
 from hil.bench.blueprint import Blueprint
 from hil.config.loading import load_bench
 from hil.recording.frames import BODY, WALL, FrameTree
-from hil.recording.ros_messages import CycleMessages, topics_with
+from hil.recording.ros_messages import CycleMessages
+from hil.recording.topics import topics_with
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.kinds import kinds
 

@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 from hil.recording.compare import first_difference
 from hil.recording.mcap_reader import Note, RecordingReader, read_cycles, read_header
 from hil.recording.mcap_writer import McapRecorder
-from hil.recording.ros_messages import topics_with
+from hil.recording.topics import topics_with
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.kinds import kinds
 
@@ -137,7 +137,7 @@ def test_a_damaged_chunk_is_skipped_and_named(recording, tmp_path):
     [
         (b"", "is empty"),
         (b"t,phi1\n0,1\n" * 10, "is not an MCAP file"),
-        (b"\x89MCAP0\r\n" + b"\xff" * 64, "is damaged after byte 0"),
+        (b"\x89MCAP0\r\n" + b"\xff" * 64, "ends early at byte 17"),
     ],
 )
 def test_foreign_files_are_refused_by_name(tmp_path, content, reason):

@@ -12,7 +12,7 @@ from mcap_cases import driving_record
 from hil.bench.blueprint import Blueprint
 from hil.config.loading import load_bench
 from hil.recording.mcap_writer import McapRecorder
-from hil.recording.runs import RecordedRun, RunStart, read_runs, read_stored_cycles
+from hil.recording.runs import RecordedRun, RunStart, read_runs
 from hil.replay.agreement import Agreement
 from hil.replay.comparison import compare, compare_run, consistency, errors, table, truth_of
 from hil.replay.verification import DIFFERS, IDENTICAL, RecordedReferences, verify_cycle
@@ -253,14 +253,6 @@ def test_the_last_sample_of_motion_capture_counts_while_the_wheels_rest():
         records.append(dataclasses.replace(driving_record(k), measurements=measured))
     truth = truth_of(Motion(tuple(seen_until(records, 93))))
     np.testing.assert_array_equal(truth[94:], np.tile(truth[93], (7, 1)))
-
-
-def test_a_stored_run_names_the_first_difference_as_a_read_one_does(tmp_path):
-    path = recorded(tmp_path / "r", run(30, brain()))
-    cycles = [cycle for _, _, cycle in read_stored_cycles(path)]
-    assert verify(cycles, brain()) is None
-    (only,) = read_runs(path)
-    assert verify(cycles, brain(OTHER_SCALE)) == verify(only.records, brain(OTHER_SCALE))
 
 
 def test_a_run_is_compared_by_kind_and_tabulated():

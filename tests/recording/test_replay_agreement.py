@@ -15,9 +15,9 @@ from mcap_cases import driving_record
 
 import hil
 from hil.cli import main
-from hil.recording.cycle_codec import DECIDED
 from hil.recording.mcap_writer import McapRecorder
 from hil.replay.agreement import LIMITS, Agreement, same_text
+from hil.replay.verification import DECIDED
 from hil.robot.trajectories import line
 from hil.vocabulary.fingerprint import fingerprint
 from hil.vocabulary.interfaces import Sink

@@ -15,9 +15,7 @@ from hil.bench.contract.subject import SHARE, SHORT_S, WATCH_S, Broken, Subject,
 from hil.bench.promises import EARLY_NS, OLDEST_NS
 from hil.devices.looks import MORE_FAILURE, surplus
 from hil.recording.compare import first_difference
-from hil.recording.cycle_codec import CycleEncoder
-from hil.recording.cycle_decoder import CycleDecoder
-from hil.recording.cycle_layout import DTYPES, describe
+from hil.recording.cycle_codec import DTYPES, CycleCodec
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.geometry import Array
@@ -117,7 +115,7 @@ def no_data_is_no_number(subject: Subject) -> str:
         raise Broken("samples of another type", kind.sample.__name__, _DRIVER)
     for name in names:
         forms = {(getattr(s, name).shape, getattr(s, name).dtype) for s in samples}
-        if len(forms) > 1 or not all(dtype in DTYPES.values() for _, dtype in forms):
+        if len(forms) > 1 or not all(dtype in DTYPES for _, dtype in forms):
             raise Broken(
                 f"{name} has shapes and types {forms}", "one shape, and a type that is recorded", _DRIVER
             )
@@ -165,13 +163,19 @@ def recorded_bit_for_bit(subject: Subject) -> str:
     own = () if kind.name in OURS else (kind,)
     delivered: dict[str, Any] = {"added": {kind.name: samples}} if own else {kind.name: samples}
     inputs = Inputs(0, 0, **delivered)
-    again = CycleDecoder(describe(own)).decode(CycleEncoder(own).encode(_record_of(inputs)))
+    codec = CycleCodec(own)
+    again = codec.decode(codec.encode(_record_of(inputs)))
     difference = first_difference({"inputs": inputs}, {"inputs": again.inputs})
     if difference is not None:
         raise Broken(f"recorded otherwise: {difference}", "what was written", _DRIVER)
+    from hil.recording.ros_types import MessageMaker, to_cdr
+
+    ros = MessageMaker()
     for topic in kind.topics:
-        if not all(len(topic.encode(sample, 0)) > 4 for sample in samples):
-            raise Broken(f"{topic.name} has an empty message", "a message of every sample", _DRIVER)
+        for sample in samples:
+            made = topic.message(sample, ros)
+            if made.__msgtype__ != topic.type or not to_cdr(made):
+                raise Broken(f"{topic.name} has a {made.__msgtype__}", topic.type, _DRIVER)
     return f"{len(samples)} samples"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,19 +13,21 @@ from hil.config.robot import RobotConfig
 from hil.devices.adhesion.dronecan import DRONECAN
 from hil.devices.adhesion.look import look
 from hil.devices.adhesion.vesc import VESC
-from hil.recording.cdr import joints
 from hil.vocabulary.kinds import DeviceKind, Figures, Force, Plot, Topic
 from hil.vocabulary.signals import AdhesionSample, Inputs, Status
+
+if TYPE_CHECKING:
+    from hil.recording.ros_types import MessageMaker
 
 __all__ = ["KIND", "fan_state"]
 
 _RAD_S_PER_RPM = 2.0 * math.pi / 60.0
 
 
-def fan_state(sample: AdhesionSample, wall_ns: int = 0) -> bytes:
+def fan_state(sample: AdhesionSample, ros: MessageMaker) -> Any:
     """`sensor_msgs/JointState` of the fan; effort holds the motor's current in A."""
-    values = ((), (sample.speed_rpm * _RAD_S_PER_RPM,), (sample.motor_a,))
-    return joints(sample.stamp.t_ns, ("fan",), values, wall_ns)
+    velocity = (sample.speed_rpm * _RAD_S_PER_RPM,)
+    return ros.joints(sample.stamp.t_ns, ("fan",), velocity=velocity, effort=(sample.motor_a,))
 
 
 def _figures(inputs: Inputs) -> Iterator[tuple[str, Figures]]:

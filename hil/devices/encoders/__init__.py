@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 from hil.devices.encoders.as5045 import AS5045
 from hil.devices.encoders.look import look
-from hil.recording.cdr import joints
 from hil.vocabulary.kinds import DeviceKind, Topic
 from hil.vocabulary.signals import SERVOS, WHEELS, EncoderSample
+
+if TYPE_CHECKING:
+    from hil.recording.ros_types import MessageMaker
 
 __all__ = ["KIND", "encoder_state"]
 
 
-def encoder_state(sample: EncoderSample, wall_ns: int = 0) -> bytes:
+def encoder_state(sample: EncoderSample, ros: MessageMaker) -> Any:
     """`sensor_msgs/JointState` of the external encoders' own angles, NaN where one cannot be used."""
-    return joints(sample.stamp.t_ns, SERVOS[4:], (sample.angle_rad, (), ()), wall_ns)
+    return ros.joints(sample.stamp.t_ns, SERVOS[4:], position=sample.angle_rad)
 
 
 KIND = DeviceKind(

@@ -2,30 +2,38 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
 from hil.devices.imu.bno055 import BNO055
 from hil.devices.imu.look import look
 from hil.devices.imu.microstrain import MICROSTRAIN
-from hil.recording.cdr import NO_COVARIANCE, TIME, CdrForm, Doubles, xyzw
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import DeviceKind, Topic, Witness
 from hil.vocabulary.signals import ImuSample, Status
 
+if TYPE_CHECKING:
+    from hil.recording.ros_types import MessageMaker
+
 __all__ = ["KIND", "imu_message"]
 
-_MESSAGE = CdrForm(TIME, "imu", Doubles(37))
+_UNKNOWN = np.zeros(9)
+"""A covariance, as `sensor_msgs/Imu` has it where nothing is known of it."""
 
 
-def imu_message(sample: ImuSample, wall_ns: int = 0) -> bytes:
+def imu_message(sample: ImuSample, ros: MessageMaker) -> Any:
     """`sensor_msgs/Imu`; acceleration with gravity (specific force), as REP 145 asks."""
-    numbers = (
-        *xyzw(sample.quaternion_wxyz),
-        *NO_COVARIANCE,
-        *sample.gyro_rad_s.tolist(),
-        *NO_COVARIANCE,
-        *sample.specific_force_m_s2.tolist(),
-        *NO_COVARIANCE,
+    return ros.message(
+        "sensor_msgs/msg/Imu",
+        header=ros.header(sample.stamp.t_ns, "imu"),
+        orientation=ros.quaternion(sample.quaternion_wxyz),
+        orientation_covariance=_UNKNOWN,
+        angular_velocity=ros.vector(sample.gyro_rad_s),
+        angular_velocity_covariance=_UNKNOWN,
+        linear_acceleration=ros.vector(sample.specific_force_m_s2),
+        linear_acceleration_covariance=_UNKNOWN,
     )
-    return _MESSAGE.pack(sample.stamp.t_ns, wall_ns, numbers)
 
 
 def _gravity(sample: ImuSample) -> Array | None:

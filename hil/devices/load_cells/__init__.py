@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 from hil.devices.load_cells.hx711 import HX711_CAN, HX711_LINE
 from hil.devices.load_cells.look import look
-from hil.recording.cdr import joints
 from hil.vocabulary.kinds import DeviceKind, Figures, Plot, Topic
 from hil.vocabulary.signals import Inputs, LoadCellSample
+
+if TYPE_CHECKING:
+    from hil.recording.ros_types import MessageMaker
 
 __all__ = ["CELLS", "KIND", "cell_state"]
 
 CELLS = ("cell_1", "cell_2")
 
 
-def cell_state(sample: LoadCellSample, wall_ns: int = 0) -> bytes:
+def cell_state(sample: LoadCellSample, ros: MessageMaker) -> Any:
     """`sensor_msgs/JointState`; effort holds the cells' forces in N, with their zeros."""
-    return joints(sample.stamp.t_ns, CELLS, ((), (), sample.force_n), wall_ns)
+    return ros.joints(sample.stamp.t_ns, CELLS, effort=sample.force_n)
 
 
 def _figures(inputs: Inputs) -> Iterator[tuple[str, Figures]]:

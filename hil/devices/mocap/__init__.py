@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING, Any
 
 from hil.devices.mocap.look import look
 from hil.devices.mocap.natnet import NATNET
-from hil.recording.cdr import pose_stamped
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import DeviceKind, Topic, Witness
 from hil.vocabulary.signals import MocapSample, Status
+
+if TYPE_CHECKING:
+    from hil.recording.ros_types import MessageMaker
 
 __all__ = ["KIND"]
 
 _OK = Status.OK
 
 
-def _pose(sample: MocapSample, wall_ns: int) -> bytes:
+def _pose(sample: MocapSample, ros: MessageMaker) -> Any:
     """`geometry_msgs/PoseStamped` in the capture frame."""
-    return pose_stamped(sample.stamp.t_ns, "mocap", sample.position_m, sample.quaternion_wxyz, wall_ns)
+    return ros.pose_stamped(sample.stamp.t_ns, "mocap", sample.position_m, sample.quaternion_wxyz)
 
 
 def _place(sample: MocapSample) -> Array | None:

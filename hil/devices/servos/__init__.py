@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 from hil.devices.servos.dynamixel import DYNAMIXEL
 from hil.devices.servos.look import look
-from hil.recording.cdr import joints
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import DeviceKind, Figures, Plot, Topic, Witness
 from hil.vocabulary.signals import SERVOS, Inputs, ServoSample
 
+if TYPE_CHECKING:
+    from hil.recording.ros_types import MessageMaker
+
 __all__ = ["KIND", "joint_state"]
 
 
-def joint_state(sample: ServoSample, wall_ns: int = 0) -> bytes:
+def joint_state(sample: ServoSample, ros: MessageMaker) -> Any:
     """`sensor_msgs/JointState` of the servos' own angles; effort holds the current in A."""
-    values = (sample.position_rad, sample.velocity_rad_s, sample.current_a)
-    return joints(sample.stamp.t_ns, SERVOS, values, wall_ns)
+    columns = sample.position_rad, sample.velocity_rad_s, sample.current_a
+    return ros.joints(sample.stamp.t_ns, SERVOS, *columns)
 
 
 def _figures(inputs: Inputs) -> Iterator[tuple[str, Figures]]:

@@ -5,22 +5,25 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 from hil.config.robot import RobotConfig
 from hil.config.thrust import ThrustConfig
 from hil.devices.looks import samples_look
 from hil.devices.thrust.teensy import TEENSY
 from hil.devices.thrust.vesc import VESC_THRUST
-from hil.recording.cdr import joints
 from hil.vocabulary.kinds import DeviceKind, Figures, Force, Plot, Topic
 from hil.vocabulary.signals import Inputs, Status, ThrustSample
+
+if TYPE_CHECKING:
+    from hil.recording.ros_types import MessageMaker
 
 __all__ = ["KIND", "propeller_state"]
 
 
-def propeller_state(sample: ThrustSample, wall_ns: int = 0) -> bytes:
+def propeller_state(sample: ThrustSample, ros: MessageMaker) -> Any:
     """`sensor_msgs/JointState`; the position holds the throttle 0..1."""
-    return joints(sample.stamp.t_ns, ("propellers",), ((sample.throttle,), (), ()), wall_ns)
+    return ros.joints(sample.stamp.t_ns, ("propellers",), position=(sample.throttle,))
 
 
 def _figures(inputs: Inputs) -> Iterator[tuple[str, Figures]]:

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 from hil.devices.tracker.look import look
 from hil.devices.tracker.mavlink import MAVLINK
 from hil.devices.tracker.t265 import T265
-from hil.recording.cdr import pose_stamped
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import DeviceKind, Topic, Witness
 from hil.vocabulary.signals import Status, TrackerSample
+
+if TYPE_CHECKING:
+    from hil.recording.ros_types import MessageMaker
 
 __all__ = ["KIND"]
 
 _OK = Status.OK
 
 
-def _pose(sample: TrackerSample, wall_ns: int) -> bytes:
+def _pose(sample: TrackerSample, ros: MessageMaker) -> Any:
     """`geometry_msgs/PoseStamped` in the camera's start frame."""
     t_ns = sample.stamp.t_ns
-    return pose_stamped(t_ns, "tracker_start", sample.position_m, sample.quaternion_wxyz, wall_ns)
+    return ros.pose_stamped(t_ns, "tracker_start", sample.position_m, sample.quaternion_wxyz)
 
 
 def _place(sample: TrackerSample) -> Array | None:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
-from hil.recording.cdr import CdrWriter
 from hil.vocabulary.signals import Stamp, Status
+
+if TYPE_CHECKING:
+    from hil.recording.ros_types import MessageMaker
 
 _INFRARED = 1
 
@@ -36,13 +39,14 @@ class RangeSample:
     status: Status = Status.OK
 
 
-def range_message(sample: RangeSample, wall_ns: int = 0) -> bytes:
+def range_message(sample: RangeSample, ros: MessageMaker) -> Any:
     """`sensor_msgs/Range`; NaN for a distance that cannot be used, as REP 117 asks."""
-    cdr = CdrWriter(wall_ns)
-    cdr.header(sample.stamp.t_ns, "rangefinder")
-    cdr.u8(_INFRARED)
-    cdr.f32(sample.field_of_view_rad)
-    cdr.f32(sample.least_m)
-    cdr.f32(sample.most_m)
-    cdr.f32(sample.distance_m if sample.status is Status.OK else math.nan)
-    return cdr.bytes()
+    return ros.message(
+        "sensor_msgs/msg/Range",
+        header=ros.header(sample.stamp.t_ns, "rangefinder"),
+        radiation_type=_INFRARED,
+        field_of_view=sample.field_of_view_rad,
+        min_range=sample.least_m,
+        max_range=sample.most_m,
+        range=sample.distance_m if sample.status is Status.OK else math.nan,
+    )

@@ -1,0 +1,131 @@
+"""ROS 2 messages by the classes of the package rosbags: made, written as CDR, and read again.
+
+To import this module loads rosbags, which takes some tenths of a second: what records imports it in the
+thread that writes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.stores.ros2_humble import builtin_interfaces__msg__Time as Time
+from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Point as Point
+from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Pose as Pose
+from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__PoseStamped as PoseStamped
+from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Quaternion as Quaternion
+from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Vector3 as Vector3
+from rosbags.typesys.stores.ros2_humble import sensor_msgs__msg__JointState as JointState
+from rosbags.typesys.stores.ros2_humble import std_msgs__msg__Header as Header
+from rosbags.typesys.stores.ros2_humble import std_msgs__msg__MultiArrayLayout as MultiArrayLayout
+from rosbags.typesys.stores.ros2_humble import std_msgs__msg__UInt8MultiArray as UInt8MultiArray
+
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.geometry import Array
+
+_STORE: Any = get_typestore(Stores.ROS2_HUMBLE)
+_LATEST_NS = 2**31 * NS_PER_S - 1
+_NO_DIMENSIONS = MultiArrayLayout([], 0)
+
+
+def to_cdr(given: Any) -> bytes:
+    """A message as CDR, little endian."""
+    return bytes(_STORE.serialize_cdr(given, given.__msgtype__))
+
+
+def from_cdr(data: bytes, kind: str) -> Any:
+    """The message of a type that CDR bytes hold.
+
+    Raises:
+        ValueError: they hold none.
+    """
+    try:
+        return _STORE.deserialize_cdr(data, kind)
+    except Exception as error:  # whatever the generated code makes of bytes that are no message
+        raise ValueError(f"no {kind} ({error})") from None
+
+
+def definition(kind: str) -> str:
+    """Definition of a message type with those of its parts.
+
+    Raises:
+        ConfigError: ROS 2 has no such type.
+    """
+    try:
+        found: str = _STORE.generate_msgdef(kind, ros_version=2)[0]
+    except Exception as error:
+        raise ConfigError(f"message type {kind!r} cannot be recorded ({error})") from error
+    return found
+
+
+def octets(payload: bytes) -> Any:
+    """`std_msgs/UInt8MultiArray` with one unnamed dimension left out."""
+    return UInt8MultiArray(_NO_DIMENSIONS, np.frombuffer(payload, dtype=np.uint8))
+
+
+class MessageMaker:
+    """Makes messages whose stamps are wall-clock time, and their usual parts.
+
+    Args:
+        wall_ns: wall-clock time at the bench clock's zero.
+    """
+
+    def __init__(self, wall_ns: int = 0) -> None:
+        self._wall_ns = wall_ns
+
+    def message(self, kind: str, **fields: Any) -> Any:
+        """A message of a type of ROS 2 Humble, for example `sensor_msgs/msg/Range`, with all fields by name.
+
+        Arrays are numpy arrays of the definition's type, lists of messages are lists.
+        """
+        return _STORE.types[kind](**fields)
+
+    def time(self, t_ns: int) -> Any:
+        """`builtin_interfaces/Time` of a time on the bench clock; clipped to what 32-bit seconds can say."""
+        t_ns += self._wall_ns
+        if not 0 <= t_ns <= _LATEST_NS:
+            t_ns = min(max(0, t_ns), _LATEST_NS)
+        return Time(*divmod(t_ns, NS_PER_S))
+
+    def header(self, t_ns: int, frame: str) -> Any:
+        """`std_msgs/Header` of a time on the bench clock and the frame of the values."""
+        return Header(self.time(t_ns), frame)
+
+    def vector(self, values: Sequence[float] | Array) -> Any:
+        """`geometry_msgs/Vector3` of (3,)."""
+        return Vector3(*_floats(values))
+
+    def quaternion(self, q_wxyz: Sequence[float] | Array) -> Any:
+        """`geometry_msgs/Quaternion` of (4,), w first."""
+        w, x, y, z = _floats(q_wxyz)
+        return Quaternion(x, y, z, w)
+
+    def pose(self, position_m: Sequence[float] | Array, q_wxyz: Sequence[float] | Array) -> Any:
+        """`geometry_msgs/Pose` of a position (3,) m and a quaternion (4,), w first."""
+        return Pose(Point(*_floats(position_m)), self.quaternion(q_wxyz))
+
+    def pose_stamped(
+        self, t_ns: int, frame: str, position_m: Sequence[float] | Array, q_wxyz: Sequence[float] | Array
+    ) -> Any:
+        """`geometry_msgs/PoseStamped` of a position (3,) m and a quaternion (4,), w first."""
+        return PoseStamped(self.header(t_ns, frame), self.pose(position_m, q_wxyz))
+
+    def joints(
+        self,
+        t_ns: int,
+        names: Sequence[str],
+        position: Array | Sequence[float] = (),
+        velocity: Array | Sequence[float] = (),
+        effort: Array | Sequence[float] = (),
+    ) -> Any:
+        """`sensor_msgs/JointState`; each column has a value for each name, or none at all."""
+        columns = [np.asarray(values, dtype=np.float64) for values in (position, velocity, effort)]
+        return JointState(self.header(t_ns, ""), list(names), *columns)
+
+
+def _floats(values: Sequence[float] | Array) -> Sequence[float]:
+    """Plain numbers: numpy's take several times as long to write."""
+    return values.tolist() if isinstance(values, np.ndarray) else values
