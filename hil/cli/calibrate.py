@@ -130,7 +130,7 @@ def _write(out: Path, result: Calibration, config: BenchConfig | None) -> None:
 
     from hil import __version__
     from hil.calibration.artefact import write_calibration
-    from hil.calibration.versions import made_for
+    from hil.calibration.usable import made_for
     from hil.config.record.overlay import identity
 
     created = datetime.now(timezone.utc).isoformat(timespec="seconds")
