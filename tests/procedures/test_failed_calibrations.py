@@ -21,11 +21,12 @@ def shelf(tmp_path):
     return Shelf(tmp_path / "calibration.toml")
 
 
-def test_a_run_that_was_to_use_a_failed_calibration_says_so(shelf, tmp_path, capsys):
+def test_a_run_that_was_to_use_a_failed_calibration_says_so(shelf, tmp_path, caplog):
     failed = shelf.add(made(0.0252, "FAIL"))
     told = {}
     for verdict, path in (("FAIL", failed.path), ("PASS", shelf.add(made(0.0252)).path)):
         out = tmp_path / verdict
+        caplog.clear()
         words = ["run", "bring_up", "--bench", "emulated_floor", "--out", out]
         words += ["--calibration", path, "--set", "bench.failed_calibration=true"]
         words += ["--set", "devices=servos,encoders,imu,tracker,mocap"]
@@ -35,7 +36,7 @@ def test_a_run_that_was_to_use_a_failed_calibration_says_so(shelf, tmp_path, cap
         told[verdict] = [
             "verdict FAIL" in " ".join(result["notes"]),
             "verdict FAIL" in (out / "report.html").read_text(),
-            "verdict FAIL" in capsys.readouterr().out,
+            "verdict FAIL" in caplog.text,
         ]
     assert told == {"FAIL": [True] * 3, "PASS": [False] * 3}
 
