@@ -57,7 +57,9 @@ class Bench(HeldRig):
         real_time: what the operating system was asked for; None in virtual time.
         pressed: the force with which a robot was pressed on its wall before its servos got torque, in words;
             empty where nobody measures it.
-        held: how the robot was left; known from `close` on, None where no device was opened.
+        held: what the latest look has found: `close` looks at the end, and `look` before. A robot that was
+            not looked at since devices were opened or it was driven is NOT HELD, "not checked"; one whose
+            servos were not opened is not `opened`.
         warnings: what was logged about this bench before the robot moved.
         tells_held: whether a warning is logged where it is left NOT HELD; whoever says so otherwise takes it
             back.
@@ -278,6 +280,7 @@ class Bench(HeldRig):
             DeviceError: it is to move by a filter, and the IMU has changed by far since it was measured.
         """
         if start.trajectory is not None:
+            self._not_looked_at("it has been driven since bench.look() was called")
             self._warn(blind_to_the_drive(self.config))
             self._tilt.must_agree()
             if start.feedback != "odometry":
