@@ -57,9 +57,9 @@ class Bench(HeldRig):
         real_time: what the operating system was asked for; None in virtual time.
         pressed: the force with which a robot was pressed on its wall before its servos got torque, in words;
             empty where nobody measures it.
-        held: what the latest look has found: `close` looks at the end, and `look` before. A robot that was
-            not looked at since devices were opened or it was driven is NOT HELD, "not checked"; one whose
-            servos were not opened is not `opened`.
+        held: what `look` or, at the end, `close` found last. A robot that was not checked since devices were
+            opened or it was driven is NOT HELD, "not checked"; one whose servos were not opened is not
+            `opened`.
         warnings: what was logged about this bench before the robot moved.
         tells_held: whether a warning is logged where it is left NOT HELD; whoever says so otherwise takes it
             back.

@@ -44,9 +44,9 @@ class HeldRig(Blueprint):
         rig: the devices.
         pressed: the force with which a robot was pressed on its wall before its servos got torque, in words;
             empty where nobody measures it.
-        held: what the latest look has found: `close` looks at the end, and `look` before. A robot that was
-            not looked at since devices were opened or it was driven is NOT HELD, "not checked"; one whose
-            servos were not opened is not `opened`.
+        held: what `look` or, at the end, `close` found last. A robot that was not checked since devices were
+            opened or it was driven is NOT HELD, "not checked"; one whose servos were not opened is not
+            `opened`.
         tells_held: whether a warning is logged where it is left NOT HELD; whoever says so otherwise takes it
             back.
         waits_for_sensors: whether a lost sensor is waited for beyond its `fail_after_s`, in real time: for
@@ -238,7 +238,7 @@ class HeldRig(Blueprint):
         return self.config.environment.on_wall
 
     def look(self, limit_s: float | None = None) -> Held:
-        """Look after a stopped robot until it is held; how it is then, which is `held` from then on.
+        """How a stopped robot is, after looking after it until it is held; `held` is that from then on.
 
         Args:
             limit_s: the longest look. By default 1 s, and as much longer as propellers that report nothing
