@@ -11,24 +11,26 @@ from hil.procedure.faults.judging import CellVerdict
 from hil.procedure.faults.quiet import quiet_rows
 
 
-def summary(verdicts: Sequence[CellVerdict], *, bench: str, command: str) -> dict[str, Any]:
+def summary(verdicts: Sequence[CellVerdict], *, bench: str, command: str, planned: int) -> dict[str, Any]:
     """Everything that a page shows.
 
     Args:
         verdicts: in the order of the pages.
         bench: its name, or its file.
         command: that repeats the campaign.
+        planned: how many cells it has; with fewer verdicts it was ended early.
 
     Returns:
-        `verdict`, `bench`, `command`, `cells`, `quiet_cells`, `classes`, `plants` with rows by device and
-        fault, `failed`, `quiet`; a JSON object.
+        `verdict`, `bench`, `command`, `cells`, `planned`, `quiet_cells`, `classes`, `plants` with rows by
+        device and fault, `failed`, `quiet`; a JSON object.
     """
     failed = [v for v in verdicts if v.why]
     return {
-        "verdict": "FAIL" if failed else "PASS",
+        "verdict": "ABORTED" if len(verdicts) < planned else "FAIL" if failed else "PASS",
         "bench": bench,
         "command": command,
         "cells": len(verdicts),
+        "planned": planned,
         "quiet_cells": sum(not v.told and not v.why for v in verdicts),
         "classes": [found for one in CLASSES if (found := _class(one, verdicts))],
         "plants": [
