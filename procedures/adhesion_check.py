@@ -114,9 +114,11 @@ def run(ctx: Context) -> None:
     p: Parameters = ctx.parameters
     config = ctx.source.config
     rows = ctx.checkpoint("levels of force", lambda: watch_levels(ctx, p))
+    levels = [Level(**row) for row in rows]
+    ctx.on_early_end(lambda: evaluate(ctx, config, fit(levels), None))
     slid = ctx.checkpoint("slide", lambda: slide(ctx)) if slides(p, config) else None
     with ctx.step("evaluate"):
-        evaluate(ctx, config, fit([Level(**row) for row in rows]), slid)
+        evaluate(ctx, config, fit(levels), slid)
 
 
 def watch_levels(ctx: Context, p: Parameters) -> list[dict[str, Any]]:

@@ -22,8 +22,9 @@ from hil.calibration.artefact import calibration_file, save_calibration
 from hil.calibration.calibrate import Calibration
 from hil.calibration.evaluation import evaluate
 from hil.calibration.problem import PARAMETER_NAMES, make_setting
+from hil.calibration.usable import made_for
 from hil.calibration.validation import score
-from hil.calibration.versions import made_for, shelve
+from hil.calibration.versions import shelve
 from hil.config.bench import BenchConfig
 from hil.config.record import Figure
 from hil.config.record.overlay import identity

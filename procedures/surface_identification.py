@@ -39,6 +39,7 @@ _ALONE = (DIRECTIONS[:2], DIRECTIONS[2:])
 """What a process drives of a repetition: there and back."""
 _FOR_A_FILTER = ("imu", "tracker")
 _SYSTEMATIC = 0.05  # starts, stops, and the grip that turning while slipping takes from slip
+_FEWEST = 2  # repetitions, for a spread
 _MARGIN_DEG = 5.0
 _LEAST_SIGMA = 5e-4
 _WANDERING = 0.5  # of what is left of slip, per square root of a metre
@@ -153,9 +154,12 @@ def run(ctx: Context) -> None:
     p: Parameters = ctx.parameters
     _check_wall(ctx.source.config)
     titles = {k: f"repetition {k}" for k in range(1, p.repetitions + 1)}
+    rows: list[Slips] = []
+    holds: dict[str, list[float | None]] = {}
+    ctx.on_early_end(lambda: evaluate(ctx, rows, {}) if len(rows) >= _FEWEST else None)
     with closing(_driven(ctx, p, [k for k, title in titles.items() if not ctx.finished(title)])) as lines:
-        rows = [ctx.checkpoint(title, lambda: next(lines)) for title in titles.values()]
-    holds = {}
+        for title in titles.values():
+            rows.append(ctx.checkpoint(title, lambda: next(lines)))
     if p.hold:
         search = (p.hold_from_deg, p.hold_to_deg, p.hold_step_deg)
         for side, sense in (("left", 1.0), ("right", -1.0)):

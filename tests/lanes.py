@@ -34,6 +34,7 @@ WIRED = (
 ALONE = (
     "adhesion/test_asking_commands.py",
     "adhesion/test_keeper_killed.py",
+    "adhesion/test_stopped_for_a_while.py",
     "bench/test_bench_assembly.py::test_a_mix_of_real_and_emulated_devices",
     "bench/test_bench_assembly.py::test_the_same_drive_at_the_wire_in_real_time",
     "bench/test_doctor_discover_setup.py::test_discover_finds_everything",

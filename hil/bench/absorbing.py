@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from hil.calibration.artefact import CalibrationFile, read_calibration
-from hil.calibration.versions import check_made_for
+from hil.calibration.usable import check_made_for, check_passed
 from hil.config.bench import BenchConfig
 from hil.config.loading import explained, load_bench
 from hil.config.record import PARTS, NewPart, Part, RobotRecord
@@ -22,7 +22,6 @@ from hil.config.record.plausible import implausible
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.reading import dotted, read_toml
-from hil.vocabulary.result_files import PASSED
 
 _FILES = ("imu.calibration_file", "calibration")
 
@@ -135,11 +134,7 @@ def _of_part(path: Path, tree: dict[str, Any]) -> _Found:
 
 
 def _of_calibration(path: Path, file: CalibrationFile, config: BenchConfig) -> _Found:
-    if file.verdict not in PASSED:
-        raise ConfigError(
-            f"{path}: has not passed a validation run (verdict {file.verdict or 'none'})",
-            remedy="calibrate with `hil run odometry_calibration`, which ends in one",
-        )
+    check_passed(file, str(path))
     check_made_for(file, config, str(path))
     verdict = "MARGINAL" if file.verdict == "MARGINAL" else "PASS"
     part = Part(procedure="odometry_calibration", verdict=verdict, measured=file.created, bench=config.name)

@@ -12,6 +12,7 @@ import numpy as np
 
 from hil.bench.beginning import blind_to_the_drive, emulated_hold, must_begin_where_it_stands
 from hil.bench.held_rig import HeldRig
+from hil.bench.inertial_offsets import InertialWatch
 from hil.bench.settings import real_time
 from hil.config.bench import BenchConfig
 from hil.fakes.fault import Fault
@@ -55,7 +56,9 @@ class Bench(HeldRig):
         real_time: what the operating system was asked for; None in virtual time.
         pressed: the force with which a robot was pressed on its wall before its servos got torque, in words;
             empty where nobody measures it.
-        held: how the robot was left; known from `close` on, None where no device was opened.
+        held: what `look` or, at the end, `close` found last. A robot that was not checked since devices were
+            opened or it was driven is NOT HELD, "not checked"; one whose servos were not opened is not
+            `opened`.
         warnings: what was logged about this bench before the robot moved.
         tells_held: whether a warning is logged where it is left NOT HELD; whoever says so otherwise takes it
             back.
@@ -93,6 +96,7 @@ class Bench(HeldRig):
         self.world = world
         self._left: RobotState | None = None
         self.warnings: list[str] = []
+        self._inertial = InertialWatch(config)
         self.statistics = LoopStatistics()
         self.real_time = real_time(config, clock)
 
@@ -114,7 +118,14 @@ class Bench(HeldRig):
         Raises:
             ConfigError: the start pose is unknown.
         """
-        return self.measured_pose(self.observe(duration_s, feedback="odometry").mocap)
+        return self.measured_pose(self._rest(duration_s).mocap)
+
+    def _rest(self, duration_s: float) -> Motion:
+        """Rest, and hold what is seen against what earlier sessions have kept."""
+        motion = self.observe(duration_s, feedback="odometry")
+        for changed in self._inertial.rested(motion):
+            self._warn(changed)
+        return motion
 
     def measured_pose(self, mocap: Array) -> Array:
         """Where the robot stands, (3,): m, m, rad in the wall frame.
@@ -220,7 +231,7 @@ class Bench(HeldRig):
         Where it sees nothing, or its frame has moved, where the last drive left it.
         """
         left = None if self._left is None else self._hold.at_rest(self._left)
-        seen = self.observe(_SETTLE_S, feedback="odometry").mocap
+        seen = self._rest(_SETTLE_S).mocap
         moved_m = self._hold.frame_moved_m("mocap")
         unseen = self._capture_is_blind or not np.isfinite(seen).all(axis=1).any()
         if left is None or not (unseen or moved_m > _FRAME_MOVED_M):
@@ -265,10 +276,14 @@ class Bench(HeldRig):
 
         Raises:
             ConfigError: the robot is to move, and the IMU shows another tilt than `environment.tilt_rad`.
+            DeviceError: it is to move by a filter, and the IMU has changed by far since it was measured.
         """
         if start.trajectory is not None:
+            self._not_looked_at("it has been driven since bench.look() was called")
             self._warn(blind_to_the_drive(self.config))
             self._tilt.must_agree()
+            if start.feedback != "odometry":
+                self._inertial.must_be_usable()
             until = self._until_tilted(until)
         self._warn(emulated_hold(self.config))
         warm_up(brain, start.state)

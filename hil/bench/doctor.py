@@ -15,6 +15,7 @@ from hil.bench.bench import Bench
 from hil.bench.drivers import model_of
 from hil.bench.force_findings import unexplained_force
 from hil.bench.host import Host, host_findings
+from hil.bench.inertial_offsets import changed_between
 from hil.bench.promises import broken_promises
 from hil.bench.settings import wheel_model
 from hil.bench.steering_offsets import slipped_between
@@ -57,6 +58,7 @@ def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> I
         yield from tilt_finding(bench.config, seen)
         yield from unexplained_force(bench.config, seen)
         yield from slipped_between(bench.config, seen)
+        yield from changed_between(bench.config, bench.alignment_parameters, seen)
     finally:
         bench.close()
 

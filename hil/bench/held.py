@@ -20,6 +20,7 @@ class Held:
         moved_m: farthest that camera, motion capture or wheels say that it went since it was stopped; None
             where it was not measured: on a wall wheels do not see a slide.
         why: what confirms it; or what is missing, and what is left to do.
+        opened: whether servos were opened: without, nothing was done after which the robot must be held.
         wanted: whether the servos were asked to hold it, and the bench was not told to let go (`release`,
             `exit.policy`); torque that somebody else switched off does not make it unwanted.
     """
@@ -28,6 +29,7 @@ class Held:
     moved_m: float | None
     why: str
     wanted: bool = True
+    opened: bool = True
 
     @property
     def lost(self) -> bool:
@@ -68,7 +70,7 @@ def on_the_floor(held: Held) -> Held:
 
 def untouched(why: str) -> Held:
     """Of a robot whose devices were never opened: nothing has been done after which it must be held."""
-    return Held("not needed", None, why, wanted=False)
+    return Held("not needed", None, why, wanted=False, opened=False)
 
 
 def lacking_in_words(hold: ServoHold) -> str:

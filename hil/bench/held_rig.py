@@ -13,7 +13,7 @@ import numpy as np
 from hil.bench.blueprint import Blueprint
 from hil.bench.by_need import by_need
 from hil.bench.hanging import Hanging
-from hil.bench.held import Held
+from hil.bench.held import Held, untouched
 from hil.bench.holding import HoldWatch
 from hil.bench.not_begun import not_begun, not_begun_in_words
 from hil.bench.pressing import press_watch
@@ -28,10 +28,11 @@ from hil.recording.frames import describe_clock
 from hil.ring.rig import Rig
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import Clock
-from hil.vocabulary.errors import UsageError
+from hil.vocabulary.errors import UsageError, check_number
 from hil.vocabulary.interfaces import HELD_NOTE, Sink
 
 LOG = logging.getLogger(__name__)
+_LOOK_S = 1.0
 Opened = TypeVar("Opened", bound="HeldRig")
 
 
@@ -43,7 +44,9 @@ class HeldRig(Blueprint):
         rig: the devices.
         pressed: the force with which a robot was pressed on its wall before its servos got torque, in words;
             empty where nobody measures it.
-        held: how the robot was left; known from `close` on, None where no device was opened.
+        held: what `look` or, at the end, `close` found last. A robot that was not checked since devices were
+            opened or it was driven is NOT HELD, "not checked"; one whose servos were not opened is not
+            `opened`.
         tells_held: whether a warning is logged where it is left NOT HELD; whoever says so otherwise takes it
             back.
         waits_for_sensors: whether a lost sensor is waited for beyond its `fail_after_s`, in real time: for
@@ -69,7 +72,7 @@ class HeldRig(Blueprint):
             config, geometry=geometry, calibration=calibration, fitted_with=fitted_with, seed=seed
         )
         self.clock, self.rig = clock, rig
-        self.held: Held | None = None
+        self.held = untouched("no device was opened: the robot is as it was before")
         self.tells_held = True
         self.waits_for_sensors = False
         self.lost: list[str] = []
@@ -107,6 +110,7 @@ class HeldRig(Blueprint):
             raise
         self._stack.callback(self.rig.close)
         self._is_open = True
+        self._not_looked_at("the bench is open, and bench.look() was not called")
         try:
             self.pressed = Hanging(self.config, self.rig, self.clock).hold()
             self._sinks += [*by_need(self.config, self.rig), *wheel_feed(self, self.rig)]
@@ -233,9 +237,27 @@ class HeldRig(Blueprint):
         """Whether gravity pulls along the surface: the robot has to be held."""
         return self.config.environment.on_wall
 
-    def look(self, limit_s: float = 1.0) -> Held:
-        """Look after a stopped robot until it is held, for `limit_s` at most; how it is then."""
-        return self._hold.look(limit_s)
+    def look(self, limit_s: float | None = None) -> Held:
+        """How a stopped robot is, after looking after it until it is held; `held` is that from then on.
+
+        Args:
+            limit_s: the longest look. By default 1 s, and as much longer as propellers that report nothing
+                need to let a robot slide (seconds). What is not known by then is NOT HELD.
+
+        Raises:
+            UsageError: a limit that is below 0 or no number.
+        """
+        if limit_s is not None:
+            check_number(limit_s, "limit_s", "s")
+        self.held = self._hold.look(_LOOK_S if limit_s is None else limit_s, strict=limit_s is not None)
+        return self.held
+
+    def _not_looked_at(self, why: str) -> None:
+        """What was found no longer holds."""
+        if self.rig.servos is None:
+            self.held = untouched("the bench has no servos: the robot is as it was before")
+        else:
+            self.held = self._hold.unseen(why, wanted=False)
 
     def stop(self) -> None:
         """Ask for wheels at rest, steering held, torque on; `look` says whether that has come true."""
@@ -261,4 +283,5 @@ class HeldRig(Blueprint):
                 remedy="take it off the wall, or secure it and set safety.tethered = true",
             )
         self._hold.let_go()
+        self._not_looked_at("torque was released")
         self.rig.actuators().release()

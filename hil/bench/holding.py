@@ -161,22 +161,23 @@ class HoldWatch(Sink):
         """How far the frame has moved in which a kind of device measures places, as far as that was seen."""
         return self._leaps.size_m(name)
 
-    def look(self, limit_s: float, *, for_good: bool = False) -> Held:
+    def look(self, limit_s: float, *, strict: bool = False, for_good: bool = False) -> Held:
         """Look after the robot until it is held, for `limit_s` at the most.
 
-        Beside propellers that report nothing it takes as much longer as they need to be known to go on. Never
-        raises for what a device does: a sensor that fails is a witness less.
+        Beside propellers that report nothing it takes as much longer as they need to be known to go on,
+        unless it is `strict`. Never raises for what a device does: a sensor that fails is a witness less.
 
         Args:
             limit_s: so long.
+            strict: no longer in any case; what is not known by then makes the robot NOT HELD.
             for_good: whether the bench ends now: what is held is sent nothing more.
         """
-        held = self._look(limit_s, for_good)
+        held = self._look(limit_s, strict, for_good)
         if not (for_good and held.state == "HELD"):
             self._press.end()
         return held
 
-    def _look(self, limit_s: float, for_good: bool) -> Held:
+    def _look(self, limit_s: float, strict: bool, for_good: bool) -> Held:
         servos = self._rig.servos
         if servos is None or not servos.identity():
             return self.unseen("no servos are open", wanted=False)
@@ -212,7 +213,7 @@ class HoldWatch(Sink):
                 by_tether = "; on its tether, so nobody has to see whether it slides" if tether else ""
                 why = f"torque on, at rest by {rests}{pressed}{by_tether}{late}"
                 return self._verdict("HELD", why, seen)
-            if self._clock.now_ns() >= end_ns and not self._press.waits:
+            if self._clock.now_ns() >= end_ns and (strict or not self._press.waits):
                 return self._verdict("NOT HELD", doubt + late, seen)
             pause_ns = _SELDOM_NS if self._press.waits else _LOOK_NS
             self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)

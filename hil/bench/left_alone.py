@@ -57,7 +57,9 @@ class LeftAlone:
             self._leave(alone=False)
 
     def left_s(self, now_ns: int, *, rests: bool, moves: bool, least_n: float) -> float:
-        """How much longer the robot is to rest until they count; 0 once they do, `inf` while nobody sees.
+        """How much longer the robot is to rest until they count; 0 once they do.
+
+        `inf` while nobody sees it rest, and where nobody knows how long they need to let it slide.
 
         Args:
             now_ns: time.
@@ -69,11 +71,14 @@ class LeftAlone:
             if moves or now_ns - self._seen_ns > _BLIND_NS:
                 self.end()
             return math.inf
-        self._seen_ns = now_ns
+        self._seen_ns, needs_s = now_ns, self._needs_s(least_n)
+        if not math.isfinite(needs_s):
+            self.end()
+            return math.inf
         if self._since_ns is None:
             self._since_ns = now_ns
             self._leave(alone=True)
-        return max(self._needs_s(least_n) - (now_ns - self._since_ns) / NS_PER_S, 0.0)
+        return max(needs_s - (now_ns - self._since_ns) / NS_PER_S, 0.0)
 
     def _needs_s(self, least_n: float) -> float:
         if self._rig.get("thrust") is None:

@@ -6,6 +6,7 @@ emulated devices at the wire in real time in a process of their own, and any mix
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from numbers import Integral
 from pathlib import Path
@@ -19,7 +20,7 @@ from hil.bench.process import EmulatorProcess
 from hil.bench.settings import geometry_of, with_wheel_model
 from hil.bench.wheel_feed import with_wheel_sigma
 from hil.calibration.artefact import read_calibration
-from hil.calibration.versions import check_usable
+from hil.calibration.usable import check_usable, failed_validation
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.fakes.fault import Fault, describe
@@ -28,6 +29,8 @@ from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError, UsageError
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.kinds import Connection, kinds
+
+LOG = logging.getLogger(__name__)
 
 
 def open_bench(
@@ -141,6 +144,8 @@ def _calibrated(config: BenchConfig, given: str | Path | None) -> tuple[BenchCon
         return config, {"geometry": geometry_of(config)}
     found = read_calibration(Path(path))
     check_usable(found, config, str(path))
-    name = f"{Path(path).name} version {found.version}"
+    if failed := failed_validation(found, str(path)):
+        LOG.warning("%s, and is used, as failed_calibration asks", failed)
+    name = f"{Path(path).name} version {found.version}{' (verdict FAIL)' if failed else ''}"
     told = {"geometry": found.geometry, "calibration": name, "fitted_with": found.model}
     return with_wheel_model(config, found.model), told

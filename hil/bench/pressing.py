@@ -243,7 +243,7 @@ def _to_be_seen(left_s: float) -> str:
     """What propellers that report nothing still lack."""
     if math.isfinite(left_s):
         return f"the robot is to be seen at rest for {left_s:.1f} s more"
-    return "nobody sees whether it slides"
+    return "nobody sees whether it slides, or knows how long they would need to let it"
 
 
 def press_watch(config: BenchConfig, rig: Rig) -> PressWatch:

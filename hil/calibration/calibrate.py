@@ -111,8 +111,6 @@ class Calibration:
             "driven_m": self.driven.to_json(),
             "cost_before": self.cost_before,
             "cost_after": self.cost_after,
-            "cost_before_without_rejected": self.cost_before,
-            "cost_after_without_rejected": self.cost_after,
             "objective": self.fit.solution.objective,
             "objective_before_polish": self.fit.solution.objective_before_polish,
             "polished": self.fit.solution.objective_before_polish is not None,

@@ -102,7 +102,7 @@ def data_information(problem: Problem, z: Array) -> Array:
 
 
 def _in_words(direction: Array, unit: Array) -> str:
-    """The largest parts of a direction, for example `+0.52 r_1 +0.49 r_3 -0.35 delta0_2`."""
+    """The largest parts of a direction, for example `+0.52 r_FL +0.49 r_BR -0.35 delta0_BL`."""
     parts = direction / unit
     parts = parts / np.linalg.norm(parts)
     order = np.argsort(-np.abs(parts))[:_DIRECTION_NAMES]

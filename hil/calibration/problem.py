@@ -23,8 +23,9 @@ from hil.calibration.passes import Contacts, Driven, Reckoned, load_pass, run_pa
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate, integrate_with_jacobian
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import WHEELS
 
-PARAMETER_NAMES = tuple(f"{k}_{i}" for k in ("x_w", "y_w", "r", "delta0") for i in range(1, 5))
+PARAMETER_NAMES = tuple(f"{k}_{wheel}" for k in ("x_w", "y_w", "r", "delta0") for wheel in WHEELS)
 
 _EFFECTIVE_OBSERVATIONS = 3.0
 _CAUCHY = 2.0 * 1.2

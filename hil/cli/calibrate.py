@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -130,7 +131,7 @@ def _write(out: Path, result: Calibration, config: BenchConfig | None) -> None:
 
     from hil import __version__
     from hil.calibration.artefact import write_calibration
-    from hil.calibration.versions import made_for
+    from hil.calibration.usable import made_for
     from hil.config.record.overlay import identity
 
     created = datetime.now(timezone.utc).isoformat(timespec="seconds")
@@ -185,14 +186,15 @@ def _text(result: Calibration) -> str:
     )
     lines += [f"  {words}" for words in spectrum.directions]
     if result.validation:
-        lines.append(
-            f"{'position RMSE mm / heading RMSE deg':36}"
-            + "".join(f"{m[:13]:>15}" for m in result.validation["nominal"])
-        )
+        lines.append(f"{'position RMSE mm / heading RMSE deg':36}{'mean':>15}{'worst motion':>15}")
     for name, table in result.validation.items():
-        cells = "".join(
-            f"{1e3 * row['rmse_position_m']:>8.1f} /{math.degrees(row['rmse_theta_rad']):5.2f}"
-            for row in table.values()
-        )
-        lines.append(f"{name.replace('_', ' '):36}{cells}")
+        motions = {motion: row for motion, row in table.items() if motion != "mean"}
+        worst = max(motions, key=lambda motion: motions[motion]["rmse_position_m"])
+        cells = "".join(f"{_errors(row):>15}" for row in (table["mean"], motions[worst]))
+        lines.append(f"{name.replace('_', ' '):36}{cells}  {worst}")
     return "\n".join(lines)
+
+
+def _errors(row: Mapping[str, float]) -> str:
+    """Of one motion, or of their mean: mm and deg."""
+    return f"{1e3 * row['rmse_position_m']:.1f} /{math.degrees(row['rmse_theta_rad']):6.2f}"

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.ended_early import shown_when_ended
 from hil.cli.options import FILE, JSON, OUT
 from hil.cli.output import kept_for_json
 from hil.cli.progress import reporting
 from hil.cli.words import BENCH, DEVICES, FAULT, SCRIPT, SETTING
-from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, DataError, UsageError
+from hil.vocabulary.errors import EXIT_ABORTED, EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, DataError, UsageError
 from hil.vocabulary.files import check_name, shown, write_text
 from hil.vocabulary.result_files import CAMPAIGN_CSV, CAMPAIGN_PAGE, CAMPAIGN_TABLE, LOST, ROWS, RUNS
 
@@ -128,9 +127,19 @@ def command(
     out = out.absolute()
     with alone_in(out, resume=resume):
         keep_plan(out, proc, setup, cases, resume=resume)
+        done: dict[Case, Row] = {}
+
+        def finished() -> str:
+            return f"{len(done)} of {len(cases)} runs are finished"
+
+        def show() -> str:
+            rows = [done[case] for case in cases if case in done]
+            return _write(out, proc, setup, cases, rows)["page"] if rows else ""
+
         try:
-            with kept_for_json(as_json):
-                rows = _run(setup, proc, cases, out, workers, scheduler or "")
+            with kept_for_json(as_json), shown_when_ended(finished, show):
+                _run(setup, proc, cases, done, out, workers, scheduler or "")
+            rows = [done[case] for case in cases]
             tree = _write(out, proc, setup, cases, rows)
         except DataError as error:
             raise Aborted(str(error), remedy="make room, then go on with --resume") from None
@@ -160,9 +169,15 @@ def _optional(given: str | Path | None) -> str | None:
 
 
 def _run(
-    setup: Setup, proc: Procedure, cases: Sequence[Case], out: Path, workers: int, scheduler: str
-) -> list[Row]:
-    """Run what is not finished; rows in the order of the cases."""
+    setup: Setup,
+    proc: Procedure,
+    cases: Sequence[Case],
+    rows: dict[Case, Row],
+    out: Path,
+    workers: int,
+    scheduler: str,
+) -> None:
+    """Run what is not finished; `rows` receives all that is, as it comes."""
     from hil.procedure.campaign import spread, write_rows
     from hil.procedure.campaign.files import files_of
     from hil.procedure.campaign.running import (
@@ -176,48 +191,34 @@ def _run(
     )
 
     jobs = [Job(setup, case, str(out / RUNS / case.name)) for case in cases]
-    rows = {job.case: row for job in jobs if (row := finished(job)) is not None}
+    rows.update({job.case: row for job in jobs if (row := finished(job)) is not None})
     missing = [job for job in jobs if job.case not in rows]
     for row in rows.values():
         write_rows(out / ROWS, row, over=False)
 
-    def stop(signum: int, frame: FrameType | None) -> None:
-        raise ended("ended by SIGTERM")
+    with reporting() as report:
 
-    def ended(how: str) -> Aborted:
-        finished_now = f"{len(rows)} of {len(jobs)} runs are finished"
-        return Aborted(f"the campaign was {how}; {finished_now}", remedy="go on with --resume")
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        with reporting() as report:
-
-            def done(row: Row) -> None:
-                if row.verdict == "ABORTED":
-                    raise Aborted(f"{row.case.name}: {row.error}", remedy="go on with --resume")
-                rows[row.case] = row
-                write_rows(out / ROWS, row)
-                report("runs", len(rows), len(jobs))
-
+        def done(row: Row) -> None:
+            if row.verdict == "ABORTED":
+                raise Aborted(f"{row.case.name}: {row.error}", remedy="go on with --resume")
+            rows[row.case] = row
+            write_rows(out / ROWS, row)
             report("runs", len(rows), len(jobs))
-            if missing and scheduler:
-                parcel = files_of(setup, proc, cases)
-                away = replace(setup, places=parcel.places)
-                spread(
-                    run_case_elsewhere,
-                    [replace(j, setup=away, luggage=parcel.name) for j in missing],
-                    lost=lambda job, reason: Delivery(lost(job, reason)),
-                    done=lambda got: done(arrived(got)),
-                    scheduler=scheduler,
-                    parcel=parcel,
-                )
-            elif missing:
-                spread(run_case, missing, lost=lost, done=done, workers=workers)
-    except KeyboardInterrupt:
-        raise ended("interrupted") from None
-    finally:
-        signal.signal(signal.SIGTERM, before)
-    return [rows[case] for case in cases]
+
+        report("runs", len(rows), len(jobs))
+        if missing and scheduler:
+            parcel = files_of(setup, proc, cases)
+            away = replace(setup, places=parcel.places)
+            spread(
+                run_case_elsewhere,
+                [replace(j, setup=away, luggage=parcel.name) for j in missing],
+                lost=lambda job, reason: Delivery(lost(job, reason)),
+                done=lambda got: done(arrived(got)),
+                scheduler=scheduler,
+                parcel=parcel,
+            )
+        elif missing:
+            spread(run_case, missing, lost=lost, done=done, workers=workers)
 
 
 def exit_code(rows: Sequence[Row]) -> int:
@@ -237,15 +238,17 @@ def _write(
     from hil.procedure.campaign.kept_plan import SCHEMA
     from hil.procedure.campaign.table import count
 
-    code = exit_code(rows)
+    early = len(rows) < len(cases)
+    code = EXIT_ABORTED if early else exit_code(rows)
     tree: dict[str, Any] = {
         "schema": SCHEMA,
         "procedure": proc.name,
         "summary": proc.summary,
         "bench": setup.source(proc, cases[0])[0].config.name,
-        "verdict": {EXIT_PASS: "PASS", EXIT_LIMIT_FAILED: "FAIL"}.get(code, "ERROR"),
+        "verdict": {EXIT_PASS: "PASS", EXIT_LIMIT_FAILED: "FAIL", EXIT_ABORTED: "ABORTED"}.get(code, "ERROR"),
         "exit_code": code,
         "cases": len(rows),
+        "planned": len(cases),
         "verdicts": count(row.verdict for row in rows),
         "groups": summarise(rows),
         "alike": alike(rows),

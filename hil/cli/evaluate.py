@@ -59,13 +59,15 @@ def command(
 ) -> int:
     """Odometry error table of recordings: folders of odom_N/abs_N pairs, or plain CSV files.
 
-    With --calibration it says to how many of them that was fitted: errors on those are in sample.
+    With --calibration it says to how many of them that was fitted: errors on those are in sample. One that
+    failed its validation run is judged all the same, and a warning names it.
 
     Example: hil evaluate recordings/ --calibration calibration.toml
     """
     from hil.calibration.applied import in_sample, used_otherwise
     from hil.calibration.caveats import crossed_gaps, told_by
     from hil.calibration.evaluation import evaluate
+    from hil.calibration.usable import failed_validation
     from hil.recording.sources import read_recordings
     from hil.vocabulary.errors import UsageError
     from hil.vocabulary.files import check_folder
@@ -95,7 +97,8 @@ def command(
             f"applied as {deploy}",
             seen.in_words(),
         ]
-    warnings = told_by(recordings)
+    failed = "" if file is None else failed_validation(file, str(calibration))
+    warnings = [failed, *told_by(recordings)] if failed else told_by(recordings)
     warnings += crossed_gaps(recordings) if used_model == "paper" else []
     warnings += [] if file is None else used_otherwise(file, model, used_signal, deploy)
     warnings += _doubts(recordings, file, robot, used_signal, deploy)
@@ -119,7 +122,7 @@ def _robot(calibration: Path | None, bench: str | None) -> tuple[CalibrationFile
         ConfigError: the calibration was made for another robot than the bench's.
     """
     from hil.calibration.artefact import read_calibration
-    from hil.calibration.versions import check_made_for
+    from hil.calibration.usable import check_made_for
 
     config = configured(bench)
     robot = on_paper(config)

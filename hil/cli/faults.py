@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import partial
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hil.cli.ended_early import shown_when_ended
 from hil.cli.options import JSON, OUT
 from hil.cli.progress import reporting
 from hil.cli.words import BENCH, FAULT
@@ -101,11 +102,21 @@ def command(
     where = os.path.abspath(bench) if os.path.isfile(bench) else bench
     with KeptVerdicts(out, where, resume=resume) as kept:
         there = {verdict.cell: verdict for verdict in kept.there}
-        there.update(_judged(missing(cells, kept.there), where, workers, kept))
-    verdicts = [there[cell] for cell in cells]
-    told = summary(verdicts, bench=bench, command=_shown(asked))
-    write_page(out / FAULTS_MATRIX, told)
-    page = write_faults(out, {**told, "began": began})
+
+        def judged() -> list[CellVerdict]:
+            return [there[cell] for cell in cells if cell in there]
+
+        def write() -> Path:
+            told = summary(judged(), bench=bench, command=_shown(asked), planned=len(cells))
+            write_page(out / FAULTS_MATRIX, told)
+            return write_faults(out, {**told, "began": began})
+
+        def finished() -> str:
+            return f"{len(judged())} of {len(cells)} cells are judged"
+
+        with shown_when_ended(finished, lambda: shown(write()) if judged() else ""):
+            _judge(missing(cells, kept.there), there, where, workers, kept)
+    verdicts, page = judged(), write()
     failed = [v for v in verdicts if v.why]
     if as_json:
         click.echo(json.dumps(_json(verdicts, out / FAULTS_MATRIX, page), allow_nan=False))
@@ -114,25 +125,25 @@ def command(
     return EXIT_LIMIT_FAILED if failed else EXIT_PASS
 
 
-def _judged(
-    cells: Sequence[Cell], bench: str, workers: int, kept: KeptVerdicts
-) -> Mapping[Cell, CellVerdict]:
-    """Run these cells, tell how it goes, and keep every verdict as it comes."""
+def _judge(
+    cells: Sequence[Cell], there: dict[Cell, CellVerdict], bench: str, workers: int, kept: KeptVerdicts
+) -> None:
+    """Run these cells, tell how it goes, and keep every verdict as it comes, also in `there`."""
     from hil.procedure.campaign import spread
     from hil.procedure.faults import lost, run_cell
 
-    verdicts: dict[Cell, CellVerdict] = {}
+    count = 0
     with reporting() as report:
 
         def done(verdict: CellVerdict) -> None:
-            verdicts[verdict.cell] = verdict
+            nonlocal count
+            there[verdict.cell], count = verdict, count + 1
             kept.add(verdict)
             if verdict.why:
                 click.echo(f"FAILED {verdict.cell.name}: {'; '.join(verdict.why)}", err=True)
-            report("cells", len(verdicts), len(cells))
+            report("cells", count, len(cells))
 
         spread(partial(run_cell, bench=bench), cells, lost=lost, done=done, workers=workers)
-    return verdicts
 
 
 def _cells(asked: Asked) -> tuple[Cell, ...]:

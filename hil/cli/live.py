@@ -154,7 +154,7 @@ def command(
             raise lost
         if stop.name:
             raise Aborted(unreadable() or f"{stop.name} came while the bench was being closed")
-        if opened.held is not None and opened.held.lost:
+        if opened.held.lost:
             raise DeviceError(
                 "robot", f"NOT HELD: {opened.held.why}", remedy="secure it before anything else"
             )

@@ -165,8 +165,10 @@ def _read(
     jobs: Sequence[Job], bench: str | None, calibration: Path | None, problems: list[str], doubts: list[str]
 ) -> tuple[BenchConfig, list[TruthRun]]:
     """Bench and runs of recordings; `problems` and `doubts` receive what is wrong with files and columns."""
+    from hil.calibration.artefact import read_calibration
     from hil.calibration.datasets import Recording
     from hil.calibration.signs import contradictions
+    from hil.calibration.usable import check_not_failed
     from hil.estimator.tuning import TruthRun
     from hil.replay.comparison import truth_of
     from hil.replay.recordings import open_recording
@@ -175,6 +177,8 @@ def _read(
     config, runs, tables, geometry = None, [], list[Recording](), None
     for path in (job.files[0] for job in jobs):
         opened = open_recording(path, bench=bench, calibration=calibration)
+        if calibration is not None:
+            check_not_failed(read_calibration(calibration), opened.bench.config, str(calibration))
         _same_robot(path, opened.header, opened.bench.config)
         config, found = config or opened.bench.config, list[TruthRun]()
         for run in opened.runs:

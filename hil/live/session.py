@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.bench import Bench
-from hil.bench.held import untouched
 from hil.bench.settings import motion_limits
 from hil.config.servos import ServosConfig
 from hil.live.commands import CommandLines
@@ -123,9 +122,7 @@ class LiveSession:
             "timing": bench.statistics.summary(),
             "samples": self._samples.to_json(),
             "pose": pose,
-            "held": (
-                bench.held or untouched("no device was opened: the robot is as it was before")
-            ).to_json(),
+            "held": bench.held.to_json(),
         }
         if missed := bench.faults_not_begun():
             found["faults_not_begun"] = list(missed)

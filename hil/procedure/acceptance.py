@@ -282,7 +282,7 @@ class _Running:
             device = str(getattr(error, "device", "bench"))
             stage.findings.append(Finding.of_error(device, "open", error))
         finally:
-            self.held = bench.held.to_json() if bench.held is not None else None
+            self.held = bench.held.to_json() if bench.held.opened else None
         stage.end()
 
     def _checks_in_motion(self, stage: Stage, bench: Bench) -> None:

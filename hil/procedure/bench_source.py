@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.calibration.artefact import read_calibration
-from hil.calibration.versions import check_usable
+from hil.calibration.usable import check_usable
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.vocabulary.interfaces import Sink
@@ -117,7 +117,7 @@ class BenchSource:
         )
 
     def describe_calibration(self) -> dict[str, Any] | None:
-        """File, version and SHA-256 of the calibration in use; None without one.
+        """File, version, verdict and SHA-256 of the calibration in use; None without one.
 
         Raises:
             ConfigError: it cannot be read, was made for another robot, or failed.
@@ -128,7 +128,13 @@ class BenchSource:
         file = read_calibration(path)
         check_usable(file, self.config, str(path))
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        return {"path": str(path), "version": file.version, "created": file.created, "sha256": digest}
+        return {
+            "path": str(path),
+            "version": file.version,
+            "created": file.created,
+            "verdict": file.verdict,
+            "sha256": digest,
+        }
 
     def header(self) -> dict[str, Any]:
         """What results and recordings say about it."""

@@ -173,7 +173,7 @@ class RunBenches(Notebook):
     def _leave(self, bench: Bench) -> None:
         self._came(bench.world_ns, bench.looked_ns)
         self.lost += bench.lost
-        if bench.held is not None:
+        if bench.held.opened:
             self.left.add(self._bench_name, bench.held, tethered=bench.config.safety.tethered)
 
     def _came(self, world_ns: int, looked_ns: int) -> None:
@@ -226,7 +226,7 @@ class RunBenches(Notebook):
         self._path_history.follow(found.path)
         if found.pressed and self.left.held is None:
             self.note(found.pressed)
-        if found.held is not None:
+        if found.held.opened:
             self.left.add(name, found.held, tethered=found.tethered)
         if found.lost:
             self._note_lost(found.lost)

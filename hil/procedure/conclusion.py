@@ -105,6 +105,13 @@ def facts_of(
         missed = not_begun(planned_faults(source.config, source.faults), context.world_ns)
     told = [not_begun_in_words(missed, context.world_ns, context.looked_ns)] if missed else []
     known = "" if error is None else error.message
+    header = source.header()
+    calibration = header["calibration"] or {}
+    if calibration.get("verdict") == "FAIL":
+        told.append(
+            f"The calibration {calibration['path']}, version {calibration['version']}, failed its validation "
+            "run (verdict FAIL); failed_calibration in the bench file asks for its use."
+        )
     told += [f"A drive or a watch was ended early: {s}" for s in dict.fromkeys(context.lost) if s != known]
     return {
         "summary": proc.summary,
@@ -113,7 +120,7 @@ def facts_of(
         "emulated": list(source.config.emulated()),
         "virtual_time": source.virtual,
         "parameters": as_dict(context.parameters),
-        **source.header(),
+        **header,
         "versions": versions(),
         "git_revision": git_revision(proc.file.parent if proc.file else Path.cwd()),
         "started": context.started,

@@ -61,7 +61,7 @@ class Driven:
         error: what ended the drive early.
         driven_s: how long it took on the bench's clock, s.
         pressed: as of the bench.
-        held: how the bench left the robot; None where no device was opened.
+        held: how the bench left the robot.
         tethered: the robot was on a tether.
         world_ns, looked_ns, failed: as `world_ns`, `looked_ns` and `lost` of the bench.
         hold, path: what the figures of every report are drawn from.
@@ -73,7 +73,7 @@ class Driven:
     error: HilError | None
     driven_s: float
     pressed: str
-    held: Held | None
+    held: Held
     tethered: bool
     world_ns: int
     looked_ns: int

@@ -15,15 +15,16 @@ from typing import Any
 
 import tomli_w
 
-from hil.config.bench import BenchConfig
 from hil.config.record import Figure, NewPart, Part, RobotRecord, Spread
-from hil.config.record.overlay import identity
+from hil.config.record.overlay import identity, known_parts
 from hil.procedure.context import Context
 from hil.procedure.fragment import seal_fragment
 from hil.procedure.measurements import Verdict
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.files import write_text
 from hil.vocabulary.result_files import PASSED
+
+__all__ = ["keep_parts", "known_parts", "leave_part"]
 
 _PIECE = 1 << 20
 
@@ -76,14 +77,6 @@ def _write_part(ctx: Context, name: str, one: NewPart, verdict: Verdict) -> None
 
 def _until(started: str, days: int | None) -> str:
     return "" if days is None else (date.fromisoformat(started[:10]) + timedelta(days=days)).isoformat()
-
-
-def known_parts(config: BenchConfig) -> dict[str, Part]:
-    """Parts of the record that a bench runs with, by name; none without a record."""
-    settings = config.record
-    if settings.folder is None or not (record := RobotRecord(Path(settings.folder))).exists():
-        return {}
-    return {name: part for name, part in record.read().parts.items() if name not in settings.without}
 
 
 def keep_parts(ctx: Context, verdict: Verdict) -> tuple[dict[str, Any] | None, HilError | None]:

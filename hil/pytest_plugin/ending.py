@@ -37,7 +37,7 @@ def end(item: pytest.Item, bench: Bench, *, passed: bool) -> None:
 
 def _not_held(item: pytest.Item, bench: Bench) -> list[str]:
     held = bench.held
-    if held is None:
+    if not held.opened:
         return []
     item.user_properties.append(("held", held.state))
     if not held.lost:

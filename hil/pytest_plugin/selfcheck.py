@@ -262,7 +262,7 @@ def too_late(statistics: LoopStatistics, idle: tuple[LoopStatistics, ...]) -> st
 def test_the_robot_is_left_held(watched: Watch) -> None:
     """Closed, the bench says HELD, or that the robot need not be."""
     held = watched.bench.held
-    assert held is None or not held.lost, str(held)
+    assert not held.lost, str(held)
 
 
 def test_the_supervisor_has_nothing_to_say(watched: Watch) -> None:

@@ -18,6 +18,7 @@ from hil.calibration.coverage import covered
 from hil.calibration.datasets import Recording
 from hil.calibration.driven import mismatch
 from hil.calibration.nominal import Nominal
+from hil.calibration.usable import check_made_for, failed_validation
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.config.recorded import recorded_bench
@@ -47,6 +48,7 @@ class OpenedRecording:
         robot: whose wheels a foreign one is read for.
         tables: what was read of a foreign one; complete once `runs` has been asked for.
         named: whether somebody has said which bench a foreign one is of.
+        failed: a sentence where the wheel geometry is of a calibration that failed its own validation run.
     """
 
     path: Path
@@ -58,6 +60,7 @@ class OpenedRecording:
     robot: Nominal = field(default_factory=Nominal)
     tables: list[Recording] = field(default_factory=list)
     named: bool = True
+    failed: str = ""
 
     @cached_property
     def runs(self) -> Sequence[RecordedRun]:
@@ -72,9 +75,10 @@ class OpenedRecording:
         return self.runs[number]
 
     def doubts(self) -> list[str]:
-        """What is assumed of a foreign recording, and why its wheels cannot be that robot's."""
+        """A failed calibration; what is assumed of a foreign recording, and why its wheels cannot be so."""
+        failed = [self.failed] if self.failed else []
         if not self.tables:
-            return []
+            return failed
         from hil.calibration.caveats import told_by
 
         told = told_by(self.tables)
@@ -82,7 +86,7 @@ class OpenedRecording:
         robot = replace(self.robot, geometry=self.bench.geometry)
         found = mismatch(reduce_recordings(self.tables, _BLOCK_S), robot)
         doubted = f"{found}; {robot.in_words()}; name the robot's bench file with --bench"
-        return [*told, *assumed, doubted] if found else [*told, *assumed]
+        return [*failed, *told, *assumed, *([doubted] if found else [])]
 
     def _assumed(self) -> str:
         surface = "a wall" if self.bench.config.environment.on_wall else "a floor"
@@ -117,7 +121,8 @@ def open_recording(
         topics: topic mapping of a bag.
 
     Raises:
-        DataError, ConfigError: it cannot be read, or is a folder of recordings: they are opened one by one.
+        DataError: it cannot be read, or is a folder of recordings: they are opened one by one.
+        ConfigError: of bench or calibration, also where the calibration is another robot's.
     """
     problems: list[str] = []
     if topics is None and path.is_dir() and not is_bag(path):
@@ -126,11 +131,11 @@ def open_recording(
         config = load_bench(bench or _FOREIGN_BENCH)
         robot, tables = nominal_of(config), list[Recording]()
         found = _read_foreign(path, topics, robot, tables)
-        made = _bench(config, None, calibration, {})
+        made, failed = _bench(config, None, calibration, {}, known=bench is not None)
         if calibration is not None:
             robot = replace(robot, source=str(calibration))
         named = bench is not None
-        return OpenedRecording(path, made, {}, True, [], found, robot, tables, named)
+        return OpenedRecording(path, made, {}, True, [], found, robot, tables, named, failed)
     reader = RecordingReader(path)
     header = reader.header
     if bench is not None:
@@ -142,7 +147,7 @@ def open_recording(
             str(path), "does not carry the configuration of its bench", remedy="give it with --bench"
         )
     try:
-        made = _bench(config, _geometry(header), calibration, header, recorded=bench is None)
+        made, failed = _bench(config, _geometry(header), calibration, header, recorded=bench is None)
         dict(header.get("versions", {}))
     except HilError:
         raise
@@ -153,7 +158,9 @@ def open_recording(
         raise DataError(
             str(path), "has a header whose `arithmetic` cannot be used", expected="names, each with a text"
         )
-    return OpenedRecording(path, made, header, False, problems, lambda: read_runs(path, problems))
+    return OpenedRecording(
+        path, made, header, False, problems, lambda: read_runs(path, problems), failed=failed
+    )
 
 
 def _refuse_folder(folder: Path) -> NoReturn:
@@ -198,11 +205,19 @@ def _bench(
     header: Mapping[str, Any],
     *,
     recorded: bool = False,
-) -> Blueprint:
-    """The bench of a configuration; a recorded configuration names every value, chosen by somebody or not."""
+    known: bool = True,
+) -> tuple[Blueprint, str]:
+    """The bench of a configuration, and a sentence where the calibration failed its own validation run.
+
+    A recorded configuration names every value, chosen by somebody or not. Where the bench is not `known` its
+    robot is assumed, and the calibration may be another's.
+    """
+    failed = ""
     if calibration is not None:
         found = read_calibration(calibration)
-        geometry = found.geometry
+        if known:
+            check_made_for(found, config, str(calibration))
+        failed, geometry = failed_validation(found, str(calibration)), found.geometry
         config = with_wheel_model(config, found.model, given=False if recorded else None)
     geometry = geometry_of(config) if geometry is None else geometry
-    return Blueprint(config, geometry=geometry, seed=int(header.get("seed", 0)))
+    return Blueprint(config, geometry=geometry, seed=int(header.get("seed", 0))), failed

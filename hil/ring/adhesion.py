@@ -20,7 +20,7 @@ from hil.vocabulary.signals import WHEELS, AdhesionSample, Event, Inputs, LoadCe
 _FALLING_N_S = -3.0
 _AHEAD_S = 0.5
 """A force that will be below its limit so soon stops the robot now: wheels take 0.15 s to rest."""
-_DISAGREE_NS, _DISAGREE_N, _DISAGREE_SHARE = nanoseconds(0.25), 3.0, 0.1
+_DISAGREE_NS, DISAGREE_N, DISAGREE_SHARE = nanoseconds(0.25), 3.0, 0.1
 _POWER_OF_SPEED = 3.0
 _SAME_SHARE, _SAME_RAD = 0.005, 0.002
 _WEAK_PUSH = 0.85
@@ -367,7 +367,7 @@ class AdhesionWatch:
 
 def apart(cells_n: float, speed_n: float) -> bool:
     """Whether two measures of one force contradict each other; False where one is NaN."""
-    return abs(cells_n - speed_n) > max(_DISAGREE_N, _DISAGREE_SHARE * abs(speed_n))
+    return abs(cells_n - speed_n) > max(DISAGREE_N, DISAGREE_SHARE * abs(speed_n))
 
 
 def _ignored(reason: str, message: str) -> None:

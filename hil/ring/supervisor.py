@@ -33,6 +33,8 @@ from hil.vocabulary.geometry import wrap
 from hil.vocabulary.signals import Event, Inputs, Measurements, Reference, RobotState, WheelSetpoint
 from hil.vocabulary.suspects import suspects_of, together
 
+_PAUSED, _STALE = "held_up", "stale_"
+"""After a long pause of the loop itself, devices that nothing asked meanwhile are no silent ones."""
 _SAYS_SO = {"adhesion": "imu", "sliding": "tracker"}
 """By what a robot is found to come off or to slide: the kind that says so."""
 
@@ -181,6 +183,8 @@ class Supervisor:
         self._check_lost(inputs.t_ns)
         if measurements is not None:
             self._compare(inputs, measurements, events)
+        if _PAUSED in self._causes:
+            self._causes = {k: v for k, v in self._causes.items() if not k.startswith(_STALE)}
         return tuple(events)
 
     def _begin(self) -> None:

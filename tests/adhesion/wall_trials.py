@@ -39,7 +39,7 @@ class Robot:
     """The emulated robot: where its devices are, and the truth about it."""
 
     def __init__(self, process, overrides):
-        self._process, self._overrides = process, overrides
+        self._process, self._overrides, self.pid = process, overrides, process.pid
         self.endpoints = json.loads(process.stdout.readline())
 
     def truth(self):

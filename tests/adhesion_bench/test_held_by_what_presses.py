@@ -20,7 +20,7 @@ def left(fault, *, overrides=None):
             bench.drive(CLIMB, feedback="odometry")
         stopped = bench.truth().pose_body_in_wall
         began_ns = bench.clock.now_ns()
-        held = bench.look(5.0)
+        held = bench.look(10.0)
         took_s = (bench.clock.now_ns() - began_ns) / 1e9
         bench.clock.sleep_until_ns(bench.clock.now_ns() + 1_000_000_000)
         went_m = float(np.hypot(*(bench.truth().pose_body_in_wall - stopped)[:2]))

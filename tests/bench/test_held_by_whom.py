@@ -147,7 +147,7 @@ def test_propellers_that_have_fallen_silent_are_not_called_held_while_the_robot_
 def test_of_two_that_contradict_each_other_one_is_right_and_both_see_it_rest(doubted, held):
     with hil.open_bench("emulated", seed=1) as bench:
         bench._hold.stopped(doubted)
-        found = bench.look(1.0)
+        found = bench.look()
     assert (found.state == "HELD") is held
     assert ("camera" in found.why.split(";")[0]) is (held and doubted != {"tracker": True})
 
@@ -158,13 +158,13 @@ def test_a_camera_is_believed_again_only_after_a_way_on_which_others_agree():
     with bench:
         with pytest.raises(SafetyStop, match="sensors_disagree"):
             bench.drive(CLIMB, start_pose=np.zeros(3))
-        assert bench.look(1.0).state == "NOT HELD"
+        assert bench.look().state == "NOT HELD"
         bench.observe(2.0)
-        doubted = bench.look(1.0)
+        doubted = bench.look()
         assert doubted.state == "NOT HELD", "at rest nobody can tell a frozen camera"
         assert "what the camera said before the stop is in doubt" in doubted.why
         bench.drive(line((0, 0, 0), (0.15, 0, 0), duration_s=3.0), start_pose=np.zeros(3), hold_s=0.5)
-        assert bench.look(1.0).state == "HELD"
+        assert bench.look().state == "HELD"
 
 
 def test_servos_alone_do_not_confirm_it_where_there_are_others_who_should():

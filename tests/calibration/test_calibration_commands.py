@@ -11,6 +11,7 @@ import pytest
 from hil.calibration.artefact import read_calibration
 from hil.cli import main
 from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.signals import WHEELS
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +44,9 @@ def test_calibrate_then_evaluate_with_the_file(data, tmp_path, capsys):
         "r_m": 4,
         "delta0_rad": 4,
     }
+    named = [*result["unobservable"], *re.findall(r"[a-z]\w*_\w+", " ".join(result["directions"]))]
+    assert named
+    assert {name.rpartition("_")[2] for name in named} <= set(WHEELS), "wheels have one set of names"
     page = (tmp_path / "p" / "index.html").read_text()
     assert "data:image/svg+xml;base64" in page
     assert "http" not in page.replace("http-equiv", "")

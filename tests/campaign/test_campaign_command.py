@@ -309,6 +309,18 @@ def test_ctrl_c_ends_the_workers_says_what_is_finished_and_shows_nothing_of_dask
     assert "Traceback" not in said
     assert re.search(r"the campaign was interrupted; [1-9]\d* of 400 runs are finished", said)
     assert "--resume" in said
+    finished = int(re.search(r"(\d+) of 400 runs are finished\)", said)[1])
+    tree = json.loads((tmp_path / "o" / "campaign.json").read_text())
+    assert (tree["verdict"], tree["exit_code"], tree["cases"], tree["planned"]) == (
+        "ABORTED",
+        4,
+        finished,
+        400,
+    )
+    assert len(tree["rows"]) == finished
+    assert f"{finished} of 400 runs are finished" in (tmp_path / "o" / "campaign.html").read_text()
+    with (tmp_path / "o" / "campaign.csv").open(newline="") as file:
+        assert len(list(csv.DictReader(file))) == finished
 
 
 def test_an_error_in_one_run_is_a_row(campaign):

@@ -184,16 +184,32 @@ def test_servos_that_stand_are_named_where_sensors_disagree():
     assert "also sensors_disagree: it differs" in str(stop.value)
 
 
+class Silent(Asked):
+    """What measures the force, unheard for 0.25 s where cycles are further apart."""
+
+    def reset(self):
+        self.last_ns = 0
+
+    def judge(self, inputs, events, stop):
+        last_ns, self.last_ns = self.last_ns, inputs.t_ns
+        if inputs.t_ns - last_ns > 250_000_000:
+            stop("stale_adhesion", "nothing usable: check its bus")
+
+
 def test_a_loop_that_stood_still_stops_the_robot_and_not_its_devices():
-    watching = supervisor()
+    watching = supervisor(hold=Silent())
     cycle(watching, 0)
-    cycle(watching, 50)
+    cycle(watching, 25)
     with pytest.raises(SafetyStop, match=r"stood still for 0\.5 s") as stopped:
-        cycle(watching, 101)
+        cycle(watching, 76)
     assert stopped.value.reason == "held_up"
-    cycle(watching, 102)
+    assert "stale" not in str(stopped.value), "nothing asked the devices meanwhile"
+    cycle(watching, 77)
     watching.reset()
-    cycle(watching, 400)
+    cycle(watching, 20)
+    with pytest.raises(SafetyStop) as silent:
+        cycle(watching, 50)
+    assert silent.value.reason == "stale_adhesion"
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,11 @@ from click.testing import CliRunner
 from hil.bench import supported_faults
 from hil.cli.faults import command
 from hil.config.loading import load_bench
+from hil.procedure import faults
 from hil.procedure.faults import MOMENTS, CellVerdict, cells_of, random_cells
 from hil.procedure.faults.quiet import why_quiet
-from hil.vocabulary.errors import ConfigError, HilError, UsageError
+from hil.report.history.found import find_results
+from hil.vocabulary.errors import Aborted, ConfigError, HilError, UsageError
 
 SUPPORTED = {
     "plant": ("adhesion_loss",),
@@ -194,6 +196,30 @@ def test_a_campaign_goes_on_with_what_is_missing_and_writes_one_page(tmp_path, j
     run("--only", "imu:off", "--out", str(tmp_path))
     assert len(judged) == 4
     assert (tmp_path / "cells.before.jsonl").read_text(encoding="utf-8").count("\n") == 9
+
+
+def test_one_that_is_interrupted_shows_what_it_has_judged(tmp_path, judged, monkeypatch, capsys):
+    ordinary = faults.run_cell
+
+    def verdict(cell, bench):
+        if len(judged) == 2:
+            raise KeyboardInterrupt
+        return ordinary(cell, bench)
+
+    monkeypatch.setattr(faults, "run_cell", verdict)
+    with pytest.raises(Aborted, match="2 of 4 cells are judged"):
+        command.main(["--only", "imu:off", "--out", str(tmp_path)], standalone_mode=False)
+    assert str(tmp_path / "faults.html") in capsys.readouterr().err
+    for page in ("faults.html", "reliability.md"):
+        assert "Ended early" in (tmp_path / page).read_text(encoding="utf-8")
+    told = json.loads((tmp_path / "faults.json").read_text(encoding="utf-8"))
+    assert (told["verdict"], told["cells"], told["planned"]) == ("ABORTED", 2, 4)
+    (kept,) = find_results(tmp_path)
+    assert (kept.kind, kept.verdict) == ("faults", "ABORTED")
+    judged.clear()
+    assert run("--only", "imu:off", "--out", str(tmp_path), "--resume").return_value == 0
+    assert len(judged) == 2
+    assert "Ended early" not in (tmp_path / "faults.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

@@ -175,7 +175,7 @@ def test_every_fault_belongs_to_a_class_and_of_several_the_one_counts_of_which_l
 
 
 def page(*verdicts):
-    return matrix_page(summary(verdicts, bench="emulated", command="hil faults"))
+    return matrix_page(summary(verdicts, bench="emulated", command="hil faults", planned=len(verdicts)))
 
 
 def test_a_run_that_goes_on_without_a_word_about_the_device_is_marked():
@@ -202,5 +202,7 @@ def test_what_stands_in_a_row_is_what_was_measured_of_it():
     row = next(line for line in page(good, fell).splitlines() if line.startswith("| `thrust` | `garbage`"))
     assert "fell in 1 of 2; HELD in 1 of 2: moved 1.2 mm, then 0.3 mm" in row
     assert "held all the same" not in page(good, fell)
-    only = summary([good], bench="emulated", command="")
+    closed = replace(good, held="NOT HELD", opened=False)
+    assert "NOT HELD" not in page(good, closed), "nothing was promised of a bench that did not open"
+    only = summary([good], bench="emulated", command="", planned=1)
     assert [c["measured"] for c in only["classes"]] == ["HELD: moved 1.2 mm, then 0.3 mm"]

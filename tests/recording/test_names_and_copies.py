@@ -72,7 +72,7 @@ def test_a_bad_one_is_named_and_its_namesake_stays(tmp_path, capsys):
     kept = [p for p in sorted(tmp_path.glob("*/*.csv")) if f"{p.parent.name}/{p.stem}" not in bad]
     _, table, _ = hil(capsys, "evaluate", *kept, "--calibration", out)
     assert table["recordings"] == 12 - len(bad)
-    assert found["cost_after_without_rejected"] == pytest.approx(table["cost"], rel=1e-6)
+    assert found["cost_after"] == pytest.approx(table["cost"], rel=1e-6)
     assert any(line.startswith("1/line_x_1: left out: ") for line in found["warnings"])
 
 

@@ -108,6 +108,14 @@ def _default(kind: str, table: Mapping[str, Any], key: str) -> object:
     return model.config.model_fields[key].default
 
 
+def known_parts(config: Any) -> dict[str, Part]:
+    """Parts of the record that a bench runs with, by name; none without a record."""
+    settings = config.record
+    if settings.folder is None or not (record := RobotRecord(Path(settings.folder))).exists():
+        return {}
+    return {name: part for name, part in record.read().parts.items() if name not in settings.without}
+
+
 def identity(config: Any, seed: int | None = None) -> Identity:
     """Whose record belongs to a bench: name, servos and wheels of its configuration, and the body behind it.
 

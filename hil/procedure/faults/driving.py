@@ -55,7 +55,7 @@ def _drive(cell: Cell, name: str, path: Path) -> Seen:
         seen.error = ended_by(error)
     except Exception as error:  # what no device may raise is what the campaign looks for
         seen.foreign = f"{type(error).__name__}: {error}"
-    seen.held, seen.looked_s = bench.held, bench.clock.now_ns() / NS_PER_S
+    seen.held, seen.looked_s = bench.held if bench.held.opened else None, bench.clock.now_ns() / NS_PER_S
     seen.moved_m = float(np.hypot(*(_place(bench) - stopped)))
     _watch(bench, seen)
     end()

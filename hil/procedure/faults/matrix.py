@@ -44,6 +44,8 @@ def matrix_page(told: Mapping[str, Any]) -> str:
         if told["cells"]
         else "No cells."
     )
+    if told["cells"] < told["planned"]:
+        counts += f" Ended early: {told['planned']} cells were asked for; `--resume` goes on with the others."
     parts = [
         _HEAD.format(
             command=told["command"],

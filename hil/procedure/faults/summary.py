@@ -11,24 +11,26 @@ from hil.procedure.faults.judging import CellVerdict
 from hil.procedure.faults.quiet import quiet_rows
 
 
-def summary(verdicts: Sequence[CellVerdict], *, bench: str, command: str) -> dict[str, Any]:
+def summary(verdicts: Sequence[CellVerdict], *, bench: str, command: str, planned: int) -> dict[str, Any]:
     """Everything that a page shows.
 
     Args:
         verdicts: in the order of the pages.
         bench: its name, or its file.
         command: that repeats the campaign.
+        planned: how many cells it has; with fewer verdicts it was ended early.
 
     Returns:
-        `verdict`, `bench`, `command`, `cells`, `quiet_cells`, `classes`, `plants` with rows by device and
-        fault, `failed`, `quiet`; a JSON object.
+        `verdict`, `bench`, `command`, `cells`, `planned`, `quiet_cells`, `classes`, `plants` with rows by
+        device and fault, `failed`, `quiet`; a JSON object.
     """
     failed = [v for v in verdicts if v.why]
     return {
-        "verdict": "FAIL" if failed else "PASS",
+        "verdict": "ABORTED" if len(verdicts) < planned else "FAIL" if failed else "PASS",
         "bench": bench,
         "command": command,
         "cells": len(verdicts),
+        "planned": planned,
         "quiet_cells": sum(not v.told and not v.why for v in verdicts),
         "classes": [found for one in CLASSES if (found := _class(one, verdicts))],
         "plants": [
@@ -98,11 +100,12 @@ def measured_in_words(verdicts: Sequence[CellVerdict]) -> str:
             for values in zip(*((v.measured.moved_m, v.measured.crept_m) for v in held), strict=True)
         )
         told.append(f"HELD{_of(len(held), many)}: moved {moved_mm:.1f} mm, then {crept_mm:.1f} mm")
-    if lost := [v for v in stood if v.held != "HELD"]:
-        worst = max(lost, key=lambda v: v.measured.moved_m).measured
-        told.append(
-            f"NOT HELD{_of(len(lost), many)}: moved {1e3 * worst.moved_m:.1f} mm of {1e3 * worst.most_m:.1f}"
-        )
+    for said, opened in (("NOT HELD", True), ("the bench did not open", False)):
+        lost = [v for v in stood if v.held != "HELD" and v.opened is opened]
+        if lost:
+            worst = max(lost, key=lambda v: v.measured.moved_m).measured
+            bound = f"moved {1e3 * worst.moved_m:.1f} mm of {1e3 * worst.most_m:.1f}"
+            told.append(f"{said}{_of(len(lost), many)}: {bound}")
     others = sorted({name for v in verdicts for name in v.others})
     return "; ".join([*told, *([f"also accused: {', '.join(others)}"] if others else [])])
 

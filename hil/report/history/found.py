@@ -167,7 +167,7 @@ def _where(tree: Mapping[str, Any]) -> str:
 
 def _campaign(folder: Path, name: str) -> Kept:
     tree, problem = _object(folder / CAMPAIGN_TABLE)
-    what = tree.get("procedure")
+    what, planned = tree.get("procedure"), tree.get("planned", tree.get("cases"))
     if problem or not isinstance(what, str):
         return _foreign(folder, name, CAMPAIGN_TABLE, problem or f"{CAMPAIGN_TABLE} is of no campaign")
     return Kept(
@@ -179,7 +179,7 @@ def _campaign(folder: Path, name: str) -> Kept:
         bench=str(tree.get("bench", "")),
         where="emulated",
         verdict=str(tree.get("verdict", "")),
-        why=f"{tree.get('cases')} runs",
+        why=f"{tree.get('cases')} runs" + (f" of {planned}" if planned != tree.get("cases") else ""),
     )
 
 
@@ -233,6 +233,8 @@ def _faults(folder: Path, name: str) -> Kept:
     if problem or not (isinstance(verdict, str) and isinstance(cells, int) and isinstance(failed, list)):
         return _foreign(folder, name, FAULTS_TABLE, problem or f"{FAULTS_TABLE} is of no fault campaign")
     when = _moment(tree.get("began")) or _changed(folder / FAULTS_TABLE)
+    planned = tree.get("planned", cells)
+    of = f" of {planned}" if planned != cells else ""
     return Kept(
         folder,
         name,
@@ -242,7 +244,7 @@ def _faults(folder: Path, name: str) -> Kept:
         bench=str(tree.get("bench", "")),
         where="emulated",
         verdict=verdict,
-        why=f"{cells} runs with faults, {len(failed)} failed",
+        why=f"{cells} runs with faults{of}, {len(failed)} failed",
     )
 
 

@@ -1,0 +1,54 @@
+"""Ctrl-C and SIGTERM while many runs are made: those that are finished are kept and shown."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+import click
+
+from hil.vocabulary.errors import Aborted, DataError
+
+
+@contextmanager
+def shown_when_ended(finished: Callable[[], str], show: Callable[[], str]) -> Iterator[None]:
+    """End the block early as `Aborted`, with a page of what is finished.
+
+    Args:
+        finished: what there is to show, in words, as "3 of 20 runs are finished".
+        show: writes it; returns the page, or an empty text where nothing is finished.
+
+    Raises:
+        Aborted: a signal, or the block itself, ended it.
+    """
+
+    def stop(signum: int, frame: FrameType | None) -> None:
+        raise _ended("ended by SIGTERM", finished())
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        try:
+            yield
+        except KeyboardInterrupt:
+            raise _ended("interrupted", finished()) from None
+    except Aborted:
+        _show(show, finished())
+        raise
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _ended(how: str, finished: str) -> Aborted:
+    return Aborted(f"the campaign was {how}; {finished}", remedy="go on with --resume")
+
+
+def _show(show: Callable[[], str], finished: str) -> None:
+    try:
+        page = show()
+    except DataError as error:
+        click.echo(f"no page of what is finished: {error}", err=True)
+        return
+    if page:
+        click.echo(f"page of what is finished ({finished}): {page}", err=True)
