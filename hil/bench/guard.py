@@ -29,10 +29,10 @@ from hil.bench.overdue import (
 )
 from hil.recording.cycle_layout import DTYPES, MAX_DIMENSIONS, SHAPES
 from hil.vocabulary.blame import OURS, PackageError, blamed
+from hil.vocabulary.device import DeviceKind, DeviceModel
 from hil.vocabulary.errors import HilError, told
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.interfaces import Device
-from hil.vocabulary.kinds import DeviceKind, DeviceModel
 from hil.vocabulary.signals import Stamp, Status
 
 LOG = logging.getLogger(__name__)

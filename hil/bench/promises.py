@@ -85,7 +85,7 @@ def _wrong_stamps(watched: Watched) -> Iterator[tuple[str, str]]:
             f"up to {ahead_ns / NS_PER_S:.3g} s in the future",
             "t_ns, when it was measured, at most host_ns, when the host saw it",
         )
-    limit_ns = max(OLDEST_NS, nanoseconds(_OLDER * watched.kind.age_s))
+    limit_ns = max(OLDEST_NS, nanoseconds(_OLDER * watched.kind.max_age_s))
     age_ns = statistics.median(s.host_ns - s.t_ns for s in good) if good else 0
     if age_ns > limit_ns:
         yield (

@@ -16,7 +16,7 @@ from typing import Any
 from hil.recording.cycle_layout import BYTE, MAGIC, describe, record_types
 from hil.recording.encoder_source import EncoderSource
 from hil.recording.value_encoders import BY_NAME, Parts
-from hil.vocabulary.kinds import DeviceKind
+from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.signals import CycleRecord
 
 DECIDED = ("measurements", "state", "reference", "setpoint", "command", "events", "observers")

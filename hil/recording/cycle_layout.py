@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kinds import DeviceKind, kinds
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import CycleRecord, Inputs
 
 FORMAT = 1

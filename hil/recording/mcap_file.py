@@ -18,8 +18,9 @@ from hil.recording.frames import FrameTree, recorded_offset
 from hil.recording.ros_messages import CycleMessages, Message, topics_with, transforms
 from hil.recording.urdf import urdf
 from hil.vocabulary.clock import NS_PER_S, MonotonicClock, WallOffset
+from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import DeviceKind, kinds
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.reading import toml_tables
 from hil.vocabulary.signals import KINDS, CycleRecord
 

@@ -8,8 +8,8 @@ from itertools import chain
 
 from hil.recording.cdr import TIME, CdrForm, CdrWriter, Doubles
 from hil.recording.frames import BODY, CAMERA_START, WALL, Frame, FrameTree
+from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kinds import DeviceKind
 from hil.vocabulary.signals import CycleRecord, Event, RobotState, samples_of
 
 Message = tuple[str, int, bytes]

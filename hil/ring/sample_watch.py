@@ -47,7 +47,7 @@ class SampleWatch:
         self._channels = [
             (kind.name, samples_of(kind.name), kind.labels, kind.name in self._told_ns)
             for kind in kinds().values()
-            if not kind.actuates
+            if not kind.moves_robot
         ]
         self._brought = frozenset(brought)
         self.reset()

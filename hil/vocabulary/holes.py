@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hil.vocabulary.blame import OURS
-from hil.vocabulary.kinds import DeviceKind
+from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.signals import Status
 
 

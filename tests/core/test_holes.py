@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +11,7 @@ import pytest
 from hil.bench.contract import at_rest
 from hil.bench.contract.subject import Broken
 from hil.ring.sample_watch import SampleWatch
+from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.holes import unsaid_holes
 from hil.vocabulary.kinds import kinds
@@ -37,7 +38,11 @@ class Sample:
     maybe: float | None = None
 
 
-KIND = replace(kinds()["imu"], name="thing", sample=Sample, package="evil 1.0", labels=())
+class Thing(DeviceKind):
+    name, noun, sample, package = "thing", "thing", Sample, "evil 1.0"
+
+
+KIND = Thing()
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from dataclasses import fields
 import pytest
 from installing import ROOT
 
-from hil.vocabulary.kinds import DeviceKind, DeviceModel
+from hil.vocabulary.device import DeviceKind, DeviceModel
 
 GUIDE = (ROOT / "docs" / "add-your-own-device.md").read_text(encoding="utf-8")
 FILES = re.findall(r"^`(my-\w+/[\w.]+)`[^\n]*:\n\n```\w+\n(.*?)^```", GUIDE, re.S | re.M)

@@ -15,8 +15,8 @@ from mcap_cases import CYCLE_RECORDS, driving_record
 from hil.recording.cycle_codec import CycleEncoder
 from hil.recording.cycle_layout import MAGIC, describe
 from hil.recording.value_encoders import FEW
+from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kinds import DeviceKind
 from hil.vocabulary.signals import Event, Stamp, Status
 
 PLAIN = {"int": "<q", "float": "<d", "bool": "<?"}
@@ -45,7 +45,11 @@ class Pack:
     status: tuple[Status, ...]
 
 
-KIND = DeviceKind(name="packs", noun="battery", sample=Pack, models=())
+class Packs(DeviceKind):
+    name, noun, sample, models = "packs", "battery", Pack, ()
+
+
+KIND = Packs()
 
 
 def count(value):

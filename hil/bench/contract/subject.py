@@ -120,7 +120,7 @@ def due(bench: Bench, kind: str, samples: list[Any], duration_s: float) -> float
 def oldest_s(config: BenchConfig, kind: str) -> float:
     """How old a healthy device's samples may be, s: a cycle more where they wait for the loop."""
     waits = config.devices()[kind].waits_for_loop()
-    return _OLDER * kinds()[kind].age_s + waits / config.loop.rate_hz
+    return _OLDER * kinds()[kind].max_age_s + waits / config.loop.rate_hz
 
 
 def judged(device: str, promise: str, check: Callable[[], str]) -> Finding:
