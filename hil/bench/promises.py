@@ -29,7 +29,9 @@ def broken_promises(watched: Watched, waits_s: Sequence[float]) -> Iterator[Find
         waits_s: how long each read took.
     """
     name, samples = watched.kind.name, watched.samples
-    holes = {field for sample in samples for field in unsaid_holes(watched.kind, sample)}
+    holes = {
+        field for sample in samples for field in unsaid_holes(watched.kind, sample, watched.not_measured)
+    }
     if holes:
         yield Finding(
             name,

@@ -112,7 +112,11 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         holders={name: kinds()[name].noun for name in config.devices() if kinds()[name].holds_robot},
         healthy=healthy(config),
         gap_s={name: kinds()[name].max_gap_s for name in config.devices() if not kinds()[name].moves_robot},
-        brought=frozenset(n for n in config.devices() if model_of(config, n).package != OURS),
+        brought={
+            name: model.not_measured
+            for name in config.devices()
+            if (model := model_of(config, name)).package != OURS
+        },
         hold=adhesion_watch(config),
         lost_after_s=_lost_after_s(config) if follows else {},
     )

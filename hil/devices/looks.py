@@ -48,6 +48,11 @@ class Watched:
     loop_hz: float
 
     @property
+    def not_measured(self) -> tuple[str, ...]:
+        """Fields of the sample that its model does not measure."""
+        return self.kind.model(self.config.model).not_measured
+
+    @property
     def due(self) -> int:
         """Samples that a healthy device would have delivered; as many as came where its rate is open."""
         rate_hz = self.kind.rate_hz(self.config, self.loop_hz)

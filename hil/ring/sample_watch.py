@@ -32,14 +32,15 @@ class SampleWatch:
         stale_s: by sensor, time without a good sample after which it counts as silent.
         gap_s: by sensor, longest time without one that is still healthy; a longer one is told of a sensor
             that has been heard.
-        brought: sensors that other packages bring; their samples are searched for numbers that are none.
+        brought: sensors that other packages bring, and fields that they do not measure; in all other fields
+            of their samples numbers that are none are looked for.
     """
 
     def __init__(
         self,
         stale_s: Mapping[str, float],
         gap_s: Mapping[str, float] | None = None,
-        brought: Collection[str] = (),
+        brought: Mapping[str, Collection[str]] | None = None,
     ) -> None:
         self._stale_ns = {name: nanoseconds(limit_s) for name, limit_s in stale_s.items()}
         told_s = {**stale_s, **{k: min(gap, stale_s.get(k, gap)) for k, gap in (gap_s or {}).items()}}
@@ -49,7 +50,7 @@ class SampleWatch:
             for kind in kinds().values()
             if not kind.moves_robot
         ]
-        self._brought = frozenset(brought)
+        self._brought = brought or {}
         self.reset()
 
     def reset(self) -> None:
@@ -93,7 +94,7 @@ class SampleWatch:
     def _search(self, name: str, samples: Sequence[Any], t_ns: int, events: list[Event]) -> None:
         """Tell once of each field with numbers that are none, where the status says otherwise."""
         for sample in samples:
-            for field in unsaid_holes(kinds()[name], sample):
+            for field in unsaid_holes(kinds()[name], sample, self._brought[name]):
                 if (name, field) not in self._holes:
                     self._holes.add((name, field))
                     said = f"NaN or infinity in {field} with status ok: mend the driver of its package"

@@ -9,7 +9,7 @@ on nothing else.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -76,7 +76,7 @@ class Checks:
         holders: what keeps the robot on its surface: by kind, as sentences call it.
         healthy: how often and how soon the samples of sensors should come.
         gap_s: by sensor, longest time without a good sample that is still healthy.
-        brought: sensors that other packages bring.
+        brought: sensors that other packages bring, and fields of their samples that they do not measure.
         hold: what presses the robot on its surface; None where nobody measures it.
         lost_after_s: by sensor, how long it may send nothing at all before a robot that follows a pose stops;
             a sensor that can be plugged in again is waited for longer than that.
@@ -93,7 +93,7 @@ class Checks:
     holders: Mapping[str, str] = field(default_factory=dict)
     healthy: Mapping[str, Healthy] = field(default_factory=dict)
     gap_s: Mapping[str, float] = field(default_factory=dict)
-    brought: frozenset[str] = frozenset()
+    brought: Mapping[str, Collection[str]] = field(default_factory=dict)
     lost_after_s: Mapping[str, float] = field(default_factory=dict)
 
 

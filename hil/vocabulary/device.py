@@ -135,6 +135,7 @@ class DeviceModel:
         probe_order: models with a smaller number are asked first: those that answer quickly.
         probe_writes: what `probe` writes to the port, in words; empty where it only listens.
         usb: (vendor, product) ids of adapters that are this model: `probe` of no model writes to them.
+        not_measured: fields of the kind's sample that this model does not measure: NaN with every status.
         package: name and version of the package that it comes from; filled in when it is loaded.
     """
 
@@ -147,6 +148,7 @@ class DeviceModel:
     probe_order: ClassVar[int] = 5
     probe_writes: ClassVar[str] = ""
     usb: ClassVar[tuple[tuple[int, int], ...]] = ()
+    not_measured: ClassVar[tuple[str, ...]] = ()
     package: str = "hil"
 
     def make_driver(self, config: Any, clock: Clock, **parts: Any) -> Device:

@@ -79,7 +79,8 @@ def test_what_a_device_of_ours_does_not_report_is_no_hole():
 def test_the_contract_suite_fails_a_hole_in_a_tuple(monkeypatch):
     monkeypatch.setattr(at_rest, "kinds", lambda: {"thing": KIND})
     samples = [Sample(STAMP), Sample(STAMP, pair=(1.0, math.nan))]
-    subject = SimpleNamespace(kind="thing", watched=SimpleNamespace(samples=samples))
+    watched = SimpleNamespace(samples=samples)
+    subject = SimpleNamespace(kind="thing", watched=watched, not_measured=())
     with pytest.raises(Broken, match="pair is NaN or infinite with status ok"):
         at_rest.no_data_is_no_number(subject)
     subject.watched.samples.pop()
@@ -91,8 +92,9 @@ def test_a_run_tells_of_each_field_once_and_only_of_devices_that_packages_bring(
     nan = np.full(4, np.nan)
     sample = imu(STAMP, nan, nan[:3], nan[:3], np.ones(3), (3, 3, 3, 3), OK)
     for brought, told in (
-        ((), []),
-        (("imu",), ["quaternion_wxyz", "gyro_rad_s", "linear_acceleration_m_s2"]),
+        ({}, []),
+        ({"imu": ("quaternion_wxyz", "linear_acceleration_m_s2")}, ["gyro_rad_s"]),
+        ({"imu": ()}, ["quaternion_wxyz", "gyro_rad_s", "linear_acceleration_m_s2"]),
     ):
         watch, events = SampleWatch({}, brought=brought), []
         for k in range(3):

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.bench import Bench
+from hil.bench.drivers import model_of
 from hil.config.bench import BenchConfig
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import Aborted, HilError
@@ -72,6 +73,11 @@ class Subject:
     def device(self) -> Any:
         """Its driver."""
         return self.bench.rig.get(self.kind)
+
+    @property
+    def not_measured(self) -> tuple[str, ...]:
+        """Fields of its samples that its model does not measure."""
+        return model_of(self.bench.config, self.kind).not_measured
 
     @contextmanager
     def opened(self) -> Iterator[Any]:
