@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, Generic, TypeVar
 
-from hil.config.streams import StreamConfig
+from hil.config.device import DeviceConfig
 from hil.drivers.patience import Usefulness, used_while_closed
 from hil.drivers.stuck import StuckTest
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
@@ -14,10 +14,10 @@ from hil.vocabulary.errors import DeviceTimeoutError
 from hil.vocabulary.interfaces import Sensor
 from hil.vocabulary.signals import Stamp
 
-C = TypeVar("C", bound=StreamConfig)
+C = TypeVar("C", bound=DeviceConfig)
 S = TypeVar("S", covariant=True)
 
-_FEWEST = 8
+_STUCK_S, _FEWEST = 0.2, 8
 """Periods that a silence lasts at least before it is an error."""
 
 
@@ -25,7 +25,8 @@ class StreamingSensor(Sensor[S], Generic[C, S]):
     """Base of `SerialSensor` and `CanSensor`.
 
     Args:
-        config: a `hil.config.streams.StreamConfig`.
+        config: a `hil.config.streams.StreamConfig`, or a table with `rate_hz`, `fail_after_s` and
+            `open_timeout_s`.
         clock: the bench clock; every wait and every stamp is on it.
 
     Attributes:
@@ -45,12 +46,13 @@ class StreamingSensor(Sensor[S], Generic[C, S]):
     remedy = "check power and cable"
 
     def __init__(self, config: C, clock: Clock) -> None:
-        self.config: Any = config
-        self.clock = clock
+        table: Any = config
+        self.config, self.clock = table, clock
         self.port_gone = False
-        self.period_ns = nanoseconds(1.0 / self.config.rate_hz)
-        self.stuck = StuckTest(self.config.stuck_after_s)
-        fail_ns = max(nanoseconds(self.config.fail_after_s), _FEWEST * self.period_ns)
+        self.period_ns = nanoseconds(1.0 / table.rate_hz)
+        self.stuck = StuckTest(getattr(config, "stuck_after_s", _STUCK_S))
+        self._latency_ns = nanoseconds(getattr(config, "latency_s", 0.0))
+        fail_ns = max(nanoseconds(table.fail_after_s), _FEWEST * self.period_ns)
         self._silence = Usefulness(fail_ns / NS_PER_S)
         self._identity: dict[str, str] = {}
         self._sequence = self._t_ns = 0
@@ -140,5 +142,5 @@ class StreamingSensor(Sensor[S], Generic[C, S]):
 
     def _stamp(self, arrived_ns: int, now_ns: int) -> Stamp:
         self._sequence += 1
-        self._t_ns = max(arrived_ns - nanoseconds(self.config.latency_s), self._t_ns + 1)
+        self._t_ns = max(arrived_ns - self._latency_ns, self._t_ns + 1)
         return Stamp(self._t_ns, now_ns, self._sequence)
