@@ -28,8 +28,8 @@ from hil.ring.estimate_watch import EstimateWatch
 from hil.ring.motion_check import MotionCheck
 from hil.ring.poses import Mount
 from hil.ring.realtime import RealTime
+from hil.ring.safety import Checks, SafetyLimits
 from hil.ring.stream_watch import Healthy
-from hil.ring.supervisor import Checks, SafetyLimits
 from hil.ring.wheel_watch import WheelWatch
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits
@@ -107,7 +107,7 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         needs_camera=follows and feedback != "odometry",
         steering=None
         if encoders is None
-        else SteeringWatch(encoders, steer_ids, expected_offsets_rad(config)),
+        else SteeringWatch(encoders, steer_ids, expected_offsets_rad(config), stops=follows),
         stops_by_steering=follows,
         holders={name: kinds()[name].noun for name in config.devices() if kinds()[name].holds_robot},
         healthy=healthy(config),
@@ -119,6 +119,10 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         },
         hold=adhesion_watch(config),
         lost_after_s=_lost_after_s(config) if follows else {},
+        added={
+            name: asked(name, kinds()[name].package, "checks", kinds()[name].checks, own)
+            for name, own in config.devices().items()
+        },
     )
 
 

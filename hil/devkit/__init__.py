@@ -9,6 +9,7 @@ from hil.config.streams import CanSensorConfig, SerialSensorConfig, StreamConfig
 from hil.config.values import Baud, Delay, Freshness, Patience, Within
 from hil.devices.looks import Watched, losses
 from hil.devices.models import CanModel, SerialModel
+from hil.ring.cycle import Check, Cycle, LastingCheck
 from hil.vocabulary.device import (
     Connection,
     DeviceKind,
@@ -30,7 +31,9 @@ __all__ = [
     "CanConfig",
     "CanModel",
     "CanSensorConfig",
+    "Check",
     "Connection",
+    "Cycle",
     "Delay",
     "DeviceConfig",
     "DeviceKind",
@@ -41,6 +44,7 @@ __all__ = [
     "Found",
     "Freshness",
     "Inputs",
+    "LastingCheck",
     "Level",
     "MountedConfig",
     "Patience",

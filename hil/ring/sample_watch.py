@@ -6,6 +6,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
+from hil.ring.cycle import Check, Cycle
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.holes import unsaid_holes
 from hil.vocabulary.kinds import kinds
@@ -25,7 +26,7 @@ _TOLD = {
 """Statuses that are worth a word at once; a lost packet is not, only a silence is."""
 
 
-class SampleWatch:
+class SampleWatch(Check):
     """Follows the samples of one run.
 
     Args:
@@ -63,6 +64,10 @@ class SampleWatch:
         self._last_gap_ns: dict[str, int] = {}
         self._last_told_ns: dict[tuple[str, Status], int] = {}
         self._holes: set[tuple[str, str]] = set()
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """Statuses and ages."""
+        self.judge(cycle.inputs, cycle.events)
 
     def judge(self, inputs: Inputs, events: list[Event]) -> None:
         """Look at one cycle's samples; what is noticed is added to `events`."""

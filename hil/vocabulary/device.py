@@ -268,6 +268,14 @@ class DeviceKind:
         """
         return float(getattr(config, "rate_hz", loop_hz))
 
+    def checks(self, config: Any) -> Sequence[Any]:
+        """Checks that stop the robot by its samples: `hil.ring.cycle.Check`, new ones for each run.
+
+        Args:
+            config: table of the device.
+        """
+        return ()
+
     def figures(self, inputs: Inputs) -> Iterator[tuple[str, Figures]]:
         """What the monitor draws of a cycle: (entity, figures by name) for each plot."""
         yield from ()

@@ -142,6 +142,7 @@ def test_a_small_device_is_examined_and_keeps_the_contract(place, found, reader)
     assert found in told
     assert re.search(r"\d\d passed", told)
     assert "failed" not in told
+    assert ("battery_low" in told) == (place == "./my-battery")
 
 
 def test_the_small_devices_are_small():
