@@ -68,6 +68,11 @@ class StreamingChip:
         """The fault of this kind that acts on it now."""
         return self.faults.find(kind, t_ns)
 
+    def fault_option(self, kind: str, option: str, default: float) -> float:
+        """Option of a fault of this kind, or `default` where it has none; 0 where no such fault acts."""
+        fault = self.fault(kind, self.world.now_ns)
+        return 0.0 if fault is None else fault.option(option, default)
+
     def wake(self) -> None:
         """It sends again after `rate_hz` was 0."""
         self._due_ns = self.world.now_ns + self._period_ns()

@@ -11,26 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from hil.devkit import (
-    Array,
-    Delay,
-    DeviceKind,
-    Figures,
-    Finding,
-    Inputs,
-    Level,
-    MountedConfig,
-    Plot,
-    Position,
-    SerialModel,
-    SerialSensorConfig,
-    Stamp,
-    Status,
-    Topic,
-    Watched,
-    Within,
-    losses,
-)
+from hil import devkit as kit
 from hil.recording.cdr import CdrWriter
 
 LEAST_M, MOST_M, FIELD_OF_VIEW_RAD = 0.2, 8.0, 0.0349
@@ -52,14 +33,14 @@ class RangeSample:
         status: `low confidence`: echo too weak or too strong; `implausible`: out of its range.
     """
 
-    stamp: Stamp
+    stamp: kit.Stamp
     distance_m: float
     strength: int
     temperature_c: float
     least_m: float
     most_m: float
     field_of_view_rad: float
-    status: Status = Status.OK
+    status: kit.Status = kit.Status.OK
 
 
 def range_message(sample: RangeSample, wall_ns: int = 0) -> bytes:
@@ -72,7 +53,7 @@ def range_message(sample: RangeSample, wall_ns: int = 0) -> bytes:
     return cdr.bytes()
 
 
-class TfLunaConfig(SerialSensorConfig, MountedConfig):
+class TfLunaConfig(kit.SerialSensorConfig, kit.MountedConfig):
     """The table `[rangefinder]`; keys of every serial sensor are described in hil's documentation.
 
     Attributes:
@@ -84,11 +65,11 @@ class TfLunaConfig(SerialSensorConfig, MountedConfig):
     """
 
     model: Literal["tf_luna"] = "tf_luna"
-    rate_hz: Annotated[float, Within(1, 250, "of 500 measurements per second")] = 100.0
+    rate_hz: Annotated[float, kit.Within(1, 250, "of 500 measurements per second")] = 100.0
     resolution: Literal["cm", "mm"] = "cm"
     save: bool = False
-    mount_position_m: Position = (0.12, 0.0, 0.05)
-    latency_s: Delay = 0.006
+    mount_position_m: kit.Position = (0.12, 0.0, 0.05)
+    latency_s: kit.Delay = 0.006
     silence_s: float = Field(0.1, ge=0.01, le=10)
 
     @field_validator("rate_hz")
@@ -99,7 +80,7 @@ class TfLunaConfig(SerialSensorConfig, MountedConfig):
         return value
 
 
-class TfLuna(SerialModel):
+class TfLuna(kit.SerialModel):
     """The TF-Luna."""
 
     kind, name, title = "rangefinder", "tf_luna", "Benewake TF-Luna on its serial port"
@@ -108,42 +89,42 @@ class TfLuna(SerialModel):
     driver, chip = "hil_rangefinder.driver:TfLunaDriver", "hil_rangefinder.chip:TfLunaChip"
 
 
-class RangeFinder(DeviceKind):
+class RangeFinder(kit.DeviceKind):
     """Distance from the robot to what stands in the way of one beam."""
 
     name, noun, sample = "rangefinder", "range finder", RangeSample
     models, aliases = (TfLuna(),), ("lidar",)
     max_age_s, max_gap_s, min_delivered = 0.02, 0.1, 0.95
     motion_threshold, measures_position = 0.008, True  # m: four times what noise of 3 mm leaves
-    topics = (Topic("/range", "sensor_msgs/msg/Range", range_message),)
+    topics = (kit.Topic("/range", "sensor_msgs/msg/Range", range_message),)
     plots = (
-        Plot("Range", "Distance to the plate (m)", "rangefinder/distance_m"),
-        Plot("Range", "Signal strength", "rangefinder/strength"),
+        kit.Plot("Range", "Distance to the plate (m)", "rangefinder/distance_m"),
+        kit.Plot("Range", "Signal strength", "rangefinder/strength"),
     )
 
-    def figures(self, inputs: Inputs) -> Iterator[tuple[str, Figures]]:
+    def figures(self, inputs: kit.Inputs) -> Iterator[tuple[str, kit.Figures]]:
         """Distance and strength."""
         for newest in inputs.of("rangefinder")[-1:]:
             yield "rangefinder/distance_m", {"distance": newest.distance_m}
             if not math.isnan(newest.temperature_c):
                 yield "rangefinder/strength", {"strength": float(newest.strength)}
 
-    def motion_value(self, sample: RangeSample) -> Array | None:
+    def motion_value(self, sample: RangeSample) -> kit.Array | None:
         """The plate is above the robot, so that its distance shows a slide."""
-        return np.array([sample.distance_m]) if sample.status is Status.OK else None
+        return np.array([sample.distance_m]) if sample.status is kit.Status.OK else None
 
-    def check(self, watched: Watched) -> Iterator[Finding]:
+    def check(self, watched: kit.Watched) -> Iterator[kit.Finding]:
         """Samples, echo and distance."""
-        samples, aimed = watched.samples, (Status.LOW_CONFIDENCE, Status.IMPLAUSIBLE)
-        states = (Status.OK if s.status in aimed else s.status for s in samples)
-        yield losses(self.name, states, watched.due, "check wiring and baud rate")
+        samples, aimed = watched.samples, (kit.Status.LOW_CONFIDENCE, kit.Status.IMPLAUSIBLE)
+        states = (kit.Status.OK if s.status in aimed else s.status for s in samples)
+        yield kit.losses(self.name, states, watched.due, "check wiring and baud rate")
         if not samples:
             return
-        good = [s.distance_m for s in samples if s.status is Status.OK]
+        good = [s.distance_m for s in samples if s.status is kit.Status.OK]
         strength = median(s.strength for s in samples)
         remedy = "point it at something bright between 0.2 and 8 m away, and clean its lenses"
-        level: Level = "ok" if good and strength >= _FAINT else "warning"
-        yield Finding(self.name, "echo", level, f"strength {strength:g}", f"{_FAINT} or more", remedy)
+        level: kit.Level = "ok" if good and strength >= _FAINT else "warning"
+        yield kit.Finding(self.name, "echo", level, f"strength {strength:g}", f"{_FAINT} or more", remedy)
         if good:
             text = f"{median(good):.3f} m, spread {1e3 * pstdev(good):.0f} mm"
-            yield Finding(self.name, "distance", "ok", text)
+            yield kit.Finding(self.name, "distance", "ok", text)

@@ -14,7 +14,6 @@ _VERSION, _CELSIUS, _STRONGEST = bytes((4, 3, 1)), 35.0, 30_000
 _GAIN_M2 = p.WEAK * 8.0**2 / 0.9
 """Strength 100 comes from 8 m on a white target (manual, "Ranging Characteristics")."""
 _FACTORY = {p.RATE: b"\x64\0", p.FORMAT: b"\x01", p.BAUD: struct.pack("<I", 115_200), p.OUTPUT: b"\x01"}
-_WRONG_M, _JUMP_M = 0.1, 0.5
 
 
 @dataclass(frozen=True)
@@ -77,13 +76,12 @@ class TfLunaChip(SerialStreamingChip):
         echo = max(0, round(echo * (1.0 + 0.005 * flicker) + flicker))
         strength = p.OVEREXPOSED if true_m < LEAST_M else int(echo)
         offset_m = self._offset_m + self.options.noise_m * math.sqrt(self.rate_hz / 100.0) * noise
-        if (jump := self.fault("jump", t_ns)) is not None:
-            offset_m -= jump.option("offset_m", _JUMP_M)
-        if (wrong := self.fault("wrong", t_ns)) is not None:
-            if "strength" in wrong.options:
-                strength = int(min(max(wrong.options["strength"], 0.0), 65535.0))
-            else:
-                offset_m += wrong.option("offset_m", _WRONG_M)
+        offset_m -= self.fault_option("jump", "offset_m", 0.5)
+        wrong = self.fault("wrong", t_ns)
+        if wrong is not None and "strength" in wrong.options:
+            strength = int(min(max(wrong.options["strength"], 0.0), 65535.0))
+        else:
+            offset_m += self.fault_option("wrong", "offset_m", 0.1)
         if strength < p.WEAK:
             return p.Reading(0, strength, _CELSIUS)
         counts = round((self._scale * true_m + offset_m) / self._unit_m)
@@ -106,7 +104,7 @@ class TfLunaChip(SerialStreamingChip):
         if code in known:
             return known[code]
         if code in self._settings:
-            if len(payload) == len(self._settings[code]) and _is_possible(code, payload):
+            if len(payload) == len(self._settings[code]) and p.is_possible(code, payload):
                 self._apply({**self._settings, code: payload})
             return self._settings[code]
         if code == p.RESET:
@@ -126,13 +124,3 @@ class TfLunaChip(SerialStreamingChip):
         self._unit_m = dict(p.UNITS.values())[settings[p.FORMAT]]
         if asleep and self.rate_hz:
             self.wake()
-
-
-def _is_possible(code: int, payload: bytes) -> bool:
-    """Whether a setting may have this value."""
-    value = int.from_bytes(payload, "little")
-    if code == p.RATE:
-        return value == 0 or (value <= 250 and value == int(500 / round(500 / value)))
-    if code == p.BAUD:
-        return 9_600 <= value <= 921_600
-    return value in (0, 1) if code == p.OUTPUT else payload in dict(p.UNITS.values())

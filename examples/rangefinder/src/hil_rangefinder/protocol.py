@@ -48,6 +48,16 @@ def parser() -> PacketParser[Reading | Command]:
     return PacketParser(_length, _decode, head=2)
 
 
+def is_possible(code: int, payload: bytes) -> bool:
+    """Whether a setting may have this value."""
+    value = int.from_bytes(payload, "little")
+    if code == RATE:
+        return value == 0 or (value <= 250 and value == int(500 / round(500 / value)))
+    if code == BAUD:
+        return 9_600 <= value <= 921_600
+    return value in (0, 1) if code == OUTPUT else payload in dict(UNITS.values())
+
+
 def _with_sum(body: bytes) -> bytes:
     return body + bytes((sum(body) & 0xFF,))
 
