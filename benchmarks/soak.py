@@ -170,7 +170,7 @@ def _words(device: str) -> set[str]:
     kind = next(
         k for k in kinds().values() if head in (k.name.rstrip("s"), k.shown_as.rstrip("s"), *k.aliases)
     )
-    moved = {"wheels"} if kind.actuates else set()
+    moved = {"wheels"} if kind.moves_robot else set()
     return {kind.name, kind.noun.lower().rstrip("s"), head, *moved}
 
 

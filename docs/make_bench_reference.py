@@ -18,15 +18,16 @@ from pydantic import BaseModel
 
 from hil.config.bench import bench_model
 from hil.config.values import bounds_of
-from hil.devices.imperfections import ranges
-from hil.vocabulary.kinds import DeviceModel, kinds
+from hil.fakes.truth_options import ranges
+from hil.vocabulary.device import DeviceModel
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import KINDS
 
 OPTIONS = {
-    (kind, model.name): model.imperfections()
+    (kind, model.name): model.truth_options()
     for kind in KINDS
     for model in kinds()[kind].models
-    if model.imperfections is not None
+    if model.truth_options() is not None
 }
 """What may be wrong with the emulated devices that this package has, by kind and model."""
 PAGE = Path(__file__).with_name("bench-file.md")

@@ -117,7 +117,7 @@ def _declared(kind: str, model: str) -> dict[str, Supported]:
 
 
 def _room(model: object) -> str:
-    return model.imperfections().__module__.rpartition(".")[0]  # type: ignore[attr-defined]
+    return model.truth_options().__module__.rpartition(".")[0]  # type: ignore[attr-defined]
 
 
 def _table(title: str, declared: dict[str, Supported], room: str) -> Iterator[str]:

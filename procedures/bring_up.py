@@ -90,7 +90,7 @@ def age_limit_ms(name: str, config: BenchConfig) -> float:
     """
     device = config.devices().get(name)
     waits = device is not None and device.waits_for_loop()
-    return 1e3 * kinds()[name].age_s + (1e3 / config.loop.rate_hz if waits else 0.0)
+    return 1e3 * kinds()[name].max_age_s + (1e3 / config.loop.rate_hz if waits else 0.0)
 
 
 def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
@@ -110,14 +110,14 @@ def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
         yield Measurement(
             f"{name}.delivered",
             "1",
-            low=kinds()[name].delivered,
+            low=kinds()[name].min_delivered,
             marginal=0.01,
             rationale="usable of expected",
         )
         yield Measurement(
             f"{name}.largest_gap",
             "ms",
-            high=1e3 * kinds()[name].gap_s,
+            high=1e3 * kinds()[name].max_gap_s,
             rationale="a longer one harms the estimate or makes the supervisor stop",
         )
         yield Measurement(
@@ -127,7 +127,7 @@ def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
             high=age_limit_ms(name, config),
             rationale="median from measurement to arrival; one cycle more where samples wait for the loop",
         )
-        if kinds()[name].own_clock:
+        if kinds()[name].has_own_clock:
             yield Measurement(
                 f"{name}.clock_drift",
                 "ppm",
@@ -331,7 +331,7 @@ def _measure_stream(ctx: Context, name: str, stream: Stream) -> None:
     ctx.measure(f"{name}.delivered", stream.delivered)
     ctx.measure(f"{name}.largest_gap", 1e3 * stream.gap_s[2])
     ctx.measure(f"{name}.age", 1e3 * stream.age_s[0])
-    if kinds()[name].own_clock:
+    if kinds()[name].has_own_clock:
         ctx.measure(f"{name}.clock_drift", stream.drift_ppm)
         ctx.measure(f"{name}.clock_drift_uncertainty", stream.drift_uncertainty_ppm)
 

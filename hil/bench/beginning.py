@@ -49,7 +49,7 @@ def must_begin_where_it_stands(trajectory: Trajectory, stands: Array) -> None:
 def blind_to_the_drive(config: BenchConfig) -> str:
     """What a drive on this bench has to expect of sensors that do not see the robot; empty where all do."""
     found = kinds()
-    blind = [found[name].noun for name in config.elsewhere() if found[name].witness is not None]
+    blind = [found[name].noun for name in config.elsewhere() if found[name].motion_threshold]
     if not blind:
         return ""
     return (

@@ -19,7 +19,8 @@ from hil.config.can_bus import CanConfig
 from hil.config.mocap import MocapConfig
 from hil.drivers.serial_url import BY_ID
 from hil.vocabulary.clock import Clock
-from hil.vocabulary.kinds import DeviceModel, Found, Search, kinds
+from hil.vocabulary.device import DeviceModel, Found, Search
+from hil.vocabulary.kinds import kinds
 
 _WALL = {"surface": "melamine", "tilt_rad": 1.5708}
 
@@ -77,13 +78,13 @@ def stable_name(port: str) -> str:
 
 def what_is_written() -> list[str]:
     """What discovery writes to a serial port that it asks, in the order in which it does."""
-    return [model.ask_writes for model in _asking() if model.ask_writes]
+    return [model.probe_writes for model in _asking() if model.probe_writes]
 
 
 def _asking() -> list[DeviceModel]:
     """The models that may be on a serial port, those that answer quickly first."""
-    models = (model for kind in kinds().values() for model in kind.models if model.ask is not None)
-    return sorted(models, key=lambda model: model.ask_after)
+    models = (model for kind in kinds().values() for model in kind.models if model.can_probe)
+    return sorted(models, key=lambda model: model.probe_order)
 
 
 def discover(
@@ -116,7 +117,7 @@ def discover(
             found.silent.append(port)
     places: dict[str, list[str]] = {name: [] for name in kinds()}
     for model in models:
-        if model.search is not None and model.kind not in found.sections:
+        if model.can_search and model.kind not in found.sections:
             told = places[model.kind]
 
             def tell(text: str, told: list[str] = told) -> None:
@@ -137,9 +138,9 @@ def discover(
 def _where(models: Sequence[DeviceModel], ports: str, told: Sequence[str]) -> list[str]:
     """Where a kind was looked for, and what would have it looked for elsewhere."""
     found = list(dict.fromkeys(told))
-    if any(model.ask for model in models):
+    if any(model.can_probe for model in models):
         found.insert(0, ports)
-    searched = [model for model in models if model.search is not None]
+    searched = [model for model in models if model.can_search]
     if not told and searched:
         on_bus = any(issubclass(model.config, CanConfig) for model in searched)
         at = (
@@ -156,8 +157,7 @@ def _where(models: Sequence[DeviceModel], ports: str, told: Sequence[str]) -> li
 def _ask_serial(found: Discovery, port: str, clock: Clock, models: Sequence[DeviceModel], say: Say) -> bool:
     """The first model that answers is what the port holds; whether one did."""
     for model in models:
-        assert model.ask is not None
-        answer = model.ask(port, clock)
+        answer = model.probe(port, clock)
         if answer is not None:
             found.take(model, answer)
             say(f"found {model.title} at {port}")

@@ -20,7 +20,7 @@ from hil.bench.promises import broken_promises
 from hil.bench.settings import wheel_model
 from hil.bench.steering_offsets import slipped_between
 from hil.bench.tilt import tilt_finding
-from hil.devices.looks import Watched, samples_look
+from hil.devices.looks import Watched
 from hil.drivers.serial_url import latency_timer
 from hil.vocabulary.blame import OURS, asked
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
@@ -116,11 +116,8 @@ def _looks(
     if model.package != OURS:
         yield from broken_promises(watched, waits_s)
     package = model.package if kind.package == OURS else kind.package
-    look = kind.look or samples_look("check cable, supply and settings")
-    yield from asked(name, package, "its look or rate_hz", lambda: list(look(watched)))
-    if model.look is not None:
-        own = model.look
-        yield from asked(name, model.package, "its look", lambda: list(own(watched)))
+    yield from asked(name, package, "its check or rate_hz", lambda: list(kind.check(watched)))
+    yield from asked(name, model.package, "its check", lambda: list(model.check(watched)))
 
 
 def _failure(device: Device, check: str, error: HilError) -> Finding:

@@ -12,9 +12,10 @@ from hil.config.bench import BenchConfig
 from hil.config.device import DeviceConfig
 from hil.ring.rig import Rig
 from hil.vocabulary.clock import Clock
+from hil.vocabulary.device import Connection, DeviceModel
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.interfaces import Actuators, Device, Sensor
-from hil.vocabulary.kinds import Connection, DeviceModel, kinds
+from hil.vocabulary.kinds import kinds
 
 
 def model_of(config: BenchConfig, kind: str) -> DeviceModel:
@@ -42,14 +43,16 @@ def make_rig(
         found = connections.get(name, Connection())
         at = table.model_copy(update=dict(found.values))
         model = model_of(config, name)
-        make = partial(model.driver, at, clock, **found.parts)
+        make = partial(model.make_driver, at, clock, **found.parts)
         return guarded(kinds()[name], model, make, failures, at.timeouts_s())
 
     made = {name: driver(name, table) for name, table in config.devices().items()}
     known = {name: kinds()[name] for name in made}
-    moving = [made[name] for name, kind in known.items() if kind.actuates and not kind.holds]
-    holding = {name: made[name] for name, kind in known.items() if kind.holds}
-    sensing = {name: made[name] for name, kind in known.items() if not kind.actuates and not kind.holds}
+    moving = [made[name] for name, kind in known.items() if kind.moves_robot and not kind.holds_robot]
+    holding = {name: made[name] for name, kind in known.items() if kind.holds_robot}
+    sensing = {
+        name: made[name] for name, kind in known.items() if not kind.moves_robot and not kind.holds_robot
+    }
     return Rig(
         clock,
         cast("Actuators", moving[0]) if moving else None,

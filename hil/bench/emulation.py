@@ -13,7 +13,7 @@ from hil.bench.guarded_parts import guarded_face, parts_of
 from hil.config.bench import BenchConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.config.servos import ServosConfig
-from hil.devices.emulated import EmulatedDevice, Face, Setting
+from hil.devices.emulated import EmulatedDevice, EmulationRequest, Face
 from hil.fakes.fault import Fault, Supported, describe
 from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import SteppedBody, make_plant
@@ -23,8 +23,9 @@ from hil.fakes.timeline import read_faults
 from hil.fakes.world import World, random_stream
 from hil.vocabulary.blame import OURS, PackageError, asked
 from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.device import Connection
 from hil.vocabulary.errors import ConfigError, FaultNotSupportedError, HilError, UsageError
-from hil.vocabulary.kinds import Connection, added, kinds
+from hil.vocabulary.kinds import added, kinds
 
 _NUMBERS = itertools.count(1)
 _EMULATED = "an EmulatedDevice: connect() gives a Connection, serve() a Face"
@@ -120,17 +121,19 @@ def emulated(
         PackageError: the model comes from a package that gave nothing to emulate it.
     """
     model = model_of(config, kind)
-    if model.emulate is None:
+    if not model.chip:
         raise ConfigError(
             f"{config.name}: {kind}.model = {model.name!r} cannot be emulated",
             remedy="choose another model for the emulated bench, or a real one",
         )
     given = config.imperfections(kind)
-    setting = Setting(kind, config.devices()[kind], given, world, name, standard_ports)
-    if model.package != OURS and model.imperfections is not None:
-        setting.options(asked(kind, model.package, "imperfections", model.imperfections))
+    request = EmulationRequest(kind, config.devices()[kind], given, world, name, standard_ports)
+    if model.package != OURS:
+        options = asked(kind, model.package, "truth_options", model.truth_options)
+        if options is not None:
+            request.options(options)
     with parts_of(world, kind, model):
-        device: EmulatedDevice | None = asked(kind, model.package, "emulate", model.emulate, setting)
+        device: EmulatedDevice | None = asked(kind, model.package, "emulate", model.emulate, request)
     if device is None:
         raise PackageError(kind, model.package, "emulate gave None", expected=_EMULATED)
     return device

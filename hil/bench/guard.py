@@ -25,9 +25,9 @@ from hil.bench.overdue import (
 )
 from hil.bench.sample_checks import checks_of, short
 from hil.vocabulary.blame import OURS, PackageError, blamed
+from hil.vocabulary.device import DeviceKind, DeviceModel
 from hil.vocabulary.errors import HilError, told
 from hil.vocabulary.interfaces import Device
-from hil.vocabulary.kinds import DeviceKind, DeviceModel
 
 LOG = logging.getLogger(__name__)
 

@@ -14,8 +14,8 @@ from hil.bench.overdue import not_for_ever
 from hil.devices.emulated import Face
 from hil.fakes.world import NEVER_NS, Scheduled, World
 from hil.vocabulary.blame import OURS, PackageError, blamed
+from hil.vocabulary.device import DeviceModel
 from hil.vocabulary.errors import HilError
-from hil.vocabulary.kinds import DeviceModel
 
 _MOST_AT_ONCE = 10_000
 """Actions at one instant; the fastest chip has some dozens."""

@@ -92,13 +92,13 @@ class HoldWatch(Sink):
         self._felt_m_s2: deque[float] = deque(maxlen=_FELT)
         self._rig, self._clock = rig, clock
         present = [k for k in kinds().values() if rig.get(k.name) is not None]
-        able = {k.name: k.witness for k in present if k.witness is not None}
-        self._witnesses = {name: witness for name, witness in able.items() if name not in elsewhere}
-        self._blind = [kinds()[n].noun for n, witness in able.items() if n in elsewhere and witness.is_place]
+        able = {k.name: k for k in present if k.motion_threshold}
+        self._seeing = {name: kind for name, kind in able.items() if name not in elsewhere}
+        self._blind = [k.noun for name, k in able.items() if name in elsewhere and k.measures_position]
         self._on_wall, self._can_fall = on_wall, can_fall
-        self._travel = Travel(self._witnesses, radius_m)
-        tellers = [(name, self._witnesses[name]) for name in self._travel.names]
-        self._tellers = [(name, samples_of(name), one.value, one.is_place) for name, one in tellers]
+        self._travel = Travel(self._seeing, radius_m)
+        tellers = [(name, self._seeing[name]) for name in self._travel.names]
+        self._tellers = [(n, samples_of(n), k.motion_value, k.measures_position) for n, k in tellers]
         self._doubted: dict[str, bool] = {}
         self._leaps = Leaps()
         self._let_go = False
@@ -183,7 +183,7 @@ class HoldWatch(Sink):
             return self.unseen("no servos are open", wanted=False)
         began_ns = self._clock.now_ns()
         end_ns = began_ns + nanoseconds(limit_s)
-        trails = {name: Trail() for name in self._witnesses}
+        trails = {name: Trail() for name in self._seeing}
         self._press.begin(for_good=for_good)
         self._felt_m_s2.clear()
         while True:
@@ -227,7 +227,7 @@ class HoldWatch(Sink):
 
         Of two that contradicted each other, nobody knows who, one is right: when both see it rest, it does.
         """
-        places = [name for name in seen if self._witnesses[name].is_place]
+        places = [name for name in seen if self._seeing[name].measures_position]
         undecided = [name for name in places if not self._doubted.get(name)]
         return self._believed(places) or (undecided if len(undecided) > 1 else [])
 
@@ -260,7 +260,7 @@ class HoldWatch(Sink):
         """Take what servos and sensors say now."""
         now_ns = hold.t_ns
         seen = [(JOINTS, hold.position_rad)] if np.isfinite(hold.position_rad).all() else []
-        for name in self._witnesses:
+        for name in self._seeing:
             if name != JOINTS:
                 seen += [(name, value) for value in self._testified(name)]
         for name, value in seen:
@@ -286,9 +286,9 @@ class HoldWatch(Sink):
             if name in self._travel.names and worst(sample) is Status.RESET:
                 self._travel.begins_anew(name)
                 self._leaps.begins_anew(name)
-        values = [(sample, self._witnesses[name].value(sample)) for sample in samples]
+        values = [(sample, self._seeing[name].motion_value(sample)) for sample in samples]
         for sample, value in values:
-            if value is not None and self._witnesses[name].is_place:
+            if value is not None and self._seeing[name].measures_position:
                 self._leapt(name, sample, value)
         return [value for _, value in values if value is not None]
 
@@ -316,9 +316,9 @@ class HoldWatch(Sink):
             return "torque is on, but the servos have not been seen at rest for long enough"
         for name in seen:
             change = float(np.abs(trails[name].change()).max())
-            if change > self._witnesses[name].still:
+            if change > self._seeing[name].motion_threshold:
                 return f"torque is on, but the robot still moves by its {kinds()[name].noun}"
-        if len(seen) == 1 and len(self._witnesses) > 1:
+        if len(seen) == 1 and len(self._seeing) > 1:
             return "torque is on, but no camera, motion capture or IMU confirms that it stands still"
         if not self._can_fall or places or self._press.feels(hold.t_ns):
             return ""
@@ -342,7 +342,7 @@ class HoldWatch(Sink):
 
     def _nobody_sees_a_slide(self, seen: Collection[str]) -> str:
         """Wheels and IMU do not: somebody has to who sees places, or measures the force."""
-        doubted = [kinds()[name].noun for name in seen if self._witnesses[name].is_place]
+        doubted = [kinds()[name].noun for name in seen if self._seeing[name].measures_position]
         why = f" (what the {' and the '.join(doubted)} said before the stop is in doubt)" if doubted else ""
         if self._blind:
             why += f" ({', '.join(self._blind)}: in another world than the servos, blind to this robot)"

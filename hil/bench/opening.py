@@ -26,9 +26,10 @@ from hil.config.loading import load_bench
 from hil.fakes.fault import Fault, describe
 from hil.fakes.world import VirtualClock
 from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.device import Connection
 from hil.vocabulary.errors import DeviceError, UsageError
 from hil.vocabulary.interfaces import Sink
-from hil.vocabulary.kinds import Connection, kinds
+from hil.vocabulary.kinds import kinds
 
 LOG = logging.getLogger(__name__)
 
@@ -129,10 +130,7 @@ def _reach(config: BenchConfig, endpoints: Mapping[str, Mapping[str, Any]]) -> d
     found = {}
     for kind in config.emulated():
         endpoint, model = endpoints[kinds()[kind].shown_as], model_of(config, kind)
-        if model.reach is not None:
-            reached = model.reach(endpoint)
-        else:
-            reached = {key: value for key, value in endpoint.items() if key in model.config.model_fields}
+        reached = model.connection(endpoint)
         found[kind] = reached if isinstance(reached, Connection) else Connection(reached)
     return found
 

@@ -18,8 +18,9 @@ from serial.tools import list_ports
 from hil.config.loading import load_bench
 from hil.drivers.adhesion.keeper.door import keepers
 from hil.drivers.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
+from hil.vocabulary.device import DeviceModel
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import DeviceModel, kinds
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.port_users import named, programs_with
 from hil.vocabulary.reading import read_toml
 
@@ -50,7 +51,7 @@ def _holding(tree: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Port and noun of each device of a bench file that holds the robot and is on a serial port."""
     for name, kind in kinds().items():
         table = tree.get(name)
-        if not kind.holds or not isinstance(table, dict) or table.get("backend", "real") != "real":
+        if not kind.holds_robot or not isinstance(table, dict) or table.get("backend", "real") != "real":
             continue
         model = next((m for m in kind.models if m.name == table.get("model")), kind.models[0])
         field = model.config.model_fields.get("port")
@@ -95,7 +96,7 @@ def why_it_holds(port: str, holding: Mapping[str, str]) -> str:
 def _by_usb(path: str) -> DeviceModel | None:
     """The model that holds a robot and has the USB ids of a port's adapter."""
     ids = next(((p.vid, p.pid) for p in list_ports.comports() if os.path.realpath(p.device) == path), None)
-    holding = (model for kind in kinds().values() if kind.holds for model in kind.models)
+    holding = (model for kind in kinds().values() if kind.holds_robot for model in kind.models)
     return next((model for model in holding if ids in model.usb), None)
 
 

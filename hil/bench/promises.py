@@ -29,7 +29,9 @@ def broken_promises(watched: Watched, waits_s: Sequence[float]) -> Iterator[Find
         waits_s: how long each read took.
     """
     name, samples = watched.kind.name, watched.samples
-    holes = {field for sample in samples for field in unsaid_holes(watched.kind, sample)}
+    holes = {
+        field for sample in samples for field in unsaid_holes(watched.kind, sample, watched.not_measured)
+    }
     if holes:
         yield Finding(
             name,
@@ -85,7 +87,7 @@ def _wrong_stamps(watched: Watched) -> Iterator[tuple[str, str]]:
             f"up to {ahead_ns / NS_PER_S:.3g} s in the future",
             "t_ns, when it was measured, at most host_ns, when the host saw it",
         )
-    limit_ns = max(OLDEST_NS, nanoseconds(_OLDER * watched.kind.age_s))
+    limit_ns = max(OLDEST_NS, nanoseconds(_OLDER * watched.kind.max_age_s))
     age_ns = statistics.median(s.host_ns - s.t_ns for s in good) if good else 0
     if age_ns > limit_ns:
         yield (

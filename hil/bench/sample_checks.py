@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from hil.recording.cycle_codec import DTYPES
+from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kinds import DeviceKind
 from hil.vocabulary.signals import Stamp, Status
 
 _LEAST, _MOST = -(2**63), 2**63 - 1

@@ -28,8 +28,8 @@ from hil.ring.estimate_watch import EstimateWatch
 from hil.ring.motion_check import MotionCheck
 from hil.ring.poses import Mount
 from hil.ring.realtime import RealTime
+from hil.ring.safety import Checks, SafetyLimits
 from hil.ring.stream_watch import Healthy
-from hil.ring.supervisor import Checks, SafetyLimits
 from hil.ring.wheel_watch import WheelWatch
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits
@@ -75,7 +75,7 @@ def safety_limits(config: BenchConfig) -> SafetyLimits:
     limits_s: dict[str, float | None] = {}
     for name, own in config.devices().items():
         kind = kinds()[name]
-        limits_s[name] = asked(name, kind.package, "stale_s", kind.stale_s, config.safety, own)
+        limits_s[name] = asked(name, kind.package, "stale_after_s", kind.stale_after_s, config.safety, own)
     return SafetyLimits(
         **values,
         stale_s={name: limit_s for name, limit_s in limits_s.items() if limit_s is not None},
@@ -107,14 +107,22 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         needs_camera=follows and feedback != "odometry",
         steering=None
         if encoders is None
-        else SteeringWatch(encoders, steer_ids, expected_offsets_rad(config)),
+        else SteeringWatch(encoders, steer_ids, expected_offsets_rad(config), stops=follows),
         stops_by_steering=follows,
-        holders={name: kinds()[name].noun for name in config.devices() if kinds()[name].holds},
+        holders={name: kinds()[name].noun for name in config.devices() if kinds()[name].holds_robot},
         healthy=healthy(config),
-        gap_s={name: kinds()[name].gap_s for name in config.devices() if not kinds()[name].actuates},
-        brought=frozenset(n for n in config.devices() if model_of(config, n).package != OURS),
+        gap_s={name: kinds()[name].max_gap_s for name in config.devices() if not kinds()[name].moves_robot},
+        brought={
+            name: model.not_measured
+            for name in config.devices()
+            if (model := model_of(config, name)).package != OURS
+        },
         hold=adhesion_watch(config),
         lost_after_s=_lost_after_s(config) if follows else {},
+        added={
+            name: asked(name, kinds()[name].package, "checks", kinds()[name].checks, own)
+            for name, own in config.devices().items()
+        },
     )
 
 
@@ -123,9 +131,11 @@ def healthy(config: BenchConfig) -> dict[str, Healthy]:
     loop_hz, found = config.loop.rate_hz, {}
     for name, own in config.devices().items():
         kind = kinds()[name]
-        if not kind.actuates:
+        if not kind.moves_robot:
             rate_hz = asked(name, kind.package, "rate_hz", kind.rate_hz, own, loop_hz)
-            found[name] = Healthy(rate_hz, kind.delivered, kind.age_s + _CYCLES_LATE / loop_hz, loop_hz)
+            found[name] = Healthy(
+                rate_hz, kind.min_delivered, kind.max_age_s + _CYCLES_LATE / loop_hz, loop_hz
+            )
     return found
 
 
@@ -154,7 +164,7 @@ def fail_limits(config: BenchConfig) -> dict[str, float]:
     return {
         name: own.fail_after_s
         for name, own in config.devices().items()
-        if not kinds()[name].actuates and hasattr(own, "fail_after_s")
+        if not kinds()[name].moves_robot and hasattr(own, "fail_after_s")
     }
 
 

@@ -9,8 +9,8 @@ from collections.abc import Collection, Mapping
 import numpy as np
 
 from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kinds import Witness
 
 WINDOW_NS = nanoseconds(0.2)
 JOINTS = "servos"
@@ -24,7 +24,7 @@ _MEAN_OF = 5
 
 
 class Trail:
-    """Where one witness has seen the robot within the latest window."""
+    """Where one device has seen the robot within the latest window."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[int, Array]] = deque()
@@ -62,21 +62,21 @@ class Travel:
     """How far the robot is from where it was stopped, by each that tells a place, and by its wheels.
 
     Args:
-        witnesses: by kind.
+        kinds: those that notice a motion, by name.
         radius_m: of the wheels, to turn their angles into a way.
     """
 
-    def __init__(self, witnesses: Mapping[str, Witness], radius_m: float) -> None:
+    def __init__(self, kinds: Mapping[str, DeviceKind], radius_m: float) -> None:
         self._radius_m = radius_m
         self._coarse_m = {
-            name: witness.still
-            for name, witness in witnesses.items()
-            if witness.is_place and witness.still > _FINE_M
+            name: kind.motion_threshold
+            for name, kind in kinds.items()
+            if kind.measures_position and kind.motion_threshold > _FINE_M
         }
         self._latest: dict[str, deque[tuple[int, Array]]] = {
             name: deque(maxlen=_MEAN_OF)
-            for name, witness in witnesses.items()
-            if witness.is_place or name == JOINTS
+            for name, kind in kinds.items()
+            if kind.measures_position or name == JOINTS
         }
         self._was_stopped = False
         self._from: dict[str, Array] = {}

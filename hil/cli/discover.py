@@ -168,7 +168,7 @@ def _on_bus(text: str) -> Iterator[tuple[str, CanConfig]]:
     if not interface or not channel or (port and not port.isdecimal()):
         raise UsageError(f"--can {text!r}", expected="INTERFACE:CHANNEL or INTERFACE:CHANNEL:PORT")
     options: dict[str, str | int | bool] = {"port": int(port)} if port else {}
-    for model in (model for kind in kinds().values() for model in kind.models if model.search is not None):
+    for model in (model for kind in kinds().values() for model in kind.models if model.can_search):
         if issubclass(model.config, CanConfig):
             table = {"interface": interface, "channel": channel, "options": options}
             yield model.kind, model.config(**table, open_timeout_s=SEARCH_S)
@@ -204,8 +204,10 @@ def _tables(places: tuple[str, ...]) -> dict[str, Any]:
         where, equals, value = text.partition("=")
         name, _, key = where.partition(".")
         kind = kind_of(name)
-        if kind is None or not key or not equals or not any(model.search for model in kind.models):
-            sought = [name for name, kind in kinds().items() if any(model.search for model in kind.models)]
+        if kind is None or not key or not equals or not any(model.can_search for model in kind.models):
+            sought = [
+                name for name, kind in kinds().items() if any(model.can_search for model in kind.models)
+            ]
             raise UsageError(f"--at {text!r}", expected=f"KIND.KEY=VALUE; kinds are {', '.join(sought)}")
         key, _, option = key.partition(".")
         tree = trees.setdefault(kind.name, {})

@@ -26,8 +26,9 @@ from hil.config.sections import (
 )
 from hil.config.servos import ServosConfig
 from hil.config.values import Strict, Switch
+from hil.vocabulary.device import DeviceKind, DeviceModel
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import DeviceKind, DeviceModel, added, kinds
+from hil.vocabulary.kinds import added, kinds
 
 C = TypeVar("C", bound=DeviceConfig)
 
@@ -93,7 +94,7 @@ class BenchConfig(Strict):
         servos = self.of(ServosConfig)
         if servos is None or servos.backend != "real":
             return ()
-        return tuple(name for name in self.elsewhere() if kinds()[name].holds)
+        return tuple(name for name in self.elsewhere() if kinds()[name].holds_robot)
 
     def of_one_world(self) -> BenchConfig:
         """The same bench without the devices that are `elsewhere`: all that tells of the servos' robot."""

@@ -10,8 +10,9 @@ from pydantic import ValidationError
 from hil.config.bench import BenchConfig, bench_model
 from hil.config.loading import explained
 from hil.config.values import RECORDED
+from hil.vocabulary.device import DeviceKind, DeviceModel
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import DeviceKind, DeviceModel, kinds
+from hil.vocabulary.kinds import kinds
 
 
 def recorded_bench(

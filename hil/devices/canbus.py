@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hil.devices.emulated import EmulatedDevice, Face, Setting, Wired
+from hil.devices.emulated import EmulatedDevice, EmulationRequest, Face, Wired
 from hil.fakes.can_face import CanFace
 from hil.fakes.can_wire import CanChannel
 from hil.fakes.standard_can import DEFAULT_GROUP, DEFAULT_PORT, first_of_host, leave_port, take_port
-from hil.vocabulary.kinds import Connection
+from hil.vocabulary.device import Connection
 
 
-def channel_of(setting: Setting) -> CanChannel:
+def channel_of(request: EmulationRequest) -> CanChannel:
     """A bus of its own for an emulated device, with the bit rate of its table."""
-    return CanChannel(setting.world, setting.name, bitrate=setting.config.bitrate, device=setting.kind)
+    return CanChannel(request.world, request.name, bitrate=request.config.bitrate, device=request.kind)
 
 
 def on_can(
-    setting: Setting,
+    request: EmulationRequest,
     channel: CanChannel,
     *,
     subnet: int,
@@ -29,11 +29,12 @@ def on_can(
     listens: bool = False,
     told: Mapping[str, object] | None = None,
     parts: Mapping[str, Any] | None = None,
+    begin: Callable[[], None] = lambda: None,
 ) -> EmulatedDevice:
     """An emulated device on a channel.
 
     Args:
-        setting: where it is built.
+        request: where it is built.
         channel: its bus.
         subnet: third byte of its multicast group, so that devices of one process do not share one; at
             standard ports those of one bus do.
@@ -41,22 +42,24 @@ def on_can(
         listens: whether it hears what clients send.
         told: what clients are told besides.
         parts: of the connection in this process.
+        begin: called when it is connected in this process: it may be at work when the bench comes.
     """
 
     def connect() -> Connection:
+        begin()
         opened = channel.open()
         values = {"interface": "hil", "channel": opened.name, "options": {}}
         return Connection(values, parts=dict(parts or {}), close=opened.close)
 
     def serve() -> Face:
-        config = setting.config
-        about: dict[str, Any] = {"dbc": dbc, "device": setting.kind, "listens": listens, "told": told}
+        config = request.config
+        about: dict[str, Any] = {"dbc": dbc, "device": request.kind, "listens": listens, "told": told}
         if config.interface == "udp_multicast":
             at = {"port": DEFAULT_PORT, **config.options}
             return CanFace(channel, address=config.channel, options=at, **about)
-        if setting.standard_ports:
+        if request.standard_ports:
             bus = (config.bus, config.bitrate)
-            at = {"port": take_port(*bus, setting.kind)}
+            at = {"port": take_port(*bus, request.kind)}
             leave = partial(leave_port, *bus)
             return CanFace(channel, address=DEFAULT_GROUP, options=at, at_close=leave, **about)
         address, right = f"239.74.{subnet}.{2 + os.getpid() % 250}", first_of_host()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from hil.vocabulary.clock import Clock
+from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.finding import Finding, Level
-from hil.vocabulary.kinds import DeviceKind
 from hil.vocabulary.signals import Status, worst
 
 LOSS_WARNING, LOSS_FAILURE = 0.02, 0.2
@@ -48,10 +48,19 @@ class Watched:
     loop_hz: float
 
     @property
+    def not_measured(self) -> tuple[str, ...]:
+        """Fields of the sample that its model does not measure."""
+        return self.kind.model(self.config.model).not_measured
+
+    @property
     def due(self) -> int:
         """Samples that a healthy device would have delivered; as many as came where its rate is open."""
         rate_hz = self.kind.rate_hz(self.config, self.loop_hz)
         return len(self.samples) if math.isnan(rate_hz) else max(1, round(self.watch_s * rate_hz))
+
+    def losses(self, remedy: str) -> Iterator[Finding]:
+        """How many of the samples that were due are good; `remedy` for when many are missing."""
+        yield losses(self.kind.name, (worst(sample) for sample in self.samples), self.due, remedy)
 
 
 def surplus(count: int, due: float) -> float:
@@ -93,13 +102,3 @@ def losses(name: str, statuses: Iterable[Status], due: int, remedy: str) -> Find
 def restarted(again: int, count: int) -> str:
     """What is to be said where samples (`again` of `count`) tell of a restart; empty where none does."""
     return f"{again} of {count} samples say that it has restarted" if again else ""
-
-
-def samples_look(remedy: str) -> Callable[[Watched], Iterator[Finding]]:
-    """A look that counts good samples, for a kind that has nothing else to be asked."""
-
-    def look(watched: Watched) -> Iterator[Finding]:
-        statuses = (worst(sample) for sample in watched.samples)
-        yield losses(watched.kind.name, statuses, watched.due, remedy)
-
-    return look

@@ -49,6 +49,10 @@ class SerialChip(Protocol):
     def reset(self, t_ns: int) -> None:
         """Power was cycled (brownout, unplug and replug)."""
 
+    def begin_in_use(self) -> None:
+        """It is at work when the bench comes; nothing by default."""
+        return
+
     def poll(self, t_ns: int) -> list[Reply]:
         """What the chip says unasked at `t_ns`; nothing by default."""
         return []

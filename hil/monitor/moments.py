@@ -20,8 +20,9 @@ from hil.monitor import solid
 from hil.monitor.scene import Scene
 from hil.vocabulary.blame import PackageError, asked
 from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.device import DeviceKind, Force
 from hil.vocabulary.geometry import Array, between, se2_log
-from hil.vocabulary.kinds import DeviceKind, Force, kinds
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import CycleRecord, Inputs
 
 LOG = logging.getLogger(__name__)

@@ -12,8 +12,9 @@ import numpy as np
 
 from hil.vocabulary.blame import PackageError, asked
 from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.device import DeviceKind, Figures
 from hil.vocabulary.geometry import Array, wrap
-from hil.vocabulary.kinds import DeviceKind, Figures, kinds
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import CycleRecord, Inputs, Status
 
 LOG = logging.getLogger(__name__)

@@ -42,4 +42,8 @@ def only(ctx: Context, wanted: Sequence[str]) -> dict[str, object]:
 def leaving(wanted: Sequence[str], among: Iterable[str]) -> dict[str, object]:
     """Bench overrides that leave out the kinds `among` these, but for the wanted and those that hold."""
     known = kinds()
-    return {name: None for name in among if not (name in wanted or known[name].holds or known[name].guards)}
+    return {
+        name: None
+        for name in among
+        if not (name in wanted or known[name].holds_robot or known[name].guards_hold)
+    }

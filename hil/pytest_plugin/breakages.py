@@ -64,7 +64,7 @@ def _faulty(declared: Mapping[str, Mapping[str, tuple[str, ...]]]) -> Iterator[B
 
 def _borne(device: str) -> tuple[str, ...]:
     kind = kinds().get(device)
-    return _BORNE if kind is None or kind.actuates or kind.holds else _BORNE_OF_SENSORS
+    return _BORNE if kind is None or kind.moves_robot or kind.holds_robot else _BORNE_OF_SENSORS
 
 
 def _assembled(config: BenchConfig) -> Iterator[Breakage]:
@@ -91,7 +91,7 @@ def _sign(config: BenchConfig, which: str) -> dict[str, object]:
 
 def _weaker(config: BenchConfig) -> Iterator[Breakage]:
     """Strength that has gone."""
-    if config.environment.kind == "wall" and any(kinds()[name].holds for name in config.emulated()):
+    if config.environment.kind == "wall" and any(kinds()[name].holds_robot for name in config.emulated()):
         yield Breakage("the fan presses half as much", ("plant:adhesion_loss@1,factor=0.5",))
     if "servos" in config.emulated():
         yield Breakage("the battery is nearly empty", overrides={"emulation.servos.supply_v": 8.5})

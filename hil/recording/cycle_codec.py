@@ -18,8 +18,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import DeviceKind
 from hil.vocabulary.signals import CycleRecord
 
 FORMAT = 2

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import DeviceKind, kinds
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import KINDS
 
 

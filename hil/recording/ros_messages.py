@@ -20,8 +20,8 @@ from rosbags.typesys.stores.ros2_humble import tf2_msgs__msg__TFMessage as TFMes
 
 from hil.recording.frames import BODY, WALL, Frame, FrameTree
 from hil.recording.ros_types import MessageMaker, octets, to_cdr
+from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kinds import DeviceKind
 from hil.vocabulary.signals import CycleRecord, Event, RobotState, samples_of
 
 Message = tuple[str, int, bytes]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hil.vocabulary.kinds import DeviceKind
+from hil.vocabulary.device import DeviceKind
 
 TOPICS = {
     "/hil/cycle": "std_msgs/msg/UInt8MultiArray",

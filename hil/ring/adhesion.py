@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from hil.ring.cycle import Check, Cycle
 from hil.ring.force_trend import ForceTrend
 from hil.robot.holding import Statics
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
@@ -104,7 +105,7 @@ class AdhesionLimits:
         return self.rated_n * math.pow(max(watts / self.rated_w, 0.0), 2.0 / _POWER_OF_SPEED)
 
 
-class AdhesionWatch:
+class AdhesionWatch(Check):
     """Follows fan, propellers and cells of one run.
 
     Args:
@@ -140,6 +141,12 @@ class AdhesionWatch:
         self._excess_ns: int | None = None
         self._trouble = ""
         self._fan: AdhesionSample | None = None
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """Fan, propellers and load cells; their figures go into the robot's state."""
+        self.heading_rad = cycle.last.heading_rad
+        self.judge(cycle.inputs, cycle.events, cycle.stop)
+        cycle.diagnostics.update(self.figures)
 
     def judge(self, inputs: Inputs, events: list[Event], stop: Blame) -> None:
         """Look at one cycle's samples; what is noticed is added to `events` or handed to `stop`.

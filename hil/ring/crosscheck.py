@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hil.config.encoders import EncodersConfig
+from hil.ring.cycle import Check, Cycle
 from hil.vocabulary.geometry import wrap
 from hil.vocabulary.interfaces import Blame
 from hil.vocabulary.signals import WHEELS, Event, Inputs, Measurements
@@ -130,18 +131,25 @@ class CrossCheck:
         )
 
 
-class SteeringWatch:
+class SteeringWatch(Check):
     """The cross-check of a running robot: tells of a slipped horn, and stops by one.
 
     Args:
         config: of the encoders.
         ids: bus IDs of the four steering servos; empty when unknown.
         measured_rad: as of `CrossCheck`.
+        stops: whether a slipped horn stops the robot, or is reported only.
     """
 
     def __init__(
-        self, config: EncodersConfig, ids: tuple[int, ...] = (), measured_rad: Sequence[float] | None = None
+        self,
+        config: EncodersConfig,
+        ids: tuple[int, ...] = (),
+        measured_rad: Sequence[float] | None = None,
+        *,
+        stops: bool = True,
     ) -> None:
+        self._stops = stops
         self._check = CrossCheck(config, measured_rad)
         self._threshold_rad = config.horn_slip_threshold_rad
         named = [f" (ID {i})" for i in ids] or [""] * 4
@@ -153,6 +161,11 @@ class SteeringWatch:
         self._check.reset()
         self._last_ns: int | None = None
         self._since_ns: dict[int, int] = {}
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """External encoders against the servos."""
+        stop = cycle.stop if self._stops else _reported_only
+        self.judge(cycle.inputs, cycle.measurements, cycle.events, stop)
 
     def judge(self, inputs: Inputs, measurements: Measurements, events: list[Event], stop: Blame) -> None:
         """Compare one cycle's newest angles: an event when they differ, `stop` when that lasts and is far.
@@ -186,3 +199,7 @@ class SteeringWatch:
                 events.append(Event(t_ns, "warning", "encoders", said))
             elif far and t_ns - self._since_ns[axis] > _TOLD_NS:
                 stop("horn_slip", f"{said}; find zero and horn of that wheel before it drives on")
+
+
+def _reported_only(reason: str, message: str) -> None:
+    """Its event is enough."""

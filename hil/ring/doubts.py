@@ -52,6 +52,11 @@ class Doubt:
     unseen: bool = False
 
     @property
+    def inflation(self) -> tuple[float, float]:
+        """By how much the estimate may be off (m, rad): what the two told differently."""
+        return (0.0, self.off) if self.turns else (self.off, 0.0)
+
+    @property
     def may_slide(self) -> bool:
         """Whether it may be the wheels that say nothing of a motion, because the robot slides."""
         return self.source == WHEELS.name or (self.against == WHEELS.name and not self.confirmed)

@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Container
 
 from hil.ring.capture_check import CAPTURE, GAP_NS, CaptureCheck
+from hil.ring.cycle import Check, Cycle
 from hil.ring.dead_reckoning import Kept, Track
 from hil.ring.doubts import CAMERA, STEP_NS, WHEELS, Party, Relocalisation
 from hil.vocabulary.interfaces import Blame
@@ -29,7 +31,7 @@ _LEANS = 0.5
 """Share of the estimate's error that a device must have to be the cause."""
 
 
-class EstimateWatch:
+class EstimateWatch(Check):
     """Follows the estimate of one run.
 
     Args:
@@ -38,11 +40,17 @@ class EstimateWatch:
 
     Attributes:
         witness: the device whose word is needed.
-        accused: who may be wrong where the robot stops.
+        accused: devices that may be wrong where the robot stops.
+        excluded: devices that are not believed any more in this run.
+        advice: ends the message of a stop: where else to look.
+        holders: devices that hold the robot, which may slide.
     """
 
     witness = CAPTURE.name
     accused: tuple[str, ...] = ()
+    excluded: Container[str] = ()
+    advice = ""
+    holders: tuple[str, ...] = ()
 
     def __init__(self, capture: CaptureCheck, *, follows: bool) -> None:
         self._capture, self._follows = capture, follows
@@ -64,6 +72,16 @@ class EstimateWatch:
         off_m, self._off_m = self._off_m, 0.0
         self._widened_m2 += off_m**2
         return off_m, 0.0
+
+    def on_estimate(self, cycle: Cycle) -> None:
+        """The estimate against motion capture, while that is believed."""
+        assert cycle.state is not None
+        if self.witness not in self.excluded:
+            self.judge(cycle.state, cycle.events, lambda reason, message: self._stop(cycle, reason, message))
+            cycle.inflate_next(self.take_off())
+
+    def _stop(self, cycle: Cycle, reason: str, message: str) -> None:
+        cycle.stop(reason, message + self.advice, (*self.accused, *self.holders))
 
     def judge(self, state: RobotState, events: list[Event], stop: Blame) -> None:
         """Look at one cycle's estimate; what is noticed is added to `events` or handed to `stop`.

@@ -3,29 +3,51 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
+from hil.ring.cycle import Check, Cycle
 from hil.vocabulary.interfaces import Blame
 from hil.vocabulary.signals import Inputs, Status
 
 _OK = Status.OK
 _SAMPLES = 3
+_SEEN_BY = {"adhesion": "imu", "sliding": "tracker"}
+"""The kind whose samples show that the robot comes off, or slides."""
 
 
-class FallWatch:
+def look_at(holders: Mapping[str, str], begin: str) -> str:
+    """The advice to look at what holds the robot, to be appended; empty where nothing is known to hold it."""
+    return f"; {begin} at the {' and the '.join(holders.values())}" if holders else ""
+
+
+class FallWatch(Check):
     """Follows one run: a robot that has come off is weightless; one that slides is faster than it can drive.
 
     Args:
         lightest_m_s2: specific force below which it is falling.
         fastest_m_s: speed that the camera may see.
+        holders: what keeps the robot on its surface: by kind, as sentences call it.
     """
 
-    def __init__(self, lightest_m_s2: float, fastest_m_s: float) -> None:
+    def __init__(
+        self, lightest_m_s2: float, fastest_m_s: float, holders: Mapping[str, str] | None = None
+    ) -> None:
         self._lightest_m_s2, self._fastest_m_s = lightest_m_s2, fastest_m_s
+        self._holders = holders or {}
         self.reset()
 
     def reset(self) -> None:
         """Forget the past."""
         self._weightless = self._sliding = 0
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """IMU and camera; whatever holds the robot may be the cause."""
+
+        def stop(reason: str, message: str) -> None:
+            suspects = (*self._holders, _SEEN_BY[reason])
+            cycle.stop(reason, message + look_at(self._holders, "look"), suspects)
+
+        self.judge(cycle.inputs, stop)
 
     def judge(self, inputs: Inputs, stop: Blame) -> None:
         """Look at one cycle's samples; `stop` is called with the reason to stop."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 
+from hil.ring.cycle import Check, Cycle
 from hil.vocabulary.signals import Event, RobotState
 
 _MOST, _CALM = 2.5, 1.5
@@ -47,7 +48,7 @@ class _Refusals:
         return anew, refused
 
 
-class FilterWatch:
+class FilterWatch(Check):
     """Follows the estimate of one run."""
 
     def __init__(self) -> None:
@@ -66,6 +67,12 @@ class FilterWatch:
         """By how much the estimate may be off (m, rad) by what was found since the last call."""
         off, self._off = self._off, (0.0, 0.0)
         return off
+
+    def on_estimate(self, cycle: Cycle) -> None:
+        """What the filter refused, and how well its samples fit."""
+        assert cycle.state is not None
+        self.judge(cycle.state, cycle.events)
+        cycle.inflate_next(self.take_off())
 
     def judge(self, state: RobotState, events: list[Event]) -> None:
         """Look at one cycle's estimate; what is noticed is added to `events`.

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from hil.ring.cycle import Cycle
 from hil.ring.doubts import Doubt
 from hil.vocabulary.signals import Event, Measurements
 
 _MEASURED = {"tracker": "tracker", "imu": "gyro", "mocap": "mocap"}
 """Fields of `Measurements` by device."""
-
-
-UNSHAKEN = (0.0, 0.0)
 
 
 class LeftOut:
@@ -20,9 +18,6 @@ class LeftOut:
     Args:
         estimated: devices whose measurements the estimators use.
         on_wall: whether gravity pulls along the surface.
-
-    Attributes:
-        shaken: by how much the estimate may be off (m, rad), for what was found in this cycle.
     """
 
     def __init__(self, estimated: frozenset[str], *, on_wall: bool) -> None:
@@ -32,13 +27,8 @@ class LeftOut:
     def reset(self) -> None:
         """Believe everybody again."""
         self._names: set[str] = set()
-        self.begin()
 
-    def begin(self, off: tuple[float, float] = UNSHAKEN) -> None:
-        """A new cycle; `off`: by how much the estimate may be off (m, rad) for other reasons."""
-        self.shaken = off
-
-    def __contains__(self, name: str) -> bool:
+    def __contains__(self, name: object) -> bool:
         return name in self._names
 
     def can_do_without(self, doubt: Doubt) -> bool:
@@ -50,18 +40,15 @@ class LeftOut:
         needed = self._on_wall and doubt.source in self._estimated
         return doubt.confirmed and doubt.source in _MEASURED and not needed
 
-    def take(self, doubt: Doubt, t_ns: int) -> Event:
+    def take(self, doubt: Doubt, cycle: Cycle) -> None:
         """Believe the source of a doubt no more."""
         name = doubt.source
         self._names.add(name)
         if name in self._estimated:
-            self.shake(doubt)
-        return Event(t_ns, "warning", name, f"left out from now on: {doubt.message}")
-
-    def shake(self, doubt: Doubt) -> None:
-        """The estimate may be off by what two devices told differently."""
-        off_m, off_rad = self.shaken
-        self.shaken = (off_m, max(off_rad, doubt.off)) if doubt.turns else (max(off_m, doubt.off), off_rad)
+            cycle.inflate(*doubt.inflation)
+        cycle.events.append(
+            Event(cycle.inputs.t_ns, "warning", name, f"left out from now on: {doubt.message}")
+        )
 
     def believed(self, measurements: Measurements) -> Measurements:
         """Measurements without those of devices that were left out."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from hil.ring.adhesion import LETTING_GO
 from hil.ring.alignment import Alignment
-from hil.ring.left_out import UNSHAKEN
+from hil.ring.cycle import NO_INFLATION
 from hil.ring.loop_timing import Laps, LoopStatistics
 from hil.ring.own_parts import asked, controlled, own_name, reset_estimator
 from hil.ring.pace_watch import HELD_UP_NS, stood_still
@@ -107,7 +107,7 @@ class Brain:
         """Find out how each part is asked: those of one's own are checked."""
         self._estimate = asked(self.estimator)
         self._observe = {name: asked(observer) for name, observer in self.observers.items()}
-        self._unknown = [name for name, observer in self.observers.items() if own_name(observer)]
+        self.supervisor.observers.checked = tuple(n for n, one in self.observers.items() if own_name(one))
         self._checks_controller = bool(own_name(self.controller))
 
     def reset(self, state: RobotState) -> None:
@@ -141,37 +141,35 @@ class Brain:
             self._t0_ns = inputs.t_ns
         if self.restart is not None:
             self.restart.judge(inputs.t_ns)
-        measurements = self.alignment.measure(inputs)  # 3
-        events = self.supervisor.check(inputs, measurements)  # 2: by what they mean, too
-        left_out = self.supervisor.left_out
-        if left_out.shaken != UNSHAKEN:
-            self._doubt(*left_out.shaken)
-        believed = left_out.believed(measurements)
-        state = self._states[_OWN] = self._estimate(believed)  # 4
-        if figures := self.supervisor.figures():
-            state = RobotState(
-                state.t_ns,
-                state.pose_body_in_wall,
-                state.twist_body,
-                state.covariance,
-                {**state.diagnostics, **figures},
-            )
-        others = {name: observe(believed) for name, observe in self._observe.items()}
-        self._states.update(others)
+        safety = self.supervisor
+        cycle = safety.begin(inputs, self.alignment.measure(inputs))
+        safety.check_samples(cycle)
+        if cycle.inflation != NO_INFLATION:
+            self._inflate(*cycle.inflation)
+        believed = safety.left_out.believed(cycle.measurements)
+        state = self._states[_OWN] = self._estimate(believed)
+        cycle.state = state = _with_figures(state, cycle.diagnostics) if cycle.diagnostics else state
+        cycle.observers = {name: observe(believed) for name, observe in self._observe.items()}
+        self._states.update(cycle.observers)
         lap("estimate")
         if self.reference_at is not None:
-            self.reference = self.reference_at((inputs.t_ns - self._t0_ns) / NS_PER_S)  # 5
-        reference = self.reference
-        events += self.supervisor.guard(state, reference)
-        for name in self._unknown:
-            events += self.supervisor.notice(name, others[name], inputs.t_ns)
-        setpoint = self._control(state, reference, measurements)  # 6
-        setpoint = self.supervisor.limit(setpoint)  # 7
+            self.reference = self.reference_at((inputs.t_ns - self._t0_ns) / NS_PER_S)
+        cycle.reference = self.reference
+        safety.check_estimate(cycle)
+        setpoint = safety.limit(self._control(state, cycle.reference, cycle.measurements))
         command = self.alignment.to_servos(setpoint)
         lap("control")
-        return Decision(measurements, state, reference, setpoint, command, events, others)
+        return Decision(
+            cycle.measurements,
+            state,
+            cycle.reference,
+            setpoint,
+            command,
+            tuple(cycle.events),
+            cycle.observers,
+        )
 
-    def _doubt(self, off_m: float, off_rad: float) -> None:
+    def _inflate(self, off_m: float, off_rad: float) -> None:
         """Go on from the last states, which may be off by what a lying device had told.
 
         Args:
@@ -209,6 +207,17 @@ class Brain:
             wheels = replace(wheels, steering_rad=steering)
         self._steering = steering
         return wheels
+
+
+def _with_figures(state: RobotState, figures: Mapping[str, float]) -> RobotState:
+    """The state with what the checks measured."""
+    return RobotState(
+        state.t_ns,
+        state.pose_body_in_wall,
+        state.twist_body,
+        state.covariance,
+        {**state.diagnostics, **figures},
+    )
 
 
 class ControlLoop:

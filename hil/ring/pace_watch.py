@@ -6,6 +6,7 @@ long pause stops the robot by its own name, and a shorter one is told beside a s
 
 from __future__ import annotations
 
+from hil.ring.cycle import Check, Cycle
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.interfaces import Blame
 
@@ -22,7 +23,7 @@ def stood_still(gap_ns: int) -> str:
     )
 
 
-class PaceWatch:
+class PaceWatch(Check):
     """Follows the cycles of one run."""
 
     def __init__(self) -> None:
@@ -32,6 +33,10 @@ class PaceWatch:
         """Forget the past."""
         self._last_ns: int | None = None
         self._cycle_ns = self._ended_ns = self._lasted_ns = 0
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """The time of the cycle."""
+        self.judge(cycle.inputs.t_ns, cycle.stop)
 
     def judge(self, t_ns: int, stop: Blame) -> None:
         """Take the time of a cycle.

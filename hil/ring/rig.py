@@ -75,7 +75,7 @@ class Rig:
     def brace(self) -> None:
         """Have what holds the robot hold as firmly as it may. Never raises."""
         for kind, device in self.sensors.items():
-            if kinds()[kind].holds:
+            if kinds()[kind].holds_robot:
                 cast("Holding[Any]", device).brace()
 
     def actuators(self) -> Actuators:

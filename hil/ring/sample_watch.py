@@ -6,6 +6,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
+from hil.ring.cycle import Check, Cycle
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.holes import unsaid_holes
 from hil.vocabulary.kinds import kinds
@@ -25,21 +26,22 @@ _TOLD = {
 """Statuses that are worth a word at once; a lost packet is not, only a silence is."""
 
 
-class SampleWatch:
+class SampleWatch(Check):
     """Follows the samples of one run.
 
     Args:
         stale_s: by sensor, time without a good sample after which it counts as silent.
         gap_s: by sensor, longest time without one that is still healthy; a longer one is told of a sensor
             that has been heard.
-        brought: sensors that other packages bring; their samples are searched for numbers that are none.
+        brought: sensors that other packages bring, and fields that they do not measure; in all other fields
+            of their samples numbers that are none are looked for.
     """
 
     def __init__(
         self,
         stale_s: Mapping[str, float],
         gap_s: Mapping[str, float] | None = None,
-        brought: Collection[str] = (),
+        brought: Mapping[str, Collection[str]] | None = None,
     ) -> None:
         self._stale_ns = {name: nanoseconds(limit_s) for name, limit_s in stale_s.items()}
         told_s = {**stale_s, **{k: min(gap, stale_s.get(k, gap)) for k, gap in (gap_s or {}).items()}}
@@ -47,9 +49,9 @@ class SampleWatch:
         self._channels = [
             (kind.name, samples_of(kind.name), kind.labels, kind.name in self._told_ns)
             for kind in kinds().values()
-            if not kind.actuates
+            if not kind.moves_robot
         ]
-        self._brought = frozenset(brought)
+        self._brought = brought or {}
         self.reset()
 
     def reset(self) -> None:
@@ -62,6 +64,10 @@ class SampleWatch:
         self._last_gap_ns: dict[str, int] = {}
         self._last_told_ns: dict[tuple[str, Status], int] = {}
         self._holes: set[tuple[str, str]] = set()
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """Statuses and ages."""
+        self.judge(cycle.inputs, cycle.events)
 
     def judge(self, inputs: Inputs, events: list[Event]) -> None:
         """Look at one cycle's samples; what is noticed is added to `events`."""
@@ -93,7 +99,7 @@ class SampleWatch:
     def _search(self, name: str, samples: Sequence[Any], t_ns: int, events: list[Event]) -> None:
         """Tell once of each field with numbers that are none, where the status says otherwise."""
         for sample in samples:
-            for field in unsaid_holes(kinds()[name], sample):
+            for field in unsaid_holes(kinds()[name], sample, self._brought[name]):
                 if (name, field) not in self._holes:
                     self._holes.add((name, field))
                     said = f"NaN or infinity in {field} with status ok: mend the driver of its package"

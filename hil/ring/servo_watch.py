@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 
 from hil.config.servo_models.codes import hardware_error_text
+from hil.ring.cycle import Check, Cycle
 from hil.ring.dead_reckoning import FASTEST_RAD_S, STEP_RAD
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.geometry import wrap
@@ -29,7 +30,7 @@ _REMEDIES = {
 """What tells most comes first: one that is damaged takes along, as silent, those behind it in the chain."""
 
 
-class ServoWatch:
+class ServoWatch(Check):
     """Follows the servos of one run.
 
     Args:
@@ -55,6 +56,12 @@ class ServoWatch:
         self._last_rad, self._last_ns = [math.nan] * 8, [0] * 8
         self._outside = [math.nan] * 4
         self._slipped: tuple[int, str] | None = None
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """Alerts, wheels that do not turn, steps, silence."""
+        self.asked_rad_s = cycle.last.wheel_rate_rad_s
+        self.judge(cycle.inputs, cycle.events, cycle.stop)
+        self.check_silence(cycle.inputs, cycle.stop)
 
     def judge(self, inputs: Inputs, events: list[Event], stop: Blame) -> None:
         """Look at one cycle's reads; what is noticed is added to `events` or handed to `stop`.

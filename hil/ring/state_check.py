@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from hil.ring.cycle import Check, Cycle
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import SafetyStop
 from hil.vocabulary.signals import Event, RobotState
@@ -36,8 +37,28 @@ def must_be_usable(state: RobotState, now_ns: int | None) -> None:
         raise SafetyStop(reason, f"{told}; {remedy}" if remedy else told)
 
 
-class ObserverCheck:
-    """Whether estimates that are not followed are usable: each kind of trouble once per estimator and run."""
+class UsableCheck(Check):
+    """Whether the estimate that is followed can be judged at all."""
+
+    def on_estimate(self, cycle: Cycle) -> None:
+        """Finite, with variances that can be, and of this cycle."""
+        assert cycle.state is not None
+        must_be_usable(cycle.state, cycle.inputs.t_ns)
+
+
+class ObserverCheck(Check):
+    """Whether estimates that are not followed are usable: each kind of trouble once per estimator and run.
+
+    Attributes:
+        checked: names of the observers that are checked.
+    """
+
+    checked: tuple[str, ...] = ()
+
+    def on_estimate(self, cycle: Cycle) -> None:
+        """Each of them."""
+        for name in self.checked:
+            cycle.events += self.judge(name, cycle.observers[name], cycle.inputs.t_ns)
 
     def __init__(self) -> None:
         self.reset()

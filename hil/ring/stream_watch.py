@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from hil.ring.cycle import Check, Cycle
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.signals import Event, Inputs, Status, samples_of, worst
 
@@ -58,7 +59,7 @@ class _Stream:
         self.youngest_ns = _NEVER_NS
 
 
-class StreamWatch:
+class StreamWatch(Check):
     """Follows the streams of one run.
 
     Args:
@@ -72,6 +73,10 @@ class StreamWatch:
     def reset(self) -> None:
         """Forget what was counted."""
         self._streams = [_Stream(name, healthy) for name, healthy in self._healthy.items()]
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """Rates and delays."""
+        self.judge(cycle.inputs, cycle.events)
 
     def judge(self, inputs: Inputs, events: list[Event]) -> None:
         """Look at one cycle's samples; what is noticed is added to `events`."""

@@ -15,6 +15,7 @@ from collections import deque
 
 import numpy as np
 
+from hil.ring.cycle import Check, Cycle
 from hil.ring.dead_reckoning import FASTEST_RAD_S, STEP_RAD
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S
@@ -32,7 +33,7 @@ _AT_ONCE_M, _WAY_SHARE, _WIDEN_M = 0.003, 0.05, 0.003
 grows by a tenth of the way, whatever the share by which the hub slips."""
 
 
-class WheelWatch:
+class WheelWatch(Check):
     """Follows the wheels of one run.
 
     Args:
@@ -69,6 +70,11 @@ class WheelWatch:
     def doubt(self) -> None:
         """Other sensors say that wheels slip, and not since when: perhaps since the start of the run."""
         self._doubted = True
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """Each wheel against the other three."""
+        self.judge(cycle.inputs.t_ns, cycle.measurements.wheels, cycle.events)
+        cycle.inflate_next(self.take_off())
 
     def judge(self, t_ns: int, samples: tuple[WheelMeasurement, ...], events: list[Event]) -> None:
         """Look at one cycle's wheels; what is noticed is added to `events`."""

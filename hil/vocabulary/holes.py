@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
 
 from hil.vocabulary.blame import OURS
-from hil.vocabulary.kinds import DeviceKind
+from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.signals import Status
 
 
-def unsaid_holes(kind: DeviceKind, sample: Any) -> Iterator[str]:
+def unsaid_holes(kind: DeviceKind, sample: Any, not_measured: Collection[str] = ()) -> Iterator[str]:
     """Names of the fields of a sample that hold NaN or infinity where its status says that they are good.
 
     An array or a tuple with as many rows as there are channels is judged row by row, everything else by all
@@ -24,11 +24,14 @@ def unsaid_holes(kind: DeviceKind, sample: Any) -> Iterator[str]:
     Args:
         kind: of the device.
         sample: of it.
+        not_measured: fields that its model does not measure.
     """
     states = sample.status if isinstance(sample.status, tuple) else (sample.status,)
     good = [state is Status.OK for state in states]
     for field in fields(sample):
         value = getattr(sample, field.name)
+        if field.name in not_measured:
+            continue
         if kind.package == OURS and not isinstance(value, np.ndarray):
             continue
         if len(good) > 1 and _rows(value) == len(good):

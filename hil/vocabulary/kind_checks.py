@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass, replace
-from typing import TYPE_CHECKING
+from copy import copy
+from dataclasses import fields, is_dataclass
 
+from hil.vocabulary.device import DeviceKind, DeviceModel
 from hil.vocabulary.errors import ConfigError, did_you_mean
 from hil.vocabulary.kind_names import NAME_RULE, after_clash, is_name
 
-if TYPE_CHECKING:
-    from hil.vocabulary.kinds import DeviceKind, DeviceModel
+_OF_A_KIND = ("name", "noun", "sample", "models")
+_OF_A_MODEL = ("kind", "name", "title", "config", "driver")
 
 
 def add_kind(found: dict[str, DeviceKind], kind: DeviceKind, origin: str) -> None:
@@ -23,6 +24,7 @@ def add_kind(found: dict[str, DeviceKind], kind: DeviceKind, origin: str) -> Non
     Raises:
         ConfigError: it is there already, or cannot work.
     """
+    _complete(kind, _OF_A_KIND, origin)
     if not all(map(is_name, (kind.name, *kind.aliases))) or not kind.models:
         also = f" and aliases {kind.aliases!r}" if kind.aliases else ""
         raise ConfigError(
@@ -36,11 +38,11 @@ def add_kind(found: dict[str, DeviceKind], kind: DeviceKind, origin: str) -> Non
                 f"device package {origin}: the kind {name} is there already ({taken[name].package})",
                 remedy=after_clash(taken[name].package, "kind"),
             )
-    if kind.actuates and not kind.holds:
+    if kind.moves_robot and not kind.holds_robot:
         raise ConfigError(
             f"device package {origin}: the kind {kind.name} says that it moves the robot",
-            expected="servos only: actuates=False, holds=True for what presses the robot on its surface, or "
-            "a model of the kind servos",
+            expected="servos only: moves_robot = False, holds_robot = True for what presses the robot on its "
+            "surface, or a model of the kind servos",
         )
     named = {f.name for f in fields(kind.sample)} if is_dataclass(kind.sample) else set()
     if not {"stamp", "status"} <= named:
@@ -48,8 +50,15 @@ def add_kind(found: dict[str, DeviceKind], kind: DeviceKind, origin: str) -> Non
             f"device package {origin}: samples of the kind {kind.name} are {kind.sample!r}",
             expected="a dataclass with the fields stamp and status",
         )
-    found[kind.name] = replace(kind, models=(), package=origin)
+    added = copy(kind)
+    added.models, added.package = (), origin
+    found[kind.name] = added
     for model in kind.models:
+        if not isinstance(model, DeviceModel):
+            raise ConfigError(
+                f"device package {origin}: the kind {kind.name} lists {model!r}",
+                expected="instances of DeviceModel: models = (MyModel(),)",
+            )
         if model.kind != kind.name:
             raise ConfigError(
                 f"device package {origin}: the kind {kind.name} lists {model.name}, a model of {model.kind}"
@@ -68,6 +77,7 @@ def add_model(found: dict[str, DeviceKind], model: DeviceModel, origin: str) -> 
     Raises:
         ConfigError: it is there already, or cannot work.
     """
+    _complete(model, _OF_A_MODEL, origin)
     kind = found.get(model.kind)
     if kind is None:
         raise ConfigError(
@@ -82,16 +92,10 @@ def add_model(found: dict[str, DeviceKind], model: DeviceModel, origin: str) -> 
             f"({known[model.name].package})",
             remedy=after_clash(known[model.name].package, "model"),
         )
-    if not callable(model.driver):
+    if ":" not in str(getattr(model, "driver", "")):
         raise ConfigError(
             f"device package {origin}: model {model.name} of {model.kind} has no driver",
-            expected="driver: a function of (config, clock)",
-        )
-    if isinstance(model.imperfections, type):
-        raise ConfigError(
-            f"device package {origin}: imperfections of model {model.name} of {model.kind} are the class "
-            f"{model.imperfections.__name__} itself",
-            expected=f"a function that gives it: imperfections=lambda: {model.imperfections.__name__}",
+            expected='driver = "package.module:Class"',
         )
     key = getattr(model.config, "model_fields", {}).get("model")
     if getattr(key, "default", None) != model.name:
@@ -99,4 +103,18 @@ def add_model(found: dict[str, DeviceKind], model: DeviceModel, origin: str) -> 
             f"device package {origin}: the table of model {model.name} has no key for its own name",
             expected=f'model: Literal["{model.name}"] = "{model.name}" in its DeviceConfig',
         )
-    found[kind.name] = replace(kind, models=(*kind.models, replace(model, package=origin)))
+    grown, added = copy(kind), copy(model)
+    added.package = origin
+    grown.models = (*kind.models, added)
+    found[kind.name] = grown
+
+
+def _complete(item: DeviceKind | DeviceModel, names: tuple[str, ...], origin: str) -> None:
+    """Raise `ConfigError` for class attributes that every kind or model has to have."""
+    missing = [name for name in names if not hasattr(item, name)]
+    if missing:
+        base = "DeviceKind" if isinstance(item, DeviceKind) else "DeviceModel"
+        raise ConfigError(
+            f"device package {origin}: {type(item).__name__} lacks {', '.join(missing)}",
+            expected=f"class attributes {', '.join(names)} of every {base}",
+        )

@@ -19,7 +19,8 @@ from kills import both, keeper_pid, wait_until
 
 from hil.bench.adhesion import keeper_spec
 from hil.config.loading import load_bench
-from hil.vocabulary.kinds import Connection, kinds
+from hil.vocabulary.device import Connection
+from hil.vocabulary.kinds import kinds
 from tests.patience import FANLESS, PATIENT
 
 FOLDER = Path(__file__).parent
@@ -57,10 +58,7 @@ class Robot:
         for name, table in config.devices().items():
             kind = kinds()[name]
             model, endpoint = kind.model(table.model), self.endpoints[kind.shown_as]
-            if model.reach is None:
-                values = {key: value for key, value in endpoint.items() if key in model.config.model_fields}
-            else:
-                values = model.reach(endpoint)
+            values = model.connection(endpoint)
             values = values.values if isinstance(values, Connection) else values
             tables[name] = table.model_copy(update={**values, "backend": "real"})
         real = config.model_copy(update=tables)

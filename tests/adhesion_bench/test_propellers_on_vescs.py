@@ -17,8 +17,8 @@ from hil.config.adhesion import VescConfig
 from hil.config.loading import load_bench
 from hil.config.robot import RobotConfig
 from hil.devices.adhesion.in_world import KeptInWorld
-from hil.devices.adhesion.vesc import VESC
-from hil.devices.thrust.vesc import VESC_THRUST
+from hil.devices.adhesion.vesc import Vesc
+from hil.devices.thrust.vesc import VescPropellers
 from hil.devices.thrust.vesc.config import VescThrustConfig
 from hil.devices.thrust.vesc.driver import VescThrust
 from hil.devices.thrust.vesc.propellers import PropellerNode, VescThrustTruthOptions, propellers
@@ -31,8 +31,8 @@ from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import make_plant
 from hil.fakes.world import VirtualClock, World
 from hil.robot.trajectories import line
+from hil.vocabulary.device import Search
 from hil.vocabulary.errors import ConfigError, DeviceError, DeviceTimeoutError, SafetyStop, UsageError
-from hil.vocabulary.kinds import Search
 from hil.vocabulary.signals import Status
 
 S = 1_000_000_000
@@ -68,7 +68,7 @@ def found_on_one_bus(ids, tmp_path):
         given = {"adhesion": [VescConfig(**bus)], "thrust": [VescThrustConfig(**bus)]}
         found = Discovery()
         search = Search(given, clock, lambda text: None, tmp_path, found.sections)
-        for model in (VESC, VESC_THRUST):
+        for model in (Vesc(), VescPropellers()):
             if (answer := model.search(search)) is not None:
                 found.take(model, answer)
         return found

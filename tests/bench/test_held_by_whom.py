@@ -11,8 +11,8 @@ from hil.bench.sighting import JOINTS, Travel
 from hil.devices.servos import KIND as SERVO_KIND
 from hil.devices.tracker import KIND as CAMERA_KIND
 from hil.robot.trajectories import line
+from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.errors import SafetyStop
-from hil.vocabulary.kinds import Witness
 
 CLIMB = line((0, 0, 0), (0.4, 0, 0), duration_s=8.0)
 HOP = line((0, 0, 0), (0.12, 0, 0), duration_s=2.4)
@@ -52,8 +52,10 @@ def test_on_a_tether_nobody_has_to_see_a_slide_and_the_word_says_so():
 
 @pytest.mark.parametrize(("still", "moved_m"), [(0.001, 0.007), (0.008, None)])
 def test_a_way_within_the_noise_of_a_coarse_sensor_is_none(still, moved_m):
-    witness = Witness(still=still, value=lambda sample: sample, is_place=True)
-    travel = Travel({"rangefinder": witness}, radius_m=0.025)
+    class Coarse(DeviceKind):
+        motion_threshold, measures_position = still, True
+
+    travel = Travel({"rangefinder": Coarse()}, radius_m=0.025)
     travel.saw("rangefinder", 0, np.zeros(1))
     for t_ns in range(1, 6):
         travel.saw("rangefinder", t_ns, np.full(1, 0.007))
@@ -252,7 +254,7 @@ def test_a_driver_that_raises_what_it_may_not_leaves_the_looking_to_the_others(m
 
 
 def travel():
-    return Travel({JOINTS: SERVO_KIND.witness, "tracker": CAMERA_KIND.witness}, 0.05)
+    return Travel({JOINTS: SERVO_KIND, "tracker": CAMERA_KIND}, 0.05)
 
 
 def test_the_way_counts_from_where_it_was_stopped():

@@ -39,7 +39,7 @@ def wrong(findings):
 
 
 def look(name, samples, device=None, table=None):
-    return wrong(kinds()[name].look(watched(name, samples, device, table)))
+    return wrong(kinds()[name].check(watched(name, samples, device, table)))
 
 
 def test_gravity_that_is_none_is_told_with_the_axis_remap():
@@ -59,7 +59,7 @@ def test_a_camera_without_texture_is_told():
 
 def test_a_camera_of_other_firmware_is_told():
     device = SimpleNamespace(identity=lambda: {"firmware": "0.2.0.100"})
-    found = wrong(model_of(load_bench("emulated"), "tracker").look(watched("tracker", [], device)))
+    found = wrong(model_of(load_bench("emulated"), "tracker").check(watched("tracker", [], device)))
     assert 'tracker.firmware = ["0.2.0.100"]' in found["firmware"].remedy
 
 

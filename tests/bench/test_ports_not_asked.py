@@ -173,14 +173,14 @@ def test_an_inertial_unit_that_is_asked_keeps_its_settings(name, chip, says):
     world = World(TurningPlant(), seed=1)
     line = SerialLine(world, chip(world)).open()
     clock, model = VirtualClock(world), kinds()["imu"].model(name)
-    driver = model.driver(model.config(port="hil://imu", backend="emulated"), clock)
+    driver = model.make_driver(model.config(port="hil://imu", backend="emulated"), clock)
     driver.open()
     driver.close()
     before = says(clock)
     assert before
-    assert model.ask("hil://imu", clock).table["port"] == "hil://imu"
+    assert model.probe("hil://imu", clock).table["port"] == "hil://imu"
     assert says(clock) == before
     other = next(m for m in kinds()["imu"].models if m.ask and m.name != name)
-    assert other.ask("hil://imu", clock) is None
+    assert other.probe("hil://imu", clock) is None
     assert says(clock) == before
     line.close()

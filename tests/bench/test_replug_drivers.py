@@ -70,8 +70,8 @@ def served(tmp_path, monkeypatch):
 def driver_of(served, name):
     """The driver that a bench file of hardware would give, at the served port."""
     endpoint, model = served.endpoints[name], model_of(served.config, name)
-    at = endpoint if "usb-" in str(endpoint.get("port")) else model.reach(endpoint)
-    return model.driver(served.config.devices()[name].model_copy(update=dict(at)), CLOCK)
+    at = endpoint if "usb-" in str(endpoint.get("port")) else model.connection(endpoint)
+    return model.make_driver(served.config.devices()[name].model_copy(update=dict(at)), CLOCK)
 
 
 class Log:

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from supervised import Supervised
 
 from hil.bench.settings import checks, geometry_of
 from hil.config.loading import load_bench
 from hil.ring.alignment import Alignment, AlignmentParameters
 from hil.ring.poses import AT_ORIGIN, Mount, PoseAlignment
-from hil.ring.supervisor import Checks, SafetyLimits, Supervisor
+from hil.ring.safety import Checks, SafetyLimits
 from hil.vocabulary.errors import ConfigError, SafetyStop
 from hil.vocabulary.geometry import (
     quat_conjugate,
@@ -173,7 +174,7 @@ def test_alignment_wants_four_wheels():
 
 
 def test_a_servo_that_stays_silent_stops_the_robot_but_one_gap_does_not():
-    supervisor = Supervisor(SafetyLimits())
+    supervisor = Supervised(SafetyLimits())
     silent = servo_sample(np.full(8, np.nan), (Status.TIMEOUT,) * 8)
     supervisor.check(Inputs(0, 0, servos=(servo_sample(np.zeros(8)),)))
     supervisor.check(Inputs(1, 90_000_000, servos=(silent,)))
@@ -184,7 +185,7 @@ def test_a_servo_that_stays_silent_stops_the_robot_but_one_gap_does_not():
 
 
 def test_a_silent_imu_is_told_once_and_its_return_too():
-    supervisor = Supervisor(SafetyLimits(stale_s=IMU))
+    supervisor = Supervised(SafetyLimits(stale_s=IMU))
     events = [supervisor.check(Inputs(k, k * 100_000_000)) for k in range(12)]
     assert [len(e) for e in events] == [0] * 6 + [1] + [0] * 5
     good = ImuSample(STAMP, np.zeros(4), np.zeros(3), np.zeros(3), np.zeros(3), (3, 3, 3, 3))
@@ -197,8 +198,8 @@ def test_who_is_driven_does_not_wait_for_a_sensor_that_is_to_come_back():
     """Samples that cannot be used are judged by their driver; here it is nothing at all that counts."""
     good = ImuSample(STAMP, np.zeros(4), np.zeros(3), np.zeros(3), np.zeros(3), (3, 3, 3, 3))
     bad = replace(good, status=Status.TIMEOUT)
-    driven = Supervisor(SafetyLimits(stale_s=IMU), checks=Checks(lost_after_s={"imu": 3.1}))
-    watching = Supervisor(SafetyLimits(stale_s=IMU))
+    driven = Supervised(SafetyLimits(stale_s=IMU), checks=Checks(lost_after_s={"imu": 3.1}))
+    watching = Supervised(SafetyLimits(stale_s=IMU))
     for supervisor in (driven, watching):
         supervisor.check(Inputs(0, 0, imu=(good,)))
         for k in range(1, 18):
@@ -225,19 +226,19 @@ def test_a_run_that_follows_a_pose_is_one_that_does_not_wait():
 def test_the_guard_names_why_it_stops(pose, reason):
     reference = Reference(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
     with pytest.raises(SafetyStop) as stop:
-        Supervisor(SafetyLimits()).guard(state(pose), reference)
+        Supervised(SafetyLimits()).guard(state(pose), reference)
     assert stop.value.reason == reason
 
 
 def test_hardware_alert_stops():
     with pytest.raises(SafetyStop, match="alert"):
-        Supervisor(SafetyLimits()).check(
+        Supervised(SafetyLimits()).check(
             Inputs(0, 0, servos=(servo_sample(np.zeros(8), alert=(0, 4, 0, 0, 0, 0, 0, 0)),))
         )
 
 
 def test_limits_scale_all_wheels_alike_and_refuse_nonsense():
-    supervisor = Supervisor(SafetyLimits(wheel_rate_limit_rad_s=2.0))
+    supervisor = Supervised(SafetyLimits(wheel_rate_limit_rad_s=2.0))
     out = supervisor.limit(WheelSetpoint(np.array([4.0, 2, -1, 0]), np.zeros(4)))
     np.testing.assert_allclose(out.wheel_rate_rad_s, [2.0, 1, -0.5, 0])
     with pytest.raises(SafetyStop, match="finite"):
@@ -261,7 +262,7 @@ def imu_inputs(cycle, force, status=Status.OK):
 
 
 def test_a_robot_that_feels_no_weight_has_lost_its_hold():
-    supervisor = Supervisor(SafetyLimits(stale_s=IMU))
+    supervisor = Supervised(SafetyLimits(stale_s=IMU))
     for cycle in range(20):
         supervisor.check(imu_inputs(cycle, 9.0 + cycle % 3))
     supervisor.check(imu_inputs(20, 0.2))
@@ -276,7 +277,7 @@ def test_a_robot_that_feels_no_weight_has_lost_its_hold():
 
 
 def test_a_robot_faster_than_it_can_drive_is_sliding():
-    supervisor = Supervisor(SafetyLimits(stale_s=TRACKER))
+    supervisor = Supervised(SafetyLimits(stale_s=TRACKER))
 
     def seen(cycle, speed):
         stamp = Stamp(cycle * 10_000_000, cycle * 10_000_000, cycle)
@@ -302,7 +303,7 @@ def seen_at(cycle, speed):
 
 @pytest.mark.parametrize(("speed", "slides"), [(0.499, False), (0.5, False), (0.501, True)])
 def test_the_slide_limit_is_where_it_is_said_to_be(speed, slides):
-    supervisor = Supervisor(SafetyLimits(body_speed_limit_m_s=0.5, stale_s=TRACKER))
+    supervisor = Supervised(SafetyLimits(body_speed_limit_m_s=0.5, stale_s=TRACKER))
     stop = None
     for cycle in range(3):
         try:
@@ -314,7 +315,7 @@ def test_the_slide_limit_is_where_it_is_said_to_be(speed, slides):
 
 
 def test_only_speed_without_a_break_and_of_good_samples_is_a_slide():
-    supervisor = Supervisor(SafetyLimits(stale_s=TRACKER))
+    supervisor = Supervised(SafetyLimits(stale_s=TRACKER))
     for cycle in range(40):
         fast = seen_at(cycle, 0.9 if cycle % 3 else 0.1)
         supervisor.check(Inputs(cycle, cycle * 10_000_000, tracker=(fast,)))
@@ -332,7 +333,7 @@ def with_everything(cycle, *, light=False, speed=0.0, alert=0):
 
 
 def test_what_comes_together_is_named_together_the_gravest_first():
-    supervisor = Supervisor(SafetyLimits(stale_s={"servos": 0.1, **IMU, **TRACKER}))
+    supervisor = Supervised(SafetyLimits(stale_s={"servos": 0.1, **IMU, **TRACKER}))
     for cycle in range(2):
         supervisor.check(with_everything(cycle, light=True, speed=0.9))
     with pytest.raises(SafetyStop) as stop:
@@ -344,7 +345,7 @@ def test_what_comes_together_is_named_together_the_gravest_first():
 def test_the_guard_names_heading_and_distance_together():
     reference = Reference(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
     with pytest.raises(SafetyStop) as stop:
-        Supervisor(SafetyLimits()).guard(state((0.6, 0, 0.3)), reference)
+        Supervised(SafetyLimits()).guard(state((0.6, 0, 0.3)), reference)
     assert stop.value.reason == "heading"
     assert "also tracking" in str(stop.value)
 
@@ -361,7 +362,7 @@ def test_the_guard_names_heading_and_distance_together():
 )
 def test_the_guards_limits_are_where_they_are_said_to_be(pose, reason):
     reference = Reference(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
-    supervisor = Supervisor(SafetyLimits(heading_limit_rad=0.2618))
+    supervisor = Supervised(SafetyLimits(heading_limit_rad=0.2618))
     if reason is None:
         supervisor.guard(state(pose), reference)
         return
@@ -371,12 +372,12 @@ def test_the_guards_limits_are_where_they_are_said_to_be(pose, reason):
 
 
 def test_the_floor_has_no_heading_limit():
-    Supervisor(SafetyLimits(on_wall=False)).guard(state((0, 0, 3.0)), None)  # no stop
+    Supervised(SafetyLimits(on_wall=False)).guard(state((0, 0, 3.0)), None)  # no stop
 
 
 @pytest.mark.parametrize(("force", "lost"), [(4.99, True), (5.01, False)])
 def test_the_adhesion_limit_is_where_it_is_said_to_be(force, lost):
-    supervisor = Supervisor(SafetyLimits(adhesion_limit_m_s2=5.0, stale_s=IMU))
+    supervisor = Supervised(SafetyLimits(adhesion_limit_m_s2=5.0, stale_s=IMU))
     for k in range(2):
         supervisor.check(imu_inputs(k, force))
     with pytest.raises(SafetyStop, match="adhesion") if lost else nullcontext():

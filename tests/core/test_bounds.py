@@ -11,8 +11,8 @@ from hil.cli import main
 from hil.config.bench import bench_model
 from hil.config.loading import explained
 from hil.config.values import bounds_of
-from hil.devices.emulated import Setting
-from hil.devices.imperfections import impossible, ranges
+from hil.devices.emulated import EmulationRequest
+from hil.fakes.truth_options import impossible, ranges
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.kinds import kinds
 
@@ -45,9 +45,9 @@ IMPERFECT = [
     pytest.param(m, field, id=f"{m.kind}.{m.name}.{field.name}")
     for kind in kinds().values()
     for m in kind.models
-    if m.imperfections is not None
-    for field in dataclasses.fields(m.imperfections())
-    if field.name in ranges(m.imperfections())
+    if m.truth_options() is not None
+    for field in dataclasses.fields(m.truth_options())
+    if field.name in ranges(m.truth_options())
 ]
 
 
@@ -89,11 +89,12 @@ def test_a_number_has_bounds_and_names_them_where_it_is_refused(model, name, fie
 
 @pytest.mark.parametrize(("model", "field"), IMPERFECT)
 def test_a_number_of_an_imperfection_has_bounds(model, field):
-    assert all(ranges(model.imperfections())[field.name])
+    assert all(ranges(model.truth_options())[field.name])
     if isinstance(field.default, (int, float)) and not isinstance(field.default, bool):
         for value in (10**400, math.inf, math.nan, -1e300, True):
+            request = EmulationRequest(model.kind, None, {field.name: value}, None, "x")
             with pytest.raises(ConfigError, match=rf"emulation\.{model.kind}\.{field.name}: "):
-                Setting(model.kind, None, {field.name: value}, None, "x").options(model.imperfections())
+                request.options(model.truth_options())
 
 
 def test_a_whole_number_too_large_for_a_fraction_is_no_traceback():

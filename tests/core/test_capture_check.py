@@ -4,13 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from supervised import Supervised
 
 from hil.ring.capture_check import CaptureCheck, Seen
+from hil.ring.cycle import Cycle
 from hil.ring.dead_reckoning import WheelTrack
 from hil.ring.doubts import CAMERA, WHEELS, Doubt, Relocalisation, Sum
 from hil.ring.left_out import LeftOut
 from hil.ring.motion_check import MotionCheck
-from hil.ring.supervisor import Checks, SafetyLimits, Supervisor
+from hil.ring.safety import Checks, SafetyLimits
 from hil.robot.kinematics import WheelGeometry, inverse
 from hil.vocabulary.errors import SafetyStop
 from hil.vocabulary.signals import (
@@ -186,17 +188,18 @@ def test_who_is_left_out_is_measured_no_more_and_shakes_the_estimate():
     left_out = LeftOut(USED, on_wall=False)
     gyro = GyroMeasurement(Stamp(0, 0, 0), 0.0, 0.0, np.zeros(2))
     given = replace(cycle(5, at(UP), at(UP), at(UP)), gyro=(gyro,))
-    event = left_out.take(doubt("tracker"), 5)
-    assert (event.source, left_out.shaken) == ("tracker", (0.012, 0.0))
-    assert "left out" in event.message
+    now = Cycle(Inputs(0, 5), given)
+    left_out.take(doubt("tracker"), now)
+    assert (now.events[0].source, now.inflation) == ("tracker", (0.012, 0.0))
+    assert "left out" in now.events[0].message
     assert left_out.believed(given) == replace(given, tracker=())
-    left_out.begin()
-    left_out.take(doubt("imu", off=0.1, turns=True), 6)
-    assert left_out.shaken == (0.0, 0.1)
+    now = Cycle(Inputs(0, 6), given)
+    left_out.take(doubt("imu", off=0.1, turns=True), now)
+    assert now.inflation == (0.0, 0.1)
     assert left_out.believed(given) == replace(given, tracker=(), gyro=())
-    left_out.begin()
-    left_out.take(doubt("mocap"), 7)
-    assert left_out.shaken == (0.0, 0.0)
+    now = Cycle(Inputs(0, 7), given)
+    left_out.take(doubt("mocap"), now)
+    assert now.inflation == (0.0, 0.0)
     left_out.reset()
     assert left_out.believed(given) is given
     assert "tracker" not in left_out
@@ -227,7 +230,7 @@ class Doubts:
 def test_what_holds_the_robot_is_named_wherever_it_may_be_the_robot_that_slides(given, named):
     checks = Checks(motion=Doubts(given), needs_camera=True, holders=HOLDERS)
     with pytest.raises(SafetyStop, match="it differs") as stop:
-        Supervisor(SafetyLimits(stale_s={}), checks=checks).check(Inputs(0, 0), Measurements(0, 0))
+        Supervised(SafetyLimits(stale_s={}), checks=checks).check(Inputs(0, 0), Measurements(0, 0))
     assert str(stop.value).endswith("it differs; if it slides, look at the fan and the propellers") is named
     assert (set(stop.value.suspects) >= set(HOLDERS)) is named
 
@@ -243,7 +246,7 @@ def test_what_holds_the_robot_is_named_wherever_it_may_be_the_robot_that_slides(
 def test_wheels_that_tell_another_way_than_others_are_not_suspected_alone(given, suspects):
     checks = Checks(motion=Doubts(replace(given, grave=False)), holders=HOLDERS)
     for on_wall in (True, False):
-        watching = Supervisor(SafetyLimits(stale_s={}, on_wall=on_wall), checks=checks)
+        watching = Supervised(SafetyLimits(stale_s={}, on_wall=on_wall), checks=checks)
         (event,) = watching.check(Inputs(0, 0), Measurements(0, 0))
         assert set(event.suspects) == (suspects if on_wall else suspects - set(HOLDERS))
 
@@ -291,9 +294,9 @@ def test_a_slide_that_only_motion_capture_saw_is_unseen_and_one_that_the_camera_
 def test_an_unseen_slide_shakes_the_estimate(unseen, shaken_m):
     told = replace(doubt("mocap", confirmed=False, off=0.008), grave=False, against="servos", unseen=unseen)
     checks = Checks(motion=Doubts(told), needs_camera=True, holders=HOLDERS)
-    supervisor = Supervisor(SafetyLimits(stale_s={}), checks=checks)
+    supervisor = Supervised(SafetyLimits(stale_s={}), checks=checks)
     (event,) = supervisor.check(Inputs(0, 0), Measurements(0, 0))
-    assert supervisor.left_out.shaken == (shaken_m, 0.0)
+    assert supervisor.inflation == (shaken_m, 0.0)
     assert set(event.suspects) == {"mocap", "servos", *HOLDERS}
 
 
@@ -308,7 +311,7 @@ def test_two_that_contradict_each_other_are_both_in_doubt_until_others_agree_aga
             pass
 
     says, cycles = Says(), iter(range(100))
-    watching = Supervisor(SafetyLimits(stale_s={}), checks=Checks(motion=says))
+    watching = Supervised(SafetyLimits(stale_s={}), checks=Checks(motion=says))
 
     def heard(*doubts):
         says.doubts, k = doubts, next(cycles)
@@ -335,7 +338,7 @@ def test_two_that_contradict_each_other_are_both_in_doubt_until_others_agree_aga
 )
 def test_who_tells_of_a_way_as_somebody_else_does_agrees(seen, captured, mocap, agreed):
     check = MotionCheck(GEOMETRY)
-    watching = Supervisor(SafetyLimits(stale_s={}), checks=Checks(motion=check))
+    watching = Supervised(SafetyLimits(stale_s={}), checks=Checks(motion=check))
     for k in range(3, 90):
         check.update(cycle(k, at(UP), at(seen), at(captured), mocap=mocap))
     assert check.agreed == set(), "0.1 m it takes"
@@ -347,7 +350,7 @@ def test_who_tells_of_a_way_as_somebody_else_does_agrees(seen, captured, mocap, 
     assert "servos" not in check.agreed
     check.reset()
     assert check.agreed == set()
-    assert Supervisor(SafetyLimits(stale_s={})).agreed == set()
+    assert Supervised(SafetyLimits(stale_s={})).agreed == set()
 
 
 def test_a_camera_beside_motion_capture_is_grave_ten_millimetres_beyond_what_it_may_differ_by():

@@ -4,11 +4,12 @@ import re
 
 import numpy as np
 import pytest
+from supervised import Supervised
 
 from hil.ring.capture_check import Seen
 from hil.ring.estimate_watch import EstimateWatch
 from hil.ring.motion_check import MotionCheck
-from hil.ring.supervisor import Checks, SafetyLimits, Supervisor
+from hil.ring.safety import Checks, SafetyLimits
 from hil.robot.kinematics import WheelGeometry, inverse
 from hil.vocabulary.errors import SafetyStop
 from hil.vocabulary.signals import Inputs, Measurements, PoseMeasurement, RobotState, Stamp, WheelMeasurement
@@ -46,7 +47,7 @@ class Run:
         self.sigma_m, self.sigma_rad, self.axes_rad = sigma_m, sigma_rad, axes_rad
         motion = MotionCheck(GEOMETRY)
         self.watch = EstimateWatch(motion.capture, follows=follows)
-        self.supervisor = Supervisor(
+        self.supervisor = Supervised(
             SafetyLimits(stale_s={}), checks=Checks(motion=motion, estimate=self.watch, needs_camera=follows)
         )
         self.events, self.off_m = [], []
@@ -69,7 +70,7 @@ class Run:
 
     def cycle(self, k, **changed):
         self.events += self.supervisor.check(Inputs(k, k * PERIOD_NS), self.measured(k, **changed))
-        self.off_m.append(self.supervisor.left_out.shaken[0])
+        self.off_m.append(self.supervisor.inflation[0])
         self.sigma_m = np.hypot(self.sigma_m, self.off_m[-1])
         covariance = np.diag([self.sigma_m**2] * 2 + [self.sigma_rad**2] + [1e-8] * 3)
         pose = np.array([*self.estimate * k * PERIOD_NS * 1e-9, 0.0])

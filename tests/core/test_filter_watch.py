@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from supervised import Supervised
 
 from hil.ring.filter_watch import FilterWatch
-from hil.ring.supervisor import SafetyLimits, Supervisor
+from hil.ring.safety import SafetyLimits
 from hil.vocabulary.signals import Inputs, Measurements, RobotState
 
 
@@ -36,7 +37,7 @@ def test_a_leap_that_refused_nothing_and_single_refusals_are_not():
 
 
 def test_the_supervisor_tells_it_with_its_judgement_of_the_estimate():
-    supervisor, refused = Supervisor(SafetyLimits()), state(reanchored_tracker=1.0, rejected_tracker=40.0)
+    supervisor, refused = Supervised(SafetyLimits()), state(reanchored_tracker=1.0, rejected_tracker=40.0)
     assert [event.source for event in supervisor.guard(refused, None)] == ["tracker"]
     supervisor.reset()
     assert [event.source for event in supervisor.guard(refused, None)] == ["tracker"]
@@ -55,12 +56,12 @@ def test_a_camera_that_fits_badly_on_the_whole_is_told_once_and_again_after_a_ca
 
 
 def test_what_fits_badly_shakes_the_estimate_in_the_next_cycle_only():
-    supervisor = Supervisor(SafetyLimits(stale_s={}))
+    supervisor = Supervised(SafetyLimits(stale_s={}))
     for one in misfits(1.0, 2.0, 2.6):
         supervisor.guard(one, None)
     for shaken_m in (pytest.approx(0.0026), 0.0):
         supervisor.check(Inputs(0, 0), Measurements(0, 0))
-        assert supervisor.left_out.shaken == (shaken_m, 0.0)
+        assert supervisor.inflation == (shaken_m, 0.0)
 
 
 def test_poses_that_are_refused_in_a_row_and_the_frame_after_them_are_no_misfit():

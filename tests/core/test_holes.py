@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +11,7 @@ import pytest
 from hil.bench.contract import at_rest
 from hil.bench.contract.subject import Broken
 from hil.ring.sample_watch import SampleWatch
+from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.holes import unsaid_holes
 from hil.vocabulary.kinds import kinds
@@ -37,7 +38,11 @@ class Sample:
     maybe: float | None = None
 
 
-KIND = replace(kinds()["imu"], name="thing", sample=Sample, package="evil 1.0", labels=())
+class Thing(DeviceKind):
+    name, noun, sample, package = "thing", "thing", Sample, "evil 1.0"
+
+
+KIND = Thing()
 
 
 @pytest.mark.parametrize(
@@ -74,7 +79,8 @@ def test_what_a_device_of_ours_does_not_report_is_no_hole():
 def test_the_contract_suite_fails_a_hole_in_a_tuple(monkeypatch):
     monkeypatch.setattr(at_rest, "kinds", lambda: {"thing": KIND})
     samples = [Sample(STAMP), Sample(STAMP, pair=(1.0, math.nan))]
-    subject = SimpleNamespace(kind="thing", watched=SimpleNamespace(samples=samples))
+    watched = SimpleNamespace(samples=samples)
+    subject = SimpleNamespace(kind="thing", watched=watched, not_measured=())
     with pytest.raises(Broken, match="pair is NaN or infinite with status ok"):
         at_rest.no_data_is_no_number(subject)
     subject.watched.samples.pop()
@@ -86,8 +92,9 @@ def test_a_run_tells_of_each_field_once_and_only_of_devices_that_packages_bring(
     nan = np.full(4, np.nan)
     sample = imu(STAMP, nan, nan[:3], nan[:3], np.ones(3), (3, 3, 3, 3), OK)
     for brought, told in (
-        ((), []),
-        (("imu",), ["quaternion_wxyz", "gyro_rad_s", "linear_acceleration_m_s2"]),
+        ({}, []),
+        ({"imu": ("quaternion_wxyz", "linear_acceleration_m_s2")}, ["gyro_rad_s"]),
+        ({"imu": ()}, ["quaternion_wxyz", "gyro_rad_s", "linear_acceleration_m_s2"]),
     ):
         watch, events = SampleWatch({}, brought=brought), []
         for k in range(3):

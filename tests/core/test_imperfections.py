@@ -9,8 +9,8 @@ from hil.bench import check_faults
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.config.values import Within
-from hil.devices.emulated import Setting
-from hil.devices.imperfections import impossible
+from hil.devices.emulated import EmulationRequest
+from hil.fakes.truth_options import impossible
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.kinds import kinds
 
@@ -19,14 +19,14 @@ NUMBERS = [
     (kind.name, model, field)
     for kind in kinds().values()
     for model in kind.models
-    if model.imperfections is not None
-    for field in dataclasses.fields(model.imperfections())
+    if model.truth_options() is not None
+    for field in dataclasses.fields(model.truth_options())
     if isinstance(field.default, float)
 ]
 
 
 def options(model, values):
-    return Setting(model.kind, None, values, None, "x").options(model.imperfections())
+    return EmulationRequest(model.kind, None, values, None, "x").options(model.truth_options())
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,8 @@ from hil.ring.alignment import Alignment, AlignmentParameters
 from hil.ring.loop import Brain, ControlLoop
 from hil.ring.motion import Motion
 from hil.ring.rig import Rig
-from hil.ring.supervisor import SafetyLimits, Supervisor
+from hil.ring.safety import SafetyLimits
+from hil.ring.supervisor import Supervisor
 from hil.vocabulary.clock import MonotonicClock, nanoseconds
 from hil.vocabulary.errors import DeviceError, SafetyStop
 from hil.vocabulary.interfaces import Actuators, Controller, Estimator, Sensor, Sink

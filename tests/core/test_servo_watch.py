@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hil.ring.supervisor import SafetyLimits, Supervisor
+from hil.ring.safety import SafetyLimits
+from hil.ring.supervisor import Supervisor
 from hil.vocabulary.errors import SafetyStop
 from hil.vocabulary.signals import EncoderSample, Inputs, ServoSample, Stamp, Status, WheelSetpoint
 

@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from supervised import Supervised
 
 import hil
-from hil.ring.supervisor import SafetyLimits, Supervisor
+from hil.ring.safety import SafetyLimits
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import SafetyStop
 from hil.vocabulary.signals import Inputs, RobotState
@@ -17,7 +18,7 @@ WAY = line((0, 0, 0), (0.25, 0, 0), duration_s=6.0)
 
 def judged(covariance=None, *, of_cycle=0, now_cycle=None, pose=(0.0, 0.0, 0.0), twist=(0.0, 0.0, 0.0)):
     """The stop of a supervisor that has judged the cycle `now_cycle`; None where the estimate passes."""
-    supervisor = Supervisor(SafetyLimits(stale_s={}))
+    supervisor = Supervised(SafetyLimits(stale_s={}))
     if now_cycle is not None:
         supervisor.check(Inputs(now_cycle, now_cycle * CYCLE_NS))
     covariance = np.eye(6) if covariance is None else covariance

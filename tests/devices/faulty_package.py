@@ -15,7 +15,7 @@ from hil.config.device import DeviceConfig
 from hil.devices.emulated import Wired
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.interfaces import Sensor
-from hil.vocabulary.kinds import Connection, DeviceKind, DeviceModel
+from hil.vocabulary.device import Connection, DeviceKind, DeviceModel
 from hil.vocabulary.signals import Stamp, Status
 
 
@@ -64,9 +64,25 @@ def emulate(setting):
 
 
 def thing(driver=Driver, emulate=emulate, **more):
-    named = {"kind": "thing", "name": "one", "title": "a thing"}
-    model = DeviceModel(**named, config=Config, driver=driver, emulate=emulate)
-    return DeviceKind(name="thing", noun="thing", sample=Sample, models=(model,), **more)
+    class One(DeviceModel):
+        kind, name, title, config = "thing", "one", "a thing", Config
+        driver, chip = f"{__name__}:Driver", f"{__name__}:emulate"
+
+        def make_driver(self, config, clock):
+            return driver(config, clock)
+
+        def emulate(self, request):
+            return emulate(request)
+
+    for name in ("probe", "search", "truth_options", "connection", "probe_order"):
+        if name in more:
+            setattr(One, name, more.pop(name))
+    named = {"name": "thing", "noun": "thing", "sample": Sample, "models": (One(),)}
+    return type("Thing", (DeviceKind,), {**named, **more})()
+
+
+def varied(item, **values):
+    return type(type(item).__name__, (type(item),), values)()
 
 
 def fail(*given):
@@ -144,7 +160,7 @@ class Of(Driver):
         return (Two(Stamp(t_ns, t_ns, self.seq), (Status.OK, Status.FROZEN, Status.OK)),)
 
 
-ITEM = replace(thing(Of), sample=Two, labels=("left", "right"))
+ITEM = varied(thing(Of), sample=Two, labels=("left", "right"))
 """
 """A kind of two channels whose driver tells of three."""
 

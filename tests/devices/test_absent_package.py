@@ -10,18 +10,21 @@ from installing import EXAMPLE, environment
 from mcap.reader import make_reader
 
 TWIN = """
-from dataclasses import replace
 from typing import Literal
 
 from hil.config.imu import Bno055Config
-from hil.devices.imu.bno055 import BNO055
+from hil.devices.imu.bno055 import Bno055
 
 
 class Config(Bno055Config):
     model: Literal["twin"] = "twin"
 
 
-MODEL = replace(BNO055, name="twin", title="a twin", config=Config, ask=None)
+class Twin(Bno055):
+    name, title, config, probe_bauds = "twin", "a twin", Config, ()
+
+
+MODEL = Twin
 """
 TABLES = """
 schema = 1

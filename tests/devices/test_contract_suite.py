@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from hil.config.imu import Bno055Config
-from hil.devices.imu.bno055 import BNO055
+from hil.devices.imu.bno055 import Bno055
 from hil.drivers.imu import Bno055Imu
 
 
@@ -30,7 +30,12 @@ class Sloppy(Bno055Imu):
         return tuple(replace(s, gyro_rad_s=s.gyro_rad_s + noise) for s in super().read()) * 2
 
 
-MODEL = replace(BNO055, name="sloppy", title="sloppy", config=Config, driver=Sloppy, ask=None)
+class SloppyModel(Bno055):
+    name, title, config, probe_bauds = "sloppy", "sloppy", Config, ()
+    driver = f"{__name__}:Sloppy"
+
+
+MODEL = SloppyModel
 """
 TABLES = 'schema = 1\nname = "lab"\n\n[imu]\nmodel = "sloppy"\nbackend = "emulated"\n'
 
@@ -73,7 +78,7 @@ from hil.devices.emulated import Wired
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.interfaces import Sensor
-from hil.vocabulary.kinds import Connection, DeviceKind, DeviceModel
+from hil.vocabulary.device import Connection, DeviceKind, DeviceModel
 from hil.vocabulary.signals import Stamp, Status
 
 
@@ -117,11 +122,19 @@ class Driver(Sensor):
         return (Cells(stamp, volts, np.full((2, 2), 25.0), switched, states),)
 
 
-MODEL = DeviceModel(
-    kind="packs", name="one", title="packs", config=Config, driver=Driver,
-    emulate=lambda setting: Wired(lambda: Connection(), lambda: None),
-)
-KIND = DeviceKind(name="packs", noun="battery", sample=Cells, models=(MODEL,), labels=("a", "b", "c"))
+class Model(DeviceModel):
+    kind, name, title, config = "packs", "one", "packs", Config
+    driver = chip = f"{__name__}:Driver"
+
+    def emulate(self, request):
+        return Wired(lambda: Connection(), lambda: None)
+
+
+class Packs(DeviceKind):
+    name, noun, sample, models, labels = "packs", "battery", Cells, (Model(),), ("a", "b", "c")
+
+
+KIND = Packs
 """
 BESIDE = """
 import pytest

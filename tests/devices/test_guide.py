@@ -6,12 +6,11 @@ import shlex
 import shutil
 import subprocess
 import sys
-from dataclasses import fields
 
 import pytest
 from installing import ROOT
 
-from hil.vocabulary.kinds import DeviceKind, DeviceModel
+from hil.devkit import CanModel, DeviceKind, DeviceModel, SerialModel
 
 GUIDE = (ROOT / "docs" / "add-your-own-device.md").read_text(encoding="utf-8")
 FILES = re.findall(r"^`(my-\w+/[\w.]+)`[^\n]*:\n\n```\w+\n(.*?)^```", GUIDE, re.S | re.M)
@@ -117,13 +116,36 @@ def test_every_block_of_the_guide_is_followed():
         "--fault rangefinder",
         "hil discover --on-stand",
         "cd examples",
+        "./my-battery",
+        "./my-canimu",
         "./my-gap",
         "hil discover --at",
     )
     assert [sum(key in block for key in followed) for block in BLOCKS] == [1] * len(followed)
 
 
-@pytest.mark.parametrize("described", [DeviceModel, DeviceKind], ids=lambda c: c.__name__)
-def test_the_guide_has_a_line_for_every_field(described):
-    (table,) = re.findall(rf"^### `{described.__name__}`\n\n(.*?)\n\n", GUIDE, re.S | re.M)
-    assert re.findall(r"^\| `(\w+)` \|", table, re.M) == [f.name for f in fields(described)]
+@pytest.mark.parametrize(
+    "described", [(DeviceModel, SerialModel, CanModel), (DeviceKind,)], ids=lambda c: c[0].__name__
+)
+def test_the_guide_has_a_line_for_every_name(described):
+    (table,) = re.findall(rf"^### `{described[0].__name__}`\n\n(.*?)\n\n", GUIDE, re.S | re.M)
+    told = [
+        name for first in re.findall(r"^\| (`.*?) \|", table, re.M) for name in re.findall(r"`(\w+)`", first)
+    ]
+    names = {n for c in described for n in {*vars(c), *c.__annotations__} if not n.startswith("_")}
+    assert {*told} - {c.__name__ for c in described} == names
+
+
+@pytest.mark.parametrize(("place", "found"), [("./my-battery", "serial 00042"), ("./my-canimu", "can_imu")])
+def test_a_small_device_is_examined_and_keeps_the_contract(place, found, reader):
+    told = reader(place)
+    assert found in told
+    assert re.search(r"\d\d passed", told)
+    assert "failed" not in told
+    assert ("battery_low" in told) == (place == "./my-battery")
+
+
+def test_the_small_devices_are_small():
+    for package in ("my-battery", "my-canimu"):
+        code = [text for name, text in FILES if name.startswith(package) and re.search(r"/my_\w+\.py$", name)]
+        assert sum(bool(line.strip()) for text in code for line in text.splitlines()) <= 80

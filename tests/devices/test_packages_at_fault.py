@@ -103,7 +103,7 @@ def test_the_calls_in_a_package_are_told(words, package, hil):
 
 
 @pytest.mark.usefixtures("bench")
-@pytest.mark.parametrize("part", ["identity", "look", "rate_hz"])
+@pytest.mark.parametrize("part", ["identity", "check", "rate_hz"])
 def test_the_doctor_names_what_else_of_a_package_fails(part, package, hil):
     source = driver("identity = fail") if part == "identity" else f"ITEM = thing({part}=fail)\n"
     folder = package("hil-evil", PACKAGE + source, "ITEM", version="6.6")
@@ -218,9 +218,9 @@ def test_figures_that_fail_are_named_and_the_rest_is_drawn(package, hil, tmp_pat
 )
 def test_imperfections_are_checked_though_the_package_does_not_look(tables, told, package, hil, tmp_path):
     (tmp_path / "bench.toml").write_text(tables)
-    source = PACKAGE.replace("driver=driver, emulate", "driver=driver, imperfections=lambda: Truth, emulate")
-    truth = "@dataclass(frozen=True)\nclass Truth:\n    x: float = 0.0\n\n\nITEM = thing()\n"
-    done = hil("doctor", "--bench", "bench.toml", packages=[package("hil-evil", source + truth, "ITEM")])
+    truth = "@dataclass(frozen=True)\nclass Truth:\n    x: float = 0.0\n\n\n"
+    source = PACKAGE + truth + "ITEM = thing(truth_options=lambda self: Truth)\n"
+    done = hil("doctor", "--bench", "bench.toml", packages=[package("hil-evil", source, "ITEM")])
     assert done.code == 2
     assert told in done.said
 

@@ -9,11 +9,11 @@ from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.kinds import added
 
 MODEL = """
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 from hil.config.device import DeviceConfig
-from hil.vocabulary.kinds import DeviceKind, DeviceModel
+from hil.vocabulary.device import DeviceKind, DeviceModel
 from hil.vocabulary.signals import Stamp, Status
 
 
@@ -34,8 +34,24 @@ def driver(config, clock):
     raise AssertionError("nothing may be opened")
 
 
-ONE = DeviceModel(kind="thing", name="one", title="a thing", config=Config, driver=driver)
-THING = DeviceKind(name="thing", noun="thing", sample=Sample, models=(ONE,))
+class One(DeviceModel):
+    kind, name, title, config = "thing", "one", "a thing", Config
+    driver = f"{__name__}:driver"
+
+
+ONE = One()
+
+
+class Thing(DeviceKind):
+    name, noun, sample, models = "thing", "thing", Sample, (ONE,)
+
+
+THING = Thing()
+
+
+
+def replace(item, **values):
+    return type(type(item).__name__, (type(item),), values)()
 """
 
 BENCH = """
@@ -62,7 +78,7 @@ def bench(tmp_path):
 
 
 def changed(text):
-    return f"{MODEL}\nfrom hil.devices.imu.bno055 import BNO055\nITEM = {text}\n"
+    return f"{MODEL}\nfrom hil.devices.imu.bno055 import Bno055\nBNO055 = Bno055()\nITEM = {text}\n"
 
 
 REFUSED = {
@@ -70,7 +86,7 @@ REFUSED = {
         "import no_such_library\n",
         ("hil-new 1.0", "no_such_library", "install what it needs", "uninstall hil-new"),
     ),
-    "something else": ("ITEM = 3\n", ("hil-new 1.0", "is a int", "a DeviceKind or a DeviceModel")),
+    "something else": ("ITEM = 3\n", ("hil-new 1.0", "is a int", "DeviceKind", "DeviceModel")),
     "a kind that the bench has": (
         changed('replace(THING, name="imu", models=(replace(ONE, kind="imu"),))'),
         ("hil-new 1.0", "the kind imu is there already (hil)", "give the kind another name"),
@@ -84,8 +100,8 @@ REFUSED = {
         ("hil-new 1.0", "model one of thing has no driver"),
     ),
     "a model that forgets its driver": (
-        MODEL.replace(", driver=driver)", ")") + "ITEM = THING\n",
-        ("hil-new 1.0", "missing", "'driver'"),
+        MODEL.replace('    driver = f"{__name__}:driver"\n', "") + "ITEM = THING\n",
+        ("hil-new 1.0", "One lacks driver"),
     ),
     "a kind that there is not": (
         changed('replace(ONE, kind="imuu")'),
@@ -125,17 +141,17 @@ REFUSED = {
         MODEL.replace('port: str = "/dev/ttyUSB0"', 'gain: float = "high"') + "ITEM = THING\n",
         ("hil-new 1.0", "wrong defaults in the table Config of model one of thing: gain = 'high': "),
     ),
-    "imperfections that are no function": (
-        changed("replace(THING, models=(replace(ONE, imperfections=Sample),))"),
-        ("hil-new 1.0", "imperfections of model one of thing are the class Sample", "=lambda: Sample"),
+    "a model that is a class": (
+        changed("replace(THING, models=(One,))"),
+        ("hil-new 1.0", "the kind thing lists", "models = (MyModel(),)"),
     ),
     "a part of the bench file": (
         changed('replace(THING, name="safety", models=(replace(ONE, kind="safety"),))'),
         ("safety is the name of another part of the bench file", "another name"),
     ),
     "something that moves the robot": (
-        changed("replace(THING, actuates=True)"),
-        ("thing says that it moves the robot", "actuates=False"),
+        changed("replace(THING, moves_robot=True)"),
+        ("thing says that it moves the robot", "moves_robot = False"),
     ),
     "samples without a stamp": (
         changed("replace(THING, sample=int)"),

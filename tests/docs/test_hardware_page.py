@@ -223,7 +223,7 @@ class Lab:
 
     def described(self, endpoints, *, wall=True):
         """What the page asks a person to add to the file, and patience with this computer's load."""
-        tracker = kinds()["tracker"].models[0].reach(endpoints["tracker"])["endpoint"].model_dump()
+        tracker = kinds()["tracker"].models[0].connection(endpoints["tracker"])["endpoint"].model_dump()
         watchdog = {} if wall else {"watchdog_s": 0.5}  # on a wall a wheel must not run on for so long
         floor = {} if wall else {"environment": {"surface": "floor", "tilt_rad": 0.0}}
         tables = {

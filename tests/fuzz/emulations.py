@@ -16,8 +16,9 @@ from tapping import Tap, frame_of, tapped
 from hil.bench.emulation import build_world, connect_in_process
 from hil.config.loading import load_bench
 from hil.fakes.world import VirtualClock, World
+from hil.vocabulary.device import Connection, DeviceModel
 from hil.vocabulary.errors import HilError
-from hil.vocabulary.kinds import Connection, DeviceModel, kinds
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import ServoSetpoint
 
 MODELS = [m for kind in kinds().values() for m in kind.models if m.emulate is not None]
@@ -42,7 +43,7 @@ class Alone:
         base = load_bench("emulated")
         table = {"model": model.name, "backend": "emulated"}
         tree: dict[str, Any] = {"schema": 1, "name": "fuzz", model.kind: table}
-        known = {f.name for f in fields(model.imperfections())} if model.imperfections is not None else set()
+        known = {f.name for f in fields(model.truth_options())}
         tree["emulation"] = {model.kind: {key: _TALKS[key] for key in known & _TALKS.keys()}}
         self.config = type(base).model_validate(tree)
         self.world: World = build_world(self.config, seed=seed)
@@ -54,7 +55,7 @@ class Alone:
     def driver(self) -> Any:
         """A new driver, closed."""
         table = self.config.devices()[self.model.kind].model_copy(update=dict(self.connection.values))
-        return self.model.driver(table, self.clock, **self.connection.parts)
+        return self.model.make_driver(table, self.clock, **self.connection.parts)
 
     def pass_time(self) -> None:
         """Half a millisecond of the world."""

@@ -11,7 +11,7 @@ from hil.bench.emulation import build_world, connect_in_process
 from hil.cli import main
 from hil.config.imu import Bno055Config
 from hil.config.loading import load_bench, validate
-from hil.devices.imu.microstrain import MICROSTRAIN
+from hil.devices.imu.microstrain import MicroStrain
 from hil.devices.imu.microstrain.config import MicrostrainConfig
 from hil.fakes.world import VirtualClock
 from hil.recording.mcap_writer import McapRecorder
@@ -208,7 +208,7 @@ def test_a_bno055_is_not_taken_for_it():
     world = build_world(config, seed=1)
     connected = connect_in_process(config, world)
     port = connected.connections["imu"].values["port"]
-    assert MICROSTRAIN.ask(port, VirtualClock(world)) is None
+    assert MicroStrain().probe(port, VirtualClock(world)) is None
     connected.close()
 
 

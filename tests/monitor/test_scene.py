@@ -15,8 +15,9 @@ from hil.config.robot import RobotConfig
 from hil.monitor import RerunMonitor, Scene, moments
 from hil.monitor.moments import Moments
 from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.device import Force
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import Force, kinds
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import AdhesionSample, Stamp, ThrustSample
 
 TRIANGLE = "v 0 0 0\nv 100 0 0\nv 0 100 50\nf 1 2 3\n"

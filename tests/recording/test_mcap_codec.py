@@ -16,7 +16,7 @@ from mcap_cases import CYCLE_RECORDS, driving_record
 from hil.recording.compare import first_difference
 from hil.recording.cycle_codec import DTYPES, CycleCodec
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kinds import DeviceKind
+from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.signals import Stamp, Status
 
 CODEC = CycleCodec()

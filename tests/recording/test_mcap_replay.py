@@ -20,7 +20,8 @@ from hil.report.replay_page import write_replay_page
 from hil.ring.alignment import Alignment, AlignmentParameters
 from hil.ring.loop import Brain
 from hil.ring.motion import Motion
-from hil.ring.supervisor import SafetyLimits, Supervisor
+from hil.ring.safety import SafetyLimits
+from hil.ring.supervisor import Supervisor
 from hil.robot.kinematics import WheelGeometry, twist_of_vectors
 from hil.vocabulary.choices import COMPARED
 from hil.vocabulary.errors import DataError, SafetyStop

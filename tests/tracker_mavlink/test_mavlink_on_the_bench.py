@@ -20,8 +20,9 @@ from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_run
 from hil.robot.trajectories import line
 from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.device import Search
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import Search, kinds
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import Status
 from tests.patience import PATIENT
 from tests.tracker_mavlink.test_mavlink_links import BAUD, serving
@@ -141,7 +142,7 @@ def test_discovery_finds_a_sender_on_a_serial_port(mavlink_bench):
     face = SerialPty(SerialLine(bench.world, SerialComputer(bench.computer, baud=BAUD)))
     port = face.endpoint()["port"]
     with serving(bench.world, face):
-        found = kinds()["tracker"].model("mavlink").ask(port, MonotonicClock())
+        found = kinds()["tracker"].model("mavlink").probe(port, MonotonicClock())
     assert found.table == {"port": port, "system_id": 1, "component_id": 197}
     assert "visual_inertial_odometry" in found.notes[0]
 

@@ -65,7 +65,7 @@ def test_what_it_cannot_see_is_no_distance(plate_x_m, status):
         ("wrong@0.5,offset_m=9", Status.IMPLAUSIBLE),
         ("reset@0.5", Status.STARTING),
         ("off@0.5+0.5", Status.STARTING),
-        ("unplug@0.5+0.5", None),
+        ("unplug@0.5+0.5", Status.STARTING),
     ],
 )
 def test_a_fault_is_told_and_nothing_wrong_is_used(fault, status):

@@ -110,7 +110,7 @@ def samples_in_time(subject: Subject) -> str:
 def no_data_is_no_number(subject: Subject) -> str:
     """Samples are of their kind; arrays keep their shape; NaN stands for what was not received."""
     kind, samples = kinds()[subject.kind], subject.watched.samples
-    names = arrays_of(kind.sample)
+    names, missing = arrays_of(kind.sample), subject.not_measured
     if not all(type(s) is kind.sample for s in samples):
         raise Broken("samples of another type", kind.sample.__name__, _DRIVER)
     for name in names:
@@ -123,9 +123,9 @@ def no_data_is_no_number(subject: Subject) -> str:
         states = sample.status if isinstance(sample.status, tuple) else (sample.status,)
         if len(states) != max(1, len(kind.labels)):
             raise Broken(f"{len(states)} statuses", f"{max(1, len(kind.labels))}", _DRIVER)
-        for name in unsaid_holes(kind, sample):
+        for name in unsaid_holes(kind, sample, missing):
             raise Broken(f"{name} is NaN or infinite with status ok", "a number", _DRIVER)
-        for name in names:
+        for name in set(names) - set(missing):
             for values, said in by_channel(getattr(sample, name), states):
                 if all(s in NOTHING for s in said) and not np.all(np.isnan(values)):
                     raise Broken(f"{name} has numbers with status {said[0].value}", "NaN", _DRIVER)

@@ -83,7 +83,7 @@ def _watched(bench: Bench, kind: str) -> Iterator[Any]:
                 opened.append(one)
         if servos is not None:
             servos.enable()
-        yield from map(_told_of, _driven(bench, device, servos, holds=kinds()[kind].holds))
+        yield from map(_told_of, _driven(bench, device, servos, holds=kinds()[kind].holds_robot))
         yield {k: v for k, v in vars(device).items() if type(v) is int and not k.startswith("_")}
     except HilError as error:
         yield str(error)

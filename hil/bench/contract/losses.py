@@ -21,7 +21,7 @@ def loses_next_to_nothing(subject: Subject) -> str:
 
     It begins to count when the device has had time to start, as the doctor does.
     """
-    limit, real_time = kinds()[subject.kind].delivered, subject.anew is None
+    limit, real_time = kinds()[subject.kind].min_delivered, subject.anew is None
     share, told = 0.0, ""
     for _ in range(_TIMES if real_time else 1):
         good, wanted = _watched(subject)

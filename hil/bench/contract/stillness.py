@@ -15,12 +15,12 @@ MOST_M_S = 0.005
 
 def sees_no_motion(subject: Subject) -> str:
     """The position that a device tells of a robot at rest drifts by less than 5 mm/s."""
-    witness = kinds()[subject.kind].witness
-    if witness is None or not witness.is_place:
+    kind = kinds()[subject.kind]
+    if not (kind.motion_threshold and kind.measures_position):
         return "reports no position"
     with subject.opened() as device:
         samples = read_for(subject.bench, device, _WATCH_S)
-    seen = [(s.stamp.t_ns, place) for s in samples if (place := witness.value(s)) is not None]
+    seen = [(s.stamp.t_ns, place) for s in samples if (place := kind.motion_value(s)) is not None]
     if len(seen) < _FEWEST:
         raise Broken(f"{len(seen)} usable places in {_WATCH_S:g} s", f"{_FEWEST}", "see `samples in time`")
     t_s = (np.array([t_ns for t_ns, _ in seen]) - seen[0][0]) / NS_PER_S

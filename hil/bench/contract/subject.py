@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.bench import Bench
+from hil.bench.drivers import model_of
 from hil.config.bench import BenchConfig
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import Aborted, HilError
@@ -73,6 +74,11 @@ class Subject:
         """Its driver."""
         return self.bench.rig.get(self.kind)
 
+    @property
+    def not_measured(self) -> tuple[str, ...]:
+        """Fields of its samples that its model does not measure."""
+        return model_of(self.bench.config, self.kind).not_measured
+
     @contextmanager
     def opened(self) -> Iterator[Any]:
         """The driver, open for as long as the block lasts."""
@@ -120,7 +126,7 @@ def due(bench: Bench, kind: str, samples: list[Any], duration_s: float) -> float
 def oldest_s(config: BenchConfig, kind: str) -> float:
     """How old a healthy device's samples may be, s: a cycle more where they wait for the loop."""
     waits = config.devices()[kind].waits_for_loop()
-    return _OLDER * kinds()[kind].age_s + waits / config.loop.rate_hz
+    return _OLDER * kinds()[kind].max_age_s + waits / config.loop.rate_hz
 
 
 def judged(device: str, promise: str, check: Callable[[], str]) -> Finding:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from hil.config.adhesion import AdhesionConfig
 from hil.config.robot import RobotConfig
-from hil.devices.adhesion.dronecan import DRONECAN
+from hil.devices.adhesion.dronecan import DroneCan
 from hil.devices.adhesion.look import look
-from hil.devices.adhesion.vesc import VESC
-from hil.vocabulary.kinds import DeviceKind, Figures, Force, Plot, Topic
+from hil.devices.adhesion.vesc import Vesc
+from hil.devices.looks import Watched
+from hil.vocabulary.device import DeviceKind, Figures, Force, Plot, Topic
+from hil.vocabulary.finding import Finding
 from hil.vocabulary.signals import AdhesionSample, Inputs, Status
 
 if TYPE_CHECKING:
@@ -30,47 +32,51 @@ def fan_state(sample: AdhesionSample, ros: MessageMaker) -> Any:
     return ros.joints(sample.stamp.t_ns, ("fan",), velocity=velocity, effort=(sample.motor_a,))
 
 
-def _figures(inputs: Inputs) -> Iterator[tuple[str, Figures]]:
-    if inputs.adhesion:
-        sample = inputs.adhesion[-1]
-        yield "adhesion/speed_rpm", {"fan": sample.speed_rpm}
-        yield "adhesion/current_a", {"motor": sample.motor_a, "battery": sample.input_a}
-        yield "adhesion/battery_v", {"battery": sample.input_v}
-        yield "adhesion/temperature_c", {"power stage": sample.fet_c, "motor": sample.motor_c}
+class Adhesion(DeviceKind):
+    """A ducted fan that presses the robot on its surface."""
 
-
-def _forces(inputs: Inputs, robot: RobotConfig, own: AdhesionConfig | None) -> Iterator[Force]:
-    """What a fan of this speed presses with; a speed that is not known tells nothing."""
-    for sample in inputs.adhesion[-1:]:
-        if own is not None and sample.status is Status.OK and math.isfinite(sample.speed_rpm):
-            yield Force("fan", np.zeros(3), np.array([0.0, 0.0, -own.force_at_n(sample.speed_rpm)]))
-
-
-KIND = DeviceKind(
-    name="adhesion",
-    noun="fan",
-    sample=AdhesionSample,
-    models=(VESC, DRONECAN),
-    actuates=True,
-    holds=True,
-    aliases=("fan",),
-    stale_s=lambda safety, own: safety.adhesion_stale_s,
-    rate_hz=lambda own, loop_hz: math.nan,
-    age_s=0.01,
-    gap_s=0.2,
-    delivered=0.9,
-    topics=(Topic("/adhesion/fan", "sensor_msgs/msg/JointState", fan_state),),
-    figures=_figures,
-    forces=_forces,
-    plots=(
+    name, noun, sample = "adhesion", "fan", AdhesionSample
+    models, aliases = (Vesc(), DroneCan()), ("fan",)
+    moves_robot = holds_robot = True
+    max_age_s, max_gap_s, min_delivered = 0.01, 0.2, 0.9
+    topics = (Topic("/adhesion/fan", "sensor_msgs/msg/JointState", fan_state),)
+    plots = (
         Plot("Adhesion", "Fan (1/min)", "adhesion/speed_rpm"),
         Plot("Adhesion", "Fan's currents (A)", "adhesion/current_a"),
         Plot("Adhesion", "Fan's battery (V)", "adhesion/battery_v"),
         Plot("Adhesion", "Fan's temperatures (C)", "adhesion/temperature_c"),
-    ),
-    look=look,
-    passes={
+    )
+    silent_faults: ClassVar[Mapping[str, str]] = {
         "slow": "reports come less often, and often enough for `safety.adhesion_stale_s`",
         "delayed": "reports of a moment ago say the same of a fan that turns steadily",
-    },
-)
+    }
+
+    def stale_after_s(self, safety: Any, config: Any) -> float:
+        """`safety.adhesion_stale_s`."""
+        return float(safety.adhesion_stale_s)
+
+    def rate_hz(self, config: Any, loop_hz: float) -> float:
+        """NaN: the owner of the controller sets how often it reports."""
+        return math.nan
+
+    def figures(self, inputs: Inputs) -> Iterator[tuple[str, Figures]]:
+        """Speed, currents, battery, temperatures."""
+        if inputs.adhesion:
+            sample = inputs.adhesion[-1]
+            yield "adhesion/speed_rpm", {"fan": sample.speed_rpm}
+            yield "adhesion/current_a", {"motor": sample.motor_a, "battery": sample.input_a}
+            yield "adhesion/battery_v", {"battery": sample.input_v}
+            yield "adhesion/temperature_c", {"power stage": sample.fet_c, "motor": sample.motor_c}
+
+    def forces(self, inputs: Inputs, robot: RobotConfig, config: AdhesionConfig | None) -> Iterator[Force]:
+        """Force of a fan of this speed; none where the speed is not known."""
+        for sample in inputs.adhesion[-1:]:
+            if config is not None and sample.status is Status.OK and math.isfinite(sample.speed_rpm):
+                yield Force("fan", np.zeros(3), np.array([0.0, 0.0, -config.force_at_n(sample.speed_rpm)]))
+
+    def check(self, watched: Watched) -> Iterator[Finding]:
+        """Reports, faults, battery, temperatures."""
+        return look(watched)
+
+
+KIND = Adhesion()

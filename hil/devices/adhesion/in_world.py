@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Protocol
 
 from hil.devices.canbus import on_can
-from hil.devices.emulated import Begun, EmulatedDevice, Setting
+from hil.devices.emulated import EmulatedDevice, EmulationRequest
 from hil.drivers.adhesion.keeper.beat import Beat
 from hil.drivers.adhesion.keeper.client import Status
 from hil.drivers.adhesion.keeper.core import Keeper, SetPoint
@@ -34,7 +34,7 @@ class Beginning(Protocol):
 
 
 def kept_on_can(
-    setting: Setting,
+    request: EmulationRequest,
     channel: CanChannel,
     nodes: Sequence[Beginning],
     *,
@@ -45,29 +45,29 @@ def kept_on_can(
     """Emulated controllers on a channel that a keeper commands; in this process it is one of their world.
 
     Args:
-        setting: where they are built.
+        request: where they are built.
         channel: their bus.
         nodes: the controllers; they begin in use with the bench.
         subnet: as of `on_can`.
         dbc: as of `on_can`.
         told: keys of the table that clients are told.
     """
-    values = {key: getattr(setting.config, key) for key in told}
-    device = on_can(
-        setting,
-        channel,
-        subnet=subnet,
-        dbc=dbc,
-        listens=True,
-        told=values,
-        parts={"keep": KeptInWorld(setting.world).keep},
-    )
+    values = {key: getattr(request.config, key) for key in told}
 
     def begin_in_use() -> None:
         for node in nodes:
             node.begin_in_use()
 
-    return Begun(device, begin_in_use)
+    return on_can(
+        request,
+        channel,
+        subnet=subnet,
+        dbc=dbc,
+        listens=True,
+        told=values,
+        parts={"keep": KeptInWorld(request.world).keep},
+        begin=begin_in_use,
+    )
 
 
 class _LifelongBus(WorldBus):

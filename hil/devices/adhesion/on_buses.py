@@ -7,8 +7,8 @@ from typing import TypeVar
 
 from hil.config.adhesion import VescConfig
 from hil.config.can_bus import SEARCH_S, CanConfig
+from hil.vocabulary.device import Search
 from hil.vocabulary.errors import HilError
-from hil.vocabulary.kinds import Search
 
 C = TypeVar("C", bound=CanConfig)
 

@@ -2,83 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 from hil.config.adhesion import VescConfig
 from hil.devices.adhesion.on_buses import controllers
-from hil.vocabulary.clock import Clock
-from hil.vocabulary.interfaces import Holding
-from hil.vocabulary.kinds import DeviceModel, Found, Search
-from hil.vocabulary.signals import AdhesionSample
-
-if TYPE_CHECKING:
-    from hil.devices.emulated import EmulatedDevice, Setting
-    from hil.drivers.adhesion.keeper.kept import Keep
-
-_TOLD = ("controller_id",)
+from hil.devices.models import CanModel
+from hil.vocabulary.device import Found, Search, loaded
 
 
-def _driver(config: VescConfig, clock: Clock, *, keep: Keep | None = None) -> Holding[AdhesionSample]:
-    """The fan's driver.
+class KeptFan(CanModel):
+    """A fan that the fan daemon commands. It is not looked for, unless a model says how."""
 
-    Args:
-        config: its table.
-        clock: the bench clock.
-        keep: makes who keeps a fan that is emulated in this process, where no other could reach it.
-    """
-    from hil.drivers.adhesion.fan import VescFan
-    from hil.drivers.adhesion.keeper.deputy import KeptByProcess
+    dbc: ClassVar[str] = ""
 
-    return VescFan(config, clock, keep or KeptByProcess)
+    def emulate(self, request: Any) -> Any:
+        """The controller on a bus of its own, commanded from its world."""
+        from hil.devices.adhesion.in_world import kept_on_can
+        from hil.devices.canbus import channel_of
 
+        channel = channel_of(request)
+        node = loaded(self.chip).build(request, channel)
+        dbc = loaded(self.dbc) if self.dbc else ""
+        return kept_on_can(request, channel, [node], subnet=self.subnet, dbc=dbc, told=self.printed)
 
-def _imperfections() -> type[Any]:
-    from hil.fakes.adhesion import AdhesionTruthOptions
+    def search(self, search: Search) -> Found | None:
+        """None: to ask such a bus is to take part in it."""
+        return None
 
-    return AdhesionTruthOptions
-
-
-def _emulate(setting: Setting) -> EmulatedDevice:
-    from hil.devices.adhesion.in_world import kept_on_can
-    from hil.devices.canbus import channel_of
-    from hil.drivers.adhesion.vesc import DBC
-    from hil.fakes.adhesion import AdhesionTruthOptions, VescNode
-
-    config: VescConfig = setting.config
-    channel = channel_of(setting)
-    options = setting.options(AdhesionTruthOptions, timeout_s=config.timeout_s)
-    node = VescNode(setting.world, channel, config, options)
-    return kept_on_can(setting, channel, [node], subnet=164, dbc=DBC, told=_TOLD)
+    @property
+    def can_search(self) -> bool:
+        """Whether a model says how."""
+        return type(self).search is not KeptFan.search
 
 
-def _reach(endpoint: Mapping[str, Any]) -> dict[str, Any]:
-    from hil.devices.canbus import where
+class Vesc(KeptFan):
+    """VESC."""
 
-    return where(endpoint, _TOLD)
+    kind, name, title = "adhesion", "vesc", "a ducted fan on a VESC"
+    config, subnet, printed = VescConfig, 164, ("controller_id",)
+    driver, chip = "hil.drivers.adhesion.fan:VescFan", "hil.fakes.adhesion:VescNode"
+    dbc = "hil.drivers.adhesion.vesc:DBC"
 
+    def search(self, search: Search) -> Found | None:
+        """Ping the controllers on the CAN buses that were named, or that the system has."""
+        from hil.drivers.can_link import detected
 
-def _search(search: Search) -> Found | None:
-    """Ping the controllers on the CAN buses that were named, or that the system has."""
-    from hil.drivers.can_link import detected
-
-    named = [c for c in search.given.get("adhesion", ()) if isinstance(c, VescConfig)]
-    for config, ids in controllers(search, named or detected(VescConfig)):
-        wanted = VescConfig().controller_id
-        own = wanted if wanted in ids else ids[0]
-        notes = (f"controllers {', '.join(map(str, ids))}: {own} is taken for the fan's",)
-        return Found(config.table(controller_id=own), notes if len(ids) > 1 else ())
-    return None
-
-
-VESC = DeviceModel(
-    kind="adhesion",
-    name="vesc",
-    title="a ducted fan on a VESC",
-    config=VescConfig,
-    driver=_driver,
-    emulate=_emulate,
-    imperfections=_imperfections,
-    search=_search,
-    reach=_reach,
-)
+        named = [c for c in search.given.get("adhesion", ()) if isinstance(c, VescConfig)]
+        for config, ids in controllers(search, named or detected(VescConfig)):
+            wanted = VescConfig().controller_id
+            own = wanted if wanted in ids else ids[0]
+            notes = (f"controllers {', '.join(map(str, ids))}: {own} is taken for the fan's",)
+            return Found(config.table(controller_id=own), notes if len(ids) > 1 else ())
+        return None

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from hil.devices.encoders.as5045 import AS5045
+from hil.devices.encoders.as5045 import As5045
 from hil.devices.encoders.look import look
-from hil.vocabulary.kinds import DeviceKind, Topic
+from hil.devices.looks import Watched
+from hil.vocabulary.device import DeviceKind, Topic
+from hil.vocabulary.finding import Finding
 from hil.vocabulary.signals import SERVOS, WHEELS, EncoderSample
 
 if TYPE_CHECKING:
@@ -20,19 +23,18 @@ def encoder_state(sample: EncoderSample, ros: MessageMaker) -> Any:
     return ros.joints(sample.stamp.t_ns, SERVOS[4:], position=sample.angle_rad)
 
 
-KIND = DeviceKind(
-    name="encoders",
-    noun="steering encoders",
-    sample=EncoderSample,
-    models=(AS5045,),
-    aliases=("can",),
-    endpoint="can",
-    labels=WHEELS,
-    rate_hz=lambda own, loop_hz: float(own.rate_hz),
-    age_s=0.01,
-    gap_s=0.05,
-    delivered=0.98,
-    own_clock=True,
-    topics=(Topic("/steering_encoders", "sensor_msgs/msg/JointState", encoder_state),),
-    look=look,
-)
+class Encoders(DeviceKind):
+    """Angles of the steering axes, apart from the servos' own."""
+
+    name, noun, sample = "encoders", "steering encoders", EncoderSample
+    models, aliases, endpoint, labels = (As5045(),), ("can",), "can", WHEELS
+    max_age_s, max_gap_s, min_delivered = 0.01, 0.05, 0.98
+    has_own_clock = True
+    topics = (Topic("/steering_encoders", "sensor_msgs/msg/JointState", encoder_state),)
+
+    def check(self, watched: Watched) -> Iterator[Finding]:
+        """CAN link, node, and each axis."""
+        return look(watched)
+
+
+KIND = Encoders()

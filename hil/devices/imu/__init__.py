@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from hil.devices.imu.bno055 import BNO055
+from hil.devices.imu.bno055 import Bno055
 from hil.devices.imu.look import look
-from hil.devices.imu.microstrain import MICROSTRAIN
+from hil.devices.imu.microstrain import MicroStrain
+from hil.devices.looks import Watched
+from hil.vocabulary.device import DeviceKind, Topic
+from hil.vocabulary.finding import Finding
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kinds import DeviceKind, Topic, Witness
 from hil.vocabulary.signals import ImuSample, Status
 
 if TYPE_CHECKING:
@@ -36,26 +39,35 @@ def imu_message(sample: ImuSample, ros: MessageMaker) -> Any:
     )
 
 
-def _gravity(sample: ImuSample) -> Array | None:
-    return sample.gravity_m_s2 if sample.status is Status.OK else None
+class Imu(DeviceKind):
+    """Rates, specific force and attitude."""
 
-
-KIND = DeviceKind(
-    name="imu",
-    noun="IMU",
-    sample=ImuSample,
-    models=(BNO055, MICROSTRAIN),
-    stale_s=lambda safety, own: safety.imu_stale_s,
-    rate_hz=lambda own, loop_hz: float(getattr(own, "rate_hz", min(loop_hz, 100.0))),
-    age_s=0.02,
-    gap_s=0.1,
-    delivered=0.95,
-    topics=(Topic("/imu/data", "sensor_msgs/msg/Imu", imu_message),),
-    witness=Witness(still=0.2, value=_gravity),  # m/s^2: gravity turns with the robot, 0.17 for a degree
-    look=look,
-    passes={
+    name, noun, sample = "imu", "IMU", ImuSample
+    models = (Bno055(), MicroStrain())
+    max_age_s, max_gap_s, min_delivered = 0.02, 0.1, 0.95
+    topics = (Topic("/imu/data", "sensor_msgs/msg/Imu", imu_message),)
+    motion_threshold = 0.2  # m/s^2: gravity turns with the robot, 0.17 for a degree
+    silent_faults: ClassVar[Mapping[str, str]] = {
         "jump": "its own heading is not used: gyro and gravity are",
-        "slow": "nobody notices: values of a moment ago come as often as new ones would",
-        "delayed": "nobody notices on a straight way: values of 0.1 s ago carry fresh stamps",
-    },
-)
+        "slow": "nothing notices: values of a moment ago come as often as new ones would",
+        "delayed": "nothing notices on a straight way: values of 0.1 s ago carry fresh stamps",
+    }
+
+    def stale_after_s(self, safety: Any, config: Any) -> float:
+        """`safety.imu_stale_s`."""
+        return float(safety.imu_stale_s)
+
+    def rate_hz(self, config: Any, loop_hz: float) -> float:
+        """That of its table, else the loop rate up to 100 Hz."""
+        return float(getattr(config, "rate_hz", min(loop_hz, 100.0)))
+
+    def motion_value(self, sample: ImuSample) -> Array | None:
+        """Gravity (3,) in m/s^2."""
+        return sample.gravity_m_s2 if sample.status is Status.OK else None
+
+    def check(self, watched: Watched) -> Iterator[Finding]:
+        """Samples, calibration, gravity."""
+        return look(watched)
+
+
+KIND = Imu()

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from hil.devices.load_cells.hx711 import HX711_CAN, HX711_LINE
+from hil.devices.load_cells.hx711 import Hx711Can, Hx711Line
 from hil.devices.load_cells.look import look
-from hil.vocabulary.kinds import DeviceKind, Figures, Plot, Topic
+from hil.devices.looks import Watched
+from hil.vocabulary.device import DeviceKind, Figures, Plot, Topic
+from hil.vocabulary.finding import Finding
 from hil.vocabulary.signals import Inputs, LoadCellSample
 
 if TYPE_CHECKING:
@@ -23,28 +25,32 @@ def cell_state(sample: LoadCellSample, ros: MessageMaker) -> Any:
     return ros.joints(sample.stamp.t_ns, CELLS, effort=sample.force_n)
 
 
-def _figures(inputs: Inputs) -> Iterator[tuple[str, Figures]]:
-    if inputs.load_cells:
-        values = inputs.load_cells[-1].force_n.tolist()
-        yield "adhesion/cells_n", dict(zip(CELLS, values, strict=True))
+class LoadCells(DeviceKind):
+    """Two cells between fan and chassis."""
+
+    name, noun, sample = "load_cells", "load cells", LoadCellSample
+    models, aliases, labels = (Hx711Can(), Hx711Line()), ("cells",), CELLS
+    guards_hold = True
+    max_age_s, max_gap_s, min_delivered = 0.02, 0.2, 0.9
+    topics = (Topic("/adhesion/cells", "sensor_msgs/msg/JointState", cell_state),)
+    plots = (Plot("Adhesion", "Load cells (N)", "adhesion/cells_n"),)
+    silent_faults: ClassVar[Mapping[str, str]] = {
+        "delayed": "a force of a moment ago is the same for a fan that turns steadily"
+    }
+
+    def stale_after_s(self, safety: Any, config: Any) -> float:
+        """`safety.adhesion_stale_s`."""
+        return float(safety.adhesion_stale_s)
+
+    def figures(self, inputs: Inputs) -> Iterator[tuple[str, Figures]]:
+        """Force of each cell."""
+        if inputs.load_cells:
+            values = inputs.load_cells[-1].force_n.tolist()
+            yield "adhesion/cells_n", dict(zip(CELLS, values, strict=True))
+
+    def check(self, watched: Watched) -> Iterator[Finding]:
+        """Conversions of each cell, noise, zero."""
+        return look(watched)
 
 
-KIND = DeviceKind(
-    name="load_cells",
-    noun="load cells",
-    sample=LoadCellSample,
-    models=(HX711_CAN, HX711_LINE),
-    guards=True,
-    aliases=("cells",),
-    labels=CELLS,
-    stale_s=lambda safety, own: safety.adhesion_stale_s,
-    rate_hz=lambda own, loop_hz: float(own.rate_hz),
-    age_s=0.02,
-    gap_s=0.2,
-    delivered=0.9,
-    topics=(Topic("/adhesion/cells", "sensor_msgs/msg/JointState", cell_state),),
-    figures=_figures,
-    plots=(Plot("Adhesion", "Load cells (N)", "adhesion/cells_n"),),
-    look=look,
-    passes={"delayed": "a force of a moment ago is the same for a fan that turns steadily"},
-)
+KIND = LoadCells()

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
 
+from hil.devices.looks import Watched
 from hil.devices.mocap.look import look
-from hil.devices.mocap.natnet import NATNET
+from hil.devices.mocap.natnet import NatNet
+from hil.vocabulary.device import DeviceKind, Topic
+from hil.vocabulary.finding import Finding
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kinds import DeviceKind, Topic, Witness
 from hil.vocabulary.signals import MocapSample, Status
 
 if TYPE_CHECKING:
@@ -24,25 +27,31 @@ def _pose(sample: MocapSample, ros: MessageMaker) -> Any:
     return ros.pose_stamped(sample.stamp.t_ns, "mocap", sample.position_m, sample.quaternion_wxyz)
 
 
-def _place(sample: MocapSample) -> Array | None:
-    return sample.position_m if sample.status is _OK and sample.tracking_valid else None
+class Mocap(DeviceKind):
+    """The pose of a rigid body, seen from outside."""
 
-
-KIND = DeviceKind(
-    name="mocap",
-    noun="motion capture",
-    sample=MocapSample,
-    models=(NATNET,),
-    rate_hz=lambda own, loop_hz: math.nan,
-    age_s=0.05,
-    gap_s=0.5,
-    delivered=0.8,
-    own_clock=True,
-    topics=(Topic("/mocap/pose", "geometry_msgs/msg/PoseStamped", _pose),),
-    witness=Witness(still=0.0005, value=_place, is_place=True),
-    look=look,
-    passes={
+    name, noun, sample = "mocap", "motion capture", MocapSample
+    models = (NatNet(),)
+    max_age_s, max_gap_s, min_delivered = 0.05, 0.5, 0.8
+    has_own_clock = True
+    topics = (Topic("/mocap/pose", "geometry_msgs/msg/PoseStamped", _pose),)
+    motion_threshold, measures_position = 0.0005, True
+    silent_faults: ClassVar[Mapping[str, str]] = {
         "intermittent": "the stream is judged second by second: told within two seconds of a longer run",
         "delayed": "the stream is judged second by second: told within two seconds of a longer run",
-    },
-)
+    }
+
+    def rate_hz(self, config: Any, loop_hz: float) -> float:
+        """NaN: the capture system sets it."""
+        return math.nan
+
+    def motion_value(self, sample: MocapSample) -> Array | None:
+        """Position (3,) in m."""
+        return sample.position_m if sample.status is _OK and sample.tracking_valid else None
+
+    def check(self, watched: Watched) -> Iterator[Finding]:
+        """Tracked frames, gaps, latency."""
+        return look(watched)
+
+
+KIND = Mocap()

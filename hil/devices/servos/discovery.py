@@ -9,8 +9,8 @@ from typing import Any
 from hil.config.servo_models import model_text, models_text, servo_models
 from hil.drivers.servos import FoundServo, scan
 from hil.vocabulary.clock import Clock
+from hil.vocabulary.device import Found
 from hil.vocabulary.errors import HilError
-from hil.vocabulary.kinds import Found
 
 _VELOCITY_MODE = 1
 _WHEELS = 4

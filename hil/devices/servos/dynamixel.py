@@ -2,58 +2,33 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from hil.config.servo_models import DEFAULT_MODEL
 from hil.config.servos import ServosConfig
+from hil.devices.models import SerialModel
 from hil.vocabulary.clock import Clock
-from hil.vocabulary.interfaces import Actuators
-from hil.vocabulary.kinds import DeviceModel
-
-if TYPE_CHECKING:
-    from hil.devices.emulated import EmulatedDevice, Setting
+from hil.vocabulary.device import Found, loaded
 
 
-def _driver(config: ServosConfig, clock: Clock) -> Actuators:
-    from hil.drivers.servos import DynamixelServos
+class Dynamixel(SerialModel):
+    """Eight servos on one bus; discovery looks for each of them, at every baud rate."""
 
-    return DynamixelServos(config, clock)
+    kind, name, title = "servos", "dynamixel", "Dynamixel X servos on RS-485 or TTL"
+    config, probe_order = ServosConfig, 9
+    driver, chip = "hil.drivers.servos:DynamixelServos", "hil.fakes.servos:ServoBus"
+    probe_writes = "a ping of all Dynamixel servos, at each of their baud rates"
 
+    def emulate(self, request: Any) -> Any:
+        """The bus behind an adapter whose latency is that of the table."""
+        from hil.devices.emulated import on_serial_line
 
-def _imperfections() -> type[Any]:
-    from hil.fakes.servos import ServoBusOptions
+        config: ServosConfig = request.config
+        told = {"baud": config.baud, "ids": list(config.ids)}
+        bus = loaded(self.chip).build(request)
+        return on_serial_line(request, bus, latency_s=config.usb_latency_s, told=told)
 
-    return ServoBusOptions
+    def probe(self, port: str, clock: Clock) -> Found | None:
+        """Which servos answer."""
+        from hil.devices.servos.discovery import ask
 
-
-def _emulate(setting: Setting) -> EmulatedDevice:
-    from hil.devices.emulated import on_serial_line
-    from hil.fakes.servos import ServoBus, ServoBusOptions
-
-    config: ServosConfig = setting.config
-    known = {"ids": config.ids, "baud": config.baud, "model_number": config.model_number or DEFAULT_MODEL}
-    options = setting.options(ServoBusOptions, **known)
-    told = {"baud": config.baud, "ids": list(config.ids)}
-    return on_serial_line(
-        setting, ServoBus(setting.world, options=options), latency_s=config.usb_latency_s, told=told
-    )
-
-
-def _ask(port: str, clock: Clock) -> Any:
-    from hil.devices.servos.discovery import ask
-
-    return ask(port, clock)
-
-
-DYNAMIXEL = DeviceModel(
-    kind="servos",
-    name="dynamixel",
-    title="Dynamixel X servos on RS-485 or TTL",
-    config=ServosConfig,
-    driver=_driver,
-    emulate=_emulate,
-    imperfections=_imperfections,
-    ask=_ask,
-    ask_writes="a ping of all Dynamixel servos, at each of their baud rates",
-    ask_after=9,
-)
+        return ask(port, clock)

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from hil.config.robot import RobotConfig
 from hil.config.thrust import ThrustConfig
-from hil.devices.looks import samples_look
-from hil.devices.thrust.teensy import TEENSY
-from hil.devices.thrust.vesc import VESC_THRUST
-from hil.vocabulary.kinds import DeviceKind, Figures, Force, Plot, Topic
+from hil.devices.looks import Watched
+from hil.devices.thrust.teensy import Teensy
+from hil.devices.thrust.vesc import VescPropellers
+from hil.vocabulary.device import DeviceKind, Figures, Force, Plot, Topic
+from hil.vocabulary.finding import Finding
 from hil.vocabulary.signals import Inputs, Status, ThrustSample
 
 if TYPE_CHECKING:
@@ -26,33 +27,35 @@ def propeller_state(sample: ThrustSample, ros: MessageMaker) -> Any:
     return ros.joints(sample.stamp.t_ns, ("propellers",), position=(sample.throttle,))
 
 
-def _figures(inputs: Inputs) -> Iterator[tuple[str, Figures]]:
-    if inputs.thrust:
-        yield "adhesion/throttle", {"propellers": inputs.thrust[-1].throttle}
+class Thrust(DeviceKind):
+    """Propellers that push the robot up the wall."""
+
+    name, noun, sample = "thrust", "propellers", ThrustSample
+    models, aliases = (Teensy(), VescPropellers()), ("propellers",)
+    moves_robot = holds_robot = True
+    max_age_s, max_gap_s = 0.005, 0.5
+    topics = (Topic("/adhesion/propellers", "sensor_msgs/msg/JointState", propeller_state),)
+    plots = (Plot("Adhesion", "Propellers' throttle", "adhesion/throttle"),)
+    silent_faults: ClassVar[Mapping[str, str]] = {"*": "this controller sends nothing back"}
+
+    def rate_hz(self, config: Any, loop_hz: float) -> float:
+        """As often as its table repeats the throttle; NaN where controllers report as they like."""
+        return 1.0 / float(getattr(config, "repeat_s", math.nan))
+
+    def figures(self, inputs: Inputs) -> Iterator[tuple[str, Figures]]:
+        """Throttle 0..1."""
+        if inputs.thrust:
+            yield "adhesion/throttle", {"propellers": inputs.thrust[-1].throttle}
+
+    def forces(self, inputs: Inputs, robot: RobotConfig, config: ThrustConfig | None) -> Iterator[Force]:
+        """Push of the propellers at the throttle that was sent last; none where that is not known."""
+        for sample in inputs.thrust[-1:]:
+            if config is not None and sample.status is Status.OK and math.isfinite(sample.throttle):
+                yield from itertools.starmap(Force, robot.propellers(config.force_at_n(sample.throttle)))
+
+    def check(self, watched: Watched) -> Iterator[Finding]:
+        """Samples."""
+        yield from watched.losses("check cable and supply of the propellers' controllers")
 
 
-def _forces(inputs: Inputs, robot: RobotConfig, own: ThrustConfig | None) -> Iterator[Force]:
-    """What the propellers give at the throttle that was sent last; one that is not known tells nothing."""
-    for sample in inputs.thrust[-1:]:
-        if own is not None and sample.status is Status.OK and math.isfinite(sample.throttle):
-            yield from itertools.starmap(Force, robot.propellers(own.force_at_n(sample.throttle)))
-
-
-KIND = DeviceKind(
-    name="thrust",
-    noun="propellers",
-    sample=ThrustSample,
-    models=(TEENSY, VESC_THRUST),
-    actuates=True,
-    holds=True,
-    aliases=("propellers",),
-    rate_hz=lambda own, loop_hz: 1.0 / float(getattr(own, "repeat_s", math.nan)),
-    age_s=0.005,
-    gap_s=0.5,
-    topics=(Topic("/adhesion/propellers", "sensor_msgs/msg/JointState", propeller_state),),
-    figures=_figures,
-    forces=_forces,
-    plots=(Plot("Adhesion", "Propellers' throttle", "adhesion/throttle"),),
-    look=samples_look("check cable and supply of the propellers' controllers"),
-    passes={"*": "this controller sends nothing back"},
-)
+KIND = Thrust()

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+from hil.devices.looks import Watched
 from hil.devices.tracker.look import look
-from hil.devices.tracker.mavlink import MAVLINK
+from hil.devices.tracker.mavlink import Mavlink
 from hil.devices.tracker.t265 import T265
+from hil.vocabulary.device import DeviceKind, Topic
+from hil.vocabulary.finding import Finding
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kinds import DeviceKind, Topic, Witness
 from hil.vocabulary.signals import Status, TrackerSample
 
 if TYPE_CHECKING:
@@ -25,22 +28,31 @@ def _pose(sample: TrackerSample, ros: MessageMaker) -> Any:
     return ros.pose_stamped(t_ns, "tracker_start", sample.position_m, sample.quaternion_wxyz)
 
 
-def _place(sample: TrackerSample) -> Array | None:
-    return sample.position_m if sample.status is _OK else None
+class Tracker(DeviceKind):
+    """The pose since the camera began, by visual-inertial odometry."""
+
+    name, noun, sample = "tracker", "camera", TrackerSample
+    models = (T265(), Mavlink())
+    max_age_s, max_gap_s, min_delivered = 0.05, 0.1, 0.95
+    has_own_clock = True
+    topics = (Topic("/tracker/pose", "geometry_msgs/msg/PoseStamped", _pose),)
+    motion_threshold, measures_position = 0.001, True  # m: noise of 0.5 mm leaves 0.1 in the mean
+
+    def stale_after_s(self, safety: Any, config: Any) -> float:
+        """`safety.tracker_stale_s`."""
+        return float(safety.tracker_stale_s)
+
+    def rate_hz(self, config: Any, loop_hz: float) -> float:
+        """That of its table, else 200 Hz."""
+        return float(getattr(config, "rate_hz", 200.0))
+
+    def motion_value(self, sample: TrackerSample) -> Array | None:
+        """Position (3,) in m."""
+        return sample.position_m if sample.status is _OK else None
+
+    def check(self, watched: Watched) -> Iterator[Finding]:
+        """Samples and confidence."""
+        return look(watched)
 
 
-KIND = DeviceKind(
-    name="tracker",
-    noun="camera",
-    sample=TrackerSample,
-    models=(T265, MAVLINK),
-    stale_s=lambda safety, own: safety.tracker_stale_s,
-    rate_hz=lambda own, loop_hz: float(getattr(own, "rate_hz", 200.0)),
-    age_s=0.05,
-    gap_s=0.1,
-    delivered=0.95,
-    own_clock=True,
-    topics=(Topic("/tracker/pose", "geometry_msgs/msg/PoseStamped", _pose),),
-    witness=Witness(still=0.001, value=_place, is_place=True),  # m: noise of 0.5 mm leaves 0.1 in the mean
-    look=look,
-)
+KIND = Tracker()

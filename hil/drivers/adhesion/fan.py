@@ -46,7 +46,7 @@ class _Slow:
 class VescFan(MotorFan[VescConfig]):
     """One fan; arguments as of any."""
 
-    def __init__(self, config: VescConfig, clock: Clock, keep: Keep) -> None:
+    def __init__(self, config: VescConfig, clock: Clock, keep: Keep | None = None) -> None:
         self._answers, self._seen = Answers(), Seen()
         self._reports = {address(packet, config.controller_id) for packet in _READ}
         super().__init__(config, clock, keep)

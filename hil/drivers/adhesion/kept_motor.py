@@ -15,6 +15,7 @@ import can
 
 from hil.config.kept_motor import KeptMotorConfig
 from hil.drivers.adhesion.keeper.core import SetPoint
+from hil.drivers.adhesion.keeper.deputy import KeptByProcess
 from hil.drivers.adhesion.keeper.kept import Keep, Kept
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.can_link import CanLink, remedy_of_silence
@@ -41,8 +42,8 @@ class KeptMotor(Holding[S], Generic[C, S]):
 
     noun: str
 
-    def __init__(self, config: C, clock: Clock, keep: Keep) -> None:
-        self._config, self._clock, self._keep = config, clock, keep
+    def __init__(self, config: C, clock: Clock, keep: Keep | None = None) -> None:
+        self._config, self._clock, self._keep = config, clock, keep or KeptByProcess
         self._link = CanLink(self.name, config, clock)
         self._kept: Kept | None = None
         self._identity: dict[str, str] = {}

@@ -53,7 +53,7 @@ class MotorFan(KeptMotor[C, AdhesionSample]):
     name = "adhesion"
     noun = "the fan"
 
-    def __init__(self, config: C, clock: Clock, keep: Keep) -> None:
+    def __init__(self, config: C, clock: Clock, keep: Keep | None = None) -> None:
         self._fastest_rpm = _FASTEST * config.rated_rpm
         super().__init__(config, clock, keep)
 

@@ -35,24 +35,6 @@ _OK = Status.OK
 _WITHOUT_VALUES = (Status.RESET, Status.STARTING)
 
 
-def answers(config: Bno055Config, clock: Clock) -> bool:
-    """Whether a BNO055 is at a port. It is asked for its identity, and keeps its settings."""
-    try:
-        link = Link(config, clock, Bno055Imu.name)
-    except DeviceError:
-        return False
-    try:
-        with link.patient():
-            Chip(link, config, clock, Bno055Imu.name, None).identify(
-                clock.now_ns() + nanoseconds(config.open_timeout_s)
-            )
-    except DeviceError:
-        return False
-    finally:
-        link.close()
-    return True
-
-
 class Bno055Imu(Sensor[ImuSample]):
     """One BNO055.
 
@@ -62,6 +44,23 @@ class Bno055Imu(Sensor[ImuSample]):
     """
 
     name = "imu"
+
+    @classmethod
+    def identify_only(cls, config: Bno055Config, clock: Clock) -> dict[str, str] | None:
+        """What is at the port, {} as there is no more to say, or None. The chip keeps its settings."""
+        try:
+            link = Link(config, clock, cls.name)
+        except DeviceError:
+            return None
+        try:
+            with link.patient():
+                end_ns = clock.now_ns() + nanoseconds(config.open_timeout_s)
+                Chip(link, config, clock, cls.name, None).identify(end_ns)
+        except DeviceError:
+            return None
+        finally:
+            link.close()
+        return {}
 
     def __init__(self, config: Bno055Config, clock: Clock) -> None:
         self._config, self._clock, self._prefetch = config, clock, config.prefetch

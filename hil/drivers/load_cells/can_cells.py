@@ -2,137 +2,51 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 from hil.config.load_cells import CanCellsConfig
-from hil.drivers.can_link import CanLink, remedy_of_silence
 from hil.drivers.dbc import load_database
+from hil.drivers.links.can_sensor import CanSensor
 from hil.drivers.load_cells.judging import Judge
-from hil.drivers.patience import Usefulness, used_while_closed
-from hil.vocabulary.clock import NS_PER_S, Clock
-from hil.vocabulary.errors import DataError, DeviceError, DeviceTimeoutError
-from hil.vocabulary.interfaces import Sensor
-from hil.vocabulary.signals import LoadCellSample
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.signals import LoadCellSample, Stamp
 
-_WAIT_S = 0.02
 _BITS = 24
 
 
-class CanCells(Sensor[LoadCellSample]):
+class CanCells(CanSensor[CanCellsConfig, LoadCellSample]):
     """Two cells behind one CAN node.
-
-    Args:
-        config: bus, DBC, scales.
-        clock: the bench clock.
 
     Attributes:
         malformed: frames of the right identifier and the wrong length since `open`.
     """
 
-    name = "load_cells"
+    name, what, expected = "load_cells", "conversion", "the cells' node"
+    remedy = "check load_cells.dbc and load_cells.node_id"
 
-    def __init__(self, config: CanCellsConfig, clock: Clock) -> None:
-        self._config, self._clock = config, clock
-        self._link = CanLink(self.name, config, clock)
-        self._identity: dict[str, str] = {}
-        self._usefulness = Usefulness(config.fail_after_s)
-        self._judge = Judge(config)
-        self._frame_id = self._length = self.malformed = 0
-        self._fields: tuple[_Field, ...] = ()
+    def frame_ids(self) -> tuple[int, ...]:
+        """That of the DBC, with the node's number; raises `DataError` where the DBC cannot be used."""
+        frame_id, self._length, self._fields = _layout(self.config)
+        self._judge = Judge(self.config)
+        return (frame_id,)
 
-    def open(self) -> None:
-        """Load the DBC, open the bus and wait for a first frame.
+    def identify(self) -> Mapping[str, str]:
+        """DBC and frame."""
+        (frame_id,) = self._ids
+        return {"model": "HX711", "dbc": str(self.config.dbc_path), "frame": f"0x{frame_id:X}"}
 
-        Raises:
-            DataError: the DBC cannot be used.
-            DeviceError: the bus cannot be opened, or no cell is heard.
-        """
-        self.close()
-        self._frame_id, self._length, self._fields = _layout(self._config)
-        self._link.open()
-        self._judge, self.malformed = Judge(self._config), 0
-        try:
-            self._await_first()
-        except BaseException:
-            self.close()
-            raise
-        self._link.listen_for(self._sample)
-        self._usefulness.begin(self._clock.now_ns())
-        self._identity = {
-            "model": "HX711",
-            "port": self._link.port,
-            "dbc": str(self._config.dbc_path),
-            "frame": f"0x{self._frame_id:X}",
-        }
-
-    def close(self) -> None:
-        """Let go of the bus. Idempotent; never raises."""
-        self._identity = {}
-        self._link.close()
-
-    def identity(self) -> Mapping[str, str]:
-        """Bus, DBC and frame; empty while closed."""
-        return self._identity
-
-    def read(self) -> tuple[LoadCellSample, ...]:
-        """All conversions since the last call, oldest first.
-
-        Raises:
-            DeviceError: it is closed.
-            DeviceTimeoutError: none came for `fail_after_s`.
-        """
-        if not self._link.is_open:
-            raise used_while_closed(self.name, self._link.port)
-        samples: list[LoadCellSample] = self._link.heard()
-        now_ns = self._clock.now_ns()
-        if lost_ns := self._usefulness.lost_ns(bool(samples), now_ns):
-            raise self._silent(lost_ns / NS_PER_S)
-        if samples:
-            self._link.error = ""
-        return tuple(samples)
-
-    def _sample(self, t_ns: int, message: Any, now_ns: int) -> LoadCellSample | None:
-        raw = self._counts(message)
-        return None if raw is None else self._judge.sample(raw, t_ns, now_ns)
-
-    def _counts(self, message: Any) -> tuple[int, int] | None:
-        if message.arbitration_id != self._frame_id or message.is_extended_id:
-            return None
-        if len(message.data) != self._length:
-            self.malformed += 1
+    def parse(self, frames: Mapping[int, bytes]) -> tuple[int, int] | None:
+        """Counts of both cells."""
+        (data,) = frames.values()
+        if len(data) != self._length:
             return None
         first, second = self._fields
-        return first.take(message.data), second.take(message.data)
+        return first.take(data), second.take(data)
 
-    def _await_first(self) -> None:
-        heard: set[int] = set()
-        tries = math.ceil(self._config.open_timeout_s / _WAIT_S)
-        for _ in range(tries):
-            for _, message in self._link.take(_WAIT_S):
-                if self._counts(message) is not None:
-                    return
-                heard.add(message.arbitration_id)
-        if not heard:
-            raise self._silent(self._config.open_timeout_s)
-        told = ", ".join(f"0x{i:X}" for i in sorted(heard)[:8])
-        raise DeviceError(
-            self.name,
-            f"no frame of the cells; seen {told}",
-            port=self._link.port,
-            expected=f"0x{self._frame_id:X} ({self._length} bytes)",
-            remedy="check load_cells.dbc and load_cells.node_id",
-        )
-
-    def _silent(self, duration_s: float) -> DeviceTimeoutError:
-        return DeviceTimeoutError(
-            self.name,
-            f"no conversion for {duration_s:.1f} s{self._link.told()}",
-            port=self._link.port,
-            expected=f"{self._config.rate_hz:g} per second",
-            remedy=remedy_of_silence(self.name, self._config, "the cells' node"),
-        )
+    def sample(self, item: tuple[int, int], stamp: Stamp) -> LoadCellSample:
+        """Forces and what is wrong with them."""
+        return self._judge.sample(item, stamp.t_ns, stamp.host_ns)
 
 
 class _Field:

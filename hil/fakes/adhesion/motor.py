@@ -7,6 +7,7 @@ robot that it has carried once falls when it stops.
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import TYPE_CHECKING
 
 import can
 
@@ -18,9 +19,13 @@ from hil.fakes.can_wire import WIRE_FAULTS, CanChannel, CanFrame
 from hil.fakes.fault import PERIODIC, STRIKES, Supported
 from hil.fakes.faults import DeviceFaults
 from hil.fakes.plant_api import HoldingForces
+from hil.fakes.request import EmulationRequest
 from hil.fakes.tether import Start
 from hil.fakes.world import NEVER_NS, Scheduled, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 FAN_FAULTS: Supported = {
     "off": (),
@@ -55,8 +60,15 @@ class MotorNode(Scheduled):
         motor: which of those it is.
     """
 
+    Options = AdhesionTruthOptions
     supported_faults = FAN_FAULTS
     tells = True
+
+    @classmethod
+    def build(cls, request: EmulationRequest, channel: CanChannel) -> Self:
+        """The controller of a table of the bench file."""
+        config = request.config
+        return cls(request.world, channel, config, request.options(cls.Options, timeout_s=config.timeout_s))
 
     def __init__(
         self,

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.fakes.can_wire import WIRE_FAULTS
+from hil.fakes.can_wire import WIRE_FAULTS, CanChannel
 from hil.fakes.encoders.as5045 import (
     CHIP_SIZE,
     COUNTS,
@@ -25,6 +25,7 @@ from hil.fakes.encoders.as5045 import (
 )
 from hil.fakes.fault import PERIODIC, STRIKES, Fault, Supported
 from hil.fakes.faults import Once
+from hil.fakes.request import EmulationRequest
 from hil.fakes.world import Scheduled, World
 from hil.vocabulary.jit import compile_for
 from hil.vocabulary.signals import WHEELS
@@ -75,7 +76,22 @@ class EncoderNode(Scheduled):
         clock_ppm: error of the node's clock.
     """
 
+    Options = EncoderTruthOptions
     tells = True
+
+    @classmethod
+    def build(cls, request: EmulationRequest, channel: CanChannel) -> EncoderNode:
+        """The node of a table of the bench file."""
+        config = request.config
+        return cls(
+            request.world,
+            channel,
+            rate_hz=config.rate_hz,
+            node_id=config.node_id,
+            sign=config.sign,
+            zero_rad=config.zeros_rad,
+            options=request.options(cls.Options),
+        )
 
     def __init__(
         self,

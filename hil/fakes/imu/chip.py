@@ -16,6 +16,7 @@ from hil.fakes.imu.faulty import SUPPORTED_FAULTS, ImuFaults
 from hil.fakes.imu.offsets import load_offsets, store_offsets
 from hil.fakes.imu.output import EMPTY, LENGTH, encode
 from hil.fakes.imu.sensors import ImuTruthOptions, InertialSensors, matrix, names_each_axis, product, remap
+from hil.fakes.request import EmulationRequest
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, Scheduled, World
 
@@ -47,6 +48,7 @@ class Bno055Chip(SerialChip, Scheduled):
         acknowledge_reset: whether the reset write is answered before the silence (both occur).
     """
 
+    Options = ImuTruthOptions
     alone = True
     tells = True
     polls_alone = True
@@ -81,6 +83,17 @@ class Bno055Chip(SerialChip, Scheduled):
         self._boot(0)
         self._boot_end_ns = self._switched_ns = 0
         world.add(self)
+
+    @classmethod
+    def build(cls, request: EmulationRequest) -> Bno055Chip:
+        """The chip of a table of the bench file."""
+        config = request.config
+        return cls(
+            request.world,
+            options=request.options(cls.Options, position_m=config.mount_position_m),
+            mount_rotation_wxyz=config.mount_rotation_wxyz,
+            bench_remap=(config.axis_map, config.axis_sign),
+        )
 
     @property
     def opr_mode(self) -> int:

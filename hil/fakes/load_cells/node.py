@@ -5,7 +5,8 @@ from __future__ import annotations
 from hil.config.load_cells import CanCellsConfig, LineCellsConfig
 from hil.fakes.can_wire import WIRE_FAULTS, CanChannel
 from hil.fakes.fault import Supported
-from hil.fakes.load_cells.cells import CELL_FAULTS, DELAY_S, Cells
+from hil.fakes.load_cells.cells import CELL_FAULTS, DELAY_S, Cells, LoadCellTruthOptions
+from hil.fakes.request import EmulationRequest
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import Scheduled, World
 from hil.vocabulary.clock import NS_PER_S
@@ -31,7 +32,13 @@ class CellNode(Scheduled):
         cells: what is measured.
     """
 
+    Options = LoadCellTruthOptions
     tells = True
+
+    @classmethod
+    def build(cls, request: EmulationRequest, channel: CanChannel) -> CellNode:
+        """The node of a table of the bench file."""
+        return cls(request.world, channel, request.config, _cells(request))
 
     def __init__(self, world: World, channel: CanChannel, config: CanCellsConfig, cells: Cells) -> None:
         self._channel, self._cells = channel, cells
@@ -74,7 +81,13 @@ class CellLine(SerialChip):
         cells: what is measured.
     """
 
+    Options = LoadCellTruthOptions
     supported_faults: Supported = _OF_A_LINE
+
+    @classmethod
+    def build(cls, request: EmulationRequest) -> CellLine:
+        """The line of a table of the bench file."""
+        return cls(request.world, request.config, _cells(request))
 
     def __init__(self, world: World, config: LineCellsConfig, cells: Cells) -> None:
         self.name, self.uart_baud, self._cells = cells.name, config.baud, cells
@@ -107,3 +120,7 @@ class CellLine(SerialChip):
     def next_poll_ns(self) -> int:
         """Time of the next conversion."""
         return self._due_ns
+
+
+def _cells(request: EmulationRequest) -> Cells:
+    return Cells(request.world, request.config, request.options(LoadCellTruthOptions))

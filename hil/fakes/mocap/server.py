@@ -16,6 +16,7 @@ from hil.fakes.mocap.capture import CaptureVolume, SeenBody
 from hil.fakes.mocap.faulty import SUPPORTED_FAULTS, MocapFaults
 from hil.fakes.mocap.network import Address, Outlet, WorldNetwork, WorldPort
 from hil.fakes.mocap.options import MocapTruthOptions
+from hil.fakes.request import EmulationRequest
 from hil.fakes.world import Scheduled, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import UsageError
@@ -68,7 +69,26 @@ class NatNetServer(Scheduled):
         offered_group: multicast group that frames go to besides, where they go to each client; None for none.
     """
 
+    Options = MocapTruthOptions
     tells = True
+
+    @classmethod
+    def build(cls, request: EmulationRequest) -> NatNetServer:
+        """The server of a table of the bench file, with the rigid body that the bench looks for."""
+        config = request.config
+        body = {"body": config.body} if isinstance(config.body, str) else {"body_id": config.body}
+        options = request.options(cls.Options)
+        major, minor = map(int, options.natnet.split("."))
+        return cls(
+            request.world,
+            options=options,
+            version=(major, minor),
+            up_axis=config.up_axis,
+            command_port=config.command_port,
+            data_port=config.data_port,
+            multicast=config.multicast,
+            **body,
+        )
 
     def __init__(
         self,

@@ -7,7 +7,9 @@ heat, voltage and overload.
 
 from __future__ import annotations
 
+from hil.config.servo_models import DEFAULT_MODEL
 from hil.config.servo_models.codes import WATCHDOG_STEP_S
+from hil.fakes.request import EmulationRequest
 from hil.fakes.servos import protocol
 from hil.fakes.servos.faulty import BUS_FAULTS, ServoFaults
 from hil.fakes.servos.group import GROUP_READS, Wanted, write_parts
@@ -38,9 +40,18 @@ class ServoBus(SerialChip, Scheduled):
         options: how the servos are set up and supplied.
     """
 
+    Options = ServoBusOptions
     alone = True
     tells = True
     polls_alone = True
+
+    @classmethod
+    def build(cls, request: EmulationRequest) -> ServoBus:
+        """The bus of a table of the bench file: servos as the bench believes them, or as it says."""
+        config = request.config
+        model = config.model_number or DEFAULT_MODEL
+        options = request.options(cls.Options, ids=config.ids, baud=config.baud, model_number=model)
+        return cls(request.world, options=options)
 
     def __init__(self, world: World, name: str = "servos", options: ServoBusOptions | None = None) -> None:
         self.name = name

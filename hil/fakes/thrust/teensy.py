@@ -14,6 +14,7 @@ from hil.config.thrust import TeensyConfig
 from hil.fakes.fault import PERIODIC, Supported
 from hil.fakes.faults import DeviceFaults
 from hil.fakes.plant_api import HoldingForces
+from hil.fakes.request import EmulationRequest
 from hil.fakes.tether import Start, Tether
 from hil.fakes.thrust.options import ThrustTruthOptions
 from hil.fakes.wire import Reply, SerialChip
@@ -56,8 +57,14 @@ class TeensyChip(SerialChip):
         force_n: of all propellers.
     """
 
+    Options = ThrustTruthOptions
     supported_faults = THRUST_FAULTS
     polls_alone = True
+
+    @classmethod
+    def build(cls, request: EmulationRequest) -> TeensyChip:
+        """The firmware of a table of the bench file."""
+        return cls(request.world, request.config, request.options(cls.Options))
 
     def __init__(
         self, world: World, config: TeensyConfig, options: ThrustTruthOptions, name: str = "thrust"

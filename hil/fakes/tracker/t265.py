@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 
 from hil.fakes.plant_api import BodyMotion
+from hil.fakes.request import EmulationRequest
 from hil.fakes.tracker.faulty import SUPPORTED_FAULTS, TrackerFaults
 from hil.fakes.tracker.frames import MODEL, FrameCallback, PoseFrame, WorldPipeline
 from hil.fakes.tracker.odometry import VisualOdometry
@@ -40,8 +41,20 @@ class T265(Scheduled):
         model: name that the device gives itself.
     """
 
+    Options = TrackerTruthOptions
     alone = True
     tells = True
+
+    @classmethod
+    def build(cls, request: EmulationRequest) -> T265:
+        """The camera of a table of the bench file, where the bench believes it to be."""
+        config = request.config
+        return cls(
+            request.world,
+            options=request.options(cls.Options),
+            mount_position_m=config.mount_position_m,
+            mount_rotation_wxyz=config.mount_rotation_wxyz,
+        )
 
     def __init__(
         self,

@@ -94,7 +94,7 @@ def _matters(stage: Stage, key: str) -> bool:
     """Whether a procedure rests on a key of the bench file; `[emulation.KIND]` is of that device."""
     table = key.removeprefix("emulation.").split(".")[0]
     kind = kinds().get(table)
-    if kind is not None and (kind.holds or kind.guards):
+    if kind is not None and (kind.holds_robot or kind.guards_hold):
         return stage.place == "wall"  # on the floor neither fan nor propellers run
     return table not in _NOTHING_RESTS_ON and stage.name in _OF_A_SENSOR.get(table, (stage.name,))
 

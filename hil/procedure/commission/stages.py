@@ -102,7 +102,7 @@ def off_the_wall(config: BenchConfig) -> dict[str, object]:
     """Overrides of a wall's bench for a robot on floor or stand: neither fan nor propellers run there."""
     if not config.environment.on_wall:
         return {}
-    return _FLOOR | {name: None for name, kind in kinds().items() if kind.holds or kind.guards}
+    return _FLOOR | {name: None for name, kind in kinds().items() if kind.holds_robot or kind.guards_hold}
 
 
 def placed(stage: Stage, number: int, config: BenchConfig) -> dict[str, object]:

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 from hil.bench.pressing import MEASURES
 from hil.procedure.faults.cells import Cell
-from hil.vocabulary.kinds import DeviceKind, kinds
+from hil.vocabulary.device import DeviceKind
+from hil.vocabulary.kinds import kinds
 
 FARTHEST_M, STILL_M = 0.005, 0.0005
 """That a robot may move after its stop, and once it is said to be held."""

@@ -21,14 +21,14 @@ _OF_ANY: Mapping[str, str] = {
     "corrupt": _LOST,
     "slow": "a stream is judged second by second: told within two seconds of a longer run",
 }
-"""By fault, of a device whose kind says nothing of it (`DeviceKind.passes`)."""
+"""By fault, of a device whose kind says nothing of it (`DeviceKind.silent_faults`)."""
 
 
 def why_quiet(device: str, fault: str, moments: Sequence[str] = ("motion",)) -> str:
     """What there is to say of a fault of which nobody has said a word, at these moments."""
     if list(moments) == ["stop"]:
         return _AT_THE_END
-    passes = kind_of(device).passes
+    passes = kind_of(device).silent_faults
     return passes.get(fault) or passes.get("*") or _OF_ANY.get(fault, UNNOTICED)
 
 

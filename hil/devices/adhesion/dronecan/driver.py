@@ -29,7 +29,7 @@ _PRIORITY = 30
 class DroneCanFan(MotorFan[DroneCanConfig]):
     """One fan; arguments as of any."""
 
-    def __init__(self, config: DroneCanConfig, clock: Clock, keep: Keep) -> None:
+    def __init__(self, config: DroneCanConfig, clock: Clock, keep: Keep | None = None) -> None:
         self._dronecan = library()
         self._told = ""
         super().__init__(config, clock, keep)

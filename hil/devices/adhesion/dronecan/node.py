@@ -43,6 +43,8 @@ class DroneCanTruthOptions(AdhesionTruthOptions):
 class DroneCanNode(MotorNode):
     """One controller; arguments as of any."""
 
+    Options = DroneCanTruthOptions
+
     def __init__(
         self,
         world: World,

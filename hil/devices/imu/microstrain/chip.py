@@ -14,6 +14,7 @@ from hil.devices.imu.microstrain.commands import Commands, Settings
 from hil.devices.imu.microstrain.faulty import SUPPORTED_FAULTS, MicrostrainFaults
 from hil.devices.imu.microstrain.packets import Field, Packet, PacketParser, encode
 from hil.devices.imu.microstrain.sensing import Fused, MicrostrainTruthOptions, Sensing
+from hil.fakes.request import EmulationRequest
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
@@ -40,6 +41,19 @@ class MicrostrainChip(SerialChip):
         model: first digits of its model number.
         saved: settings that it has after power-up.
     """
+
+    Options = MicrostrainTruthOptions
+
+    @classmethod
+    def build(cls, request: EmulationRequest) -> MicrostrainChip:
+        """The sensor of a table of the bench file."""
+        config = request.config
+        return cls(
+            request.world,
+            options=request.options(cls.Options, position_m=config.mount_position_m),
+            mount_rotation_wxyz=config.mount_rotation_wxyz,
+            baud=config.baud,
+        )
 
     def __init__(
         self,

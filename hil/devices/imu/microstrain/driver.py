@@ -14,7 +14,14 @@ from collections.abc import Mapping
 from hil.devices.imu.microstrain import fields as f
 from hil.devices.imu.microstrain import readings
 from hil.devices.imu.microstrain.config import MicrostrainConfig
-from hil.devices.imu.microstrain.dialogue import Dialogue, RefusedError, SetUp, UnsuitableError, set_up
+from hil.devices.imu.microstrain.dialogue import (
+    Dialogue,
+    RefusedError,
+    SetUp,
+    UnsuitableError,
+    answers,
+    set_up,
+)
 from hil.devices.imu.microstrain.link import Link, LinkLostError, longest_packet_ns
 from hil.devices.imu.microstrain.packets import Packet, PacketParser
 from hil.drivers.device_clock import DeviceClock
@@ -50,6 +57,11 @@ class MicrostrainImu(Sensor[ImuSample]):
     """
 
     name = "imu"
+
+    @classmethod
+    def identify_only(cls, config: MicrostrainConfig, clock: Clock) -> dict[str, str] | None:
+        """{} where the sensor is at the port, else None. It keeps its settings."""
+        return {} if answers(config, clock) else None
 
     def __init__(self, config: MicrostrainConfig, clock: Clock) -> None:
         self._config, self._clock = config, clock

@@ -43,7 +43,7 @@ class VescThrust(KeptMotor[VescThrustConfig, ThrustSample]):
     name = "thrust"
     noun = "the propellers"
 
-    def __init__(self, config: VescThrustConfig, clock: Clock, keep: Keep) -> None:
+    def __init__(self, config: VescThrustConfig, clock: Clock, keep: Keep | None = None) -> None:
         self._reports = {address(Packet.STATUS, one) for one in config.controller_ids}
         self._known: dict[int, tuple[VescConfig, Seen, Answers]] = {}
         super().__init__(config, clock, keep)

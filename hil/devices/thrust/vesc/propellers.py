@@ -35,6 +35,7 @@ class VescThrustTruthOptions(AdhesionTruthOptions):
 class PropellerNode(VescNode):
     """One controller with its propellers."""
 
+    Options = VescThrustTruthOptions
     supported_faults = PROPELLER_FAULTS
 
 

@@ -17,6 +17,7 @@ from hil.devices.tracker.mavlink.messages import Parser, dialect
 from hil.devices.tracker.mavlink.odometry import estimate_of
 from hil.devices.tracker.mavlink.options import ComputerTruthOptions
 from hil.fakes.plant_api import BodyMotion
+from hil.fakes.request import EmulationRequest
 from hil.fakes.tracker.odometry import VisualOdometry
 from hil.fakes.world import Scheduled, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
@@ -37,6 +38,9 @@ class Outlet(Protocol):
         """Take a packet that leaves the computer now, at `t_ns`."""
 
 
+_OF_ITS_OWN = ("system_id", "component_id", "frame")
+
+
 class VisualInertialComputer(Scheduled):
     """A scheduled part of the world.
 
@@ -54,6 +58,20 @@ class VisualInertialComputer(Scheduled):
     Raises:
         ConfigError: pymavlink is missing.
     """
+
+    Options = ComputerTruthOptions
+
+    @classmethod
+    def build(cls, request: EmulationRequest) -> VisualInertialComputer:
+        """The computer of a table of the bench file, with the ids that the bench looks for."""
+        config = request.config
+        wanted = {key: getattr(config, key) for key in _OF_ITS_OWN if getattr(config, key) is not None}
+        return cls(
+            request.world,
+            options=request.options(cls.Options, rate_hz=config.rate_hz, **wanted),
+            mount_position_m=config.mount_position_m,
+            mount_rotation_wxyz=config.mount_rotation_wxyz,
+        )
 
     def __init__(
         self,

@@ -1,13 +1,15 @@
-"""The supervisor asks every watch in every cycle, forgets them all at a reset, and acts on what they say."""
+"""What the supervisor does with what its checks find, and what a reset forgets."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from supervised import Supervised
 
+from hil.ring.cycle import Check
 from hil.ring.doubts import Doubt
+from hil.ring.safety import Checks, SafetyLimits
 from hil.ring.stream_watch import Healthy
-from hil.ring.supervisor import Checks, SafetyLimits, Supervisor
 from hil.vocabulary.errors import SafetyStop
 from hil.vocabulary.signals import (
     Inputs,
@@ -25,18 +27,14 @@ CYCLE_NS = 10_000_000
 OK = (Status.OK,) * 8
 
 
-class Asked:
+class Asked(Check):
     """A watch that notes what it is asked, and says what it was given."""
 
     def __init__(self, *found):
-        self.figures, self.heading_rad = {"adhesion_n": 40.0}, 0.0
         self.found, self.calls, self.left = found, [], []
 
     def reset(self):
         self.calls.append("reset")
-
-    def judge(self, *given):
-        self.calls.append("judge")
 
     def update(self, measurements):
         self.calls.append("update")
@@ -47,7 +45,7 @@ class Asked:
 
 
 def supervisor(limits=None, **checks):
-    return Supervisor(limits or SafetyLimits(stale_s={}), checks=Checks(**checks))
+    return Supervised(limits or SafetyLimits(stale_s={}), checks=Checks(**checks))
 
 
 def cycle(supervisor, k=0, measured=True, **samples):
@@ -70,21 +68,6 @@ def servos(t_ns, angle_rad=0.0, status=OK):
     )
 
 
-def test_every_watch_is_asked_and_reset():
-    motion, steering, hold = Asked(), Asked(), Asked()
-    watched = supervisor(motion=motion, steering=steering, hold=hold)
-    cycle(watched)
-    watched.reset()
-    assert motion.calls == ["reset", "update", "reset"]
-    assert steering.calls == hold.calls == ["reset", "judge", "reset"]
-
-
-def test_without_measurements_nobody_is_held_against_another():
-    motion, steering = Asked(), Asked()
-    cycle(supervisor(motion=motion, steering=steering), measured=False)
-    assert motion.calls == steering.calls == ["reset"]
-
-
 def test_a_doubt_is_told_and_only_a_grave_one_stops_who_needs_the_camera():
     (event,) = cycle(supervisor(motion=Asked(doubt("tracker", grave=False)), needs_camera=True))
     assert (event.level, event.source, event.message) == ("warning", "tracker", "it differs")
@@ -101,10 +84,10 @@ def test_who_is_left_out_is_so_until_the_reset_and_shakes_one_cycle_only():
     watched = supervisor(floor, motion=motion, needs_camera=True, stops_by_steering=True)
     (event,) = cycle(watched)
     assert "left out" in event.message
-    assert (motion.left, watched.left_out.shaken) == (["tracker"], (0.01, 0.0))
+    assert (motion.left, watched.inflation) == (["tracker"], (0.01, 0.0))
     motion.found = ()
     cycle(watched, 1)
-    assert watched.left_out.shaken == (0.0, 0.0)
+    assert watched.inflation == (0.0, 0.0)
     assert "tracker" in watched.left_out
     watched.reset()
     assert "tracker" not in watched.left_out
@@ -238,7 +221,7 @@ def test_after_a_reset_nothing_of_the_last_run_counts():
     assert watching.guard(misfit, None)
     watching.reset()
     cycle(watching, 400)
-    assert watching.left_out.shaken == (0.0, 0.0)
+    assert watching.inflation == (0.0, 0.0)
     assert watching.guard(replace(misfit, t_ns=400 * CYCLE_NS), None), "it is told anew"
 
 
@@ -251,15 +234,6 @@ def test_how_far_it_is_from_the_reference_counts_and_not_where(place):
     for way in ([0.6, 0.0, 0.0], [0.0, -0.6, 0.0]):
         with pytest.raises(SafetyStop, match=r"0\.600 m from the reference"):
             watching.guard(state, Reference(0.0, pose + way, np.zeros(3), np.zeros(2)))
-
-
-def test_what_presses_the_robot_on_is_told_its_heading_and_shows_its_figures():
-    hold = Asked()
-    watched = supervisor(hold=hold)
-    assert watched.figures() == {"adhesion_n": 40.0}
-    assert supervisor().figures() == {}
-    watched.guard(RobotState(0, np.array([1.0, 2.0, 0.1]), np.zeros(3), np.eye(6)), None)
-    assert hold.heading_rad == 0.1
 
 
 @pytest.mark.parametrize(("place", "value"), [(0, np.nan), (2, np.inf)])
@@ -298,8 +272,8 @@ class Unsure(Asked):
         super().__init__()
         self.off = off_m, off_rad
 
-    def take_off(self):
-        return self.off
+    def on_estimate(self, cycle):
+        cycle.inflate_next(self.off)
 
     def doubt(self):
         self.calls.append("doubt")
@@ -307,8 +281,9 @@ class Unsure(Asked):
 
 def test_the_estimate_is_as_unsure_as_the_watch_says_that_doubts_it_most():
     watched = supervisor(estimate=Unsure(0.003, 0.0), wheels=Unsure(0.001, 0.2))
+    watched.guard(RobotState(0, np.zeros(3), np.zeros(3), np.eye(6)))
     cycle(watched)
-    assert watched.left_out.shaken == (0.003, 0.2)
+    assert watched.inflation == (0.003, 0.2)
 
 
 @pytest.mark.parametrize(("source", "told"), [("servos", True), ("tracker", False)])

@@ -1,0 +1,68 @@
+"""For authors of devices: the description here, drivers in `hil.devkit.driver`, chips in `hil.devkit.chip`.
+
+The description is imported by every command, so it names driver and chip by string and imports neither.
+"""
+
+from typing import TYPE_CHECKING
+
+from hil.config.can_bus import CanConfig
+from hil.config.device import DeviceConfig, MountedConfig, Position
+from hil.config.streams import CanSensorConfig, SerialSensorConfig, StreamConfig
+from hil.config.values import Baud, Delay, Freshness, Patience, Within
+from hil.devices.looks import Watched, losses
+from hil.devices.models import CanModel, SerialModel
+from hil.ring.cycle import Check, Cycle, LastingCheck
+from hil.vocabulary.device import (
+    Connection,
+    DeviceKind,
+    DeviceModel,
+    Figures,
+    Force,
+    Found,
+    Plot,
+    Search,
+    Topic,
+)
+from hil.vocabulary.finding import Finding, Level
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import Inputs, Stamp, Status
+
+if TYPE_CHECKING:
+    from hil.recording.ros_types import MessageMaker as MessageMaker  # it loads rosbags
+
+__all__ = [
+    "Array",
+    "Baud",
+    "CanConfig",
+    "CanModel",
+    "CanSensorConfig",
+    "Check",
+    "Connection",
+    "Cycle",
+    "Delay",
+    "DeviceConfig",
+    "DeviceKind",
+    "DeviceModel",
+    "Figures",
+    "Finding",
+    "Force",
+    "Found",
+    "Freshness",
+    "Inputs",
+    "LastingCheck",
+    "Level",
+    "MountedConfig",
+    "Patience",
+    "Plot",
+    "Position",
+    "Search",
+    "SerialModel",
+    "SerialSensorConfig",
+    "Stamp",
+    "Status",
+    "StreamConfig",
+    "Topic",
+    "Watched",
+    "Within",
+    "losses",
+]

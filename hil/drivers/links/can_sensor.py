@@ -1,0 +1,117 @@
+"""A sensor that sends unasked on a CAN bus, in one frame or in several for each sample."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+from hil.drivers.can_link import CanLink, remedy_of_silence
+from hil.drivers.links.streaming import C, S, StreamingSensor
+from hil.vocabulary.clock import Clock, nanoseconds
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
+
+_LOOK_S, _STANDARD = 0.02, 0x7FF
+
+
+class CanSensor(StreamingSensor[C, S]):
+    """Base of such drivers: give `parse` and `sample`; the table gives `FRAME_IDS`.
+
+    A sample is complete when the last of its frames has come; one that lacks a frame is dropped. Identifiers
+    above 0x7FF are extended ones.
+
+    Attributes:
+        malformed: frames since `open` from which `parse` could make nothing.
+    """
+
+    expected = "the device"
+
+    def __init__(self, config: C, clock: Clock) -> None:
+        super().__init__(config, clock)
+        self._link = CanLink(self.name, config, clock)
+        self._frames: dict[int, bytes] = {}
+        self.malformed = 0
+
+    @property
+    def place(self) -> str:
+        """Interface and channel."""
+        return self._link.port
+
+    @abstractmethod
+    def parse(self, frames: Mapping[int, bytes]) -> Any:
+        """The measurement of one sample's frames, by identifier; None where it is damaged: no sample."""
+
+    def frame_ids(self) -> tuple[int, ...]:
+        """Identifiers of the frames of one sample, in the order in which they are sent."""
+        ids: tuple[int, ...] = self.config.FRAME_IDS
+        return ids
+
+    def identify(self) -> Mapping[str, str]:
+        """What is known of the device: by default its table's model."""
+        return {"model": str(self.config.model)}
+
+    def _connect(self) -> Mapping[str, str]:
+        """Wait for a first sample."""
+        self._ids, self._others = self.frame_ids(), set[int]()
+        self._link.open()
+        self.malformed = 0
+        until_ns = self.clock.now_ns() + nanoseconds(self.config.open_timeout_s)
+        while not self._take(self.clock.now_ns(), _LOOK_S):
+            if self.clock.now_ns() >= until_ns:
+                raise self._nobody()
+        return self.identify()
+
+    def _nobody(self) -> DeviceError:
+        if not self._others:
+            return self.silent(f"no {self.what} for {self.config.open_timeout_s:.1f} s")
+        told = ", ".join(f"0x{i:X}" for i in sorted(self._others)[:8])
+        return DeviceError(
+            self.name,
+            f"no frame of {self.expected}; seen {told}",
+            port=self.place,
+            expected=", ".join(f"0x{i:X}" for i in self._ids),
+            remedy=self.remedy,
+        )
+
+    def _disconnect(self) -> bool:
+        was_open = self._link.is_open
+        self._link.close()
+        self._frames.clear()
+        return was_open
+
+    def _take(self, now_ns: int, wait_s: float = 0.0) -> list[tuple[Any, int]]:
+        found: list[tuple[Any, int]] = []
+        for arrived_ns, message in self._link.take(wait_s):
+            frame_id = message.arbitration_id
+            if frame_id not in self._ids or message.is_extended_id != (frame_id > _STANDARD):
+                self._others.add(frame_id)
+                continue
+            if frame_id == self._ids[0]:
+                self._frames.clear()
+            self._frames[frame_id] = bytes(message.data)
+            if len(self._frames) == len(self._ids):
+                item = self.parse(dict(self._frames))
+                self._frames.clear()
+                if item is None:
+                    self.malformed += 1
+                else:
+                    found.append((item, arrived_ns))
+        self.port_gone = not self._link.is_open
+        if found:
+            self._link.error = ""
+        return found
+
+    def silent(self, what: str) -> DeviceTimeoutError:
+        """The error of a device that sends nothing."""
+        node = self.expected.removeprefix("the ")
+        return DeviceTimeoutError(
+            self.name,
+            what + self.silence_details(),
+            port=self.place,
+            expected=f"{self.config.rate_hz:g} per second",
+            remedy=remedy_of_silence(self.name, self.config, node),
+        )
+
+    def silence_details(self) -> str:
+        """What the interface has reported."""
+        return self._link.told()

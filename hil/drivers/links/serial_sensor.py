@@ -1,0 +1,91 @@
+"""A sensor that sends unasked at a serial port."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from hil.drivers.links.serial_port import PortLostError, SerialPort
+from hil.drivers.links.streaming import C, S, StreamingSensor
+from hil.vocabulary.clock import Clock
+from hil.vocabulary.errors import DeviceError
+
+
+class SerialSensor(StreamingSensor[C, S]):
+    """Base of such drivers: give `identify`, `parse` and `sample`, and `configure` for what is to be set.
+
+    Attributes:
+        port: while open.
+        shared: another driver of this process may have the port open, too.
+    """
+
+    expected = "the device at a serial port or pyserial URL"
+    remedy = "check power and cable: RX and TX crossed, and the baud rate"
+    shared = False
+
+    def __init__(self, config: C, clock: Clock) -> None:
+        super().__init__(config, clock)
+        self.port: SerialPort | None = None
+
+    @property
+    def place(self) -> str:
+        """The port."""
+        return str(self.config.port)
+
+    @abstractmethod
+    def identify(self, port: SerialPort) -> Mapping[str, str]:
+        """What is at the open port: model, firmware, serial number. It changes no setting.
+
+        Raises:
+            DeviceError: nothing answers, or something else.
+        """
+
+    def configure(self, port: SerialPort) -> None:
+        """Set the device up as its table asks; raises `DeviceError` where that is refused."""
+        return
+
+    @abstractmethod
+    def parse(self, data: bytes, now_ns: int) -> Iterable[Any]:
+        """Measurements that these bytes complete; None for one that is damaged."""
+
+    @classmethod
+    def identify_only(cls, config: C, clock: Clock) -> Mapping[str, str] | None:
+        """What is at a port, or None; no setting is changed."""
+        driver = cls(config, clock)
+        try:
+            driver.port = driver._open_port()
+            return driver.identify(driver.port)
+        except DeviceError:
+            return None
+        finally:
+            driver.close()
+
+    def _open_port(self) -> SerialPort:
+        return SerialPort(
+            self.name, self.config.port, self.config.baud, expected=self.expected, shared=self.shared
+        )
+
+    def _connect(self) -> Mapping[str, str]:
+        self.port = self._open_port()
+        identity = self.identify(self.port)
+        self.configure(self.port)
+        return identity
+
+    def _disconnect(self) -> bool:
+        port, self.port = self.port, None
+        if port is not None:
+            port.close()
+        return port is not None
+
+    def _take(self, now_ns: int) -> list[tuple[Any, int]]:
+        """Measurements, the last one as having just arrived, those before it a period earlier each."""
+        if self.port is None:
+            return []
+        try:
+            items = list(self.parse(self.port.read_available(), now_ns))
+            self.port_gone = False
+        except PortLostError:
+            items, self.port_gone = [], True
+        last = len(items) - 1
+        return [(item, now_ns - (last - k) * self.period_ns) for k, item in enumerate(items)]
