@@ -173,10 +173,10 @@ class Silent(Asked):
     def reset(self):
         self.last_ns = 0
 
-    def judge(self, inputs, events, stop):
-        last_ns, self.last_ns = self.last_ns, inputs.t_ns
-        if inputs.t_ns - last_ns > 250_000_000:
-            stop("stale_adhesion", "nothing usable: check its bus")
+    def on_samples(self, cycle):
+        last_ns, self.last_ns = self.last_ns, cycle.inputs.t_ns
+        if self.last_ns - last_ns > 250_000_000:
+            cycle.stop("stale_adhesion", "nothing usable: check its bus")
 
 
 def test_a_loop_that_stood_still_stops_the_robot_and_not_its_devices():

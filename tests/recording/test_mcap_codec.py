@@ -71,7 +71,11 @@ class Pack:
     status: tuple[Status, ...]
 
 
-KIND = DeviceKind(name="packs", noun="battery", sample=Pack, models=())
+class Packs(DeviceKind):
+    name, noun, sample, models = "packs", "battery", Pack, ()
+
+
+KIND = Packs()
 SPECIAL = np.array([np.nan, np.inf, -np.inf, 0.0, -0.0, 5e-324])
 
 
