@@ -4,7 +4,8 @@ Every class is a map of its fields by name, every `Status` its text. An array is
 four times the number of its dimensions, plus the type of its values (0 float64, 1 float32, 2 int64, 3 bool).
 Its data are the values in C order, little endian; where there are several dimensions, their lengths come
 before them, four bytes each. Numbers keep every bit. A field that the reader does not know is skipped; one
-that a record lacks gets its default.
+that a record lacks gets its default. Samples of added kinds are kept with the inputs, not again with the
+measurements.
 """
 
 from __future__ import annotations
@@ -54,6 +55,8 @@ class CycleCodec:
         """
         if not isinstance(record, CycleRecord):
             raise TypeError(f"{type(record).__name__} is no cycle record")
+        if record.measurements.added:
+            record = replace(record, measurements=replace(record.measurements, added={}))
         return self._encoder.encode(record)
 
     def decode(self, data: bytes) -> CycleRecord:
@@ -71,7 +74,9 @@ class CycleCodec:
                     name: msgspec.convert(found, self._added[name], dec_hook=_array)
                     for name, found in record.inputs.added.items()
                 }
-                record = replace(record, inputs=replace(record.inputs, added=samples))
+                measured = replace(record.measurements, added=samples)
+                inputs = replace(record.inputs, added=samples)
+                record = replace(record, inputs=inputs, measurements=measured)
         except (msgspec.MsgspecError, struct.error, KeyError, TypeError, ValueError, RecursionError) as error:
             raise ValueError(f"no cycle record: {error}") from None
         return record

@@ -84,6 +84,7 @@ class Alignment:
             tuple([self._wheels(s) for s in inputs.servos]),
             tuple([self._gyro(s) for s in inputs.imu if s.status is _OK]),
             *self._poses.measure(inputs),
+            inputs.added,
         )
 
     def to_servos(self, setpoint: WheelSetpoint) -> ServoSetpoint:

@@ -367,7 +367,7 @@ class ControlLoop:
             self.rig.brace()
         event = Event(inputs.t_ns, "error", source, str(stop))
         zero = np.zeros(4)
-        nothing = Measurements(inputs.cycle, inputs.t_ns)
+        nothing = Measurements(inputs.cycle, inputs.t_ns, added=inputs.added)
         state = RobotState(inputs.t_ns, np.full(3, np.nan), np.full(3, np.nan), np.full((6, 6), np.nan))
         record = CycleRecord(
             self._cycle,

@@ -335,7 +335,12 @@ class PoseMeasurement:
 
 @dataclass(frozen=True)
 class Measurements:
-    """Aligned inputs of one cycle: what the estimator sees."""
+    """Aligned inputs of one cycle: what the estimator sees.
+
+    Attributes:
+        added: samples of kinds that other packages add, by kind, as they were delivered: for estimators of
+            one's own. A recording holds them once, in `Inputs`.
+    """
 
     cycle: int
     t_ns: int
@@ -343,6 +348,7 @@ class Measurements:
     gyro: tuple[GyroMeasurement, ...] = ()
     tracker: tuple[PoseMeasurement, ...] = ()
     mocap: tuple[PoseMeasurement, ...] = ()
+    added: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
 
 
 def heard(cycles: Iterable[Measurements]) -> tuple[str, ...]:

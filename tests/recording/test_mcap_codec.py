@@ -15,8 +15,8 @@ from mcap_cases import CYCLE_RECORDS, driving_record
 
 from hil.recording.compare import first_difference
 from hil.recording.cycle_codec import DTYPES, CycleCodec
-from hil.vocabulary.geometry import Array
 from hil.vocabulary.device import DeviceKind
+from hil.vocabulary.geometry import Array
 from hil.vocabulary.signals import Stamp, Status
 
 CODEC = CycleCodec()
@@ -92,7 +92,9 @@ def test_arrays_of_other_packages_keep_type_shape_and_bits(dtype, shape):
     )
     for samples in ({}, {"packs": packs}, {"packs": ()}):
         inputs = dataclasses.replace(record.inputs, added=samples)
-        other = dataclasses.replace(record, inputs=inputs, observers={"ukf": record.state, "": record.state})
+        measured = dataclasses.replace(record.measurements, added=samples)
+        observers = {"ukf": record.state, "": record.state}
+        other = dataclasses.replace(record, inputs=inputs, measurements=measured, observers=observers)
         back = codec.decode(codec.encode(other))
         assert first_difference(other, back) is None
 

@@ -6,6 +6,7 @@ import pytest
 
 from hil.bench import open_bench
 from hil.config.loading import load_bench
+from hil.recording.runs import RunStart
 from hil.vocabulary.errors import ConfigError, DeviceError, DeviceTimeoutError
 from hil.vocabulary.signals import Status
 
@@ -106,3 +107,25 @@ def test_a_rate_that_the_sensor_cannot_have_is_refused():
 @pytest.mark.fault("rangefinder", "wrong", offset_m=0.3)
 def test_the_marker_for_faults_knows_it(bench):
     assert samples_of(bench.observe(0.5))[-1].distance_m == pytest.approx(PLATE_M - NOSE_M + 0.3, abs=0.05)
+
+
+class Distances:
+    """An estimator that keeps what it is given of the range finder."""
+
+    def __init__(self, follows):
+        self.follows, self.seen = follows, []
+
+    def reset(self, state):
+        self.follows.reset(state)
+
+    def update(self, measurements):
+        self.seen += [s.distance_m for s in measurements.added.get("rangefinder", ())]
+        return self.follows.update(measurements)
+
+
+def test_an_estimator_of_ones_own_is_given_its_distances(bench):
+    brain = bench.make_brain(None)
+    brain.estimator = own = Distances(brain.estimator)
+    bench.run(brain, RunStart(bench.start_state(), "own"), lambda record: record.cycle >= 50)
+    assert len(own.seen) > 40
+    assert own.seen[-1] == pytest.approx(PLATE_M - NOSE_M, abs=0.05)

@@ -223,7 +223,7 @@ def _record_of(inputs: Inputs) -> CycleRecord:
     rest = WheelSetpoint(np.zeros(4), np.zeros(4))
     state = RobotState(0, np.zeros(3), np.zeros(3), np.zeros((6, 6)))
     command = ServoSetpoint(np.zeros(4), np.zeros(4))
-    return CycleRecord(0, 0, 0, inputs, Measurements(0, 0), state, None, rest, command)
+    return CycleRecord(0, 0, 0, inputs, Measurements(0, 0, added=inputs.added), state, None, rest, command)
 
 
 AT_REST: Mapping[str, Callable[[Subject], str]] = {
