@@ -77,7 +77,7 @@ def word(chips: Array, at: int, angle_rad: float, noise: float, more: int) -> in
     """The word of one chip.
 
     Args:
-        chips: (`CHIP_SIZE` n,).
+        chips: (10 n,), `CHIP_SIZE` numbers of each.
         at: where the chip's numbers begin.
         angle_rad: true angle of the axis.
         noise: a standard normal number.

@@ -118,13 +118,16 @@ def sense(
 
 @inner
 def turned(m: Array, x: float, y: float, z: float) -> Three:
-    """A vector in body axes in the chip's output axes."""
+    """A vector in body axes in the chip's output axes; m (20,) is the chip."""
     return (m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z)
 
 
 @inner
 def attitude(theta: float, tilt: float, chip: Array, state: Array) -> Four:
-    """Attitude that the fusion would know without leaks: turned by its error, tilted, by its heading."""
+    """Attitude that the fusion would know without leaks; chip (20,), state (6,).
+
+    Turned by its error, tilted, by its heading.
+    """
     yaw, half, turn = 0.5 * state[YAW_ERROR], -0.5 * tilt, 0.5 * theta
     cy, sy, ch, sh = math.cos(yaw), math.sin(yaw), math.cos(half), math.sin(half)
     ct, st = math.cos(turn), math.sin(turn)
