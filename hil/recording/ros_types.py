@@ -121,7 +121,7 @@ class MessageMaker:
         velocity: Array | Sequence[float] = (),
         effort: Array | Sequence[float] = (),
     ) -> Any:
-        """`sensor_msgs/JointState`; each column has a value for each name, or none at all."""
+        """`sensor_msgs/JointState`; columns are (n,), a value for each name, or (0,)."""
         columns = [np.asarray(values, dtype=np.float64) for values in (position, velocity, effort)]
         return JointState(self.header(t_ns, ""), list(names), *columns)
 

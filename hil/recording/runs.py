@@ -110,7 +110,11 @@ def read_runs(path: str | Path, problems: list[str] | None = None) -> Iterator[R
 def read_cycles_of_runs(
     path: str | Path, problems: list[str] | None = None
 ) -> Iterator[tuple[int, RunStart | None, CycleRecord]]:
-    """Every cycle of a recording with the number of its run and how that began; see `read_runs`."""
+    """Every cycle of a recording with the number of its run and how that began; see `read_runs`.
+
+    Raises:
+        DataError: as `read_runs`.
+    """
     reader = RecordingReader(path)
     start: RunStart | None = None
     number, latest = 0, -1
