@@ -53,19 +53,19 @@ _OF_CELLS = "cell_fail or supply or measures or sag or sees or noticed or did_no
 _QUICK_OF_TILT = "not nothing_changes and not broken_imu"
 _QUICK_OF_HOLDING = f"{_QUICK_OF_TILT} and not plant and not five_worlds and not whenever"
 MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
-    "supervisor": (
-        "hil/ring/supervisor.py",
-        ("tests/core/test_supervisor_asks_everybody.py", _GUARDS[0], _SENSES[1]),
-    ),
+    "supervisor": ("hil/ring/supervisor.py", ("tests/core/test_supervisor.py", _GUARDS[0], _SENSES[1])),
     "servo_watch": ("hil/ring/servo_watch.py", ("tests/core/test_servo_watch.py", _GUARDS[0])),
     "crosscheck": ("hil/ring/crosscheck.py", ("tests/core/test_encoder_crosscheck.py",)),
     "motion_check": ("hil/ring/motion_check.py", _SENSES),
     "capture_check": ("hil/ring/capture_check.py", (*_SENSES, "tests/core/test_estimate_watch.py")),
     "estimate_watch": ("hil/ring/estimate_watch.py", ("tests/core/test_estimate_watch.py",)),
-    "pace_watch": ("hil/ring/pace_watch.py", ("tests/core/test_supervisor_asks_everybody.py",)),
+    "pace_watch": ("hil/ring/pace_watch.py", ("tests/core/test_supervisor.py",)),
     "wheel_watch": ("hil/ring/wheel_watch.py", ("tests/core/test_wheel_watch.py",)),
     "doubts": ("hil/ring/doubts.py", _SENSES),
-    "left_out": ("hil/ring/left_out.py", (_SENSES[1], "tests/core/test_supervisor_asks_everybody.py")),
+    "agreement": ("hil/ring/agreement.py", ("tests/core/test_supervisor.py", _SENSES[1])),
+    "lost_check": ("hil/ring/lost_check.py", ("tests/core/test_supervisor.py", _GUARDS[0])),
+    "path_check": ("hil/ring/path_check.py", ("tests/core/test_supervisor.py", _GUARDS[0])),
+    "left_out": ("hil/ring/left_out.py", (_SENSES[1], "tests/core/test_supervisor.py")),
     "stream_watch": ("hil/ring/stream_watch.py", (_STREAMS,)),
     "sample_watch": ("hil/ring/sample_watch.py", ("tests/core/test_sample_watch.py", _STREAMS)),
     "goals": ("hil/drivers/servos/goals.py", _SERVOS),

@@ -32,6 +32,7 @@ PLACES = {
     "bench": (3.0, 2),
     "report": (5.2, 2),
     "devices": (2.0, 3),
+    "devkit": (0.6, 2.4),
     "monitor": (0.0, 4),
     "drivers": (1.0, 4),
     "fakes": (2.0, 4),

@@ -97,7 +97,6 @@ THINNED = {
     "estimator/test_camera_scale.py::test_a_camera_whose_noise_is_known": 2,
     "estimator/test_estimator_beside_wpimath.py::test_accuracy_is_better": 2,
     "estimator/test_estimator_consistency.py::test_nees_and_nis": 2,
-    "estimator/test_kernel_cache.py::test_an_edited_inner_file": 3,
     "plant/test_mujoco_contact.py::test_a_circle_of_three_metres": 2,
     "bench/test_doctor_discover_setup.py::test_a_device_that_falls_ill": 2,
     "bench/test_doctor_discover_setup.py::test_nothing_is_told_twice": 2,

@@ -56,7 +56,7 @@ LEFT_OUT = (
     "tests/estimator/test_odometry_covariance.py",
     "tests/estimator/test_estimator_tuning.py",
     "tests/estimator/test_estimator_beside_wpimath.py",
-    "tests/estimator/test_kernel_cache.py",
+    "tests/core/test_jit.py",
 )
 """Statistics over many drives, and one that compiles everything several times."""
 _APT = """

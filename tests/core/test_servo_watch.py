@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from supervised import Supervised
 
 from hil.ring.safety import SafetyLimits
-from hil.ring.supervisor import Supervisor
 from hil.vocabulary.errors import SafetyStop
 from hil.vocabulary.signals import EncoderSample, Inputs, ServoSample, Stamp, Status, WheelSetpoint
 
@@ -14,7 +14,7 @@ ALL_SILENT = {j: Status.TIMEOUT for j in range(8)}
 
 
 def supervisor(**limits):
-    return Supervisor(SafetyLimits(servo_ids=IDS, **limits))
+    return Supervised(SafetyLimits(servo_ids=IDS, **limits))
 
 
 def cycle(k, position=(0.0,) * 8, wrong=None, alert=(0,) * 8, encoders=None):
@@ -83,7 +83,7 @@ def test_no_read_at_all_is_nobody():
 
 def test_without_ids_the_names_are_enough():
     silent = [cycle(k, wrong={1: Status.TIMEOUT}) for k in range(20)]
-    assert "drive_BL: timeout" in str(stopped(Supervisor(SafetyLimits()), silent)[0])
+    assert "drive_BL: timeout" in str(stopped(Supervised(SafetyLimits()), silent)[0])
 
 
 def test_an_alert_names_its_servo_and_its_meaning():

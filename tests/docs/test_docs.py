@@ -21,6 +21,7 @@ ABOUT = [page for page in ROOT.glob("*.md") if page.name != "CHANGELOG.md"]
 GUIDES = [page for folder in ("docs", "examples") for page in (ROOT / folder).glob("*.md")]
 PAGES = sorted([*ABOUT, *GUIDES, *(ROOT / "firmware").rglob("*.md")])
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+GUIDE = (ROOT / "docs" / "add-your-own-device.md").read_text(encoding="utf-8")
 
 
 def blocks(text, language):
@@ -126,15 +127,7 @@ COPIED = (ROOT / "docs" / "ci-template", ROOT / "examples" / "rangefinder")
 OF_A_USER = {
     "path/to/mine.py",
     "data/odom_11.csv",
-    "my-imu/pyproject.toml",
-    "my-imu/my_imu.py",
-    "my-imu/bench.toml",
-    "my-imu/test_contract.py",
-    "my-gap/pyproject.toml",
-    "my-gap/my_gap.py",
-    "my-gap/my_gap_chip.py",
-    "my-gap/bench.toml",
-    "my-gap/test_contract.py",
+    *re.findall(r"^`(my-\w+/[\w.]+)`", GUIDE, re.M),
     "docs/index.html",  # of the site, once `make site` has built it
 }
 FILE = re.compile(

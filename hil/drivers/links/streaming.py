@@ -37,7 +37,7 @@ class StreamingSensor(Sensor[S], Generic[C, S]):
         port_gone: whether port or bus have failed; the bench opens the sensor again (`reopen`).
         period_ns: between two samples.
         heard_ns: when the last whole measurement came.
-        stuck: tells measurements that are the same to the last bit for too long.
+        stuck: finds measurements that are the same to the last bit for too long.
     """
 
     name: str
