@@ -104,7 +104,7 @@ def test_the_next_drive_does_not_begin_where_motion_capture_has_leapt_to(profile
 def test_a_leap_is_no_way_that_the_robot_went_after_its_stop(fault):
     with hil.open_bench("emulated", seed=1, faults=[fault]) as bench:
         drive(bench, 0)
-        held = bench.look(2.0)
+        held = bench.look()
     assert held.state == "HELD"
     assert held.moved_m < 0.003
 

@@ -14,7 +14,6 @@ TABLE = runpy.run_path(str(ROOT / "benchmarks" / "table.py"))
 START = runpy.run_path(str(ROOT / "benchmarks" / "start.py"))
 NOT_FOR_DRIVING = {
     "matplotlib",
-    "rosbags",
     "mujoco",
     "packaging",
     "pyarrow",
