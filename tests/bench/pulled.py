@@ -173,7 +173,9 @@ class Served:
         )
         self.config, self.pulls = load_bench(file), pulls
         for name, table in self.config.devices().items():
-            model_of(self.config, name).make_driver(table, MonotonicClock())  # importing it takes its time, too
+            model_of(self.config, name).make_driver(
+                table, MonotonicClock()
+            )  # importing it takes its time, too
         arguments = map(str, (file, pulls.times, pulls.period_s, pulls.away_s, pulls.first_s))
         self.process = subprocess.Popen(
             [sys.executable, __file__, *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True

@@ -180,7 +180,7 @@ def test_an_inertial_unit_that_is_asked_keeps_its_settings(name, chip, says):
     assert before
     assert model.probe("hil://imu", clock).table["port"] == "hil://imu"
     assert says(clock) == before
-    other = next(m for m in kinds()["imu"].models if m.ask and m.name != name)
+    other = next(m for m in kinds()["imu"].models if m.can_probe and m.name != name)
     assert other.probe("hil://imu", clock) is None
     assert says(clock) == before
     line.close()

@@ -12,12 +12,12 @@ from test_monitor_sink import needs_rerun, shown
 from hil.config.environment import EnvironmentConfig
 from hil.config.loading import load_bench
 from hil.config.robot import RobotConfig
+from hil.devices.imu import Imu
 from hil.monitor import RerunMonitor, Scene, moments
 from hil.monitor.moments import Moments
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.device import Force
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import AdhesionSample, Stamp, ThrustSample
 
 TRIANGLE = "v 0 0 0\nv 100 0 0\nv 0 100 50\nf 1 2 3\n"
@@ -65,7 +65,11 @@ def test_a_relative_mesh_lies_beside_the_bench_file(tmp_path):
 
 def test_forces_that_a_device_tells_replace_the_assumed_ones(monkeypatch):
     told = Force("fan", np.zeros(3), np.array([0.0, 0.0, -31.0]))
-    imu = replace(kinds()["imu"], forces=lambda inputs, robot, own: iter((told,)))
+
+    class Telling(Imu):
+        def forces(self, inputs, robot, config):
+            yield told
+
     follower = Moments(Scene())
     follower.note(shown(0))
     assert [f.name for f in follower.at(shown(0), 0.0).forces] == [
@@ -73,7 +77,7 @@ def test_forces_that_a_device_tells_replace_the_assumed_ones(monkeypatch):
         "left propeller (assumed)",
         "right propeller (assumed)",
     ]
-    monkeypatch.setattr(moments, "kinds", lambda: {"imu": imu})
+    monkeypatch.setattr(moments, "kinds", lambda: {"imu": Telling()})
     follower.note(shown(1))
     assert follower.at(shown(1), 0.01).forces == (told,)
 
@@ -116,8 +120,13 @@ def test_who_tells_nothing_is_still_assumed(fan, throttle):
 
 
 def test_forces_that_fail_are_named_once_and_the_rest_is_shown(monkeypatch, caplog):
-    thing = replace(kinds()["imu"], forces=lambda *given: 1 / 0, package="hil-evil 6.6")
-    monkeypatch.setattr(moments, "kinds", lambda: {"imu": thing})
+    class Failing(Imu):
+        package = "hil-evil 6.6"
+
+        def forces(self, inputs, robot, config):
+            return 1 / 0
+
+    monkeypatch.setattr(moments, "kinds", lambda: {"imu": Failing()})
     follower = Moments(Scene())
     for k in range(3):
         follower.note(shown(k))

@@ -83,7 +83,7 @@ def test_random_runs_are_the_same_for_the_same_arguments():
         ("encoder.FL", "corrupt", "refused by their check"),
         ("thrust", "stuck", "sends nothing back"),
         ("mocap", "slow", "longer run"),
-        ("imu", "slow", "nobody notices"),
+        ("imu", "slow", "nothing notices"),
         ("servo.steer_FL", "slow", "within their time"),
         ("tracker", "wrong", "nobody notices"),
     ],
