@@ -173,6 +173,7 @@ class Served:
         )
         self.config, self.pulls = load_bench(file), pulls
         for name, table in self.config.devices().items():
+            # importing it takes its time, too
             model_of(self.config, name).make_driver(
                 table, MonotonicClock()
             )  # importing it takes its time, too
