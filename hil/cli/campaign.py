@@ -31,6 +31,7 @@ _SHOWN = 5
 """So many broken runs are named on the terminal."""
 _LONGEST = 400
 """Characters of an error that are shown there."""
+_VERDICTS = {EXIT_PASS: "PASS", EXIT_LIMIT_FAILED: "FAIL"}
 
 
 @click.command()
@@ -245,7 +246,7 @@ def _write(
         "procedure": proc.name,
         "summary": proc.summary,
         "bench": setup.source(proc, cases[0])[0].config.name,
-        "verdict": {EXIT_PASS: "PASS", EXIT_LIMIT_FAILED: "FAIL", EXIT_ABORTED: "ABORTED"}.get(code, "ERROR"),
+        "verdict": "ABORTED" if early else _VERDICTS.get(code, "ERROR"),
         "exit_code": code,
         "cases": len(rows),
         "planned": len(cases),

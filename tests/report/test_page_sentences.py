@@ -31,6 +31,7 @@ def test_a_campaign_says_which_limits_were_missed_and_how_often(tmp_path):
     tree = {
         "procedure": "short",
         "cases": 4,
+        "planned": 4,
         "verdicts": {"PASS": 1, "FAIL": 2, "ERROR": 1},
         "verdict": "ERROR",
         "summary": "",
