@@ -36,7 +36,11 @@ class StreamingChip:
         own_faults: faults beside the common ones, and the options that each takes; `fault` finds one.
         boot_s: silence after its supply comes back.
         delay_s: from measurement to the wire.
-        name, world, config, options, rng, faults: of this device.
+        world: plant, clock, faults and random streams.
+        config: its table of the bench file.
+        options: an instance of `Options`.
+        rng: its random numbers.
+        faults: those that are planned for it.
         rate_hz: measurements per second; 0 for none unasked.
     """
 
