@@ -97,8 +97,12 @@ class Guarded:
             raise self._failure
         self._check_emulated()
         self._ended = None
-        with self._watched("open()", self._opening):
-            self._driver.open()
+        try:
+            with self._watched("open()", self._opening):
+                self._driver.open()
+        except HilError:
+            self._check_emulated()  # one that has failed is why the driver finds nothing
+            raise
 
     def _check_emulated(self) -> None:
         """Raise what the emulated device has raised: here somebody is told of it who can do something."""

@@ -60,6 +60,7 @@ class GuardedPart(Scheduled):
                 yield
         except HilError as error:
             self._world.failures.setdefault(self._kind, error)
+            self._part.broken = True
 
     @property
     def _failed(self) -> bool:

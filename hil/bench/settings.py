@@ -8,6 +8,7 @@ from dataclasses import fields
 
 import numpy as np
 
+from hil.bench.added_checks import added_checks
 from hil.bench.drivers import model_of
 from hil.bench.steering_offsets import expected_offsets_rad
 from hil.calibration.nominal import Nominal
@@ -119,10 +120,7 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         },
         hold=adhesion_watch(config),
         lost_after_s=_lost_after_s(config) if follows else {},
-        added={
-            name: asked(name, kinds()[name].package, "checks", kinds()[name].checks, own)
-            for name, own in config.devices().items()
-        },
+        added=added_checks(config),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -10,6 +11,7 @@ from hil.vocabulary.clock import Clock
 from hil.vocabulary.device import DeviceModel, Found, Search, loaded, opens
 
 _PROBE_S = 0.9
+_BY_NAME, _NAMES = 170, 80
 
 
 class SerialModel(DeviceModel):
@@ -57,12 +59,12 @@ class CanModel(DeviceModel):
     Its chip has `build(request, channel)`: a node on an emulated channel.
 
     Attributes:
-        subnet: third byte of the multicast group at which `hil emulate` serves it, unlike that of others.
+        subnet: third byte of the multicast group at which `hil emulate` serves it; 0 for one by its name.
         listens: whether it hears what clients send.
         printed: keys of its table that `hil emulate` prints beside bus and bit rate.
     """
 
-    subnet: ClassVar[int]
+    subnet: ClassVar[int] = 0
     listens: ClassVar[bool] = False
     printed: ClassVar[tuple[str, ...]] = ()
 
@@ -75,7 +77,7 @@ class CanModel(DeviceModel):
         return on_can(
             request,
             channel,
-            subnet=self.subnet,
+            subnet=self.subnet or _BY_NAME + zlib.crc32(f"{self.kind}.{self.name}".encode()) % _NAMES,
             dbc=getattr(request.config, "dbc_path", ""),
             listens=self.listens,
             told={key: getattr(request.config, key) for key in self.printed},

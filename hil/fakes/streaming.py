@@ -153,7 +153,12 @@ class SerialStreamingChip(StreamingChip, SerialChip):
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
         """Answer; while starting and without power there is silence."""
         answer = b"" if self._is_down(t_ns) else self.answer(data, t_ns)
+        if not isinstance(answer, bytes):
+            raise TypeError(f"answer() gave {answer!r:.60}, expected bytes")
         return [Reply(t_ns + nanoseconds(0.001), answer)] if answer else []
 
     def _reply(self, measured: Any, t_ns: int) -> list[Reply]:
-        return [Reply(t_ns + self._delay_ns(t_ns), self._spoilt(self.encode(measured), t_ns))]
+        data = self.encode(measured)
+        if not isinstance(data, bytes):
+            raise TypeError(f"encode() gave {data!r:.60}, expected bytes")
+        return [Reply(t_ns + self._delay_ns(t_ns), self._spoilt(data, t_ns))]

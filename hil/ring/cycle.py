@@ -121,17 +121,17 @@ class Check:
 
 
 class LastingCheck(Check):
-    """Stops once good samples of one kind have been wrong for a while.
+    """Stops once good samples of one kind have been wrong for a while; others do not count.
 
     Args:
         kind: of the device.
         reason: names the stop.
         wrong: what is wrong with a sample, in words; empty where nothing is.
-        for_s: for how long without a sample that is right.
+        for_s: for how long without a sample that is right; 0 for the first one that is wrong.
     """
 
     def __init__(self, kind: str, reason: str, wrong: Callable[[Any], str], for_s: float = 0.0) -> None:
-        self._kind, self._reason, self._wrong = kind, reason, wrong
+        self.kind, self.reason, self._wrong = kind, reason, wrong
         self._limit_ns = nanoseconds(for_s)
         self.reset()
 
@@ -141,7 +141,7 @@ class LastingCheck(Check):
 
     def on_samples(self, cycle: Cycle) -> None:
         """Look at the samples of its kind."""
-        for sample in cycle.inputs.of(self._kind):
+        for sample in cycle.inputs.of(self.kind):
             if worst(sample) is not Status.OK:
                 continue
             told, t_ns = self._wrong(sample), sample.stamp.t_ns
@@ -150,4 +150,4 @@ class LastingCheck(Check):
                 continue
             self._since_ns = t_ns if self._since_ns is None else self._since_ns
             if t_ns - self._since_ns >= self._limit_ns:
-                cycle.stop(self._reason, told)
+                cycle.stop(self.reason, told)

@@ -74,7 +74,7 @@ def thing(driver=Driver, emulate=emulate, **more):
         def emulate(self, request):
             return emulate(request)
 
-    for name in ("probe", "search", "truth_options", "connection", "probe_order"):
+    for name in ("probe", "search", "truth_options", "connection", "probe_order", "config"):
         if name in more:
             setattr(One, name, more.pop(name))
     named = {"name": "thing", "noun": "thing", "sample": Sample, "models": (One(),)}

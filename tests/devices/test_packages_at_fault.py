@@ -268,3 +268,106 @@ def test_an_emulator_ends_by_a_device_that_fails(package, hil):
     assert done.code == 3, done.said
     assert "hil: thing (hil-evil 6.6): on_due() of the emulated one raised RuntimeError: boom" in done.said
     assert "Traceback" not in done.said
+
+
+WRONG_CHECKS = {
+    "none": ("lambda self, config: 3", "checks() gave 3"),
+    "one": ("lambda self, config: LastingCheck('thing', 'low', bool)", "checks() gave <"),
+    "raising": ("fail", "checks() raised RuntimeError: boom"),
+    "of another kind": ("lambda self, config: (LastingCheck('thin', 'low', bool),)", "checks() gave 'thin'"),
+    "a sentence": ("lambda self, config: (LastingCheck('thing', 'Too low!', bool),)", "gave 'Too low!'"),
+}
+FAILING_CHECKS = {
+    "raises": ("fail(cycle)", "on_samples() of its check raised RuntimeError: boom"),
+    "no reason": ("cycle.stop(7, 'low')", "reason 7"),
+    "no message": ("cycle.stop('low', None)", "message None"),
+}
+
+
+@pytest.mark.usefixtures("bench")
+@pytest.mark.parametrize("case", WRONG_CHECKS)
+def test_checks_that_are_none_are_named_by_the_doctor_and_before_a_run(case, package, hil):
+    given, told = WRONG_CHECKS[case]
+    source = PACKAGE + f"from hil.devkit import LastingCheck\n\nITEM = thing(checks={given})\n"
+    folder = package("hil-evil", source, "ITEM", version="6.6")
+    for words in (("doctor", "--watch", "0.2"), ("run", "look.py", "--out", "out")):
+        done = hil(*words, "--bench", "bench.toml", packages=[folder])
+        assert done.code == 3, done.out + done.said
+        assert told in done.out + done.said
+        assert "thing (hil-evil 6.6): " in done.out + done.said
+
+
+@pytest.mark.usefixtures("bench")
+@pytest.mark.parametrize("case", FAILING_CHECKS)
+def test_a_check_that_fails_while_the_robot_runs_names_its_package(case, package, hil):
+    body, told = FAILING_CHECKS[case]
+    source = (
+        PACKAGE
+        + "from hil.devkit import Check\n\n\nclass Own(Check):\n    def on_samples(self, cycle):\n"
+        + f"        {body}\n\n\nITEM = thing(checks=lambda self, config: (Own(),))\n"
+    )
+    folder = package("hil-evil", source, "ITEM", version="6.6")
+    done = hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder])
+    assert done.code == 3, done.out + done.said
+    assert told in done.out + done.said
+    assert "thing (hil-evil 6.6): " in done.out + done.said
+
+
+SERIAL = """
+from hil.devkit import SerialSensorConfig
+from hil.devkit.chip import SerialStreamingChip
+from hil.devkit.driver import LineParser, SerialSensor
+from hil.devices.emulated import on_serial_line
+
+
+class OnALine(SerialSensorConfig):
+    model: Literal["one"] = "one"
+
+
+@dataclass(frozen=True)
+class Truth:
+    x: float = 0.0
+
+
+class Chip(SerialStreamingChip):
+    Options = Truth
+
+    def measure(self, t_ns):
+        {measure}
+
+    def encode(self, measured):
+        return {encode}
+
+
+class Lines(SerialSensor):
+    name = "thing"
+
+    def identify(self, port):
+        self.lines = LineParser()
+        if port.request(b"", self.lines.feed, lambda x: x, clock=self.clock, timeout_s=1.0) is None:
+            raise self.silent("no line")
+        return {{"model": "one"}}
+
+    def parse(self, data, now_ns):
+        return self.lines.feed(data)
+
+    def sample(self, item, stamp):
+        return Sample(stamp, 1.0)
+
+
+ITEM = thing(Lines, emulate=lambda request: on_serial_line(request, Chip(request)), config=OnALine)
+"""
+
+
+@pytest.mark.usefixtures("bench")
+@pytest.mark.parametrize(
+    ("measure", "encode", "told"),
+    [("fail()", "b'x'", "raised RuntimeError: boom"), ("return 1", "'text'", "encode() gave 'text'")],
+)
+def test_a_chip_that_fails_while_its_device_is_opened_is_named(measure, encode, told, package, hil):
+    source = PACKAGE + SERIAL.format(measure=measure, encode=encode)
+    folder = package("hil-evil", source, "ITEM", version="6.6")
+    done = hil("doctor", "--bench", "bench.toml", "--watch", "0.2", packages=[folder])
+    assert done.code == 3, done.out + done.said
+    assert told in done.out
+    assert "thing (hil-evil 6.6): on_due() of the emulated one" in done.out

@@ -1,0 +1,81 @@
+"""The checks that kinds of other packages bring: tried before a run, and blamed on their package in it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+from hil.config.bench import BenchConfig
+from hil.ring.cycle import Check, Cycle, LastingCheck
+from hil.vocabulary.blame import OURS, PackageError, asked, blamed
+from hil.vocabulary.kinds import kinds
+
+_REASON = re.compile(r"[a-z][a-z0-9_]*")
+
+
+class GuardedCheck(Check):
+    """A check of another package: what it raises names the package.
+
+    Args:
+        kind: of the device.
+        package: name and version.
+        check: the package's.
+    """
+
+    def __init__(self, kind: str, package: str, check: Check) -> None:
+        self._kind, self._package, self._check = kind, package, check
+
+    def reset(self) -> None:
+        """As the check."""
+        with blamed(self._kind, self._package, "reset() of its check"):
+            self._check.reset()
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """As the check; raises `PackageError`."""
+        with blamed(self._kind, self._package, "on_samples() of its check"):
+            self._check.on_samples(cycle)
+        self._reasons(cycle)
+
+    def on_estimate(self, cycle: Cycle) -> None:
+        """As the check; raises `PackageError`."""
+        with blamed(self._kind, self._package, "on_estimate() of its check"):
+            self._check.on_estimate(cycle)
+        self._reasons(cycle)
+
+    def _reasons(self, cycle: Cycle) -> None:
+        for reason, message in cycle.stops.items():
+            if not (isinstance(reason, str) and _REASON.fullmatch(reason) and isinstance(message, str)):
+                raise PackageError(
+                    self._kind,
+                    self._package,
+                    f"its check stops with the reason {reason!r} and the message {message!r}",
+                    expected="a reason in snake_case, such as battery_low, and a text",
+                )
+
+
+def added_checks(config: BenchConfig) -> Mapping[str, Sequence[Check]]:
+    """Checks by kind, new ones.
+
+    Raises:
+        PackageError: what a package gives is no check, or can never stop anything.
+    """
+    return {name: _checks_of(config, name) for name in config.devices()}
+
+
+def _checks_of(config: BenchConfig, name: str) -> Sequence[Check]:
+    kind, table = kinds()[name], config.devices()[name]
+    if kind.package == OURS:
+        return tuple(kind.checks(table))
+
+    def refuse(found: object, expected: str) -> PackageError:
+        return PackageError(name, kind.package, f"checks() gave {found!r:.80}", expected=expected)
+
+    given = asked(name, kind.package, "checks()", kind.checks, table)
+    if not isinstance(given, (tuple, list)) or not all(isinstance(one, Check) for one in given):
+        raise refuse(given, "a tuple of Check, of hil.devkit")
+    for one in given:
+        if isinstance(one, LastingCheck) and one.kind not in config.devices():
+            raise refuse(one.kind, f"a LastingCheck of a kind of this bench: {', '.join(config.devices())}")
+        if isinstance(one, LastingCheck) and not _REASON.fullmatch(str(one.reason)):
+            raise refuse(one.reason, "a LastingCheck with a reason in snake_case, such as battery_low")
+    return tuple(GuardedCheck(name, kind.package, one) for one in given)
