@@ -151,7 +151,11 @@ class SerialStreamingChip(StreamingChip, SerialChip):
         return [] if measured is None else self._reply(measured, t_ns)
 
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
-        """Answer; while starting and without power there is silence."""
+        """Answer; while starting and without power there is silence.
+
+        Raises:
+            TypeError: `answer` gave no bytes.
+        """
         answer = b"" if self._is_down(t_ns) else self.answer(data, t_ns)
         if not isinstance(answer, bytes):
             raise TypeError(f"answer() gave {answer!r:.60}, expected bytes")

@@ -131,7 +131,7 @@ def _wrong_of_hold(cell: Cell, seen: Seen, measured: Measured) -> Iterator[str]:
         yield "the robot fell, and what was struck had not let it go"
     if seen.state == "HELD" and (seen.fallen or not seen.crept_m <= still_m(cell)):
         yield f"said to be held, and moved by {crept_mm:.1f} mm{', and it fell' if seen.fallen else ''}"
-    if seen.cycles and seen.state == "NOT HELD" and not (gone or need_not_be_held(cell)):
+    if seen.cycles and seen.state not in ("HELD", "not needed") and not (gone or need_not_be_held(cell)):
         yield f"not held: {seen.held.why if seen.held is not None else 'nothing was said'}"
     if not gone and not seen.moved_m <= measured.most_m:
         yield f"moved by {moved_mm:.1f} mm after the stop, more than {1e3 * measured.most_m:.1f} mm"
