@@ -59,10 +59,11 @@ def added_checks(config: BenchConfig) -> Mapping[str, Sequence[Check]]:
     Raises:
         PackageError: what a package gives is no check, or can never stop anything.
     """
-    return {name: _checks_of(config, name) for name in config.devices()}
+    return {name: checks_of(config, name) for name in config.devices()}
 
 
-def _checks_of(config: BenchConfig, name: str) -> Sequence[Check]:
+def checks_of(config: BenchConfig, name: str) -> Sequence[Check]:
+    """Checks of one kind, new ones; raises as `added_checks`."""
     kind, table = kinds()[name], config.devices()[name]
     if kind.package == OURS:
         return tuple(kind.checks(table))

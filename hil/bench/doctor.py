@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-from hil.bench.added_checks import added_checks
+from hil.bench.added_checks import checks_of
 from hil.bench.bench import Bench
 from hil.bench.drivers import model_of
 from hil.bench.force_findings import unexplained_force
@@ -119,7 +119,7 @@ def _looks(
     package = model.package if kind.package == OURS else kind.package
     yield from asked(name, package, "its check or rate_hz", lambda: list(kind.check(watched)))
     yield from asked(name, model.package, "its check", lambda: list(model.check(watched)))
-    added_checks(bench.config)
+    checks_of(bench.config, name)
 
 
 def _failure(device: Device, check: str, error: HilError) -> Finding:
