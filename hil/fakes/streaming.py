@@ -95,8 +95,7 @@ class StreamingChip:
         was_off, self._was_off = self._was_off, off
         if (was_off and not off) or self.faults.news("reset", t_ns) is not None:
             self.reset(t_ns)
-        slow = self.fault("slow", t_ns)
-        self._due_ns = t_ns + round(self._period_ns() * (1.0 if slow is None else slow.slowness))
+        self._due_ns = t_ns + round(self._period_ns() * self.faults.slowness(t_ns))
         return None if self._is_down(t_ns) else self._shown(t_ns)
 
     def _shown(self, t_ns: int) -> Any:
@@ -107,8 +106,7 @@ class StreamingChip:
         return None if silent is not None and silent.interrupts(t_ns) else self._frozen or measured
 
     def _delay_ns(self, t_ns: int) -> int:
-        late = self.fault("delayed", t_ns)
-        return nanoseconds(self.delay_s) + (0 if late is None else late.delay_ns())
+        return nanoseconds(self.delay_s) + self.faults.lateness_ns(t_ns)
 
     def _spoilt(self, data: bytes, t_ns: int) -> bytes:
         return self.rng.bytes(len(data)) if self.fault("garbage", t_ns) is not None else data

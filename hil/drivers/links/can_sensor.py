@@ -73,11 +73,9 @@ class CanSensor(StreamingSensor[C, S]):
             remedy=self.remedy,
         )
 
-    def _disconnect(self) -> bool:
-        was_open = self._link.is_open
+    def _disconnect(self) -> None:
         self._link.close()
         self._frames.clear()
-        return was_open
 
     def _take(self, now_ns: int, wait_s: float = 0.0) -> list[tuple[Any, int]]:
         found: list[tuple[Any, int]] = []

@@ -72,11 +72,10 @@ class SerialSensor(StreamingSensor[C, S]):
         self.configure(self.port)
         return identity
 
-    def _disconnect(self) -> bool:
+    def _disconnect(self) -> None:
         port, self.port = self.port, None
         if port is not None:
             port.close()
-        return port is not None
 
     def _take(self, now_ns: int) -> list[tuple[Any, int]]:
         """Measurements, the last one as having just arrived, those before it a period earlier each."""

@@ -68,8 +68,8 @@ class StreamingSensor(Sensor[S], Generic[C, S]):
         """Open, identify, set up; the identity. Raises `DeviceError`."""
 
     @abstractmethod
-    def _disconnect(self) -> bool:
-        """Let go of port or bus; whether there was one. Never raises."""
+    def _disconnect(self) -> None:
+        """Let go of port or bus; never raises."""
 
     @abstractmethod
     def _take(self, now_ns: int) -> list[tuple[Any, int]]:
