@@ -149,7 +149,7 @@ PROMISES = {
         3,
     ),
     "a stamp of the future": ("return (self.sample(ahead_ns=10**10),)", "up to 10 s in the future", 3),
-    "a read that waits": ("time.sleep(0.02); return (self.sample(),)", "read() takes 2", 0),
+    "a read that waits": ("time.sleep(0.02); return (self.sample(),)", "read() takes ", 0),
     "none": ("return (self.sample(),)", "ok   thing", 0),
 }
 
