@@ -27,6 +27,8 @@ _MOST_FRAMES = 512
 _WAIT_S, _JOIN_S = 0.05, 0.5
 _LOOK_NS, _CATCH_UP_NS, _HELD_UP_NS = 2_000_000, 100_000_000, 300_000_000
 _ERROR_COUNTS = 16
+GONE_NS = 100_000_000
+"""So long without a frame after an error, and the interface has failed: it is opened again."""
 BUS_ERRORS = (can.CanError, OSError, ValueError, TypeError, AttributeError)
 
 Arrived = tuple[int, can.Message]
@@ -143,11 +145,6 @@ class CanLink:
     def port(self) -> str:
         """Interface and channel."""
         return f"{self._config.interface}:{self._config.channel}"
-
-    @property
-    def is_open(self) -> bool:
-        """Whether it has a bus."""
-        return self._bus is not None
 
     def open(self) -> None:
         """Open the bus; raises `DeviceError`."""

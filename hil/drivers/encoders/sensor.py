@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.config.encoders import EncodersConfig
 from hil.drivers.arrivals import ArrivalClock
-from hil.drivers.can_link import BUS_ERRORS, open_bus, receiver, remedy_of_silence, shut
+from hil.drivers.can_link import BUS_ERRORS, GONE_NS, open_bus, receiver, remedy_of_silence, shut
 from hil.drivers.encoders.as5045 import decode_words
 from hil.drivers.encoders.layout import FrameLayout, load_layout
 from hil.drivers.encoders.node_status import NodeStatus
@@ -31,7 +31,6 @@ _MOST_FRAMES = 1024
 _MOST_PASSED_OVER = 256
 _ERROR_COUNTS = 16
 _WAIT_S = 0.02
-_GONE_NS = 100_000_000
 _OVER_NS = 100_000_000
 """So long after its first frame no more is expected of a set; longer where sets are rarer than that."""
 _OPEN_SETS = 3
@@ -119,7 +118,7 @@ class As5045Encoders(Sensor[EncoderSample]):
     @property
     def port_gone(self) -> bool:
         """Whether the CAN interface itself fails, and nothing has come for a while."""
-        return bool(self._bus_error) and self._clock.now_ns() - self._usefulness.good_ns > _GONE_NS
+        return bool(self._bus_error) and self._clock.now_ns() - self._usefulness.good_ns > GONE_NS
 
     def close(self) -> None:
         """Let go of the bus. Idempotent; never raises."""

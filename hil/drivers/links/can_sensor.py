@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
-from hil.drivers.can_link import CanLink, remedy_of_silence
+from hil.drivers.can_link import GONE_NS, CanLink, remedy_of_silence
 from hil.drivers.links.streaming import C, S, StreamingSensor
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
@@ -94,9 +94,10 @@ class CanSensor(StreamingSensor[C, S]):
                     self.malformed += 1
                 else:
                     found.append((item, arrived_ns))
-        self.port_gone = not self._link.is_open
         if found:
             self._link.error = ""
+        silent_ns = now_ns - self.heard_ns
+        self.port_gone = bool(self._link.error) and not found and silent_ns > GONE_NS
         return found
 
     def silent(self, what: str) -> DeviceTimeoutError:

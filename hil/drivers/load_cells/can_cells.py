@@ -46,7 +46,7 @@ class CanCells(CanSensor[CanCellsConfig, LoadCellSample]):
 
     def sample(self, item: tuple[int, int], stamp: Stamp) -> LoadCellSample:
         """Forces and what is wrong with them."""
-        return self._judge.sample(item, stamp.t_ns, stamp.host_ns)
+        return self._judge.sample(item, stamp)
 
 
 class _Field:

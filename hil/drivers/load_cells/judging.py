@@ -24,15 +24,10 @@ class Judge:
     def __init__(self, config: LoadCellsConfig) -> None:
         self._n_per_count, self._end_n = config.n_per_count, _END * config.largest_n
         self._stuck = (StuckTest(_STUCK_S), StuckTest(_STUCK_S))
-        self._sequence = 0
-        self._latest_ns = -1
 
-    def sample(self, raw: tuple[int, int], t_ns: int, host_ns: int) -> LoadCellSample:
-        """A conversion of both cells that was made at `t_ns`."""
-        self._latest_ns = t_ns = min(max(t_ns, self._latest_ns + 1), host_ns)
-        self._sequence += 1
-        (first_n, first), (second_n, second) = self._judged(0, raw[0], t_ns), self._judged(1, raw[1], t_ns)
-        stamp = Stamp(t_ns, host_ns, self._sequence)
+    def sample(self, raw: tuple[int, int], stamp: Stamp) -> LoadCellSample:
+        """A conversion of both cells: counts, and when it was made."""
+        (first_n, first), (second_n, second) = (self._judged(k, raw[k], stamp.t_ns) for k in (0, 1))
         return LoadCellSample(stamp, np.array((first_n, second_n)), (first, second), raw)
 
     def _judged(self, cell: int, counts: int, t_ns: int) -> tuple[float, Status]:

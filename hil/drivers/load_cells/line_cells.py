@@ -56,7 +56,7 @@ class LineCells(SerialSensor[LineCellsConfig, LoadCellSample]):
 
     def sample(self, item: tuple[int, int], stamp: Stamp) -> LoadCellSample:
         """Forces and what is wrong with them."""
-        return self._judge.sample(item, stamp.t_ns, stamp.host_ns)
+        return self._judge.sample(item, stamp)
 
     def silence_details(self) -> str:
         """Lines that are no conversion, if any."""
