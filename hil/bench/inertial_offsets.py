@@ -18,7 +18,7 @@ from hil.ring.alignment import Alignment, AlignmentParameters
 from hil.ring.motion import Motion
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.finding import Finding, Level
-from hil.vocabulary.geometry import wrap
+from hil.vocabulary.geometry import mean_angle, wrap
 from hil.vocabulary.signals import GyroMeasurement, Inputs, Measurements
 
 TOLD_RAD, STOP_RAD = 0.03, 0.09
@@ -51,7 +51,7 @@ def inertial_changes(config: BenchConfig, measured: Iterable[Measurements]) -> I
         yield _bias(part, rate_rad_s - math.radians(kept.value))
     felt_rad = [g.gravity_heading_rad for g in gyro if math.isfinite(g.gravity_heading_rad)]
     if min(len(felt_rad), len(seen_rad)) >= _FEWEST and "imu.mount_rotation_wxyz" in part.values:
-        yield _heading(part, wrap(_mean_rad(felt_rad) - _mean_rad(seen_rad)))
+        yield _heading(part, wrap(mean_angle(felt_rad) - mean_angle(seen_rad)))
 
 
 def _bias(part: Part, changed_rad_s: float) -> Finding:
@@ -80,11 +80,6 @@ def _heading(part: Part, turned_rad: float) -> Finding:
 
 def _level(size: float, told: float, stop: float) -> Level:
     return "ok" if size <= told else "warning" if size <= stop else "failure"
-
-
-def _mean_rad(angles_rad: Sequence[float]) -> float:
-    first = angles_rad[0]
-    return first + math.fsum(wrap(angle - first) for angle in angles_rad) / len(angles_rad)
 
 
 def changed_between(

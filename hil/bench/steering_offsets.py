@@ -10,13 +10,11 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from hil.config.bench import BenchConfig
 from hil.config.encoders import EncodersConfig
 from hil.config.servos import ServosConfig
 from hil.vocabulary.finding import Finding
-from hil.vocabulary.geometry import wrap
+from hil.vocabulary.geometry import mean_angle, wrap
 from hil.vocabulary.signals import WHEELS, EncoderSample, ServoSample, Status
 
 
@@ -35,18 +33,10 @@ def encoder_minus_servo(
         return (math.nan,) * 4
     differences = []
     for k, (sign, steer_sign) in enumerate(zip(table.sign, config.alignment.steer_sign, strict=True)):
-        outside = _mean_rad([float(s.angle_rad[k]) for s in encoders if s.status[k] is Status.OK])
-        inside = _mean_rad([float(s.position_rad[4 + k]) for s in servos if s.status[4 + k] is Status.OK])
+        outside = mean_angle([float(s.angle_rad[k]) for s in encoders if s.status[k] is Status.OK])
+        inside = mean_angle([float(s.position_rad[4 + k]) for s in servos if s.status[4 + k] is Status.OK])
         differences.append(wrap(sign * outside - steer_sign * inside))
     return tuple(differences)
-
-
-def _mean_rad(angles_rad: Sequence[float]) -> float:
-    """Mean of angles that may lie on both sides of half a turn; NaN of none."""
-    if not angles_rad:
-        return math.nan
-    first = angles_rad[0]
-    return first + float(np.mean([wrap(angle - first) for angle in angles_rad]))
 
 
 def expected_offsets_rad(config: BenchConfig) -> tuple[float, ...] | None:

@@ -41,15 +41,15 @@ from hil.estimator.small_matrices import square_root
 from hil.estimator.state import AUX, ROWS, SCALE, STATES
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.jit import entry, kernel
+from hil.vocabulary.jit import kernel
 from hil.vocabulary.numpy_records import Records
 
 Bools = npt.NDArray[np.bool_]
 
-compare, innovation = entry(events.compare), entry(sensors.innovation)
-move, transition = entry(motion.move), entry(motion.transition)
-is_lost, is_unsure = entry(retraction.is_lost), entry(retraction.is_unsure)
-follow, carry = entry(retraction.follow), entry(retraction.carry)
+compare, innovation = kernel(events.compare), kernel(sensors.innovation)
+move, transition = kernel(motion.move), kernel(motion.transition)
+is_lost, is_unsure = kernel(retraction.is_lost), kernel(retraction.is_unsure)
+follow, carry = kernel(retraction.follow), kernel(retraction.carry)
 
 
 def _symmetric(p: Array) -> Array:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from hil.ring.cycle import Check, Cycle
+from hil.ring.cycle import Check, Cycle, go_on
 from hil.ring.force_trend import ForceTrend
 from hil.robot.holding import Statics
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
@@ -156,7 +156,7 @@ class AdhesionWatch(Check):
         if self._began_ns is None:
             self._began_ns = inputs.t_ns
         self._take(inputs, events)
-        fresh = self._fresh(inputs.t_ns, stop if self._can_fall else _ignored)
+        fresh = self._fresh(inputs.t_ns, stop if self._can_fall else go_on)
         if not (inputs.adhesion if self._has_fan else inputs.load_cells):
             return
         force_n = self._smaller()
@@ -375,7 +375,3 @@ class AdhesionWatch(Check):
 def apart(cells_n: float, speed_n: float) -> bool:
     """Whether two measures of one force contradict each other; False where one is NaN."""
     return abs(cells_n - speed_n) > max(DISAGREE_N, DISAGREE_SHARE * abs(speed_n))
-
-
-def _ignored(reason: str, message: str) -> None:
-    """On the floor, or on a tether, nothing falls."""

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hil.config.encoders import EncodersConfig
-from hil.ring.cycle import Check, Cycle
+from hil.ring.cycle import Check, Cycle, go_on
 from hil.vocabulary.geometry import wrap
 from hil.vocabulary.interfaces import Blame
 from hil.vocabulary.signals import WHEELS, Event, Inputs, Measurements
@@ -164,7 +164,7 @@ class SteeringWatch(Check):
 
     def on_samples(self, cycle: Cycle) -> None:
         """External encoders against the servos."""
-        stop = cycle.stop if self._stops else _reported_only
+        stop = cycle.stop if self._stops else go_on
         self.judge(cycle.inputs, cycle.measurements, cycle.events, stop)
 
     def judge(self, inputs: Inputs, measurements: Measurements, events: list[Event], stop: Blame) -> None:
@@ -199,7 +199,3 @@ class SteeringWatch(Check):
                 events.append(Event(t_ns, "warning", "encoders", said))
             elif far and t_ns - self._since_ns[axis] > _TOLD_NS:
                 stop("horn_slip", f"{said}; find zero and horn of that wheel before it drives on")
-
-
-def _reported_only(reason: str, message: str) -> None:
-    """Its event is enough."""

@@ -103,6 +103,10 @@ class Cycle:
             raise SafetyStop(reason, told, sorted(suspects))
 
 
+def go_on(reason: str, message: str) -> None:
+    """In place of `Cycle.stop` where the robot need not stop: the event of the finding is enough."""
+
+
 class Check:
     """Base of all checks: each overrides one of the two methods, or both.
 

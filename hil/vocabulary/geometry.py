@@ -37,6 +37,17 @@ def wrap_array(angle_rad: ArrayLike) -> Array:
     return np.pi - np.mod(np.pi - np.asarray(angle_rad, dtype=np.float64), 2.0 * np.pi)
 
 
+def mean_angle(angles_rad: Sequence[float]) -> float:
+    """Mean of angles that may lie on both sides of half a turn, all within half a turn of the first, rad.
+
+    It is not wrapped. NaN of none.
+    """
+    if not angles_rad:
+        return math.nan
+    first = angles_rad[0]
+    return first + math.fsum(wrap(angle - first) for angle in angles_rad) / len(angles_rad)
+
+
 def rotation2(theta_rad: float) -> Array:
     """2x2 rotation matrix that takes body vectors to the frame in which `theta_rad` is measured."""
     c, s = math.cos(theta_rad), math.sin(theta_rad)

@@ -45,7 +45,7 @@ if (
 
 
 def kernel(function: F) -> F:
-    """Mark a function that Python calls: compiled at the first call with such arguments, and kept."""
+    """Mark a function that Python calls, inner ones too: compiled at its first call, and kept."""
     made = numba.njit(no_cfunc_wrapper=True)(function)
     if made is not function:
         made._cache = _cache_of(function)  # as `cache=True` does with numba's own
@@ -55,11 +55,6 @@ def kernel(function: F) -> F:
 def inner(function: F) -> F:
     """Mark a function that kernels call as machine code; Python runs it as it is."""
     return cast(F, numba.extending.register_jitable(no_cfunc_wrapper=True)(function))
-
-
-def entry(function: F) -> F:
-    """An inner function as a kernel, too."""
-    return kernel(function)
 
 
 def plain(values: T) -> T:
