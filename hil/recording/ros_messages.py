@@ -6,13 +6,8 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import numpy as np
-from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__PoseWithCovariance as PoseWithCovariance
 from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Transform as Transform
 from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__TransformStamped as TransformStamped
-from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Twist as Twist
-from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__TwistWithCovariance as TwistWithCovariance
-from rosbags.typesys.stores.ros2_humble import nav_msgs__msg__Odometry as Odometry
 from rosbags.typesys.stores.ros2_humble import rcl_interfaces__msg__Log as Log
 from rosbags.typesys.stores.ros2_humble import rosgraph_msgs__msg__Clock as Clock
 from rosbags.typesys.stores.ros2_humble import std_msgs__msg__String as String
@@ -28,7 +23,7 @@ Message = tuple[str, int, bytes]
 """Topic, time of measurement (bench clock, ns), CDR bytes."""
 
 _LOG_LEVEL = {"debug": 10, "info": 20, "warning": 30, "error": 40, "fatal": 50}
-_PLANAR = np.array([0, 1, 5, 6, 7, 11, 30, 31, 35])
+_PLANAR = (0, 1, 5, 6, 7, 11, 30, 31, 35)
 """Of a covariance of six (36 numbers), those of x, y and the turn about z."""
 
 
@@ -65,24 +60,21 @@ def _place(planar: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return (x_m, y_m, 0.0), (math.cos(0.5 * theta_rad), 0.0, 0.0, math.sin(0.5 * theta_rad))
 
 
-def _of_six(planar: Array) -> Array:
+def _of_six(planar: Array) -> list[float]:
     """Covariance (36,) of a pose or twist in space from that of x, y and the turn about z, (3, 3)."""
-    whole = np.zeros(36)
-    whole[_PLANAR] = planar.ravel()
+    whole = [0.0] * 36
+    for place, value in zip(_PLANAR, planar.ravel().tolist(), strict=True):
+        whole[place] = value
     return whole
 
 
-def _odometry(state: RobotState, ros: MessageMaker) -> Any:
+def _odometry(state: RobotState, ros: MessageMaker) -> bytes:
     """`nav_msgs/Odometry` of an estimate: pose in the wall frame, twist in the body frame."""
     forward, left, spin = state.twist_body.tolist()
-    twist = Twist(ros.vector((forward, left, 0.0)), ros.vector((0.0, 0.0, spin)))
-    pose = ros.pose(*_place(state.pose_body_in_wall))
-    return Odometry(
-        ros.header(state.t_ns, WALL),
-        BODY,
-        PoseWithCovariance(pose, _of_six(state.covariance[:3, :3])),
-        TwistWithCovariance(twist, _of_six(state.covariance[3:, 3:])),
-    )
+    position_m, (w, x, y, z) = _place(state.pose_body_in_wall)
+    pose = (*position_m, x, y, z, w, *_of_six(state.covariance[:3, :3]))
+    twist = (forward, left, 0.0, 0.0, 0.0, spin, *_of_six(state.covariance[3:, 3:]))
+    return ros.numbers(state.t_ns, (WALL, BODY), (*pose, *twist))
 
 
 class CycleMessages:

@@ -14,14 +14,13 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.stores.ros2_humble import builtin_interfaces__msg__Time as Time
 from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Point as Point
 from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Pose as Pose
-from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__PoseStamped as PoseStamped
 from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Quaternion as Quaternion
 from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Vector3 as Vector3
-from rosbags.typesys.stores.ros2_humble import sensor_msgs__msg__JointState as JointState
 from rosbags.typesys.stores.ros2_humble import std_msgs__msg__Header as Header
 from rosbags.typesys.stores.ros2_humble import std_msgs__msg__MultiArrayLayout as MultiArrayLayout
 from rosbags.typesys.stores.ros2_humble import std_msgs__msg__UInt8MultiArray as UInt8MultiArray
 
+from hil.recording import cdr
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.geometry import Array
@@ -32,8 +31,8 @@ _NO_DIMENSIONS = MultiArrayLayout([], 0)
 
 
 def to_cdr(given: Any) -> bytes:
-    """A message as CDR, little endian."""
-    return bytes(_STORE.serialize_cdr(given, given.__msgtype__))
+    """A message as CDR, little endian; bytes are taken for CDR already."""
+    return given if isinstance(given, bytes) else bytes(_STORE.serialize_cdr(given, given.__msgtype__))
 
 
 def from_cdr(data: bytes, kind: str) -> Any:
@@ -85,10 +84,11 @@ class MessageMaker:
 
     def time(self, t_ns: int) -> Any:
         """`builtin_interfaces/Time` of a time on the bench clock; clipped to what 32-bit seconds can say."""
-        t_ns += self._wall_ns
-        if not 0 <= t_ns <= _LATEST_NS:
-            t_ns = min(max(0, t_ns), _LATEST_NS)
-        return Time(*divmod(t_ns, NS_PER_S))
+        return Time(*self.stamp(t_ns))
+
+    def stamp(self, t_ns: int) -> cdr.Stamp:
+        """Seconds and nanoseconds of a time on the bench clock, clipped likewise."""
+        return divmod(min(max(0, t_ns + self._wall_ns), _LATEST_NS), NS_PER_S)
 
     def header(self, t_ns: int, frame: str) -> Any:
         """`std_msgs/Header` of a time on the bench clock and the frame of the values."""
@@ -109,21 +109,25 @@ class MessageMaker:
 
     def pose_stamped(
         self, t_ns: int, frame: str, position_m: Sequence[float] | Array, q_wxyz: Sequence[float] | Array
-    ) -> Any:
-        """`geometry_msgs/PoseStamped` of a position (3,) m and a quaternion (4,), w first."""
-        return PoseStamped(self.header(t_ns, frame), self.pose(position_m, q_wxyz))
+    ) -> bytes:
+        """`geometry_msgs/PoseStamped` of a position (3,) m and a quaternion (4,), w first, as CDR."""
+        w, x, y, z = _floats(q_wxyz)
+        return self.numbers(t_ns, (frame,), (*_floats(position_m), x, y, z, w))
+
+    def numbers(self, t_ns: int, texts: tuple[str, ...], values: Sequence[float]) -> bytes:
+        """A message of a header, texts (the header's frame, then others) and float64 values only, as CDR."""
+        return cdr.stamped(self.stamp(t_ns), texts, values)
 
     def joints(
         self,
         t_ns: int,
-        names: Sequence[str],
+        names: tuple[str, ...],
         position: Array | Sequence[float] = (),
         velocity: Array | Sequence[float] = (),
         effort: Array | Sequence[float] = (),
-    ) -> Any:
-        """`sensor_msgs/JointState`; columns are (n,), a value for each name, or (0,)."""
-        columns = [np.asarray(values, dtype=np.float64) for values in (position, velocity, effort)]
-        return JointState(self.header(t_ns, ""), list(names), *columns)
+    ) -> bytes:
+        """`sensor_msgs/JointState` as CDR; columns are (n,), a value for each name, or (0,)."""
+        return cdr.joint_state(self.stamp(t_ns), names, (position, velocity, effort))
 
 
 def _floats(values: Sequence[float] | Array) -> Sequence[float]:

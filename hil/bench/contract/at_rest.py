@@ -168,14 +168,19 @@ def recorded_bit_for_bit(subject: Subject) -> str:
     difference = first_difference({"inputs": inputs}, {"inputs": again.inputs})
     if difference is not None:
         raise Broken(f"recorded otherwise: {difference}", "what was written", _DRIVER)
-    from hil.recording.ros_types import MessageMaker, to_cdr
+    from hil.recording.ros_types import MessageMaker, from_cdr, to_cdr
 
     ros = MessageMaker()
     for topic in kind.topics:
         for sample in samples:
             made = topic.message(sample, ros)
-            if made.__msgtype__ != topic.type or not to_cdr(made):
-                raise Broken(f"{topic.name} has a {made.__msgtype__}", topic.type, _DRIVER)
+            written = to_cdr(made)
+            try:
+                repeated = to_cdr(from_cdr(written, topic.type))
+            except ValueError as error:
+                raise Broken(f"{topic.name} has {error}", topic.type, _DRIVER) from None
+            if getattr(made, "__msgtype__", topic.type) != topic.type or repeated != written:
+                raise Broken(f"{topic.name} has another message", topic.type, _DRIVER)
     return f"{len(samples)} samples"
 
 

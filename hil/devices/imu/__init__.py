@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import numpy as np
-
 from hil.devices.imu.bno055 import Bno055
 from hil.devices.imu.look import look
 from hil.devices.imu.microstrain import MicroStrain
@@ -21,22 +19,16 @@ if TYPE_CHECKING:
 
 __all__ = ["KIND", "imu_message"]
 
-_UNKNOWN = np.zeros(9)
+_UNKNOWN = (0.0,) * 9
 """A covariance, as `sensor_msgs/Imu` has it where nothing is known of it."""
 
 
-def imu_message(sample: ImuSample, ros: MessageMaker) -> Any:
-    """`sensor_msgs/Imu`; acceleration with gravity (specific force), as REP 145 asks."""
-    return ros.message(
-        "sensor_msgs/msg/Imu",
-        header=ros.header(sample.stamp.t_ns, "imu"),
-        orientation=ros.quaternion(sample.quaternion_wxyz),
-        orientation_covariance=_UNKNOWN,
-        angular_velocity=ros.vector(sample.gyro_rad_s),
-        angular_velocity_covariance=_UNKNOWN,
-        linear_acceleration=ros.vector(sample.specific_force_m_s2),
-        linear_acceleration_covariance=_UNKNOWN,
-    )
+def imu_message(sample: ImuSample, ros: MessageMaker) -> bytes:
+    """`sensor_msgs/Imu` as CDR; acceleration with gravity (specific force), as REP 145 asks."""
+    w, x, y, z = sample.quaternion_wxyz.tolist()
+    rates, force = sample.gyro_rad_s.tolist(), sample.specific_force_m_s2.tolist()
+    values = (x, y, z, w, *_UNKNOWN, *rates, *_UNKNOWN, *force, *_UNKNOWN)
+    return ros.numbers(sample.stamp.t_ns, ("imu",), values)
 
 
 class Imu(DeviceKind):

@@ -1,0 +1,87 @@
+"""CDR of the ROS 2 messages that every cycle brings: a stamp, texts that stay, and numbers.
+
+rosbags writes any message; these take it more than half of a recording's time. The layout is that of OMG's
+DDS-XTypes 1.3, 7.4.1 (XCDR version 1), little endian: a value begins at a multiple of its own size, counted
+behind the first four bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from hil.vocabulary.geometry import Array
+
+_BEGIN = struct.Struct("<4B i I")
+_LENGTH = struct.Struct("<I")
+_AHEAD = 4
+"""Bytes that do not count where a value begins: they name the encoding."""
+_DOUBLE = 8
+
+Stamp = tuple[int, int]
+"""Seconds and nanoseconds of `builtin_interfaces/Time`."""
+
+
+def stamped(stamp: Stamp, texts: tuple[str, ...], values: Sequence[float]) -> bytes:
+    """A message that is a `std_msgs/Header`, perhaps further texts, and float64 values.
+
+    Args:
+        stamp: of the header.
+        texts: the header's frame, then the others.
+        values: all numbers that follow, in their order.
+    """
+    begin = _begin(stamp) + _texts(texts)
+    return begin + bytes(_gap(len(begin))) + struct.pack(f"<{len(values)}d", *values)
+
+
+def joint_state(stamp: Stamp, names: tuple[str, ...], columns: Iterable[Sequence[float] | Array]) -> bytes:
+    """`sensor_msgs/JointState` without a frame.
+
+    Args:
+        stamp: of the header.
+        names: of the joints.
+        columns: positions, velocities and efforts, (n,) or (0,) each.
+    """
+    data = _begin(stamp) + _names(names)
+    for column in columns:
+        data += _LENGTH.pack(len(column))
+        if len(column):
+            data += bytes(_gap(len(data))) + np.asarray(column, dtype="<f8").tobytes()
+    return data
+
+
+def _begin(stamp: Stamp) -> bytes:
+    return _BEGIN.pack(0, 1, 0, 0, *stamp)
+
+
+def _gap(length: int) -> int:
+    """Bytes up to where a float64 may begin."""
+    return (_AHEAD - length) % _DOUBLE
+
+
+def _text(text: str, data: bytes) -> bytes:
+    """`data` with a text behind it; it begins at a multiple of four."""
+    encoded = text.encode() + b"\0"
+    return data + bytes(-len(data) % _LENGTH.size) + _LENGTH.pack(len(encoded)) + encoded
+
+
+@lru_cache(maxsize=64)
+def _texts(texts: tuple[str, ...]) -> bytes:
+    """Texts behind a stamp."""
+    data = b""
+    for text in texts:
+        data = _text(text, data)
+    return data
+
+
+@lru_cache(maxsize=64)
+def _names(names: tuple[str, ...]) -> bytes:
+    """An empty frame behind a stamp, and a sequence of names, up to where a length may begin."""
+    data = _text("", b"")
+    data += bytes(-len(data) % _LENGTH.size) + _LENGTH.pack(len(names))
+    for name in names:
+        data = _text(name, data)
+    return data + bytes(-len(data) % _LENGTH.size)
