@@ -15,14 +15,38 @@ import numpy as np
 
 from hil.vocabulary.geometry import Array
 
-_BEGIN = struct.Struct("<4B i I")
-_LENGTH = struct.Struct("<I")
-_AHEAD = 4
-"""Bytes that do not count where a value begins: they name the encoding."""
+_ENCODING = b"\0\1\0\0"
+_STAMP = struct.Struct("<iI")
+_LENGTH, _LENGTHS = struct.Struct("<I"), struct.Struct("<3I")
 _DOUBLE = 8
 
 Stamp = tuple[int, int]
 """Seconds and nanoseconds of `builtin_interfaces/Time`."""
+
+
+def clock(stamp: Stamp) -> bytes:
+    """`rosgraph_msgs/Clock`."""
+    return _ENCODING + _STAMP.pack(*stamp)
+
+
+def octets(payload: bytes) -> bytes:
+    """`std_msgs/UInt8MultiArray` with one unnamed dimension left out."""
+    return _ENCODING + _LENGTHS.pack(0, 0, len(payload)) + payload
+
+
+def transforms(stamp: Stamp, frames: Iterable[tuple[tuple[str, str], Sequence[float]]]) -> bytes:
+    """`tf2_msgs/TFMessage`.
+
+    Args:
+        stamp: of all.
+        frames: names (parent, child) and (7,): position in m, quaternion with w last.
+    """
+    given = list(frames)
+    data = _ENCODING + _LENGTH.pack(len(given))
+    for names, values in given:
+        data += _STAMP.pack(*stamp) + _texts(names)
+        data += bytes(_gap(len(data))) + struct.pack("<7d", *values)
+    return data
 
 
 def stamped(stamp: Stamp, texts: tuple[str, ...], values: Sequence[float]) -> bytes:
@@ -33,7 +57,7 @@ def stamped(stamp: Stamp, texts: tuple[str, ...], values: Sequence[float]) -> by
         texts: the header's frame, then the others.
         values: all numbers that follow, in their order.
     """
-    begin = _begin(stamp) + _texts(texts)
+    begin = _ENCODING + _STAMP.pack(*stamp) + _texts(texts)
     return begin + bytes(_gap(len(begin))) + struct.pack(f"<{len(values)}d", *values)
 
 
@@ -45,7 +69,7 @@ def joint_state(stamp: Stamp, names: tuple[str, ...], columns: Iterable[Sequence
         names: of the joints.
         columns: positions, velocities and efforts, (n,) or (0,) each.
     """
-    data = _begin(stamp) + _names(names)
+    data = _ENCODING + _STAMP.pack(*stamp) + _names(names)
     for column in columns:
         data += _LENGTH.pack(len(column))
         if len(column):
@@ -53,13 +77,9 @@ def joint_state(stamp: Stamp, names: tuple[str, ...], columns: Iterable[Sequence
     return data
 
 
-def _begin(stamp: Stamp) -> bytes:
-    return _BEGIN.pack(0, 1, 0, 0, *stamp)
-
-
 def _gap(length: int) -> int:
     """Bytes up to where a float64 may begin."""
-    return (_AHEAD - length) % _DOUBLE
+    return (len(_ENCODING) - length) % _DOUBLE
 
 
 def _text(text: str, data: bytes) -> bytes:

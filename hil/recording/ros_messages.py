@@ -6,15 +6,12 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Transform as Transform
-from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__TransformStamped as TransformStamped
 from rosbags.typesys.stores.ros2_humble import rcl_interfaces__msg__Log as Log
-from rosbags.typesys.stores.ros2_humble import rosgraph_msgs__msg__Clock as Clock
 from rosbags.typesys.stores.ros2_humble import std_msgs__msg__String as String
-from rosbags.typesys.stores.ros2_humble import tf2_msgs__msg__TFMessage as TFMessage
 
+from hil.recording import cdr
 from hil.recording.frames import BODY, WALL, Frame, FrameTree
-from hil.recording.ros_types import MessageMaker, octets, to_cdr
+from hil.recording.ros_types import MessageMaker, to_cdr
 from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.signals import CycleRecord, Event, RobotState, samples_of
@@ -27,18 +24,13 @@ _PLANAR = (0, 1, 5, 6, 7, 11, 30, 31, 35)
 """Of a covariance of six (36 numbers), those of x, y and the turn about z."""
 
 
-def transforms(t_ns: int, frames: Sequence[Frame], ros: MessageMaker) -> Any:
+def transforms(t_ns: int, frames: Sequence[Frame], ros: MessageMaker) -> bytes:
     """`tf2_msgs/TFMessage`."""
-    return TFMessage(
-        [
-            TransformStamped(
-                ros.header(t_ns, frame.parent),
-                frame.child,
-                Transform(ros.vector(frame.position_m), ros.quaternion(frame.quaternion_wxyz)),
-            )
-            for frame in frames
-        ]
-    )
+    placed = []
+    for frame in frames:
+        w, x, y, z = frame.quaternion_wxyz
+        placed.append(((frame.parent, frame.child), (*frame.position_m, x, y, z, w)))
+    return cdr.transforms(ros.stamp(t_ns), placed)
 
 
 def log(event: Event, ros: MessageMaker) -> Any:
@@ -94,7 +86,7 @@ class CycleMessages:
 
     def cycle(self, t_ns: int, encoded: bytes) -> Message:
         """The cycle record itself."""
-        return "/hil/cycle", t_ns, to_cdr(octets(encoded))
+        return "/hil/cycle", t_ns, cdr.octets(encoded)
 
     def note(self, t_ns: int, note: str) -> Message:
         """A note between two cycles."""
@@ -102,7 +94,7 @@ class CycleMessages:
 
     def first(self, t_ns: int, description: str) -> Iterator[Message]:
         """What never moves, once in a recording: frames, and the robot's URDF unless it is empty."""
-        yield "/tf_static", t_ns, to_cdr(transforms(t_ns, self._frames.fixed, self._ros))
+        yield "/tf_static", t_ns, transforms(t_ns, self._frames.fixed, self._ros)
         if description:
             yield "/robot_description", t_ns, to_cdr(String(description))
 
@@ -118,7 +110,7 @@ class CycleMessages:
             start = self._frames.camera_start
             moving = (body,) if start is None else (body, start)
             yield "/tf", state.t_ns, transforms(state.t_ns, moving, ros)
-        yield "/clock", record.start_ns, Clock(ros.time(record.start_ns))
+        yield "/clock", record.start_ns, cdr.clock(ros.stamp(record.start_ns))
         for topic, samples, message in self._topics:
             for sample in samples(inputs):
                 yield topic, sample.stamp.t_ns, message(sample, ros)

@@ -17,8 +17,6 @@ from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Pose as Pose
 from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Quaternion as Quaternion
 from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Vector3 as Vector3
 from rosbags.typesys.stores.ros2_humble import std_msgs__msg__Header as Header
-from rosbags.typesys.stores.ros2_humble import std_msgs__msg__MultiArrayLayout as MultiArrayLayout
-from rosbags.typesys.stores.ros2_humble import std_msgs__msg__UInt8MultiArray as UInt8MultiArray
 
 from hil.recording import cdr
 from hil.vocabulary.clock import NS_PER_S
@@ -27,7 +25,6 @@ from hil.vocabulary.geometry import Array
 
 _STORE: Any = get_typestore(Stores.ROS2_HUMBLE)
 _LATEST_NS = 2**31 * NS_PER_S - 1
-_NO_DIMENSIONS = MultiArrayLayout([], 0)
 
 
 def to_cdr(given: Any) -> bytes:
@@ -58,11 +55,6 @@ def definition(kind: str) -> str:
     except Exception as error:
         raise ConfigError(f"message type {kind!r} cannot be recorded ({error})") from error
     return found
-
-
-def octets(payload: bytes) -> Any:
-    """`std_msgs/UInt8MultiArray` with one unnamed dimension left out."""
-    return UInt8MultiArray(_NO_DIMENSIONS, np.frombuffer(payload, dtype=np.uint8))
 
 
 class MessageMaker:

@@ -28,7 +28,8 @@ from hil.fakes.fault import parse_fault
 from hil.fakes.imu.uart import RequestParser
 from hil.fakes.servos import protocol
 from hil.live.commands import parse_command
-from hil.recording.ros_types import MessageMaker, from_cdr, octets, to_cdr
+from hil.recording import cdr
+from hil.recording.ros_types import MessageMaker, from_cdr, to_cdr
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.reading import json_object, json_value, toml_tables
 from hil.vocabulary.tracker_feed import FEED_INFO, FEED_MAGIC, INFO_RECORD
@@ -172,7 +173,7 @@ def _texts() -> list[Fed]:
         Fed("JSON object", lambda d: json_object(d), [b'{"a": [1, {"b": true}]}'], (ValueError,)),
         Fed("fault", _text(parse_fault), [b"imu:stuck@2+3,a=0.2", b"plant:off"], (HilError,)),
         Fed("velocity command", _text(parse_command), [b"v 0.1 0 -0.2", b"stop"], (HilError,)),
-        _cdr("std_msgs/msg/UInt8MultiArray", octets(b"abcd")),
+        _cdr("std_msgs/msg/UInt8MultiArray", cdr.octets(b"abcd")),
         _cdr("std_msgs/msg/String", MessageMaker().message("std_msgs/msg/String", data="abcd")),
         Fed("camera feed", _feed, [INFO_RECORD.pack(FEED_MAGIC, FEED_INFO, b"T265", b"1", b"0.2.0.951")]),
         Fed("BNO055 requests", lambda d: RequestParser().feed(d, 0), [b"\xaa\x01\0\x08\xaa\0\x3d\x01\x0c"]),

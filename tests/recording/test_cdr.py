@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
+from hil.recording import cdr
 from hil.recording.ros_types import MessageMaker, to_cdr
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -69,3 +70,40 @@ def test_odometry(t_ns, frame, child, values):
 def test_stamps_beyond_32_bits_are_clipped_alike(t_ns):
     whole = ROS.message("std_msgs/msg/Header", stamp=ROS.time(t_ns), frame_id="")
     assert ROS.joints(t_ns, ())[:12] == to_cdr(whole)[:12]
+
+
+@given(payload=st.binary(max_size=300))
+def test_octets(payload):
+    nothing = ROS.message("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
+    data = np.frombuffer(payload, dtype=np.uint8)
+    assert cdr.octets(payload) == to_cdr(
+        ROS.message("std_msgs/msg/UInt8MultiArray", layout=nothing, data=data)
+    )
+
+
+@given(t_ns=TIMES)
+def test_a_clock(t_ns):
+    whole = ROS.message("rosgraph_msgs/msg/Clock", clock=ROS.time(t_ns))
+    assert cdr.clock(ROS.stamp(t_ns)) == to_cdr(whole)
+
+
+FRAMES = st.tuples(st.tuples(TEXTS, TEXTS), st.lists(NUMBERS, min_size=7, max_size=7))
+
+
+@given(t_ns=TIMES, frames=st.lists(FRAMES, max_size=4))
+def test_transforms(t_ns, frames):
+    placed = [
+        ROS.message(
+            "geometry_msgs/msg/TransformStamped",
+            header=ROS.header(t_ns, parent),
+            child_frame_id=child,
+            transform=ROS.message(
+                "geometry_msgs/msg/Transform",
+                translation=ROS.vector((x, y, z)),
+                rotation=ROS.quaternion((qw, qx, qy, qz)),
+            ),
+        )
+        for (parent, child), (x, y, z, qx, qy, qz, qw) in frames
+    ]
+    whole = ROS.message("tf2_msgs/msg/TFMessage", transforms=placed)
+    assert cdr.transforms(ROS.stamp(t_ns), frames) == to_cdr(whole)

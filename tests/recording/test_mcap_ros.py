@@ -13,9 +13,10 @@ from rosbags.typesys import Stores, get_typestore
 
 from hil.bench.blueprint import Blueprint
 from hil.config.loading import load_bench
+from hil.recording import cdr
 from hil.recording.frames import FrameTree
 from hil.recording.ros_messages import CycleMessages
-from hil.recording.ros_types import MessageMaker, definition, from_cdr, octets, to_cdr
+from hil.recording.ros_types import MessageMaker, definition, from_cdr
 from hil.recording.topics import topics_with
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import ConfigError
@@ -88,9 +89,7 @@ def test_cycles_and_notes_come_back_as_they_were_given(payload, text):
     assert from_cdr(note, TOPICS[about]).data == text
 
 
-@pytest.mark.parametrize(
-    "data", [b"", b"\0\1\0\0", to_cdr(octets(b"abc"))[:-1], b"\0\1\0\0" + bytes([1] * 20)]
-)
+@pytest.mark.parametrize("data", [b"", b"\0\1\0\0", cdr.octets(b"abc")[:-1], b"\0\1\0\0" + bytes([1] * 20)])
 @pytest.mark.parametrize("topic", ["/hil/cycle", "/hil/notes"])
 def test_bytes_that_are_no_message_are_refused(data, topic):
     with pytest.raises(ValueError):
