@@ -15,9 +15,8 @@ import numpy as np
 from hil.calibration.blocks import Blocks, reduce_recordings
 from hil.calibration.datasets import Recording
 from hil.calibration.leaps import Bools, Rows
-from hil.calibration.motion_models import make_model
 from hil.calibration.nominal import Nominal, lever_m
-from hil.robot.kinematics import WheelGeometry
+from hil.robot.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
 from hil.robot.odometry import integrate
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array
@@ -191,9 +190,11 @@ class _Strides:
 
     def rolled(self, signs: Array | float = 1.0) -> Array:
         """Moves (R, S, 3) by nominal odometry, of wheel vectors times signs (8,)."""
-        used = self._blocks.wheel_rad * signs
-        motion = make_model("exact", used.reshape(-1, 8), self._geometry).motion(self._geometry.vector())
-        return _moves(self._at_ends(integrate(np.zeros(3), motion.reshape(*used.shape[:2], 3))))
+        x, y = (signs * self._blocks.wheel_rad)[..., 0::2], (signs * self._blocks.wheel_rad)[..., 1::2]
+        radius_m, zero_rad = self._geometry.radius_m, self._geometry.steering_zero_rad
+        vectors = wheel_vectors(radius_m * np.hypot(x, y), np.arctan2(y, x) - zero_rad)
+        motion = twist_of_vectors(self._geometry, vectors)
+        return _moves(self._at_ends(integrate(np.zeros(3), motion)))
 
     def moved(self, signs: Sequence[float] = (1.0, 1.0, 1.0), order: Sequence[int] = (0, 1, 2)) -> Array:
         """True moves (R, S, 3), of poses whose x, y and theta come in this order and with these signs."""
