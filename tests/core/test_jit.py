@@ -200,7 +200,7 @@ def test_an_inner_function_is_machine_code_in_a_kernel_and_plain_in_python(kept_
     made = fresh(tmp_path)
     compile_for(made.outer, 1.0)
     assert len(made.outer.signatures) == 1
-    assert (made.outer(3.0), made.added(3.0), jit.entry(made.added)(3.0)) == (9.0, 4.5, 4.5)
+    assert (made.outer(3.0), made.added(3.0), jit.kernel(made.added)(3.0)) == (9.0, 4.5, 4.5)
     assert made.added(np.float32(1.0)) == 2.5
 
 

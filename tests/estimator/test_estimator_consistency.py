@@ -15,13 +15,13 @@ from hil.estimator.smoother import smooth
 from hil.estimator.state import CLONE, MOTION, POSE, ROWS, SCALE, STATES, V_X, V_Y, prior_variances
 from hil.estimator.unscented import points_of
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.jit import entry
+from hil.vocabulary.jit import kernel
 from hil.vocabulary.signals import Measurements, PoseMeasurement, RobotState, Stamp
 
-advance, moments, predicted = entry(events.advance), entry(events.moments), entry(sensors.predicted)
-move, add_noise = entry(motion.move), entry(process.add_noise)
-condition, joint_nis = entry(conditioning.condition), entry(conditioning.joint_nis)
-new_frame, clone_pose = entry(tracker.new_frame), entry(wheels.clone_pose)
+advance, moments, predicted = kernel(events.advance), kernel(events.moments), kernel(sensors.predicted)
+move, add_noise = kernel(motion.move), kernel(process.add_noise)
+condition, joint_nis = kernel(conditioning.condition), kernel(conditioning.joint_nis)
+new_frame, clone_pose = kernel(tracker.new_frame), kernel(wheels.clone_pose)
 
 DT_S = 0.01
 VARIANCE = {

@@ -13,15 +13,15 @@ from hil.estimator.state import CLONE, OMEGA, POSE, ROWS, STATES, prior_variance
 from hil.estimator.state import SCALE as STATE_SCALE
 from hil.estimator.unscented import points_of
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.jit import entry
+from hil.vocabulary.jit import kernel
 from hil.vocabulary.numpy_records import dtype_of, filled
 from hil.vocabulary.signals import Measurements, PoseMeasurement, RobotState, Stamp
 
-advance, compare = entry(events.advance), entry(events.compare)
-move, transition = entry(motion.move), entry(motion.transition)
-add_noise, advance_linear = entry(model.add_noise), entry(model.advance_linear)
-predicted, jacobian = entry(sensors.predicted), entry(sensors.jacobian)
-condition, clone_pose = entry(conditioning.condition), entry(wheels.clone_pose)
+advance, compare = kernel(events.advance), kernel(events.compare)
+move, transition = kernel(motion.move), kernel(motion.transition)
+add_noise, advance_linear = kernel(model.add_noise), kernel(model.advance_linear)
+predicted, jacobian = kernel(sensors.predicted), kernel(sensors.jacobian)
+condition, clone_pose = kernel(conditioning.condition), kernel(wheels.clone_pose)
 
 SCALE = np.array([1, 1, 1, 0.1, 0.1, 0.3, 1, 1, 1, 5e-3, 0.01, 0.01, 2e-3, 2e-3, 0.05, 0.05, 5e-3, 1, 1, 1])
 ROLLING = np.array([0.07, -0.04])
@@ -111,10 +111,10 @@ def test_a_new_camera_frame_shows_what_the_camera_shows_and_spreads_its_uncertai
     par = kernel_parameters(tracker={"position_m": 2e-3, "heading_rad": 3e-3, "scale_sigma": 0.01}).tracker
     x, p = some_state(rng), some_covariance(rng)
     z = np.array([0.4, -0.2, 0.3])
-    entry(tracker.new_frame)(0.0, x, p, first_memory()[0].tracker, seen_pose(z), par)
+    kernel(tracker.new_frame)(0.0, x, p, first_memory()[0].tracker, seen_pose(z), par)
     mean, h = np.zeros(ROWS), np.zeros((ROWS, STATES))
-    entry(tracker.predicted)(x, np.zeros(2), par, mean)
-    entry(tracker.jacobian)(x, np.zeros(2), par, h)
+    kernel(tracker.predicted)(x, np.zeros(2), par, mean)
+    kernel(tracker.jacobian)(x, np.zeros(2), par, h)
     assert np.allclose(mean[:3], z, atol=1e-12)
     assert np.allclose((h @ p @ h.T)[:3, :3], np.diag([4e-6, 4e-6, 9e-6]), atol=1e-12)
 
@@ -239,7 +239,7 @@ def hard_steps(kind, count, seed=0):
     p[:6, :6] = 1e2 * np.eye(6)
     names, noise = ("mocap", "gyro", "tracker", "gyro"), 1e-6 * rng.normal(size=(1000, 3))
     worst, row = 0.0, np.zeros(1, ROW)[0]
-    entry(tracker.new_frame)(0.0, x, p, m.tracker, seen_pose(np.zeros(3)), sharp)
+    kernel(tracker.new_frame)(0.0, x, p, m.tracker, seen_pose(np.zeros(3)), sharp)
     for k in range(count):
         advance(x, p, 0.0025, par, points, x[3:5].copy())
         a, b, c = noise[k % 1000]

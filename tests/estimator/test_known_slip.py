@@ -10,9 +10,9 @@ from hil.config.estimator import EstimatorConfig
 from hil.estimator.layout import first_memory, parameters
 from hil.estimator.sensors import wheels
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.jit import entry
+from hil.vocabulary.jit import kernel
 
-known_slip = entry(wheels.known_slip)
+known_slip = kernel(wheels.known_slip)
 
 KNOWN = {
     "known_up": (-0.034, 0.001, 0.01),

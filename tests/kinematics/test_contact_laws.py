@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from hil.estimator import friction
 from hil.robot import contact_laws as law
 from hil.robot.kinematics import WheelGeometry, forward_matrix, projection, twist_of_vectors, wheel_vectors
-from hil.vocabulary.jit import entry
+from hil.vocabulary.jit import kernel
 
-creep_twist, friction_twist = entry(friction.creep_twist), entry(friction.friction_twist)
+creep_twist, friction_twist = kernel(friction.creep_twist), kernel(friction.friction_twist)
 
 CAD = WheelGeometry.nominal()
 LOAD = np.array([0.5, 1.4, 1.5, 0.6])
