@@ -83,13 +83,14 @@ def _label_of(name: str) -> str | None:
 
 
 def further_in(tree: Mapping[str, Any]) -> tuple[str, ...]:
-    """Names of further devices in a tree that is `spread`, present or left out, in its order."""
-    return tuple(
+    """Names of further devices in a tree that is `spread`, present or left out: by kind, then in its order."""
+    found = [
         name
         for name, table in tree.items()
         if (label := _label_of(str(name))) is not None
         and (table is None or (isinstance(table, Mapping) and table.get("name") == label))
-    )
+    ]
+    return tuple(name for kind in kinds() for name in found if base_of(name) == kind)
 
 
 def devices_in(tree: Mapping[str, Any]) -> tuple[str, ...]:
