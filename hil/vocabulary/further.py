@@ -111,7 +111,7 @@ class FurtherKind(DeviceKind):
             yield force._replace(name=f"{force.name} {self.label}")
 
     def motion_value(self, sample: Any) -> Array | None:
-        """As of the kind."""
+        """(k,) as of the kind."""
         return self._kind.motion_value(sample)
 
     def check(self, watched: Any) -> Iterator[Finding]:
