@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from hil.bench.drivers import model_of
 from hil.bench.guarded_parts import guarded_face, parts_of
+from hil.bench.own_name import named
 from hil.config.bench import BenchConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.config.servos import ServosConfig
@@ -135,7 +136,7 @@ def emulated(
         options = asked(kind, model.package, "truth_options", model.truth_options)
         if options is not None:
             request.options(options)
-    with parts_of(world, kind, model):
+    with parts_of(world, kind, model), named(base_of(kind), kind):
         device: EmulatedDevice | None = asked(kind, model.package, "emulate", model.emulate, request)
     if device is None:
         raise PackageError(kind, model.package, "emulate gave None", expected=_EMULATED)
@@ -145,7 +146,7 @@ def emulated(
 def _reached(config: BenchConfig, world: World, kind: str, name: str, reach: Callable[[], R | None]) -> R:
     """What `connect` or `serve` of an emulated device gives."""
     model = model_of(config, kind)
-    with parts_of(world, kind, model):
+    with parts_of(world, kind, model), named(base_of(kind), kind):
         found = asked(kind, model.package, f"{name}() of the emulated device", reach)
     if found is None:
         message = f"model {model.name} has no wire face: serve() of the emulated device gave None"

@@ -1,14 +1,44 @@
-"""A further device of a kind under its own name: what its driver raises names it, and not the first one."""
+"""A further device of a kind under its own name: what its driver raises and logs names it."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.interfaces import Device
+
+
+@contextmanager
+def named(kind: str, name: str) -> Iterator[None]:
+    """Run code of a device; errors that name its kind name the device instead.
+
+    Args:
+        kind: by whose name the code calls the device.
+        name: of the device on the bench.
+    """
+    try:
+        yield
+    except DeviceError as error:
+        if error.device == kind != name:
+            error.device = name
+            error.message = name + error.message.removeprefix(kind)
+            error.args = (name + str(error.args[0]).removeprefix(kind), *error.args[1:])
+        raise
+
+
+def making(make: Callable[[], Device], name: str) -> Callable[[], Device]:
+    """What makes a driver that calls itself by the device's name, as far as it uses its `name`."""
+
+    def made() -> Device:
+        device = make()
+        with suppress(AttributeError):
+            device.name = name
+        return device
+
+    return made
 
 
 class OwnName(Device):
@@ -21,19 +51,7 @@ class OwnName(Device):
     """
 
     def __init__(self, driver: Device, kind: str, name: str) -> None:
-        self._driver, self._kind, self.name = driver, kind, name
-
-    @contextmanager
-    def _named(self) -> Iterator[None]:
-        """Run code of the driver; its errors get the device's name where they have the kind's."""
-        try:
-            yield
-        except DeviceError as error:
-            if error.device == self._kind:
-                error.device = self.name
-                error.message = self.name + error.message.removeprefix(self._kind)
-                error.args = (self.name + str(error.args[0]).removeprefix(self._kind), *error.args[1:])
-            raise
+        self._driver, self._named, self.name = driver, functools.partial(named, kind, name), name
 
     def open(self) -> None:
         """As of the driver."""
@@ -64,8 +82,8 @@ class OwnName(Device):
             return found
 
         @functools.wraps(found)
-        def call(*given: Any, **named: Any) -> Any:
+        def call(*given: Any, **more: Any) -> Any:
             with self._named():
-                return found(*given, **named)
+                return found(*given, **more)
 
         return call

@@ -83,7 +83,7 @@ def _label_of(name: str) -> str | None:
 
 
 def further_in(tree: Mapping[str, Any]) -> tuple[str, ...]:
-    """Names of further devices in a tree that is `spread`, present or left out: by kind, then in its order."""
+    """Names of further devices in a tree that is `spread`, also of those left out; by kind, in its order."""
     found = [
         name
         for name, table in tree.items()
