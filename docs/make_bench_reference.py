@@ -78,11 +78,11 @@ say, and in recordings: topic `/imu/data_arm`, columns `imu_arm_...`, frame `imu
 (`needs`) and estimators of your own find its samples by `inputs.of("imu_arm")` and
 `measurements.added["imu_arm"]`, as it delivered them, before the alignment.
 
-* Of a kind that `hil` brings one is the bench's own: the one whose name is that of the kind, else the first. It
-  is called `imu`, and the bench's estimators, checks and procedures use it alone. The others are recorded, and
-  judged by silence, statuses and rate. Of two cameras only the bench's own gets wheel speeds.
-* Of a kind that a package brings all are alike. One whose name is that of the kind (`name = "rangefinder"`) is
-  called by it alone, for procedures that need `rangefinder`.
+* Of a kind that `hil` brings one is the bench's own: the one whose name is that of the kind, else the first.
+  It is called `imu`, and the bench's estimators, checks and procedures use it alone. The others are recorded,
+  and judged by silence, statuses and rate. Of two cameras only the bench's own gets wheel speeds.
+* Of a kind that a package brings all are alike. One whose name is that of the kind (`name = "rangefinder"`)
+  is called by it alone, for procedures that need `rangefinder`.
 * A name has lower case letters, digits and `_`. No two of a kind have the same.
 * What moves or holds the robot (servos, fan, propellers) is there once.
 """

@@ -243,8 +243,8 @@ class Inputs:
     """Everything that the devices delivered since the previous cycle, oldest first per device.
 
     The fields after `health` and `servos` are the kinds of devices that this package knows, by their names
-    (`KINDS`). `added` holds the samples of kinds that other packages add, by kind (`hil.vocabulary.kinds`), and
-    those of further devices of a kind, by the device's name.
+    (`KINDS`). `added` holds the samples of kinds that other packages add, by kind (`hil.vocabulary.kinds`),
+    and those of further devices of a kind, by the device's name.
     """
 
     cycle: int
