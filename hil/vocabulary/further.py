@@ -138,6 +138,10 @@ class _OwnFrames:
         """As of the maker."""
         return self._ros.pose_stamped(t_ns, self._kind.own(frame), *place, **named)
 
+    def numbers(self, t_ns: int, texts: tuple[str, ...], values: Sequence[float]) -> Any:
+        """As of the maker; frames are among the texts."""
+        return self._ros.numbers(t_ns, tuple(map(self._kind.own, texts)), values)
+
     def __getattr__(self, name: str) -> Any:
         return getattr(self._ros, name)
 

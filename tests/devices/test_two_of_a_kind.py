@@ -22,6 +22,7 @@ from hil.fakes.world import VirtualClock
 from hil.monitor.series import SeriesCollector, conditions
 from hil.recording.added_columns import added_columns
 from hil.recording.mcap_reader import read_cycles
+from hil.recording.ros_types import from_cdr
 from hil.ring.cycle import LastingCheck
 from hil.vocabulary.errors import ConfigError, DeviceError, FaultNotSupportedError, SafetyStop
 from hil.vocabulary.signals import Status
@@ -173,6 +174,8 @@ def test_two_imus_are_recorded_replayed_and_struck_each_by_itself(file, tmp_path
         messages = list(make_reader(recording).iter_messages(topics=["/imu/data_arm"]))
     records = list(read_cycles(tmp_path / "o" / "recording.mcap"))
     assert len(messages) == sum(len(record.inputs.of("imu_arm")) for record in records) > 40
+    frames = {from_cdr(m.data, schema.name).header.frame_id for schema, _, m in messages}
+    assert frames == {"imu_arm"}
     assert told(records) == {"imu_arm"}
     assert {s.status for r in records for s in r.inputs.of("imu_arm")} == {Status.OK, Status.FROZEN}
     assert {s.status for r in records for s in r.inputs.imu} == {Status.OK}
