@@ -55,6 +55,36 @@ backend = "emulated"     # this one is not there yet
 
 `hil discover` prints such a file from what it finds. This page is written by
 `docs/make_bench_reference.py` from the configuration itself.
+
+## Several devices of one kind
+
+A second IMU, or a range finder in front and one behind: double brackets, and a `name` for each.
+
+```toml
+[[imu]]
+name = "imu"             # the bench's own
+
+[[imu]]
+name = "arm"
+port = "/dev/serial/by-id/usb-..."
+
+[emulation.imu_arm]
+gyro_noise_rad_s = 0.01
+```
+
+On the bench a device is called `KIND_NAME`: here `imu_arm`. So it is named in `[emulation.imu_arm]`, `--set
+bench.imu_arm.baud=9600`, `--emulate`, `--only` and `--fault imu_arm:stuck`, in what `hil doctor` and a stop
+say, and in recordings: topic `/imu/data_arm`, columns `imu_arm_...`, frame `imu_arm`. Checks, procedures
+(`needs`) and estimators of your own find its samples by `inputs.of("imu_arm")` and
+`measurements.added["imu_arm"]`, as it delivered them, before the alignment.
+
+* Of a kind that `hil` brings one is the bench's own: the one whose name is that of the kind, else the first.
+  It is called `imu`, and the bench's estimators, checks and procedures use it alone. The others are recorded,
+  and judged by silence, statuses and rate. Of two cameras only the bench's own gets wheel speeds.
+* Of a kind that a package brings all are alike. One whose name is that of the kind (`name = "rangefinder"`)
+  is called by it alone, for procedures that need `rangefinder`.
+* A name has lower case letters, digits and `_`. No two of a kind have the same.
+* What moves or holds the robot (servos, fan, propellers) is there once.
 """
 _COLUMNS = "\n| key | default | range | meaning |\n|---|---|---|---|\n"
 

@@ -63,6 +63,9 @@ meanwhile, and a sensor that is back in time goes on. A procedure that catches t
 note in `result.json` and in the report names the device and how long it was silent. Only a session of
 `hil live` that does not drive the robot waits longer: up to 10 s more.
 
+Of [several devices of one kind](bench-file.md#several-devices-of-one-kind) each has a name:
+`imu_arm:stuck`.
+
 A fault that a device cannot produce, an unknown device or option is refused before anything opens. This page
 is written by `docs/make_fault_reference.py` from what the devices declare.
 """

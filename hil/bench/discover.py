@@ -20,8 +20,9 @@ from hil.config.mocap import MocapConfig
 from hil.drivers.serial_url import BY_ID
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.device import DeviceModel, Found, Search
-from hil.vocabulary.kinds import kinds
+from hil.vocabulary.kinds import base_of, kinds, may_be_twice
 
+_ORDINALS = ("first", "second", "third", "fourth", *(f"number_{k}" for k in range(5, 100)))
 _WALL = {"surface": "melamine", "tilt_rad": 1.5708}
 
 Say = Callable[[str], None]
@@ -32,7 +33,7 @@ class Discovery:
     """What answered.
 
     Attributes:
-        sections: tables of a bench file.
+        sections: tables of a bench file, by the name of the device on the bench.
         parts: by kind, what the devices consist of (each servo of a bus).
         notes: what a person should know.
         missing: by kind that was looked for and did not answer, where that was.
@@ -49,17 +50,32 @@ class Discovery:
 
     def take(self, model: DeviceModel, found: Found) -> None:
         """Add a device that was found."""
-        default = kinds()[model.kind].models[0].name == model.name
-        named = {} if default else {"model": model.name}
-        self.sections[model.kind] = {**named, **found.table}
-        self.parts[model.kind] = (*self.parts.get(model.kind, ()), *found.parts)
+        kind = kinds()[model.kind]
+        table = {**({} if kind.models[0].name == model.name else {"model": model.name}), **found.table}
         self.notes += found.notes
+        self.parts[kind.name] = (*self.parts.get(kind.name, ()), *found.parts)
+        if kind.name not in self.sections:
+            self.sections[kind.name] = table
+        elif may_be_twice(kind):
+            label = _ORDINALS[len([n for n in self.sections if base_of(n) == kind.name])]
+            self.sections[kind.name]["name"] = kind.name
+            self.sections[f"{kind.name}_{label}"] = {"name": label, **table}
+            self.notes.append(f"{kind.name}: one more answered; give each a name that says where it is")
+        else:
+            self.notes.append(f"{kind.name}: one more answered, and is left out: {table}; a bench has one")
 
     def to_toml(self) -> str:
         """A bench file; what still needs a person's eye stands in its comments."""
         head = "".join(f"# {note}\n" for note in self.notes)
-        tree = {"schema": 1, "name": "my_bench", "environment": _WALL, **self.sections}
+        tree = {"schema": 1, "name": "my_bench", "environment": _WALL, **self._tables()}
         return head + tomli_w.dumps(tree)
+
+    def _tables(self) -> dict[str, Any]:
+        """What was found by kind; several of a kind in a list."""
+        tables: dict[str, Any] = {}
+        for name, table in self.sections.items():
+            tables.setdefault(base_of(name), []).append(table)
+        return {kind: found if len(found) > 1 else found[0] for kind, found in tables.items()}
 
 
 def serial_ports() -> list[str]:

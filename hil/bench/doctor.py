@@ -28,7 +28,7 @@ from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import Aborted, HilError
 from hil.vocabulary.finding import Finding, Level
 from hil.vocabulary.interfaces import Device
-from hil.vocabulary.kinds import kinds
+from hil.vocabulary.kinds import base_of, kinds
 
 _WATCH_S = 2.0
 _SETTLE_S = 0.6
@@ -54,8 +54,10 @@ def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> I
         yield from host_findings(bench.config, host)
         bench.begin()
         yield from _calibration(bench)
-        for kind in dict.fromkeys((*bench.rig.sensors, *bench.config.devices())):
-            yield from _examine_one(bench, kind, watch_s, host, seen)
+        for name in dict.fromkeys((*bench.rig.sensors, *bench.config.devices())):
+            kind = base_of(name)
+            for found in _examine_one(bench, name, watch_s, host, seen):
+                yield replace(found, device=name) if found.device == kind else found
         yield from tilt_finding(bench.config, seen)
         yield from unexplained_force(bench.config, seen)
         yield from slipped_between(bench.config, seen)

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any, cast
 
 from hil.bench.guard import guarded
+from hil.bench.own_name import OwnName, making
 from hil.config.bench import BenchConfig
 from hil.config.device import DeviceConfig
 from hil.ring.rig import Rig
@@ -15,7 +16,7 @@ from hil.vocabulary.clock import Clock
 from hil.vocabulary.device import Connection, DeviceModel
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.interfaces import Actuators, Device, Sensor
-from hil.vocabulary.kinds import kinds
+from hil.vocabulary.kinds import base_of, kinds
 
 
 def model_of(config: BenchConfig, kind: str) -> DeviceModel:
@@ -42,9 +43,12 @@ def make_rig(
     def driver(name: str, table: DeviceConfig) -> Device:
         found = connections.get(name, Connection())
         at = table.model_copy(update=dict(found.values))
-        model = model_of(config, name)
+        model, kind = model_of(config, name), base_of(name)
         make = partial(model.make_driver, at, clock, **found.parts)
-        return guarded(kinds()[name], model, make, failures, at.timeouts_s())
+        if kind == name:
+            return guarded(kinds()[name], model, make, failures, at.timeouts_s())
+        device = guarded(kinds()[name], model, making(make, name), failures, at.timeouts_s())
+        return OwnName(device, kind, name)
 
     made = {name: driver(name, table) for name, table in config.devices().items()}
     known = {name: kinds()[name] for name in made}

@@ -10,12 +10,15 @@ from typing import Any, TypeVar
 
 from hil.bench.drivers import model_of
 from hil.bench.guarded_parts import guarded_face, parts_of
+from hil.bench.own_name import named
 from hil.config.bench import BenchConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.config.servos import ServosConfig
+from hil.config.several import meant
 from hil.devices.emulated import EmulatedDevice, EmulationRequest, Face
 from hil.fakes.fault import Fault, Supported, describe
 from hil.fakes.faults import FaultPlan
+from hil.fakes.further import world_of
 from hil.fakes.plant import SteppedBody, make_plant
 from hil.fakes.plant_api import Plant
 from hil.fakes.server import EmulationServer
@@ -25,7 +28,8 @@ from hil.vocabulary.blame import OURS, PackageError, asked
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.device import Connection
 from hil.vocabulary.errors import ConfigError, FaultNotSupportedError, HilError, UsageError
-from hil.vocabulary.kinds import added, kinds
+from hil.vocabulary.kinds import base_of, kinds
+from hil.vocabulary.signals import KINDS
 
 _NUMBERS = itertools.count(1)
 _EMULATED = "an EmulatedDevice: connect() gives a Connection, serve() a Face"
@@ -126,13 +130,13 @@ def emulated(
             f"{config.name}: {kind}.model = {model.name!r} cannot be emulated",
             remedy="choose another model for the emulated bench, or a real one",
         )
-    given = config.imperfections(kind)
-    request = EmulationRequest(kind, config.devices()[kind], given, world, name, standard_ports)
+    given, own = config.imperfections(kind), world_of(world, base_of(kind), kind)
+    request = EmulationRequest(kind, config.devices()[kind], given, own, name, standard_ports)
     if model.package != OURS:
         options = asked(kind, model.package, "truth_options", model.truth_options)
         if options is not None:
             request.options(options)
-    with parts_of(world, kind, model):
+    with parts_of(world, kind, model), named(base_of(kind), kind):
         device: EmulatedDevice | None = asked(kind, model.package, "emulate", model.emulate, request)
     if device is None:
         raise PackageError(kind, model.package, "emulate gave None", expected=_EMULATED)
@@ -142,7 +146,7 @@ def emulated(
 def _reached(config: BenchConfig, world: World, kind: str, name: str, reach: Callable[[], R | None]) -> R:
     """What `connect` or `serve` of an emulated device gives."""
     model = model_of(config, kind)
-    with parts_of(world, kind, model):
+    with parts_of(world, kind, model), named(base_of(kind), kind):
         found = asked(kind, model.package, f"{name}() of the emulated device", reach)
     if found is None:
         message = f"model {model.name} has no wire face: serve() of the emulated device gave None"
@@ -179,7 +183,7 @@ def planned_faults(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[F
         UsageError, ConfigError: a spec or a file that cannot be read.
         FaultNotSupportedError: every device is real.
     """
-    faults = tuple(map(_by_kind, read_faults((*config.emulation.faults, *given))))
+    faults = _faults(config, given)
     if faults and not config.emulated():
         raise FaultNotSupportedError(
             f"fault {describe(faults[0])}: every device of {config.name} is real",
@@ -188,10 +192,11 @@ def planned_faults(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[F
     return faults
 
 
-def _by_kind(fault: Fault) -> Fault:
-    """A fault that names a kind of another package by an alias, by the kind's name."""
-    named = next((kind.name for kind in added() if fault.device in kind.aliases), fault.device)
-    return replace(fault, device=named)
+def _faults(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[Fault, ...]:
+    """Faults of a bench, each by the name of the device that its own one means."""
+    labels = {name: label for name, label in config.labels().items() if label or name not in KINDS}
+    read = read_faults((*config.emulation.faults, *given))
+    return tuple(replace(fault, device=meant(fault.device, labels)) for fault in read)
 
 
 def check_faults(
@@ -236,7 +241,7 @@ def faults_within(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[st
     Raises:
         UsageError, ConfigError: a spec or a file that cannot be read.
     """
-    faults = tuple(map(_by_kind, read_faults((*config.emulation.faults, *given))))
+    faults = _faults(config, given)
     known = supported_faults(config) if faults and config.emulated() else {}
     return tuple(describe(fault) for fault in faults if fault.device in known)
 

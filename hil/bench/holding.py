@@ -27,8 +27,9 @@ from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.interfaces import Sink
-from hil.vocabulary.kinds import kinds
+from hil.vocabulary.kinds import base_of, further, kinds
 from hil.vocabulary.signals import (
+    KINDS,
     CycleRecord,
     ImuSample,
     Inputs,
@@ -92,6 +93,7 @@ class HoldWatch(Sink):
         self._felt_m_s2: deque[float] = deque(maxlen=_FELT)
         self._rig, self._clock = rig, clock
         present = [k for k in kinds().values() if rig.get(k.name) is not None]
+        present += [kinds()[name] for name in further(rig.sensors) if base_of(name) not in KINDS]
         able = {k.name: k for k in present if k.motion_threshold}
         self._seeing = {name: kind for name, kind in able.items() if name not in elsewhere}
         self._blind = [k.noun for name, k in able.items() if name in elsewhere and k.measures_position]

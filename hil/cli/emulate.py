@@ -99,21 +99,22 @@ def command(
     from hil.cli.endpoints import EndpointsFile, await_endpoints
     from hil.cli.port_links import PortLinks
     from hil.config.loading import NoSuchDevice, load_bench
-    from hil.vocabulary.kinds import kind_of
+    from hil.config.several import meant
 
     if awaited is not None:
         click.echo(await_endpoints(awaited, _PATIENCE_S), nl=False)
         return EXIT_PASS
     file = EndpointsFile(out) if out is not None else None
-    names = tuple(kind.name if (kind := kind_of(n)) else n for n in only.split(",") if n)
+    said = tuple(filter(None, only.split(",")))
     try:
-        config = load_bench(bench, emulate=names or ("all",))
+        config = load_bench(bench, emulate=said or ("all",))
     except NoSuchDevice as error:
         raise UsageError(
             f"--only {error.device}: the bench has no such device",
             expected="some of " + ", ".join(error.present),
             remedy=error.remedy,
         ) from None
+    names = tuple(meant(word, config.labels()) for word in said)
     descriptor = sys.stdin.fileno() if lifeline or await_start else None
     server = open_emulation(
         config,

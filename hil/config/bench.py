@@ -28,7 +28,7 @@ from hil.config.servos import ServosConfig
 from hil.config.values import Strict, Switch
 from hil.vocabulary.device import DeviceKind, DeviceModel
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import added, kinds
+from hil.vocabulary.kinds import added, base_of, kinds
 
 C = TypeVar("C", bound=DeviceConfig)
 
@@ -63,12 +63,21 @@ class BenchConfig(Strict):
     monitor: MonitorConfig = MonitorConfig()
 
     def devices(self) -> dict[str, DeviceConfig]:
-        """Configured devices by kind, in the fixed order."""
-        return {name: found for name in kinds() if (found := getattr(self, name, None)) is not None}
+        """Configured devices by name, in the fixed order: further ones of a kind after the one named so."""
+        tables = ((name, getattr(self, name)) for name in type(self).model_fields)
+        return {name: table for name, table in tables if isinstance(table, DeviceConfig)}
 
     def of(self, kind: type[C]) -> C | None:
-        """The table of the device that has this type (`config.of(ServosConfig)`); None without it."""
-        return next((c for c in self.devices().values() if isinstance(c, kind)), None)
+        """The table of the device that has this type (`config.of(ServosConfig)`); None without it.
+
+        Of several of a kind the bench's own is meant.
+        """
+        own = (getattr(self, name, None) for name in kinds())
+        return next((table for table in own if isinstance(table, kind)), None)
+
+    def labels(self) -> dict[str, str | None]:
+        """`name` of each device in the bench file, by its name on the bench."""
+        return {name: table.name for name, table in self.devices().items()}
 
     def imperfections(self, kind: str) -> dict[str, Any]:
         """What the bench file says in `[emulation.KIND]`."""
@@ -141,17 +150,21 @@ class BenchConfig(Strict):
 
 
 @cache
-def bench_model() -> type[BenchConfig]:
+def bench_model(further: tuple[str, ...] = ()) -> type[BenchConfig]:
     """`BenchConfig` with a table for every kind of device, and one of imperfections in `[emulation]`.
+
+    Args:
+        further: names of further devices, which have such tables, too.
 
     Raises:
         ConfigError: an installed package adds a device that cannot be used.
     """
     _check_added()
-    imperfections: dict[str, Any] = {name: (dict[str, Any], {}) for name in kinds()}
+    names = [n for kind in kinds() for n in (kind, *(f for f in further if base_of(f) == kind))]
+    imperfections: dict[str, Any] = {name: (dict[str, Any], {}) for name in names}
     emulation = create_model("EmulationConfig", __base__=EmulationConfig, **imperfections)
     emulation.__doc__ = EmulationConfig.__doc__
-    tables: dict[str, Any] = {kind.name: (table_of(kind) | None, None) for kind in kinds().values()}
+    tables: dict[str, Any] = {name: (table_of(kinds()[name]) | None, None) for name in names}
     model = create_model("BenchConfig", __base__=BenchConfig, emulation=(emulation, emulation()), **tables)
     model.__doc__ = BenchConfig.__doc__
     return model
@@ -172,6 +185,12 @@ def _check_added() -> None:
                 f"device package {model.package}: the table of model {model.name} of {model.kind} is a "
                 f"{model.config.__name__}",
                 expected="a class that inherits hil.config.device.DeviceConfig",
+            )
+        if model.config.model_fields["name"].annotation != DeviceConfig.model_fields["name"].annotation:
+            raise ConfigError(
+                f"device package {model.package}: the table of model {model.name} of {model.kind} has a key "
+                "`name` of its own, which says which of several devices of a kind it is",
+                remedy="call the key otherwise",
             )
         if model.package != "hil":
             _check_defaults(model)

@@ -18,7 +18,7 @@ from hil.config.servos import ServosConfig
 from hil.config.tracker import T265Config
 from hil.config.values import TOP_WHEEL_RATE_RAD_S
 from hil.vocabulary.geometry import wrap
-from hil.vocabulary.kinds import added
+from hil.vocabulary.kinds import added, base_of, further
 
 if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
@@ -86,7 +86,9 @@ def _of_imperfections(config: BenchConfig) -> Iterator[Problem]:
     present = config.devices()
     for kind in added():
         if kind.name not in present and config.imperfections(kind.name):
-            yield f"emulation.{kind.name}", f"the bench has no [{kind.name}] that could be emulated"
+            others = [f"emulation.{name}" for name in present if base_of(name) == kind.name]
+            instead = f"; its devices have {', '.join(others)}" if others else ""
+            yield f"emulation.{kind.name}", f"the bench has no [{kind.name}] that could be emulated{instead}"
 
 
 def _of_ports(devices: Mapping[str, DeviceConfig]) -> Iterator[Problem]:
@@ -145,6 +147,10 @@ def _of_the_camera(config: BenchConfig) -> Iterator[Problem]:
             "tracker.wheel_odometry",
             "the bench has no [servos] that would give the camera wheel speeds; add them, or leave it out",
         )
+    devices = config.devices()
+    for name in further(devices):
+        if getattr(devices[name], "wheel_odometry", False):
+            yield f"{name}.wheel_odometry", "only the camera [tracker] gets wheel speeds; leave it out here"
 
 
 def _of_the_load_cells(config: BenchConfig) -> Iterator[Problem]:

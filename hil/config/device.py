@@ -16,6 +16,7 @@ class DeviceConfig(Strict):
     Attributes:
         model: which model it is, within its kind.
         backend: `real`, or `emulated` for a device that the bench emulates.
+        name: which one it is, where the bench has several of its kind.
     """
 
     PATHS: ClassVar[tuple[str, ...]] = ()
@@ -26,6 +27,7 @@ class DeviceConfig(Strict):
     """Models that may be at the serial port of this one: one that only writes beside one that only reads."""
 
     backend: Literal["real", "emulated"] = "real"
+    name: str | None = None
 
     def waits_for_loop(self) -> bool:
         """Whether samples wait up to a cycle for the loop to take them, which makes them so much older.

@@ -6,7 +6,7 @@ Strict: unknown keys are errors, and every problem is reported at once with its 
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import date
 from importlib import resources
@@ -19,6 +19,7 @@ from pydantic import BaseModel, ValidationError
 from hil.config.bench import BenchConfig, bench_model
 from hil.config.consistency import contradictions
 from hil.config.record.overlay import check_record, laid_over
+from hil.config.several import devices_in, further_in, meant, spread
 from hil.vocabulary.errors import ConfigError, HilError, did_you_mean
 from hil.vocabulary.files import check_name
 from hil.vocabulary.kinds import kinds
@@ -68,10 +69,17 @@ def _is_bench(path: Path) -> bool:
 def find_bench(source: str | Path) -> tuple[dict[str, Any], str]:
     """Tables and printable origin of a bench file: a path, or the name of a shipped profile.
 
+    Each device has a table of its own, also where the file has several of a kind (`hil.config.several`).
+
     Raises:
-        ConfigError: it is neither, or cannot be read.
+        ConfigError: it is neither, cannot be read, or names of several devices of a kind are wrong.
         UsageError: no file can have that name.
     """
+    tree, origin = _found(source)
+    return spread(tree, origin), origin
+
+
+def _found(source: str | Path) -> tuple[dict[str, Any], str]:
     path = Path(source)
     check_name(path, "bench")
     if path.suffix == ".toml" or path.exists():
@@ -165,10 +173,10 @@ def load_bench(
 
 def _change_models(tree: dict[str, Any], overrides: Mapping[str, object]) -> None:
     """Leave out what a table says of a model that it is no longer to be of."""
-    for kind in kinds().values():
-        table, name = tree.get(kind.name), overrides.get(f"{kind.name}.model")
+    for kind in (kinds()[name] for name in devices_in(tree)):
+        table, name = tree[kind.name], overrides.get(f"{kind.name}.model")
         model = next((m for m in kind.models if m.name == name), None)
-        if model is None or not isinstance(table, dict):
+        if model is None:
             continue
         if table.get("model", kind.models[0].name) != name:
             tree[kind.name] = {key: v for key, v in table.items() if key in model.config.model_fields}
@@ -184,17 +192,26 @@ def _forget_noise(tree: dict[str, Any], overrides: Mapping[str, object]) -> None
                 tree.get("estimator", {}).pop(table, None)
 
 
-def path_keys() -> tuple[str, ...]:
-    """Dotted keys of a bench file that name a file or a folder."""
-    models = (m for kind in kinds().values() for m in kind.models)
+def path_keys(names: Iterable[str]) -> tuple[str, ...]:
+    """Dotted keys of a bench file that name a file or a folder.
+
+    Args:
+        names: of the bench's devices; other names count for nothing.
+    """
+    models = (m for name in names if name in kinds() for m in kinds()[name].models)
     of_devices = (f"{m.kind}.{path}" for m in models for path in getattr(m.config, "PATHS", ()))
     return tuple(dict.fromkeys((*_PATHS, *of_devices)))
 
 
 def bench_files(tree: Mapping[str, Any], folder: Path) -> dict[str, Path]:
-    """Files and folders that a bench file names, by dotted key; relative ones start at `folder`."""
+    """Files and folders that a bench file names, by dotted key; relative ones start at `folder`.
+
+    Args:
+        tree: of the file, as `find_bench` gives it.
+        folder: where relative ones start.
+    """
     found = {}
-    for dotted in path_keys():
+    for dotted in path_keys(tree):
         *tables, key = dotted.split(".")
         table: Any = tree
         for name in tables:
@@ -214,10 +231,12 @@ def _anchor(tree: dict[str, Any], folder: Path) -> None:
 def _to_emulate(tree: Mapping[str, Any], emulate: str | tuple[str, ...] | None) -> tuple[str, ...]:
     if emulate is None:
         return ()
-    names = tuple(emulate.split(",")) if isinstance(emulate, str) else emulate
-    present = tuple(n for n in kinds() if isinstance(tree.get(n), dict))
-    if names == ("all",):
+    said = tuple(emulate.split(",")) if isinstance(emulate, str) else emulate
+    present = devices_in(tree)
+    if said == ("all",):
         return present
+    labels = {name: tree[name].get("name") for name in present}
+    names = tuple(meant(word, labels) for word in said)
     for name in names:
         if name not in present:
             raise NoSuchDevice(name, present)
@@ -229,7 +248,8 @@ def validate(tree: Mapping[str, Any], origin: str, overrides: Sequence[str] = ()
     problems: list[str] = []
     config: BenchConfig | None
     try:
-        config = bench_model().model_validate(tree)
+        tree = spread(tree, origin)
+        config = bench_model(further_in(tree)).model_validate(tree)
     except ValidationError as error:
         problems += explained(error)
         config = _what_is_right(tree, [_place(item["loc"]) for item in error.errors()])
@@ -257,7 +277,7 @@ def _what_is_right(tree: Mapping[str, Any], wrong: list[tuple[int | str, ...]]) 
         if isinstance(table, dict):
             table.pop(key, None)
     try:
-        return bench_model().model_validate(rest)
+        return bench_model(further_in(rest)).model_validate(rest)
     except ValidationError:
         return None
 
@@ -284,6 +304,8 @@ def _keys(loc: Sequence[int | str]) -> tuple[str, ...]:
     tables = list(_place(tuple(loc)))
     if len(tables) < len(loc):
         models, tables = [kinds()[str(loc[0])].model(str(loc[1])).config], tables[1:]
+    elif tables and str(tables[0]) in kinds():
+        models, tables = [m.config for m in kinds()[str(tables[0])].models], tables[1:]
     for name in tables:
         annotations = [m.model_fields[name].annotation for m in models if name in m.model_fields]
         models = [m for annotation in annotations for m in _models_in(annotation)]

@@ -9,6 +9,7 @@ from pydantic import ValidationError
 
 from hil.config.bench import BenchConfig, bench_model
 from hil.config.loading import explained
+from hil.config.several import further_in
 from hil.config.values import RECORDED
 from hil.vocabulary.device import DeviceKind, DeviceModel
 from hil.vocabulary.errors import ConfigError
@@ -31,7 +32,8 @@ def recorded_bench(
         ConfigError: listing every problem with its dotted path.
     """
     try:
-        return bench_model().model_validate(_without_absent(dict(tree)), context=RECORDED)
+        model = bench_model(further_in(tree))
+        return model.model_validate(_without_absent(dict(tree), model), context=RECORDED)
     except ValidationError as error:
         problems = explained(error)
     other = _other_versions(packages or {})
@@ -59,7 +61,7 @@ def _other_versions(packages: Mapping[str, Any]) -> str:
     return "; ".join(found)
 
 
-def _without_absent(tree: dict[str, Any]) -> dict[str, Any]:
+def _without_absent(tree: dict[str, Any], model: type[BenchConfig]) -> dict[str, Any]:
     """A configuration without the kinds of devices that the bench lacked and that nothing here knows.
 
     Their package was installed then, and is not now: no reason to refuse the recording.
@@ -68,8 +70,7 @@ def _without_absent(tree: dict[str, Any]) -> dict[str, Any]:
     if isinstance(emulation, Mapping):
         said = {key: value for key, value in emulation.items() if key in kinds() or value != {}}
         tree = {**tree, "emulation": said}
-    known = bench_model().model_fields
-    return {key: value for key, value in tree.items() if key in known or value is not None}
+    return {key: value for key, value in tree.items() if key in model.model_fields or value is not None}
 
 
 def changed_since(tree: object, config: BenchConfig) -> list[str]:

@@ -29,7 +29,10 @@ class FaultPlan:
 
     def of(self, *names: str) -> FaultsOf:
         """What concerns a device of these names, from now on."""
-        view = FaultsOf(self, names)
+        return self.follow(FaultsOf(self, names))
+
+    def follow(self, view: FaultsOf) -> FaultsOf:
+        """Tell a view which devices have faults, now and whenever that changes."""
         self._views.append(view)
         view.follow(fault.device for fault in self._faults)
         return view

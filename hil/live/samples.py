@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hil.vocabulary.interfaces import Sink
-from hil.vocabulary.kinds import kinds
+from hil.vocabulary.kinds import heard_in
 from hil.vocabulary.signals import CycleRecord, Status, worst
 
 
@@ -48,7 +48,7 @@ class SampleCounter(Sink):
 
     def write(self, record: CycleRecord) -> None:
         """Count one cycle's samples."""
-        for name in kinds():
+        for name in heard_in(record.inputs):
             for sample in record.inputs.of(name):
                 self.counts[name].add(sample)
 

@@ -78,12 +78,13 @@ def _paler(colour: Colour) -> Colour:
     return (red, green, blue)
 
 
-def blueprint(sight: Sight | None = None, tab: str = TABS[0]) -> Any:
+def blueprint(sight: Sight | None = None, tab: str = TABS[0], further: Sequence[str] = ()) -> Any:
     """The layout; needs the `rerun` extra.
 
     Args:
         sight: what is in view; whatever is drawn when None.
         tab: which of `TABS` is in front.
+        further: names of further devices of a kind, which have plots of their own.
     """
     import rerun.blueprint as rrb
 
@@ -91,7 +92,7 @@ def blueprint(sight: Sight | None = None, tab: str = TABS[0]) -> Any:
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(rrb.Tabs(*_views_of_the_robot(sight), active_tab=0), log, row_shares=[5, 1]),
-            rrb.Tabs(*_plots(), active_tab=TABS.index(tab)),
+            rrb.Tabs(*_plots(further), active_tab=TABS.index(tab)),
             column_shares=[5, 4],
         ),
         rrb.BlueprintPanel(state="hidden"),
@@ -128,14 +129,14 @@ def _views_of_the_robot(sight: Sight | None) -> tuple[Any, ...]:
     return robot, nearby, rrb.Spatial2DView(origin="/wall", name=_WALL, visual_bounds=area)
 
 
-def _plots() -> list[Any]:
+def _plots(further: Sequence[str]) -> list[Any]:
     """The tabs of figures over time: those of every bench, then those that kinds of devices add."""
     import rerun.blueprint as rrb
 
     def plot(name: str, *entities: str) -> Any:
         return rrb.TimeSeriesView(origin="/", contents=[f"+ /{e}/**" for e in entities], name=name)
 
-    drawn = [p for kind in kinds().values() for p in kind.plots]
+    drawn = [p for name in (*kinds(), *further) for p in kinds()[name].plots]
 
     def of_devices(tab: str) -> list[Any]:
         return [plot(p.title, p.entity) for p in drawn if p.tab == tab]

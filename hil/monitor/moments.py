@@ -22,7 +22,7 @@ from hil.vocabulary.blame import PackageError, asked
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.device import DeviceKind, Force
 from hil.vocabulary.geometry import Array, between, se2_log
-from hil.vocabulary.kinds import kinds
+from hil.vocabulary.kinds import further, kinds
 from hil.vocabulary.signals import CycleRecord, Inputs
 
 LOG = logging.getLogger(__name__)
@@ -128,8 +128,9 @@ class Moments:
             self._reference = record.reference.pose_in_wall
 
     def _note_forces(self, inputs: Inputs) -> None:
-        for name, kind in kinds().items():
-            if name not in self._failing and (told := self._forces_of(kind, inputs)):
+        known = kinds()
+        for name in (*known, *further(inputs.added)):
+            if name not in self._failing and (told := self._forces_of(known[name], inputs)):
                 self._forces[name] = told
 
     def _forces_of(self, kind: DeviceKind, inputs: Inputs) -> tuple[Force, ...]:

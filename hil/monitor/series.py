@@ -14,7 +14,7 @@ from hil.vocabulary.blame import PackageError, asked
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.device import DeviceKind, Figures
 from hil.vocabulary.geometry import Array, wrap
-from hil.vocabulary.kinds import kinds
+from hil.vocabulary.kinds import heard_in, kinds
 from hil.vocabulary.signals import CycleRecord, Inputs, Status
 
 LOG = logging.getLogger(__name__)
@@ -107,7 +107,7 @@ class SeriesCollector:
 
     def _figures(self, record: CycleRecord) -> Iterator[tuple[str, Figures]]:
         inputs, state = record.inputs, record.state
-        for kind in kinds().values():
+        for kind in map(kinds().__getitem__, heard_in(inputs)):
             yield from self._of_kind(kind, inputs)
         yield "state/twist", _named(("v_x_m_s", "v_y_m_s", "omega_rad_s"), state.twist_body)
         heading = {"estimate": float(state.pose_body_in_wall[2])}
@@ -134,7 +134,7 @@ class SeriesCollector:
 
     def _ages(self, record: CycleRecord) -> Figures:
         """Age of every device's newest sample, ms."""
-        for name in kinds():
+        for name in heard_in(record.inputs):
             samples = record.inputs.of(name)
             if samples:
                 self._seen_ns[name] = samples[-1].stamp.t_ns
@@ -156,7 +156,7 @@ def _diagnostics(record: CycleRecord) -> Iterator[tuple[str, Figures]]:
 def conditions(record: CycleRecord) -> dict[str, str]:
     """What is wrong with each device's newest sample, in words; empty text when nothing is."""
     found = {}
-    for name, kind in kinds().items():
+    for name in heard_in(record.inputs):
         samples = record.inputs.of(name)
         if not samples:
             continue
@@ -167,7 +167,7 @@ def conditions(record: CycleRecord) -> dict[str, str]:
         if len(wrong) == len(channels) and len(reasons) == 1:
             found[name] = reasons.pop()
             continue
-        found[name] = ", ".join(f"{kind.labels[k]} {reason}" for k, reason in wrong)
+        found[name] = ", ".join(f"{kinds()[name].labels[k]} {reason}" for k, reason in wrong)
     return found
 
 

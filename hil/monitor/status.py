@@ -11,7 +11,7 @@ from typing import Any
 
 from hil.vocabulary.clock import NS_PER_S, Clock
 from hil.vocabulary.interfaces import HELD_NOTE, Sink
-from hil.vocabulary.kinds import kinds
+from hil.vocabulary.kinds import heard_in
 from hil.vocabulary.signals import CycleRecord, Status, worst
 
 _EVERY_NS = NS_PER_S // 2
@@ -40,7 +40,7 @@ class StatusStream(Sink):
         """Count what one cycle brought; tell when it is time."""
         if self._begun_ns is None:
             self._begun_ns = record.inputs.t_ns
-        for name in kinds():
+        for name in heard_in(record.inputs):
             samples = record.inputs.of(name)
             if samples:
                 self._counts[name] = self._counts.get(name, 0) + len(samples)

@@ -23,6 +23,7 @@ from hil.monitor.scene import Scene
 from hil.monitor.series import Series, SeriesCollector, conditions, finite
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.kinds import further
 from hil.vocabulary.signals import WHEELS, CycleRecord
 
 _BATCH_NS = NS_PER_S // 10
@@ -55,7 +56,8 @@ class RerunStream:
         self._addresses: list[str] = []
         self._files: list[PipedFile] = []
         self._stream = rerun.RecordingStream("hil", send_properties=False)
-        layout = blueprint(tab=tab)
+        self._further = further(scene.devices)
+        layout = blueprint(tab=tab, further=self._further)
         self._stream.set_sinks(*(self._sink(t) for t in targets), default_blueprint=layout)
         for file in self._files:
             file.opened()
@@ -185,7 +187,7 @@ class RerunStream:
         tilt_rad = self._scene.tilt_rad
         eye, near = solid.overview(low, high, tilt_rad), solid.beside(tilt_rad)
         sight = Sight((left, right), (top, bottom), eye, near)
-        self._stream.send_blueprint(blueprint(sight, self._tab))
+        self._stream.send_blueprint(blueprint(sight, self._tab, self._further))
 
     def _at(self, record: CycleRecord) -> None:
         self._stream.set_time("time", duration=self._collector.seconds(record))

@@ -9,7 +9,7 @@ from pydantic import AfterValidator
 
 from hil.procedure import Context
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import kinds
+from hil.vocabulary.kinds import further, kinds
 
 
 def _known(name: str) -> str:
@@ -19,7 +19,7 @@ def _known(name: str) -> str:
 
 
 Device = Annotated[str, AfterValidator(_known)]
-"""Name of a kind of device."""
+"""Name of a kind of device, or of a further device of one."""
 
 
 def only(ctx: Context, wanted: Sequence[str]) -> dict[str, object]:
@@ -36,7 +36,7 @@ def only(ctx: Context, wanted: Sequence[str]) -> dict[str, object]:
             remedy="add the section(s) to the bench file, or say --set devices="
             + ",".join(name for name in wanted if name not in lacking),
         )
-    return leaving(wanted, kinds())
+    return leaving(wanted, (*kinds(), *further(config.devices())))
 
 
 def leaving(wanted: Sequence[str], among: Iterable[str]) -> dict[str, object]:

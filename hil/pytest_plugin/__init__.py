@@ -79,13 +79,13 @@ def _devices(text: str) -> str:
     from hil.vocabulary.kinds import kinds
 
     try:
-        known = (*kinds(), "all")
+        known = kinds()
     except HilError as error:
         raise ArgumentTypeError(str(error)) from None
-    wrong = [name for name in text.split(",") if name not in known]
+    wrong = [name for name in text.split(",") if name not in known and name != "all"]
     if wrong:
         raise ArgumentTypeError(
-            f"{wrong[0]!r} is not a device; expected all or some of {', '.join(known[:-1])}; "
+            f"{wrong[0]!r} is not a device; expected all or some of {', '.join(known)}; "
             "in front of a path write --emulate=all"
         )
     return text

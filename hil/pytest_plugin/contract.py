@@ -31,6 +31,7 @@ from hil.procedure.bench_source import BenchSource
 from hil.pytest_plugin.selection import plainly, source_of
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.finding import Finding
+from hil.vocabulary.kinds import base_of
 
 __all__ = [
     "closed_bench",
@@ -77,7 +78,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "kind" not in names:
         metafunc.parametrize("backend", ways, scope="module")
         return
-    asked = [(way, kind) for way in ways for kind in present if kind in wanted]
+    asked = [(way, kind) for way in ways for kind in present if {kind, base_of(kind)} & {*wanted}]
     if not real:
         further = getattr(module, "MODELS", ())
         asked += [(f"{way} {kind}={model}", kind) for way in ways for kind, model in further]

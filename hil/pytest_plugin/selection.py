@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from hil.config.several import meant
 from hil.procedure.bench_source import BenchSource
 from hil.vocabulary.errors import HilError, UsageError
 from hil.vocabulary.kinds import kind_of, kinds
@@ -113,8 +114,8 @@ def _must_have_bench(item: pytest.Item) -> None:
 
 def _impossible(item: pytest.Item, source: BenchSource) -> str:
     config = source.config
-    devices, emulated = config.devices(), config.emulated()
-    needed = _needed(item)
+    devices, emulated, labels = config.devices(), config.emulated(), config.labels()
+    needed = tuple(meant(name, labels) for name in _needed(item))
     missing = [name for name in needed if name not in devices]
     if missing:
         return f"needs {', '.join(missing)}, which bench {config.name} lacks"
@@ -123,7 +124,7 @@ def _impossible(item: pytest.Item, source: BenchSource) -> str:
         if fake:
             return f"real_only: bench {config.name} emulates {', '.join(fake)}"
     for fault in _faults(item):
-        device = _device(fault.device.partition(".")[0])
+        device = meant(_device(fault.device.partition(".")[0]), labels)
         told = f"fault {fault.device}:{fault.kind}: "
         if device in kinds() and device not in devices:
             return f"{told}bench {config.name} lacks {device}"

@@ -7,14 +7,15 @@ from typing import Any
 
 from hil.vocabulary.device import DeviceKind
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import kinds
+from hil.vocabulary.kinds import further, kinds
 from hil.vocabulary.signals import KINDS
 
 
 def recorded_kinds(header: Mapping[str, Any]) -> tuple[DeviceKind, ...]:
     """Kinds whose samples a recording holds: all of ours, and those of other packages that its bench has."""
-    present = header.get("config", {})
-    return tuple(kind for name, kind in kinds().items() if name in KINDS or present.get(name) is not None)
+    present = [name for name, table in header.get("config", {}).items() if table is not None]
+    own = (name for name in kinds() if name in KINDS or name in present)
+    return tuple(kinds()[name] for name in (*own, *further(present)))
 
 
 def needed_packages(header: Mapping[str, Any]) -> dict[str, str]:

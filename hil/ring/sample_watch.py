@@ -9,7 +9,7 @@ from typing import Any
 from hil.ring.cycle import Check, Cycle
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.holes import unsaid_holes
-from hil.vocabulary.kinds import kinds
+from hil.vocabulary.kinds import further, kinds
 from hil.vocabulary.signals import Event, Inputs, Status, samples_of, worst
 
 _OK = Status.OK
@@ -46,9 +46,10 @@ class SampleWatch(Check):
         self._stale_ns = {name: nanoseconds(limit_s) for name, limit_s in stale_s.items()}
         told_s = {**stale_s, **{k: min(gap, stale_s.get(k, gap)) for k, gap in (gap_s or {}).items()}}
         self._told_ns = {name: nanoseconds(limit_s) for name, limit_s in told_s.items()}
+        known = kinds()
         self._channels = [
             (kind.name, samples_of(kind.name), kind.labels, kind.name in self._told_ns)
-            for kind in kinds().values()
+            for kind in (known[name] for name in (*known, *further(self._told_ns)))
             if not kind.moves_robot
         ]
         self._brought = brought or {}

@@ -8,22 +8,56 @@ of the group `hil.devices`, each of which names a subclass of `DeviceKind` or of
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
 from hil.vocabulary.device import DeviceKind, DeviceModel
 from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.further import FurtherKind, is_label
 from hil.vocabulary.kind_checks import add_kind, add_model
-from hil.vocabulary.signals import KINDS
+from hil.vocabulary.signals import KINDS, Inputs
 
 GROUP = "hil.devices"
 _OURS = "hil.devices"
 _EXPECTED = "a subclass of hil.devkit.DeviceKind or hil.devkit.DeviceModel"
 
 
+class Kinds(Mapping[str, DeviceKind]):
+    """Kinds by name; by `KIND_NAME` also what a further device of a kind is to the bench.
+
+    Those cannot be listed: there are as many as names. A kind that moves or holds the robot has none.
+    """
+
+    def __init__(self, known: dict[str, DeviceKind]) -> None:
+        self._known = known
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._known)
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+    def __getitem__(self, name: str) -> DeviceKind:
+        if name in self._known:
+            return self._known[name]
+        of = max((k for k in self._known if str(name).startswith(f"{k}_")), key=len, default="")
+        label = str(name).removeprefix(f"{of}_")
+        if not of or not is_label(label) or not may_be_twice(self._known[of]):
+            raise KeyError(name)
+        return _further(self._known[of], label)
+
+
+_further = cache(FurtherKind)
+
+
+def may_be_twice(kind: DeviceKind) -> bool:
+    """Whether a bench may have several devices of a kind: not of what moves or holds the robot."""
+    return not (kind.moves_robot or kind.holds_robot)
+
+
 @cache
-def kinds() -> Mapping[str, DeviceKind]:
+def kinds() -> Kinds:
     """All kinds by name, in the order in which they are opened and read: the shipped ones first.
 
     Raises:
@@ -40,12 +74,28 @@ def kinds() -> Mapping[str, DeviceKind]:
     for item, origin in items:
         if isinstance(item, DeviceModel):
             add_model(found, item, origin)
-    return found
+    return Kinds(found)
 
 
 def kind_of(name: str) -> DeviceKind | None:
-    """The kind of a name or alias; None where there is none."""
-    return next((k for k in kinds().values() if name in (k.name, *k.aliases)), None)
+    """The kind of a name or alias, or a further device's; None where there is none."""
+    return next((k for k in kinds().values() if name in (k.name, *k.aliases)), kinds().get(name))
+
+
+def further(names: Iterable[str]) -> tuple[str, ...]:
+    """Names of further devices among those of a bench."""
+    return tuple(name for name in names if isinstance(kinds().get(name), FurtherKind))
+
+
+def base_of(name: str) -> str:
+    """Name of the kind that a device of a bench is of, by the device's name."""
+    kind = kinds()[name]
+    return kind.of if isinstance(kind, FurtherKind) else name
+
+
+def heard_in(inputs: Inputs) -> tuple[str, ...]:
+    """Names under which `inputs` may hold samples: all kinds, and further devices."""
+    return (*kinds(), *further(inputs.added))
 
 
 def added() -> tuple[DeviceKind, ...]:

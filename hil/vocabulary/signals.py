@@ -243,7 +243,8 @@ class Inputs:
     """Everything that the devices delivered since the previous cycle, oldest first per device.
 
     The fields after `health` and `servos` are the kinds of devices that this package knows, by their names
-    (`KINDS`). `added` holds the samples of kinds that other packages add, by kind (`hil.vocabulary.kinds`).
+    (`KINDS`). `added` holds the samples of kinds that other packages add, by kind (`hil.vocabulary.kinds`),
+    and those of further devices of a kind, by the device's name.
     """
 
     cycle: int
@@ -338,8 +339,7 @@ class Measurements:
     """Aligned inputs of one cycle: what the estimator sees.
 
     Attributes:
-        added: samples of kinds that other packages add, by kind, as they were delivered: for estimators of
-            one's own. A recording holds them once, in `Inputs`.
+        added: `Inputs.added`, as it was delivered: for estimators of one's own. A recording holds it once.
     """
 
     cycle: int

@@ -55,7 +55,8 @@ def _named(setup: Setup, cases: Sequence[Case]) -> dict[str, Path]:
     texts = [setup.calibration, setup.answers, *_script(setup)]
     for case in {case.settings: case for case in cases}.values():
         _, overrides = setup.split(case)
-        texts += [str(overrides[key]) for key in path_keys() if key in overrides]
+        keys = path_keys(key.partition(".")[0] for key in overrides)
+        texts += [str(overrides[key]) for key in keys if key in overrides]
         texts += [fault for fault in setup.all_faults(case) if fault.endswith(".toml")]
     return {text: Path(text).absolute() for text in texts if text}
 

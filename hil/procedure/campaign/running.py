@@ -62,7 +62,7 @@ class Setup:
     def source(self, proc: Procedure, case: Case) -> tuple[BenchSource, dict[str, str]]:
         """Bench and parameters of one case."""
         parameters, overrides = self.split(case)
-        for key in set(path_keys()) & set(overrides):
+        for key in set(path_keys(key.partition(".")[0] for key in overrides)) & set(overrides):
             overrides[key] = self.at(str(overrides[key]))
         source = BenchSource(
             self.at(self.bench or proc.bench),

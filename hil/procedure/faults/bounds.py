@@ -77,7 +77,7 @@ def kind_of(device: str) -> DeviceKind:
     head = device.split(".", 1)[0]
     found = next((k for k in known.values() if head in (k.name, k.shown_as, *k.aliases)), None)
     found = found or next((k for k in known.values() if k.name.rstrip("s") == head), None)
-    return found or known["adhesion"]
+    return found or known.get(head) or known["adhesion"]
 
 
 def struck(cell: Cell) -> frozenset[str]:
