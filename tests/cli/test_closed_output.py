@@ -91,8 +91,7 @@ def test_a_command_with_the_robot_in_hand_whose_reader_has_gone_ends_with_4(fold
     assert "not needed: on the floor" in errors, "how the robot was left is said where somebody may read it"
 
 
-@pytest.mark.parametrize("name", ["info", "evaluate", "live"])
-@pytest.mark.parametrize("stream", ["output", "errors"])
+@pytest.mark.parametrize(("name", "stream"), [("info", "output"), ("live", "output"), ("evaluate", "errors")])
 def test_a_command_without_a_stream_does_not_begin(folder, name, stream):
     code, output, errors = hil(folder, *COMMANDS[name], **{stream: "closed"})
     assert code == 4

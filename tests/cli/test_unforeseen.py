@@ -125,9 +125,17 @@ def test_a_question_without_standard_input_ends_the_run(folder):
 
 
 @pytest.mark.parametrize(
-    "raised", ["GeneratorExit", "SystemExit(0)", "KeyError('x')", "type('E', (BaseException,), {})"]
+    ("raised", "where"),
+    [
+        ("GeneratorExit", "load"),
+        ("SystemExit(0)", "measurements"),
+        ("GeneratorExit", "body"),
+        ("SystemExit(0)", "body"),
+        ("KeyError('x')", "body"),
+        ("type('E', (BaseException,), {})", "body"),
+        ("SystemExit(0)", "teardown"),
+    ],
 )
-@pytest.mark.parametrize("where", ["load", "measurements", "body", "teardown"])
 def test_a_script_may_raise_anything(raised, where, folder, capsys):
     (folder / "bad.py").write_text(f"""
 from hil.procedure import Measurement, procedure
