@@ -12,6 +12,7 @@ from hil.calibration.artefact import read_calibration
 from hil.cli import main
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.signals import WHEELS
+from tests.selected import every
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +127,7 @@ def test_a_calibration_is_never_overwritten(data, tmp_path):
     assert read_calibration(out).previous["file"] == "calibration.v2.toml"
 
 
-@pytest.mark.parametrize("method", ["interior-point", "ga", "pso"])
+@pytest.mark.parametrize("method", every(3, ["interior-point", "ga", "pso"]))
 def test_the_papers_setting_by_every_method(data, capsys, method):
     code, result = run_json(
         capsys, "calibrate", data, "--setting", "paper", "--method", method, "--no-validation"

@@ -9,6 +9,7 @@ from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_run
 from hil.robot.trajectories import circle, line, scan, through
 from hil.vocabulary.errors import DeviceTimeoutError, HilError, SafetyStop
+from tests.selected import every
 
 ORIGIN = np.zeros(3)
 UP, ACROSS, BACK = [0.3, 0.0, 0.0], [0.0, 0.3, 0.0], [0.0, -0.3, 0.0]
@@ -158,7 +159,8 @@ def test_a_gyro_that_turns_by_itself_is_the_one_that_is_named():
 
 
 @pytest.mark.parametrize(
-    ("fault", "source"), [("tracker:wrong@1.5,scale=0.3", "tracker"), ("imu:wrong@1.5,rate_rad_s=0.2", "imu")]
+    ("fault", "source"),
+    every(2, [("tracker:wrong@1.5,scale=0.3", "tracker"), ("imu:wrong@1.5,rate_rad_s=0.2", "imu")]),
 )
 def test_on_the_floor_who_lies_is_left_out_and_the_others_go_on_with_a_sigma_that_covers_the_truth(
     fault, source
@@ -243,7 +245,9 @@ SILENT_TOO = {
 }
 
 
-@pytest.mark.parametrize("fault", [*SILENT, *(pytest.param(f, marks=pytest.mark.long) for f in SILENT_TOO)])
+@pytest.mark.parametrize(
+    "fault", [*every(2, SILENT), *(pytest.param(f, marks=pytest.mark.long) for f in SILENT_TOO)]
+)
 def test_servos_that_fall_silent_in_motion_are_named_with_what_to_do(fault):
     options = {
         "corrupt": ",probability=1",
@@ -299,7 +303,9 @@ SURVIVED_TOO = [
 ]
 
 
-@pytest.mark.parametrize("fault", SURVIVED + [pytest.param(f, marks=pytest.mark.long) for f in SURVIVED_TOO])
+@pytest.mark.parametrize(
+    "fault", [*every(2, SURVIVED), *(pytest.param(f, marks=pytest.mark.long) for f in SURVIVED_TOO)]
+)
 def test_what_the_estimator_copes_with_raises_no_doubt(fault):
     ride = Ride(straight(UP), fault)
     assert ride.stop is None

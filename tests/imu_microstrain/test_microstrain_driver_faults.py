@@ -8,10 +8,8 @@ import pytest
 
 from hil.devices.imu.microstrain import fields as f
 from hil.devices.imu.microstrain.commands import Settings
-from hil.devices.imu.microstrain.faulty import SUPPORTED_FAULTS
 from hil.devices.imu.microstrain.packets import Field, cut, encode
 from hil.fakes.fault import parse_fault
-from hil.fakes.serial_line import LINE_FAULTS
 from hil.fakes.wire import Reply
 from hil.vocabulary.errors import DeviceTimeoutError, FaultNotSupportedError
 from hil.vocabulary.signals import Status
@@ -36,23 +34,6 @@ def during(b, spec, duration_s=1.0):
     struck = b.run(duration_s)
     b.world.faults.clear()
     return struck, b.run(1.0)
-
-
-def test_every_fault_that_is_declared_has_been_tried():
-    tried = {
-        "off",
-        "stuck",
-        "garbage",
-        "wrong",
-        "slow",
-        "delayed",
-        "intermittent",
-        "brownout",
-        "reset",
-        "jump",
-    }
-    tried |= {"drop", "corrupt", "truncate", "duplicate", "baud_mismatch", "unplug"}
-    assert tried == {*SUPPORTED_FAULTS, *LINE_FAULTS}
 
 
 @pytest.mark.parametrize(

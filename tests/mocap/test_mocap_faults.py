@@ -5,29 +5,9 @@ import pytest
 from following import kinds
 
 from hil.fakes.fault import parse_fault
-from hil.fakes.mocap import SUPPORTED_FAULTS, MocapTruthOptions
+from hil.fakes.mocap import MocapTruthOptions
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.vocabulary.signals import Status
-
-
-def test_all_faults_of_this_file_are_the_supported_ones():
-    tested = {
-        "off",
-        "stuck",
-        "garbage",
-        "wrong",
-        "slow",
-        "delayed",
-        "intermittent",
-        "drop",
-        "corrupt",
-        "truncate",
-        "duplicate",
-        "unplug",
-        "jump",
-        "reset",
-    }
-    assert set(SUPPORTED_FAULTS) == tested
 
 
 @pytest.mark.parametrize("kind", ["bus_off", "brownout", "baud_mismatch"])
