@@ -84,6 +84,7 @@ def test_a_command_that_only_reports_ends_with_what_it_found_whoever_reads(folde
     assert "cannot be written" not in errors
 
 
+@pytest.mark.real_time
 def test_a_command_with_the_robot_in_hand_whose_reader_has_gone_ends_with_4(folder):
     patient_bench(folder, "emulated_floor")
     code, _, errors = hil(folder, "live", "--bench", "bench.toml", "--duration", "0.5", output="gone")

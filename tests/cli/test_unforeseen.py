@@ -97,6 +97,7 @@ def test_a_name_that_no_file_can_have_is_refused_in_a_line(case, folder, capsys,
     assert sorted(p.name for p in folder.iterdir()) == before
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize(
     "words",
     [

@@ -12,6 +12,8 @@ from installing import ROOT
 
 from hil.devkit import CanModel, DeviceKind, DeviceModel, SerialModel
 
+pytestmark = pytest.mark.real_time
+
 GUIDE = (ROOT / "docs" / "add-your-own-device.md").read_text(encoding="utf-8")
 FILES = re.findall(r"^`(my-\w+/[\w.]+)`[^\n]*:\n\n```\w+\n(.*?)^```", GUIDE, re.S | re.M)
 BLOCKS = re.findall(r"^```sh\n(.*?)^```", GUIDE, re.S | re.M)

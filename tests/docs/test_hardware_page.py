@@ -228,7 +228,7 @@ class Lab:
 
 
 @pytest.mark.long
-@pytest.mark.real_time
+@pytest.mark.alone
 @pytest.mark.timeout(1800)  # accept asks every device for everything, in real time, twice; bring_up moves
 def test_the_page_can_be_walked(tmp_path, monkeypatch):
     """In its order: what one line leaves, the next one needs."""

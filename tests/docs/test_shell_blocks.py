@@ -90,7 +90,8 @@ def tried(place, line):
 def each(line):
     """A line as a case; of those that install from somewhere, this folder is tried by default."""
     elsewhere = "pip install" in line and ("git+" in line or "dist/" in line)
-    return pytest.param(line, marks=pytest.mark.long if elsewhere else (), id=line)
+    marks = [pytest.mark.long] * elsewhere + [pytest.mark.real_time] * ("--realtime" in line)
+    return pytest.param(line, marks=marks, id=line)
 
 
 @pytest.mark.parametrize("line", [each(line) for line in README])
