@@ -11,6 +11,7 @@ from hil.robot.paths import Segment, Straight
 from hil.robot.trajectories import Trajectory, circle, line, through
 from hil.vocabulary.errors import ConfigError, DeviceTimeoutError, SafetyStop, TrajectoryError
 from hil.vocabulary.signals import Status
+from tests.selected import every
 
 ORIGIN = np.zeros(3)
 SECOND_NS = 1_000_000_000
@@ -44,11 +45,14 @@ def assert_held(bench):
 
 @pytest.mark.parametrize(
     ("fault", "reason"),
-    [
-        ("plant:adhesion_loss@1.5", "adhesion"),
-        ("plant:adhesion_loss@1.5,factor=0.42", "adhesion"),
-        ("servos:stuck@2.5", "blocked"),
-    ],
+    every(
+        2,
+        [
+            ("plant:adhesion_loss@1.5", "adhesion"),
+            ("plant:adhesion_loss@1.5,factor=0.42", "adhesion"),
+            ("servos:stuck@2.5", "blocked"),
+        ],
+    ),
 )
 def test_a_fault_under_way_stops_and_holds(fault, reason):
     with open_wall((fault,)) as bench:

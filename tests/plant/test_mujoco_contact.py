@@ -37,7 +37,7 @@ def test_steering_at_rest_leaves_the_robot_where_it_is(contact):
     assert np.abs(plant.truth().pose_body_in_wall - before)[:2].max() <= 1e-4
 
 
-@pytest.mark.parametrize("step_s", [0.002, 0.001])
+@pytest.mark.parametrize("step_s", every(2, [0.002, 0.001]))
 def test_forks_follow_their_servos_within_their_play(step_s):
     """On a spring they overshot by 0.3 degrees whenever the play was taken up: no age of an encoder is to be
     told from that."""
@@ -68,8 +68,10 @@ def test_wheel_loads_carry_fan_weight_and_thrust(contact):
     assert load @ [1, -1, 1, -1] == pytest.approx(0.0, abs=0.02 * 45.0)
 
 
-@BOTH
-@pytest.mark.parametrize(("surface", "friction"), [("melamine", 0.45), ("concrete", 0.8)])
+@pytest.mark.parametrize(
+    ("contact", "surface", "friction"),
+    every(3, [(c, *s) for c in ("holding", "creep") for s in (("melamine", 0.45), ("concrete", 0.8))]),
+)
 def test_adhesion_needed_on_the_wall_is_that_of_the_closed_form(contact, surface, friction):
     needed_n = (1.0 - 0.7) * WEIGHT_N / friction
     for share, falls in ((0.95, True), (1.05, False)):
@@ -161,7 +163,7 @@ def test_a_slippery_patch_is_where_it_is():
         assert plant.truth().fallen is falls
 
 
-@BOTH
+@pytest.mark.parametrize("contact", every(2, ["creep", "holding"]))
 def test_no_energy_comes_from_nothing(contact):
     """Kinetic and potential energy never exceed what actuators put in, but for what tyres store (5 mJ)."""
     p, touch = truth("melamine", math.pi / 2), CONTACTS[contact]

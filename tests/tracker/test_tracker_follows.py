@@ -147,13 +147,3 @@ def test_confidence_grows_at_the_start_and_suffers_from_fast_motion(tracker_benc
     plant.twist = np.zeros(3)
     assert Status.LOW_CONFIDENCE in {s.status for s in follow(bench, 0.3)}
     assert follow(bench, 1.0)[-1].confidence == 3
-
-
-def test_the_same_seed_gives_the_same_poses(tracker_bench, follow):
-    def run(seed):
-        bench = tracker_bench("tracker:drop", options=TrackerTruthOptions(), seed=seed)
-        bench.driver.open()
-        return [(s.stamp, s.position_m.tobytes(), s.quaternion_wxyz.tobytes()) for s in follow(bench, 2.0)]
-
-    assert run(5) == run(5)
-    assert run(5) != run(6)
