@@ -35,6 +35,7 @@ def test_a_bench_drives_the_recordings_and_its_robots_truth_lies_beside_them(tmp
     assert position_rmse(true) < 0.005
 
 
+@pytest.mark.long
 def test_faults_of_its_devices_are_in_the_recordings(tmp_path):
     gapped, _ = _made(tmp_path, "--plant", "own", "--fault", "mocap:off@10+1")
     gaps = np.sort(np.diff(gapped.truth_t_s))

@@ -79,6 +79,7 @@ def test_a_camera_that_sees_another_scale_stops_the_robot(scale, motion):
     ride.assert_near()
 
 
+@pytest.mark.long
 def test_a_fifth_too_much_is_found_on_a_longer_way():
     """A fifth of the way up cannot be creep, which only takes away."""
     ride = Ride(straight([0.5, 0, 0]), "tracker:wrong@1.5,scale=1.2")
@@ -124,14 +125,14 @@ def test_a_camera_that_was_frozen_before_the_loop_began_is_named_at_once(at_s):
 
 
 def test_who_follows_odometry_or_nothing_needs_no_camera():
-    ride = Ride(straight(UP), "tracker:wrong@0.3,confidence=1", feedback="odometry")
+    ride = Ride(straight([0.15, 0, 0]), "tracker:wrong@0.3,confidence=1", feedback="odometry")
     assert ride.stop is None
     with open_bench("emulated", faults=("tracker:wrong@0.3,confidence=1",)) as bench:
         bench.observe(3.0)
 
 
 def test_a_bench_without_a_camera_follows_its_filter():
-    ride = Ride(straight(UP), tracker=None)
+    ride = Ride(straight([0.15, 0, 0]), tracker=None)
     assert not ride.bench.has("tracker")
     assert ride.stop is None
 
@@ -267,7 +268,8 @@ def test_servos_that_fall_silent_in_motion_are_named_with_what_to_do(fault):
 
 
 @pytest.mark.parametrize(
-    ("fault", "wheel"), [("encoder.BL:jump@2,angle_rad=0.2", "BL"), ("servo.steer_FR:wrong@2", "FR")]
+    ("fault", "wheel"),
+    every(2, [("encoder.BL:jump@2,angle_rad=0.2", "BL"), ("servo.steer_FR:wrong@2", "FR")]),
 )
 def test_a_horn_that_slips_is_named_with_both_devices(fault, wheel):
     ride = Ride(straight(UP), fault)
@@ -281,6 +283,7 @@ def test_a_horn_that_slips_is_named_with_both_devices(fault, wheel):
     ride.assert_near()
 
 
+@pytest.mark.long
 def test_who_steers_by_odometry_is_told_of_the_camera_and_drives_on():
     ride = Ride(straight(UP), "tracker:wrong@1.5,scale=0.3", feedback="odometry")
     assert ride.told("tracker", "camera")

@@ -43,7 +43,7 @@ LIES = {
 }
 
 
-@pytest.mark.parametrize("lie", every(2, LIES))
+@pytest.mark.parametrize("lie", every(3, LIES))
 def test_a_slow_lie_is_named_covered_and_stops_the_robot(lie):
     to, faults, source = LIES[lie]
     ride = Ride(to, *faults, duration_s=12.0)
