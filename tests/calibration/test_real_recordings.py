@@ -48,7 +48,6 @@ def result(recordings):
     return calibrate(recordings, RECOMMENDED, MonotonicClock())
 
 
-@pytest.mark.long
 def test_the_page_on_calibration_shows_what_the_program_prints(result):
     """Numbers may differ in their last digit, as on another computer; the first line holds a time."""
     page = (Path(__file__).parents[2] / "docs/calibration.md").read_text(encoding="utf-8")

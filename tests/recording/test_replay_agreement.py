@@ -269,7 +269,7 @@ def test_a_run_has_its_number_also_by_itself(record, capsys):
     assert (code, [run["run"] for run in found["runs"]]) == (0, [1])
 
 
-@pytest.mark.parametrize("arithmetic", [3, None, ["x"], "fast", {"blas": 3}])
+@pytest.mark.parametrize("arithmetic", ["fast", {"blas": 3}])
 def test_a_header_that_names_no_arithmetic_is_refused(record, capsys, arithmetic):
     assert main(["replay", str(record(arithmetic, 0.0)), "--verify"]) == 2
     assert "has a header whose `arithmetic` cannot be used" in capsys.readouterr().err
