@@ -121,9 +121,7 @@ def test_an_open_that_never_returns_is_named_and_ended(case, package, hil, caplo
 
 
 @pytest.mark.usefixtures("bench")
-@pytest.mark.parametrize(
-    ("method", "args"), [("__init__", "self, config, clock"), ("identity", "self")]
-)
+@pytest.mark.parametrize(("method", "args"), [("__init__", "self, config, clock"), ("identity", "self")])
 def test_a_look_at_a_device_that_never_answers_is_ended(method, args, package, hil):
     body = f"def {method}({args}):\n        while True: pass\n"
     folder = package("hil-evil", PACKAGE + driver(body), "ITEM", version="6.6")
