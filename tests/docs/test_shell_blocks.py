@@ -88,9 +88,8 @@ def tried(place, line):
 
 
 def each(line):
-    """A line as a case; of those that install from somewhere, this folder is tried by default."""
-    elsewhere = "pip install" in line and ("git+" in line or "dist/" in line)
-    marks = [pytest.mark.long] * elsewhere + [pytest.mark.real_time] * ("--realtime" in line)
+    """A line as a case; building the package is what tests/install/test_wheel.py does by default."""
+    marks = [pytest.mark.long] * ("-m pip" in line) + [pytest.mark.real_time] * ("--realtime" in line)
     return pytest.param(line, marks=marks, id=line)
 
 
