@@ -137,10 +137,10 @@ def test_a_bench_without_a_camera_follows_its_filter():
     assert ride.stop is None
 
 
-@pytest.mark.parametrize("device", every(2, ["imu", "mocap"]))
-def test_other_frozen_streams_are_named_too(device):
-    ride = Ride(straight(UP), f"{device}:stuck@2+0.6")
-    assert 2.0 < ride.told(device, "frozen")[0] < 2.3
+def test_other_frozen_streams_are_named_too():
+    ride = Ride(straight([0.2, 0, 0]), "imu:stuck@1+0.6", "mocap:stuck@2+0.6")
+    for device, at_s in (("imu", 1.0), ("mocap", 2.0)):
+        assert at_s < ride.told(device, "frozen")[0] < at_s + 0.3
     assert ride.stop is None
 
 
@@ -310,7 +310,7 @@ SURVIVED_TOO = [
 
 
 @pytest.mark.parametrize(
-    "fault", [*every(2, SURVIVED), *(pytest.param(f, marks=pytest.mark.long) for f in SURVIVED_TOO)]
+    "fault", [*every(4, SURVIVED), *(pytest.param(f, marks=pytest.mark.long) for f in SURVIVED_TOO)]
 )
 def test_what_the_estimator_copes_with_raises_no_doubt(fault):
     ride = Ride(straight(UP), fault)

@@ -61,7 +61,7 @@ def test_a_camera_that_drifts_aside_is_told_and_covered():
 
 
 @pytest.mark.parametrize(
-    ("share", "to"), every(3, [(share, to) for to in ((0.2, 0.0), (0.0, 0.2)) for share in (0.3, 0.5)])
+    ("share", "to"), every(4, [(share, to) for to in ((0.2, 0.0), (0.0, 0.2)) for share in (0.3, 0.5)])
 )
 def test_one_wheel_that_slips_is_named_within_half_a_second(share, to):
     ride = Ride(to, f"servo.drive_BR:wrong@2.5,share={share}", duration_s=6.0, mocap=None)
