@@ -9,6 +9,7 @@ import pytest
 from hil import bench as benches
 from hil.cli import main
 from tests.patience import patient_bench
+from tests.selected import every
 
 SCRIPT = """
 from hil.procedure import Measurement, procedure
@@ -84,10 +85,13 @@ def test_a_name_that_no_file_can_have_is_refused_in_a_line(case, folder, capsys,
 @pytest.mark.real_time
 @pytest.mark.parametrize(
     "words",
-    [
-        ["run", "short.py", "--json"],
-        ["live", "--bench", "bench.toml", "--duration", "0.3", "--no-record", "--json"],
-    ],
+    every(
+        2,
+        [
+            ["run", "short.py", "--json"],
+            ["live", "--bench", "bench.toml", "--duration", "0.3", "--no-record", "--json"],
+        ],
+    ),
 )
 @pytest.mark.usefixtures("warm_commands")
 def test_a_closed_standard_input_is_an_empty_one(words, folder):

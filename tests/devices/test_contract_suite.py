@@ -59,6 +59,7 @@ def test_broken_promises_are_told_one_by_one(package, pytester, monkeypatch):
     }
 
 
+@pytest.mark.long
 def test_kinds_that_are_not_meant_are_left_out(pytester, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     pytester.makepyfile(test_contract='from hil.pytest_plugin.contract import *\nKINDS = ("tracker",)')

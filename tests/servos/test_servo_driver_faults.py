@@ -180,15 +180,18 @@ def test_garbage_is_never_a_number(servo_bench, fault, fast):
 
 @pytest.mark.parametrize(
     ("fault", "fast"),
-    [
-        ("servos:drop@1,probability=0.03", "auto"),
-        ("servos:corrupt@1,probability=0.03", False),
-        ("servos:truncate@1,probability=0.03", "auto"),
-        ("servos:duplicate@1,probability=0.2", False),
-        ("servo.4:drop@1,probability=0.1", "auto"),
-        ("servo.4:corrupt@1,probability=0.1", False),
-        ("servo.5:intermittent@1,period_s=0.2,duty=0.3", "auto"),
-    ],
+    every(
+        2,
+        [
+            ("servos:drop@1,probability=0.03", "auto"),
+            ("servos:corrupt@1,probability=0.03", False),
+            ("servos:truncate@1,probability=0.03", "auto"),
+            ("servos:duplicate@1,probability=0.2", False),
+            ("servo.4:drop@1,probability=0.1", "auto"),
+            ("servo.4:corrupt@1,probability=0.1", False),
+            ("servo.5:intermittent@1,period_s=0.2,duty=0.3", "auto"),
+        ],
+    ),
 )
 def test_a_bad_line_costs_readings_but_never_truth(servo_bench, fault, fast):
     bench = servo_bench(fault, config={"fast_sync_read": fast}, seed=7)
