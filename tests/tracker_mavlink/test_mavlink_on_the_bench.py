@@ -70,6 +70,7 @@ def test_the_wall_is_driven_by_it_and_the_recording_repeats_bit_for_bit(driven):
     assert opened.bench.config.tracker.model == "mavlink"
 
 
+@pytest.mark.long
 def test_the_estimate_needs_it_and_the_same_seed_gives_the_same_bits(driven):
     first, again = (drive(trajectory=SHORT) for _ in range(2))
     logs = [
