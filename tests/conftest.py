@@ -24,7 +24,7 @@ settings.register_profile("hil", **PATIENT, max_examples=50)
 settings.register_profile("thorough", **PATIENT, max_examples=500)
 settings.load_profile("hil")
 gc.set_threshold(50_000, 20, 20)  # thousands of tests keep much alive in which there is no garbage
-_IN_REAL_TIME = files(*REAL_TIME, *WIRED)
+_IN_REAL_TIME = files("real_time", *REAL_TIME, *WIRED)
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -46,6 +46,8 @@ def pytest_collection_modifyitems(items):
                 if seen[begin] % every:
                     item.add_marker(pytest.mark.long)
                 seen[begin] += 1
+        if item.get_closest_marker("alone") or item.get_closest_marker("real_time"):
+            continue
         if f"{path}::{name}".startswith(ALONE):
             item.add_marker(pytest.mark.alone)
         elif (

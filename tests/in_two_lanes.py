@@ -24,8 +24,8 @@ from lanes import ALONE, REAL_TIME, WIRED, files
 SIDE_BY_SIDE = ("-n", "2", "--dist", "worksteal")
 VIRTUAL = ("virtual", *SIDE_BY_SIDE, "-m", "not long and not real_time and not alone")
 ON_A_CLOCK = (
-    ("real_time", *SIDE_BY_SIDE, "-m", "not long and real_time", *files(*REAL_TIME, *WIRED)),
-    ("alone", "-m", "not long and alone", *files(*ALONE)),
+    ("real_time", *SIDE_BY_SIDE, "-m", "not long and real_time", *files("real_time", *REAL_TIME, *WIRED)),
+    ("alone", "-m", "not long and alone", *files("alone", *ALONE)),
 )
 HANGING = ("-o", "faulthandler_timeout=960", "-o", "faulthandler_exit_on_timeout=true")
 """A test that no signal reaches, in code of a library say, ends its process and is named as failed."""

@@ -12,6 +12,7 @@ from hil.calibration.artefact import read_calibration
 from hil.cli import main
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.signals import WHEELS
+from tests.selected import every
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +33,7 @@ def run_json(capsys, *args):
 def test_calibrate_then_evaluate_with_the_file(data, tmp_path, capsys):
     out = tmp_path / "calibration.toml"
     code, result = run_json(
-        capsys, "calibrate", data, "--method", "lm", "--out", out, "--plots", tmp_path / "p"
+        capsys, "calibrate", data, "--no-validation", "--out", out, "--plots", tmp_path / "p"
     )
     assert code == 0
     assert result["cost_after"] < 0.1 * result["cost_before"]
@@ -82,10 +83,9 @@ def test_recordings_that_a_calibration_was_fitted_to_are_in_sample_by_any_name(
         "*_2*": "held out: the calibration",
     }
     for files, said in lines.items():
-        page, paths = tmp_path / files.replace("*", "x"), [str(p) for p in sorted(data.glob(files + ".csv"))]
-        assert main(["evaluate", *paths, "--calibration", str(fitted_to_some), "--plots", str(page)]) == 0
+        paths = [str(p) for p in sorted(data.glob(files + ".csv"))]
+        assert main(["evaluate", *paths, "--calibration", str(fitted_to_some)]) == 0
         assert said in capsys.readouterr().out
-        assert said in (page / "index.html").read_text()
     assert run_json(capsys, "evaluate", data)[1].get("in_sample") is None
 
 
@@ -126,7 +126,7 @@ def test_a_calibration_is_never_overwritten(data, tmp_path):
     assert read_calibration(out).previous["file"] == "calibration.v2.toml"
 
 
-@pytest.mark.parametrize("method", ["interior-point", "ga", "pso"])
+@pytest.mark.parametrize("method", every(3, ["interior-point", "ga", "pso"]))
 def test_the_papers_setting_by_every_method(data, capsys, method):
     code, result = run_json(
         capsys, "calibrate", data, "--setting", "paper", "--method", method, "--no-validation"
@@ -288,6 +288,7 @@ def test_a_calibration_of_another_robot_is_refused_beside_its_bench(small, data,
     assert "made for another robot" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_text_and_json_name_the_robot_and_what_is_missing(data, tmp_path, capsys):
     folder = tmp_path / "no_line_y"
     folder.mkdir()

@@ -10,6 +10,7 @@ from hil.calibration.evaluation import position_rmse, track
 from hil.cli import main
 from hil.recording.plain_csv import read_plain
 from hil.robot.kinematics import WheelGeometry
+from tests.selected import every
 
 SHORT = ("--motions", "rotation_cw", "--repetitions", "1", "--seed", "2")
 
@@ -19,7 +20,7 @@ def _made(folder, *words):
     return read_plain(folder / "rotation_cw_1.csv"), json.loads((folder / "truth.json").read_text())
 
 
-@pytest.mark.parametrize(("plant", "contact"), [("own", None), ("mujoco", "creep")])
+@pytest.mark.parametrize(("plant", "contact"), every(2, [("own", None), ("mujoco", "creep")]))
 def test_a_bench_drives_the_recordings_and_its_robots_truth_lies_beside_them(tmp_path, plant, contact):
     if plant == "mujoco":
         pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
@@ -34,6 +35,7 @@ def test_a_bench_drives_the_recordings_and_its_robots_truth_lies_beside_them(tmp
     assert position_rmse(true) < 0.005
 
 
+@pytest.mark.long
 def test_faults_of_its_devices_are_in_the_recordings(tmp_path):
     gapped, _ = _made(tmp_path, "--plant", "own", "--fault", "mocap:off@10+1")
     gaps = np.sort(np.diff(gapped.truth_t_s))

@@ -19,6 +19,7 @@ from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DataError, UsageError
 from hil.vocabulary.progress import WHOLE
+from tests.selected import every
 
 CAD = WheelGeometry.nominal()
 CLOCK = MonotonicClock()
@@ -61,7 +62,7 @@ def test_gauss_newton_gradient_is_the_gradient_of_the_objective(recordings):
             assert 2 * half_gradient[k] == pytest.approx(slope, rel=1e-4, abs=1e-3 * value)
 
 
-@pytest.mark.parametrize("setting", [PAPER, RECOMMENDED], ids=lambda s: s.name)
+@pytest.mark.parametrize("setting", every(2, [PAPER, RECOMMENDED]), ids=lambda s: s.name)
 def test_all_four_methods_meet(recordings, setting):
     blocks = reduce_recordings(recordings, setting.block_s, setting.signal)
     found = {m: fit(blocks, setting, CAD, method=m, seed=3) for m in METHODS}
@@ -75,7 +76,9 @@ def test_all_four_methods_meet(recordings, setting):
         assert polished == (method in ("ga", "pso"))
 
 
-@pytest.mark.parametrize(("model", "methods"), [("paper", METHODS), ("creep", METHODS[:2])])
+@pytest.mark.parametrize(
+    ("model", "methods"), every(3, [("paper", METHODS[:2]), ("paper", METHODS), ("creep", METHODS[:2])])
+)
 def test_all_methods_keep_to_one_box_and_meet_in_it(recordings, model, methods):
     """Steering zeros that no prior holds: 0.05 is 5 % of a length, and 0.05 rad of an angle."""
     setting = make_setting("recommended", model=model, signal="velocity", bounds=0.05)
@@ -91,6 +94,7 @@ def test_all_methods_keep_to_one_box_and_meet_in_it(recordings, model, methods):
         assert named[method] == named["lm"] != set()
 
 
+@pytest.mark.long
 def test_all_methods_say_the_same_of_intervals_where_bounds_decide(recordings):
     """Some end on a bound and some just inside it: standard errors had differed by a factor of three."""
     blocks = reduce_recordings(recordings, 0.1, "velocity")

@@ -79,6 +79,7 @@ def test_held_out_errors_of_the_recommended_setting(result):
     assert result.cost_after < 0.02 * result.cost_before
 
 
+@pytest.mark.long
 def test_hard_bounds_hold_steering_zeros_too_and_by_every_gradient_method(recordings):
     """`--model paper --signal velocity --bounds 0.05`: zeros used to run to 16 deg under one method only."""
     setting = make_setting("recommended", model="paper", signal="velocity", bounds=0.05)

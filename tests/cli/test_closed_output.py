@@ -11,6 +11,7 @@ import pytest
 from hil.calibration.synthetic import hidden_robot, simulate
 from hil.recording.plain_csv import write_plain
 from tests.patience import patient_bench
+from tests.selected import every
 
 SCRIPT = """
 import sys
@@ -74,7 +75,7 @@ COMMANDS = {
 }
 
 
-@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "live"])
+@pytest.mark.parametrize("name", every(6, [name for name in COMMANDS if name != "live"]))
 def test_a_command_that_only_reports_ends_with_what_it_found_whoever_reads(folder, name):
     code, *_ = hil(folder, *COMMANDS[name])
     assert code == (3 if name == "sick doctor" else 0)
@@ -83,6 +84,7 @@ def test_a_command_that_only_reports_ends_with_what_it_found_whoever_reads(folde
     assert "cannot be written" not in errors
 
 
+@pytest.mark.real_time
 def test_a_command_with_the_robot_in_hand_whose_reader_has_gone_ends_with_4(folder):
     patient_bench(folder, "emulated_floor")
     code, _, errors = hil(folder, "live", "--bench", "bench.toml", "--duration", "0.5", output="gone")
@@ -91,8 +93,7 @@ def test_a_command_with_the_robot_in_hand_whose_reader_has_gone_ends_with_4(fold
     assert "not needed: on the floor" in errors, "how the robot was left is said where somebody may read it"
 
 
-@pytest.mark.parametrize("name", ["info", "evaluate", "live"])
-@pytest.mark.parametrize("stream", ["output", "errors"])
+@pytest.mark.parametrize(("name", "stream"), [("info", "output"), ("live", "output"), ("evaluate", "errors")])
 def test_a_command_without_a_stream_does_not_begin(folder, name, stream):
     code, output, errors = hil(folder, *COMMANDS[name], **{stream: "closed"})
     assert code == 4

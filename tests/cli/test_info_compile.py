@@ -29,8 +29,3 @@ def test_a_run_after_it_compiles_nothing(capsys):
     with event.install_listener("numba:compile", listener := Compiled()), open_bench("emulated") as bench:
         bench.drive(line((0.0, 0.0, 0.0), (0.01, 0.0, 0.0), duration_s=1.0), feedback="ekf")
     assert listener.names == []
-
-
-def test_it_says_how_far_it_is(capsys):
-    assert main(["info", "--compile"]) == 0
-    assert "compiling numerical kernels" in capsys.readouterr().err

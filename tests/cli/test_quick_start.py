@@ -12,15 +12,16 @@ DRAWING = {"matplotlib"}
 @pytest.mark.parametrize(
     ("modules", "unused"),
     [
-        ("hil.procedures.wall_tracking, hil.procedure.runner", SOLVERS | DRAWING),
-        ("hil.procedures.bring_up, hil.procedures.latency", SOLVERS | DRAWING),
+        (
+            "hil.procedures.wall_tracking, hil.procedures.bring_up, hil.procedures.latency, "
+            "hil.procedure.runner, hil.bench, hil.live, hil.replay.comparison, hil.replay.recordings",
+            SOLVERS | DRAWING,
+        ),
         (
             "hil.procedures.adhesion_check, hil.procedures.imu_calibration, "
             "hil.procedures.surface_identification, hil.procedures.tracker_extrinsics",
             {"scipy.stats", "scipy.optimize", *DRAWING},
         ),
-        ("hil.bench, hil.live", SOLVERS | DRAWING),
-        ("hil.replay.comparison, hil.replay.recordings", SOLVERS | DRAWING),
         ("hil.calibration.calibrate", DRAWING),
     ],
 )

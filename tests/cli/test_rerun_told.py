@@ -45,11 +45,6 @@ def test_a_file_that_breaks_off_is_not_told_as_written(told, tmp_path):
     assert line.startswith("hil: r.rrd is incomplete: it breaks off after 2.3 MB; see what the disk has left")
 
 
-@pytest.mark.parametrize("view", ["spawn", "connect,serve", "rerun+http://host/x.rrd", "absent.rrd"])
-def test_what_left_no_file_is_not_told(told, view):
-    assert told(view) == []
-
-
 @pytest.mark.parametrize("words", [("live", "--no-record"), ("replay", "absent.mcap")])
 def test_without_rerun_it_is_refused_before_anything_is_opened_or_read(monkeypatch, capsys, words):
     monkeypatch.setattr("hil.monitor.sink.is_installed", lambda extra: False)

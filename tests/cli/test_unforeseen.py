@@ -9,6 +9,7 @@ import pytest
 from hil import bench as benches
 from hil.cli import main
 from tests.patience import patient_bench
+from tests.selected import every
 
 SCRIPT = """
 from hil.procedure import Measurement, procedure
@@ -23,34 +24,18 @@ NAMED = {
     "replay": ["replay", f"{LONG}.mcap"],
     "replay --page": ["replay", "x.mcap", "--page", f"{LONG}.html"],
     "run": ["run", f"{LONG}.py"],
-    "run a name": ["run", LONG],
-    "run one of": ["run", f"{LONG}.py:short"],
     "run --out": ["run", "short.py", "--out", LONG],
     "run --bench": ["run", "short.py", "--bench", BENCH],
-    "run --answers": ["run", "short.py", "--answers", LONG],
     "report": ["report", LONG],
-    "report --out": ["report", ".", "--out", f"{LONG}.html"],
     "export": ["export", f"{LONG}.mcap"],
-    "export --out": ["export", "x.mcap", "--out", f"{LONG}.csv"],
-    "tune": ["tune", f"{LONG}.mcap"],
     "tune --out": ["tune", "x.mcap", "--out", f"{LONG}.toml"],
-    "evaluate": ["evaluate", LONG],
     "calibrate": ["calibrate", LONG],
-    "calibrate --out": ["calibrate", "x", "--out", f"{LONG}.toml"],
-    "evaluate --plots": ["evaluate", "x", "--plots", LONG],
     "results": ["results", "list", "--in", LONG],
     "live": ["live", "--record", f"{LONG}.mcap"],
-    "live --rerun": ["live", "--rerun", f"{LONG}.rrd"],
     "live --trajectory": ["live", "--trajectory", LONG],
-    "doctor": ["doctor", "--bench", BENCH],
     "emulate": ["emulate", "--bench", BENCH],
-    "campaign": ["campaign", f"{LONG}.py"],
     "campaign --out": ["campaign", "short.py", "--out", LONG],
-    "accept": ["accept", "--bench", BENCH],
-    "commission": ["commission", "--bench", BENCH],
-    "demo-data": ["demo-data", LONG],
     "robot": ["robot", "show", LONG],
-    "calibration": ["calibration", "list", f"{LONG}.toml"],
     "a key": ["run", "short.py", "--set", f"bench.calibration={LONG}"],
 }
 
@@ -97,12 +82,16 @@ def test_a_name_that_no_file_can_have_is_refused_in_a_line(case, folder, capsys,
     assert sorted(p.name for p in folder.iterdir()) == before
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize(
     "words",
-    [
-        ["run", "short.py", "--json"],
-        ["live", "--bench", "bench.toml", "--duration", "0.3", "--no-record", "--json"],
-    ],
+    every(
+        2,
+        [
+            ["run", "short.py", "--json"],
+            ["live", "--bench", "bench.toml", "--duration", "0.3", "--no-record", "--json"],
+        ],
+    ),
 )
 @pytest.mark.usefixtures("warm_commands")
 def test_a_closed_standard_input_is_an_empty_one(words, folder):
@@ -125,9 +114,17 @@ def test_a_question_without_standard_input_ends_the_run(folder):
 
 
 @pytest.mark.parametrize(
-    "raised", ["GeneratorExit", "SystemExit(0)", "KeyError('x')", "type('E', (BaseException,), {})"]
+    ("raised", "where"),
+    [
+        ("GeneratorExit", "load"),
+        ("SystemExit(0)", "measurements"),
+        ("GeneratorExit", "body"),
+        ("SystemExit(0)", "body"),
+        ("KeyError('x')", "body"),
+        ("type('E', (BaseException,), {})", "body"),
+        ("SystemExit(0)", "teardown"),
+    ],
 )
-@pytest.mark.parametrize("where", ["load", "measurements", "body", "teardown"])
 def test_a_script_may_raise_anything(raised, where, folder, capsys):
     (folder / "bad.py").write_text(f"""
 from hil.procedure import Measurement, procedure

@@ -6,6 +6,7 @@ import pytest
 from hil.bench import open_bench
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import HilError
+from tests.selected import every
 
 ORIGIN = np.zeros(3)
 DRIVES = ("FL", "BL", "BR", "FR")
@@ -42,7 +43,7 @@ LIES = {
 }
 
 
-@pytest.mark.parametrize("lie", list(LIES))
+@pytest.mark.parametrize("lie", every(3, LIES))
 def test_a_slow_lie_is_named_covered_and_stops_the_robot(lie):
     to, faults, source = LIES[lie]
     ride = Ride(to, *faults, duration_s=12.0)
@@ -59,8 +60,9 @@ def test_a_camera_that_drifts_aside_is_told_and_covered():
     assert ride.uncovered_m < 0.005
 
 
-@pytest.mark.parametrize("share", [0.3, 0.5])
-@pytest.mark.parametrize("to", [(0.2, 0.0), (0.0, 0.2)])
+@pytest.mark.parametrize(
+    ("share", "to"), every(4, [(share, to) for to in ((0.2, 0.0), (0.0, 0.2)) for share in (0.3, 0.5)])
+)
 def test_one_wheel_that_slips_is_named_within_half_a_second(share, to):
     ride = Ride(to, f"servo.drive_BR:wrong@2.5,share={share}", duration_s=6.0, mocap=None)
     (told,) = ride.told("servos", "wheel BR (drive_BR, ID ")
@@ -70,7 +72,7 @@ def test_one_wheel_that_slips_is_named_within_half_a_second(share, to):
 
 
 @pytest.mark.parametrize("plant", ["own", pytest.param("mujoco", marks=pytest.mark.long)])
-@pytest.mark.parametrize("share", [0.2, 1.0])
+@pytest.mark.parametrize("share", every(2, [1.0, 0.2]))
 def test_an_honest_robot_calibrated_or_as_delivered_hears_nothing(plant, share):
     settings = {"emulation.plant": plant, "emulation.geometry_share": share}
     ride = Ride((0.2, 0.1), duration_s=6.0, seed=3, **settings)

@@ -17,8 +17,9 @@ from hil.robot.trajectories import circle, line
 from hil.vocabulary.errors import SafetyStop
 from hil.vocabulary.geometry import compose, se2_exp
 from hil.vocabulary.signals import Reference, RobotState, Stamp, WheelMeasurement
+from tests.selected import every
 
-CAD = WheelGeometry.nominal()
+CAD, ORIGIN = WheelGeometry.nominal(), np.zeros(3)
 DT = 0.01
 
 
@@ -212,11 +213,17 @@ def test_a_wheel_in_the_centre_of_rotation_holds_its_angle():
     assert out.steering_rad[0] == 0.7
 
 
-@pytest.mark.parametrize("law", ["nonlinear", "optimal"])
 @pytest.mark.parametrize(
-    "trajectory",
-    [line(np.zeros(3), [0.5, 0.3, 0.1]), circle(np.zeros(3), 0.3, turns=0.5)],
-    ids=["line", "circle"],
+    ("law", "trajectory"),
+    every(
+        3,
+        [
+            (law, way)
+            for way in (line(ORIGIN, [0.5, 0.3, 0.1]), circle(ORIGIN, 0.3, turns=0.5))
+            for law in ("nonlinear", "optimal")
+        ],
+    ),
+    ids=lambda value: value if isinstance(value, str) else value.name,
 )
 def test_tracks_without_slip(law, trajectory):
     errors = drive(law, trajectory)

@@ -220,16 +220,6 @@ def test_a_run_that_follows_a_pose_is_one_that_does_not_wait():
     assert watching.lost_after_s == {}
 
 
-@pytest.mark.parametrize(
-    ("pose", "reason"), [((0, 0, 0.27), "heading"), ((np.nan, 0, 0), "not_finite"), ((0.6, 0, 0), "tracking")]
-)
-def test_the_guard_names_why_it_stops(pose, reason):
-    reference = Reference(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
-    with pytest.raises(SafetyStop) as stop:
-        Supervised(SafetyLimits()).guard(state(pose), reference)
-    assert stop.value.reason == reason
-
-
 def test_hardware_alert_stops():
     with pytest.raises(SafetyStop, match="alert"):
         Supervised(SafetyLimits()).check(
@@ -274,24 +264,6 @@ def test_a_robot_that_feels_no_weight_has_lost_its_hold():
     supervisor.reset()
     for cycle in range(5):
         supervisor.check(imu_inputs(cycle, 0.2, Status.PROTOCOL))
-
-
-def test_a_robot_faster_than_it_can_drive_is_sliding():
-    supervisor = Supervised(SafetyLimits(stale_s=TRACKER))
-
-    def seen(cycle, speed):
-        stamp = Stamp(cycle * 10_000_000, cycle * 10_000_000, cycle)
-        sample = TrackerSample(
-            stamp, np.zeros(3), np.array([1.0, 0, 0, 0]), np.array([0, -speed, 0]), np.zeros(3), 3
-        )
-        return supervisor.check(Inputs(cycle, stamp.t_ns, tracker=(sample,)))
-
-    for cycle in range(20):
-        seen(cycle, 0.4)
-    seen(20, 0.9)
-    seen(21, 0.9)
-    with pytest.raises(SafetyStop, match="sliding"):
-        seen(22, 0.9)
 
 
 def seen_at(cycle, speed):

@@ -68,8 +68,7 @@ def true_of(rolled):
     return rolled + CREEP * np.hypot(*rolled)
 
 
-@pytest.mark.parametrize("rolled", [UP, ACROSS, -UP])
-@pytest.mark.parametrize("scale", [0.987, 1.0, 1.013])
+@pytest.mark.parametrize(("rolled", "scale"), [(UP, 0.987), (ACROSS, 1.0), (-UP, 1.013), (ACROSS, 0.987)])
 def test_honest_sensors_on_a_creeping_robot_leave_nothing_to_doubt(rolled, scale):
     true = true_of(rolled)
     assert doubts(rolled, true * scale, true, 800, axes_rad=0.03) == []
@@ -125,8 +124,9 @@ def test_a_reset_forgets_the_way_of_motion_capture():
     assert [d for k in range(60, 200) for d in check.update(cycle(k, at(UP), at(UP), at(UP)))] == []
 
 
-@pytest.mark.parametrize("leap_m", [(0.024, 0.0), (-0.024, 0.0), (0.0, 0.024)])
-@pytest.mark.parametrize("device", ["tracker", "mocap"])
+@pytest.mark.parametrize(
+    ("device", "leap_m"), [("tracker", (0.024, 0.0)), ("mocap", (-0.024, 0.0)), ("tracker", (0.0, 0.024))]
+)
 def test_one_leap_of_a_pose_is_put_right_and_no_way(device, leap_m):
     """Whichever way it leaps: what counts is how far off the step is from the other's."""
     check, found = MotionCheck(GEOMETRY), []

@@ -215,25 +215,3 @@ def test_a_part_whose_plan_another_one_changes_acts_in_time():
     world.add(woken)
     world.advance_to(50)
     assert log == [(20, "a"), (25, "b"), (40, "a"), (45, "b")]
-
-
-def test_a_part_that_acts_alone_has_nobody_else_asked_again():
-    class Asked(Ticker):
-        asked = 0
-
-        def next_due_ns(self):
-            self.asked += 1
-            return self.due_ns
-
-    class Alone(Ticker):
-        alone = True
-
-    counted = {}
-    for kind in (Ticker, Alone):
-        world = World(StillPlant())
-        bystander = Asked("b", NEVER_NS, [])
-        world.add(kind("a", 1, []))
-        world.add(bystander)
-        world.advance_to(100)
-        counted[kind] = bystander.asked
-    assert counted == {Ticker: 101, Alone: 1}

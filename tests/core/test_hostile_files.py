@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from hil.calibration.artefact import read_calibration
 from hil.cli import main
 from hil.config.loading import load_bench
+from hil.config.record.folder import read_version
 from hil.drivers.imu.calibration import ImuCalibration
 from hil.fakes.timeline import read_faults
 from hil.procedure.journal import read_journal
@@ -44,6 +45,7 @@ TOMLS = {
     "faults": lambda path: read_faults([str(path)]),
     "topics": read_topic_map,
     "imu": ImuCalibration.load,
+    "record": lambda path: read_version(path, ""),
 }
 FOUND_TOML = (
     DEEP_TOML,
@@ -61,6 +63,8 @@ FOUND_TOML = (
     "\x00",
     "\ufeffa = 1",
     "a = 1979-05-27",
+    'schema = 1\nversion = 1\ncreated = 2026-11-22T12:00:00+00:00\nsha256 = "00"',
+    'schema = 1\nversion = nan\nsha256 = "00"',
     "= 1",
     "a = '''",
 )

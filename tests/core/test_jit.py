@@ -1,6 +1,5 @@
 """Machine code: kept by the state of all sources, lost without harm, told while made, ended by Ctrl-C."""
 
-import ast
 import importlib.util
 import logging
 import os
@@ -119,17 +118,6 @@ def test_a_folder_stands_for_one_state_of_the_sources_and_the_first_home_that_ta
     shutil.rmtree(homes[1])
     homes[1].write_text("another one")
     assert cache_folder(package, homes) == ""
-
-
-def test_all_that_a_kernel_may_use_counts_among_the_sources():
-    """Modules that define kernels import from those folders alone."""
-    for path in (ROOT / "hil").rglob("*.py"):
-        text = path.read_text(encoding="utf-8")
-        if "hil.vocabulary.jit import" not in text or not ("@kernel" in text or "@inner" in text):
-            continue
-        found = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.ImportFrom) and n.module]
-        rooms = {n.module.split(".")[1] for n in found if n.module.startswith("hil.")}
-        assert rooms | {path.relative_to(ROOT / "hil").parts[0]} <= set(jit._SOURCES), path
 
 
 FULL = """
@@ -279,6 +267,7 @@ print(*motion.estimate[-1].tolist())
 """
 
 
+@pytest.mark.long
 def test_without_machine_code_everything_runs_as_plain_python():
     poses = []
     for asked in ("0", "1"):

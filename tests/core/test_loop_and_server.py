@@ -261,6 +261,7 @@ class Echo(Face):
         self.closed = True
 
 
+@pytest.mark.alone
 def test_the_server_answers_and_ticks_on_world_time():
     face = Echo()
     server = EmulationServer(World(StillPlant()), MonotonicClock(), {"echo": face})

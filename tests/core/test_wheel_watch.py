@@ -8,6 +8,7 @@ import pytest
 from hil.ring.wheel_watch import WheelWatch
 from hil.robot.kinematics import WheelGeometry, inverse
 from hil.vocabulary.signals import Stamp, WheelMeasurement
+from tests.selected import every
 
 GEOMETRY = WheelGeometry.nominal()
 PERIOD_NS = 30_000_000
@@ -48,9 +49,10 @@ def test_wheels_that_roll_by_one_motion_are_let_be(twist):
     assert not any(ride.off_m)
 
 
-@pytest.mark.parametrize("twist", list(TWISTS.values()), ids=list(TWISTS))
-@pytest.mark.parametrize("wheel", range(4))
-@pytest.mark.parametrize("share", [0.3, 0.7, 1.3])
+@pytest.mark.parametrize(
+    ("twist", "wheel", "share"),
+    every(5, [(t, w, s) for t in TWISTS.values() for w in range(4) for s in (0.3, 0.7, 1.3)]),
+)
 def test_the_wheel_that_rolls_otherwise_is_named_soon_and_once(twist, wheel, share):
     ride = Ride(twist).go(2.0)
     shares = [1.0] * 4

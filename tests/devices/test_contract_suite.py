@@ -2,6 +2,7 @@
 
 import os
 
+import pytest
 from installing import ROOT
 
 pytest_plugins = ["pytester"]
@@ -58,6 +59,7 @@ def test_broken_promises_are_told_one_by_one(package, pytester, monkeypatch):
     }
 
 
+@pytest.mark.long
 def test_kinds_that_are_not_meant_are_left_out(pytester, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     pytester.makepyfile(test_contract='from hil.pytest_plugin.contract import *\nKINDS = ("tracker",)')
@@ -170,6 +172,7 @@ def test_a_device_of_several_channels_passes_and_tests_of_ones_own_stand_beside(
     suite(package, pytester, monkeypatch, "np.nan").assert_outcomes(passed=14, deselected=13)
 
 
+@pytest.mark.long
 def test_a_number_of_a_channel_that_did_not_answer_is_found(package, pytester, monkeypatch):
     result = suite(package, pytester, monkeypatch, "0.0")
     failed = {line.split("::")[1].split("[")[0] for line in result.outlines if line.startswith("FAILED")}

@@ -12,6 +12,8 @@ from installing import ROOT
 
 from hil.devkit import CanModel, DeviceKind, DeviceModel, SerialModel
 
+pytestmark = pytest.mark.real_time
+
 GUIDE = (ROOT / "docs" / "add-your-own-device.md").read_text(encoding="utf-8")
 FILES = re.findall(r"^`(my-\w+/[\w.]+)`[^\n]*:\n\n```\w+\n(.*?)^```", GUIDE, re.S | re.M)
 BLOCKS = re.findall(r"^```sh\n(.*?)^```", GUIDE, re.S | re.M)
@@ -78,6 +80,7 @@ def test_another_model_is_installed_examined_and_keeps_the_contract(reader):
     assert "failed" not in told
 
 
+@pytest.mark.long
 def test_a_device_on_the_network_is_examined_found_and_keeps_the_contract(reader):
     told = reader("./my-gap")
     assert re.search(r"ok +gap +open: model lab_gap, serial L-0042", told)
@@ -88,6 +91,7 @@ def test_a_device_on_the_network_is_examined_found_and_keeps_the_contract(reader
     assert "# gap: serial number L-0042" in found
 
 
+@pytest.mark.long
 def test_a_kind_of_ones_own_does_all_that_the_guide_says(reader, installed):
     """In the guide's order: one test, because each step uses what the one before it has left."""
     assert re.search(r"rangefinder +tf_luna +.*\(hil-rangefinder 0\.1\.0\)", installed)
@@ -101,6 +105,7 @@ def test_a_kind_of_ones_own_does_all_that_the_guide_says(reader, installed):
     assert '[rangefinder]\nport = "/dev/' in reader("hil discover --on-stand")
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("installed")
 def test_the_example_passes_its_tests(reader):
     told = reader("cd examples/rangefinder && python -m pytest")
@@ -136,16 +141,13 @@ def test_the_guide_has_a_line_for_every_name(described):
     assert {*told} - {c.__name__ for c in described} == names
 
 
-@pytest.mark.parametrize(("place", "found"), [("./my-battery", "serial 00042"), ("./my-canimu", "can_imu")])
+@pytest.mark.parametrize(
+    ("place", "found"),
+    [pytest.param("./my-battery", "serial 00042", marks=pytest.mark.long), ("./my-canimu", "can_imu")],
+)
 def test_a_small_device_is_examined_and_keeps_the_contract(place, found, reader):
     told = reader(place)
     assert found in told
     assert re.search(r"\d\d passed", told)
     assert "failed" not in told
     assert ("battery_low" in told) == (place == "./my-battery")
-
-
-def test_the_small_devices_are_small():
-    for package in ("my-battery", "my-canimu"):
-        code = [text for name, text in FILES if name.startswith(package) and re.search(r"/my_\w+\.py$", name)]
-        assert sum(bool(line.strip()) for text in code for line in text.splitlines()) <= 80

@@ -55,6 +55,13 @@ def test_the_page_of_faults_is_current_and_every_fault_and_option_on_it_is_expla
     assert taken == set(re.findall(r"^\| `(\w+)`(?: of `\w+`)? \|", explained, re.MULTILINE))
 
 
+def test_the_picture_of_the_rooms_shows_the_imports_of_today():
+    script = runpy.run_path(str(ROOT / "docs" / "make_architecture.py"))
+    drawn = script["drawn"](script["PICTURE"].read_text())
+    assert drawn == script["reduced"](script["imports"](script["rooms_of"]())), "run make docs"
+    assert len(drawn) > 20
+
+
 def python_block(containing):
     found = [b for b in blocks(README, "python") if containing in b]
     assert len(found) == 1
@@ -156,7 +163,6 @@ def test_no_text_cites_a_file_that_the_project_does_not_have():
 
 
 NAME = re.compile(r"(?<![\w./-])hil(?:\.[A-Za-z_]\w*)+")
-PLACE = re.compile(r"(?<![\w/.<-])(?:hil|tests|benchmarks|procedures)/[\w/.-]*\w")
 NAMES_OF_BEFORE = {"hil.signals"}
 """What a decision on moving it has to call by its old name."""
 
@@ -202,37 +208,3 @@ def test_the_table_of_public_modules_names_what_is_in_each():
         if name not in shipped
     ]
     assert [place for place in places if not is_there(place)] == []
-
-
-def test_every_folder_that_a_page_names_is_there():
-    missing = []
-    for page in [*PAGES, *(ROOT / "docs" / "decisions").glob("*.md")]:
-        bases = (ROOT, *COPIED, page.parent)
-        for name in set(PLACE.findall(page.read_text(encoding="utf-8"))):
-            if "my_" not in name and not any((base / name).exists() for base in bases):
-                missing.append(f"{page.relative_to(ROOT)}: {name}")
-    assert missing == []
-
-
-def test_the_glossary_is_sorted_and_linked():
-    """A reader finds a term by its letter, and the page from README and where NEES first occurs."""
-    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
-    letter, wrong, terms = "", [], []
-    for line in text.splitlines():
-        if line.startswith("## "):
-            letter = line[3:]
-        elif found := re.match(r"\*\*(.+?)\*\*: ", line):
-            terms.append(found[1].casefold())
-            wrong += [found[1]] if not (found[1][0].upper() == letter or found[1][0].isdigit()) else []
-    assert wrong == []
-    assert terms == sorted(terms)
-    assert "docs/glossary.md" in README
-    first = (ROOT / "docs" / "estimation.md").read_text(encoding="utf-8")
-    assert "glossary.md" in first[: first.index("NEES") + 120]
-
-
-def test_every_test_that_security_names_exists():
-    text = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
-    named = re.findall(r"`(tests/[\w/.]+)`", text)
-    assert len(named) >= 6
-    assert [name for name in named if not (ROOT / name).exists()] == []

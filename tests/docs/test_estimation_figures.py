@@ -28,11 +28,3 @@ def test_the_table_of_the_x_line_is_what_replay_prints_today(tmp_path):
     assert list(shown) == list(now) == ["recorded", "odometry", "ekf", "ukf", "smoother"]
     for name, figures in now.items():
         np.testing.assert_allclose(shown[name], figures, rtol=1e-3, atol=2e-3, err_msg=name)
-
-
-def test_the_command_that_writes_the_tables_finds_its_place_in_the_page():
-    script = runpy.run_path(str(DOCS / "make_estimation_figures.py"))
-    page = (DOCS / "estimation.md").read_text(encoding="utf-8")
-    shown = page[page.index(f"$ hil replay {script['SHOWN']}/{script['recording']('x_line')}") :]
-    assert list(rows(shown)) == ["recorded", "odometry", "ekf", "ukf", "smoother"]
-    assert "```\nnew\n```" in script["with_block"](page, "new\n")

@@ -11,13 +11,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import click
 import pytest
 
-from hil.cli import cli, main
+from hil.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").glob("*.md")])
 BUILDS = "--no-deps --no-build-isolation --quiet"
 
 
@@ -31,28 +29,6 @@ def shell_lines(page, languages=("sh",)):
         elif state in languages and line.strip():
             found.append(line.strip())
     return found
-
-
-def hil_calls(line):
-    """Arguments of every `hil` call in a line, with what a prompt or a path puts before it taken away."""
-    for part in re.split(r"\s[|;&]+", line.removeprefix("$ ")):
-        if not re.match(r"\s*(\.venv/bin/)?hil\s", part):
-            continue
-        words = shlex.split(part.split(" > ")[0], comments=True)
-        yield words[1:]
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_every_command_shown_exists_with_its_options(page):
-    calls = [words for line in shell_lines(page, ("sh", "")) for words in hil_calls(line)]
-    for words in calls:
-        command = cli
-        while isinstance(command, click.Group) and words and not words[0].startswith("-"):
-            name, *words = words
-            command = command.get_command(click.Context(command), name)
-            assert command is not None, name
-        if not isinstance(command, click.Group):
-            command.make_context(command.name, [w for w in words if w != "..."])
 
 
 README = [line for line in shell_lines(ROOT / "README.md") if not line.startswith("#")]
@@ -112,9 +88,9 @@ def tried(place, line):
 
 
 def each(line):
-    """A line as a case; of those that install from somewhere, this folder is tried by default."""
-    elsewhere = "pip install" in line and ("git+" in line or "dist/" in line)
-    return pytest.param(line, marks=pytest.mark.long if elsewhere else (), id=line)
+    """A line as a case; building the package is what tests/install/test_wheel.py does by default."""
+    marks = [pytest.mark.long] * ("-m pip" in line) + [pytest.mark.real_time] * ("--realtime" in line)
+    return pytest.param(line, marks=marks, id=line)
 
 
 @pytest.mark.parametrize("line", [each(line) for line in README])

@@ -44,19 +44,3 @@ def test_the_help_of_every_command_gives_an_example_of_it():
         n for n, lines in shown.items() if len(lines) != 1 or not f"{lines[0]} ".startswith(f"{n} ")
     ] == []
     assert [(n, told) for n, lines in shown.items() if (told := problem(lines[0].split()))] == []
-
-
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("`hil setup ... --set return_delay_time=0`", "hil setup has no option --set"),
-        ("run `hil repair servos` first", "no command 'repair'"),
-        ("hil calibration forget FILE", "no command calibration forget"),
-        ("hil run bringup", "no procedure bringup"),
-        ("`hil setup --role both`", "hil setup --role is not 'both'"),
-        ("`hil setup --port ANYTHING --id ANYTHING --register shutdown=52`", ""),
-        ("hil run imu_calibration, or rest", ""),
-    ],
-)
-def test_advice_that_cannot_be_followed_is_noticed(text, told):
-    assert [problem(words) for words in in_text(text)] == [told]

@@ -27,20 +27,6 @@ def test_the_page_is_what_its_command_makes_of_the_figures(two_worlds, tmp_path,
     assert "<!--" not in (tmp_path / "page.md").read_text()
 
 
-def test_figures_that_are_there_are_not_made_again(two_worlds, tmp_path, monkeypatch):
-    results = two_worlds("results")
-    monkeypatch.setattr(results, "FOLDER", tmp_path)
-    made = []
-
-    def make(seed):
-        made.append(seed)
-        return {"value": 10 * seed}
-
-    assert results.fill("some", [{"seed": 1}], make) == [{"seed": 1, "value": 10}]
-    assert [r["value"] for r in results.fill("some", [{"seed": 2}, {"seed": 1}], make)] == [20, 10]
-    assert made == [1, 2]
-
-
 def rows_of(name):
     """Figures beside the page."""
     lines = (DOCS / "two_worlds" / "figures" / f"{name}.jsonl").read_text().splitlines()

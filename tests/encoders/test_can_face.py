@@ -17,6 +17,8 @@ from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError, UsageError
 from hil.vocabulary.signals import Status
 
+pytestmark = pytest.mark.alone
+
 GROUP, PORT = "239.74.163.77", 43177
 
 

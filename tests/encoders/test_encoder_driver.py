@@ -9,8 +9,7 @@ import pytest
 from hil.config.encoders import EncodersConfig
 from hil.drivers.encoders import As5045Encoders
 from hil.fakes.encoders import EncoderTruthOptions
-from hil.fakes.fault import parse_fault
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.signals import Status
 
 IDEAL = EncoderTruthOptions(noise_rad=0.0, once_rad=0.0, twice_rad=0.0)
@@ -243,11 +242,6 @@ def test_a_bus_that_cannot_be_opened(encoder_bench, interface, channel):
         As5045Encoders(EncodersConfig(interface=interface, channel=channel), clock).open()
 
 
-def test_reading_while_closed_is_a_device_error(encoder_bench):
-    with pytest.raises(DeviceError, match="open"):
-        encoder_bench().driver.read()
-
-
 def test_foreign_traffic_is_passed_over(encoder_bench, drain):
     bench = encoder_bench()
     bench.driver.open()
@@ -257,20 +251,3 @@ def test_foreign_traffic_is_passed_over(encoder_bench, drain):
             other.send(can.Message(arbitration_id=416, is_remote_frame=True, is_extended_id=False))
         samples = drain(bench, 50)
     assert samples[-1].status == OK4
-
-
-def test_unsupported_faults_are_refused(encoder_bench):
-    with pytest.raises(FaultNotSupportedError):
-        encoder_bench().world.faults.add(parse_fault("encoders:adhesion_loss"))
-    with pytest.raises(FaultNotSupportedError):
-        encoder_bench().world.faults.add(parse_fault("encoder.FL:drop"))
-
-
-def test_the_same_seed_gives_the_same_samples(encoder_bench, drain):
-    def run(seed):
-        bench = encoder_bench("encoders:drop", seed=seed)
-        bench.driver.open()
-        return [(s.stamp, s.raw_word) for s in drain(bench, 100)]
-
-    assert run(5) == run(5)
-    assert run(5) != run(6)

@@ -19,6 +19,7 @@ from hil.config.estimator import EstimatorConfig
 from hil.estimator import make_estimator
 from hil.estimator.smoother import smooth
 from hil.robot.kinematics import WheelGeometry
+from tests.selected import every
 
 NOISE = CameraErrors(position_m=3e-4, heading_rad=5e-4, scale_sigma=0.0, drift_per_sqrt_m=1e-3)
 MATCHED = {"position_m": 3e-4, "heading_rad": 5e-4, "drift_per_sqrt_m": 1e-3}
@@ -50,7 +51,7 @@ def followed(config, parts, start):
     return [estimator.update(m) for m in parts]
 
 
-@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+@pytest.mark.parametrize("kind", every(2, ["ekf", "ukf"]))
 def test_a_camera_whose_noise_is_known_does_not_pull_its_scale_away(kind):
     """Nothing tells the scale from creep here: it stays within what the filter says of it, also at rest.
 
@@ -78,7 +79,7 @@ def test_the_smoother_ends_where_the_filter_does_and_has_the_same_scale():
     assert np.max(np.abs(error[:, 0])) < 3e-3
 
 
-@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+@pytest.mark.parametrize("kind", every(2, ["ekf", "ukf"]))
 def test_the_scale_of_the_wheels_is_not_pulled_away_either(kind):
     """Taken at the estimated displacement of the step, its derivative pulled it to -2.3 % in every world."""
     free = {**MATCHED, "scale_sigma": 0.0}

@@ -8,18 +8,12 @@ from collections import deque
 from pathlib import Path
 from types import TracebackType
 
-CORPUS = Path(__file__).with_name("corpus")
 _LAST = 20
 
 
 def how_many(cases: int) -> int:
     """Cases of a long run; `HIL_FUZZ_CASES` in their place."""
     return int(os.environ.get("HIL_FUZZ_CASES", cases))
-
-
-def found_before(target: str) -> list[bytes]:
-    """What was once a finding for this target."""
-    return [path.read_bytes() for path in sorted((CORPUS / target).glob("*"))]
 
 
 class Finding:

@@ -247,14 +247,6 @@ def test_open_waits_for_a_booting_chip(imu_bench):
     assert 0.65e9 < bench.clock.now_ns() < 0.8e9
 
 
-def test_use_while_closed_is_a_device_error(imu_bench):
-    driver = imu_bench().driver
-    for call in (driver.read, driver.read_calibration):
-        with pytest.raises(DeviceError, match="open"):
-            call()
-    driver.close()
-
-
 def test_calibration_access_reports_a_dead_chip(imu_bench):
     bench = imu_bench("imu:off@1")
     bench.driver.open()

@@ -90,16 +90,6 @@ def test_calibration_improves_at_rest_and_with_motion(imu_bench, turning_plant):
     assert settle(bench, 700)[-1].calibration[2] == 3
 
 
-def test_the_same_seed_gives_the_same_samples(imu_bench, turning_plant):
-    def run(seed):
-        bench = imu_bench(plant=turning_plant(rate_rad_s=0.1), seed=seed)
-        bench.driver.open()
-        return [(s.stamp, s.quaternion_wxyz.tobytes(), s.gyro_rad_s.tobytes()) for s in settle(bench, 100)]
-
-    assert run(3) == run(3)
-    assert run(3) != run(4)
-
-
 @pytest.mark.parametrize("prefetch", [False, True])
 def test_the_stamp_is_when_the_data_were_true(imu_bench, turning_plant, prefetch):
     """The heading from gravity against the true heading at the time of the stamp, while turning."""

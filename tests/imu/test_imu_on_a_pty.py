@@ -17,6 +17,8 @@ from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.signals import Status
 
+pytestmark = pytest.mark.alone
+
 
 class PtyFace:
     """Bytes from the terminal to the chip and back when they are due."""

@@ -107,16 +107,6 @@ def test_a_real_sensors_figures_at_rest_are_read_with_the_right_signs():
     np.testing.assert_allclose(sample.gravity_m_s2, up, atol=0.002)
 
 
-def test_the_same_seed_gives_the_same_samples(bench, turning_plant):
-    def seen(seed):
-        b = bench(plant=turning_plant(rate_rad_s=0.1), seed=seed)
-        b.driver.open()
-        return [(s.stamp, s.quaternion_wxyz.tobytes(), s.gyro_rad_s.tobytes()) for s in b.run(1.0)]
-
-    assert seen(3) == seen(3)
-    assert seen(3) != seen(4)
-
-
 @pytest.mark.parametrize(("base_rate_hz", "rate_hz"), [(1000, 1000 / 9), (500, 100.0)])
 def test_samples_come_at_the_rate_that_the_sensor_can(bench, ideal, base_rate_hz, rate_hz):
     b = bench(options=dataclasses.replace(ideal, base_rate_hz=base_rate_hz))

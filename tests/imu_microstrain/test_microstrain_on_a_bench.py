@@ -114,6 +114,7 @@ def test_the_same_seed_gives_the_same_drive():
     assert driven(4) != driven(5)
 
 
+@pytest.mark.alone
 @pytest.mark.long
 def test_up_a_wall_with_it_at_the_wire_in_real_time():
     with wall(seed=1, realtime=True) as bench:

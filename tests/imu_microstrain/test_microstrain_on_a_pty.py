@@ -18,6 +18,8 @@ from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.signals import Status
 
+pytestmark = pytest.mark.alone
+
 
 @pytest.fixture
 def served(turning_plant):

@@ -82,15 +82,6 @@ def test_every_entry_has_hashes_and_none_says_where_to_fetch_it():
     assert [line for line in LOCK.splitlines() if line.startswith("-")] == []
 
 
-def test_make_installs_from_the_lock_and_nothing_else():
-    recipe = re.search(r"^else\n(.*?)^endif", MAKEFILE, re.MULTILINE | re.DOTALL)[1].splitlines()
-    assert [line.split("$(PIP) ")[1] for line in recipe] == [
-        "--require-hashes --no-deps --only-binary :all: -r $(LOCK)",
-        "--no-deps --no-build-isolation -e .",
-    ]
-    assert re.search(r"^LOCK := \$\(if \$\(OLDEST\),,requirements/ci\.lock\)$", MAKEFILE, re.MULTILINE)
-
-
 @pytest.mark.parametrize(
     ("given", "folder", "by"),
     [

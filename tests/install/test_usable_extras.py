@@ -2,7 +2,6 @@
 
 import json
 import platform
-import re
 from importlib import metadata, util
 from pathlib import Path
 
@@ -55,15 +54,6 @@ def test_a_library_built_by_hand_where_there_is_no_wheel_is_usable(installed, mo
 
     monkeypatch.setattr(metadata, "version", version)
     assert extras.lacks("t265") == ""
-
-
-def test_readme_lists_every_extra_once():
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    (table,) = re.findall(r"^\| extra \|.*\n\|[-|]+\n((?:\|.*\n)+)", readme, re.MULTILINE)
-    listed = [name for row in table.splitlines() for name in re.findall(r"`(\w+)`", row.split("|")[1])]
-    assert sorted(listed) == sorted(project["optional-dependencies"])
-    assert set(listed) == {*extras.MODULES, "test", "lint", "docs"}
 
 
 def test_info_tells_it(capsys, monkeypatch):

@@ -101,6 +101,7 @@ def call(unpacked, folder, *arguments):
     return done.stdout
 
 
+@pytest.mark.long
 def test_it_runs_away_from_the_checkout(unpacked, tmp_path):
     where = "import hil, hil.procedures; print(hil.__file__); print(hil.procedures.__file__)"
     assert all(line.startswith(str(unpacked)) for line in call(unpacked, tmp_path, "-c", where).splitlines())

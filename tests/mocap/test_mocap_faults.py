@@ -5,35 +5,9 @@ import pytest
 from following import kinds
 
 from hil.fakes.fault import parse_fault
-from hil.fakes.mocap import SUPPORTED_FAULTS, MocapTruthOptions
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
+from hil.fakes.mocap import MocapTruthOptions
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.signals import Status
-
-
-def test_all_faults_of_this_file_are_the_supported_ones():
-    tested = {
-        "off",
-        "stuck",
-        "garbage",
-        "wrong",
-        "slow",
-        "delayed",
-        "intermittent",
-        "drop",
-        "corrupt",
-        "truncate",
-        "duplicate",
-        "unplug",
-        "jump",
-        "reset",
-    }
-    assert set(SUPPORTED_FAULTS) == tested
-
-
-@pytest.mark.parametrize("kind", ["bus_off", "brownout", "baud_mismatch"])
-def test_others_are_refused(mocap_bench, kind):
-    with pytest.raises(FaultNotSupportedError, match="mocap cannot produce"):
-        mocap_bench(f"mocap:{kind}@1")
 
 
 @pytest.mark.parametrize("fault", ["off@1", "unplug@1", "intermittent@1,duty=1", "drop@1,probability=1"])
@@ -209,13 +183,3 @@ def test_stalls_deliver_everything_late_and_in_order(mocap_bench, watch):
     assert np.all(np.diff([s.stamp.seq for s in samples]) == 1)
     assert 0.05 < max(s.stamp.host_ns - s.stamp.t_ns for s in samples) * 1e-9 < 0.25
     assert set(kinds(samples)) == {Status.OK}
-
-
-def test_the_same_seed_gives_the_same_frames(mocap_bench, watch):
-    def run(seed):
-        bench = mocap_bench("mocap:drop@1,probability=0.2", options=MocapTruthOptions(), seed=seed)
-        bench.driver.open()
-        return [(s.stamp, s.position_m.tobytes()) for s in watch(bench, 3.0)]
-
-    assert run(1) == run(1)
-    assert run(1) != run(2)

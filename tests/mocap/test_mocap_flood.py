@@ -13,6 +13,8 @@ from hil.drivers.mocap.datagrams import _MOST_PER_WINDOW, _WINDOW_NS, UdpPort
 from hil.drivers.mocap.session import Session
 from hil.vocabulary.clock import MonotonicClock
 
+pytestmark = pytest.mark.alone
+
 SERVER = ("127.0.0.1", 1510)
 OTHER = ("127.0.0.1", 4242)
 JUNK = {

@@ -34,11 +34,3 @@ def test_shapes_change_nothing_that_is_found(version, frames):
             payload[damage[0] % len(payload)] ^= damage[1]
         payload = bytes(payload)
         assert outcome(parser.parse, payload) == outcome(lambda p: parse_frame(p, version, ID), payload)
-
-
-def test_the_second_frame_of_a_shape_is_not_read_section_by_section(monkeypatch):
-    parser = FrameParser((4, 1), ID)
-    bodies = [build.body(8), build.body(ID)]
-    parser.parse(build.frame((4, 1), 1, bodies)[4:])
-    monkeypatch.setattr("hil.drivers.mocap.frames.parse_frame", None)
-    assert parser.parse(build.frame((4, 1), 2, bodies)[4:]).number == 2

@@ -21,6 +21,8 @@ from hil.fakes.world import World
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 
+pytestmark = pytest.mark.real_time
+
 GROUP = f"239.255.42.{1 + os.getpid() % 250}"
 VERSIONS = [(3, 1), (4, 0), (4, 1)]
 

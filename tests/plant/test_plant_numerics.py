@@ -12,6 +12,7 @@ from hil.fakes.plant import Patch
 from hil.fakes.plant.kernel import advance
 from hil.fakes.plant_api import JointCommand
 from hil.vocabulary.errors import UsageError
+from tests.selected import every
 
 
 def _differences(a, b):
@@ -33,7 +34,7 @@ def _adventure(plant, rng, seconds=1.2):
         yield plant.truth()
 
 
-@pytest.mark.parametrize("case", [{}, {"surface": "patchy"}, FLOOR, {"tilt_rad": 2.0}])
+@pytest.mark.parametrize("case", every(2, [{}, {"surface": "patchy"}, FLOOR, {"tilt_rad": 2.0}]))
 def test_machine_code_and_plain_python_agree(case, monkeypatch):
     runs = []
     for compiled in (True, False):

@@ -9,6 +9,7 @@ from test_faulty_sources import MAPPING, stepped
 from test_gaps_and_starts import rolling, with_gaps
 
 from hil.cli import main
+from tests.selected import every
 
 SAME = ("rmse_position_m", "rmse_theta_rad", "final_position_m")
 CASES = {
@@ -42,7 +43,7 @@ def agree(said, tmp_path, data, *more):
     return row
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", every(3, CASES))
 def test_of_a_table_whatever_the_order_of_its_rows(tmp_path, said, case):
     found = CASES[case]()
     rows = len(found.t_s) + len(found.truth_s)
@@ -53,7 +54,7 @@ def test_of_a_table_whatever_the_order_of_its_rows(tmp_path, said, case):
     assert said("evaluate", other)["motions"]["curve"] == first
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", every(5, CASES))
 def test_of_a_bag_and_of_the_table_that_is_exported_from_it(tmp_path, said, case):
     found = CASES[case]()
     topics = tmp_path / "topics.toml"

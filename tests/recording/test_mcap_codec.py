@@ -43,12 +43,6 @@ def test_comparison_sees_a_single_bit():
     assert first_difference(np.zeros(2), np.zeros(2, dtype=np.float32)) is not None
 
 
-def test_decoded_arrays_are_their_own_memory():
-    back = CODEC.decode(CODEC.encode(driving_record(1)))
-    back.state.pose_body_in_wall[:] = 7.0
-    assert back.state.twist_body[0] == 0.05
-
-
 @dataclasses.dataclass(frozen=True)
 class Cell:
     """An inner value of a package's sample."""
@@ -80,8 +74,12 @@ SPECIAL = np.array([np.nan, np.inf, -np.inf, 0.0, -0.0, 5e-324])
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("shape", [(), (0,), (3,), (0, 3), (2, 3), (1, 2, 3, 1, 2)])
-def test_arrays_of_other_packages_keep_type_shape_and_bits(dtype, shape):
+def test_arrays_of_other_packages_keep_type_shape_and_bits(dtype):
+    for shape in ((), (0,), (3,), (0, 3), (2, 3), (1, 2, 3, 1, 2)):
+        assert_kept(dtype, shape)
+
+
+def assert_kept(dtype, shape):
     codec, record = CycleCodec((KIND,)), driving_record(3)
     with np.errstate(invalid="ignore", over="ignore", under="ignore"):
         field = np.resize(SPECIAL, shape).astype(dtype)
@@ -99,15 +97,6 @@ def test_arrays_of_other_packages_keep_type_shape_and_bits(dtype, shape):
         assert first_difference(other, back) is None
 
 
-@pytest.mark.parametrize("given", [[0.5, 1.0, 2.0], np.float64(1.0), (1, 2, 3), np.arange(3, dtype=np.uint8)])
-def test_numbers_in_place_of_an_array_are_read_as_one(given):
-    record = driving_record(3)
-    other = dataclasses.replace(record, state=dataclasses.replace(record.state, twist_body=given))
-    back = CODEC.decode(CODEC.encode(other)).state.twist_body
-    assert isinstance(back, np.ndarray)
-    np.testing.assert_array_equal(back, np.asarray(given))
-
-
 @settings(max_examples=60)
 @given(cut=st.integers(0, 10**6), flip=st.integers(0, 10**6), value=st.integers(0, 255))
 def test_malformed_bytes_are_value_errors_or_records(cut, flip, value):
@@ -117,24 +106,6 @@ def test_malformed_bytes_are_value_errors_or_records(cut, flip, value):
     data[flip % len(data)] = value
     with contextlib.suppress(ValueError):
         assert CODEC.decode(bytes(data)).inputs is not None
-
-
-@pytest.mark.parametrize(
-    ("code", "data"),
-    [
-        (4, b"1234567"),
-        (8, b"\xff" * 16),
-        (8, b"\3\0\0\0" * 2 + b"12345678"),
-        (8, b"123"),
-        (-4, b""),
-        (127, b""),
-    ],
-)
-def test_an_array_that_is_not_there_is_refused(code, data):
-    tree = tree_of(driving_record(3))
-    tree["state"]["twist_body"] = msgspec.msgpack.Ext(code, data)
-    with pytest.raises(ValueError, match="no cycle record"):
-        CODEC.decode(msgspec.msgpack.encode(tree))
 
 
 def tree_of(record):
@@ -180,12 +151,3 @@ def test_what_cannot_be_understood_is_refused_with_its_place(spoil):
         tree["inputs"]["t_ns"] = "noon"
     with pytest.raises(ValueError, match=r"\$\.(state|inputs\.servos\[0\]\.status\[3\]|inputs\.t_ns)"):
         CODEC.decode(msgspec.msgpack.encode(tree))
-
-
-@pytest.mark.parametrize(
-    "wrong", ["nonsense", None, {"state": object()}, {"truth": {"what": {1, 2}.__class__}}, {"cycle": 2**70}]
-)
-def test_what_is_no_record_is_refused(wrong):
-    record = dataclasses.replace(driving_record(3), **wrong) if isinstance(wrong, dict) else wrong
-    with pytest.raises((TypeError, OverflowError)):
-        CODEC.encode(record)

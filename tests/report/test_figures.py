@@ -1,7 +1,6 @@
 """What figures show whatever the data: extremes of long curves, ticks that can be read, ends of intervals."""
 
 import json
-import tempfile
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -10,8 +9,7 @@ import pytest
 
 from hil.procedure.tracking import path_figure, series
 from hil.report.calibration_page import _draw_position, _parameters
-from hil.report.figures import drawn_image, figure_image, save_figure
-from hil.report.overview import Drawn, Overview, write_overview
+from hil.report.figures import save_figure
 from hil.report.readings import taken_out
 from hil.report.replay_page import _path
 from hil.report.run_plots import MOST_POINTS, kept_rows, new_figure, plain_log, style, thin
@@ -94,19 +92,7 @@ def test_a_path_along_a_line_shows_what_it_does_sideways(x_m, y_m, aspect):
     assert _path({"EKF": motion}, np.full_like(poses, np.nan), on_wall=True).axes[0].get_aspect() == 1.0
 
 
-RANGES = [
-    (0.0, 0.02),
-    (0.0, 0.55),
-    (0.0, 0.999),
-    (0.0, 1.2),
-    (0.0, 9.0),
-    (0.1, 25.0),
-    (0.0, 90.0),
-    (0.0, 5000.0),
-    (2.0, 9.0),
-    (3.0, 4.0),
-    (200.0, 300.0),
-]
+RANGES = [(0.0, 0.02), (0.0, 1.2), (0.1, 25.0), (0.0, 5000.0), (3.0, 4.0)]
 
 
 @pytest.mark.parametrize(("low", "high"), RANGES)
@@ -123,21 +109,6 @@ def test_ticks_of_a_logarithmic_axis_can_be_read_whatever_the_range(low, high):
     boxes = [t.get_window_extent() for t in labels]
     assert all(above.y0 >= below.y0 + 0.6 * below.height for below, above in pairwise(boxes))
     assert (axes.get_yscale() == "linear") == (high <= 1.0)
-
-
-def test_a_page_needs_no_room_but_its_own(tmp_path, monkeypatch):
-    """Figures had gone through a temporary folder, which may be full."""
-
-    def figure():
-        drawn = new_figure()
-        style(drawn.add_subplot(), "x (m)", "y (m)").plot([0.0, 1.0], [1.0, 0.0])
-        return drawn
-
-    by_file = figure_image(save_figure(figure(), tmp_path / "way.svg"), "Way")
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "absent"))
-    assert drawn_image(figure(), "Way", "way") == by_file
-    page = Overview("title", "A sentence.", [Drawn("way", "Way", figure())], [])
-    assert str(by_file) in write_overview(tmp_path / "page.html", page).read_text()
 
 
 def test_labels_along_a_narrow_axis_do_not_touch(tmp_path):

@@ -199,7 +199,7 @@ def test_a_commissioning_goes_with_its_procedures_and_its_record_and_nothing_els
 
 def test_a_campaign_goes_whole_but_for_a_notebook_and_a_run_that_is_none_of_it(hil, tmp_path):
     folder = tmp_path / "out" / "trial"
-    hil("campaign", "small.py", "--seeds", "0:2", "--workers", "1", "--out", "out/trial")
+    hil("campaign", "small.py", "--seeds", "0:2", "--workers", "0", "--out", "out/trial")
     hil("run", "small.py", "--out", "out/mine")
     shutil.copytree(folder, tmp_path / "out" / "plain")
     shutil.copytree(tmp_path / "out" / "mine", folder / "runs" / "mine")
@@ -211,7 +211,13 @@ def test_a_campaign_goes_whole_but_for_a_notebook_and_a_run_that_is_none_of_it(h
     assert not (tmp_path / "out" / "plain").exists()
 
 
-@pytest.mark.parametrize("words", [("run", "small.py"), ("run", "bring_up", "--quick"), ("accept",)])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", "small.py"),
+        *(pytest.param(w, marks=pytest.mark.long) for w in (("run", "bring_up", "--quick"), ("accept",))),
+    ],
+)
 def test_what_a_command_leaves_goes_whole(hil, tmp_path, words):
     hil(*words, "--out", "out/x")
     hil("report", "out/x") if words[0] == "run" else None

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from hil.cli import main
 from hil.cli.run import text_of
 from hil.config.bench import BenchConfig
 from hil.procedure import BenchSource, Measurement, procedure
@@ -18,27 +17,6 @@ from hil.vocabulary.clock import MonotonicClock
 def said_of(declared, values, headline=""):
     rows = judge(declared, values, {}, {}, ended=True)
     return sentence({"error": None, "headline": headline, "measurements": rows})
-
-
-def test_a_procedure_without_a_headline_has_its_values_told_in_the_units_that_people_read():
-    gap = Measurement("gap_width", "m", high=0.005)
-    assert said_of([gap], {"gap_width": 0.0031}) == "Its one limit held: gap width 3.1 mm, at most 5 mm."
-    assert said_of([gap], {"gap_width": 0.00500004}) == (
-        "Its one limit failed: gap width 5.00004 mm, at most 5 mm."
-    )
-    assert said_of([gap], {}) == "Its one limit failed: gap width was never measured, at most 5 mm."
-    turn = Measurement("turn", "rad", low=-0.1, high=0.1)
-    assert said_of([turn], {"turn": 0.05}) == "Its one limit held: turn 2.86 deg, -5.73 to 5.73 deg."
-    assert said_of([gap], {"gap_width": 0.0031}, "It fits.") == "It fits. Its one limit held."
-
-
-def test_of_many_limits_those_nearest_to_theirs_are_told():
-    many = [Measurement(f"m{k}", "N", high=10.0) for k in range(5)] + [Measurement("found", "1", low=1.0)]
-    said = said_of(many, {**{f"m{k}": 2.0 * k for k in range(5)}, "found": 1.0})
-    assert said == (
-        "All 6 limits held; nearest to their limits: m4 8 N, at most 10 N; m3 6 N, at most 10 N; "
-        "m2 4 N, at most 10 N."
-    )
 
 
 def test_what_was_not_measured_after_a_failure_does_not_count_as_one():
@@ -57,24 +35,6 @@ def measured_of(declared, values):
     return sentence({"error": None, "headline": "", "measurements": rows})
 
 
-def test_a_value_without_limits_that_was_never_set_is_named_beside_limits_that_held():
-    limits = [
-        Measurement("first", "mm", high=1.0),
-        Measurement("told", "mm"),
-        Measurement("last", "mm", high=1),
-    ]
-    assert measured_of(limits, {"first": 0.5, "last": 0.5}) == (
-        "All 2 limits held: first 0.5 mm, at most 1 mm; last 0.5 mm, at most 1 mm. "
-        "Failed for want of a value: told was never measured."
-    )
-    assert measured_of([Measurement("told", "mm")], {}) == (
-        "Failed for want of a value: told was never measured."
-    )
-    assert measured_of([Measurement("told", "mm")], {"told": np.nan}) == (
-        "Failed for want of a value: told is no finite number."
-    )
-
-
 def test_a_value_that_is_no_number_is_a_limit_that_failed_and_not_what_comes_after():
     three = [Measurement(name, "mm", high=1.0) for name in ("first", "second", "third")]
     assert measured_of(three, {"first": np.nan, "second": 5.0, "third": 0.5}) == (
@@ -83,22 +43,6 @@ def test_a_value_that_is_no_number_is_a_limit_that_failed_and_not_what_comes_aft
     assert measured_of(three, {"second": 5.0, "third": 0.5}) == (
         "2 of 3 limits failed: first was never measured, at most 1 mm; second 5 mm, at most 1 mm."
     )
-
-
-def test_nothing_measured_is_said(tmp_path):
-    @procedure(name="nothing")
-    def nothing(ctx):
-        """Measures nothing."""
-
-    source = BenchSource(BenchConfig(schema=1, name="bare"))
-    options = RunOptions(tmp_path / "run", MonotonicClock(), "2026-01-01", {})
-    result = run_procedure(nothing, source, options)
-    assert result.verdict.value == "PASS"
-    assert text_of(result).splitlines()[-2] == "PASS: nothing. Nothing was measured."
-    assert read_result(tmp_path / "run")["said"] == result.to_json()["said"] == "Nothing was measured."
-    page = write_run_page(tmp_path / "run").read_text()
-    assert '<p class="lead">Nothing was measured.</p>' in page
-    assert "no limits were declared" not in page
 
 
 @pytest.mark.parametrize("value", [1.0000001, 0.9999999])
@@ -129,16 +73,3 @@ def test_a_headline_has_no_values_that_are_no_numbers(tmp_path):
     source = BenchSource(BenchConfig(schema=1, name="bare"))
     run_procedure(nan, source, RunOptions(tmp_path / "out", MonotonicClock(), "2026-01-01", {}))
     assert read_result(tmp_path / "out")["headline"] == ""
-
-
-def test_the_list_of_results_names_what_was_not_measured(tmp_path, capsys):
-    @procedure(name="partly", measurements=(Measurement("seen", "mm", high=1.0), Measurement("told", "mm")))
-    def partly(ctx):
-        """Measures one of two, and that to no number."""
-        ctx.measure("seen", float("nan"))
-
-    source = BenchSource(BenchConfig(schema=1, name="bare"))
-    run_procedure(partly, source, RunOptions(tmp_path / "one", MonotonicClock(), "2026-01-01", {}))
-    assert main(["results", "list", "--in", str(tmp_path)]) == 0
-    said = capsys.readouterr().out
-    assert "seen is no finite number (at most 1) FAIL; told was never measured FAIL" in said

@@ -143,12 +143,3 @@ def test_dead_ones_make_it_stop_and_go_on_where_it_was(line, roll):
         assert line.now_ns - began_ns < 700_000_000
     assert found == [(), (), (), (7,)]
     assert [joint for joint, _ in line.asked] == [0, 1, 2, 3, 4, 5, 6, 7, 7, 7, 0]
-
-
-def test_what_is_known_is_put_in_words(line, roll):
-    line.needs[7] = 0.0214
-    roll.call(request)
-    assert roll.in_words() == {
-        "steer_FR": "ID 18: answers after 21 ms, which holds up the others: check its return delay time, its "
-        "cable and its supply"
-    }

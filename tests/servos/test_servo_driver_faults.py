@@ -7,27 +7,9 @@ from servo_cycles import CYCLE_NS, ROLLING, SECOND, STILL, between, cycles, stat
 from servo_wire import Wire
 
 from hil.fakes.fault import parse_fault
-from hil.fakes.serial_line import LINE_FAULTS
-from hil.fakes.servos import BUS_FAULTS, SERVO_FAULTS
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.vocabulary.signals import Status
-
-
-def test_all_faults_of_this_file_are_the_supported_ones():
-    assert set(BUS_FAULTS) == {
-        "off",
-        "stuck",
-        "garbage",
-        "wrong",
-        "slow",
-        "delayed",
-        "intermittent",
-        "reset",
-        "brownout",
-        "jump",
-    }
-    assert set(SERVO_FAULTS) - set(BUS_FAULTS) == {"drop", "corrupt"}
-    assert set(LINE_FAULTS) == {"drop", "corrupt", "truncate", "duplicate", "baud_mismatch", "unplug"}
+from tests.selected import every
 
 
 @pytest.mark.parametrize("fault", ["servos:bus_off", "servo.drive_FL:unplug", "servo.9:off"])
@@ -36,9 +18,10 @@ def test_others_are_refused(servo_bench, fault):
         servo_bench(fault, open_driver=False)
 
 
-@pytest.mark.parametrize("joint", range(8))
-@pytest.mark.parametrize("behaviour", ["silent", "skip"])
-@pytest.mark.parametrize("fast", ["auto", False])
+@pytest.mark.parametrize(
+    ("fast", "behaviour", "joint"),
+    every(7, [(f, b, j) for f in ("auto", False) for b in ("silent", "skip") for j in range(8)]),
+)
 def test_a_dead_servo_costs_little_and_takes_nobody_with_it(servo_bench, joint, behaviour, fast):
     bench = servo_bench(after_absent=behaviour, config={"fail_after_s": 60.0, "fast_sync_read": fast})
     bench.driver.enable()
@@ -196,18 +179,20 @@ def test_garbage_is_never_a_number(servo_bench, fault, fast):
 
 
 @pytest.mark.parametrize(
-    "fault",
-    [
-        "servos:drop@1,probability=0.03",
-        "servos:corrupt@1,probability=0.03",
-        "servos:truncate@1,probability=0.03",
-        "servos:duplicate@1,probability=0.2",
-        "servo.4:drop@1,probability=0.1",
-        "servo.4:corrupt@1,probability=0.1",
-        "servo.5:intermittent@1,period_s=0.2,duty=0.3",
-    ],
+    ("fault", "fast"),
+    every(
+        2,
+        [
+            ("servos:drop@1,probability=0.03", "auto"),
+            ("servos:corrupt@1,probability=0.03", False),
+            ("servos:truncate@1,probability=0.03", "auto"),
+            ("servos:duplicate@1,probability=0.2", False),
+            ("servo.4:drop@1,probability=0.1", "auto"),
+            ("servo.4:corrupt@1,probability=0.1", False),
+            ("servo.5:intermittent@1,period_s=0.2,duty=0.3", "auto"),
+        ],
+    ),
 )
-@pytest.mark.parametrize("fast", ["auto", False])
 def test_a_bad_line_costs_readings_but_never_truth(servo_bench, fault, fast):
     bench = servo_bench(fault, config={"fast_sync_read": fast}, seed=7)
     bench.driver.enable()

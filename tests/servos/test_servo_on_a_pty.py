@@ -32,6 +32,8 @@ from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.signals import ServoSetpoint, Status
 
+pytestmark = pytest.mark.alone
+
 IDS = range(1, 9)
 
 

@@ -18,6 +18,8 @@ from hil.vocabulary.signals import Status
 from hil.vocabulary.tracker_feed import FEED_HEAD, FEED_MAGIC, FEED_SUBSCRIBE, INFO_RECORD, POSE_RECORD
 from tests.tracker.software_device import SoftwareT265
 
+pytestmark = pytest.mark.real_time
+
 
 @contextlib.contextmanager
 def serving(world, faces):

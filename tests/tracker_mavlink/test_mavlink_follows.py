@@ -13,6 +13,7 @@ from hil.devices.tracker.mavlink.options import IDEAL, ComputerTruthOptions
 from hil.ring.alignment import Alignment, AlignmentParameters, Mount
 from hil.vocabulary.geometry import between, quat_from_rotvec, quat_rotate, yaw_of_quat
 from hil.vocabulary.signals import Inputs, Status
+from tests.selected import every
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
 
@@ -26,8 +27,9 @@ def aligned(bench, samples):
     return Alignment(AlignmentParameters(tracker=mount)).measure(Inputs(0, 0, tracker=tuple(samples))).tracker
 
 
-@pytest.mark.parametrize("tilt_rad", [FLOOR, WALL])
-@pytest.mark.parametrize(("frame", "in_body"), FRAMES)
+@pytest.mark.parametrize(
+    ("frame", "in_body", "tilt_rad"), every(3, [(*frame, tilt) for frame in FRAMES for tilt in (FLOOR, WALL)])
+)
 def test_the_alignment_gives_back_the_motion_of_the_body(
     mavlink_bench, travelling_plant, tilt_rad, frame, in_body
 ):

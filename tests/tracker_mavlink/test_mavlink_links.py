@@ -22,6 +22,8 @@ from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.signals import Status
 
+pytestmark = pytest.mark.alone
+
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
 
 BAUD = 921_600

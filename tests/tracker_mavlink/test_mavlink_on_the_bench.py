@@ -70,6 +70,7 @@ def test_the_wall_is_driven_by_it_and_the_recording_repeats_bit_for_bit(driven):
     assert opened.bench.config.tracker.model == "mavlink"
 
 
+@pytest.mark.long
 def test_the_estimate_needs_it_and_the_same_seed_gives_the_same_bits(driven):
     first, again = (drive(trajectory=SHORT) for _ in range(2))
     logs = [
@@ -88,6 +89,7 @@ def test_a_correction_of_the_senders_map_is_told_and_the_estimate_stays(distance
     assert error_m < 0.004
 
 
+@pytest.mark.alone
 @pytest.mark.long
 def test_the_same_drive_at_the_wire_in_real_time():
     with hil.open_bench("emulated", seed=1, realtime=True, overrides={**MODEL, **PATIENT}) as bench:
@@ -97,7 +99,10 @@ def test_the_same_drive_at_the_wire_in_real_time():
         assert len(tracker_samples(motion)) > 100
 
 
-@pytest.mark.parametrize("way", [(), ("--realtime",)], ids=["virtual", "wire"])
+@pytest.mark.parametrize(
+    "way",
+    [pytest.param((), id="virtual"), pytest.param(("--realtime",), marks=pytest.mark.real_time, id="wire")],
+)
 def test_the_doctor_finds_it_healthy(capsys, tmp_path, way):
     bench = tmp_path / "bench.toml"
     bench.write_text('schema = 1\nname = "mavlink"\n[tracker]\nmodel = "mavlink"\nbackend = "emulated"\n')
@@ -137,6 +142,7 @@ def test_ids_and_frame_of_the_bench_file_are_those_of_the_emulated_sender():
         assert tracker.identity()["frames"] == "LOCAL_NED, BODY_FRD"
 
 
+@pytest.mark.alone
 def test_discovery_finds_a_sender_on_a_serial_port(mavlink_bench):
     bench = mavlink_bench(options=ComputerTruthOptions())
     face = SerialPty(SerialLine(bench.world, SerialComputer(bench.computer, baud=BAUD)))
@@ -147,6 +153,7 @@ def test_discovery_finds_a_sender_on_a_serial_port(mavlink_bench):
     assert "visual_inertial_odometry" in found.notes[0]
 
 
+@pytest.mark.alone
 def test_discovery_finds_a_sender_at_the_ground_stations_port(mavlink_bench, tmp_path):
     bench = mavlink_bench(options=ComputerTruthOptions())
     face = MavlinkFace(bench.computer, target=("127.0.0.1", 14550))
