@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start
-from hil.cli.attended import answers_option, asked_to_end, operator, watching
-from hil.cli.options import FILE, JSON, OUT, SEED, results_folder
+from hil.cli.attended import answers_option, asked_to_end, operator
+from hil.cli.bench_options import BenchRequest, bench_options
+from hil.cli.options import JSON, OUT, results_folder
 from hil.cli.output import kept_for_json, tell_calls, tell_the_end
 from hil.cli.progress import reporting
-from hil.cli.words import BENCH, DEVICES, FAULT, SCRIPT, SETTING
+from hil.cli.words import SCRIPT
 from hil.vocabulary.clock import local_time
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.files import shown
@@ -61,31 +62,21 @@ class _WithParameters(click.Command):
 
 @click.command(cls=_WithParameters)
 @click.argument("script", type=SCRIPT)
-@click.option(
-    "--bench", type=BENCH, help="Bench file, or a shipped profile [default: the procedure's, emulated]."
-)
-@click.option("--emulate", type=DEVICES, help="Devices to emulate: `all`, or names separated by commas.")
-@click.option(
-    "--set",
+@bench_options(
+    "bench",
+    "emulate",
     "settings",
-    multiple=True,
-    type=SETTING,
-    metavar="KEY=VALUE",
-    help="Parameter of the procedure, or `bench.KEY` of the bench file.",
-)
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
-@start.option
-@click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
-@click.option(
-    "--fault",
+    "seed",
+    "start_pose",
+    "realtime",
     "faults",
-    multiple=True,
-    type=FAULT,
-    metavar="SPEC",
-    help="DEVICE:KIND[@START_S[+DURATION_S]][,OPTION=NUMBER...] in world time, e.g. imu:stuck@2+3; "
-    "repeatable. docs/faults.md lists devices, kinds and options.",
+    "calibration",
+    bench={"default": None, "help": "Bench file, or a shipped profile [default: the procedure's, emulated]."},
+    faults={
+        "help": "DEVICE:KIND[@START_S[+DURATION_S]][,OPTION=NUMBER...] in world time, e.g. imu:stuck@2+3; "
+        "repeatable. docs/faults.md lists devices, kinds and options."
+    },
 )
-@click.option("--calibration", type=FILE, help="calibration.toml to apply.")
 @click.option("--out", type=OUT, help="Results folder [default: out/NAME/TIME].")
 @click.option("--resume", is_flag=True, help="Continue an interrupted run (of --out, else the latest).")
 @click.option(
@@ -104,14 +95,7 @@ class _WithParameters(click.Command):
 @JSON
 def command(
     script: str,
-    bench: str | None,
-    emulate: str | None,
-    settings: tuple[str, ...],
-    seed: int,
-    start_pose: str | None,
-    realtime: bool,
-    faults: tuple[str, ...],
-    calibration: Path | None,
+    request: BenchRequest,
     out: Path | None,
     resume: bool,
     dry: bool,
@@ -126,24 +110,14 @@ def command(
 
     Example: hil run bring_up --quick --set watch_s=2
     """
-    from hil.procedure.bench_source import BenchSource
     from hil.procedure.parameters import split_settings
     from hil.procedure.scripts import load_procedure
 
     with kept_for_json(as_json):
         proc = load_procedure(script)
-    given, overrides = split_settings(settings)
+    given, overrides = split_settings(request.settings)
     parameters = proc.settings(given, quick=quick)
-    source = BenchSource(
-        bench or proc.bench,
-        emulate=emulate,
-        seed=seed,
-        realtime=realtime,
-        faults=faults,
-        overrides={**overrides, **start.start_override(start_pose)},
-        calibration=calibration,
-        watch=watching(),
-    )
+    source = request.source(overrides, bench=proc.bench)
     if dry:
         from hil.procedure.dry_run import dry_run
 
