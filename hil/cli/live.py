@@ -13,7 +13,7 @@ import click
 
 from hil.cli import start
 from hil.cli.bench_options import BenchRequest, bench_options
-from hil.cli.options import FILE, JSON, FiniteRange, rerun_option, tell_view
+from hil.cli.options import FILE, JSON, FiniteRange, on_recording_failure_option, rerun_option, tell_view
 from hil.cli.output import Answered, tell_the_end, unreadable
 from hil.vocabulary.choices import ESTIMATORS, LAWS
 from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, DeviceError, HilError, UsageError, reason_of
@@ -74,14 +74,7 @@ if TYPE_CHECKING:
 @rerun_option("spawn, connect, serve, a rerun+http:// URL or a .rrd file; several with commas.")
 @click.option("--record", type=FILE, help="Recording to write, a new file [default: out/live/TIME.mcap].")
 @click.option("--no-record", "unrecorded", is_flag=True, help="Write no recording.")
-@click.option(
-    "--on-recording-failure",
-    "on_failure",
-    type=click.Choice(["stop", "go-on"]),
-    default="stop",
-    show_default=True,
-    help="When the disk no longer takes the recording.",
-)
+@on_recording_failure_option("the recording")
 @bench_options("calibration", "start_pose", "seed")
 @click.option(
     "--replay", "repeated", type=FILE, help="Recording whose motion the emulated robot repeats, at the wire."

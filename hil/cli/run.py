@@ -11,7 +11,7 @@ import click
 from hil.cli import start
 from hil.cli.attended import answers_option, asked_to_end, operator
 from hil.cli.bench_options import BenchRequest, bench_options
-from hil.cli.options import JSON, OUT, results_folder
+from hil.cli.options import JSON, OUT, on_recording_failure_option, results_folder
 from hil.cli.output import kept_for_json, tell_calls, tell_the_end
 from hil.cli.progress import reporting
 from hil.cli.words import SCRIPT
@@ -21,8 +21,6 @@ from hil.vocabulary.files import shown
 from hil.vocabulary.result_files import JOURNAL
 
 if TYPE_CHECKING:
-    from hil.procedure.declaration import Procedure
-    from hil.procedure.interrupts import Interrupts
     from hil.procedure.results import Result
     from hil.recording.mcap_writer import OnFailure
 
@@ -84,14 +82,7 @@ class _WithParameters(click.Command):
 )
 @click.option("--quick", is_flag=True, help="The procedure's quick form; --set counts above it.")
 @answers_option
-@click.option(
-    "--on-recording-failure",
-    "on_failure",
-    type=click.Choice(["stop", "go-on"]),
-    default="stop",
-    show_default=True,
-    help="When the disk no longer takes recording or journal.",
-)
+@on_recording_failure_option("recording or journal")
 @JSON
 def command(
     script: str,
@@ -111,7 +102,9 @@ def command(
     Example: hil run bring_up --quick --set watch_s=2
     """
     from hil.procedure.parameters import split_settings
+    from hil.procedure.runner import RunOptions, run_procedure
     from hil.procedure.scripts import load_procedure
+    from hil.vocabulary.clock import MonotonicClock
 
     with kept_for_json(as_json):
         proc = load_procedure(script)
@@ -128,38 +121,8 @@ def command(
     interrupts = asked_to_end()
     with interrupts.installed(), interrupts.deferred():
         folder = results_folder(proc.name, out, JOURNAL if resume else None)
-        with kept_for_json(as_json):
-            result = _run(proc, source, folder, parameters, answers, resume, on_failure, interrupts)
-        for problem in filter(None, (result.error, *result.teardown_errors)):
-            tell_calls(problem.frames, problem.place)
-        report, code = _report_of(result)
-        if as_json:
-            tree = result.to_json() | {"folder": str(result.folder), "report": report}
-            tell_the_end(json.dumps(tree, allow_nan=False), result.facts["held"])
-        else:
-            tell_the_end(text_of(result), result.facts["held"])
-            click.echo(f"report: {shown(Path(report)) if report else 'could not be written'}")
-    return code
-
-
-def _run(
-    proc: Procedure,
-    source: Any,
-    folder: Path,
-    parameters: dict[str, Any],
-    answers: Path | None,
-    resume: bool,
-    on_failure: OnFailure,
-    interrupts: Interrupts,
-) -> Result:
-    from hil.procedure.runner import RunOptions, run_procedure
-    from hil.vocabulary.clock import MonotonicClock
-
-    with reporting() as report:
-        return run_procedure(
-            proc,
-            source,
-            RunOptions(
+        with kept_for_json(as_json), reporting() as report:
+            options = RunOptions(
                 folder=folder,
                 clock=MonotonicClock(),
                 started=local_time(),
@@ -169,8 +132,18 @@ def _run(
                 resume=resume,
                 on_recording_failure=on_failure,
                 interrupts=interrupts,
-            ),
-        )
+            )
+            result = run_procedure(proc, source, options)
+        for problem in filter(None, (result.error, *result.teardown_errors)):
+            tell_calls(problem.frames, problem.place)
+        page, code = _report_of(result)
+        if as_json:
+            tree = result.to_json() | {"folder": str(result.folder), "report": page}
+            tell_the_end(json.dumps(tree, allow_nan=False), result.facts["held"])
+        else:
+            tell_the_end(text_of(result), result.facts["held"])
+            click.echo(f"report: {shown(Path(page)) if page else 'could not be written'}")
+    return code
 
 
 def _report_of(result: Result) -> tuple[str | None, int]:
