@@ -93,12 +93,12 @@ class BenchRequest:
     faults: tuple[str, ...] = ()
     calibration: Path | None = None
 
-    def source(self, overrides: Mapping[str, object], *, bench: str = "emulated") -> BenchSource:
+    def source(self, overrides: Mapping[str, object], *, otherwise: str = "") -> BenchSource:
         """The bench to open, which a program that reads the progress watches.
 
         Args:
             overrides: keys of the bench file to values; `--start` comes on top of them.
-            bench: to open where none was named.
+            otherwise: bench to open where none was named.
 
         Raises:
             UsageError: `--start` is no pose.
@@ -106,7 +106,7 @@ class BenchRequest:
         from hil.procedure.bench_source import BenchSource
 
         return BenchSource(
-            self.bench or bench,
+            self.bench or otherwise,
             emulate=self.emulate,
             seed=self.seed,
             realtime=self.realtime,

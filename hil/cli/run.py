@@ -110,7 +110,7 @@ def command(
         proc = load_procedure(script)
     given, overrides = split_settings(request.settings)
     parameters = proc.settings(given, quick=quick)
-    source = request.source(overrides, bench=proc.bench)
+    source = request.source(overrides, otherwise=proc.bench)
     if dry:
         from hil.procedure.dry_run import dry_run
 

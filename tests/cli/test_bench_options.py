@@ -8,7 +8,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from hil.cli import cli
+from hil.cli import cli, main
 from hil.cli.bench_options import BenchRequest, bench_options
 
 SHARED = ("--bench", "--emulate", "--set", "--seed", "--start", "--realtime", "--fault", "--calibration")
@@ -50,10 +50,18 @@ def test_the_help_keeps_their_order_and_a_help_of_ones_own() -> None:
 
 def test_start_and_settings_of_a_request_reach_the_bench() -> None:
     asked = BenchRequest(seed=4, start_pose="0.5, 1.0, 90deg", emulate="all")
-    source = asked.source({"loop.rate_hz": 50.0}, bench="emulated_floor")
+    source = asked.source({"loop.rate_hz": 50.0}, otherwise="emulated_floor")
     assert (source.seed, source.config.loop.rate_hz) == (4, 50.0)
     assert source.config.environment.start_pose == pytest.approx((0.5, 1.0, 1.5707963267948966))
-    assert BenchRequest(bench="emulated").source({}, bench="emulated_floor").bench == "emulated"
+    assert BenchRequest(bench="emulated").source({}, otherwise="emulated_floor").bench == "emulated"
+
+
+@pytest.mark.parametrize("command", ["accept", "commission", "doctor", "live"])
+def test_a_bench_without_a_name_is_not_the_emulated_one(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([command, "--bench", ""]) == 2
 
 
 @pytest.mark.parametrize("option", SHARED)
