@@ -18,23 +18,17 @@ from hil.cli.words import BENCH, DEVICES, FAULT, SETTING
 if TYPE_CHECKING:
     from hil.procedure.bench_source import BenchSource
 
+_stated = partial(partial, click.option)
+"""An option that waits for what a command says otherwise."""
+
 _OPTIONS = {
-    "bench": partial(
-        click.option,
-        "--bench",
-        type=BENCH,
-        default="emulated",
-        show_default=True,
-        help="Bench file or profile name.",
+    "bench": _stated(
+        "--bench", type=BENCH, default="emulated", show_default=True, help="Bench file or profile name."
     ),
-    "emulate": partial(
-        click.option,
-        "--emulate",
-        type=DEVICES,
-        help="Devices to emulate: `all`, or names separated by commas.",
+    "emulate": _stated(
+        "--emulate", type=DEVICES, help="Devices to emulate: `all`, or names separated by commas."
     ),
-    "settings": partial(
-        click.option,
+    "settings": _stated(
         "--set",
         "settings",
         multiple=True,
@@ -42,22 +36,16 @@ _OPTIONS = {
         metavar="KEY=VALUE",
         help="Parameter of the procedure, or `bench.KEY` of the bench file.",
     ),
-    "seed": partial(
-        click.option, "--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world."
-    ),
-    "start_pose": partial(
-        click.option,
+    "seed": _stated("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world."),
+    "start_pose": _stated(
         "--start",
         "start_pose",
         metavar="X,Y,THETA",
         help="Where the robot stands if no motion capture sees it: m, m, rad (or 5deg) in the wall frame; "
         "an emulated robot is put there [default: environment.start_pose].",
     ),
-    "realtime": partial(
-        click.option, "--realtime", is_flag=True, help="Emulated devices at the wire, in real time."
-    ),
-    "faults": partial(
-        click.option,
+    "realtime": _stated("--realtime", is_flag=True, help="Emulated devices at the wire, in real time."),
+    "faults": _stated(
         "--fault",
         "faults",
         multiple=True,
@@ -65,7 +53,7 @@ _OPTIONS = {
         metavar="SPEC",
         help="Fault, for example imu:stuck@2+3 (repeatable).",
     ),
-    "calibration": partial(click.option, "--calibration", type=FILE, help="calibration.toml to apply."),
+    "calibration": _stated("--calibration", type=FILE, help="calibration.toml to apply."),
 }
 
 
