@@ -62,7 +62,7 @@ class RunBenches:
 
     @property
     def bench(self) -> Bench:
-        """As `Context.bench`."""
+        """As `Context.bench`; raises `ConfigError`."""
         if self.left_behind:
             raise ConfigError(
                 "the emulated robot is no longer where the run that was cut off had left it",

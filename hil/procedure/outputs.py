@@ -87,7 +87,7 @@ class Notebook:
         return entry
 
     def measure(self, name: str, value: float | bool) -> None:
-        """As `Context.measure`, which a script calls."""
+        """As `Context.measure`, which a script calls; raises `UsageError`."""
         if name not in self._by_name:
             raise UsageError(
                 f"measurement {name!r} is not declared", expected="one of " + ", ".join(self._by_name)
@@ -134,7 +134,7 @@ class Notebook:
     def table(
         self, title: str, head: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""
     ) -> None:
-        """As `Context.table`."""
+        """As `Context.table`; raises `UsageError`."""
         self._must_be_new("table", title, self.findings.tables)
         cells = [[_cell(v) for v in row] for row in rows]
         for number, row in enumerate(cells, start=1):
@@ -148,7 +148,7 @@ class Notebook:
         self.findings.tables.append(entry)
 
     def figure(self, figure: Figure | Callable[[], Figure], title: str, caption: str = "") -> None:
-        """As `Context.figure`."""
+        """As `Context.figure`; raises `UsageError`."""
         if self.keep == "results":
             return
         self._must_be_new("figure", title, self.findings.figures)
@@ -159,7 +159,7 @@ class Notebook:
             raise UsageError(f"{what} {title!r} exists twice", expected="a title of its own")
 
     def draw(self, figure: Figure | Callable[[], Figure], title: str, caption: str) -> None:
-        """Save a figure, whatever its title."""
+        """Save a figure, whatever its title; raises `UsageError` for what is none."""
         from matplotlib.figure import Figure
 
         from hil.report.figures import save_figure
@@ -197,7 +197,7 @@ class Notebook:
         return inside
 
     def leave_data(self, name: str, value: Any) -> None:
-        """As `Context.leave_data`."""
+        """As `Context.leave_data`; raises `UsageError`."""
         found = as_json(f"data {name!r}", value, default=_plain)
         self.journal.add("data", {"name": name, "value": found})
         self.findings.data[name] = found
