@@ -11,10 +11,10 @@ from operator import attrgetter
 import numpy as np
 
 from hil.bench.beginning import blind_to_the_drive, emulated_hold, must_begin_where_it_stands
+from hil.bench.blueprint import Blueprint
 from hil.bench.held_rig import HeldRig
 from hil.bench.inertial_offsets import InertialWatch
 from hil.bench.settings import real_time
-from hil.config.bench import BenchConfig
 from hil.fakes.fault import Fault
 from hil.fakes.plant_api import PlantState
 from hil.fakes.world import World
@@ -24,7 +24,6 @@ from hil.ring.motion import Motion
 from hil.ring.own_parts import own_name
 from hil.ring.realtime import warm_up
 from hil.ring.rig import Rig
-from hil.robot.kinematics import WheelGeometry
 from hil.robot.trajectories import Trajectory
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.errors import ConfigError, DeviceError, check_number
@@ -49,6 +48,8 @@ class Bench(HeldRig):
     """Devices, clock, loop and configuration of one bench; use it as a context manager.
 
     Attributes:
+        model: what follows from its configuration alone, without devices and clock.
+        config, geometry, seed, calibration: those of the model.
         clock: virtual or monotonic.
         rig: the devices.
         world: the emulated world where it lives in this process, else None.
@@ -70,35 +71,21 @@ class Bench(HeldRig):
 
     def __init__(
         self,
-        config: BenchConfig,
+        model: Blueprint,
         clock: Clock,
         rig: Rig,
         *,
-        geometry: WheelGeometry,
         world: World | None = None,
-        calibration: str = "",
-        fitted_with: str = "",
-        seed: int = 0,
         sinks: tuple[Sink, ...] = (),
         faults: tuple[Fault, ...] = (),
     ) -> None:
-        super().__init__(
-            config,
-            clock,
-            rig,
-            geometry=geometry,
-            calibration=calibration,
-            fitted_with=fitted_with,
-            seed=seed,
-            sinks=sinks,
-            faults=faults,
-        )
+        super().__init__(model, clock, rig, sinks=sinks, faults=faults)
         self.world = world
         self._left: RobotState | None = None
         self.warnings: list[str] = []
-        self._inertial = InertialWatch(config)
+        self._inertial = InertialWatch(self.config)
         self.statistics = LoopStatistics()
-        self.real_time = real_time(config, clock)
+        self.real_time = real_time(self.config, clock)
 
     def truth(self) -> PlantState | None:
         """Physical truth of an emulated robot in this process; None on anything else."""
@@ -281,7 +268,7 @@ class Bench(HeldRig):
         if start.trajectory is not None:
             self._not_looked_at("it has been driven since bench.look() was called")
             self._warn(blind_to_the_drive(self.config))
-            self._tilt.must_agree()
+            self._hold.tilt.must_agree()
             if start.feedback != "odometry":
                 self._inertial.must_be_usable()
             until = self._until_tilted(until)
@@ -310,14 +297,14 @@ class Bench(HeldRig):
 
     def _until_tilted(self, until: Until) -> Until:
         """The same, which judges the tilt once more, as soon as the IMU has told enough of it in this run."""
-        self._tilt.forget()
+        self._hold.tilt.forget()
         judged = False
 
         def watched(record: CycleRecord) -> bool:
             nonlocal judged
-            if not judged and self._tilt.known:
+            if not judged and self._hold.tilt.known:
                 judged = True
-                self._tilt.must_agree()
+                self._hold.tilt.must_agree()
             return until(record)
 
         return watched

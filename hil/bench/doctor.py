@@ -61,7 +61,7 @@ def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> I
         yield from tilt_finding(bench.config, seen)
         yield from unexplained_force(bench.config, seen)
         yield from slipped_between(bench.config, seen)
-        yield from changed_between(bench.config, bench.alignment_parameters, seen)
+        yield from changed_between(bench.config, bench.model.alignment_parameters, seen)
     finally:
         bench.close()
 
@@ -70,9 +70,9 @@ def _calibration(bench: Bench) -> Iterator[Finding]:
     """Calibrated wheels belong to the wheel model that they were fitted with."""
     if not bench.calibration:
         return
-    used, wanted = bench.config.estimator.wheels.model, wheel_model(bench.fitted_with)
+    used, wanted = bench.config.estimator.wheels.model, wheel_model(bench.model.fitted_with)
     level: Level = "ok" if used == wanted else "warning"
-    found = f"{bench.calibration}, fitted with the {bench.fitted_with} model; estimated with {used}"
+    found = f"{bench.calibration}, fitted with the {bench.model.fitted_with} model; estimated with {used}"
     remedy = f'set estimator.wheels.model to "{wanted}", or leave it out of the bench file'
     yield Finding("bench", "calibration", level, found, f"estimator.wheels.model {wanted}", remedy)
 

@@ -8,25 +8,22 @@ from contextlib import ExitStack
 from types import TracebackType
 from typing import TypeVar
 
-import numpy as np
-
 from hil.bench.blueprint import Blueprint
 from hil.bench.by_need import by_need
 from hil.bench.hanging import Hanging
 from hil.bench.held import Held, untouched
 from hil.bench.holding import HoldWatch
 from hil.bench.not_begun import not_begun, not_begun_in_words
-from hil.bench.pressing import press_watch
 from hil.bench.replug import replugged
 from hil.bench.settings import can_fall, fail_limits
-from hil.bench.tilt import TiltWatch
 from hil.bench.wheel_feed import wheel_feed
-from hil.config.bench import BenchConfig
+from hil.controller.joint_script import JointScript
 from hil.fakes.fault import Fault
 from hil.recording.clocks import ptp_offsets
 from hil.recording.frames import describe_clock
+from hil.ring.loop import Brain
 from hil.ring.rig import Rig
-from hil.robot.kinematics import WheelGeometry
+from hil.robot.trajectories import Trajectory
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.errors import UsageError, check_number
 from hil.vocabulary.interfaces import HELD_NOTE, Sink
@@ -36,42 +33,15 @@ _LOOK_S = 1.0
 Opened = TypeVar("Opened", bound="HeldRig")
 
 
-class HeldRig(Blueprint):
-    """A blueprint with its clock, devices and sinks; use it as a context manager.
-
-    Attributes:
-        clock: virtual or monotonic.
-        rig: the devices.
-        pressed: the force with which a robot was pressed on its wall before its servos got torque, in words;
-            empty where nobody measures it.
-        held: what `look` or, at the end, `close` found last. A robot that was not checked since devices were
-            opened or it was driven is NOT HELD, "not checked"; one whose servos were not opened is not
-            `opened`.
-        tells_held: whether a warning is logged where it is left NOT HELD; whoever says so otherwise takes it
-            back.
-        waits_for_sensors: whether a lost sensor is waited for beyond its `fail_after_s`, in real time: for
-            those who watch a robot that nobody drives. Said before it is entered.
-        lost: what devices failed of that ended one of its runs, in words.
-        faults: planned for its emulated devices.
-    """
+class HeldRig:
+    """The part of `Bench` that opens, holds and closes; its attributes are described there."""
 
     def __init__(
-        self,
-        config: BenchConfig,
-        clock: Clock,
-        rig: Rig,
-        *,
-        geometry: WheelGeometry,
-        calibration: str,
-        fitted_with: str,
-        seed: int,
-        sinks: tuple[Sink, ...],
-        faults: tuple[Fault, ...],
+        self, model: Blueprint, clock: Clock, rig: Rig, *, sinks: tuple[Sink, ...], faults: tuple[Fault, ...]
     ) -> None:
-        super().__init__(
-            config, geometry=geometry, calibration=calibration, fitted_with=fitted_with, seed=seed
-        )
-        self.clock, self.rig = clock, rig
+        self.model, self.clock, self.rig = model, clock, rig
+        self.config, self.geometry = model.config, model.geometry
+        self.seed, self.calibration = model.seed, model.calibration
         self.held = untouched("no device was opened: the robot is as it was before")
         self.tells_held = True
         self.waits_for_sensors = False
@@ -82,18 +52,7 @@ class HeldRig(Blueprint):
         self._closed_ns: int | None = None
         self._looked_ns: int | None = None
         self.pressed = ""
-        self._tilt = TiltWatch(config)
-        self._hold = HoldWatch(
-            rig,
-            clock,
-            press_watch(config, rig),
-            self._tilt,
-            radius_m=float(np.mean(geometry.radius_m)),
-            on_wall=self.on_wall,
-            can_fall=can_fall(config),
-            lightest_m_s2=config.safety.adhesion_limit_m_s2,
-            elsewhere=config.elsewhere(),
-        )
+        self._hold = HoldWatch(model, rig, clock)
         self._sinks = list(sinks)
         self._stack = ExitStack()
         self._before_opening: list[Callable[[], object]] = []
@@ -113,7 +72,7 @@ class HeldRig(Blueprint):
         self._not_looked_at("the bench is open, and bench.look() was not called")
         try:
             self.pressed = Hanging(self.config, self.rig, self.clock).hold()
-            self._sinks += [*by_need(self.config, self.rig), *wheel_feed(self, self.rig)]
+            self._sinks += [*by_need(self.config, self.rig), *wheel_feed(self.model, self.rig)]
             if self.on_wall and self.rig.servos is not None:
                 self.rig.servos.enable()
         except BaseException:
@@ -213,11 +172,41 @@ class HeldRig(Blueprint):
             sink.close()
         self._sinks.clear()
 
+    def make_brain(
+        self,
+        trajectory: Trajectory | JointScript | None,
+        *,
+        controller: str | None = None,
+        feedback: str = "ekf",
+        observers: tuple[str, ...] = (),
+    ) -> Brain:
+        """The deterministic part of the loop for one motion or script (also what replay runs).
+
+        Raises:
+            UsageError: unknown feedback or controller.
+        """
+        return self.model.make_brain(
+            trajectory, controller=controller, feedback=feedback, observers=observers
+        )
+
+    def check(self, trajectory: Trajectory, *, known: Trajectory | None = None) -> None:
+        """Refuse what the limits cannot follow.
+
+        Args:
+            trajectory: what is asked for.
+            known: was checked before; the segments that both end with are not looked at again.
+
+        Raises:
+            TrajectoryError: with the first offending time.
+            UsageError: it is no trajectory.
+        """
+        self.model.check(trajectory, known=known)
+
     def header(self) -> dict[str, object]:
-        """As of a blueprint, and where its clock stands against the time of day, now."""
+        """As of the model, and where the clock stands against the time of day, now."""
         wall = self.clock.wall_offset()
         ptp = [] if wall is None else [one._asdict() for one in ptp_offsets(self.clock.now_ns)]
-        return {**super().header(), "clock": describe_clock(wall, ptp)}
+        return {**self.model.header(), "clock": describe_clock(wall, ptp)}
 
     def _note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
         """Tell the sinks something that belongs between two cycles."""
@@ -230,7 +219,7 @@ class HeldRig(Blueprint):
 
     def _steeper(self) -> str:
         """What speaks against letting go of a robot without a tether that the bench file has on a floor."""
-        return "" if self.config.safety.tethered else self._tilt.steeper()
+        return "" if self.config.safety.tethered else self._hold.tilt.steeper()
 
     @property
     def on_wall(self) -> bool:

@@ -16,9 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from hil.bench.blueprint import Blueprint
 from hil.bench.held import Held, State, lacking_in_words, on_the_floor
 from hil.bench.leaps import Leaps
-from hil.bench.pressing import PressWatch
+from hil.bench.pressing import press_watch
+from hil.bench.settings import can_fall
 from hil.bench.sighting import JOINTS, WINDOW_NS, Trail, Travel
 from hil.bench.tilt import TiltWatch
 from hil.ring.rig import Rig
@@ -61,35 +63,20 @@ class HoldWatch(Sink):
     """Sees the robot's cycles go by, so that it knows where the robot stood when it was stopped.
 
     Args:
+        model: of the bench. Devices in another world than the servos see another robot, and are not asked.
         rig: devices of the bench.
         clock: the bench clock.
-        press: of what presses it on its wall.
-        tilt: of how steep it stands: "on the floor" is believed only where it does not say otherwise.
-        radius_m: of the wheels, to turn their angles into a way.
-        on_wall: whether the robot has to be held at all.
-        can_fall: whether nothing else holds it there: somebody then has to see that it does not slide.
-        lightest_m_s2: specific force below which it is falling.
-        elsewhere: devices in another world than the servos: they see another robot, and are not asked.
 
     Attributes:
+        tilt: how steep it stands: "on the floor" is believed only where that does not say otherwise.
         last_state: as the latest cycle estimated it; None before.
     """
 
-    def __init__(
-        self,
-        rig: Rig,
-        clock: Clock,
-        press: PressWatch,
-        tilt: TiltWatch,
-        *,
-        radius_m: float,
-        on_wall: bool,
-        can_fall: bool,
-        lightest_m_s2: float,
-        elsewhere: Collection[str] = (),
-    ) -> None:
-        self._press, self._tilt = press, tilt
-        self._lightest_m_s2 = lightest_m_s2
+    def __init__(self, model: Blueprint, rig: Rig, clock: Clock) -> None:
+        config, elsewhere = model.config, model.config.elsewhere()
+        self.tilt = TiltWatch(config)
+        self._press = press_watch(config, rig)
+        self._lightest_m_s2 = config.safety.adhesion_limit_m_s2
         self._felt_m_s2: deque[float] = deque(maxlen=_FELT)
         self._rig, self._clock = rig, clock
         present = [k for k in kinds().values() if rig.get(k.name) is not None]
@@ -97,8 +84,8 @@ class HoldWatch(Sink):
         able = {k.name: k for k in present if k.motion_threshold}
         self._seeing = {name: kind for name, kind in able.items() if name not in elsewhere}
         self._blind = [k.noun for name, k in able.items() if name in elsewhere and k.measures_position]
-        self._on_wall, self._can_fall = on_wall, can_fall
-        self._travel = Travel(self._seeing, radius_m)
+        self._on_wall, self._can_fall = config.environment.on_wall, can_fall(config)
+        self._travel = Travel(self._seeing, float(np.mean(model.geometry.radius_m)))
         tellers = [(name, self._seeing[name]) for name in self._travel.names]
         self._tellers = [(n, samples_of(n), k.motion_value, k.measures_position) for n, k in tellers]
         self._doubted: dict[str, bool] = {}
@@ -114,7 +101,7 @@ class HoldWatch(Sink):
         if math.isfinite(heading_rad):  # the last cycle before a stop has no estimate
             self._press.heading_rad = heading_rad
             self.last_state, estimated = record.state, pose[:2]
-        self._tilt.saw(inputs.imu)
+        self.tilt.saw(inputs.imu)
         passed, t_ns = self._travel.passed, inputs.t_ns
         for name, among, told_by, is_place in self._tellers:
             for sample in among(inputs):
@@ -127,7 +114,7 @@ class HoldWatch(Sink):
 
     def passed_over(self, inputs: Inputs) -> None:
         """Take what has piled up before a run and goes to nobody else."""
-        self._tilt.saw(inputs.imu)
+        self.tilt.saw(inputs.imu)
         for name, among, told_by, is_place in self._tellers:
             for sample in among(inputs) if is_place else ():
                 place = told_by(sample)
@@ -199,8 +186,8 @@ class HoldWatch(Sink):
             )
             doubt = doubt or unpressed or self._doubt_of_floor()
             early = hold.t_ns - began_ns < _ALL_NS
-            slow = self._tilt.begun and hold.t_ns - began_ns < _SLOW_NS
-            unsure = (early or slow) and not self._on_wall and not self._tilt.known
+            slow = self.tilt.begun and hold.t_ns - began_ns < _SLOW_NS
+            unsure = (early or slow) and not self._on_wall and not self.tilt.known
             if unsure or (early and any(trail.fills(hold.t_ns) for trail in trails.values())):
                 doubt = doubt or "not all that see the robot have seen it for long enough"
             if not hold.wanted and not unsure:
@@ -284,7 +271,7 @@ class HoldWatch(Sink):
         for sample in samples:
             if isinstance(sample, ImuSample) and sample.status is Status.OK:
                 self._felt_m_s2.append(_felt_m_s2(sample))
-                self._tilt.saw((sample,))
+                self.tilt.saw((sample,))
             if name in self._travel.names and worst(sample) is Status.RESET:
                 self._travel.begins_anew(name)
                 self._leaps.begins_anew(name)
@@ -339,7 +326,7 @@ class HoldWatch(Sink):
 
     def _doubt_of_floor(self) -> str:
         """What the IMU says against the floor, or against a tilt for which what must hold it is reckoned."""
-        steeper = self._tilt.steeper()
+        steeper = self.tilt.steeper()
         return f"{steeper}: secure the robot, and correct environment.tilt_rad" if steeper else ""
 
     def _nobody_sees_a_slide(self, seen: Collection[str]) -> str:

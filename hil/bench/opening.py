@@ -75,22 +75,18 @@ def open_bench(
     if start_pose is not None:
         overrides = {**(overrides or {}), "environment.start_pose": [float(v) for v in start_pose]}
     checked = load_bench(config, emulate=emulate, overrides=overrides, seed=seed).settled(realtime=realtime)
-    checked, fitted = _calibrated(checked, calibration)
-    checked = with_wheel_sigma(checked)
-    emulated = checked.emulated()
-    common: dict[str, Any] = {**fitted, "seed": seed, "sinks": sinks}
-    if not emulated:
-        planned_faults(checked, faults)
+    model = _model(with_wheel_sigma(checked), calibration, int(seed))
+    checked, plan = model.config, planned_faults(model.config, faults)
+    if not checked.emulated():
         clock = MonotonicClock()
-        return Bench(checked, clock, make_rig(checked, clock, {}), **common)
-    common["faults"] = plan = planned_faults(checked, faults)
-    if realtime or len(emulated) < len(checked.devices()):
-        return _at_the_wire(checked, plan, seed, common)
+        return Bench(model, clock, make_rig(checked, clock, {}), sinks=sinks)
+    if realtime or len(checked.emulated()) < len(checked.devices()):
+        return _at_the_wire(model, plan, sinks)
     world = build_world(checked, seed=seed, faults=plan)
     connected = connect_in_process(checked, world)
     virtual = VirtualClock(world)
     rig = make_rig(checked, virtual, connected.connections, world.failures)
-    bench = Bench(checked, virtual, rig, world=world, **common)
+    bench = Bench(model, virtual, rig, world=world, sinks=sinks, faults=plan)
     bench.on_close(connected.close)
     return bench
 
@@ -105,21 +101,22 @@ def plan_bench(config: str | Path | BenchConfig, *, calibration: str | Path | No
     Raises:
         ConfigError: the configuration or the calibration is wrong.
     """
-    checked, fitted = _calibrated(load_bench(config), calibration)
-    return Blueprint(checked, **fitted)
+    return _model(load_bench(config), calibration, 0)
 
 
-def _at_the_wire(config: BenchConfig, plan: tuple[Fault, ...], seed: int, common: Any) -> Bench:
+def _at_the_wire(model: Blueprint, plan: tuple[Fault, ...], sinks: tuple[Sink, ...]) -> Bench:
+    config = model.config
     served = config.model_copy(update={"emulation": config.emulation.model_copy(update={"faults": ()})})
     if plan:
         check_faults(served, plan)
     try:
-        emulator = EmulatorProcess(served, seed=seed, faults=[describe(f) for f in plan])
+        emulator = EmulatorProcess(served, seed=model.seed, faults=[describe(f) for f in plan])
     except DeviceError:
         check_faults(served, plan)  # where a key of the bench file is at fault, that is told instead
         raise
     clock = MonotonicClock()
-    bench = Bench(config, clock, make_rig(config, clock, _reach(config, emulator.endpoints)), **common)
+    rig = make_rig(config, clock, _reach(config, emulator.endpoints))
+    bench = Bench(model, clock, rig, sinks=sinks, faults=plan)
     bench.on_open(emulator.begin)
     bench.on_close(emulator.close)
     return bench
@@ -135,15 +132,19 @@ def _reach(config: BenchConfig, endpoints: Mapping[str, Mapping[str, Any]]) -> d
     return found
 
 
-def _calibrated(config: BenchConfig, given: str | Path | None) -> tuple[BenchConfig, dict[str, Any]]:
-    """The configuration with the calibration's wheel model, and what the bench is told of its wheels."""
+def _model(config: BenchConfig, given: str | Path | None, seed: int) -> Blueprint:
+    """What follows from a configuration, with the wheels of the calibration that it or the caller names."""
     path = given if given is not None else config.calibration
     if path is None:
-        return config, {"geometry": geometry_of(config)}
+        return Blueprint(config, geometry=geometry_of(config), seed=seed)
     found = read_calibration(Path(path))
     check_usable(found, config, str(path))
     if failed := failed_validation(found, str(path)):
         LOG.warning("%s, and is used, as failed_calibration asks", failed)
-    name = f"{Path(path).name} version {found.version}{' (verdict FAIL)' if failed else ''}"
-    told = {"geometry": found.geometry, "calibration": name, "fitted_with": found.model}
-    return with_wheel_model(config, found.model), told
+    return Blueprint(
+        with_wheel_model(config, found.model),
+        geometry=found.geometry,
+        calibration=f"{Path(path).name} version {found.version}{' (verdict FAIL)' if failed else ''}",
+        fitted_with=found.model,
+        seed=seed,
+    )

@@ -8,37 +8,24 @@ from typing import Any
 
 import click
 
-from hil.cli.attended import answers_option, asked_to_end, operator, watching
-from hil.cli.options import JSON, OUT, SEED, results_folder
+from hil.cli.attended import answers_option, asked_to_end, operator
+from hil.cli.bench_options import BenchRequest, bench_options
+from hil.cli.options import JSON, OUT, results_folder
 from hil.cli.progress import reporting
-from hil.cli.words import BENCH, DEVICES, FAULT
 from hil.vocabulary.clock import local_time
 from hil.vocabulary.files import shown
 from hil.vocabulary.result_files import ACCEPTANCE_TABLE
 
 
 @click.command()
-@click.option(
-    "--bench", type=BENCH, default="emulated", show_default=True, help="Bench file or profile name."
-)
+@bench_options("bench")
 @click.option("--on-stand", is_flag=True, help="The wheels are free and may turn: do not ask.")
-@click.option("--emulate", type=DEVICES, help="Devices to emulate: all, or comma-separated names.")
-@click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
-@click.option("--fault", "faults", multiple=True, type=FAULT, metavar="SPEC", help="As for `hil run`.")
+@bench_options("emulate", "realtime", "seed", "faults")
 @answers_option
 @click.option("--out", type=OUT, help="Results folder [default: out/accept/TIME].")
 @JSON
 def command(
-    bench: str,
-    on_stand: bool,
-    emulate: str | None,
-    realtime: bool,
-    seed: int,
-    faults: tuple[str, ...],
-    answers: Path | None,
-    out: Path | None,
-    as_json: bool,
+    request: BenchRequest, on_stand: bool, answers: Path | None, out: Path | None, as_json: bool
 ) -> int:
     """Everything that supplier or lab sign on the first day, on one page.
 
@@ -50,7 +37,6 @@ def command(
     Example: hil accept --bench my.toml
     """
     from hil.procedure.acceptance import Acceptance, accept
-    from hil.procedure.bench_source import BenchSource
     from hil.report.acceptance_page import write_acceptance
     from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, HilError
     from hil.vocabulary.files import check_folder
@@ -60,14 +46,11 @@ def command(
     if (folder / ACCEPTANCE_TABLE).exists():
         raise ConfigError(f"{folder}: holds an acceptance", remedy="choose another --out")
     interrupts = asked_to_end()
-    source = BenchSource(
-        bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults, watch=watching()
-    )
     with interrupts.installed(), interrupts.deferred():
         with reporting() as report:
             told, code = accept(
                 Acceptance(
-                    source,
+                    request.source({}),
                     local_time,
                     on_stand=on_stand,
                     operator=operator(answers),

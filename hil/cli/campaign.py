@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.ended_early import shown_when_ended
 from hil.cli.options import FILE, JSON, OUT
 from hil.cli.output import kept_for_json
 from hil.cli.progress import reporting
-from hil.cli.words import BENCH, DEVICES, FAULT, SCRIPT, SETTING
+from hil.cli.words import SCRIPT
 from hil.vocabulary.errors import EXIT_ABORTED, EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, DataError, UsageError
 from hil.vocabulary.files import check_name, shown, write_text
 from hil.vocabulary.result_files import CAMPAIGN_CSV, CAMPAIGN_PAGE, CAMPAIGN_TABLE, LOST, ROWS, RUNS
@@ -44,20 +45,16 @@ _VERDICTS = {EXIT_PASS: "PASS", EXIT_LIMIT_FAILED: "FAIL"}
     metavar="KEY=A,B,...",
     help="Setting and its values (repeatable). KEY as in --set, or `fault`.",
 )
-@click.option("--bench", type=BENCH, help="Bench file, or a shipped profile [default: the procedure's].")
-@click.option("--emulate", type=DEVICES, help="Devices to emulate: `all`, or names separated by commas.")
-@click.option(
-    "--set",
+@bench_options(
+    "bench",
+    "emulate",
     "settings",
-    multiple=True,
-    type=SETTING,
-    metavar="KEY=VALUE",
-    help="As in hil run, for all cases.",
+    "faults",
+    "calibration",
+    bench={"default": None, "help": "Bench file, or a shipped profile [default: the procedure's]."},
+    settings={"help": "As in hil run, for all cases."},
+    faults={"help": "As in hil run, for all cases."},
 )
-@click.option(
-    "--fault", "faults", multiple=True, type=FAULT, metavar="SPEC", help="As in hil run, for all cases."
-)
-@click.option("--calibration", type=FILE, help="calibration.toml to apply.")
 @click.option("--answers", type=FILE, help="File that answers the operator's prompts.")
 @click.option(
     "--workers",
@@ -80,11 +77,7 @@ def command(
     script: str,
     seeds: str,
     axes: tuple[str, ...],
-    bench: str | None,
-    emulate: str | None,
-    settings: tuple[str, ...],
-    faults: tuple[str, ...],
-    calibration: Path | None,
+    request: BenchRequest,
     answers: Path | None,
     workers: int,
     scheduler: str | None,
@@ -110,11 +103,11 @@ def command(
     cases = expand(parse_seeds(seeds), [parse_axis(text) for text in axes])
     setup = Setup(
         _absolute(script),
-        _optional(bench),
-        emulate,
-        settings,
-        tuple(map(_absolute, faults)),
-        _optional(calibration),
+        _optional(request.bench or None),
+        request.emulate,
+        request.settings,
+        tuple(map(_absolute, request.faults)),
+        _optional(request.calibration),
         _optional(answers),
         keep,
     )

@@ -10,10 +10,10 @@ from typing import Any
 import click
 
 from hil.cli import start
-from hil.cli.attended import answers_option, asked_to_end, operator, watching
-from hil.cli.options import JSON, OUT, SEED, results_folder
+from hil.cli.attended import answers_option, asked_to_end, operator
+from hil.cli.bench_options import BenchRequest, bench_options
+from hil.cli.options import JSON, OUT, results_folder
 from hil.cli.progress import reporting
-from hil.cli.words import BENCH, DEVICES, FAULT
 from hil.vocabulary.clock import local_time
 from hil.vocabulary.files import shown
 from hil.vocabulary.result_files import COMMISSIONING_TABLE
@@ -22,57 +22,34 @@ DEFAULT = "emulated_delivered"
 
 
 @click.command()
-@click.option(
-    "--bench",
-    type=BENCH,
-    default=DEFAULT,
-    show_default=True,
-    help="Bench file of the wall, or a shipped profile.",
-)
+@bench_options("bench", bench={"default": DEFAULT, "help": "Bench file of the wall, or a shipped profile."})
 @click.option("--quick", is_flag=True, help="The short form of every procedure.")
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
+@bench_options("seed")
 @click.option("--out", type=OUT, help="Results folder [default: out/commission/TIME].")
 @click.option(
     "--resume", is_flag=True, help="Continue an interrupted or failed one (of --out, else the latest)."
 )
-@click.option("--emulate", type=DEVICES, help="Devices to emulate: `all`, or names separated by commas.")
-@click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
-@click.option("--set", "settings", multiple=True, metavar="bench.KEY=VALUE", help="Key of the bench file.")
-@click.option("--fault", "faults", multiple=True, type=FAULT, metavar="SPEC", help="As for `hil run`.")
-@start.option
+@bench_options(
+    "emulate",
+    "realtime",
+    "settings",
+    "faults",
+    "start_pose",
+    settings={"metavar": "bench.KEY=VALUE", "help": "Key of the bench file."},
+)
 @answers_option
 @JSON
 def command(
-    bench: str,
-    quick: bool,
-    seed: int,
-    out: Path | None,
-    resume: bool,
-    emulate: str | None,
-    realtime: bool,
-    settings: tuple[str, ...],
-    faults: tuple[str, ...],
-    start_pose: str | None,
-    answers: Path | None,
-    as_json: bool,
+    request: BenchRequest, quick: bool, out: Path | None, resume: bool, answers: Path | None, as_json: bool
 ) -> int:
     """All procedures in order, each using what the others found, up to lines on the wall.
 
     Example: hil commission --quick
     """
-    from hil.procedure.bench_source import BenchSource
     from hil.procedure.commission import Commission, commission
     from hil.vocabulary.clock import MonotonicClock
 
-    source = BenchSource(
-        bench,
-        emulate=emulate,
-        seed=seed,
-        realtime=realtime,
-        faults=faults,
-        overrides={**_overrides(settings), **start.start_override(start_pose)},
-        watch=watching(),
-    )
+    source = request.source(_overrides(request.settings))
     source = source.changed(overrides=start.asked_start(source.config))
     interrupts = asked_to_end()
     folder = results_folder("commission", out, COMMISSIONING_TABLE if resume else None)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import click
 
-from hil.cli.options import JSON, OUT, SEED, FiniteRange
+from hil.cli.bench_options import BenchRequest, bench_options
+from hil.cli.options import JSON, OUT, FiniteRange
 from hil.cli.output import tell_calls
-from hil.cli.words import BENCH, DEVICES, FAULT
 from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "failure": ("FAIL", "red")}
@@ -19,15 +19,7 @@ _LEAST_WATCH_S = 0.1
 
 
 @click.command()
-@click.option(
-    "--bench", type=BENCH, default="emulated", show_default=True, help="Bench file or profile name."
-)
-@click.option("--emulate", type=DEVICES, help="Devices to emulate: all, or comma-separated names.")
-@click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
-@click.option(
-    "--fault", "faults", multiple=True, type=FAULT, help="Fault, for example imu:stuck@2+3 (repeatable)."
-)
+@bench_options("bench", "emulate", "realtime", "seed", "faults")
 @click.option(
     "--watch",
     "watch_s",
@@ -39,17 +31,7 @@ _LEAST_WATCH_S = 0.1
 @click.option("--fix", is_flag=True, help="Print udev rules for the bench's adapters instead.")
 @click.option("--out", type=OUT, help="With --fix: file to write them to.")
 @JSON
-def command(
-    bench: str,
-    emulate: str | None,
-    realtime: bool,
-    seed: int,
-    faults: tuple[str, ...],
-    watch_s: float,
-    fix: bool,
-    out: Path | None,
-    as_json: bool,
-) -> int:
+def command(request: BenchRequest, watch_s: float, fix: bool, out: Path | None, as_json: bool) -> int:
     """Examine every device of a bench without moving it.
 
     Ends with 0 when nothing failed (warnings are allowed), else with 3; with 2 where the bench has no device.
@@ -65,11 +47,17 @@ def command(
     from hil.config.loading import must_have_a_device
 
     if fix or out is not None:
-        return _fix(bench, emulate, fix, out)
+        return _fix(request, fix, out)
     findings = []
-    opened, left_out = open_what_can_be(bench, emulate=emulate, realtime=realtime, seed=seed, faults=faults)
+    opened, left_out = open_what_can_be(
+        request.bench,
+        emulate=request.emulate,
+        realtime=request.realtime,
+        seed=request.seed,
+        faults=request.faults,
+    )
     if not left_out:
-        must_have_a_device(opened.config, bench, "nothing was examined")
+        must_have_a_device(opened.config, request.bench, "nothing was examined")
     width = max((9, *map(len, opened.config.devices()), *(len(f.device) for f in left_out)))
     for finding in chain(left_out, examine(opened, watch_s=watch_s)):
         findings.append(finding)
@@ -90,7 +78,7 @@ def command(
     return EXIT_DEVICE if failed else EXIT_PASS
 
 
-def _fix(bench: str, emulate: str | None, fix: bool, out: Path | None) -> int:
+def _fix(request: BenchRequest, fix: bool, out: Path | None) -> int:
     from hil.bench.host import Host, udev_rules
     from hil.config.loading import load_bench
     from hil.vocabulary.errors import UsageError
@@ -98,7 +86,7 @@ def _fix(bench: str, emulate: str | None, fix: bool, out: Path | None) -> int:
 
     if not fix:
         raise UsageError("--out is for the rules of --fix", remedy="give --fix, too, or redirect the output")
-    rules = udev_rules(load_bench(bench, emulate=emulate), Host().sysfs)
+    rules = udev_rules(load_bench(request.bench, emulate=request.emulate), Host().sysfs)
     if out is None:
         click.echo(rules, nl=False)
     else:

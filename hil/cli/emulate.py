@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options import FILE, OUT, SEED
+from hil.cli.bench_options import BenchRequest, bench_options
+from hil.cli.options import FILE, OUT
 from hil.cli.output import Answered
-from hil.cli.words import BENCH, FAULT
 from hil.vocabulary.clock import sleep_punctually
 from hil.vocabulary.errors import EXIT_PASS, UsageError
 
@@ -35,14 +35,9 @@ _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
 
 
 @click.command()
-@click.option(
-    "--bench", type=BENCH, default="emulated", show_default=True, help="Bench file or profile name."
-)
+@bench_options("bench")
 @click.option("--only", default="", metavar="NAMES", help="Devices, separated by commas [default: all].")
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
-@click.option(
-    "--fault", "faults", multiple=True, type=FAULT, help="Fault, for example imu:stuck@2+3 (repeatable)."
-)
+@bench_options("seed", "faults")
 @click.option(
     "--standard-ports",
     is_flag=True,
@@ -62,10 +57,8 @@ _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
 @click.option("--json", is_flag=True, expose_value=False, hidden=True, help="The line is JSON in any case.")
 @click.option("--await-start", is_flag=True, help="World time stands still until a byte on standard input.")
 def command(
-    bench: str,
+    request: BenchRequest,
     only: str,
-    seed: int,
-    faults: tuple[str, ...],
     standard_ports: bool,
     out: Path | None,
     awaited: Path | None,
@@ -107,7 +100,7 @@ def command(
     file = EndpointsFile(out) if out is not None else None
     said = tuple(filter(None, only.split(",")))
     try:
-        config = load_bench(bench, emulate=said or ("all",))
+        config = load_bench(request.bench, emulate=said or ("all",))
     except NoSuchDevice as error:
         raise UsageError(
             f"--only {error.device}: the bench has no such device",
@@ -119,8 +112,8 @@ def command(
     server = open_emulation(
         config,
         only=names,
-        seed=seed,
-        faults=faults,
+        seed=request.seed,
+        faults=request.faults,
         lifeline=descriptor,
         await_start=await_start,
         standard_ports=standard_ports,

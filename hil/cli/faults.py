@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.ended_early import shown_when_ended
 from hil.cli.options import JSON, OUT
 from hil.cli.progress import reporting
-from hil.cli.words import BENCH, FAULT
+from hil.cli.words import FAULT
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, did_you_mean
 from hil.vocabulary.files import check_file, shown
 from hil.vocabulary.result_files import FAULTS_MATRIX, FAULTS_PAGE
@@ -56,13 +57,7 @@ class Asked:
     type=click.IntRange(1, 100_000),
     help="So many runs with one to four faults at random moments instead.",
 )
-@click.option(
-    "--bench",
-    type=BENCH,
-    default=DEFAULTS["bench"],
-    show_default=True,
-    help="Bench file, or a shipped profile.",
-)
+@bench_options("bench", bench={"default": DEFAULTS["bench"]})
 @click.option(
     "--workers",
     type=click.IntRange(0, 1000),
@@ -80,7 +75,7 @@ def command(
     moments: str,
     plants: str,
     count: int | None,
-    bench: str,
+    request: BenchRequest,
     workers: int,
     out: Path,
     resume: bool,
@@ -94,6 +89,7 @@ def command(
     from hil.report.faults_page import write_faults
 
     began = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    bench = request.bench
     asked = Asked(quick, seeds, only, moments, plants, count, bench)
     cells = _cells(asked)
     check_file(out / FAULTS_PAGE)

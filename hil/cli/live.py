@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import closing, nullcontext
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,28 +12,23 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start
-from hil.cli.attended import watching
-from hil.cli.options import FILE, JSON, SEED, FiniteRange, rerun_option, tell_view
+from hil.cli.bench_options import BenchRequest, bench_options
+from hil.cli.options import FILE, JSON, FiniteRange, on_recording_failure_option, rerun_option, tell_view
 from hil.cli.output import Answered, tell_the_end, unreadable
-from hil.cli.words import BENCH, DEVICES, FAULT
 from hil.vocabulary.choices import ESTIMATORS, LAWS
 from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, DeviceError, HilError, UsageError, reason_of
 from hil.vocabulary.files import check_new_file
 
 if TYPE_CHECKING:
     from hil.bench import Bench
-    from hil.config.bench import BenchConfig
-    from hil.live import LivePlan, LiveSession
+    from hil.live import LiveSession
     from hil.monitor import RerunMonitor
+    from hil.procedure.bench_source import BenchSource
     from hil.recording.mcap_writer import McapRecorder, OnFailure
-    from hil.vocabulary.stop_signals import StopRequest
 
 
 @click.command()
-@click.option(
-    "--bench", type=BENCH, default="emulated", show_default=True, help="Bench file or profile name."
-)
-@click.option("--emulate", type=DEVICES, help="Devices to emulate: all, or comma-separated names.")
+@bench_options("bench", "emulate")
 @click.option(
     "--trajectory",
     "source",
@@ -78,27 +74,15 @@ if TYPE_CHECKING:
 @rerun_option("spawn, connect, serve, a rerun+http:// URL or a .rrd file; several with commas.")
 @click.option("--record", type=FILE, help="Recording to write, a new file [default: out/live/TIME.mcap].")
 @click.option("--no-record", "unrecorded", is_flag=True, help="Write no recording.")
-@click.option(
-    "--on-recording-failure",
-    "on_failure",
-    type=click.Choice(["stop", "go-on"]),
-    default="stop",
-    show_default=True,
-    help="When the disk no longer takes the recording.",
-)
-@click.option("--calibration", type=FILE, help="calibration.toml to use.")
-@start.option
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
+@on_recording_failure_option("the recording")
+@bench_options("calibration", "start_pose", "seed")
 @click.option(
     "--replay", "repeated", type=FILE, help="Recording whose motion the emulated robot repeats, at the wire."
 )
-@click.option(
-    "--fault", "faults", multiple=True, type=FAULT, help="Fault, for example imu:stuck@2+3 (repeatable)."
-)
+@bench_options("faults")
 @JSON
 def command(
-    bench: str,
-    emulate: str | None,
+    request: BenchRequest,
     source: Path | None,
     commands: str,
     dead_man_s: float,
@@ -110,11 +94,7 @@ def command(
     record: Path | None,
     unrecorded: bool,
     on_failure: OnFailure,
-    calibration: Path | None,
-    start_pose: str | None,
-    seed: int,
     repeated: Path | None,
-    faults: tuple[str, ...],
     as_json: bool,
 ) -> int:
     """Run the control-estimate loop at its rate in real time.
@@ -128,15 +108,17 @@ def command(
 
     Example: hil live --bench emulated --duration 20 --rerun spawn
     """
-    from hil.bench import open_bench, plan_bench
-    from hil.live import LivePlan, load_trajectory, open_commands
+    from hil.bench import plan_bench
+    from hil.live import LivePlan, LiveSession, load_trajectory, open_commands
     from hil.vocabulary.stop_signals import StopRequest
 
     _must_agree(source, commands, repeated, record, unrecorded=unrecorded)
-    config = _loaded(bench, emulate, start_pose, repeated, seed)
+    bench = _source(request, repeated)
     reference, known = None, None
     if source is not None:
-        reference, known = load_trajectory(source, plan_bench(config, calibration=calibration).check)
+        reference, known = load_trajectory(
+            source, plan_bench(bench.config, calibration=bench.calibration).check
+        )
     lines = open_commands(commands)
     if lines is not None:
         click.echo(f"velocity commands: {lines.where}", err=True)
@@ -144,11 +126,12 @@ def command(
     stop = StopRequest()
     with stop.noted():
         with nullcontext() if lines is None else closing(lines):
-            opened = open_bench(config, seed=seed, realtime=True, faults=faults, calibration=calibration)
+            opened = bench.open()
             opened.tells_held = False
             with closing(opened):
                 recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
-                session = _session(opened, plan, recorder, _monitor(opened, view), stop)
+                monitor = _monitor(opened, view)
+                session = LiveSession(opened, plan, recorder=recorder, monitor=monitor, stop=stop)
                 _live(session, view, as_json=as_json)
         if recorder is not None and (lost := recorder.objection()) is not None:
             raise lost
@@ -175,34 +158,14 @@ def _must_agree(
         check_new_file(record, "--record")
 
 
-def _loaded(
-    bench: str, emulate: str | None, start_pose: str | None, repeated: Path | None, seed: int
-) -> BenchConfig:
-    """The bench file with where the robot stands, and which recording it repeats."""
-    from hil.config.loading import load_bench, must_have_a_device
+def _source(request: BenchRequest, repeated: Path | None) -> BenchSource:
+    """The bench in real time, with where the robot stands, and which recording it repeats."""
+    from hil.config.loading import must_have_a_device
 
-    overrides = start.start_override(start_pose)
-    if repeated is not None:
-        overrides["emulation.replay"] = str(repeated.resolve())
-    config = load_bench(bench, emulate=emulate, overrides=overrides, seed=seed)
-    must_have_a_device(config, bench, "there is nothing to watch or to move")
-    asked = start.asked_start(config)
-    return load_bench(bench, emulate=emulate, overrides=overrides | asked, seed=seed) if asked else config
-
-
-def _session(
-    bench: Bench,
-    plan: LivePlan,
-    recorder: McapRecorder | None,
-    monitor: RerunMonitor | None,
-    stop: StopRequest,
-) -> LiveSession:
-    """The session that this bench is opened for; a program that reads the progress watches it as well."""
-    from hil.live import LiveSession
-
-    for sink in watching():
-        bench.add_sink(sink)
-    return LiveSession(bench, plan, recorder=recorder, monitor=monitor, stop=stop)
+    overrides = {} if repeated is None else {"emulation.replay": str(repeated.resolve())}
+    source = replace(request, realtime=True).source(overrides)
+    must_have_a_device(source.config, request.bench, "there is nothing to watch or to move")
+    return source.changed(overrides=start.asked_start(source.config))
 
 
 def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:

@@ -110,6 +110,18 @@ def rerun_option(help_text: str) -> Callable[[Any], Any]:
     return click.option("--rerun", "view", callback=_checked_view, help=help_text)
 
 
+def on_recording_failure_option(what: str) -> Callable[[Any], Any]:
+    """The option `--on-recording-failure`, for what is not to be lost, in words."""
+    return click.option(
+        "--on-recording-failure",
+        "on_failure",
+        type=click.Choice(["stop", "go-on"]),
+        default="stop",
+        show_default=True,
+        help=f"When the disk no longer takes {what}.",
+    )
+
+
 def tell_view(view: str) -> None:
     """Say on stderr which files `--rerun` has left and how to open them, and which of them are incomplete."""
     from hil.monitor.rrd import files_of, what_is_missing

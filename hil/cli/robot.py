@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.options import FILE, JSON, OUT, SuggestingGroup
 from hil.cli.words import BENCH
 from hil.vocabulary.clock import local_time
@@ -178,12 +179,9 @@ def rollback(record: Path, version: int | None, as_json: bool) -> int:
 
 
 @command.command()
-@click.option(
-    "--bench", type=BENCH, default="emulated", show_default=True, help="Bench file or profile name."
-)
-@click.option("--calibration", type=FILE, help="calibration.toml to use.")
+@bench_options("bench", "calibration")
 @click.option("--out", type=OUT, help="File to write [default: standard output].")
-def urdf(bench: str, calibration: Path | None, out: Path | None) -> int:
+def urdf(request: BenchRequest, out: Path | None) -> int:
     """The robot of a bench for ROS and Foxglove; its joints take the angles of /joint_states.
 
     Example: hil robot urdf --bench my.toml --out robot.urdf
@@ -192,7 +190,7 @@ def urdf(bench: str, calibration: Path | None, out: Path | None) -> int:
     from hil.recording.urdf import urdf as described
     from hil.vocabulary.files import write_text
 
-    text = described(plan_bench(bench, calibration=calibration).header())
+    text = described(plan_bench(request.bench, calibration=request.calibration).header())
     if out is None:
         click.echo(text, nl=False)
     else:

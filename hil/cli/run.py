@@ -9,19 +9,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start
-from hil.cli.attended import answers_option, asked_to_end, operator, watching
-from hil.cli.options import FILE, JSON, OUT, SEED, results_folder
+from hil.cli.attended import answers_option, asked_to_end, operator
+from hil.cli.bench_options import BenchRequest, bench_options
+from hil.cli.options import JSON, OUT, on_recording_failure_option, results_folder
 from hil.cli.output import kept_for_json, tell_calls, tell_the_end
 from hil.cli.progress import reporting
-from hil.cli.words import BENCH, DEVICES, FAULT, SCRIPT, SETTING
+from hil.cli.words import SCRIPT
 from hil.vocabulary.clock import local_time
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.files import shown
 from hil.vocabulary.result_files import JOURNAL
 
 if TYPE_CHECKING:
-    from hil.procedure.declaration import Procedure
-    from hil.procedure.interrupts import Interrupts
     from hil.procedure.results import Result
     from hil.recording.mcap_writer import OnFailure
 
@@ -61,31 +60,21 @@ class _WithParameters(click.Command):
 
 @click.command(cls=_WithParameters)
 @click.argument("script", type=SCRIPT)
-@click.option(
-    "--bench", type=BENCH, help="Bench file, or a shipped profile [default: the procedure's, emulated]."
-)
-@click.option("--emulate", type=DEVICES, help="Devices to emulate: `all`, or names separated by commas.")
-@click.option(
-    "--set",
+@bench_options(
+    "bench",
+    "emulate",
     "settings",
-    multiple=True,
-    type=SETTING,
-    metavar="KEY=VALUE",
-    help="Parameter of the procedure, or `bench.KEY` of the bench file.",
-)
-@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
-@start.option
-@click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
-@click.option(
-    "--fault",
+    "seed",
+    "start_pose",
+    "realtime",
     "faults",
-    multiple=True,
-    type=FAULT,
-    metavar="SPEC",
-    help="DEVICE:KIND[@START_S[+DURATION_S]][,OPTION=NUMBER...] in world time, e.g. imu:stuck@2+3; "
-    "repeatable. docs/faults.md lists devices, kinds and options.",
+    "calibration",
+    bench={"default": None, "help": "Bench file, or a shipped profile [default: the procedure's, emulated]."},
+    faults={
+        "help": "DEVICE:KIND[@START_S[+DURATION_S]][,OPTION=NUMBER...] in world time, e.g. imu:stuck@2+3; "
+        "repeatable. docs/faults.md lists devices, kinds and options."
+    },
 )
-@click.option("--calibration", type=FILE, help="calibration.toml to apply.")
 @click.option("--out", type=OUT, help="Results folder [default: out/NAME/TIME].")
 @click.option("--resume", is_flag=True, help="Continue an interrupted run (of --out, else the latest).")
 @click.option(
@@ -93,25 +82,11 @@ class _WithParameters(click.Command):
 )
 @click.option("--quick", is_flag=True, help="The procedure's quick form; --set counts above it.")
 @answers_option
-@click.option(
-    "--on-recording-failure",
-    "on_failure",
-    type=click.Choice(["stop", "go-on"]),
-    default="stop",
-    show_default=True,
-    help="When the disk no longer takes recording or journal.",
-)
+@on_recording_failure_option("recording or journal")
 @JSON
 def command(
     script: str,
-    bench: str | None,
-    emulate: str | None,
-    settings: tuple[str, ...],
-    seed: int,
-    start_pose: str | None,
-    realtime: bool,
-    faults: tuple[str, ...],
-    calibration: Path | None,
+    request: BenchRequest,
     out: Path | None,
     resume: bool,
     dry: bool,
@@ -126,24 +101,16 @@ def command(
 
     Example: hil run bring_up --quick --set watch_s=2
     """
-    from hil.procedure.bench_source import BenchSource
     from hil.procedure.parameters import split_settings
+    from hil.procedure.runner import RunOptions, run_procedure
     from hil.procedure.scripts import load_procedure
+    from hil.vocabulary.clock import MonotonicClock
 
     with kept_for_json(as_json):
         proc = load_procedure(script)
-    given, overrides = split_settings(settings)
+    given, overrides = split_settings(request.settings)
     parameters = proc.settings(given, quick=quick)
-    source = BenchSource(
-        bench or proc.bench,
-        emulate=emulate,
-        seed=seed,
-        realtime=realtime,
-        faults=faults,
-        overrides={**overrides, **start.start_override(start_pose)},
-        calibration=calibration,
-        watch=watching(),
-    )
+    source = request.source(overrides, otherwise=proc.bench)
     if dry:
         from hil.procedure.dry_run import dry_run
 
@@ -154,38 +121,8 @@ def command(
     interrupts = asked_to_end()
     with interrupts.installed(), interrupts.deferred():
         folder = results_folder(proc.name, out, JOURNAL if resume else None)
-        with kept_for_json(as_json):
-            result = _run(proc, source, folder, parameters, answers, resume, on_failure, interrupts)
-        for problem in filter(None, (result.error, *result.teardown_errors)):
-            tell_calls(problem.frames, problem.place)
-        report, code = _report_of(result)
-        if as_json:
-            tree = result.to_json() | {"folder": str(result.folder), "report": report}
-            tell_the_end(json.dumps(tree, allow_nan=False), result.facts["held"])
-        else:
-            tell_the_end(text_of(result), result.facts["held"])
-            click.echo(f"report: {shown(Path(report)) if report else 'could not be written'}")
-    return code
-
-
-def _run(
-    proc: Procedure,
-    source: Any,
-    folder: Path,
-    parameters: dict[str, Any],
-    answers: Path | None,
-    resume: bool,
-    on_failure: OnFailure,
-    interrupts: Interrupts,
-) -> Result:
-    from hil.procedure.runner import RunOptions, run_procedure
-    from hil.vocabulary.clock import MonotonicClock
-
-    with reporting() as report:
-        return run_procedure(
-            proc,
-            source,
-            RunOptions(
+        with kept_for_json(as_json), reporting() as report:
+            options = RunOptions(
                 folder=folder,
                 clock=MonotonicClock(),
                 started=local_time(),
@@ -195,8 +132,18 @@ def _run(
                 resume=resume,
                 on_recording_failure=on_failure,
                 interrupts=interrupts,
-            ),
-        )
+            )
+            result = run_procedure(proc, source, options)
+        for problem in filter(None, (result.error, *result.teardown_errors)):
+            tell_calls(problem.frames, problem.place)
+        page, code = _report_of(result)
+        if as_json:
+            tree = result.to_json() | {"folder": str(result.folder), "report": page}
+            tell_the_end(json.dumps(tree, allow_nan=False), result.facts["held"])
+        else:
+            tell_the_end(text_of(result), result.facts["held"])
+            click.echo(f"report: {shown(Path(page)) if page else 'could not be written'}")
+    return code
 
 
 def _report_of(result: Result) -> tuple[str | None, int]:

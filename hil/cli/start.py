@@ -16,14 +16,6 @@ if TYPE_CHECKING:
 KEY = "environment.start_pose"
 _FORM = "x,y,theta: m, m, rad in the wall frame (theta also as 5deg)"
 
-option = click.option(
-    "--start",
-    "start_pose",
-    metavar="X,Y,THETA",
-    help="Where the robot stands if no motion capture sees it: m, m, rad (or 5deg) in the wall frame; "
-    "an emulated robot is put there [default: environment.start_pose].",
-)
-
 
 def parse_start(text: str) -> tuple[float, float, float]:
     """Pose of `x,y,theta`; raises `UsageError` that says how it is written."""

@@ -8,10 +8,9 @@ from typing import Any
 
 from hil.bench.held import untouched
 from hil.bench.not_begun import not_begun, not_begun_in_words
+from hil.procedure.benches import RunBenches
 from hil.procedure.context import Context
-from hil.procedure.declaration import Procedure
-from hil.procedure.journal import PastRun
-from hil.procedure.measurements import Measurement, Verdict, worst
+from hil.procedure.measurements import Verdict, worst
 from hil.procedure.parameters import as_dict
 from hil.procedure.results import Failure, Result, git_revision, judge
 from hil.vocabulary.call_chain import as_json, chain_of, place_of
@@ -48,62 +47,51 @@ def not_held(context: Context, known: Failure | None) -> list[Failure]:
 
     Where another error counts, and the run had several benches, notes say of which the robot was not held.
     """
-    lost = [(bench.name, bench.held.why) for bench in context.left.not_held]
+    lost = [(bench.name, bench.held.why) for bench in context.benches.left.not_held]
     if known is None:
         return [Failure("NotHeld", f"{name}: {why}", "closing the bench", EXIT_DEVICE) for name, why in lost]
-    if context.left.opened > 1:
+    if context.benches.left.opened > 1:
         context.findings.notes += [f"NOT HELD: {name}: {why}" for name, why in lost]
     return []
 
 
-def conclude(
-    proc: Procedure,
-    context: Context,
-    declared: tuple[Measurement, ...],
-    error: Failure | None,
-    late: list[Failure],
-    facts: dict[str, Any],
-) -> Result:
+def conclude(context: Context, error: Failure | None, late: list[Failure], facts: dict[str, Any]) -> Result:
     """The verdict: an abort or an error before everything, else the worst measurement.
 
     Args:
-        proc: the procedure.
         context: as the body left it.
-        declared: what should have been measured.
         error: what ended the body early.
         late: errors of teardown.
         facts: further entries of `result.json`.
     """
     findings = context.findings
+    declared = context.results.declared
     rows = judge(declared, findings.values, findings.earlier, findings.measured_in, error is None)
     verdict = worst(Verdict(r["outcome"]) for r in rows if r["outcome"] != "NOT MEASURED")
     if late:
         verdict = Verdict.ERROR
     if error is not None:
         verdict = Verdict.ABORTED if error.exit_code == EXIT_ABORTED else Verdict.ERROR
-    return Result(proc.name, verdict, context.folder, rows, facts, error, tuple(late))
+    return Result(context.procedure, verdict, context.folder, rows, facts, error, tuple(late))
 
 
-def facts_of(
-    proc: Procedure, context: Context, past: PastRun | None, wall_s: float, error: Failure | None
-) -> dict[str, Any]:
+def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str, Any]:
     """What `result.json` tells beside verdict and measurements.
 
     Args:
-        proc: the procedure.
         context: as the body left it.
-        past: the interrupted run that this one goes on with.
         wall_s: how long the body and the teardown took, in s.
         error: what ended the body early; another device that failed is told in a note.
     """
     from hil.bench import planned_faults
     from hil.vocabulary.versions import versions
 
+    proc, benches, past = context.proc, context.benches, context.benches.past
     findings, source = context.findings, context.source
     missed: tuple[str, ...] = ()
     if past is None:  # of a run that was cut off nobody has kept how far its world had come
-        missed = not_begun(planned_faults(source.config, source.faults), context.world_ns)
-    told = [not_begun_in_words(missed, context.world_ns, context.looked_ns)] if missed else []
+        missed = not_begun(planned_faults(source.config, source.faults), benches.world_ns)
+    told = [not_begun_in_words(missed, benches.world_ns, benches.looked_ns)] if missed else []
     known = "" if error is None else error.message
     header = source.header()
     calibration = header["calibration"] or {}
@@ -112,7 +100,7 @@ def facts_of(
             f"The calibration {calibration['path']}, version {calibration['version']}, failed its validation "
             "run (verdict FAIL); failed_calibration in the bench file asks for its use."
         )
-    told += [f"A drive or a watch was ended early: {s}" for s in dict.fromkeys(context.lost) if s != known]
+    told += [f"A drive or a watch was ended early: {s}" for s in dict.fromkeys(benches.lost) if s != known]
     return {
         "summary": proc.summary,
         "headline": proc.said(findings.values),
@@ -134,12 +122,12 @@ def facts_of(
         "recordings": (past.recordings if past else []) + findings.recordings,
         "data": findings.data,
         "faults_not_begun": list(missed),
-        "notes": findings.notes + context.set_again() + told,
-        "held": _held(context),
+        "notes": findings.notes + context.results.set_again() + told,
+        "held": _held(benches),
     }
 
 
-def _held(context: Context) -> dict[str, object]:
-    if context.left.held is not None:
-        return context.left.held.to_json()
+def _held(benches: RunBenches) -> dict[str, object]:
+    if benches.left.held is not None:
+        return benches.left.held.to_json()
     return untouched("no device was opened: the robot is as it was before").to_json()

@@ -2,81 +2,201 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from hil.procedure.bench_source import BenchSource
 from hil.procedure.benches import RunBenches
-from hil.procedure.interrupts import Interrupts
-from hil.procedure.journal import Entry, Journal
-from hil.procedure.measurements import Measurement
-from hil.procedure.operator import Operator
-from hil.procedure.outputs import Keep, as_json
-from hil.recording.mcap_writer import OnFailure
-from hil.vocabulary.clock import NS_PER_S, Clock
+from hil.procedure.declaration import Procedure
+from hil.procedure.elsewhere import Errand, Result
+from hil.procedure.measurements import Verdict
+from hil.procedure.outputs import Notebook, as_json
+from hil.procedure.run_options import RunOptions
+from hil.procedure.workers import Workers
+from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import HilError, UsageError
-from hil.vocabulary.progress import WHOLE, Report
+from hil.vocabulary.progress import WHOLE
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hil.bench import Bench
 
 STEP_LIMIT_S = 1800.0
 _GO_ON = "the steps that follow, and what they measure, are left out; --resume goes on with them"
 
 
-class Context(RunBenches):
-    """One run of a procedure, as seen from inside.
+class Context:
+    """One run of a procedure, as seen from inside: its steps, its benches, and what it leaves.
 
     Args:
-        parameters, procedure, clock, started: as in the attributes.
-        report: receives progress.
-        source, folder, declared, journal, operator, interrupts, past, past_held, on_recording_failure, keep:
-            as for `RunBenches`.
+        proc, parameters, options, results, benches: what it is put together from.
 
     Attributes:
         procedure: its name.
         parameters: the procedure's, typed.
+        source: which bench, to open it again (`reopen`) or in another process.
+        folder: results folder of the run.
         clock: for how long computing takes; the bench has its own.
         started: date and time at which the run began, ISO 8601.
+        guard: ends a loop that runs too long, or when a signal came.
+        findings: what has been left so far.
+        teardown, early_end: what `on_teardown` and `on_early_end` have registered: titles and actions.
     """
 
     def __init__(
-        self,
-        parameters: Any,
-        source: BenchSource,
-        folder: Path,
-        *,
-        procedure: str = "",
-        declared: Sequence[Measurement],
-        journal: Journal,
-        clock: Clock,
-        started: str,
-        operator: Operator,
-        report: Report,
-        interrupts: Interrupts,
-        past: Mapping[str, list[Entry]],
-        past_held: Sequence[Entry] = (),
-        on_recording_failure: OnFailure = "stop",
-        keep: Keep = "all",
+        self, proc: Procedure, parameters: Any, options: RunOptions, results: Notebook, benches: RunBenches
     ) -> None:
-        super().__init__(
-            source,
-            folder,
-            declared=declared,
-            journal=journal,
-            operator=operator,
-            interrupts=interrupts,
-            past=past,
-            past_held=past_held,
-            on_recording_failure=on_recording_failure,
-            keep=keep,
-        )
-        self.procedure, self.parameters = procedure, parameters
-        self.clock, self.started = clock, started
-        self._report = report
-        self._past = dict(past)
+        self.proc, self.procedure, self.parameters = proc, proc.name, parameters
+        self.options, self.results, self.benches = options, results, benches
+        self.clock, self.started, self.folder = options.clock, options.started, options.folder
+        self.source, self.guard, self.findings = benches.source, benches.guard, results.findings
+        self.teardown: list[tuple[str, Callable[[], None]]] = []
+        self.early_end: list[tuple[str, Callable[[], object]]] = []
+        self._journal, self._interrupts, self._report = results.journal, options.interrupts, options.report
+        self._past = benches.past.checkpoints if benches.past else {}
         self._seen: set[str] = set()
-        self._teardown: list[tuple[str, Callable[[], None]]] = []
-        self._early: list[tuple[str, Callable[[], object]]] = []
+
+    @property
+    def seed(self) -> int:
+        """Seed of the emulated world and of whatever else needs one."""
+        return self.source.seed
+
+    @property
+    def bench(self) -> Bench:
+        """The bench, opened on first use and recorded from then on.
+
+        Raises:
+            ConfigError: the emulated robot is not where a checkpoint that is not repeated has left it.
+        """
+        return self.benches.bench
+
+    def reopen(
+        self,
+        label: str = "",
+        *,
+        seed: int | None = None,
+        calibration: Path | None = None,
+        overrides: Mapping[str, object] | None = None,
+        prompt: str = "",
+    ) -> Bench:
+        """Close the bench and open it afresh: a new world on an emulated bench.
+
+        On a bench with real devices the operator is asked to put the robot back to its start pose.
+
+        Args:
+            label: names the recording, `recording_LABEL.mcap`.
+            seed: another seed of the world.
+            calibration: another calibration file.
+            overrides: further configuration overrides.
+            prompt: what to ask of the operator of a real bench instead, also before the first opening.
+
+        Raises:
+            Aborted: the operator says no, or nobody answers.
+        """
+        changed = self.source.changed(seed=seed, calibration=calibration, overrides=overrides)
+        return self.benches.reopen(changed, label, prompt)
+
+    def at_once(self, errands: Sequence[Errand[Result]], workers: Workers) -> Generator[Result, None, None]:
+        """Drive benches in worker processes. The run's own bench, if it is open, stays as it is.
+
+        Args:
+            errands: what to drive.
+            workers: who drives it.
+
+        Yields:
+            What each drive returned, in the order of the errands.
+
+        Raises:
+            HilError: what ended one of the drives early.
+        """
+        return self.benches.at_once(errands, workers)
+
+    def prompt(self, question: str) -> str:
+        """Ask the operator; raises `Aborted` when nobody can answer."""
+        with self.guard.paused():
+            answer = self.options.operator.ask(question)
+        return self.results.note_answer(question, answer)
+
+    @property
+    def where(self) -> str:
+        """Title of the current step."""
+        return self.results.where
+
+    def measure(self, name: str, value: float | bool) -> None:
+        """Set a declared measurement. Of one that is set again the last value counts, and the result says so.
+
+        Raises:
+            UsageError: not declared, or not one number.
+        """
+        self.results.measure(name, value)
+
+    def verdict(self) -> Verdict:
+        """The worst outcome of what has been measured so far."""
+        return self.results.verdict()
+
+    def passing(self) -> bool:
+        """Whether every limit that has been measured so far holds."""
+        return self.verdict() is not Verdict.FAIL
+
+    def table(
+        self, title: str, head: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""
+    ) -> None:
+        """Leave a table; cells become text, a float with four significant digits.
+
+        Args:
+            title: unique in the run.
+            head: one label per column.
+            rows: cells, as many as labels.
+            note: a sentence below it.
+
+        Raises:
+            UsageError: a title that another table has, or a row that is longer or shorter than the head.
+        """
+        self.results.table(title, head, rows, note)
+
+    def figure(self, figure: Figure | Callable[[], Figure], title: str, caption: str = "") -> None:
+        """Leave a matplotlib figure as SVG, unless the run keeps its results alone.
+
+        Args:
+            figure: to save, or what draws it, which is called only where figures are kept.
+            title: unique in the run.
+            caption: what to see in it.
+
+        Raises:
+            UsageError: what is no figure, or a title that another one has.
+        """
+        self.results.figure(figure, title, caption)
+
+    def attach(self, name: str, path: Path) -> Path:
+        """Keep a file with the results.
+
+        Args:
+            name: what it is, for the reader.
+            path: of the file. It is copied unless it is already in the folder; the copy of one whose name is
+                taken by another content becomes `NAME-2.SUFFIX`.
+
+        Returns:
+            Where it lies in the folder.
+        """
+        return self.results.attach(name, path)
+
+    def leave_data(self, name: str, value: Any) -> None:
+        """Leave JSON values for other programs, as `data` of `result.json`.
+
+        Args:
+            name: their key.
+            value: numbers, texts, lists and dictionaries; numbers and arrays of numpy become such.
+
+        Raises:
+            UsageError: anything else in it.
+        """
+        self.results.leave_data(name, value)
+
+    def note(self, text: str) -> None:
+        """Leave a sentence for the reader of the report."""
+        self.results.note(text)
 
     @contextmanager
     def step(self, title: str, timeout_s: float = STEP_LIMIT_S) -> Iterator[None]:
@@ -88,11 +208,10 @@ class Context(RunBenches):
                 virtual time whatever else waits for the clock, too; else it is raised at the end.
         """
         self._interrupts.finish_here(f"before the step {title!r}", _GO_ON)
-        entry: Entry = {"title": title, "depth": len(self._titles), "outcome": "failed"}
-        self.findings.steps.append(entry)
+        entry = self.results.add_step(title, "failed")
         self._journal.add("step", {"title": title})
         self._report(title, 0, 1)
-        self._titles.append(title)
+        self.results.titles.append(title)
         begin_ns, passed_s = self.clock.now_ns(), self.guard.passed_s
         self.guard.push_limit(f"step {title!r}", timeout_s)
         try:
@@ -100,7 +219,7 @@ class Context(RunBenches):
             self.guard.must_be_in_time()
             entry["outcome"] = "done"
         finally:
-            self._titles.pop()
+            self.results.titles.pop()
             self.guard.pop_limit()
             entry["wall_s"] = (self.clock.now_ns() - begin_ns) / NS_PER_S
             entry["bench_s"] = self.guard.passed_s - passed_s
@@ -130,17 +249,17 @@ class Context(RunBenches):
             return self._resumed(title)
         with self.step(title, timeout_s):
             self._journal.add("checkpoint", {"title": title})
-            self.left.enter(title)
-            finished, before = False, self._world_at()
+            self.benches.left.enter(title)
+            finished, before = False, self.benches.world_at()
             try:
                 value = as_json(f"the result of checkpoint {title!r}", function())
                 self.guard.must_be_in_time()
-                after = self._world_at()
+                after = self.benches.world_at()
                 moved = after is not None and after != before
                 self._journal.add("value", {"title": title, "value": value, "moved": moved})
                 finished = True
             finally:
-                self.left.leave(finished=finished)
+                self.benches.left.leave(finished=finished)
         return value
 
     def finished(self, title: str) -> bool:
@@ -149,11 +268,9 @@ class Context(RunBenches):
 
     def _resumed(self, title: str) -> Any:
         *entries, last = self._past[title]
-        self._left_behind |= bool(last.get("moved"))
-        self.take_again(entries, title)
-        self.findings.steps.append(
-            {"title": title, "depth": len(self._titles), "outcome": "resumed", "wall_s": 0.0, "bench_s": 0.0}
-        )
+        self.benches.left_behind |= bool(last.get("moved"))
+        self.results.take_again(entries, title)
+        self.results.add_step(title, "resumed", wall_s=0.0, bench_s=0.0)
         self._report(f"{title} (from the journal)", 1, 1)
         return last["value"]
 
@@ -172,7 +289,7 @@ class Context(RunBenches):
 
     def on_teardown(self, action: Callable[[], None], title: str = "teardown") -> None:
         """Have something done at the end whatever happens, last registered first, bench still open."""
-        self._teardown.append((title, action))
+        self.teardown.append((title, action))
 
     def on_early_end(self, action: Callable[[], object], title: str = "evaluating what was finished") -> None:
         """Have something done where the run ends early: measurements of what was finished until then.
@@ -180,14 +297,4 @@ class Context(RunBenches):
         It gets the time of a teardown, before what `on_teardown` has registered, and the bench may be in any
         state. A run that comes to its end does not do it.
         """
-        self._early.append((title, action))
-
-    def take_early_end(self) -> list[tuple[str, Callable[[], object]]]:
-        """The actions of `on_early_end` in their order; empty afterwards."""
-        actions, self._early = self._early, []
-        return actions
-
-    def take_teardown(self) -> list[tuple[str, Callable[[], None]]]:
-        """The registered actions in the order in which they are to run; empty afterwards."""
-        actions, self._teardown = self._teardown[::-1], []
-        return actions
+        self.early_end.append((title, action))

@@ -11,6 +11,7 @@ import re
 import shutil
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -20,7 +21,7 @@ import numpy as np
 from hil.config.record import NewPart
 from hil.procedure.journal import Entry, Journal
 from hil.procedure.measurements import Measurement, Verdict, worst
-from hil.vocabulary.errors import UsageError
+from hil.vocabulary.errors import HilError, UsageError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,51 +56,52 @@ class Notebook:
     """The open pages of one run.
 
     Args:
-        folder: results folder of the run.
-        declared: measurements that may be left.
-        journal: where everything that is left is noted.
-        keep: as in the attribute.
+        folder, declared, journal, keep: as in the attributes.
 
     Attributes:
         folder: results folder of the run.
+        declared: measurements that may be left.
+        journal: where everything that is left is noted.
         keep: whether there are figures.
         findings: what has been left so far.
+        titles: of the steps that have begun and not ended, the inmost last.
     """
 
     def __init__(
         self, folder: Path, declared: Sequence[Measurement], journal: Journal, keep: Keep = "all"
     ) -> None:
-        self.folder, self.keep = folder, keep
+        self.folder, self.declared, self.journal, self.keep = folder, tuple(declared), journal, keep
         self.findings = Findings()
-        self._declared = {m.name: m for m in declared}
-        self._journal = journal
-        self._titles: list[str] = []
+        self.titles: list[str] = []
+        self._by_name = {m.name: m for m in declared}
 
     @property
     def where(self) -> str:
         """Title of the current step."""
-        return self._titles[-1] if self._titles else "start"
+        return self.titles[-1] if self.titles else "start"
+
+    def add_step(self, title: str, outcome: str, **passed_s: float) -> Entry:
+        """Count a step within those that have begun; how it goes on is put into what this returns."""
+        entry: Entry = {"title": title, "depth": len(self.titles), "outcome": outcome, **passed_s}
+        self.findings.steps.append(entry)
+        return entry
 
     def measure(self, name: str, value: float | bool) -> None:
-        """Set a declared measurement. Of one that is set again the last value counts, and the result says so.
-
-        Raises:
-            UsageError: not declared, or not one number.
-        """
-        if name not in self._declared:
+        """As `Context.measure`, which a script calls; raises `UsageError`."""
+        if name not in self._by_name:
             raise UsageError(
-                f"measurement {name!r} is not declared", expected="one of " + ", ".join(self._declared)
+                f"measurement {name!r} is not declared", expected="one of " + ", ".join(self._by_name)
             )
         number = _one_number(value)
         if number is None:
-            script = sys._getframe(1)
+            script = sys._getframe(2)
             raise UsageError(
                 f"measurement {name!r} was set to {_what(value)} "
                 f"({Path(script.f_code.co_filename).name}, line {script.f_lineno})",
                 expected="one number",
                 remedy="measure one element of it, its mean or its largest",
             )
-        self._journal.add("measure", {"name": name, "value": number})
+        self.journal.add("measure", {"name": name, "value": number})
         self._keep_value(name, number, self.where)
 
     def _keep_value(self, name: str, value: float, where: str) -> None:
@@ -112,13 +114,13 @@ class Notebook:
     def verdict(self) -> Verdict:
         """The worst outcome of what has been measured so far."""
         values = self.findings.values
-        return worst(m.judge(values[n]) for n, m in self._declared.items() if n in values)
+        return worst(m.judge(values[n]) for n, m in self._by_name.items() if n in values)
 
     def set_again(self) -> list[str]:
         """A sentence about each measurement that was set to one thing and then to another."""
         said = []
         for name, before in self.findings.earlier.items():
-            measurement, every = self._declared[name], [*before, self.findings.values[name]]
+            measurement, every = self._by_name[name], [*before, self.findings.values[name]]
             told = [
                 f"{value:.6g} {measurement.unit}".rstrip()
                 + f" ({measurement.judge(value).value})" * measurement.limited
@@ -129,24 +131,10 @@ class Notebook:
             said.append(f"{name} was set {len(every)} times: {', '.join(told)}. The last one counts.")
         return said
 
-    def passing(self) -> bool:
-        """Whether every limit that has been measured so far holds."""
-        return self.verdict() is not Verdict.FAIL
-
     def table(
         self, title: str, head: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""
     ) -> None:
-        """Leave a table; cells become text, a float with four significant digits.
-
-        Args:
-            title: unique in the run.
-            head: one label per column.
-            rows: cells, as many as labels.
-            note: a sentence below it.
-
-        Raises:
-            UsageError: a title that another table has, or a row that is longer or shorter than the head.
-        """
+        """As `Context.table`; raises `UsageError`."""
         self._must_be_new("table", title, self.findings.tables)
         cells = [[_cell(v) for v in row] for row in rows]
         for number, row in enumerate(cells, start=1):
@@ -156,30 +144,22 @@ class Notebook:
                     expected=f"{len(head)}, one for each label of the head",
                 )
         entry = {"title": title, "head": [str(h) for h in head], "rows": cells, "note": note}
-        self._journal.add("table", entry)
+        self.journal.add("table", entry)
         self.findings.tables.append(entry)
 
     def figure(self, figure: Figure | Callable[[], Figure], title: str, caption: str = "") -> None:
-        """Leave a matplotlib figure as SVG, unless the run keeps its results alone.
-
-        Args:
-            figure: to save, or what draws it, which is called only where figures are kept.
-            title: unique in the run.
-            caption: what to see in it.
-
-        Raises:
-            UsageError: what is no figure, or a title that another one has.
-        """
+        """As `Context.figure`; raises `UsageError`."""
         if self.keep == "results":
             return
         self._must_be_new("figure", title, self.findings.figures)
-        self._draw(figure, title, caption)
+        self.draw(figure, title, caption)
 
     def _must_be_new(self, what: str, title: str, others: Sequence[Entry]) -> None:
         if any(other["title"] == title for other in others):
             raise UsageError(f"{what} {title!r} exists twice", expected="a title of its own")
 
-    def _draw(self, figure: Figure | Callable[[], Figure], title: str, caption: str) -> None:
+    def draw(self, figure: Figure | Callable[[], Figure], title: str, caption: str) -> None:
+        """Save a figure, whatever its title; raises `UsageError` for what is none."""
         from matplotlib.figure import Figure
 
         from hil.report.figures import save_figure
@@ -194,26 +174,17 @@ class Notebook:
         path.parent.mkdir(parents=True, exist_ok=True)
         save_figure(drawn, path)
         entry = {"title": title, "caption": caption, "path": str(path.relative_to(self.folder))}
-        self._journal.add("figure", entry)
+        self.journal.add("figure", entry)
         self.findings.figures.append(entry)
 
     def attach(self, name: str, path: Path) -> Path:
-        """Keep a file with the results.
-
-        Args:
-            name: what it is, for the reader.
-            path: of the file. It is copied unless it is already in the folder; the copy of one whose name is
-                taken by another content becomes `NAME-2.SUFFIX`.
-
-        Returns:
-            Where it lies in the folder.
-        """
+        """As `Context.attach`."""
         inside = path if path.is_relative_to(self.folder) else self._place_of(path)
         if inside != path:
             inside.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(path, inside)
         entry = {"name": name, "path": str(inside.relative_to(self.folder))}
-        self._journal.add("attach", entry)
+        self.journal.add("attach", entry)
         self.findings.attachments.append(entry)
         return inside
 
@@ -226,23 +197,26 @@ class Notebook:
         return inside
 
     def leave_data(self, name: str, value: Any) -> None:
-        """Leave JSON values for other programs, as `data` of `result.json`.
-
-        Args:
-            name: their key.
-            value: numbers, texts, lists and dictionaries; numbers and arrays of numpy become such.
-
-        Raises:
-            UsageError: anything else in it.
-        """
+        """As `Context.leave_data`; raises `UsageError`."""
         found = as_json(f"data {name!r}", value, default=_plain)
-        self._journal.add("data", {"name": name, "value": found})
+        self.journal.add("data", {"name": name, "value": found})
         self.findings.data[name] = found
 
     def note(self, text: str) -> None:
         """Leave a sentence for the reader of the report."""
-        self._journal.add("note", {"text": text})
+        self.journal.add("note", {"text": text})
         self.findings.notes.append(text)
+
+    def note_in_any_case(self, text: str) -> None:
+        """A note that is left even where the journal does not take it."""
+        with suppress(HilError):
+            self.journal.add("note", {"text": text})
+        self.findings.notes.append(text)
+
+    def note_answer(self, question: str, answer: str) -> str:
+        """Keep what the operator has said, and give it back."""
+        self.journal.add("answer", {"question": question, "answer": answer})
+        return answer
 
     def take_again(self, entries: Sequence[Entry], title: str) -> None:
         """Count what a checkpoint has left in the journal of an earlier run."""

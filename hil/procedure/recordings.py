@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.procedure.guard import RunRecorder
 from hil.procedure.interrupts import Interrupts
-from hil.procedure.journal import Journal
-from hil.procedure.outputs import Keep, slug
+from hil.procedure.outputs import Notebook, slug
 from hil.recording.mcap_writer import OnFailure
 from hil.vocabulary.errors import DataError, RecordingError
 
@@ -21,45 +20,30 @@ class Recordings:
     """All recordings of one run.
 
     Args:
-        folder: of the run.
-        names: file names; those that begin are added.
-        journal: told the same.
+        results: told of recordings that begin, and of what is missing from one.
         interrupts: held off while a record is written.
-        on_failure, keep: as in the attributes.
-        tell: called with what is missing from a recording, in words.
+        on_failure: as in the attribute.
 
     Attributes:
         on_failure: what a disk that takes no more means for the run.
-        keep: whether anything is recorded.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        names: list[str],
-        journal: Journal,
-        interrupts: Interrupts,
-        on_failure: OnFailure,
-        tell: Callable[[str], None],
-        keep: Keep = "all",
-    ) -> None:
+    def __init__(self, results: Notebook, interrupts: Interrupts, on_failure: OnFailure) -> None:
         self.on_failure: OnFailure = on_failure
-        self.keep: Keep = keep
-        self._folder, self._names, self._journal, self._interrupts = folder, names, journal, interrupts
-        self._tell = tell
+        self._results, self._interrupts = results, interrupts
         self._recorders: list[RunRecorder] = []
         self._newest: RunRecorder | None = None
         self._objections: list[RecordingError] = []
 
     def path(self, label: str, taken: Sequence[Path | None] = ()) -> Path | None:
         """Where the recording of this label goes: no file that exists, nor one of `taken`; None for none."""
-        if self.keep == "results":
+        if self._results.keep == "results":
             return None
         stem = f"recording_{slug(label)}" if label else "recording"
-        path, number = self._folder / f"{stem}.mcap", 1
+        path, number = self._results.folder / f"{stem}.mcap", 1
         while path.exists() or path in taken:
             number += 1
-            path = self._folder / f"{stem}-{number}.mcap"
+            path = self._results.folder / f"{stem}-{number}.mcap"
         return path
 
     def record(self, bench: Bench, label: str, *, lossless: bool) -> None:
@@ -78,7 +62,7 @@ class Recordings:
         except DataError as error:
             if self.on_failure == "stop":
                 raise
-            self._tell(str(error))
+            self._results.note_in_any_case(str(error))
             return
         bench.add_sink(recorder)
         self._newest = recorder
@@ -87,8 +71,8 @@ class Recordings:
 
     def add(self, path: Path) -> None:
         """Make a recording known that has begun."""
-        self._names.append(path.name)
-        self._journal.add("recording", {"path": path.name})
+        self._results.findings.recordings.append(path.name)
+        self._results.journal.add("recording", {"path": path.name})
 
     def object(self, objection: RecordingError) -> None:
         """Keep what is wrong with a recording that another process wrote."""
@@ -97,7 +81,9 @@ class Recordings:
     def finish(self) -> None:
         """Tell what is missing from the newest, whose bench was closed."""
         if self._newest is not None and self._newest.shortfall:
-            self._tell(f"{self._newest.path.name} is not complete: {self._newest.shortfall}")
+            self._results.note_in_any_case(
+                f"{self._newest.path.name} is not complete: {self._newest.shortfall}"
+            )
 
     def objection(self) -> RecordingError | None:
         """What the run has to end with when cycles are missing; None if it need not."""

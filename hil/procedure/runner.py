@@ -7,66 +7,36 @@ the results folder is complete.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from contextlib import closing, suppress
+from dataclasses import replace
 from typing import Any
 
 from hil.config.bench import BenchConfig
 from hil.procedure.bench_source import BenchSource
+from hil.procedure.benches import RunBenches
 from hil.procedure.conclusion import conclude, facts_of, failure, not_held
 from hil.procedure.context import Context
 from hil.procedure.declaration import Procedure
-from hil.procedure.interrupts import Interrupts, time_limit
+from hil.procedure.interrupts import time_limit
 from hil.procedure.journal import SCHEMA, Entry, Journal, PastRun, differences, drop_torn_line, read_journal
 from hil.procedure.learning import keep_parts
 from hil.procedure.measurements import Measurement, Verdict
-from hil.procedure.operator import Operator, Terminal
-from hil.procedure.outputs import Keep
+from hil.procedure.outputs import Notebook
 from hil.procedure.parameters import as_dict, make_parameters
 from hil.procedure.results import KEEPING, Failure, Result, write_result
-from hil.recording.mcap_writer import OnFailure
-from hil.vocabulary.clock import NS_PER_S, Clock
+from hil.procedure.run_options import RunOptions
+from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, DataError, RecordingError, reason_of
 from hil.vocabulary.files import make_folder, where_else
-from hil.vocabulary.progress import Report, silent
 from hil.vocabulary.result_files import JOURNAL, RESULT
+
+__all__ = ["RunOptions", "header_of", "run_procedure"]
 
 _SCRIPT_UNKNOWN = (
     "The run that was cut off was begun by an earlier version, which did not note its script: nobody has "
     "checked that what it had finished was done by the same one."
 )
 _LEFT_OUT = "Recordings and figures were not kept; the same run without --keep results makes them."
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """How to run.
-
-    Attributes:
-        folder: results folder; new, or with an interrupted run's journal when `resume` is set.
-        clock: for durations.
-        started: date and time, ISO 8601.
-        parameters: texts of `--set` or typed values.
-        operator: who answers prompts.
-        report: progress (what, done, total).
-        resume: continue from the journal in `folder`.
-        on_recording_failure: whether the run has to `stop`, or may `go-on`, once what it does can no longer
-            be kept in its recordings and its journal.
-        interrupts: signals that the caller takes also before and after the run.
-        keep: `results` leaves out recordings and figures.
-    """
-
-    folder: Path
-    clock: Clock
-    started: str
-    parameters: dict[str, Any]
-    operator: Operator = field(default_factory=Terminal)
-    report: Report = silent
-    resume: bool = False
-    on_recording_failure: OnFailure = "stop"
-    interrupts: Interrupts = field(default_factory=Interrupts)
-    keep: Keep = "all"
 
 
 def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> Result:
@@ -87,71 +57,45 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
         declared = proc.declared(parameters, source.config)
         header = header_of(proc, parameters, declared, source)
     past = _past(options, header, source.config)
-    with options.interrupts.installed(), options.interrupts.deferred():
-        return _recorded_run(proc, source, options, parameters, declared, header, past)
+    with (
+        options.interrupts.installed(),
+        options.interrupts.deferred(),
+        closing(Journal(options.folder / JOURNAL, options.on_recording_failure)) as journal,
+    ):
+        journal.add(*_first_word(header, options, past))
+        results = Notebook(options.folder, declared, journal, options.keep)
+        benches = RunBenches(source, results, options, past)
+        return _recorded_run(Context(proc, parameters, options, results, benches))
 
 
-def _recorded_run(
-    proc: Procedure,
-    source: BenchSource,
-    options: RunOptions,
-    parameters: Any,
-    declared: tuple[Measurement, ...],
-    header: Entry,
-    past: PastRun | None,
-) -> Result:
-    """The run itself, from its first word in the journal to the last in its folder."""
-    interrupts = options.interrupts
-    journal = Journal(options.folder / JOURNAL, options.on_recording_failure)
-    try:
-        if past is None:
-            journal.add("run", {**header, "started": options.started})
-        else:
-            journal.add("resume", {"started": options.started})
-        context = Context(
-            parameters,
-            source,
-            options.folder,
-            procedure=proc.name,
-            declared=declared,
-            journal=journal,
-            clock=options.clock,
-            started=options.started,
-            operator=options.operator,
-            report=options.report,
-            interrupts=interrupts,
-            past=past.checkpoints if past else {},
-            past_held=past.held if past else (),
-            on_recording_failure=options.on_recording_failure,
-            keep=options.keep,
-        )
-        if past is not None and "script" not in past.header:
-            context.note(_SCRIPT_UNKNOWN)
-        if options.keep == "results" and past is None:
-            context.note(_LEFT_OUT)
-        begin_ns = options.clock.now_ns()
-        error, late, statistics = _execute(proc, context, interrupts)
-        wall_s = (options.clock.now_ns() - begin_ns) / NS_PER_S
-        late += not_held(context, error or next(iter(late), None))
-        kept = _learnt(proc, context, declared, error, late)
-        facts = facts_of(proc, context, past, wall_s, error) | {"loop": statistics, "record": kept}
-        result = _kept(conclude(proc, context, declared, error, late, facts))
-        with suppress(RecordingError):
-            journal.add("end", {"verdict": result.verdict.value})
-    finally:
-        journal.close()
+def _first_word(header: Entry, options: RunOptions, past: PastRun | None) -> tuple[str, Entry]:
+    """What a run begins with in its journal."""
+    begun = {"started": options.started}
+    return ("run", {**header, **begun}) if past is None else ("resume", begun)
+
+
+def _recorded_run(context: Context) -> Result:
+    """The run itself, from the first note that it leaves to its last word in the journal."""
+    past, clock = context.benches.past, context.clock
+    if past is not None and "script" not in past.header:
+        context.note(_SCRIPT_UNKNOWN)
+    if context.results.keep == "results" and past is None:
+        context.note(_LEFT_OUT)
+    begin_ns = clock.now_ns()
+    error, late, statistics = _execute(context)
+    wall_s = (clock.now_ns() - begin_ns) / NS_PER_S
+    late += not_held(context, error or next(iter(late), None))
+    kept = _learnt(context, error, late)
+    facts = facts_of(context, wall_s, error) | {"loop": statistics, "record": kept}
+    result = _kept(conclude(context, error, late, facts))
+    with suppress(RecordingError):
+        context.results.journal.add("end", {"verdict": result.verdict.value})
     return result
 
 
-def _learnt(
-    proc: Procedure,
-    context: Context,
-    declared: tuple[Measurement, ...],
-    error: Failure | None,
-    late: list[Failure],
-) -> dict[str, Any] | None:
+def _learnt(context: Context, error: Failure | None, late: list[Failure]) -> dict[str, Any] | None:
     """What the run adds to the record of the robot; a record that does not take it is one of `late`."""
-    verdict = conclude(proc, context, declared, error, late, {}).verdict
+    verdict = conclude(context, error, late, {}).verdict
     kept, problem = keep_parts(context, verdict)
     if problem is not None:
         late.append(failure(problem, context, "keeping what was found in the record"))
@@ -208,27 +152,26 @@ def _past(options: RunOptions, header: Entry, config: BenchConfig) -> PastRun | 
     return past
 
 
-def _execute(
-    proc: Procedure, context: Context, interrupts: Interrupts
-) -> tuple[Failure | None, list[Failure], dict[str, float] | None]:
+def _execute(context: Context) -> tuple[Failure | None, list[Failure], dict[str, float] | None]:
     """The function and the teardown; returns the first error, the teardown's, and loop statistics."""
+    benches, limit_s = context.benches, context.proc.teardown_s
     error: Failure | None = None
     try:
-        with interrupts.heeded():
-            proc.perform(context)
-            context.show_histories()
+        with context.options.interrupts.heeded():
+            context.proc.perform(context)
+            benches.show_histories()
     except BaseException as problem:  # whatever a script raises, the robot is held and the results are kept
         error = failure(problem, context)
     late: list[Failure] = []
     statistics = None
-    for title, action in context.take_early_end() if error is not None else ():
-        _attempt(title, action, proc.teardown_s, context, late)
-    for title, action in context.take_teardown():
-        _attempt(title, action, proc.teardown_s, context, late)
-    if context.opened is not None:
-        statistics = context.opened.statistics.summary()
-    _attempt("closing the bench", context.close_bench, proc.teardown_s, context, late)
-    lost = context.unrecorded()
+    for title, action in tuple(context.early_end) if error is not None else ():
+        _attempt(title, action, limit_s, context, late)
+    for title, action in context.teardown[::-1]:
+        _attempt(title, action, limit_s, context, late)
+    if benches.opened is not None:
+        statistics = benches.opened.statistics.summary()
+    _attempt("closing the bench", benches.close, limit_s, context, late)
+    lost = benches.unrecorded()
     if error is None and lost is not None:
         error = failure(lost, context, "recording")
     return error, late, statistics

@@ -21,7 +21,7 @@ def opened(**overrides):
 def test_the_measured_uncertainty_is_the_prior_and_the_scale_the_alignments():
     with opened(**KNOWN) as bench:
         assert bench.config.estimator.tracker.scale_sigma == 0.0012
-        assert bench.alignment_parameters.tracker_scale == 1.01
+        assert bench.model.alignment_parameters.tracker_scale == 1.01
         state = bench.observe(0.05).records[-1].state
         assert state.diagnostics["scale_sigma"] == pytest.approx(0.0012, rel=1e-3)
 
@@ -30,7 +30,7 @@ def test_without_a_measurement_all_is_as_ever():
     with opened() as bench:
         assert bench.config == load_bench("emulated").settled(realtime=False)
         assert bench.config.estimator.tracker.scale_sigma == 0.005
-        assert bench.alignment_parameters.tracker_scale == 1.0
+        assert bench.model.alignment_parameters.tracker_scale == 1.0
 
 
 def test_what_the_file_says_of_the_prior_stays_and_a_difference_is_a_warning(caplog):
@@ -53,7 +53,7 @@ def test_a_recordings_header_gives_the_same_bench_again(caplog):
         again = validate(bench.header()["config"], "header")
         with open_bench(again) as other:
             assert other.config.estimator == bench.config.estimator
-            assert other.alignment_parameters == bench.alignment_parameters
+            assert other.model.alignment_parameters == bench.model.alignment_parameters
     assert "was measured" not in caplog.text
 
 

@@ -61,7 +61,7 @@ def test_the_estimators_read_the_wheels_as_the_calibration_was_fitted(calibratio
     with bench:
         assert bench.config.estimator.wheels.model == expected
         assert bench.header()["config"]["estimator"]["wheels"]["model"] == expected
-        assert bench.make_estimator("ekf").config.wheels.model == expected
+        assert bench.model.make_estimator("ekf").config.wheels.model == expected
 
 
 def test_the_calibration_of_the_bench_file_counts_too(calibration, tmp_path):

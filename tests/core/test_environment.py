@@ -30,7 +30,7 @@ def test_wall_or_floor_follows_from_the_tilt_of_the_emulated_world(tilt_rad, on_
     with hil.open_bench("emulated", overrides={"environment.tilt_rad": tilt_rad}) as bench:
         assert bench.truth().tilt_rad == tilt_rad
         assert safety_limits(bench.config).on_wall is on_wall
-        assert bench.alignment_parameters.on_wall is on_wall
+        assert bench.model.alignment_parameters.on_wall is on_wall
         assert (motion_limits(bench.config).heading_limit_rad is not None) is on_wall
 
 

@@ -95,8 +95,8 @@ def looped(clock, sensor):
     with hil.open_bench("emulated_floor") as bench:
         brain = Brain(
             Supervisor(bench.make_brain(None).supervisor.limits),
-            Alignment(bench.alignment_parameters),
-            bench.make_estimator("ekf"),
+            Alignment(bench.model.alignment_parameters),
+            bench.model.make_estimator("ekf"),
         )
         brain.reset(bench.start_state())
     return ControlLoop(Rig(clock, None, {"imu": sensor}), clock, brain)

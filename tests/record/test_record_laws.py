@@ -319,6 +319,6 @@ def test_the_commands_show_compare_and_roll_back(record, capsys):
 
 def test_a_bench_opens_with_what_the_record_knows(record):
     bench = open_bench("emulated", overrides={"record.folder": str(record.folder)})
-    assert bench.alignment_parameters.tracker_scale == 1.004
+    assert bench.model.alignment_parameters.tracker_scale == 1.004
     assert bench.config.estimator.tracker.scale_sigma == 0.001
     bench.close()

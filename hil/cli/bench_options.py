@@ -1,0 +1,128 @@
+"""Options that say which bench a command is for: each stated once, all given as one `BenchRequest`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial, wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hil.cli import start
+from hil.cli.attended import watching
+from hil.cli.options import FILE, SEED
+from hil.cli.words import BENCH, DEVICES, FAULT, SETTING
+
+if TYPE_CHECKING:
+    from hil.procedure.bench_source import BenchSource
+
+_stated = partial(partial, click.option)
+"""An option that waits for what a command says otherwise."""
+
+_OPTIONS = {
+    "bench": _stated(
+        "--bench", type=BENCH, default="emulated", show_default=True, help="Bench file or profile name."
+    ),
+    "emulate": _stated(
+        "--emulate", type=DEVICES, help="Devices to emulate: `all`, or names separated by commas."
+    ),
+    "settings": _stated(
+        "--set",
+        "settings",
+        multiple=True,
+        type=SETTING,
+        metavar="KEY=VALUE",
+        help="Parameter of the procedure, or `bench.KEY` of the bench file.",
+    ),
+    "seed": _stated("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world."),
+    "start_pose": _stated(
+        "--start",
+        "start_pose",
+        metavar="X,Y,THETA",
+        help="Where the robot stands if no motion capture sees it: m, m, rad (or 5deg) in the wall frame; "
+        "an emulated robot is put there [default: environment.start_pose].",
+    ),
+    "realtime": _stated("--realtime", is_flag=True, help="Emulated devices at the wire, in real time."),
+    "faults": _stated(
+        "--fault",
+        "faults",
+        multiple=True,
+        type=FAULT,
+        metavar="SPEC",
+        help="Fault, for example imu:stuck@2+3 (repeatable).",
+    ),
+    "calibration": _stated("--calibration", type=FILE, help="calibration.toml to apply."),
+}
+
+
+@dataclass(frozen=True)
+class BenchRequest:
+    """What a command line says of the bench; an option that a command does not have is as here.
+
+    Attributes:
+        bench: file or profile; empty where none was named and the command has no default.
+        emulate: devices to emulate, `all`, or None for what the file says.
+        settings: texts `KEY=VALUE`.
+        seed: of the emulated world.
+        start_pose: where the robot stands, as text.
+        realtime: emulated devices at the wire, in real time.
+        faults: specs, and files of timelines.
+        calibration: file to apply.
+    """
+
+    bench: str = ""
+    emulate: str | None = None
+    settings: tuple[str, ...] = ()
+    seed: int = 0
+    start_pose: str | None = None
+    realtime: bool = False
+    faults: tuple[str, ...] = ()
+    calibration: Path | None = None
+
+    def source(self, overrides: Mapping[str, object], *, otherwise: str = "") -> BenchSource:
+        """The bench to open, which a program that reads the progress watches.
+
+        Args:
+            overrides: keys of the bench file to values; `--start` comes on top of them.
+            otherwise: bench to open where none was named.
+
+        Raises:
+            UsageError: `--start` is no pose.
+        """
+        from hil.procedure.bench_source import BenchSource
+
+        return BenchSource(
+            self.bench or otherwise,
+            emulate=self.emulate,
+            seed=self.seed,
+            realtime=self.realtime,
+            faults=self.faults,
+            overrides={**overrides, **start.start_override(self.start_pose)},
+            calibration=self.calibration,
+            watch=watching(),
+        )
+
+
+def bench_options(*names: str, **otherwise: Mapping[str, Any]) -> Callable[[Callable[..., int]], Any]:
+    """Give a command options of the bench, in this order; it is called with one `request` for all of them.
+
+    It may stand several times on a command, between whose own options the others are to be shown.
+
+    Args:
+        names: fields of `BenchRequest`.
+        otherwise: by name, what this command says otherwise than all others: its help or default.
+    """
+
+    def decorate(function: Callable[..., int]) -> Any:
+        @wraps(function)
+        def called(*, request: BenchRequest = BenchRequest(), **given: Any) -> int:
+            said = {name: value for name in names if (value := given.pop(name)) is not None}
+            return function(request=replace(request, **said), **given)
+
+        for name in reversed(names):
+            called = _OPTIONS[name](**otherwise.get(name, {}))(called)
+        return called
+
+    return decorate
