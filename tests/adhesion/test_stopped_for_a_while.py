@@ -85,6 +85,7 @@ def test_a_keeper_that_stands_still_costs_no_force(driven):
     assert "keeper does not answer" in log.read_text()
 
 
+@pytest.mark.long
 def test_devices_that_fall_silent_and_come_back_stop_the_robot_by_name(driven):
     robot, _, _, log = driven
     before, known = turning(robot), len(log.read_text())

@@ -122,12 +122,6 @@ def test_loads_and_tyres_of_a_calibration_reach_the_estimator_and_the_recording(
         assert geometry.creep_ratio == TYRES["creep_ratio"]
 
 
-def test_a_dry_friction_calibration_of_an_earlier_version_weighs_wheels_alike(calibration):
-    """It was fitted so; loads by statics would read its wheels in another way."""
-    with hil.open_bench("emulated_floor", calibration=calibration("dry-friction")) as bench:
-        assert bench.geometry.load.tolist() == [1.0] * 4
-
-
 def test_without_a_calibration_loads_follow_from_the_robot_as_configured():
     """A centre of mass 49 mm behind the middle loads the rear wheels; the sum is the weight."""
     with hil.open_bench("emulated_floor") as bench:

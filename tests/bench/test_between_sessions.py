@@ -53,9 +53,7 @@ def turned(kept, angle_rad):
     return {**kept, "emulation.imu.mount_rotation_wxyz": list(quat_from_yaw(angle_rad))}
 
 
-@pytest.mark.parametrize(
-    ("angle_rad", "level"), [(0.0, "ok"), (0.05, "warning"), (-0.05, "warning"), (0.2, "failure")]
-)
+@pytest.mark.parametrize(("angle_rad", "level"), [(0.0, "ok"), (-0.05, "warning"), (0.2, "failure")])
 def test_the_doctor_names_an_imu_that_has_turned(kept, angle_rad, level):
     bench = open_bench("emulated", seed=SEED, overrides=turned(kept, angle_rad))
     by_check = {f.check: f.level for f in examine(bench, watch_s=0.5)}
@@ -73,7 +71,7 @@ def number_before(unit, said):
     return float(re.search(rf"([-+.\d]+){unit}", said)[1])
 
 
-@pytest.mark.parametrize("feedback", ["ekf", "odometry"])
+@pytest.mark.parametrize("feedback", ["ekf", pytest.param("odometry", marks=pytest.mark.long)])
 def test_a_robot_that_is_to_move_says_so(kept, feedback):
     assert drive(turned(kept, 0.0), feedback)[0] == []
     (said,) = drive(turned(kept, 0.05), feedback)[0]
@@ -121,7 +119,7 @@ def test_the_zero_of_the_cells_is_held_against_the_fan(force_n, named):
     assert stop.value.reason == "adhesion_disagree"
 
 
-@pytest.mark.parametrize(("scale", "named"), [(1.0, False), (1.05, True), (0.95, True)])
+@pytest.mark.parametrize(("scale", "named"), [(1.0, False), (1.05, True)])
 def test_a_drive_tells_of_a_camera_with_another_scale_than_the_kept_one(scale, named):
     kept = {"tracker.scale": scale, "tracker.scale_sigma": 0.002, "emulation.tracker.scale_sigma": 0.0}
     with open_bench("emulated", seed=SEED, overrides=kept) as bench:

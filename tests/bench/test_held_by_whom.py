@@ -65,7 +65,7 @@ def test_a_way_within_the_noise_of_a_coarse_sensor_is_none(still, moved_m):
     assert travel.moved_m(["rangefinder"], slides=True) == pytest.approx(0.02)
 
 
-@pytest.mark.parametrize("plant", ["own", "mujoco"])
+@pytest.mark.parametrize("plant", ["own", pytest.param("mujoco", marks=pytest.mark.long)])
 def test_a_camera_that_was_just_in_doubt_does_not_witness_that_the_robot_rests(plant):
     held, stop, _, speed_m_s = left(
         "plant:adhesion_loss@2.8,factor=0.4",
@@ -292,8 +292,15 @@ def test_a_witness_that_did_not_see_the_stop_says_nothing_of_the_way():
     assert fresh.moved_m({"tracker"}, slides=True) == 0.0, "nothing was stopped: its way begins here"
 
 
-@pytest.mark.parametrize("servo_id", [1, 3, 8])
-@pytest.mark.parametrize("bench_values", [{}, {"servos.prefetch": True}], ids=["asked", "ahead"])
+@pytest.mark.parametrize(
+    ("servo_id", "bench_values"),
+    [
+        (1, {}),
+        (8, {"servos.prefetch": True}),
+        *(pytest.param(k, {}, marks=pytest.mark.long) for k in (3, 8)),
+        *(pytest.param(k, {"servos.prefetch": True}, marks=pytest.mark.long) for k in (1, 3)),
+    ],
+)
 def test_a_servo_that_answers_late_for_ever_is_held_with_the_others_and_named(servo_id, bench_values):
     held, stop, moved_m, speed_m_s = left(f"servo.{servo_id}:slow@2.5,answer_s=0.02", **bench_values)
     assert stop.reason == "stale_servos"
@@ -303,8 +310,11 @@ def test_a_servo_that_answers_late_for_ever_is_held_with_the_others_and_named(se
     assert speed_m_s < 1e-4
 
 
-@pytest.mark.parametrize("plant", ["own", "mujoco"])
-@pytest.mark.parametrize("fault", ["thrust:off@4.9", "thrust:off@5.1", "thrust:wrong@5.0,factor=0.5"])
+@pytest.mark.parametrize("plant", ["own", pytest.param("mujoco", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "fault",
+    [pytest.param("thrust:off@4.9", marks=pytest.mark.long), "thrust:off@5.1", "thrust:wrong@5.0,factor=0.5"],
+)
 def test_propellers_that_fail_as_the_way_ends_are_not_called_holding(fault, plant):
     """They report nothing, and push for a moment longer: the look outlasts that."""
     way = line((0, 0, 0), (0.2, 0, 0), duration_s=4.0)

@@ -90,8 +90,6 @@ def test_a_fan_of_another_world_is_not_said_to_press_this_robot(monkeypatch):
         assert bench.pressed.endswith(
             "In another world than the servos, with no word on what presses this robot: fan, load cells."
         )
-    with mixed(monkeypatch) as bench:
-        assert "another world" not in bench.pressed
 
 
 def test_motion_capture_of_another_world_does_not_say_where_the_robot_stands(monkeypatch):
@@ -130,9 +128,8 @@ def test_a_drive_past_blind_sensors_is_told_of_before_it_moves(monkeypatch, tmp_
     assert said in (tmp_path / "o" / "result.json").read_text()
 
 
-@pytest.mark.parametrize("blind", [(), PRESSES])
-def test_a_drive_that_all_see_who_could_needs_no_word(monkeypatch, caplog, blind):
-    with mixed(monkeypatch, *blind) as bench:
+def test_a_drive_that_all_see_who_could_needs_no_word(monkeypatch, caplog):
+    with mixed(monkeypatch, *PRESSES) as bench:
         bench.drive(HOP, hold_s=0.1)
         assert bench.warnings == []
     assert "another world" not in caplog.text
@@ -149,6 +146,7 @@ def test_real_servos_beside_emulated_sensors_are_not_held_by_them():
     assert "at rest by" not in bench.held.why
 
 
+@pytest.mark.long
 def test_an_emulated_camera_stops_the_drive_of_real_servos():
     """It rests while the wheels roll: so the mix that the examples once showed could not pass."""
     with servos_of_another_process() as overrides, hil.open_bench("emulated", overrides=overrides) as bench:
@@ -231,6 +229,7 @@ port = 1
 """
 
 
+@pytest.mark.long
 def test_an_emulated_fan_does_not_press_a_real_robot(tmp_path):
     """Another process has the robot, which rests: all that looks at it is real, what presses it is not."""
     mix = tmp_path / "mix.toml"

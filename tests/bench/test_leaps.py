@@ -78,10 +78,12 @@ def drive(bench, number):
     ("profile", "faults"),
     [
         ("emulated", ["mocap:wrong@5.0,offset_m=0.1"]),
-        ("emulated_floor", ["mocap:wrong@5.0,offset_m=0.1"]),
+        pytest.param("emulated_floor", ["mocap:wrong@5.0,offset_m=0.1"], marks=pytest.mark.long),
         ("emulated_floor", ["mocap:wrong@3.37,offset_m=0.1"]),
-        ("emulated", ["mocap:wrong@3.37,offset_m=0.02"]),
-        ("emulated", ["mocap:off@2.34+1", "mocap:wrong@3.37,offset_m=-0.02"]),
+        pytest.param("emulated", ["mocap:wrong@3.37,offset_m=0.02"], marks=pytest.mark.long),
+        pytest.param(
+            "emulated", ["mocap:off@2.34+1", "mocap:wrong@3.37,offset_m=-0.02"], marks=pytest.mark.long
+        ),
         ("emulated", ["mocap:off@10.4"]),
     ],
 )
@@ -111,7 +113,7 @@ def test_a_leap_is_no_way_that_the_robot_went_after_its_stop(fault):
 
 def test_in_a_clean_world_every_drive_begins_where_motion_capture_sees_the_robot(caplog):
     with hil.open_bench("emulated", seed=3) as bench:
-        for number in range(3):
+        for number in range(2):
             off, sigmas = drive(bench, number)
             assert np.all(off < sigmas + 0.005)
     assert "is taken to stand" not in caplog.text

@@ -69,7 +69,8 @@ def campaign(script, capsys):
     """Exit code, JSON and stderr of a campaign."""
 
     def go(*options):
-        code = main(["campaign", script, *options, "--json"])
+        bench = () if "--bench" in options else ("--bench", "emulated_floor")
+        code = main(["campaign", script, *bench, *options, "--json"])
         said = capsys.readouterr()
         return code, json.loads(said.out) if said.out else None, said.err
 

@@ -60,6 +60,7 @@ def pytest_runtest_protocol(item, nextitem):
 """
 
 
+@pytest.mark.long
 def test_a_test_that_is_run_again_is_listed_once(pytester):
     pytester.makeconftest(RERUN)
     one = LOST[: LOST.index("def test_lost(bench)")]
@@ -92,6 +93,7 @@ def test_a_robot_that_is_lost_is_named_and_is_a_warning_where_no_fault_did_it(py
     assert "not_held" not in found["test_kept"]
 
 
+@pytest.mark.long
 def test_at_the_wire_it_is_an_error_that_says_how_to_have_it_again(pytester):
     result, found = run(
         pytester,
@@ -256,6 +258,7 @@ def test_that_only_enables(bench):
 """
 
 
+@pytest.mark.long
 def test_a_fault_that_began_during_the_look_is_told_as_such(pytester):
     result, _ = run(pytester, DURING_THE_LOOK, "-rA")
     result.stdout.fnmatch_lines(

@@ -19,7 +19,10 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+LASTING = pytest.param("surface_identification", marks=pytest.mark.long)
+
+
+@pytest.mark.parametrize("name", ["wall_tracking", "wall_ablation", LASTING])
 def test_what_was_finished_is_measured(name, tmp_path):
     parameters, measured = CASES[name]
     interrupts = Interrupts()
@@ -58,6 +61,7 @@ class EndsTheSecondBench(Sink):
         pass
 
 
+@pytest.mark.long
 def test_levels_of_force_are_measured_where_the_slide_is_cut_off(tmp_path):
     interrupts = Interrupts()
     options = RunOptions(

@@ -54,7 +54,7 @@ def climb(ctx):
     ctx.measure("end", 1e3 * abs(motion.mocap[-1, 0] - 0.1))
 
 
-@pytest.mark.parametrize("fault", ["mocap:off@5", GAPS])
+@pytest.mark.parametrize("fault", ["mocap:off@5", pytest.param(GAPS, marks=pytest.mark.long)])
 def test_an_end_that_nobody_saw_fails_a_script_that_measures_it(tmp_path, fault):
     result = run(climb, tmp_path / "run", fault)
     assert result.error is None
@@ -74,6 +74,7 @@ def test_a_line_whose_end_nobody_saw_fails_by_its_end_alone(tmp_path):
     assert result.facts["headline"] == ""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "parameters", "measured"),
     [

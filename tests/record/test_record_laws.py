@@ -263,20 +263,6 @@ def test_a_part_that_holds_keys_of_another_is_refused(record):
         add(record, zeros=part(SCALE))
 
 
-def test_pieces_of_a_bench_file_of_earlier_versions_are_taken(record, tmp_path):
-    fragment = tmp_path / "bench_fragment.toml"
-    fragment.write_text("[tracker]\nscale = 1.007\n[alignment]\nsteer_zero_rad = [0.0, 0.0, 0.0, 0.1]\n")
-    absorb(record, fragment, WALL, "2026-11-22T13:00:00+00:00", of_this_robot=True)
-    config = load(record)
-    assert (config.tracker.scale, config.alignment.steer_zero_rad[3]) == (1.007, 0.1)
-    kept = record.read().parts["camera"]
-    assert (kept.procedure, kept.verdict) == ("taken from a file", "not verified")
-    fragment.write_text("[tracker]\nscale = 1.1\n[loop]\nrate_hz = 50.0\n")
-    with pytest.raises(ConfigError, match=r"loop.rate_hz: no part of a record holds it"):
-        absorb(record, fragment, WALL, "2026-11-22T13:00:00+00:00")
-    assert load(record).tracker.scale == 1.007
-
-
 def test_the_record_of_another_emulated_robot_gives_no_parts(tmp_path, record):
     """The bench names no seed, so that the two records are held against each other."""
     mine, other = RobotRecord(tmp_path / "mine"), RobotRecord(tmp_path / "other")
