@@ -15,6 +15,7 @@ from kills import (
     bench,
     bench_killed,
     both,
+    commanded,
     keeper_alone_killed,
     keeper_pid,
     keepers_killed,
@@ -91,7 +92,7 @@ def test_a_bench_that_ends_hands_the_fan_to_a_new_keeper_first(wire):
     kept.close()
     assert "the fan's keeper has taken over again" in said[-1]
     assert keeper_pid(spec) is not None
-    time.sleep(0.3)
+    commanded(fan, time.time())
     assert max(fan.gaps_s(since_s)) <= spec.timeout_s / 2
     assert fan.duty == HELD_DUTY
 
@@ -112,7 +113,7 @@ def test_a_bench_goes_on_by_itself_where_the_next_keeper_is_another_users(wire, 
     kill_both(spec)
     ended, refused = "the fan's keeper has ended", "keeper belongs to root, and this program to user robot"
     wait_until(lambda: refused in kept.trouble(), "the other keeper to be told")
-    time.sleep(0.5)
+    commanded(fan, time.time())
     assert kept.trouble().startswith(f"{ended}: the bench commands the fan itself; adhesion at ")
     assert [ended in said[0], refused in said[1], len(said)] == [True, True, 2]
     assert keeper_pid(spec) is None
@@ -132,7 +133,7 @@ def test_a_keeper_that_hangs_is_stood_in_for(wire):
         since_s, pid = time.time(), keeper_pid(spec)
         os.kill(pid, signal.SIGSTOP)
         assert "does not answer" in process.stdout.readline()
-        time.sleep(1.0)
+        commanded(fan, time.time())
         os.kill(pid, signal.SIGCONT)
         assert "taken over again" in process.stdout.readline()
         assert max(fan.gaps_s(since_s)) <= spec.timeout_s / 2

@@ -13,7 +13,7 @@ import time
 from contextlib import closing, contextmanager
 
 import pytest
-from kills import end_keeper
+from kills import commanded, end_keeper
 
 from hil.drivers.adhesion.keeper import client, door, understudy
 from hil.drivers.adhesion.keeper.core import SetPoint
@@ -107,7 +107,7 @@ def test_it_keeps_the_fan_through_every_signal_that_can_be_caught(keeper):
     pid = client.peer(connection)[0]
     for name in ("SIGHUP", "SIGINT", "SIGTERM", "SIGQUIT", "SIGPIPE", "SIGUSR1", "SIGALRM", "SIGTSTP"):
         os.kill(pid, getattr(signal, name))
-    time.sleep(0.4)
+    commanded(fan, time.time())
     status = client.ask(connection, {"do": "status"}, spec)
     assert (status["pid"], status["state"]) == (pid, "keeping")
     assert max(fan.gaps_s(since_s)) <= 0.2
@@ -137,7 +137,6 @@ def test_the_next_program_finds_it_as_it_was_left(keeper):
     fan, spec, connection = keeper
     set_when_heard(connection, spec)
     connection.close()
-    time.sleep(0.2)
     with client.find_or_start(spec) as again:
         status = client.ask(again, {"do": "status"}, spec)
     assert status["target"] == ["duty", POINT.value]
@@ -196,7 +195,7 @@ def test_clients_that_crowd_and_never_read_delay_no_command(keeper):
                 one.send(b'{"do": "status"}')
             except OSError:
                 break
-    time.sleep(0.5)
+    commanded(fan, time.time())
     assert max(fan.gaps_s(since_s)) <= 0.2
     for one in crowd:
         one.close()

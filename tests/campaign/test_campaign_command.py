@@ -297,7 +297,8 @@ def test_a_plan_of_which_nothing_ran_is_no_campaign(campaign, tmp_path):
 
 def test_ctrl_c_ends_the_workers_says_what_is_finished_and_shows_nothing_of_dask(script, tmp_path):
     pytest.importorskip("distributed", reason="Dask (the extra campaign) is not installed")
-    command = [sys.executable, "-m", "hil", "campaign", script, "--seeds", "0:400", "--out", "o"]
+    words = ("--bench", "emulated_floor", "--seeds", "0:400", "--out", "o")
+    command = [sys.executable, "-m", "hil", "campaign", script, *words]
     process = subprocess.Popen(
         command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True
     )

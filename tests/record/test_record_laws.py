@@ -148,7 +148,8 @@ def test_kill_9_in_the_middle_of_it_leaves_a_version_that_can_be_read(record):
     if child == 0:
         while True:
             add(record, camera=part(SCALE))
-    time.sleep(0.15)
+    while record.read().version < 4:
+        time.sleep(0.01)
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
     assert record.read().parts["camera"].values == SCALE
