@@ -7,6 +7,7 @@ import pytest
 
 from hil.bench.held import Held
 from hil.cli import main
+from hil.fakes.fault import parse_fault
 from hil.procedure import Measurement, procedure
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.elsewhere import Errand
@@ -18,21 +19,22 @@ from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.tracking import stand
 from hil.report.run_page import write_run_page
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.clock import NS_PER_S, MonotonicClock
 from hil.vocabulary.errors import Aborted, SafetyStop
 
-FALLS = ("plant:adhesion_loss@6,over_s=0.5",)
 WHY = "adhesion is lost"
 MEASURED = (Measurement("done", "1", low=1.0),)
 
 
 def fall(bench):
+    soon_s = bench.clock.now_ns() / NS_PER_S + 0.5
+    bench.world.faults.add(parse_fault(f"plant:adhesion_loss@{soon_s},over_s=0.5"))
     with pytest.raises(SafetyStop):
-        bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=7.0), feedback="odometry")
+        bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=5.0), feedback="odometry")
 
 
 def ran(folder, proc, *, resume=False):
-    source = BenchSource("emulated", faults=FALLS, overrides={"exit.look_after_s": 8.0})
+    source = BenchSource("emulated", overrides={"exit.look_after_s": 8.0})
     options = RunOptions(folder, MonotonicClock(), "2026-01-01T00:00:00", {}, resume=resume)
     result = run_procedure(proc, source, options)
     return result, json.loads((folder / "result.json").read_text())
