@@ -23,7 +23,7 @@ AT_REST_RAD_S = 0.05
 
 def climb(*faults, seed=1, overrides=None, feedback="odometry"):
     """Climb until something stops the robot: the stop, and (time, force, fastest wheel) of every cycle."""
-    seen, stop = [], None
+    seen, stop, overrides = [], None, {"exit.look_after_s": 1.0, **(overrides or {})}
     with hil.open_bench("emulated", seed=seed, faults=faults, overrides=overrides) as bench:
         try:
             bench.drive(CLIMB, feedback=feedback, on_cycle=lambda record: seen.append(look(bench)))

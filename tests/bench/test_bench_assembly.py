@@ -11,7 +11,7 @@ import hil
 from hil.config.loading import load_bench
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import ConfigError, FaultNotSupportedError, SafetyStop, TrajectoryError, UsageError
-from tests.patience import PATIENT
+from tests.patience import FANLESS, PATIENT
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 
@@ -24,8 +24,9 @@ def first():
     return drive(1)
 
 
-def drive(seed, **options):
-    with hil.open_bench("emulated", seed=seed, **options) as bench:
+def drive(seed, overrides=None, **options):
+    overrides = {**FANLESS, **(overrides or {})}
+    with hil.open_bench("emulated", seed=seed, overrides=overrides, **options) as bench:
         return bench.drive(STRAIGHT, hold_s=0.2)
 
 
@@ -70,7 +71,7 @@ def test_a_run_that_asks_ahead_repeats_bit_for_bit():
 
 
 def test_true_imperfections_come_from_the_configuration(first):
-    adversary = drive(1, overrides={"emulation.tracker": {"scale_sigma": 0.2}})
+    adversary = drive(1, overrides={"emulation.tracker": {"scale_sigma": 0.02}})
     assert log_hash(first) != log_hash(adversary)
     with pytest.raises(ConfigError, match=r"tracker\.scale_sigmma: unknown; did you mean scale_sigma"):
         hil.open_bench("emulated", overrides={"emulation.tracker": {"scale_sigmma": 0.2}})
@@ -92,11 +93,10 @@ def test_faults_need_an_emulated_device_that_can_produce_them():
 def test_a_fault_timeline_acts_like_the_specs(tmp_path):
     timeline = tmp_path / "faults.toml"
     timeline.write_text('[[fault]]\ndevice = "tracker"\nkind = "off"\nat_s = 1.0\nduration_s = 0.5\n')
-    by_spec, by_file = (
-        hil.open_bench("emulated", faults=given).faults for given in ("tracker:off@1+0.5", str(timeline))
-    )
-    assert by_file == by_spec
-    assert log_hash(drive(1, overrides={"emulation.faults": [str(timeline)]})) == log_hash(by_spec)
+    given = [{"faults": (fault,)} for fault in ("tracker:off@1+0.5", str(timeline))]
+    given.append({"overrides": {"emulation.faults": [str(timeline)]}})
+    by_spec, by_file, by_bench_file = (hil.open_bench("emulated", **one).faults for one in given)
+    assert by_spec == by_file == by_bench_file
     timeline.write_text('[[fault]]\ndevice = "tracker"\nkind = "off"\nat = 1.0\n[[fault]]\nkind = 3\n')
     with pytest.raises(
         ConfigError, match=r"(?s)faults\.toml: not a fault timeline.*fault\.0\.at: .*fault\.1"

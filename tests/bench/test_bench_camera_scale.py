@@ -9,13 +9,14 @@ from hil.bench import open_bench
 from hil.config.loading import load_bench, validate
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import ConfigError
+from tests.patience import FANLESS
 
 KNOWN = {"tracker.scale": 1.01, "tracker.scale_sigma": 0.0012}
 SIGMA = "estimator.tracker.scale_sigma"
 
 
 def opened(**overrides):
-    return open_bench("emulated", overrides=overrides)
+    return open_bench("emulated", overrides={**FANLESS, **overrides})
 
 
 def test_the_measured_uncertainty_is_the_prior_and_the_scale_the_alignments():
@@ -61,7 +62,7 @@ def test_an_impossible_scale_is_refused(key, value):
 
 def end_error_m(seed, **overrides):
     """How far a robot ends from its goal half a metre up the wall."""
-    with open_bench("emulated", seed=seed, overrides=overrides) as bench:
+    with open_bench("emulated", seed=seed, overrides={**FANLESS, **overrides}) as bench:
         start = bench.settle(0.3)
         way = line(start, np.add(start, [0.5, 0.0, 0.0]), duration_s=9.0)
         motion = bench.drive(way, hold_s=0.5, start_pose=start)
@@ -82,5 +83,5 @@ def test_a_known_scale_takes_two_thirds_off_the_end_error_of_a_climb(seed):
 def scale_of(seed, overrides):
     from hil.fakes.tracker import T265
 
-    world = open_bench("emulated", seed=seed, overrides=overrides).world
+    world = open_bench("emulated", seed=seed, overrides={**FANLESS, **overrides}).world
     return next(p for p in world._parts if isinstance(p, T265)).odometry.scale

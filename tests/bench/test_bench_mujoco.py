@@ -10,12 +10,13 @@ from hil.cli import main
 from hil.config.loading import load_bench
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import ConfigError
+from tests.patience import FANLESS
 
 MUJOCO = {"emulation.plant": "mujoco"}
 
 
 def _climb(overrides):
-    with open_bench("emulated", seed=3, overrides=overrides) as bench:
+    with open_bench("emulated", seed=3, overrides={**FANLESS, **overrides}) as bench:
         motion = bench.drive(line((0, 0, 0), (0.06, 0, 0), duration_s=2.4), feedback="ekf")
         return motion, bench.truth()
 

@@ -79,6 +79,7 @@ def test_a_camera_that_was_just_in_doubt_does_not_witness_that_the_robot_rests(p
     assert held.moved_m is None, "nobody who is believed saw it"
 
 
+@pytest.mark.long
 def test_a_doubted_camera_is_named_where_nobody_else_could_see_a_slide():
     held, stop, moved_m, speed_m_s = left("tracker:wrong@2.5,scale=0.3", without=("mocap", "load_cells"))
     assert stop.reason == "sensors_disagree"
@@ -100,6 +101,7 @@ def test_motion_capture_does_without_the_camera():
     assert (held.moved_m is None, speed_m_s < 1e-4) == (False, True)
 
 
+@pytest.mark.long
 def test_load_cells_do_without_a_camera_where_the_propellers_report_or_are_not_needed():
     """They feel what presses; that nobody carries a part of the weight any more they do not feel."""
     blind, lie = ("mocap",), "tracker:wrong@2.5,scale=0.3"
@@ -154,6 +156,7 @@ def test_of_two_that_contradict_each_other_one_is_right_and_both_see_it_rest(dou
     assert ("camera" in found.why.split(";")[0]) is (held and doubted != {"tracker": True})
 
 
+@pytest.mark.long
 def test_a_camera_is_believed_again_only_after_a_way_on_which_others_agree():
     faults = ("tracker:wrong@1.3+1.5,scale=0",)
     bench = hil.open_bench("emulated", seed=5, faults=faults, overrides={"mocap": None, "load_cells": None})

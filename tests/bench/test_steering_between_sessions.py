@@ -68,6 +68,7 @@ def test_a_robot_that_is_to_move_says_what_has_slipped(kept):
     assert stop.value.reason == "horn_slip"
 
 
+@pytest.mark.long
 def test_bring_up_keeps_it_in_the_record_of_the_robot(tmp_path, capsys, kept):
     record = tmp_path / "robot"
     command = ["run", "bring_up", "--bench", "emulated_floor", "--seed", "5", "--out", str(tmp_path / "out")]

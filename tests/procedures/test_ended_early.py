@@ -10,6 +10,7 @@ from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import load_procedure
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.interfaces import Sink
+from tests.patience import FANLESS
 
 SHORT = {"processes": 1, "length_m": 0.05, "duration_s": 2.0, "hold_s": 0.5}
 CASES = {
@@ -34,7 +35,7 @@ def test_what_was_finished_is_measured(name, tmp_path):
     options = RunOptions(
         tmp_path / "out", MonotonicClock(), "2026-01-01", parameters, report=report, interrupts=interrupts
     )
-    result = run_procedure(load_procedure(name), BenchSource("emulated"), options)
+    result = run_procedure(load_procedure(name), BenchSource("emulated", overrides=FANLESS), options)
     told = result.to_json()
     assert (told["verdict"], told["exit_code"]) == ("ABORTED", 4)
     known = [row for row in told["measurements"] if row["value"] is not None]

@@ -24,6 +24,7 @@ from hil.ring.motion import Motion
 from hil.robot.trajectories import line
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DataError
+from tests.patience import FANLESS
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 
@@ -39,7 +40,7 @@ GAPS = "mocap:intermittent@1,period_s=2,duty=0.97"
 
 
 def run(proc, folder, fault, **parameters):
-    source = BenchSource("emulated", faults=(fault,))
+    source = BenchSource("emulated", faults=(fault,), overrides=FANLESS)
     return run_procedure(proc, source, RunOptions(folder, MonotonicClock(), "2026-01-01", parameters))
 
 
@@ -91,7 +92,7 @@ def test_a_motion_seen_in_flashes_is_not_measured(tmp_path, name, parameters, me
 
 @pytest.fixture(scope="module")
 def driven():
-    with open_bench("emulated", seed=2) as bench:
+    with open_bench("emulated", seed=2, overrides=FANLESS) as bench:
         start = bench.settle(0.3)
         goal = np.add(start, [0.1, 0.0, 0.0])
         return bench.drive(line(start, goal, duration_s=3.0), hold_s=1.0, start_pose=start)
