@@ -18,12 +18,14 @@ from hil.vocabulary.errors import DeviceError, SafetyStop, UsageError
 
 CLIMB = line((0, 0, 0), (0.12, 0, 0), duration_s=4.0)
 COLD = {"emulation.adhesion.start": "tethered", "emulation.thrust.start": "tethered"}
+BRIEFLY = {"exit.look_after_s": 1.0}
+"""For a bench of which nobody asks how it closed."""
 AT_REST_RAD_S = 0.05
 
 
 def climb(*faults, seed=1, overrides=None, feedback="odometry"):
     """Climb until something stops the robot: the stop, and (time, force, fastest wheel) of every cycle."""
-    seen, stop, overrides = [], None, {"exit.look_after_s": 1.0, **(overrides or {})}
+    seen, stop, overrides = [], None, {**BRIEFLY, **(overrides or {})}
     with hil.open_bench("emulated", seed=seed, faults=faults, overrides=overrides) as bench:
         try:
             bench.drive(CLIMB, feedback=feedback, on_cycle=lambda record: seen.append(look(bench)))
@@ -43,7 +45,7 @@ def look(bench):
 
 def true_need_n(bench_seed):
     """Force at which this world's robot slides: closed form with its own parameters."""
-    with hil.open_bench("emulated", seed=bench_seed) as bench:
+    with hil.open_bench("emulated", seed=bench_seed, overrides=BRIEFLY) as bench:
         p = bench.world.plant.parameters
         return (p.mass_kg * 9.81 - p.thrust_n) / p.contact.friction
 
@@ -139,7 +141,7 @@ def test_a_hot_controller_and_a_low_battery_stop_the_robot(overrides, reason, to
 
 
 def test_a_bus_that_is_gone_stops_the_robot_and_says_what_the_time_out_does():
-    with hil.open_bench("emulated", seed=1, faults=["adhesion:unplug@2"]) as bench:
+    with hil.open_bench("emulated", seed=1, faults=["adhesion:unplug@2"], overrides=BRIEFLY) as bench:
         with pytest.raises((SafetyStop, DeviceError), match=r"fan's controller|lets go of the motor"):
             bench.drive(CLIMB)
         bench.clock.sleep_until_ns(bench.clock.now_ns() + 300_000_000)
@@ -172,7 +174,7 @@ def test_no_torque_and_no_motion_before_the_force_is_there(fault):
 
 
 def test_the_state_carries_force_margin_and_what_each_wheel_uses():
-    with hil.open_bench("emulated", seed=1) as bench:
+    with hil.open_bench("emulated", seed=1, overrides=BRIEFLY) as bench:
         motion = bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=3.0))
         truth = bench.truth()
     figures = motion.records[-1].state.diagnostics
@@ -198,7 +200,7 @@ def test_a_bench_without_these_devices_behaves_as_it_always_did():
 
 
 def test_the_end_of_a_run_leaves_the_fan_running():
-    with hil.open_bench("emulated", seed=1) as bench:
+    with hil.open_bench("emulated", seed=1, overrides=BRIEFLY) as bench:
         bench.observe(0.5, feedback="odometry")
         world = bench.world
     world.advance_to(world.now_ns + 5_000_000_000)
@@ -276,7 +278,7 @@ def test_cells_that_are_not_there_are_named_and_nothing_is_switched(model):
 
 
 def test_a_negative_push_is_refused_and_the_propellers_go_on():
-    with hil.open_bench("emulated", seed=1) as bench:
+    with hil.open_bench("emulated", seed=1, overrides=BRIEFLY) as bench:
         with pytest.raises(UsageError, match=r"thrust: a force of -3 N.*0 to 39.7 N"):
             bench.rig.get("thrust").set_force_n(-3.0)
         bench.observe(0.5, feedback="odometry")
@@ -327,7 +329,7 @@ def test_a_session_after_a_stop_that_raised_the_fan_leaves_it_so_and_is_not_ende
 
 def test_a_fan_that_runs_as_the_bench_wants_is_asked_for_that(monkeypatch):
     """Not for what it happens to give: that would creep up from session to session."""
-    with hil.open_bench("emulated", seed=1) as bench:
+    with hil.open_bench("emulated", seed=1, overrides=BRIEFLY) as bench:
         bench.rig.get("adhesion").set_force_n(45.4)
         wait(bench, 2.0)
         asked = []
@@ -337,7 +339,7 @@ def test_a_fan_that_runs_as_the_bench_wants_is_asked_for_that(monkeypatch):
 
 
 def test_by_need_goes_down_from_a_raised_force_in_small_steps():
-    with hil.open_bench("emulated", seed=1, overrides={"adhesion.by_need": True}) as bench:
+    with hil.open_bench("emulated", seed=1, overrides={"adhesion.by_need": True, **BRIEFLY}) as bench:
         bench.rig.brace()
         wait(bench, 3.0)
         raised_n = bench.truth().adhesion_n

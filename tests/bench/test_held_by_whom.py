@@ -19,6 +19,8 @@ HOP = line((0, 0, 0), (0.12, 0, 0), duration_s=2.4)
 FAR_M = 0.005
 VESCS = {"thrust.model": "vesc"}
 TETHER = {"safety.tethered": True}
+BRIEFLY = {"exit.look_after_s": 1.0}
+"""For a robot that is not found held, however long somebody looks."""
 
 
 def left(*faults, without=(), seed=5, feedback="ekf", way=CLIMB, **overrides):
@@ -71,7 +73,7 @@ def test_a_camera_that_was_just_in_doubt_does_not_witness_that_the_robot_rests(p
         "plant:adhesion_loss@2.8,factor=0.4",
         "tracker:wrong@2.5,scale=0",
         without=("mocap", "load_cells"),
-        **{"emulation.plant": plant},
+        **{"emulation.plant": plant, **BRIEFLY},
     )
     assert stop.reason == "sensors_disagree"
     assert speed_m_s > 0.1, "it slides or falls"
@@ -190,14 +192,14 @@ def test_servos_alone_do_not_confirm_it_where_there_are_others_who_should():
 
 def test_wheels_and_imu_alone_do_not_see_a_slide():
     """A seal that leaks does not show in the fan's speed; the robot slides, servos and gravity rest."""
-    blind = ("mocap", "tracker", "load_cells")
-    held, *_ = left("plant:adhesion_loss@3.1,factor=0.42", without=blind, feedback="odometry", way=HOP)
+    blind = {"without": ("mocap", "tracker", "load_cells"), "feedback": "odometry", "way": HOP}
+    held, *_ = left("plant:adhesion_loss@3.1,factor=0.42", **blind, **BRIEFLY)
     assert held.state == "NOT HELD"
-    held, _, moved_m, _ = left(without=blind, feedback="odometry", way=HOP)
+    held, _, moved_m, _ = left(**blind, **BRIEFLY)
     assert (held.state, held.moved_m) == ("NOT HELD", None)
     assert "that takes a camera, motion capture or load cells" in held.why
     assert moved_m < FAR_M
-    held, *_ = left(without=blind, feedback="odometry", way=HOP, **TETHER)
+    held, *_ = left(**blind, **TETHER)
     assert held.state == "HELD", "a tether holds it"
 
 
@@ -239,7 +241,7 @@ def test_the_accelerometer_sees_a_robot_that_speeds_up(monkeypatch):
     from hil.bench import holding
 
     monkeypatch.setattr(holding, "_felt_m_s2", lambda sample: 7.0)
-    held, *_ = left(way=HOP)
+    held, *_ = left(way=HOP, **BRIEFLY)
     assert held.state == "NOT HELD"
     assert "speeding up" in held.why
 
