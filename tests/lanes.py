@@ -98,7 +98,6 @@ THINNED = {
     "estimator/test_estimator_consistency.py::test_nees_and_nis": 2,
     "plant/test_mujoco_contact.py::test_a_circle_of_three_metres": 2,
     "bench/test_doctor_discover_setup.py::test_a_device_that_falls_ill": 2,
-    "bench/test_doctor_discover_setup.py::test_nothing_is_told_twice": 2,
     "bench/test_doctor_discover_setup.py::test_the_emulated_bench_is_healthy": 2,
     "live/test_live_command.py::test_a_disk_that_fills_up": 2,
     "live/test_live_command.py::test_a_second_signal": 2,

@@ -15,7 +15,7 @@ from hil.config.loading import load_bench
 from hil.config.record import PARTS, Figure, NewPart, Part, RobotRecord
 from hil.config.record.overlay import identity
 from hil.procedure import BenchSource
-from hil.procedure.ablation import EVERYTHING, NOTHING, settings_of
+from hil.procedure.ablation import EVERYTHING, NOTHING
 from hil.procedure.commission import Commission, commission, running, state
 from hil.procedure.commission.resting import rests_on, why_again
 from hil.procedure.commission.running import _Running, found_signs
@@ -128,19 +128,6 @@ def test_on_the_floor_nothing_holds_the_robot_and_every_session_of_the_camera_is
     assert not floor.environment.on_wall
     assert {"adhesion", "thrust", "load_cells"} & set(floor.devices()) == set()
     assert placed(STAGES[-1], 9, config) == {"emulation.tracker.session": 9}
-
-
-def test_settings_of_an_ablation_hold_what_a_part_was_measured_on_top_of():
-    known = ("signs", "zeros", "backlash", "geometry", "camera", "slip", "hold")
-    found = {s.name: s.known for s in settings_of(known, PARTS)}
-    assert found == {
-        NOTHING: (),
-        "zeros known": ("signs", "zeros"),
-        "zeros and geometry known": ("signs", "zeros", "geometry"),
-        "camera known": ("camera",),
-        "zeros and geometry and slip known": ("signs", "zeros", "geometry", "slip"),
-        EVERYTHING: known,
-    }
 
 
 def test_signs_that_bring_up_found_are_told_from_those_believed(tmp_path):

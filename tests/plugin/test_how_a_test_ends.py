@@ -9,7 +9,6 @@ from hil.bench.held import Held
 from hil.fakes.fault import parse_fault
 from hil.fakes.faults import FaultPlan
 from hil.pytest_plugin import ending
-from hil.pytest_plugin.selection import how_to_repeat
 
 pytest_plugins = ["pytester"]
 pytestmark = pytest.mark.usefixtures("started_commands")
@@ -167,22 +166,6 @@ def test_a_lost_robot_is_an_error_where_it_matters(monkeypatch, real, wire, faul
     assert ("held", "NOT HELD") in tested.user_properties
 
 
-def test_a_robot_that_is_broken_on_purpose_is_no_warning(monkeypatch):
-    warned = []
-    tested = item(warned, blind="*")
-    monkeypatch.setattr(ending, "source_of", lambda _: tested.source)
-    world = SimpleNamespace(faults=SimpleNamespace(touched=False))
-    bench = SimpleNamespace(
-        config=SimpleNamespace(name="lab"),
-        held=Held("NOT HELD", None, "it fell"),
-        faults=(),
-        faults_not_begun=tuple,
-        world=world,
-    )
-    ending.end(tested, bench, passed=True)
-    assert warned == []
-
-
 def test_a_robot_that_was_let_go_of_is_no_error(monkeypatch):
     tested = item([], real=("servos",))
     monkeypatch.setattr(ending, "source_of", lambda _: tested.source)
@@ -298,22 +281,6 @@ def test_a_seed_that_is_none_ends_the_run_before_the_first_test(pytester, given)
     result = pytester.runpytest(f"--hil-seed={given}")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(f"*argument --hil-seed: '{given}' is no seed; expected a whole number*")
-
-
-def test_repeating_a_test_takes_all_options_that_chose_its_bench():
-    given = {
-        "bench": "my bench.toml",
-        "emulate": "imu",
-        "hil_realtime": True,
-        "override_ini": ["hil_bench=lab.toml", "addopts="],
-    }
-    tested = SimpleNamespace(config=SimpleNamespace(getoption=given.get), iter_markers=lambda name: ())
-    bench = SimpleNamespace(
-        seed=7, config=SimpleNamespace(name="lab"), clock=SimpleNamespace(now_ns=lambda: 10**9)
-    )
-    assert how_to_repeat(tested, bench).endswith(
-        "repeat with --hil-seed=7 '--bench=my bench.toml' --emulate=imu --hil-realtime -o hil_bench=lab.toml"
-    )
 
 
 def test_a_plan_remembers_that_it_had_faults():

@@ -196,11 +196,6 @@ def test_virtual_time_is_held_against_nothing():
     assert "(none)" in too_late(ran(1500, 16), ())
 
 
-def test_the_ready_made_check_hands_over_all_of_its_tests():
-    made = {name for name in vars(selfcheck) if name.startswith("test_")}
-    assert made == {name for name in selfcheck.__all__ if name.startswith("test_")}
-
-
 def camera(*statuses):
     """A watch of a camera at 100 Hz whose samples have these statuses."""
     samples = [
