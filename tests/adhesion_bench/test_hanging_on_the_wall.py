@@ -192,13 +192,6 @@ def test_too_much_friction_in_use_stops_the_robot_before_it_slides():
     assert not truth.fallen
 
 
-def test_a_bench_without_these_devices_behaves_as_it_always_did():
-    without = dict.fromkeys(("adhesion", "thrust", "load_cells"))
-    with hil.open_bench("emulated", seed=1, overrides=without) as bench:
-        motion = bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=3.0))
-    assert not [k for k in motion.records[-1].state.diagnostics if k.startswith(("adhesion", "utilisation"))]
-
-
 def test_the_end_of_a_run_leaves_the_fan_running():
     with hil.open_bench("emulated", seed=1, overrides=BRIEFLY) as bench:
         bench.observe(0.5, feedback="odometry")

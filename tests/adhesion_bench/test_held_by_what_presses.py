@@ -94,6 +94,7 @@ def test_propellers_that_do_not_understand_what_they_are_told_are_no_ground_for_
     assert bench.held.state == "NOT HELD"
 
 
+@pytest.mark.long
 def test_a_bench_that_goes_on_does_not_take_them_for_a_ground_either():
     with hil.open_bench("emulated", seed=1, faults=["thrust:garbage@1.3"]) as bench:
         bench.drive(SHORT)

@@ -143,11 +143,10 @@ def test_propellers_that_have_fallen_silent_are_not_called_held_while_the_robot_
 @pytest.mark.parametrize(
     ("doubted", "held"),
     [
-        ({}, True),
         ({"tracker": False, "mocap": False, "servos": False}, True),
         ({"tracker": True}, True),
         ({"tracker": True, "mocap": False}, False),
-        ({"tracker": True, "mocap": True}, False),
+        pytest.param({"tracker": True, "mocap": True}, False, marks=pytest.mark.long),
     ],
 )
 def test_of_two_that_contradict_each_other_one_is_right_and_both_see_it_rest(doubted, held):
@@ -207,8 +206,8 @@ def test_wheels_and_imu_alone_do_not_see_a_slide():
     ("faults", "without"),
     [
         (["servos:brownout@3+1"], ("mocap", "tracker")),
-        (["servos:brownout@3+1", "tracker:off@3+0.8"], ("mocap",)),
-        (["servos:brownout@3+1", "tracker:stuck@3"], ("mocap",)),
+        pytest.param(["servos:brownout@3+1", "tracker:off@3+0.8"], ("mocap",), marks=pytest.mark.long),
+        pytest.param(["servos:brownout@3+1", "tracker:stuck@3"], ("mocap",), marks=pytest.mark.long),
     ],
 )
 def test_a_way_that_nobody_saw_is_not_told_as_nothing(faults, without):

@@ -104,7 +104,10 @@ def test_the_next_drive_does_not_begin_where_motion_capture_has_leapt_to(profile
     assert "is taken to stand where the last drive left it" in caplog.text
 
 
-@pytest.mark.parametrize("fault", ["mocap:wrong@5.0,offset_m=0.5", "tracker:jump@5.0,distance_m=0.3"])
+@pytest.mark.parametrize(
+    "fault",
+    ["mocap:wrong@5.0,offset_m=0.5", pytest.param("tracker:jump@5.0,distance_m=0.3", marks=pytest.mark.long)],
+)
 def test_a_leap_is_no_way_that_the_robot_went_after_its_stop(fault):
     with hil.open_bench("emulated", seed=1, faults=[fault], overrides=FANLESS) as bench:
         drive(bench, 0)
