@@ -73,7 +73,6 @@ def files(*places):
 
 
 THINNED = {
-    "procedure/test_held_in_results.py::test_a_result_says_whether": 2,
     "adhesion_bench/test_hanging_on_the_wall.py::test_falling_adhesion_stops": 3,
     "adhesion_bench/test_hanging_on_the_wall.py::test_who_lies": 6,
     "bench/test_doctor_discover_setup.py::test_a_sick_device": 2,

@@ -38,7 +38,7 @@ SMALL = {
     "line_m": 0.35,
     "turns": 0.15,
     "max_rounds": 2,
-    "compared_methods": "ga",
+    "compared_methods": "interior-point",
     "processes": 1,
 }
 
