@@ -13,7 +13,6 @@ REAL_TIME = (
     "adhesion_dronecan/test_dronecan_node_at_the_wire.py",
     "emulate/",
     "live/test_live_command.py",
-    "bench/test_bench_assembly.py::test_servos_are_asked_ahead_in_real_time",
     "bench/test_doctor_discover_setup.py::test_discover_without_an_answer",
     "bench/test_doctor_slow_adapter.py::test_an_adapter_as_delivered_is_recognised_at_the_wire",
     "monitor/test_monitor_listens.py",
@@ -69,7 +68,6 @@ def files(marker, *places):
 
 
 THINNED = {
-    "procedure/test_held_in_results.py::test_a_result_says_whether": 2,
     "adhesion_bench/test_hanging_on_the_wall.py::test_falling_adhesion_stops": 3,
     "adhesion_bench/test_hanging_on_the_wall.py::test_who_lies": 6,
     "bench/test_doctor_discover_setup.py::test_a_sick_device": 2,
@@ -77,12 +75,10 @@ THINNED = {
     "bench/test_held.py::test_whoever_loses_servos": 6,
     "adhesion_bench/test_hanging_on_the_wall.py::test_no_torque_and_no_motion": 6,
     "bench/test_doctor_discover_setup.py::test_a_device_that_falls_ill": 2,
-    "bench/test_doctor_discover_setup.py::test_nothing_is_told_twice": 2,
     "bench/test_doctor_discover_setup.py::test_the_emulated_bench_is_healthy": 2,
     "live/test_live_command.py::test_a_disk_that_fills_up": 2,
     "live/test_live_command.py::test_a_second_signal": 2,
     "live/test_live_command.py::test_a_signal_holds_the_robot": 2,
-    "live/test_live_remote.py::test_a_drive_on_a_remote_bench": 2,
     "procedure/test_procedures_page.py::test_the_printed_procedure_passes": 2,
     "procedures/test_every_procedure_stops.py::test_a_procedure_struck_while_it_moves": 5,
     "procedures/test_odometry_calibration_run.py::test_it_fails_under_a_fault": 3,

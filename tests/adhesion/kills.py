@@ -59,14 +59,19 @@ def keeper_pid(spec):
         return client.peer(connection)[0]
 
 
-def killed(fan, pids, rng, *, afterwards_s=0.6):
+def commanded(fan, since_s, times=10):
+    """Wait until so many commands have reached the fan."""
+    wait_until(lambda: sum(t_s > since_s for t_s, _, _ in list(fan.commands)) >= times, "more commands")
+
+
+def killed(fan, pids, rng):
     """Kill processes at a random moment, at once, and look at what reached the fan around it."""
     time.sleep(rng.uniform(0.1, 0.6))
     since_s = time.time()
     for pid in pids:
         with suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
-    time.sleep(afterwards_s)
+    commanded(fan, since_s)
     duties = [duty for t_s, duty in fan.duties() if t_s >= since_s]
     before = max((t_s for t_s, _, _ in fan.commands if t_s < since_s), default=since_s)
     return Kill(max(fan.gaps_s(before)), min(duties, default=0.0))

@@ -21,12 +21,9 @@ from hil.bench.adhesion import keeper_spec, kept_specs
 from hil.bench.drivers import make_rig
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.drivers.adhesion.keeper import client, link
+from hil.drivers.adhesion.keeper import client
 from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.deputy import KeptByProcess
-from hil.drivers.adhesion.keeper.door import Peer, of_another
-from hil.drivers.adhesion.keeper.kept import finding
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.keeper.door import of_another
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.emulated_bus import is_emulated
 from hil.vocabulary.errors import DeviceError, UsageError
@@ -254,40 +251,6 @@ def test_status_tells_of_the_fan_where_the_propellers_keeper_is_another_users(at
         assert "thrust: its keeper does not tell how it runs" in out
 
 
-def test_whose_keeper_it_is_is_told_where_it_is_another_users(at_wire, hil, monkeypatch):
-    _, spec, path = at_wire
-    with client.find_or_start(spec):
-        assert " of user" not in hil("adhesion", "status", "--bench", path)[1]
-        monkeypatch.setattr(client.os, "getuid", lambda: 0)
-        for module in (client, link):
-            monkeypatch.setattr(module, "peer", lambda connection: Peer(7, 54321))
-        assert " of user 54321 since " in hil("adhesion", "status", "--bench", path)[1]
-        _, out, _ = hil("adhesion", "off", "--bench", path, "--tethered")
-        assert out.endswith("), by the keeper of user 54321\n")
-        said = []
-        deputy = KeptByProcess(spec, MonotonicClock(), say=said.append)
-        deputy.open()
-        found = finding("adhesion", deputy)
-        deputy.close()
-        assert said == [f"the fan's keeper is one of user 54321, process {deputy.status()['pid']}"]
-        assert found.found.endswith("; it is one of user 54321")
-
-
-def test_a_speed_is_called_electrical_where_the_controller_counts_it_so():
-    status = {
-        "state": "keeping",
-        "sent": ("duty", 0.5),
-        "report": {"erpm": 9000.0},
-        "report_age_s": 0.0,
-        "worst_gap_s": 0.05,
-        "bus_error": "",
-    }
-    assert "9000 electrical 1/min" in adhesion.described(status, Spec("socketcan", "can0", 7))
-    details = {"esc_index": 0, "node_id": 120, "rpm_per_v": 1750.0}
-    dronecan = Spec("socketcan", "can0", 7, dialect="dronecan", details=details)
-    assert ", 9000 1/min" in adhesion.described(status, dronecan)
-
-
 def test_propellers_that_need_no_keeper_are_told_what_does(at_wire, hil):
     _, _, path = at_wire
     with path.open("a") as file:
@@ -462,12 +425,8 @@ def test_a_fan_that_a_bench_commands_is_left_to_it(at_wire, hil):
 
 SETS = """
 import sys
-from hil.drivers.adhesion.keeper import client, link
+from hil.drivers.adhesion.keeper import client
 from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.deputy import KeptByProcess
-from hil.drivers.adhesion.keeper.door import Peer, of_another
-from hil.drivers.adhesion.keeper.kept import finding
-from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.keeper.spec import Spec
 
 spec = Spec.from_json(sys.argv[1])

@@ -11,13 +11,13 @@ from contextlib import contextmanager
 from math import dist
 
 import pytest
-from kills import end_keeper
+from kills import end_keeper, wait_until
 from wall_trials import ENVIRONMENT, bench_driving, robot_on_the_wall
 
 from hil.bench.adhesion import keeper_spec
 from hil.config.loading import load_bench
 
-pytestmark = pytest.mark.timeout(900)
+pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
 LEAST_SHARE, MOST_M, TURNS_RAD_S, LONGEST_S = 0.9, 1e-3, 0.01, 120.0
 STANDS = "--on-stand"
 """Said by mistake: the robot hangs."""
@@ -32,8 +32,7 @@ def robot(tmp_path_factory):
         path = robot.bench_file(folder)
         try:
             with bench_driving(path, "patient") as process:
-                while not all(robot.truth()["turning"]):
-                    time.sleep(0.05)
+                wait_until(lambda: all(robot.truth()["turning"]), "a driving robot")
                 process.terminate()
                 process.wait(LONGEST_S)
             yield robot, path
@@ -67,7 +66,7 @@ def all_others(robot, path):
 
 ENDS = {"discover": 4, "accept": 4, "adhesion": 0, "info": 0, "list": 0}
 """Exit codes where nobody is at the terminal and nobody says that the robot stands."""
-BOTH = pytest.mark.parametrize("commands", [at_the_ports, pytest.param(all_others, marks=pytest.mark.long)])
+BOTH = pytest.mark.parametrize("commands", [at_the_ports, all_others])
 
 
 @contextmanager
@@ -114,7 +113,7 @@ def assert_as_before(before, seen):
 @BOTH
 def test_nothing_that_asks_changes_what_holds_a_hanging_robot(robot, commands):
     robot, path = robot
-    time.sleep(1.0)
+    wait_until(lambda: robot.truth()["wheels_rad_s"] < TURNS_RAD_S, "wheels at rest")
     before = robot.truth()
     for words in commands(robot, path):
         with asking(words, path) as process:
@@ -129,13 +128,11 @@ def test_nothing_that_asks_changes_what_holds_a_hanging_robot(robot, commands):
             assert f"not asked: {robot.endpoints['thrust']['port']}: " in said
 
 
-@pytest.mark.long
 @BOTH
 def test_nothing_that_asks_changes_what_holds_a_robot_that_drives(robot, commands):
     robot, path = robot
     with bench_driving(path, "patient") as bench:
-        while not all(robot.truth()["turning"]):
-            time.sleep(0.05)
+        wait_until(lambda: all(robot.truth()["turning"]), "a driving robot")
         before = robot.truth()
         for words in commands(robot, path):
             with asking(words, path) as process:

@@ -18,7 +18,7 @@ from hil.config.loading import load_bench
 
 pytestmark = pytest.mark.timeout(120)
 STOPPED_S = 1.5
-LEAST_SHARE, MOST_M = 0.9, 1e-3
+LEAST_SHARE, MOST_M, DRIVES_M = 0.9, 1e-3, 0.01
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +43,9 @@ def turning(robot):
 
 def goes_on(robot, before):
     """It hangs as before and drives again."""
-    time.sleep(1.0)
-    after = turning(robot)
+    here = robot.truth()["pose"]
+    wait_until(lambda: dist(robot.truth()["pose"][:2], here[:2]) > DRIVES_M, "a robot that drives again")
+    after = robot.truth()
     assert not after["fallen"]
     assert all(after["torque"])
     for force in ("adhesion_n", "thrust_n"):
@@ -85,6 +86,7 @@ def test_a_keeper_that_stands_still_costs_no_force(driven):
     assert "keeper does not answer" in log.read_text()
 
 
+@pytest.mark.long
 def test_devices_that_fall_silent_and_come_back_stop_the_robot_by_name(driven):
     robot, _, _, log = driven
     before, known = turning(robot), len(log.read_text())

@@ -27,14 +27,14 @@ def left(fault, *, overrides=None):
     return held, took_s, went_m
 
 
-@pytest.mark.parametrize("start_s", [0.05, 1.0])
+@pytest.mark.parametrize("start_s", [0.05, pytest.param(1.0, marks=pytest.mark.long)])
 def test_a_fan_off_its_bus_is_never_held_before_it_has_run_down(start_s):
     held, _, went_m = left(f"adhesion:bus_off@{start_s}")
     assert went_m > 0.1
     assert held.state == "NOT HELD"
 
 
-@pytest.mark.parametrize("reset_s", [1.25, 1.31, 1.37])
+@pytest.mark.parametrize("reset_s", [1.31, *(pytest.param(s, marks=pytest.mark.long) for s in (1.25, 1.37))])
 def test_a_fan_that_runs_down_while_somebody_looks_is_not_held(reset_s):
     """The last estimate before the stop is NaN; what is needed must not become NaN with it."""
     faults = ["servos:unplug@1+0.2", f"adhesion:reset@{reset_s}"]
@@ -75,7 +75,12 @@ def place(bench):
 
 
 @pytest.mark.parametrize(
-    ("fault", "plant"), [*((fault, "own") for fault in DEAF), *((fault, "mujoco") for fault in DEAF)]
+    ("fault", "plant"),
+    [
+        (DEAF[0], "own"),
+        *(pytest.param(fault, "own", marks=pytest.mark.long) for fault in DEAF[1:]),
+        *(pytest.param(fault, "mujoco", marks=pytest.mark.long) for fault in DEAF),
+    ],
 )
 def test_propellers_that_do_not_understand_what_they_are_told_are_no_ground_for_held(fault, plant):
     """They take their throttle down step by step: the robot rests for seconds before it slides."""
@@ -89,6 +94,7 @@ def test_propellers_that_do_not_understand_what_they_are_told_are_no_ground_for_
     assert bench.held.state == "NOT HELD"
 
 
+@pytest.mark.long
 def test_a_bench_that_goes_on_does_not_take_them_for_a_ground_either():
     with hil.open_bench("emulated", seed=1, faults=["thrust:garbage@1.3"]) as bench:
         bench.drive(SHORT)
@@ -108,6 +114,7 @@ def test_what_a_closing_bench_calls_held_goes_on_without_a_line_to_the_propeller
     assert np.linalg.norm(place(bench) - stood) < 5e-4
 
 
+@pytest.mark.long
 def test_wheels_that_turn_more_than_a_sliding_robot_goes_are_not_suspected_alone():
     events = []
     bench = hil.open_bench("emulated", seed=0, faults=["thrust:wrong@1.3"])

@@ -171,7 +171,7 @@ def test_a_bench_that_goes_on_tells_them_their_force_all_the_time():
     press = Press(WITHOUT)
     press.watch.begin(for_good=False)
     assert steady(press, gives_way_s() + 3.0, fan=ENOUGH_N)[-1] == ""
-    assert True not in press.alone
+    assert not any(press.alone)
 
 
 def test_propellers_of_which_nobody_knows_how_they_give_way_are_no_ground():

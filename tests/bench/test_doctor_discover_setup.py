@@ -17,7 +17,6 @@ from hil.cli import main
 from hil.config.loading import load_bench
 from hil.drivers.servos import scan
 from hil.fakes.world import VirtualClock
-from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import KINDS
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
@@ -114,23 +113,6 @@ def test_an_ill_can_bus_is_told_from_an_ill_node(capsys, opened_at_s):
     assert "ip link set" in state["remedy"]
 
 
-def test_what_a_person_reads_has_a_remedy(capsys):
-    assert main(["doctor", "--watch", "0.5", "--fault", "servo.steer_FR:off"]) == 3
-    assert main(["doctor", "--watch", "0"]) == 2
-    out = capsys.readouterr().out
-    assert "FAIL servos" in out
-    assert "expected" in out
-
-
-@pytest.mark.parametrize("fault", ["", "servo.steer_FR:off", "imu:off", "mocap:off"])
-def test_nothing_is_told_twice(capsys, fault):
-    _, result = doctor(capsys, *(("--fault", fault) if fault else ()))
-    told = [(f["device"], f["check"]) for f in result["findings"]]
-    assert sorted(set(told)) == sorted(told)
-    said = [f["found"] for f in result["findings"] if f["device"] == "servos" and "XH430" in f["found"]]
-    assert len(said) <= 1
-
-
 def findings_with(tmp_path, text):
     """Of the emulated servos alone, with these keys in the bench file."""
     path = tmp_path / "bench.toml"
@@ -177,24 +159,6 @@ def test_discover_writes_the_model_down_or_says_that_it_is_not_known(models, tol
     assert told in discover(VirtualClock(world), ports=[port], say=said.append).to_toml()
     assert said[:2] == [f"asking {port}", f"found Dynamixel X servos on RS-485 or TTL at {port}"]
     connected.close()
-
-
-def test_discover_says_what_it_did_not_find_and_where_it_looked(tmp_path, monkeypatch):
-    monkeypatch.setattr("can.detect_available_configs", lambda interfaces: [])
-    config = load_bench("emulated", overrides=dict.fromkeys(("encoders", "imu", "tracker", "mocap")))
-    world = build_world(config, seed=1)
-    connected = connect_in_process(config, world)
-    port = connected.connections["servos"].values["port"]
-    found = discover(VirtualClock(world), ports=[port], sysfs=tmp_path)
-    connected.close()
-    assert set(found.missing) == set(kinds()) - {"servos"}
-    assert found.missing["imu"] == f"asked {port}"
-    assert found.missing["encoders"] == "this computer has no CAN bus; name one with --can INTERFACE:CHANNEL"
-    assert found.missing["mocap"].endswith("name one with --mocap ADDRESS")
-    assert "udpin" in found.missing["tracker"]
-    assert found.silent == []
-    none = discover(VirtualClock(world), ports=[], sysfs=tmp_path)
-    assert none.missing["servos"] == "no serial port was asked; name one with --port"
 
 
 @pytest.mark.parametrize(

@@ -38,11 +38,6 @@ def system(tmp_path):
     return tmp_path
 
 
-def real_servos(port):
-    values = {"servos.backend": "real", "servos.port": str(port)}
-    return hil.open_bench("emulated", overrides=SERVOS_ONLY | values)
-
-
 @pytest.mark.parametrize("name", ["ttyUSB0", "serial/by-id/usb-FTDI_U2D2_FT4T-if00-port0"])
 def test_the_timer_is_found_behind_any_name_of_the_port(system, name):
     timer = latency_timer(str(system / "dev" / name), system / "sys")

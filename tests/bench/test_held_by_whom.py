@@ -19,6 +19,8 @@ HOP = line((0, 0, 0), (0.12, 0, 0), duration_s=2.4)
 FAR_M = 0.005
 VESCS = {"thrust.model": "vesc"}
 TETHER = {"safety.tethered": True}
+BRIEFLY = {"exit.look_after_s": 1.0}
+"""For a robot that is not found held, however long somebody looks."""
 
 
 def left(*faults, without=(), seed=5, feedback="ekf", way=CLIMB, **overrides):
@@ -65,13 +67,13 @@ def test_a_way_within_the_noise_of_a_coarse_sensor_is_none(still, moved_m):
     assert travel.moved_m(["rangefinder"], slides=True) == pytest.approx(0.02)
 
 
-@pytest.mark.parametrize("plant", ["own", "mujoco"])
+@pytest.mark.parametrize("plant", ["own", pytest.param("mujoco", marks=pytest.mark.long)])
 def test_a_camera_that_was_just_in_doubt_does_not_witness_that_the_robot_rests(plant):
     held, stop, _, speed_m_s = left(
         "plant:adhesion_loss@2.8,factor=0.4",
         "tracker:wrong@2.5,scale=0",
         without=("mocap", "load_cells"),
-        **{"emulation.plant": plant},
+        **{"emulation.plant": plant, **BRIEFLY},
     )
     assert stop.reason == "sensors_disagree"
     assert speed_m_s > 0.1, "it slides or falls"
@@ -79,6 +81,7 @@ def test_a_camera_that_was_just_in_doubt_does_not_witness_that_the_robot_rests(p
     assert held.moved_m is None, "nobody who is believed saw it"
 
 
+@pytest.mark.long
 def test_a_doubted_camera_is_named_where_nobody_else_could_see_a_slide():
     held, stop, moved_m, speed_m_s = left("tracker:wrong@2.5,scale=0.3", without=("mocap", "load_cells"))
     assert stop.reason == "sensors_disagree"
@@ -100,6 +103,7 @@ def test_motion_capture_does_without_the_camera():
     assert (held.moved_m is None, speed_m_s < 1e-4) == (False, True)
 
 
+@pytest.mark.long
 def test_load_cells_do_without_a_camera_where_the_propellers_report_or_are_not_needed():
     """They feel what presses; that nobody carries a part of the weight any more they do not feel."""
     blind, lie = ("mocap",), "tracker:wrong@2.5,scale=0.3"
@@ -139,11 +143,10 @@ def test_propellers_that_have_fallen_silent_are_not_called_held_while_the_robot_
 @pytest.mark.parametrize(
     ("doubted", "held"),
     [
-        ({}, True),
         ({"tracker": False, "mocap": False, "servos": False}, True),
         ({"tracker": True}, True),
         ({"tracker": True, "mocap": False}, False),
-        ({"tracker": True, "mocap": True}, False),
+        pytest.param({"tracker": True, "mocap": True}, False, marks=pytest.mark.long),
     ],
 )
 def test_of_two_that_contradict_each_other_one_is_right_and_both_see_it_rest(doubted, held):
@@ -154,6 +157,7 @@ def test_of_two_that_contradict_each_other_one_is_right_and_both_see_it_rest(dou
     assert ("camera" in found.why.split(";")[0]) is (held and doubted != {"tracker": True})
 
 
+@pytest.mark.long
 def test_a_camera_is_believed_again_only_after_a_way_on_which_others_agree():
     faults = ("tracker:wrong@1.3+1.5,scale=0",)
     bench = hil.open_bench("emulated", seed=5, faults=faults, overrides={"mocap": None, "load_cells": None})
@@ -187,14 +191,14 @@ def test_servos_alone_do_not_confirm_it_where_there_are_others_who_should():
 
 def test_wheels_and_imu_alone_do_not_see_a_slide():
     """A seal that leaks does not show in the fan's speed; the robot slides, servos and gravity rest."""
-    blind = ("mocap", "tracker", "load_cells")
-    held, *_ = left("plant:adhesion_loss@3.1,factor=0.42", without=blind, feedback="odometry", way=HOP)
+    blind = {"without": ("mocap", "tracker", "load_cells"), "feedback": "odometry", "way": HOP}
+    held, *_ = left("plant:adhesion_loss@3.1,factor=0.42", **blind, **BRIEFLY)
     assert held.state == "NOT HELD"
-    held, _, moved_m, _ = left(without=blind, feedback="odometry", way=HOP)
+    held, _, moved_m, _ = left(**blind, **BRIEFLY)
     assert (held.state, held.moved_m) == ("NOT HELD", None)
     assert "that takes a camera, motion capture or load cells" in held.why
     assert moved_m < FAR_M
-    held, *_ = left(without=blind, feedback="odometry", way=HOP, **TETHER)
+    held, *_ = left(**blind, **TETHER)
     assert held.state == "HELD", "a tether holds it"
 
 
@@ -202,8 +206,8 @@ def test_wheels_and_imu_alone_do_not_see_a_slide():
     ("faults", "without"),
     [
         (["servos:brownout@3+1"], ("mocap", "tracker")),
-        (["servos:brownout@3+1", "tracker:off@3+0.8"], ("mocap",)),
-        (["servos:brownout@3+1", "tracker:stuck@3"], ("mocap",)),
+        pytest.param(["servos:brownout@3+1", "tracker:off@3+0.8"], ("mocap",), marks=pytest.mark.long),
+        pytest.param(["servos:brownout@3+1", "tracker:stuck@3"], ("mocap",), marks=pytest.mark.long),
     ],
 )
 def test_a_way_that_nobody_saw_is_not_told_as_nothing(faults, without):
@@ -235,10 +239,8 @@ def test_the_accelerometer_sees_a_robot_that_speeds_up(monkeypatch):
     """What it feels differs from its weight by more than a data sheet allows."""
     from hil.bench import holding
 
-    held, *_ = left(way=HOP)
-    assert held.state == "HELD"
     monkeypatch.setattr(holding, "_felt_m_s2", lambda sample: 7.0)
-    held, *_ = left(way=HOP)
+    held, *_ = left(way=HOP, **BRIEFLY)
     assert held.state == "NOT HELD"
     assert "speeding up" in held.why
 
@@ -292,8 +294,15 @@ def test_a_witness_that_did_not_see_the_stop_says_nothing_of_the_way():
     assert fresh.moved_m({"tracker"}, slides=True) == 0.0, "nothing was stopped: its way begins here"
 
 
-@pytest.mark.parametrize("servo_id", [1, 3, 8])
-@pytest.mark.parametrize("bench_values", [{}, {"servos.prefetch": True}], ids=["asked", "ahead"])
+@pytest.mark.parametrize(
+    ("servo_id", "bench_values"),
+    [
+        (1, {}),
+        (8, {"servos.prefetch": True}),
+        *(pytest.param(k, {}, marks=pytest.mark.long) for k in (3, 8)),
+        *(pytest.param(k, {"servos.prefetch": True}, marks=pytest.mark.long) for k in (1, 3)),
+    ],
+)
 def test_a_servo_that_answers_late_for_ever_is_held_with_the_others_and_named(servo_id, bench_values):
     held, stop, moved_m, speed_m_s = left(f"servo.{servo_id}:slow@2.5,answer_s=0.02", **bench_values)
     assert stop.reason == "stale_servos"
@@ -303,8 +312,11 @@ def test_a_servo_that_answers_late_for_ever_is_held_with_the_others_and_named(se
     assert speed_m_s < 1e-4
 
 
-@pytest.mark.parametrize("plant", ["own", "mujoco"])
-@pytest.mark.parametrize("fault", ["thrust:off@4.9", "thrust:off@5.1", "thrust:wrong@5.0,factor=0.5"])
+@pytest.mark.parametrize("plant", ["own", pytest.param("mujoco", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "fault",
+    [pytest.param("thrust:off@4.9", marks=pytest.mark.long), "thrust:off@5.1", "thrust:wrong@5.0,factor=0.5"],
+)
 def test_propellers_that_fail_as_the_way_ends_are_not_called_holding(fault, plant):
     """They report nothing, and push for a moment longer: the look outlasts that."""
     way = line((0, 0, 0), (0.2, 0, 0), duration_s=4.0)

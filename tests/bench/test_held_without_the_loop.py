@@ -1,5 +1,7 @@
 """After the stop nobody runs the loop: propellers and servos that restart then are told again anyway."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -17,9 +19,18 @@ def place(bench):
     return bench.truth().pose_body_in_wall[:2].copy()
 
 
-@pytest.mark.parametrize("fault", ["thrust:reset@{}", "thrust:brownout@{}+0.05"])
-@pytest.mark.parametrize("after_s", [0.1, 2.0])
-@pytest.mark.parametrize("looks", [True, False])
+RESET, BROWNOUT = "thrust:reset@{}", "thrust:brownout@{}+0.05"
+ALL = itertools.product((RESET, BROWNOUT), (0.1, 2.0), (True, False))
+
+
+@pytest.mark.parametrize(
+    ("fault", "after_s", "looks"),
+    [
+        (RESET, 0.1, True),
+        (BROWNOUT, 2.0, False),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in ALL),
+    ],
+)
 def test_propellers_that_restart_after_the_stop_push_again(fault, after_s, looks):
     with hil.open_bench("emulated", seed=1, faults=[fault.format(ENDED_S + after_s)]) as bench:
         bench.drive(WAY, hold_s=0.5)
@@ -41,13 +52,13 @@ LATE = "servos:slow@{},answer_s=0.02"
 @pytest.mark.parametrize(
     "faults",
     [
-        [LATE.format(2), "servos:brownout@2.15+0.05"],
+        pytest.param([LATE.format(2), "servos:brownout@2.15+0.05"], marks=pytest.mark.long),
         [LATE.format(2), "servos:brownout@2.15+0.3"],
-        [LATE.format(2.6), "servos:brownout@2.15+0.3"],
+        pytest.param([LATE.format(2.6), "servos:brownout@2.15+0.3"], marks=pytest.mark.long),
         ["servos:corrupt@2,probability=0.8", "servos:brownout@2.3+0.1"],
     ],
 )
-@pytest.mark.parametrize("plant", ["own", "mujoco"])
+@pytest.mark.parametrize("plant", ["own", pytest.param("mujoco", marks=pytest.mark.long)])
 def test_servos_that_hear_and_are_not_heard_have_their_torque_back(faults, plant):
     """Supply and bus are there again, answers are late or lost: 28 to 61 mm of sliding before."""
     if plant == "mujoco":

@@ -8,6 +8,7 @@ from hil.bench.leaps import Leaps
 from hil.robot.trajectories import line
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.errors import SafetyStop
+from tests.patience import FANLESS
 
 FAR = np.array([0.12, 0.0, 0.0])
 
@@ -78,18 +79,21 @@ def drive(bench, number):
     ("profile", "faults"),
     [
         ("emulated", ["mocap:wrong@5.0,offset_m=0.1"]),
-        ("emulated_floor", ["mocap:wrong@5.0,offset_m=0.1"]),
+        pytest.param("emulated_floor", ["mocap:wrong@5.0,offset_m=0.1"], marks=pytest.mark.long),
         ("emulated_floor", ["mocap:wrong@3.37,offset_m=0.1"]),
-        ("emulated", ["mocap:wrong@3.37,offset_m=0.02"]),
-        ("emulated", ["mocap:off@2.34+1", "mocap:wrong@3.37,offset_m=-0.02"]),
+        pytest.param("emulated", ["mocap:wrong@3.37,offset_m=0.02"], marks=pytest.mark.long),
+        pytest.param(
+            "emulated", ["mocap:off@2.34+1", "mocap:wrong@3.37,offset_m=-0.02"], marks=pytest.mark.long
+        ),
         ("emulated", ["mocap:off@10.4"]),
     ],
 )
 def test_the_next_drive_does_not_begin_where_motion_capture_has_leapt_to(profile, faults, caplog):
-    with hil.open_bench(profile, seed=1, faults=faults) as bench:
+    gone = faults == ["mocap:off@10.4"]
+    with hil.open_bench(profile, seed=1, faults=faults, overrides={} if gone else FANLESS) as bench:
         drive(bench, 0)
         bench.look()
-        if faults == ["mocap:off@10.4"]:
+        if gone:
             with pytest.raises(hil.vocabulary.errors.DeviceTimeoutError):
                 drive(bench, 1)
             assert bench.truth().pose_body_in_wall[0] < 0.24
@@ -100,9 +104,12 @@ def test_the_next_drive_does_not_begin_where_motion_capture_has_leapt_to(profile
     assert "is taken to stand where the last drive left it" in caplog.text
 
 
-@pytest.mark.parametrize("fault", ["mocap:wrong@5.0,offset_m=0.5", "tracker:jump@5.0,distance_m=0.3"])
+@pytest.mark.parametrize(
+    "fault",
+    ["mocap:wrong@5.0,offset_m=0.5", pytest.param("tracker:jump@5.0,distance_m=0.3", marks=pytest.mark.long)],
+)
 def test_a_leap_is_no_way_that_the_robot_went_after_its_stop(fault):
-    with hil.open_bench("emulated", seed=1, faults=[fault]) as bench:
+    with hil.open_bench("emulated", seed=1, faults=[fault], overrides=FANLESS) as bench:
         drive(bench, 0)
         held = bench.look()
     assert held.state == "HELD"
@@ -110,8 +117,8 @@ def test_a_leap_is_no_way_that_the_robot_went_after_its_stop(fault):
 
 
 def test_in_a_clean_world_every_drive_begins_where_motion_capture_sees_the_robot(caplog):
-    with hil.open_bench("emulated", seed=3) as bench:
-        for number in range(3):
+    with hil.open_bench("emulated", seed=3, overrides=FANLESS) as bench:
+        for number in range(2):
             off, sigmas = drive(bench, number)
             assert np.all(off < sigmas + 0.005)
     assert "is taken to stand" not in caplog.text

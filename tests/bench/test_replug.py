@@ -28,9 +28,10 @@ class Plug(Sensor):
 
     def __init__(self):
         self.name, self.plugged, self.handles, self.opened = "plug", True, 0, 0
-        self.port_gone, self.raises, self.number = False, DeviceTimeoutError, 0
+        self.port_gone, self.raises, self.number, self.tried = False, DeviceTimeoutError, 0, 0
 
     def open(self):
+        self.tried += 1
         self.close()
         if not self.plugged:
             raise self.raises("plug", "nobody there", remedy="plug it in")
@@ -103,7 +104,7 @@ def test_whatever_opening_raises_it_is_tried_again(plug, error):
     sensor.open()
     plug.plugged, plug.raises = False, error
     assert sensor.read() == ()
-    time.sleep(0.05)
+    wait_for(lambda: plug.tried > 3)
     plug.plugged = True
     assert wait_for(sensor.read)
     sensor.close()

@@ -68,11 +68,12 @@ def test_a_robot_that_is_to_move_says_what_has_slipped(kept):
     assert stop.value.reason == "horn_slip"
 
 
+@pytest.mark.long
 def test_bring_up_keeps_it_in_the_record_of_the_robot(tmp_path, capsys, kept):
     record = tmp_path / "robot"
     command = ["run", "bring_up", "--bench", "emulated_floor", "--seed", "5", "--out", str(tmp_path / "out")]
-    devices = "devices=servos,encoders,imu,tracker,mocap"
-    assert main([*command, "--set", f"bench.record.folder={record}", "--set", devices, "--json"]) == 0
+    settings = ("devices=servos,encoders,mocap", "watch_s=2", f"bench.record.folder={record}")
+    assert main([*command, *(word for one in settings for word in ("--set", one)), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["verdict"] in ("PASS", "MARGINAL")
     part = RobotRecord(record).read().parts["steering"]
     assert part.values["encoders.minus_servo_rad"] == pytest.approx(

@@ -69,33 +69,6 @@ def refuse(event, arguments):
 def dask_setup(worker):
     sys.addaudithook(refuse)
 '''
-FULL = '''
-"""A worker whose disk is full as soon as a recording grows."""
-import errno
-
-from hil.recording import mcap_file
-
-def write(file, data):
-    raise OSError(errno.ENOSPC, "No space left on device")
-
-def dask_setup(worker):
-    mcap_file._WholeWrites.write = write
-'''
-FULL_AT_THE_END = '''
-"""A worker whose disk is full when the page of a run is written."""
-import errno
-from pathlib import Path
-
-usual = Path.open
-
-def open_it(path, *arguments, **options):
-    if path.name.startswith("report.html"):
-        raise OSError(errno.ENOSPC, "No space left on device")
-    return usual(path, *arguments, **options)
-
-def dask_setup(worker):
-    Path.open = open_it
-'''
 OTHER = '''
 """A worker with another version of the package."""
 import hil
@@ -297,20 +270,6 @@ def test_a_scheduler_without_this_package_is_refused(tmp_path, here, capsys):
         2,
         True,
     ), said
-
-
-@pytest.mark.long
-@pytest.mark.timeout(300)
-@pytest.mark.parametrize("full", [FULL, FULL_AT_THE_END], ids=["recording", "page"])
-def test_a_full_disk_at_a_worker_loses_its_runs_alone_until_they_are_resumed(cluster, here, capsys, full):
-    cluster.worker("one", full, here)
-    options = ("--seeds", "0:2", "--scheduler", cluster.address, "--out", "far")
-    code, tree, _ = campaign(capsys, *options)
-    assert (code, tree["verdicts"]) == (4, {"LOST": 2}), tree["rows"]
-    assert "No space left on device" in tree["rows"][0]["error"]
-    assert "worker tcp://127.0.0.1:" in tree["rows"][0]["error"]
-    code, tree, _ = campaign(capsys, "--seeds", "0:2", "--workers", "0", "--out", "far", "--resume")
-    assert (code, tree["verdicts"]) == (0, {"PASS": 2})
 
 
 def once(folder, act):

@@ -69,7 +69,8 @@ def campaign(script, capsys):
     """Exit code, JSON and stderr of a campaign."""
 
     def go(*options):
-        code = main(["campaign", script, *options, "--json"])
+        bench = () if "--bench" in options else ("--bench", "emulated_floor")
+        code = main(["campaign", script, *bench, *options, "--json"])
         said = capsys.readouterr()
         return code, json.loads(said.out) if said.out else None, said.err
 
@@ -79,7 +80,8 @@ def campaign(script, capsys):
 def test_results_alone_are_the_same_without_recordings_and_figures(campaign, tmp_path):
     rows = {}
     for keep in ("all", "results"):
-        code, tree, _ = campaign("--seeds", "3", "--workers", "0", "--keep", keep, "--out", keep)
+        words = ("--bench", "emulated", "--seeds", "3", "--workers", "0", "--keep", keep, "--out", keep)
+        code, tree, _ = campaign(*words)
         assert code == 0
         rows[keep] = tree["rows"][0]
     assert rows["all"]["measurements"] == rows["results"]["measurements"]
@@ -296,7 +298,8 @@ def test_a_plan_of_which_nothing_ran_is_no_campaign(campaign, tmp_path):
 
 def test_ctrl_c_ends_the_workers_says_what_is_finished_and_shows_nothing_of_dask(script, tmp_path):
     pytest.importorskip("distributed", reason="Dask (the extra campaign) is not installed")
-    command = [sys.executable, "-m", "hil", "campaign", script, "--seeds", "0:400", "--out", "o"]
+    words = ("--bench", "emulated_floor", "--workers", "1", "--seeds", "0:400", "--out", "o")
+    command = [sys.executable, "-m", "hil", "campaign", script, *words]
     process = subprocess.Popen(
         command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True
     )

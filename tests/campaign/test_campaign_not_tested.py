@@ -32,7 +32,7 @@ def campaign(tmp_path, monkeypatch, capsys):
     (tmp_path / "hold.py").write_text(SCRIPT)
 
     def go(*options):
-        common = ("--workers", "0", "--keep", "results", "--out", "o")
+        common = ("--bench", "emulated_floor", "--workers", "0", "--keep", "results", "--out", "o")
         code = main(["campaign", "hold.py", *common, *options])
         return code, capsys.readouterr().out
 

@@ -15,13 +15,12 @@ from hil.config.loading import load_bench
 from hil.config.record import PARTS, Figure, NewPart, Part, RobotRecord
 from hil.config.record.overlay import identity
 from hil.procedure import BenchSource
-from hil.procedure.ablation import EVERYTHING, NOTHING, settings_of
-from hil.procedure.commission import Commission, commission, running, state, stopping
+from hil.procedure.ablation import EVERYTHING, NOTHING
+from hil.procedure.commission import Commission, commission, running, state
 from hil.procedure.commission.resting import rests_on, why_again
 from hil.procedure.commission.running import _Running, found_signs
 from hil.procedure.commission.stages import STAGES, Stage, placed, stages
 from hil.procedure.commission.state import state_of
-from hil.procedure.commission.stopping import missed
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.measurements import Verdict
 from hil.procedure.operator import Terminal, go_ahead
@@ -29,8 +28,6 @@ from hil.procedure.results import KEEPING, Failure, Result
 from hil.report import commission_page
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import Aborted, ConfigError
-from hil.vocabulary.progress import WHOLE
-from hil.vocabulary.result_files import COMMISSIONING_TABLE
 
 TINY = (
     Stage("tracker_extrinsics", "floor", 1.0, {"turn_deg": 30.0, "way_m": 0.15, "repetitions": 1}),
@@ -67,27 +64,6 @@ def test_what_one_procedure_finds_the_next_one_uses(tiny):
     assert list(told["wall"]) == [NOTHING, EVERYTHING]
     assert set(told["wall"][NOTHING]["x_line"]) >= {"end_m", "rmse_x_m", "rmse_y_m", "rmse_heading_rad"}
     assert told["wall"][NOTHING] != told["wall"][EVERYTHING]
-
-
-@pytest.mark.long
-def test_its_page_has_the_figure_the_record_and_a_way_to_every_report(tiny):
-    folder, told, _, _ = tiny
-    page = Path(told["page"]).read_text()
-    assert page.count("data:image/svg+xml;base64,") == 1
-    assert "mm from its goal up the wall" in page
-    assert "scale" in page
-    assert "not known: hil run steering_zero" in page
-    for stage in ("01_tracker_extrinsics", "02_wall_ablation"):
-        assert f'href="{stage}/report.html"' in page
-        assert (folder / stage / "report.html").exists()
-
-
-@pytest.mark.long
-def test_it_says_how_far_the_whole_is(tiny):
-    said = tiny[3]
-    whole = [(done, total) for what, done, total in said if what == WHOLE]
-    assert whole[-1] == (2, 2)
-    assert [done for done, _ in whole] == sorted(done for done, _ in whole)
 
 
 @pytest.mark.long
@@ -128,28 +104,6 @@ def test_a_procedure_that_does_not_pass_leaves_the_record_as_it_was(tmp_path):
     assert not Path(told["robot"]).exists()
 
 
-def test_what_was_not_measured_is_told_apart_from_what_is_beyond_its_limits():
-    told = (("imu.delivered", "FAIL", 0.93), ("tracker.rate", "PASS", 200.0), ("odometry.x", "FAIL", None))
-    rows = [{"name": name, "outcome": outcome, "value": value} for name, outcome, value in told]
-    assert missed(rows) == "beyond their limits: imu.delivered; not measured: odometry.x"
-    assert missed(rows[2:]) == "not measured: odometry.x"
-
-
-@pytest.mark.parametrize(
-    ("step", "do"),
-    [(KEEPING, "make room on the disk; then hil"), ("teardown", "look at x/report.html and mend what it")],
-)
-def test_room_is_asked_for_where_the_disk_took_no_result_and_only_there(tmp_path, monkeypatch, step, do):
-    monkeypatch.setattr(stopping, "write_run_page", lambda folder: folder / "report.html")
-    (tmp_path / COMMISSIONING_TABLE).write_text("{}")
-    problem = Failure("DataError", "it went wrong", step, 4)
-    result = Result("gap", Verdict.ERROR, Path("x"), [], {"held": None}, teardown_errors=(problem,))
-    told = stopping.stopped_at(result, tmp_path)
-    assert told["why"] == "it went wrong"
-    assert told["do"].startswith(do)
-    assert told["report"] == (None if step == KEEPING else "x/report.html")
-
-
 def test_what_the_bench_lacks_is_left_out_and_said():
     config = load_bench(
         "emulated_delivered", overrides={"load_cells": None, "adhesion": None, "thrust": None}
@@ -174,19 +128,6 @@ def test_on_the_floor_nothing_holds_the_robot_and_every_session_of_the_camera_is
     assert not floor.environment.on_wall
     assert {"adhesion", "thrust", "load_cells"} & set(floor.devices()) == set()
     assert placed(STAGES[-1], 9, config) == {"emulation.tracker.session": 9}
-
-
-def test_settings_of_an_ablation_hold_what_a_part_was_measured_on_top_of():
-    known = ("signs", "zeros", "backlash", "geometry", "camera", "slip", "hold")
-    found = {s.name: s.known for s in settings_of(known, PARTS)}
-    assert found == {
-        NOTHING: (),
-        "zeros known": ("signs", "zeros"),
-        "zeros and geometry known": ("signs", "zeros", "geometry"),
-        "camera known": ("camera",),
-        "zeros and geometry and slip known": ("signs", "zeros", "geometry", "slip"),
-        EVERYTHING: known,
-    }
 
 
 def test_signs_that_bring_up_found_are_told_from_those_believed(tmp_path):
@@ -325,22 +266,6 @@ def test_what_rests_on_a_key_that_has_changed_is_repeated_and_named(key, value, 
     for name in repeated:
         assert f"the bench file has changed in {key} (" in found[name]
         assert f"{value!r} now)" in found[name]
-
-
-@pytest.mark.parametrize(("count", "more"), [(1, ""), (3, ""), (4, " and 1 more"), (5, " and 2 more")])
-def test_of_many_keys_that_have_changed_three_are_named_and_the_others_counted(count, more):
-    changes = {
-        "robot.mass_kg": 3.3,
-        "robot.supply_v": 11.5,
-        "tracker.scale_sigma": 0.1,
-        "imu.prefetch": False,
-        "adhesion.rated_force_n": 44.0,
-    }
-    now = config_of(**dict(list(changes.items())[:count]))
-    (ablation,) = (stage for stage in TINY if stage.name == "wall_ablation")
-    why = why_again(ablation, rests_on(SOURCE.config, {}, None), now, {})
-    assert why.count(" now)") == min(count, 3)
-    assert why.endswith(f" now){more}")
 
 
 def test_a_part_that_is_gone_or_another_has_its_procedure_repeated():

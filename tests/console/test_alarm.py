@@ -41,15 +41,6 @@ def folder(tmp_path):
     return place
 
 
-def test_it_says_what_happened_and_asks_to_secure_the_robot(folder):
-    (told,) = Alarm(folder).not_held()
-    assert told == {
-        "job": names(1),
-        "words": "The robot is NOT HELD since x: the fan does not answer. "
-        "Secure it before you do anything else.",
-    }
-
-
 @pytest.mark.parametrize(
     "later",
     [
@@ -104,16 +95,6 @@ def test_a_run_that_was_killed_while_it_drove_is_one_too_and_doctor_that_was_kil
     job_in(tmp_path / "jobs", names(2), words=["doctor", "--bench=my.toml"])
     (told,) = Alarm(tmp_path).not_held()
     assert told["words"] == "x was killed while its loop ran. Check whether the robot is held."
-
-
-@pytest.mark.parametrize(
-    ("words", "told"), [(["run", "x"], {}), (["run", "x", "--bench=emulated_floor"], {"virtual_time": True})]
-)
-def test_an_emulated_robot_is_called_so(tmp_path, words, told):
-    left(tmp_path, 1, LOOSE, words, **told)
-    assert Alarm(tmp_path).not_held()[0]["words"] == (
-        "x left its emulated robot NOT HELD: the fan does not answer."
-    )
 
 
 def asked(process, method, path, body=None):

@@ -40,7 +40,6 @@ def run(ctx):
         colours = [ctx.prompt(f"which colour is {place}?") for place in ("first", "second", "third")]
         ctx.note("the colours are " + ", ".join(colours))
 '''
-SIZES = [(1280, 900, False), (390, 844, True)]
 
 
 class Console:
@@ -237,26 +236,6 @@ def test_the_alarm_outlives_an_examination_and_goes_when_a_person_says_that_it_i
         browser.close()
 
 
-def test_a_page_that_nobody_answers_any_more_says_so_and_nothing_of_stop(console, tmp_path):
-    browser = opened(console, tmp_path / "profile")
-    try:
-        start(browser, console, "a procedure of your own", SCRIPT="asking.py")
-        browser.until("document.getElementById('now').innerText.includes('asks')")
-        console.kill()
-        browser.until("!document.getElementById('alone').hidden")
-        stop = [sys.executable, "-m", "hil", "console", "--stop"]
-        told = subprocess.run(stop, cwd=tmp_path, check=True, capture_output=True, text=True).stdout
-        assert "has ended" in told
-        browser.until("!document.getElementById('gone').hidden")
-        said = browser.ask("document.body.innerText")
-        assert "Neither the console nor the process behind STOP answers any more." in said
-        assert "Do not cut the power of a robot on a wall" in said
-        for word in ("stopping", "asking", "STOP works", "or cut the power", "Trying again"):
-            assert word not in said
-    finally:
-        browser.close()
-
-
 def test_the_button_comes_back_when_its_own_process_dies(console, tmp_path):
     browser = opened(console, tmp_path / "profile")
     try:
@@ -267,94 +246,5 @@ def test_the_button_comes_back_when_its_own_process_dies(console, tmp_path):
         assert (after["port"], after["token"]) == (before["port"], before["token"])
         browser.until("document.getElementById('alarm').innerText === ''")
         assert browser.ask("fetch('/state').then((r) => r.status)") == 200
-    finally:
-        browser.close()
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_nothing_is_cut_off_and_stop_is_in_sight(console, tmp_path, size):
-    browser = opened(console, tmp_path / "profile", *size)
-    try:
-        browser.until("document.querySelectorAll('#devices tr').length > 3", console.frame)
-        wide = "document.documentElement.scrollWidth <= document.documentElement.clientWidth"
-        assert browser.ask(wide)
-        assert browser.ask(wide, console.frame)
-        seen = "(() => { const r = document.getElementById('stop').getBoundingClientRect();"
-        seen += " return r.top >= 0 && r.bottom <= 100 && r.width >= 100 && r.right <= innerWidth; })()"
-        assert browser.ask(seen)
-        browser.ask("document.documentElement.scrollTo(0, 1e6)", console.frame)
-        assert browser.ask(seen)
-        assert browser.complaints == []
-    finally:
-        browser.close()
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_no_word_of_the_devices_is_broken_and_no_half_of_a_desk_is_empty(console, tmp_path, size):
-    width, height, mobile = size
-    browser = opened(console, tmp_path / "profile")
-    try:
-        browser.resize(width, height, mobile=mobile)
-        browser.until("document.querySelectorAll('#devices td').length > 20", console.frame)
-        lines = """(() => [...document.querySelectorAll("#devices td")].map((cell) => {
-            const range = document.createRange(); range.selectNodeContents(cell);
-            return [cell.innerText, range.getClientRects().length];
-        }))()"""
-        broken = [text for text, n in browser.ask(lines, console.frame) if " " not in text and n > 1]
-        assert broken == []
-        left = "Math.round(document.querySelector('.devices').getBoundingClientRect().left)"
-        assert (browser.ask(left, console.frame) > width / 3) == (not mobile)
-    finally:
-        browser.close()
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_no_word_of_the_history_is_broken(console, tmp_path, size):
-    """A phone has no room for four columns: the last of them had 75 px, and its words were cut."""
-    run = {
-        "schema": 1,
-        "procedure": "surface_identification",
-        "verdict": "ERROR",
-        "measurements": [],
-        "bench": "emulated_delivered",
-        "started": "2026-03-01T10:00:00+00:00",
-        "virtual_time": True,
-        "error": {"type": "SafetyStop", "message": "robot stopped (stale_adhesion): nothing usable from it"},
-    }
-    folder = console.folder.parent / "surface_identification" / "20260301"
-    folder.mkdir(parents=True)
-    (folder / "result.json").write_text(json.dumps(run))
-    browser = opened(console, tmp_path / "profile", *size)
-    try:
-        browser.until("document.querySelectorAll('#history td').length === 4", console.frame)
-        words = """(() => [...document.querySelectorAll("#history td")].flatMap((cell) => {
-            const text = document.createTreeWalker(cell, NodeFilter.SHOW_TEXT).nextNode();
-            return [...text.data.matchAll(/\\S+/g)].map((found) => {
-                const range = document.createRange();
-                range.setStart(text, found.index); range.setEnd(text, found.index + found[0].length);
-                return [found[0], range.getClientRects().length];
-            });
-        }))()"""
-        assert [word for word, lines in browser.ask(words, console.frame) if lines > 1] == []
-        widths = "[...document.querySelectorAll('#history td')].map((c) => c.getBoundingClientRect().width)"
-        assert browser.ask(widths, console.frame)[3] > 200
-    finally:
-        browser.close()
-
-
-@pytest.mark.parametrize("console", ["my lab"], indirect=True)
-def test_the_same_in_a_terminal_leaves_its_results_in_the_folder_of_the_console(console, tmp_path):
-    browser = opened(console, tmp_path / "profile")
-    try:
-        said = {}
-        for name in ("doctor", "live", "bring_up"):
-            browser.ask(f"choose('{name}')", console.frame)
-            said[name] = browser.ask("document.getElementById('same').innerText", console.frame)
-        stamp = "$(date +%Y%m%d-%H%M%S)"
-        assert said == {
-            "doctor": "hil doctor",
-            "live": f"hil live --record 'my lab/live/'{stamp}.mcap",
-            "bring_up": f"hil run bring_up --out 'my lab/bring_up/'{stamp}",
-        }
     finally:
         browser.close()

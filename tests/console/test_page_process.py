@@ -101,22 +101,6 @@ def test_an_answer_without_its_question_or_its_text_is_refused(page):
         assert refused.value.status == HTTPStatus.BAD_REQUEST
 
 
-def test_a_second_answer_is_refused_in_words(page):
-    asks = page.results / "console" / "jobs"
-    job = job_in(asks, process=jobs.identity(os.getpid()), err=json.dumps({"question": "ready?"}) + "\n")
-    os.mkfifo(job.folder / jobs.STDIN)
-    pipe = os.open(job.folder / jobs.STDIN, os.O_RDWR)
-    body = {"job": job.name, "question_id": 0, "text": "yes"}
-    try:
-        page("POST", "/api/answer", body)
-        with pytest.raises(Refused, match="not the question any more") as refused:
-            page("POST", "/api/answer", body)
-        assert refused.value.status == HTTPStatus.CONFLICT
-        assert os.read(pipe, 100) == b"yes\n"
-    finally:
-        os.close(pipe)
-
-
 def test_what_runs_and_how_it_ended_is_told_with_its_page(page):
     tree(page("POST", "/api/start", {"action": "idle", "values": {}}))
     (job,) = jobs.jobs(page.results / "console" / "jobs")
@@ -191,9 +175,3 @@ def test_the_devices_of_a_bench_are_told_and_a_bench_that_is_wrong_is_named(page
     assert {row["backend"] for row in told["devices"]} == {"emulated"}
     with pytest.raises(Refused, match="nothing_like_that"):
         page("GET", "/api/bench", name="nothing_like_that")
-
-
-def test_the_page_knows_a_folder_of_results_that_a_terminal_would_not_use_by_itself(page, monkeypatch):
-    assert tree(page("GET", "/api/offer"))["elsewhere"] == str(page.results)
-    monkeypatch.chdir(page.results.parent)
-    assert tree(page("GET", "/api/offer"))["elsewhere"] == ""

@@ -4,7 +4,26 @@ On hardware nothing moves but the wheels of the tests marked so; lift the robot,
 `-m "not moves"`. `--bench`, `--emulate` and `--hil-seed` are those of the pytest plugin.
 """
 
+from pathlib import Path
+
 import pytest
+
+IN_REAL_TIME = (
+    "test_a_read_never_waits_for_the_next_sample",
+    "test_a_sample_is_delivered_once",
+    "test_it_can_be_opened_again",
+    "test_it_loses_next_to_nothing",
+    "test_servos_keep",
+)
+"""What is asked at the wire by default, of the shipped bench; all of it, of every model, in the long run."""
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        name, _, parameters = item.name.partition("[")
+        asked = name in IN_REAL_TIME and not parameters.startswith("wire ")
+        if parameters.startswith("wire") and not asked and Path(__file__).parent in item.path.parents:
+            item.add_marker(pytest.mark.long)
 
 
 def pytest_configure(config):

@@ -62,15 +62,14 @@ def test_torque_holds_it_and_without_torque_it_slides():
         )
 
 
-@pytest.mark.parametrize("profile", ["emulated", "emulated_floor"])
-def test_the_command_tells_it_on_stderr(profile):
-    with emulator("--bench", profile, "--only", "servos") as running:
+def test_the_command_tells_it_on_stderr():
+    with emulator("--only", "servos") as running:
         running.endpoints()
         running.process.terminate()
         assert running.process.wait(END_S) == 0
         told = running.process.stderr.read().splitlines()
     first_words = [" ".join(line.split()[:3]) for line in told]
-    assert first_words == (["at the start", "at the end"] if profile == "emulated" else [])
+    assert first_words == ["at the start", "at the end"]
 
 
 FLOOR = """schema = 1
@@ -89,6 +88,7 @@ port = "{imu[port]}"
 """
 
 
+@pytest.mark.long
 def test_a_bench_file_that_has_it_on_the_floor_is_not_believed(tmp_path):
     """The drivers of a real bench at the wire; the file is wrong about what the robot stands on."""
     path = tmp_path / "floor.toml"

@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.parametrize("page", ["README.md", "examples/README.md"])
+@pytest.mark.parametrize("page", ["README.md", pytest.param("examples/README.md", marks=pytest.mark.long)])
 def test_the_block_works_as_printed(tmp_path, page):
     """At once and line by line: the scripts wait for the file, which goes with the emulator."""
     text = (ROOT / page).read_text(encoding="utf-8")

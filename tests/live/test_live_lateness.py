@@ -8,8 +8,6 @@ from hil.cli.live import _text
 from hil.live.lateness import LateWarning, advice
 from hil.ring.loop_timing import LoopStatistics
 
-PERIOD_NS = 10_000_000
-
 
 def statistics(cycles, late, work_ms):
     found = LoopStatistics(cycles=cycles, late=late)
@@ -30,18 +28,6 @@ def test_what_to_do_depends_on_who_takes_the_time(late, work_ms, said):
     told = advice(statistics(100, late, work_ms).summary(), 100.0)
     assert told.startswith(said) if said else told == ""
     assert advice(LoopStatistics().summary(), 100.0) == ""
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ((), "in the bench file"),
-        (("--rerun",), ", or leave --rerun out"),
-        (("--observe", "--rerun"), ", or leave --observe and --rerun out"),
-    ],
-)
-def test_only_options_that_were_given_are_to_be_left_out(given, said):
-    assert advice(statistics(100, 62, 11.0).summary(), 100.0, given).endswith(said)
 
 
 def test_it_is_said_once_after_two_seconds_and_at_the_end(caplog):

@@ -2,21 +2,12 @@
 
 import numpy as np
 import pytest
-import tomli_w
 
-from hil.bench import plan_bench
-from hil.cli import main
-from hil.config import loading
 from hil.live import load_trajectory
-from hil.robot.kinematics import WheelGeometry
-from hil.robot.motion_limits import MotionLimits, check
-from hil.robot.trajectories import Trajectory, line, through
-from hil.vocabulary.errors import ConfigError, TrajectoryError
+from hil.robot.trajectories import through
+from hil.vocabulary.errors import ConfigError
 
-CAD = WheelGeometry.nominal().projection()
 POINTS = [(0.2, 0.1, 0.0), (0.4, 0.1, 0.0), (0.4, 0.3, 0.1)]
-TOO_QUICK = line((0.2, 0.0, 0.0), (0.7, 0.0, 0.0), duration_s=1.0).segments
-SLOW = line((0.0, 0.0, 0.0), (0.2, 0.0, 0.0)).segments
 
 
 def waypoints(folder, points):
@@ -55,39 +46,3 @@ def test_a_script_that_is_no_python_is_named_with_its_line(tmp_path):
     script.write_text("x = 1\ndef trajectory(\n")
     with pytest.raises(ConfigError, match=r"way\.py: line 2: "):
         load_trajectory(script, lambda trajectory: None)
-
-
-def test_what_is_known_to_hold_is_not_looked_at_again_and_all_else_is():
-    known, limits = Trajectory("known", TOO_QUICK), MotionLimits()
-    check(Trajectory("new", SLOW + TOO_QUICK), CAD, limits, known=known)
-    alike = line((0.2, 0.0, 0.0), (0.7, 0.0, 0.0), duration_s=1.0).segments
-    late = MotionLimits(x_range_m=(0.0, 0.1))
-    for trajectory, found in (
-        (Trajectory("alike, not the same", SLOW + alike), limits),
-        (Trajectory("known comes first", TOO_QUICK + SLOW), limits),
-        (Trajectory("known comes twice", TOO_QUICK + TOO_QUICK), limits),
-        (Trajectory("too far before it is known", SLOW + TOO_QUICK), late),
-    ):
-        with pytest.raises(TrajectoryError):
-            check(trajectory, CAD, found, known=known)
-
-
-def test_a_motion_that_is_too_long_is_refused_whatever_of_it_is_known():
-    hour = line((0.0, 0.0, 0.0), (0.2, 0.0, 0.0), duration_s=3700.0)
-    back = line((0.2, 0.0, 0.0), (0.0, 0.0, 0.0), duration_s=3700.0)
-    with pytest.raises(TrajectoryError, match="divide the motion"):
-        check(Trajectory("two hours", hour.segments + back.segments), CAD, MotionLimits(), known=back)
-
-
-def test_the_bench_file_is_read_once(tmp_path, monkeypatch, capsys):
-    """A way that leaves the wall is refused when it is planned, by the limits of the file."""
-    bench = plan_bench("emulated").config
-    tree = bench.model_dump(mode="json", by_alias=True, exclude_none=True)
-    tree["environment"]["x_range_m"] = [-0.1, 0.3]
-    (tmp_path / "bench.toml").write_bytes(tomli_w.dumps(tree).encode())
-    found, read = [], loading.find_bench
-    monkeypatch.setattr(loading, "find_bench", lambda source: found.append(source) or read(source))
-    given = ["--bench", str(tmp_path / "bench.toml"), "--trajectory", str(waypoints(tmp_path, POINTS))]
-    assert main(["live", *given, "--no-record"]) == 2
-    assert "x on the wall" in capsys.readouterr().err
-    assert found == [str(tmp_path / "bench.toml")]

@@ -53,16 +53,6 @@ def test_statistics_do_not_grow_with_the_run():
     assert summary["work_p99_ms"] == pytest.approx(0.00498, rel=0.011)
 
 
-def test_cycles_that_take_the_same_time_count_one_by_one():
-    statistics = LoopStatistics()
-    for read_ns in (4000, 4000, 4000, 1000, 4000):
-        statistics.add({"read": read_ns})
-        statistics.sections  # noqa: B018  who looks in between changes nothing
-    found = statistics.sections["read"]
-    assert (found.count, found.mean_ns, found.worst_ns) == (5, 3400.0, 4000)
-    assert found.quantile_ns(0.2) == pytest.approx(1000, rel=0.011)
-
-
 def test_laps_add_up_to_the_cycle():
     clock = Hand()
     lap = Laps(clock, 0)

@@ -90,7 +90,11 @@ def drive_and_check(path):
 
 
 @pytest.mark.parametrize(
-    ("protocol", "prefetch"), [("socket", "false"), ("rfc2217", "false"), ("rfc2217", "true")]
+    ("protocol", "prefetch"),
+    [
+        ("socket", "false"),
+        *(pytest.param("rfc2217", ahead, marks=pytest.mark.long) for ahead in ("false", "true")),
+    ],
 )
 def test_a_drive_on_a_remote_bench(served, tmp_path, protocol, prefetch):
     """3 ms of latency each way: slower cycles or older samples, the same motion, hardly a sample lost."""
@@ -139,10 +143,12 @@ def test_an_rfc2217_port_negotiates_once(served):
         bridge.close()
 
 
-@pytest.mark.parametrize("url", ["socket://127.0.0.1", "rfc2217://127.0.0.1"])
-def test_a_server_that_is_not_there_is_a_device_error(tmp_path, url):
+def test_a_server_that_is_not_there_is_a_device_error(tmp_path):
     path = bench_file(
-        tmp_path, f"{url}:9", f"{url}:10", 'interface = "udp_multicast"\nchannel = "239.74.163.9"'
+        tmp_path,
+        "socket://127.0.0.1:9",
+        "rfc2217://127.0.0.1:10",
+        'interface = "udp_multicast"\nchannel = "239.74.163.9"',
     )
     with pytest.raises(DeviceError, match=r"encoders|servos|imu"), hil.open_bench(path):
         raise AssertionError("a bench that nobody serves was opened")

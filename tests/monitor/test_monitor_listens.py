@@ -71,16 +71,6 @@ def test_a_stream_that_serves_takes_records_and_ends_its_server(monkeypatch, cap
 
 
 @needs_rerun
-def test_the_viewer_is_started_for_this_computer_only(monkeypatch):
-    started = []
-    monkeypatch.setattr(viewer.subprocess, "Popen", lambda command, **_: started.append(command))
-    monkeypatch.setattr(viewer, "_await", lambda process, port: None)
-    viewer.spawn(free_port())
-    (command,) = started
-    assert command[command.index("--bind") + 1] == "127.0.0.1"
-
-
-@needs_rerun
 @needs_proc
 def test_a_server_ends_with_the_process_that_started_it():
     grpc_port, web_port = free_port(), free_port()

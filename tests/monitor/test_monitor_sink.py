@@ -20,7 +20,7 @@ from hil.monitor import RerunMonitor
 from hil.monitor.blueprint import line_colours
 from hil.monitor.pipe import put
 from hil.monitor.rrd import what_is_missing
-from hil.monitor.series import Series, SeriesCollector, conditions
+from hil.monitor.series import Series, SeriesCollector
 from hil.monitor.sink import split_targets
 from hil.vocabulary.errors import DataError, UsageError
 from hil.vocabulary.signals import (
@@ -127,26 +127,6 @@ def test_columns_of_an_entity_never_change_and_what_comes_later_stands_below_it(
     assert line_colours(("a",), 1) == line_colours(("b", "a"))[1:]
 
 
-def test_a_sensor_and_its_gate_share_a_colour_and_neighbours_do_not():
-    names = ("nis_wheels", "gate_wheels", "nis_tracker", "gate_tracker")
-    wheels, wheel_gate, tracker, tracker_gate = line_colours(names)
-    assert len({wheels, wheel_gate, tracker, tracker_gate}) == 4
-    assert all(g >= c for g, c in zip(wheel_gate, wheels, strict=True))
-    assert len(set(line_colours(SERVOS))) == 8
-
-
-def test_conditions_name_the_servo_and_what_is_wrong():
-    record = shown(1)
-    (sample,) = record.inputs.servos
-    status = (Status.OK, Status.TIMEOUT, *(Status.OK,) * 5, Status.RESET)
-    spoilt = replace(record, inputs=replace(record.inputs, servos=(replace(sample, status=status),)))
-    assert conditions(record) == {"servos": "", "mocap": ""}
-    assert conditions(spoilt)["servos"] == f"{SERVOS[1]} timeout, {SERVOS[7]} reset"
-    silent = replace(sample, status=(Status.TIMEOUT,) * 8)
-    alike = replace(record, inputs=replace(record.inputs, servos=(silent,)))
-    assert conditions(alike)["servos"] == "timeout"
-
-
 def beside(k: int, sigma_m: float = 0.01) -> CycleRecord:
     """With an unscented filter beside the loop."""
     record = shown(k)
@@ -214,12 +194,6 @@ def test_an_address_that_is_none_of_reruns_is_refused(tmp_path, monkeypatch, tar
     assert str(refused.value).startswith(f"the monitor cannot open {word!r}; expected a URL as rerun+http://")
     assert str(refused.value).endswith(f"did you mean {meant}?")
     assert list(tmp_path.iterdir()) == []
-
-
-@needs_rerun
-@pytest.mark.parametrize("scheme", ["rerun", "rerun+http", "rerun+https"])
-def test_addresses_of_rerun_are_taken(scheme):
-    assert split_targets(f"{scheme}://robot:9876/proxy") == (f"{scheme}://robot:9876/proxy",)
 
 
 @pytest.mark.parametrize("target", ["taken.rrd", "serve,taken.rrd", "/proc/view.rrd"])
@@ -306,19 +280,6 @@ def test_a_viewer_that_does_not_answer_costs_drops_and_nothing_else(viewer):
         assert monitor.dropped > 0
         assert len(monitor._waiting) <= 20
         monitor.close()
-
-
-@needs_rerun
-def test_a_recording_is_not_shown_for_ever_to_a_viewer_that_takes_nothing():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        target = f"rerun+http://127.0.0.1:{server.getsockname()[1]}/proxy"
-        monitor = RerunMonitor(target, lossless=True, capacity=20, patience_s=1.0)
-        monitor._process.send_signal(signal.SIGSTOP)
-        for k in range(2000):
-            monitor.write(shown(k))
-        monitor.close()
-    assert monitor.failure == "the viewer took nothing for 1 s"
-    assert 0 < monitor.dropped < 2000
 
 
 @needs_rerun

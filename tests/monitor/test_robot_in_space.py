@@ -34,7 +34,6 @@ GEOMETRY = WheelGeometry(
     np.array([0.02, -0.01, 0.0, 0.03]),
 )
 ROBOT, TRUTH = "/scene/wall/estimate", "/scene/wall/truth"
-BODY = (f"{ROBOT}/body/plate", f"{ROBOT}/body/fan", f"{ROBOT}/body/frame")
 
 
 def columns(piece: Any) -> dict[str, list[Any]]:

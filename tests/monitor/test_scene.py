@@ -51,13 +51,6 @@ def test_a_mesh_that_is_not_there_is_named_and_a_recording_does_without(tmp_path
     assert "robot.obj is not here" in caplog.text
 
 
-def test_a_mesh_of_another_format_is_refused_with_those_that_can_be_shown(tmp_path):
-    with pytest.raises(ConfigError) as refused:
-        bench_with(tmp_path, "robot.step")
-    assert "monitor.mesh" in str(refused.value)
-    assert ".glb, .gltf, .obj, .stl" in str(refused.value)
-
-
 def test_a_relative_mesh_lies_beside_the_bench_file(tmp_path):
     (tmp_path / "my.toml").write_text('schema = 1\nname = "mine"\n[monitor]\nmesh = "robot.glb"\n')
     assert load_bench(tmp_path / "my.toml").monitor.mesh == str(tmp_path / "robot.glb")

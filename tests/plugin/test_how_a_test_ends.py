@@ -9,7 +9,6 @@ from hil.bench.held import Held
 from hil.fakes.fault import parse_fault
 from hil.fakes.faults import FaultPlan
 from hil.pytest_plugin import ending
-from hil.pytest_plugin.selection import how_to_repeat
 
 pytest_plugins = ["pytester"]
 pytestmark = pytest.mark.usefixtures("started_commands")
@@ -60,6 +59,7 @@ def pytest_runtest_protocol(item, nextitem):
 """
 
 
+@pytest.mark.long
 def test_a_test_that_is_run_again_is_listed_once(pytester):
     pytester.makeconftest(RERUN)
     one = LOST[: LOST.index("def test_lost(bench)")]
@@ -92,6 +92,7 @@ def test_a_robot_that_is_lost_is_named_and_is_a_warning_where_no_fault_did_it(py
     assert "not_held" not in found["test_kept"]
 
 
+@pytest.mark.long
 def test_at_the_wire_it_is_an_error_that_says_how_to_have_it_again(pytester):
     result, found = run(
         pytester,
@@ -163,22 +164,6 @@ def test_a_lost_robot_is_an_error_where_it_matters(monkeypatch, real, wire, faul
         ending.end(tested, bench, passed=True)
     assert len(warned) == warns
     assert ("held", "NOT HELD") in tested.user_properties
-
-
-def test_a_robot_that_is_broken_on_purpose_is_no_warning(monkeypatch):
-    warned = []
-    tested = item(warned, blind="*")
-    monkeypatch.setattr(ending, "source_of", lambda _: tested.source)
-    world = SimpleNamespace(faults=SimpleNamespace(touched=False))
-    bench = SimpleNamespace(
-        config=SimpleNamespace(name="lab"),
-        held=Held("NOT HELD", None, "it fell"),
-        faults=(),
-        faults_not_begun=tuple,
-        world=world,
-    )
-    ending.end(tested, bench, passed=True)
-    assert warned == []
 
 
 def test_a_robot_that_was_let_go_of_is_no_error(monkeypatch):
@@ -256,6 +241,7 @@ def test_that_only_enables(bench):
 """
 
 
+@pytest.mark.long
 def test_a_fault_that_began_during_the_look_is_told_as_such(pytester):
     result, _ = run(pytester, DURING_THE_LOOK, "-rA")
     result.stdout.fnmatch_lines(
@@ -295,22 +281,6 @@ def test_a_seed_that_is_none_ends_the_run_before_the_first_test(pytester, given)
     result = pytester.runpytest(f"--hil-seed={given}")
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(f"*argument --hil-seed: '{given}' is no seed; expected a whole number*")
-
-
-def test_repeating_a_test_takes_all_options_that_chose_its_bench():
-    given = {
-        "bench": "my bench.toml",
-        "emulate": "imu",
-        "hil_realtime": True,
-        "override_ini": ["hil_bench=lab.toml", "addopts="],
-    }
-    tested = SimpleNamespace(config=SimpleNamespace(getoption=given.get), iter_markers=lambda name: ())
-    bench = SimpleNamespace(
-        seed=7, config=SimpleNamespace(name="lab"), clock=SimpleNamespace(now_ns=lambda: 10**9)
-    )
-    assert how_to_repeat(tested, bench).endswith(
-        "repeat with --hil-seed=7 '--bench=my bench.toml' --emulate=imu --hil-realtime -o hil_bench=lab.toml"
-    )
 
 
 def test_a_plan_remembers_that_it_had_faults():

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from hil.calibration.artefact import CalibrationFile, save_calibration
+from hil.calibration.artefact import save_calibration
 from hil.config.loading import load_bench
 from hil.procedure.bench_source import BenchSource
 from hil.pytest_plugin import selfcheck
@@ -15,6 +15,7 @@ from hil.pytest_plugin.selfcheck import idle_for, oldest_s, too_late
 from hil.ring.loop_timing import LoopStatistics
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.signals import Stamp, Status
+from tests.procedures.made_calibrations import made
 
 pytest_plugins = ["pytester"]
 pytestmark = pytest.mark.usefixtures("warm_commands")
@@ -195,11 +196,6 @@ def test_virtual_time_is_held_against_nothing():
     assert "(none)" in too_late(ran(1500, 16), ())
 
 
-def test_the_ready_made_check_hands_over_all_of_its_tests():
-    made = {name for name in vars(selfcheck) if name.startswith("test_")}
-    assert made == {name for name in selfcheck.__all__ if name.startswith("test_")}
-
-
 def camera(*statuses):
     """A watch of a camera at 100 Hz whose samples have these statuses."""
     samples = [
@@ -331,27 +327,7 @@ EMULATED = {
 
 def lab(pytester):
     """A bench file with a real device and a calibration, in the project."""
-    robot = load_bench("emulated").robot
-    parameters = {"x_w_m": robot.wheel_x_m, "y_w_m": robot.wheel_y_m, "r_m": robot.wheel_radius_m}
-    save_calibration(
-        pytester.path / "calibration.toml",
-        CalibrationFile(
-            schema=1,
-            version=3,
-            created="2026-01-01T00:00:00+00:00",
-            method="lm",
-            setting="recommended",
-            model="exact",
-            signal="velocity",
-            parameters=parameters,
-            nominal=parameters,
-            std={},
-            twist_correction=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-            cost_before=1.0,
-            cost_after=0.5,
-            recordings={},
-        ),
-    )
+    save_calibration(pytester.path / "calibration.toml", made(version=3, made_for=None))
     (pytester.path / "lab.toml").write_text(LAB.format(calibration='calibration = "calibration.toml"'))
 
 

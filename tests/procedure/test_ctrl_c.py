@@ -51,7 +51,7 @@ def struck(words, folder, **settings):
     return process.returncode, out, err
 
 
-@pytest.mark.parametrize("wait", WAITS)
+@pytest.mark.parametrize("wait", ["in the loop", pytest.param("in its own code", marks=pytest.mark.long)])
 def test_a_procedure_ends_with_what_it_has_measured(wait, tmp_path):
     (tmp_path / "endless.py").write_text(ENDLESS.format(wait=WAITS[wait]))
     code, _, err = struck(["run", "endless.py", "--out", "out"], tmp_path)

@@ -10,7 +10,6 @@ from hil.cli.faults import command
 from hil.config.loading import load_bench
 from hil.procedure import faults
 from hil.procedure.faults import MOMENTS, CellVerdict, cells_of, random_cells
-from hil.procedure.faults.quiet import why_quiet
 from hil.report.history.found import find_results
 from hil.vocabulary.errors import Aborted, ConfigError, HilError, UsageError
 
@@ -75,22 +74,6 @@ def test_random_runs_are_the_same_for_the_same_arguments():
     assert first != random_cells(SUPPORTED, count=30, seeds=(2, 1), plants=("own",))
     assert {len(c.specs) for c in first} == {1, 2, 3, 4}
     assert not any(c.device.startswith("servo.1") for c in first)
-
-
-@pytest.mark.parametrize(
-    ("device", "fault", "why"),
-    [
-        ("encoder.FL", "corrupt", "refused by their check"),
-        ("thrust", "stuck", "sends nothing back"),
-        ("mocap", "slow", "longer run"),
-        ("imu", "slow", "nothing notices"),
-        ("servo.steer_FL", "slow", "within their time"),
-        ("tracker", "wrong", "nobody notices"),
-    ],
-)
-def test_of_every_silence_the_page_says_why(device, fault, why):
-    assert why in why_quiet(device, fault)
-    assert "the run was over" in why_quiet(device, fault, ["stop"])
 
 
 def run(*arguments):

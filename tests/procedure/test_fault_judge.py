@@ -7,7 +7,7 @@ import pytest
 
 from hil.bench import Held
 from hil.procedure.faults import MOMENTS, Cell, CellVerdict, matrix_page, summary
-from hil.procedure.faults.bounds import CLASSES, LIMP_M_S, class_of, farthest_m
+from hil.procedure.faults.bounds import LIMP_M_S, farthest_m
 from hil.procedure.faults.judging import Measured, judge
 from hil.procedure.faults.seen import Ended, Seen, ended_by
 from hil.vocabulary.errors import DeviceError, SafetyStop
@@ -165,34 +165,8 @@ def test_whom_an_error_accuses_is_read_from_its_data():
     assert ended_by(DeviceError("tracker", "the imu")).suspects == ("tracker",)
 
 
-def test_every_fault_belongs_to_a_class_and_of_several_the_one_counts_of_which_least_is_promised():
-    assert class_of(cell("thrust", "stuck")) is CLASSES[0]
-    assert class_of(cell("servos", "off")) is CLASSES[1]
-    assert class_of(cell("servo.drive_FL", "off")) is CLASSES[2]
-    assert class_of(cell("servos", "jump")) is class_of(cell()) is CLASSES[3]
-    both = Cell("imu+thrust", "off+off", "random", 0, "own", ("imu:off@1", "thrust:off@1"))
-    assert class_of(both) is CLASSES[0]
-
-
 def page(*verdicts):
     return matrix_page(summary(verdicts, bench="emulated", command="hil faults", planned=len(verdicts)))
-
-
-def test_a_run_that_goes_on_without_a_word_about_the_device_is_marked():
-    quiet = judge(cell(), seen(events=[]))
-    assert (quiet.why, quiet.told, quiet.ended) == ((), False, "went on")
-    jump = Ended("robot stopped (servo_jump)", "servo_jump", ("servos",))
-    stopped = judge(cell("servos", "jump"), seen(events=[("servos",)], stop=jump))
-    assert (stopped.told, stopped.ended) == (True, "servo_jump")
-    lost = CellVerdict(cell("mocap", "off"), ("it | fell",), "went on", True, "HELD")
-    text = page(quiet, stopped, lost)
-    assert "| `imu` | `wrong` | on * |" in text
-    assert "| `servos` | `jump` | stop |" in text
-    assert "| `mocap` | `off` | **FAILED 1/1** |" in text
-    assert "| `mocap:off motion seed 0 own` | it / fell |" in text
-    assert "3 cells, 1 failed, 1 passed without a word" in text
-    assert "| `imu` | `wrong` | motion | nobody notices |" in text
-    assert "Without a word" not in page(stopped, lost)
 
 
 def test_what_stands_in_a_row_is_what_was_measured_of_it():

@@ -224,21 +224,6 @@ def test_an_edited_script_does_not_go_on_with_what_the_old_one_finished(run_smal
     assert run_small(limited(tmp_path, LIMITED), folder, resume=True).verdict.value == "PASS"
 
 
-def test_a_journal_that_knows_no_script_goes_on_with_a_note(run_small, tmp_path):
-    folder = tmp_path / "r"
-    run_small(limited(tmp_path, LIMITED), folder)
-    (folder / "go").touch()
-    journal = folder / "journal.jsonl"
-    first, *rest = journal.read_text().splitlines(keepends=True)
-    head = json.loads(first)
-    assert head.pop("script")["file"] == "limited.py"
-    assert [row["name"] for row in head.pop("measurements")] == ["a", "b"]
-    journal.write_text(json.dumps(head) + "\n" + "".join(rest))
-    result = run_small(limited(tmp_path, LIMITED), folder, resume=True)
-    assert result.verdict.value == "PASS"
-    assert "begun by an earlier version, which did not note its script" in result.facts["notes"][0]
-
-
 @pytest.mark.parametrize("damage", [{"measurements": 5}, {"measurements": [{}]}, {"script": "x"}])
 def test_a_damaged_header_is_refused(run_small, tmp_path, damage):
     folder = interrupted(run_small, tmp_path / "r")

@@ -155,6 +155,12 @@ def test_a_table_or_figure_that_cannot_be_meant_is_told_by_its_title(run_small, 
     assert result.measurements[0]["outcome"] == "PASS"
 
 
+def test_a_headline_that_fails_costs_no_results(caplog):
+    broken = procedure(name="broken", headline=lambda values: 1 / 0)(lambda ctx: None)
+    assert broken.said({}) == ""
+    assert "the headline of broken failed (ZeroDivisionError" in caplog.text
+
+
 def drawn():
     from matplotlib.figure import Figure
 

@@ -263,20 +263,6 @@ def test_an_undeclared_measurement_is_an_error_that_names_the_declared(run_small
     assert "good, seen" in result.error.message
 
 
-def test_attachments_are_copied_into_the_folder(run_small, tmp_path):
-    outside = tmp_path / "outside.txt"
-    outside.write_text("content")
-
-    @procedure(name="leaver")
-    def leaver(ctx):
-        ctx.attach("a file", outside)
-
-    result = run_small(leaver)
-    outside.unlink()
-    item = result_of(result)["attachments"][0]
-    assert (result.folder / item["path"]).read_text() == "content"
-
-
 def test_a_device_that_the_bench_lacks_is_named_before_anything_happens(run_small, tmp_path):
     @procedure(name="needy", needs=("servos", "mocap"))
     def needy(ctx):

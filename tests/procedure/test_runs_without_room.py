@@ -23,11 +23,11 @@ pytestmark = [
 ]
 
 
-@procedure(name="ahead", measurements=(Measurement("x", "m", low=0.05),))
+@procedure(name="ahead", measurements=(Measurement("x", "m", low=0.03),))
 def ahead(ctx):
-    """Drives 0.1 m."""
+    """Drives 0.05 m."""
     with ctx.step("drive"):
-        motion = ctx.bench.drive(line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=4.0), hold_s=0.2)
+        motion = ctx.bench.drive(line((0.0, 0.0, 0.0), (0.05, 0.0, 0.0), duration_s=2.0), hold_s=0.2)
     with ctx.step("look"):
         ctx.measure("x", float(motion.estimate[-1, 0]))
 
@@ -44,8 +44,8 @@ def tree_of(result):
 
 
 def test_a_run_that_is_no_longer_recorded_is_aborted(run_small, full_disk):
-    full_disk(300_000)
-    result = run_small(ahead, source=BenchSource("emulated", seed=4))
+    full_disk(150_000)
+    result = run_small(ahead, source=BenchSource("emulated_floor", seed=4))
     tree = tree_of(result)
     assert (tree["verdict"], result.exit_code) == ("ABORTED", 4)
     assert (tree["error"]["type"], tree["error"]["step"]) == ("RecordingError", "drive")
@@ -56,8 +56,8 @@ def test_a_run_that_is_no_longer_recorded_is_aborted(run_small, full_disk):
 
 
 def test_the_operator_may_have_it_go_on(run_small, full_disk):
-    full_disk(300_000)
-    result = run_small(ahead, source=BenchSource("emulated", seed=4), on_recording_failure="go-on")
+    full_disk(150_000)
+    result = run_small(ahead, source=BenchSource("emulated_floor", seed=4), on_recording_failure="go-on")
     tree = tree_of(result)
     assert (tree["verdict"], result.exit_code) == ("PASS", 0)
     assert any("recording.mcap is not complete" in note for note in tree["notes"])
@@ -71,7 +71,7 @@ def test_what_is_lost_at_the_very_end_counts_too(run_small, monkeypatch):
         raise OSError(28, os.strerror(28))
 
     monkeypatch.setattr(RecordingFile, "finish", finish)
-    result = run_small(ahead, source=BenchSource("emulated", seed=4))
+    result = run_small(ahead, source=BenchSource("emulated_floor", seed=4))
     assert result.exit_code == 4
     assert "No space left" in tree_of(result)["error"]["message"]
 
@@ -81,7 +81,8 @@ def test_a_recording_that_cannot_begin_ends_the_run_or_not(run_small, tmp_path):
         folder = tmp_path / policy
         folder.mkdir()
         (folder / "recording.mcap").symlink_to(folder / "nowhere" / "recording.mcap")
-        result = run_small(ahead, folder, source=BenchSource("emulated", seed=4), on_recording_failure=policy)
+        source = BenchSource("emulated_floor", seed=4)
+        result = run_small(ahead, folder, source=source, on_recording_failure=policy)
         assert result.exit_code == code
         tree = tree_of(result)
         said = " ".join([*tree["notes"], str(tree["error"])])

@@ -7,6 +7,7 @@ import pytest
 
 from hil.bench.held import Held
 from hil.cli import main
+from hil.fakes.fault import parse_fault
 from hil.procedure import Measurement, procedure
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.elsewhere import Errand
@@ -18,21 +19,22 @@ from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.tracking import stand
 from hil.report.run_page import write_run_page
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.clock import NS_PER_S, MonotonicClock
 from hil.vocabulary.errors import Aborted, SafetyStop
 
-FALLS = ("plant:adhesion_loss@9.5,over_s=1",)
 WHY = "adhesion is lost"
 MEASURED = (Measurement("done", "1", low=1.0),)
 
 
 def fall(bench):
+    soon_s = bench.clock.now_ns() / NS_PER_S + 0.5
+    bench.world.faults.add(parse_fault(f"plant:adhesion_loss@{soon_s},over_s=0.5"))
     with pytest.raises(SafetyStop):
-        bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=10.0), feedback="odometry")
+        bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=5.0), feedback="odometry")
 
 
 def ran(folder, proc, *, resume=False):
-    source = BenchSource("emulated", faults=FALLS, overrides={"exit.look_after_s": 8.0})
+    source = BenchSource("emulated", overrides={"exit.look_after_s": 8.0})
     options = RunOptions(folder, MonotonicClock(), "2026-01-01T00:00:00", {}, resume=resume)
     result = run_procedure(proc, source, options)
     return result, json.loads((folder / "result.json").read_text())
@@ -46,17 +48,24 @@ def one_after_the_other(ctx):
     ctx.measure("done", True)
 
 
-def test_a_bench_that_did_not_hold_is_named_though_the_next_one_held(tmp_path):
-    result, told = ran(tmp_path / "run", one_after_the_other)
+@pytest.fixture(scope="module")
+def fell(tmp_path_factory):
+    """Folder, result and what was told of a run whose first robot fell."""
+    folder = tmp_path_factory.mktemp("fell") / "run"
+    return folder, *ran(folder, one_after_the_other)
+
+
+def test_a_bench_that_did_not_hold_is_named_though_the_next_one_held(fell):
+    folder, result, told = fell
     assert (result.verdict.value, result.exit_code) == ("ERROR", 3)
     (problem,) = told["teardown_errors"]
     assert problem["type"] == "NotHeld"
     assert problem["message"].startswith("bench 1 (falls): ")
     assert told["held"]["state"] == "NOT HELD"
-    page = write_run_page(tmp_path / "run").read_text()
+    page = write_run_page(folder).read_text()
     assert "NOT HELD" in page
     assert "bench 1 (falls)" in page
-    kept = [(e["bench"], e["state"]) for e in read_journal(tmp_path / "run" / "journal.jsonl").held]
+    kept = [(e["bench"], e["state"]) for e in read_journal(folder / "journal.jsonl").held]
     assert kept == [("bench 1 (falls)", "NOT HELD"), ("bench 2 (stands)", "HELD")]
 
 
@@ -181,7 +190,6 @@ def test_a_robot_that_was_let_go_is_no_error(tmp_path):
     assert (benches.held, benches.not_held) == (released, [])
 
 
-def test_the_list_of_results_says_that_a_robot_was_not_held(tmp_path, capsys):
-    ran(tmp_path / "run", one_after_the_other)
-    assert main(["results", "list", "--in", str(tmp_path)]) == 0
+def test_the_list_of_results_says_that_a_robot_was_not_held(fell, capsys):
+    assert main(["results", "list", "--in", str(fell[0].parent)]) == 0
     assert f"bench 1 (falls): the accelerometer feels less than the weight: {WHY}" in capsys.readouterr().out

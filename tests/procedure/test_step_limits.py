@@ -8,11 +8,12 @@ from hil.procedure import procedure
 from hil.procedure.bench_source import BenchSource
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.errors import StepTimeoutError
+from tests.patience import FANLESS
 
 
 @pytest.fixture(scope="module")
 def source():
-    return BenchSource("emulated", seed=1)
+    return BenchSource("emulated", seed=1, overrides=FANLESS)
 
 
 def wait(bench, duration_s):

@@ -7,15 +7,7 @@ import pytest
 from hil.bench.overdue import OverdueError
 from hil.config.loading import NoSuchDevice
 from hil.procedure.workers import Workers
-from hil.vocabulary.errors import (
-    Aborted,
-    ConfigError,
-    DataError,
-    DeviceError,
-    HilError,
-    SafetyStop,
-    TrajectoryError,
-)
+from hil.vocabulary.errors import HilError, SafetyStop, TrajectoryError
 
 
 def every(kind):
@@ -33,22 +25,6 @@ def test_an_error_of_every_kind_survives_a_way_between_processes():
         there = pickle.loads(pickle.dumps(error))
         assert type(there) is kind
         assert (str(there), there.__dict__) == (str(error), error.__dict__), kind
-
-
-@pytest.mark.parametrize(
-    "error",
-    [
-        TrajectoryError("too fast", t_s=1.5, quantity="wheel speed (m/s)", value=9.0, limit=3.5),
-        DataError("a.mcap", "is no recording"),
-        ConfigError("bad", problems=("one", "two")),
-        DeviceError("imu", "silent", remedy="plug it in"),
-        Aborted("stopped"),
-    ],
-    ids=lambda error: type(error).__name__,
-)
-def test_what_an_error_carries_arrives(error):
-    there = pickle.loads(pickle.dumps(error))
-    assert (str(there), there.__dict__, there.exit_code) == (str(error), error.__dict__, error.exit_code)
 
 
 def refused(number):

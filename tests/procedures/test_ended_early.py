@@ -10,6 +10,7 @@ from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import load_procedure
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.interfaces import Sink
+from tests.patience import FANLESS
 
 SHORT = {"processes": 1, "length_m": 0.05, "duration_s": 2.0, "hold_s": 0.5}
 CASES = {
@@ -19,7 +20,10 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+LASTING = pytest.param("surface_identification", marks=pytest.mark.long)
+
+
+@pytest.mark.parametrize("name", ["wall_tracking", "wall_ablation", LASTING])
 def test_what_was_finished_is_measured(name, tmp_path):
     parameters, measured = CASES[name]
     interrupts = Interrupts()
@@ -31,7 +35,7 @@ def test_what_was_finished_is_measured(name, tmp_path):
     options = RunOptions(
         tmp_path / "out", MonotonicClock(), "2026-01-01", parameters, report=report, interrupts=interrupts
     )
-    result = run_procedure(load_procedure(name), BenchSource("emulated"), options)
+    result = run_procedure(load_procedure(name), BenchSource("emulated", overrides=FANLESS), options)
     told = result.to_json()
     assert (told["verdict"], told["exit_code"]) == ("ABORTED", 4)
     known = [row for row in told["measurements"] if row["value"] is not None]
@@ -58,6 +62,7 @@ class EndsTheSecondBench(Sink):
         pass
 
 
+@pytest.mark.long
 def test_levels_of_force_are_measured_where_the_slide_is_cut_off(tmp_path):
     interrupts = Interrupts()
     options = RunOptions(

@@ -43,29 +43,26 @@ def test_a_device_that_the_bench_lacks_is_named(tmp_path, name):
         assert not (tmp_path / device).exists()
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_missing_calibration_is_named(tmp_path, name):
-    told = refused(name, tmp_path / "run", calibration=tmp_path / "gone.toml")
+def test_a_missing_calibration_is_named(tmp_path):
+    told = refused("latency", tmp_path / "run", calibration=tmp_path / "gone.toml")
     assert "gone.toml" in told
 
 
-@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("content", ["", "nonsense\n", '{"kind": "step"}\n', '{"kind": "run"}\n{"kind"\n'])
-def test_a_broken_journal_is_named_and_left_as_it_is(tmp_path, name, content):
+def test_a_broken_journal_is_named_and_left_as_it_is(tmp_path, content):
     folder = tmp_path / "run"
     folder.mkdir()
     (folder / "journal.jsonl").write_text(content)
-    told = refused(name, folder, resume=True)
+    told = refused("latency", folder, resume=True)
     assert "journal.jsonl" in told
     assert (folder / "journal.jsonl").read_text() == content
     assert not (folder / "result.json").exists()
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_journal_of_another_run_is_refused(tmp_path, name):
+def test_a_journal_of_another_run_is_refused(tmp_path):
     folder = tmp_path / "run"
     folder.mkdir()
     (folder / "journal.jsonl").write_text(
         json.dumps({"kind": "run", "schema": 1, "procedure": "another", "parameters": {}}) + "\n"
     )
-    assert "procedure" in refused(name, folder, resume=True)
+    assert "procedure" in refused("latency", folder, resume=True)

@@ -85,7 +85,7 @@ def test_a_gyro_that_turns_while_the_robot_rests_fails(tmp_path):
     done.assert_held()
 
 
-@pytest.mark.parametrize("fault", ["imu:stuck@4", "imu:off@4"])
+@pytest.mark.parametrize("fault", ["imu:stuck@4", pytest.param("imu:off@4", marks=pytest.mark.long)])
 def test_an_imu_that_stops_measuring_ends_the_run(tmp_path, fault):
     done = run("imu_calibration", tmp_path / "run", SHORT, faults=(fault,))
     assert done.result.exit_code == 3

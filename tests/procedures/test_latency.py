@@ -7,6 +7,7 @@ from procedure_runs import assert_covered, assert_verifies, run
 
 from hil.procedures.latency import Parameters
 from hil.procedures.parts.latency_fit import Command, fit_delay, fit_driven, fit_response, integrated
+from tests.patience import FANLESS
 
 SHORT = {"reversals": 10}
 
@@ -14,7 +15,7 @@ SHORT = {"reversals": 10}
 def recover(seed):
     """Errors over stated intervals by name; the camera is late by a hidden time, the rest by what it is."""
     late_s = float(np.random.default_rng([seed, 8]).uniform(-0.012, 0.02))
-    overrides = {"emulation.tracker": {"latency_s": 0.02 + late_s}}
+    overrides = {**FANLESS, "emulation.tracker": {"latency_s": 0.02 + late_s}}
     measured, true = measured_and_true_ms(seed, Parameters(reversals=10), overrides)
     assert len(true) == 4 + 5 + 5 + 3
     assert true["tracker.stamp_error"] == pytest.approx(1e3 * late_s, abs=1.1)
@@ -57,7 +58,8 @@ def test_its_recording_verifies_from_end_to_end(done):
 
 def test_devices_that_are_late_fail(tmp_path):
     faults = ("imu:delayed,delay_s=0.05", "encoders:delayed,delay_s=0.03")
-    done = run("latency", tmp_path / "run", {"reversals": 8, "devices": "imu,encoders"}, faults=faults)
+    parameters = {"reversals": 8, "devices": "imu,encoders"}
+    done = run("latency", tmp_path / "run", parameters, faults=faults, overrides=FANLESS)
     assert done.result.exit_code == 1
     assert set(done.failed) == {"imu.stamp_error", "imu.age", "encoders.stamp_error"}
     done.assert_held()

@@ -85,6 +85,7 @@ def undisturbed(whole_run):
     return json.loads(whole_run.stdout)
 
 
+@pytest.mark.long
 def test_progress_tells_round_recording_and_the_time_that_is_left(whole_run):
     lines = whole_run.stderr.splitlines()
     assert any(text.startswith("round 2 of 2, recording: 1/2") for text in lines)

@@ -38,7 +38,7 @@ SMALL = {
     "line_m": 0.35,
     "turns": 0.15,
     "max_rounds": 2,
-    "compared_methods": "ga",
+    "compared_methods": "interior-point",
     "processes": 1,
 }
 
@@ -57,9 +57,8 @@ def test_what_was_found_drives_better_and_passes(small):
     small.assert_held()
 
 
-@pytest.mark.parametrize("propellers", ["teensy", "vesc"])
-def test_turns_on_a_wall_are_refused_before_anything_is_opened(tmp_path, propellers):
-    used = watched("odometry_calibration", bench="emulated", overrides={"thrust.model": propellers})
+def test_turns_on_a_wall_are_refused_before_anything_is_opened(tmp_path):
+    used = watched("odometry_calibration", bench="emulated")
     told = r"circle_ccw, rotation_cw turn the robot by 180 deg.* at most 15 deg"
     procedure = load_procedure("odometry_calibration")
     settings = procedure.settings({}, quick=True)
@@ -163,6 +162,7 @@ def test_it_fails_under_a_fault_that_makes_it_impossible(tmp_path, fault, words)
     assert not (tmp_path / "run" / "calibration.toml").exists()
 
 
+@pytest.mark.long
 def test_two_processes_record_the_same_bytes_as_one(tmp_path):
     parameters = {**TINY, "motions": "line_x", "line_m": 0.2, "max_rounds": 1, "min_rounds": 1}
     for processes in (1, 2):
@@ -192,12 +192,6 @@ def plain_source(bench="emulated_floor"):
     from hil.procedure import BenchSource
 
     return BenchSource(bench)
-
-
-def test_what_may_be_rejected_is_a_share_of_all_rounds_that_were_fitted():
-    """Rounds are pooled: two of 36 recordings were once held against a tenth of one round's 18."""
-    limits = {m.name: m.high for m in load_procedure("odometry_calibration").measurements(Parameters())}
-    assert (limits["rejected_share"], limits["rejected_recordings"]) == (0.1, None)
 
 
 def test_more_rounds_than_allowed_are_refused():

@@ -15,13 +15,15 @@ from hil.procedures import grid_scan, wall_tracking
 from hil.robot.trajectories import line
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.geometry import wrap_array
+from tests.patience import FANLESS
 
 SHORT_LINES = {"length_m": 0.3, "duration_s": 5.5, "hold_s": 0.5, "feedbacks": ["odometry", "ekf"]}
 SHORT_SCAN = {"lanes": 2, "lane_length_m": 0.25, "hold_s": 0.5}
 
 
 def run(name, folder, *, faults=(), seed=0, overrides=None, **parameters):
-    source = BenchSource("emulated", seed=seed, faults=tuple(faults), overrides=overrides or {})
+    overrides = {"safety.tethered": True, **(overrides or {})}  # its benches close without a long look
+    source = BenchSource("emulated", seed=seed, faults=tuple(faults), overrides=overrides)
     options = RunOptions(folder, MonotonicClock(), "2026-01-01T00:00:00", parameters)
     return run_procedure(load_procedure(name), source, options)
 
@@ -119,7 +121,7 @@ def test_lane_offsets_and_cells_by_hand():
 
 
 def test_errors_are_truth_minus_reference():
-    with open_bench("emulated", seed=2) as bench:
+    with open_bench("emulated", seed=2, overrides=FANLESS) as bench:
         start = bench.settle(0.3)
         motion = bench.drive(
             line(start, np.add(start, [0.1, 0.0, 0.0]), duration_s=3.0), hold_s=0.5, start_pose=start

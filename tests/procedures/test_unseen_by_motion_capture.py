@@ -24,6 +24,7 @@ from hil.ring.motion import Motion
 from hil.robot.trajectories import line
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DataError
+from tests.patience import FANLESS
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 
@@ -39,7 +40,7 @@ GAPS = "mocap:intermittent@1,period_s=2,duty=0.97"
 
 
 def run(proc, folder, fault, **parameters):
-    source = BenchSource("emulated", faults=(fault,))
+    source = BenchSource("emulated", faults=(fault,), overrides=FANLESS)
     return run_procedure(proc, source, RunOptions(folder, MonotonicClock(), "2026-01-01", parameters))
 
 
@@ -54,7 +55,7 @@ def climb(ctx):
     ctx.measure("end", 1e3 * abs(motion.mocap[-1, 0] - 0.1))
 
 
-@pytest.mark.parametrize("fault", ["mocap:off@5", GAPS])
+@pytest.mark.parametrize("fault", ["mocap:off@5", pytest.param(GAPS, marks=pytest.mark.long)])
 def test_an_end_that_nobody_saw_fails_a_script_that_measures_it(tmp_path, fault):
     result = run(climb, tmp_path / "run", fault)
     assert result.error is None
@@ -74,6 +75,7 @@ def test_a_line_whose_end_nobody_saw_fails_by_its_end_alone(tmp_path):
     assert result.facts["headline"] == ""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "parameters", "measured"),
     [
@@ -90,7 +92,7 @@ def test_a_motion_seen_in_flashes_is_not_measured(tmp_path, name, parameters, me
 
 @pytest.fixture(scope="module")
 def driven():
-    with open_bench("emulated", seed=2) as bench:
+    with open_bench("emulated", seed=2, overrides=FANLESS) as bench:
         start = bench.settle(0.3)
         goal = np.add(start, [0.1, 0.0, 0.0])
         return bench.drive(line(start, goal, duration_s=3.0), hold_s=1.0, start_pose=start)

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from hil.calibration.artefact import CalibrationFile, save_calibration
+from hil.calibration.artefact import save_calibration
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.config.record import Figure, Part, RobotRecord
@@ -16,6 +16,7 @@ from hil.procedure.operator import Terminal
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE
+from tests.procedures.made_calibrations import made
 
 ZEROS = [0.01, -0.02, 0.03, -0.04]
 FILES = ("part_zeros.toml", "bench_fragment.toml")
@@ -97,27 +98,7 @@ def test_a_bench_that_names_no_seed_is_no_way_round_the_robot_of_the_record(tmp_
 
 def calibrated(path, robot):
     """A calibration that has passed its validation; of this robot, or of nobody's."""
-    told = load_bench("emulated").robot
-    parameters = {"x_w_m": told.wheel_x_m, "y_w_m": told.wheel_y_m, "r_m": told.wheel_radius_m}
-    file = CalibrationFile(
-        schema=1,
-        version=1,
-        created="2026-01-01T00:00:00+00:00",
-        method="lm",
-        setting="recommended",
-        model="exact",
-        signal="velocity",
-        parameters=parameters,
-        nominal=parameters,
-        std={},
-        twist_correction=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-        cost_before=1.0,
-        cost_after=0.5,
-        recordings={},
-        verdict="PASS",
-        robot=robot,
-    )
-    save_calibration(path, file)
+    save_calibration(path, made(robot=robot, made_for=None))
     return path
 
 

@@ -164,11 +164,6 @@ def test_a_chip_may_speak_unasked():
         line.close()
 
 
-def test_a_chip_says_nothing_unasked_unless_it_is_made_to():
-    assert Echo().poll(0) == []
-    assert Echo().next_poll_ns() > 1 << 60
-
-
 def test_a_port_has_the_face_of_any_other(wired):
     """What terminal programs touch: modem lines, buffers, break."""
     _, _, port = wired()
@@ -286,14 +281,6 @@ def test_what_a_chip_says_far_too_late_is_lost_and_counted():
                 face.on_due(world.now_ns)
                 assert port.read(10) == heard
         assert face.lost == 4
-    finally:
-        face.close()
-
-
-def test_a_terminal_event_without_bytes_is_nothing():
-    face = SerialPty(SerialLine(World(Still()), Echo()))
-    try:
-        face.on_readable(face.filenos()[0], 0)
     finally:
         face.close()
 
