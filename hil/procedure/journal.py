@@ -202,16 +202,16 @@ def differences(then: Entry, now: Entry, config: BenchConfig) -> list[str]:
     """In what a run that was cut off differs from one that is to go on with it; empty for nothing.
 
     Args:
-        then: its header. One of an earlier version has neither script nor measurements, and differs in none.
+        then: its header.
         now: the header that this run would have.
         config: of its bench.
     """
     apart = ("config", "script", "measurements")
     found = [key for key in now if key not in apart and then.get(key) != now[key]]
     script, before = now["script"], then.get("script")
-    if script and before and not (isinstance(before, Mapping) and before.get("sha256") == script["sha256"]):
+    if script and not (isinstance(before, Mapping) and before.get("sha256") == script["sha256"]):
         found.append(f"the script {script['file']}, which has changed")
-    if then.get("measurements", now["measurements"]) != now["measurements"]:
+    if then.get("measurements") != now["measurements"]:
         try:
             found += _limits(then["measurements"], now["measurements"])
         except (KeyError, TypeError):

@@ -32,10 +32,6 @@ from hil.vocabulary.result_files import JOURNAL, RESULT
 
 __all__ = ["RunOptions", "header_of", "run_procedure"]
 
-_SCRIPT_UNKNOWN = (
-    "The run that was cut off was begun by an earlier version, which did not note its script: nobody has "
-    "checked that what it had finished was done by the same one."
-)
 _LEFT_OUT = "Recordings and figures were not kept; the same run without --keep results makes them."
 
 
@@ -77,8 +73,6 @@ def _first_word(header: Entry, options: RunOptions, past: PastRun | None) -> tup
 def _recorded_run(context: Context) -> Result:
     """The run itself, from the first note that it leaves to its last word in the journal."""
     past, clock = context.benches.past, context.clock
-    if past is not None and "script" not in past.header:
-        context.note(_SCRIPT_UNKNOWN)
     if context.results.keep == "results" and past is None:
         context.note(_LEFT_OUT)
     begin_ns = clock.now_ns()
