@@ -19,14 +19,14 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.calibration.blocks import reduce_recordings
 from hil.calibration.calibrate import calibrate
 from hil.calibration.problem import PAPER, RECOMMENDED, Problem
-from hil.calibration.sampling import truth_window, wheel_steps
 from hil.calibration.synthetic import hidden_robot, make_set
-from hil.recording.sources import read_recordings
+from hil.core.clock import NS_PER_S, MonotonicClock
+from hil.datasets.blocks import reduce_recordings
+from hil.datasets.read import read_recordings
+from hil.datasets.sampling import truth_window, wheel_steps
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import NS_PER_S, MonotonicClock
 
 CLOCK = MonotonicClock()
 

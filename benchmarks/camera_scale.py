@@ -21,14 +21,14 @@ import numpy as np
 
 from hil.bench import open_bench
 from hil.config.loading import load_bench
+from hil.core.clock import MonotonicClock
 from hil.fakes.world import random_stream
-from hil.procedure.bench_source import BenchSource
-from hil.procedure.fragment import NAME
+from hil.procedure.bench_fragment import NAME
+from hil.procedure.bench_request import BenchSource
+from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.procedure.scripts import load_procedure
-from hil.procedure.tracking import stand, tracking_errors
+from hil.procedure.tracking_errors import stand, tracking_errors
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import MonotonicClock
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -23,11 +23,11 @@ from unittest.mock import patch
 import numpy as np
 from virtual_pair import TURN_CYCLES, Turns, in_turns, started, wall
 
-from hil.ring.crosscheck import SteeringWatch
-from hil.ring.estimate_watch import EstimateWatch
-from hil.ring.filter_watch import FilterWatch
-from hil.ring.motion_check import MotionCheck
-from hil.ring.wheel_watch import WheelWatch
+from hil.loop.checks.filter_fit import FilterWatch
+from hil.loop.checks.mocap_estimate import EstimateWatch
+from hil.loop.checks.motion_agreement import MotionCheck
+from hil.loop.checks.steering_encoders import SteeringWatch
+from hil.loop.checks.wheel_slip import WheelWatch
 
 MOST = 1.05
 CHECKS = (

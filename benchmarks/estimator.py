@@ -22,10 +22,10 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from hil.config.estimator import EstimatorConfig
+from hil.core.clock import NS_PER_S
+from hil.core.signals import Measurements
 from hil.estimator import make_estimator
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.signals import Measurements
 
 sys.path.insert(0, str(Folder(__file__).parents[1] / "tests/estimator"))
 from simulated_sensors import (

@@ -29,15 +29,15 @@ from pathlib import Path
 import numpy as np
 
 import hil
-from hil.calibration.blocks import reduce_recordings
 from hil.calibration.fitting import fit
 from hil.calibration.problem import make_setting
 from hil.calibration.synthetic import hidden_robot, make_set
 from hil.cli import main as command_line
+from hil.core.clock import NS_PER_S
+from hil.core.registry import kinds
+from hil.core.signals import ServoSetpoint
+from hil.datasets.blocks import reduce_recordings
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import ServoSetpoint
 
 WANTED = 1.1
 REST = '''"""Stand still for a second."""

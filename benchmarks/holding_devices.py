@@ -27,9 +27,9 @@ from unittest.mock import patch
 
 import hil
 from hil.bench import Bench
-from hil.ring.adhesion import AdhesionWatch
+from hil.core.errors import HilError
+from hil.loop.checks.adhesion import AdhesionWatch
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import HilError
 
 DEVICES = ("adhesion", "thrust", "load_cells")
 MOST = {"virtual": 0.15, "live": 0.05}

@@ -21,17 +21,17 @@ import numpy as np
 from hil.bench import hidden_truth, open_bench
 from hil.bench.settings import nominal_of
 from hil.calibration.calibrate import Calibration, calibrate
-from hil.calibration.choice import candidates, choose
-from hil.calibration.datasets import Recording
 from hil.calibration.identifiability import data_information
-from hil.calibration.nominal import Nominal
+from hil.calibration.model_choice import candidates, choose
 from hil.calibration.problem import RECOMMENDED
 from hil.calibration.synthetic import hidden_robot, make_set
 from hil.config.loading import load_bench
+from hil.core.clock import MonotonicClock
+from hil.core.geometry import Array
+from hil.datasets.dataset import Recording
+from hil.datasets.nominal import Nominal
+from hil.datasets.plain_csv import read_plain
 from hil.procedure.odometry_motions import MOTIONS, Repetition, Sizes, drive_repetition, unused
-from hil.recording.plain_csv import read_plain
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.geometry import Array
 
 LOW, HIGH, REPETITIONS = 0.88, 0.99, 3
 BENCHES = {

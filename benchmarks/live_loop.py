@@ -41,15 +41,15 @@ from host import stolen_s
 
 from hil.bench import open_bench
 from hil.config.servo_models.codes import BAUD_CODES
+from hil.core.clock import NS_PER_S, MonotonicClock, nanoseconds
+from hil.core.geometry import Array
+from hil.core.interfaces import Sink
+from hil.core.signals import CycleRecord
 from hil.live import LivePlan, LiveSession
+from hil.loop.realtime import RealTime, idle_loop
 from hil.monitor import RerunMonitor, Scene
 from hil.recording.mcap_writer import McapRecorder
-from hil.ring.realtime import RealTime, idle_loop
 from hil.robot.trajectories import Trajectory, through
-from hil.vocabulary.clock import NS_PER_S, MonotonicClock, nanoseconds
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.interfaces import Sink
-from hil.vocabulary.signals import CycleRecord
 
 VIEWERS = ("none", "running", "stopped", "killed", "absent")
 PERFECT = {

@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 
 from hil.bench import open_bench
+from hil.core.errors import HilError
+from hil.core.signals import CycleRecord
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import HilError
-from hil.vocabulary.signals import CycleRecord
 
 SOON_S, NEAR_M, SIGMAS, SLACK_M = 0.5, 0.015, 3.0, 0.005
 START = np.zeros(3)

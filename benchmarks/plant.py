@@ -17,9 +17,9 @@ import time
 import numpy as np
 
 from hil.config.robot import RobotConfig
+from hil.core.clock import nanoseconds
+from hil.fakes.body_interface import JointCommand
 from hil.fakes.plant import WallRobot, make_plant
-from hil.fakes.plant_api import JointCommand
-from hil.vocabulary.clock import nanoseconds
 
 _NEEDED = 150.0
 _PERIOD_NS = nanoseconds(0.01)

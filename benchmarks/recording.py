@@ -15,11 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.recording.mcap_reader import read_cycles
-from hil.recording.mcap_writer import McapRecorder
-from hil.vocabulary.clock import NS_PER_S, MonotonicClock
-from hil.vocabulary.interfaces import Sink
-from hil.vocabulary.signals import (
+from hil.core.clock import NS_PER_S, MonotonicClock
+from hil.core.interfaces import Sink
+from hil.core.signals import (
     CycleRecord,
     EncoderSample,
     GyroMeasurement,
@@ -38,6 +36,8 @@ from hil.vocabulary.signals import (
     WheelMeasurement,
     WheelSetpoint,
 )
+from hil.recording.mcap_reader import read_cycles
+from hil.recording.mcap_writer import McapRecorder
 
 _LATE_NS = 1_000_000
 

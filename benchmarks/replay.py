@@ -23,7 +23,7 @@ from pathlib import Path
 
 import hil
 from hil.recording.mcap_writer import McapRecorder
-from hil.replay.comparison import compare_run, table
+from hil.replay.estimator_comparison import compare_run, table
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_recording
 from hil.robot.trajectories import scan

@@ -18,8 +18,8 @@ import numpy as np
 
 import hil
 from hil.bench import Bench
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.signals import ServoSetpoint
+from hil.core.clock import NS_PER_S
+from hil.core.signals import ServoSetpoint
 
 CYCLES, PERIOD_NS, WANTED = 40, NS_PER_S // 100, 0.6
 PLANTS = {

@@ -27,17 +27,17 @@ from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler, PortHand
 
 from hil.config.robot import RobotConfig
 from hil.config.servos import ServosConfig
+from hil.core.clock import MonotonicClock
+from hil.core.signals import ServoSetpoint
 from hil.drivers.servos import DynamixelServos
+from hil.fakes.active_faults import FaultPlan
 from hil.fakes.fault import parse_fault
-from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import make_plant
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
 from hil.fakes.servos import ServoBus, ServoBusOptions
 from hil.fakes.world import World, random_stream
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.signals import ServoSetpoint
 
 BAUD, LATENCY_S = 1_000_000, 0.001
 IDS = tuple(range(1, 9))

@@ -39,12 +39,12 @@ import numpy as np
 from host import stolen_s
 
 from hil.bench import open_bench
+from hil.core.clock import NS_PER_S
+from hil.core.errors import HilError
+from hil.core.registry import kinds
 from hil.fakes.fault import parse_fault
 from hil.recording.mcap_writer import McapRecorder
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.errors import HilError
-from hil.vocabulary.kinds import kinds
 
 _LIBC = ctypes.CDLL(None)
 WAY_M, MINUTE_S = 0.12, 60.0

@@ -34,8 +34,8 @@ def drive(procedure: str, begun_ns: int) -> None:
     """`hil run` in this process; says how long it took, and ends, once the robot is driven."""
     from hil.cli import run as command
     from hil.cli import script
-    from hil.vocabulary.interfaces import Sink
-    from hil.vocabulary.signals import CycleRecord
+    from hil.core.interfaces import Sink
+    from hil.core.signals import CycleRecord
 
     class FirstDriven(Sink):
         """Ends the process with the first cycle that has a reference."""

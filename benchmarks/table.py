@@ -25,7 +25,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hil.report.run_plots import SERIES, legend, new_figure, style
+from hil.report.plot_style import SERIES, legend, new_figure, style
 
 HERE = Path(__file__).resolve().parent
 

@@ -23,8 +23,8 @@ from collections.abc import Iterator
 import numpy as np
 
 import hil
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.signals import Inputs, ServoSetpoint
+from hil.core.clock import NS_PER_S
+from hil.core.signals import Inputs, ServoSetpoint
 
 RATE_HZ = 100
 PERIOD_NS = NS_PER_S // RATE_HZ

@@ -74,7 +74,7 @@ def five(seconds: float, cycle: Callable[[], None]) -> None:
 def rig(seconds: float, cycle: Callable[[], None], overrides: Mapping[str, object] | None = None) -> None:
     """Read and command the devices of the shipped bench."""
     import hil
-    from hil.vocabulary.signals import ServoSetpoint
+    from hil.core.signals import ServoSetpoint
 
     with hil.open_bench("emulated", seed=1, overrides=overrides or {}) as bench:
         actuators = bench.rig.actuators()

@@ -23,7 +23,7 @@ from hil.config.bench import BenchConfig
 from hil.config.estimator import EstimatorConfig
 from hil.estimator import make_estimator
 from hil.recording.runs import RecordedRun
-from hil.replay.comparison import consistency, errors, estimate
+from hil.replay.estimator_comparison import consistency, errors, estimate
 from hil.replay.recordings import OpenedRecording, open_recording
 
 LINES = ("x_line", "y_line")

@@ -18,10 +18,10 @@ from pydantic import BaseModel
 
 from hil.config.bench import bench_model
 from hil.config.values import bounds_of
-from hil.fakes.truth_options import ranges
-from hil.vocabulary.device import DeviceModel
-from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import KINDS
+from hil.core.device import DeviceModel
+from hil.core.registry import kinds
+from hil.core.signals import KINDS
+from hil.fakes.truth_bounds import ranges
 
 OPTIONS = {
     (kind, model.name): model.truth_options()

@@ -33,7 +33,7 @@ def table(kills: int = KILLS, both: int = BOTH) -> str:
     import wall_trials
     from fan_on_the_wire import fan_on_the_wire
 
-    from hil.bench.adhesion import keeper_spec
+    from hil.bench.fan_commands import keeper_spec
     from hil.config.loading import load_bench
 
     rows = []

@@ -15,10 +15,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
-from hil.config.record import Figure
+from hil.config.robot_record import Figure
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedure.fragment import write_fragment
-from hil.procedure.learning import leave_part
+from hil.procedure.bench_fragment import write_fragment
+from hil.procedure.record_parts import leave_part
 from hil.procedures.parts import headlines
 from hil.procedures.parts.adhesion_levels import Fit, Level, draw, fit, levels_n, needs_of, rest, visit
 

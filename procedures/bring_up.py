@@ -14,16 +14,21 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.bench import Bench
-from hil.bench.steering_offsets import encoder_minus_servo
-from hil.bench.tilt import APART_RAD, sees_the_tilt, tilt_rad
+from hil.bench.doctor.steering_offsets import encoder_minus_servo
+from hil.bench.hold.tilt import APART_RAD, sees_the_tilt, tilt_rad
 from hil.config.bench import BenchConfig
 from hil.config.encoders import EncodersConfig
+from hil.core.finding import Finding
+from hil.core.geometry import Array
+from hil.core.registry import kinds
+from hil.core.signals import KINDS, WHEELS, Status
+from hil.loop.recorded_motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedure.devices import Device, only
-from hil.procedure.fragment import write_fragment
-from hil.procedure.learning import leave_part
-from hil.procedure.samples import inertial, poses
-from hil.procedure.tracking import stand
+from hil.procedure.bench_fragment import write_fragment
+from hil.procedure.needed_devices import Device, only
+from hil.procedure.record_parts import leave_part
+from hil.procedure.sample_arrays import inertial, poses
+from hil.procedure.tracking_errors import stand
 from hil.procedures.parts import headlines
 from hil.procedures.parts.bring_up_jogs import (
     DriveJogs,
@@ -42,12 +47,7 @@ from hil.procedures.parts.bring_up_report import (
 )
 from hil.procedures.parts.bring_up_streams import Stream, judge_stream
 from hil.procedures.parts.latency_fit import integrated
-from hil.ring.motion import Motion
 from hil.robot.trajectories import Trajectory, line
-from hil.vocabulary.finding import Finding
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import KINDS, WHEELS, Status
 
 _DEG = float(np.degrees(1.0))
 _PUSHES = 0.5

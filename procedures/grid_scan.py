@@ -14,8 +14,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.config.bench import BenchConfig
+from hil.core.geometry import Array, ArrayLike
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedure.tracking import (
+from hil.procedure.tracking_errors import (
     belief_figure,
     coverage_figure,
     error_figure,
@@ -27,7 +28,6 @@ from hil.procedure.tracking import (
 )
 from hil.procedures.parts import headlines
 from hil.robot.trajectories import Trajectory, scan
-from hil.vocabulary.geometry import Array, ArrayLike
 
 _CELL_M = 0.005
 _ODOMETRY_RMSE_MM = 50.0

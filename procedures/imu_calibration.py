@@ -21,18 +21,18 @@ from scipy.special import stdtrit
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.config.imu import Bno055Config
-from hil.config.record import Figure
+from hil.config.robot_record import Figure
+from hil.core.errors import ConfigError, DeviceError
+from hil.core.geometry import Array, quat_from_yaw, quat_multiply, wrap_array
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedure.fragment import write_fragment
-from hil.procedure.learning import leave_part
-from hil.procedure.samples import inertial, poses
-from hil.procedure.tracking import stand
+from hil.procedure.bench_fragment import write_fragment
+from hil.procedure.record_parts import leave_part
+from hil.procedure.sample_arrays import inertial, poses
+from hil.procedure.tracking_errors import stand
 from hil.procedures.parts import headlines
 from hil.procedures.parts.imu_noise import BIAS_FACTOR, FEWEST, allan, evenly
 from hil.procedures.parts.imu_report import draw_allan, draw_headings
 from hil.robot.trajectories import Trajectory, line
-from hil.vocabulary.errors import ConfigError, DeviceError
-from hil.vocabulary.geometry import Array, quat_from_yaw, quat_multiply, wrap_array
 
 _DEG = float(np.degrees(1.0))
 _GRAVITY_LSB_M_S2, _STANDARD_GRAVITY = 0.01, 9.80665

@@ -21,14 +21,16 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
-from hil.config.record import Figure
-from hil.controller.allocation import ModuleLimits, optimize
+from hil.config.robot_record import Figure
+from hil.controller.module_layer import ModuleLimits, optimize
+from hil.core.geometry import Array
+from hil.loop.recorded_motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedure.devices import only
-from hil.procedure.learning import leave_part
-from hil.procedure.samples import Series, encoders, inertial, poses, wheels
-from hil.procedure.scripted import Stretch, play
-from hil.procedure.tracking import stand
+from hil.procedure.needed_devices import only
+from hil.procedure.record_parts import leave_part
+from hil.procedure.sample_arrays import Series, encoders, inertial, poses, wheels
+from hil.procedure.scripted_joints import Stretch, play
+from hil.procedure.tracking_errors import stand
 from hil.procedures.parts import headlines
 from hil.procedures.parts.latency_fit import (
     Command,
@@ -40,9 +42,7 @@ from hil.procedures.parts.latency_fit import (
     sent_s,
 )
 from hil.procedures.parts.latency_report import draw_chain, draw_signals, table
-from hil.ring.motion import Motion
 from hil.robot.kinematics import forward, inverse
-from hil.vocabulary.geometry import Array
 
 Compared = Literal["encoders", "imu", "tracker"]
 _GOLDEN = 0.6180339887498949

@@ -18,20 +18,21 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.bench.settings import geometry_of, motion_limits
-from hil.calibration.artefact import calibration_file, save_calibration
 from hil.calibration.calibrate import Calibration
+from hil.calibration.calibration_file import calibration_file, save_calibration
 from hil.calibration.evaluation import evaluate
 from hil.calibration.problem import PARAMETER_NAMES, make_setting
 from hil.calibration.usable import made_for
 from hil.calibration.validation import score
 from hil.calibration.versions import shelve
 from hil.config.bench import BenchConfig
-from hil.config.record import Figure
-from hil.config.record.overlay import identity
+from hil.config.robot_record import Figure
+from hil.config.robot_record.overlay import identity
+from hil.core.errors import ConfigError
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedure.learning import leave_part
 from hil.procedure.odometry_motions import MOTIONS, MotionName, Repetition, Sizes, followed
-from hil.procedure.workers import Workers
+from hil.procedure.record_parts import leave_part
+from hil.procedure.worker_processes import Workers
 from hil.procedures.parts import headlines
 from hil.procedures.parts.odometry_collecting import Collected, collect, read_round
 from hil.procedures.parts.odometry_report import show
@@ -47,8 +48,7 @@ from hil.procedures.parts.odometry_rounds import (
     tell_gain,
     worth_another,
 )
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.versions import versions
+from hil.support.versions import versions
 
 _SIMILAR_MM = 0.5
 

@@ -16,21 +16,21 @@ from pydantic import BaseModel, ConfigDict, Field
 from hil.bench import Bench
 from hil.bench.settings import load_shares
 from hil.config.bench import BenchConfig
-from hil.config.record import Figure
-from hil.config.record.plausible import ZERO_LIMIT_RAD
+from hil.config.robot_record import Figure
+from hil.config.robot_record.limits import ZERO_LIMIT_RAD
+from hil.core.errors import DeviceError
+from hil.core.geometry import Array, rotation2
+from hil.core.signals import WHEELS
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedure.fragment import write_fragment
-from hil.procedure.learning import leave_part
-from hil.procedure.samples import encoders, wheels
-from hil.procedure.scripted import Stretch, play
-from hil.procedure.tracking import stand
+from hil.procedure.bench_fragment import write_fragment
+from hil.procedure.record_parts import leave_part
+from hil.procedure.sample_arrays import encoders, wheels
+from hil.procedure.scripted_joints import Stretch, play
+from hil.procedure.tracking_errors import stand
 from hil.procedures.parts import headlines
 from hil.procedures.parts.steering_fit import AxisFit, Leg, fit_axis, judge_leg, toe_turn_rad_m
-from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
+from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, style, thin
 from hil.robot.trajectories import Trajectory, line
-from hil.vocabulary.errors import DeviceError
-from hil.vocabulary.geometry import Array, rotation2
-from hil.vocabulary.signals import WHEELS
 
 _DEG = float(np.degrees(1.0))
 _WAYS = (("forwards", 0.0), ("back", np.pi), ("left", np.pi / 2.0), ("right", -np.pi / 2.0))

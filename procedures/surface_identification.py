@@ -20,19 +20,19 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from hil.bench import Bench
 from hil.bench.settings import adhesion_limits, thrust_wanted_n
 from hil.config.bench import BenchConfig
-from hil.config.record import Figure
+from hil.config.robot_record import Figure
+from hil.core.errors import ConfigError
+from hil.core.geometry import Array
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedure.elsewhere import Errand
-from hil.procedure.fragment import write_fragment
-from hil.procedure.learning import leave_part
-from hil.procedure.tracking import STAGGER_S, stand
-from hil.procedure.workers import Workers
+from hil.procedure.bench_fragment import write_fragment
+from hil.procedure.parallel_drives import Errand
+from hil.procedure.record_parts import leave_part
+from hil.procedure.tracking_errors import STAGGER_S, stand
+from hil.procedure.worker_processes import Workers
 from hil.procedures.parts import headlines
 from hil.procedures.parts.surface_hold import WITHOUT, hold_angle
 from hil.procedures.parts.surface_slip import downhill, draw, next_lines, rate, slip_of
 from hil.robot.trajectories import Trajectory, line
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.geometry import Array
 
 DIRECTIONS = ("up", "down", "left", "right")
 _ALONE = (DIRECTIONS[:2], DIRECTIONS[2:])

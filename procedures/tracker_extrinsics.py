@@ -17,18 +17,18 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hil.config.bench import BenchConfig
 from hil.config.device import TrackerConfig
-from hil.config.record import Figure, Spread
-from hil.config.record.plausible import SCALE_LIMITS
+from hil.config.robot_record import Figure, Spread
+from hil.config.robot_record.limits import SCALE_LIMITS
+from hil.core.errors import DeviceError
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedure.fragment import write_fragment
-from hil.procedure.learning import leave_part
-from hil.procedure.samples import Series
+from hil.procedure.bench_fragment import write_fragment
+from hil.procedure.record_parts import leave_part
+from hil.procedure.sample_arrays import Series
 from hil.procedures.parts import headlines
 from hil.procedures.parts.tracker_driving import Leg, Trip, drive_trips, legs_of
 from hil.procedures.parts.tracker_hand_eye import Extrinsics, Intervals, Truth, intervals, join, solve
 from hil.procedures.parts.tracker_report import draw_lateness, draw_path, table
 from hil.procedures.parts.tracker_scale import by_whole_legs, session_spread
-from hil.vocabulary.errors import DeviceError
 
 _DEG = float(np.degrees(1.0))
 _HEADING_SHARE = 0.8

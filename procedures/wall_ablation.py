@@ -15,17 +15,23 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
-from hil.config.record import PARTS
+from hil.config.robot_record import PARTS
+from hil.core.geometry import ArrayLike
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.ablation import Setting, Table, settings_of
-from hil.procedure.elsewhere import Errand
-from hil.procedure.learning import known_parts
-from hil.procedure.tracking import REFERENCE_M, refuse_what_cannot_be_followed, stand, tracking_errors, unseen
-from hil.procedure.workers import Workers
+from hil.procedure.parallel_drives import Errand
+from hil.procedure.record_parts import known_parts
+from hil.procedure.tracking_errors import (
+    REFERENCE_M,
+    refuse_what_cannot_be_followed,
+    stand,
+    tracking_errors,
+    unseen,
+)
+from hil.procedure.worker_processes import Workers
 from hil.procedures.parts import headlines
 from hil.report.ablation_figure import EVERYTHING, NOTHING, ablation_figure
 from hil.robot.trajectories import Trajectory, line
-from hil.vocabulary.geometry import ArrayLike
 
 Case = Literal["x_line", "y_line"]
 Jobs = list[tuple[Setting, Case]]

@@ -17,9 +17,11 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
+from hil.core.choices import ESTIMATORS, EstimatorName
+from hil.core.geometry import ArrayLike
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedure.elsewhere import Errand
-from hil.procedure.tracking import (
+from hil.procedure.parallel_drives import Errand
+from hil.procedure.tracking_errors import (
     REFERENCE_M,
     belief_figure,
     error_figure,
@@ -30,11 +32,9 @@ from hil.procedure.tracking import (
     tracking_errors,
     unseen,
 )
-from hil.procedure.workers import Workers
+from hil.procedure.worker_processes import Workers
 from hil.procedures.parts import headlines
 from hil.robot.trajectories import Trajectory, line, scan
-from hil.vocabulary.choices import ESTIMATORS, EstimatorName
-from hil.vocabulary.geometry import ArrayLike
 
 Case = Literal["x_line", "y_line", "scan"]
 World = dict[str, Any]

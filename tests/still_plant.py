@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hil.fakes.plant_api import Plant, PlantState
+from hil.fakes.body_interface import Plant, PlantState
 
 
 class StillPlant(Plant):

@@ -22,17 +22,17 @@ import numpy as np
 
 MODULES = (
     "hil.bench.opening",
-    "hil.bench.doctor",
+    "hil.bench.doctor.examination",
     "hil.calibration.calibrate",
-    "hil.calibration.passes",
-    "hil.devices.canbus",
+    "hil.calibration.residual_pass",
+    "hil.devices.emulated_can",
     "hil.drivers.encoders",
     "hil.drivers.load_cells.can_cells",
     "hil.estimator",
     "hil.live",
     "hil.procedure",
     "hil.recording.mcap_writer",
-    "hil.ring.realtime",
+    "hil.loop.realtime",
     "logging.config",
     "pytest",
 )
@@ -45,8 +45,8 @@ def prepare():
     """Import, load the machine code of the emulated robot, and keep both from the garbage collector."""
     from hil.cli import COMMANDS, cli
     from hil.config.robot import RobotConfig
+    from hil.core.registry import kinds
     from hil.fakes.plant import make_plant
-    from hil.vocabulary.kinds import kinds
 
     for name in COMMANDS:
         cli.get_command(None, name)

@@ -16,8 +16,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from hil.console.objects import read  # noqa: E402
-from hil.console.stop_process import PAGE  # noqa: E402
+from hil.console.json_files import read  # noqa: E402
+from hil.console.stop_server import PAGE  # noqa: E402
 from tests.chromium import Browser  # noqa: E402
 
 IMAGES = ROOT / "docs" / "images"

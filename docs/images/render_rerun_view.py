@@ -24,11 +24,11 @@ import numpy as np
 from PIL import Image
 
 import hil
+from hil.core.clock import MonotonicClock, nanoseconds
+from hil.core.signals import CycleRecord
 from hil.monitor import Scene
-from hil.monitor.stream import RerunStream
+from hil.monitor.rerun_stream import RerunStream
 from hil.robot.trajectories import through
-from hil.vocabulary.clock import MonotonicClock, nanoseconds
-from hil.vocabulary.signals import CycleRecord
 
 TABS = ("Motion", "Estimator", "Loop")
 _CORNERS = ((0.0, 0.0, 0.0), (0.45, 0.0, 0.0), (0.45, 0.4, 0.0))

@@ -18,8 +18,8 @@ from matplotlib.patches import Circle, FancyBboxPatch, Polygon
 
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.signals import WHEELS
+from hil.core.geometry import Array
+from hil.core.signals import WHEELS
 
 HERE = Path(__file__).resolve().parent
 _INK, _BODY, _WALL, _X, _Y, _SENSOR = "#1c2733", "#dfe7ef", "#f4f1ea", "#c0392b", "#1e8449", "#1f5fa8"

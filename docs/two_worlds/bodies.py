@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from hil.config.robot import RobotConfig
+from hil.core.clock import NS_PER_S
+from hil.core.geometry import Array
+from hil.fakes.body_interface import JointCommand
 from hil.fakes.mujoco_plant import make_mujoco_plant
 from hil.fakes.plant import SteppedBody, make_plant
-from hil.fakes.plant_api import JointCommand
 from hil.fakes.world import random_stream
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.geometry import Array
 
 WORLDS = ("own", "creep", "holding")
 TITLES = {"own": "own plant", "creep": "MuJoCo, rolling creep", "holding": "MuJoCo, holding contact"}

@@ -12,16 +12,16 @@ from two_worlds.bodies import FLOOR, PERIOD_NS, robot, stand, turn
 from two_worlds.results import Row
 
 from hil.calibration.calibrate import Calibration, calibrate
-from hil.calibration.cleaning import Log
-from hil.calibration.datasets import Recording, build_recording
 from hil.calibration.evaluation import position_rmse, track
-from hil.calibration.nominal import Nominal
 from hil.calibration.problem import make_setting
+from hil.core.clock import NS_PER_S, MonotonicClock
+from hil.core.geometry import Array
+from hil.datasets.cleaning import Log
+from hil.datasets.dataset import Recording, build_recording
+from hil.datasets.nominal import Nominal
 from hil.fakes.plant import SteppedBody
 from hil.procedure.odometry_motions import MOTIONS, Sizes, reference
 from hil.robot.kinematics import WheelGeometry, projection
-from hil.vocabulary.clock import NS_PER_S, MonotonicClock
-from hil.vocabulary.geometry import Array
 
 WORLDS = ("creep", "holding", "own")
 MODELS = ("exact", "dry-friction", "creep")

@@ -11,13 +11,13 @@ from two_worlds.bodies import FLOOR, PERIOD_NS, WORLDS, robot, stand, turn, wait
 from two_worlds.results import Row
 
 from hil.config.robot import RobotConfig
+from hil.core.clock import NS_PER_S
+from hil.core.geometry import Array, compose, se2_exp
 from hil.fakes.mujoco_plant import MujocoRobot
 from hil.fakes.mujoco_plant.model import build_model
 from hil.fakes.plant import SteppedBody, WallRobot
 from hil.robot.kinematics import forward, inverse
 from hil.robot.trajectories import circle
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.geometry import Array, compose, se2_exp
 
 WEIGHT_N = 3.25 * 9.81
 

@@ -13,7 +13,7 @@ from two_worlds.bodies import WORLDS
 from two_worlds.results import Row
 
 from hil.cli import main
-from hil.vocabulary.errors import EXIT_USAGE
+from hil.core.errors import EXIT_USAGE
 
 SEED = 1
 NAMES = (

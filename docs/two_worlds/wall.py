@@ -9,8 +9,8 @@ import numpy as np
 from two_worlds.results import Row
 
 from hil import open_bench
-from hil.procedure.tracking import stand, tracking_errors
-from hil.replay.comparison import consistency
+from hil.procedure.tracking_errors import stand, tracking_errors
+from hil.replay.estimator_comparison import consistency
 from hil.robot.trajectories import line
 
 WORLDS: dict[str, dict[str, object]] = {

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.signals import Status
 from hil.procedure import Context, Measurement, procedure
-from hil.procedure.tracking import stand
+from hil.procedure.tracking_errors import stand
 from hil.robot.trajectories import line
-from hil.vocabulary.signals import Status
 
 _MEAN_OF, _UP = 20, np.array([0.05, 0.0, 0.0])
 

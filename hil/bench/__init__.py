@@ -14,7 +14,7 @@ from hil.bench.emulation import (
     planned_faults,
     supported_faults,
 )
-from hil.bench.held import Held
+from hil.bench.hold.result import Held
 from hil.bench.opening import open_bench, plan_bench
 from hil.bench.settings import alignment_parameters, safety_limits
 from hil.drivers.servos import set_up

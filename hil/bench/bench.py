@@ -10,26 +10,26 @@ from operator import attrgetter
 
 import numpy as np
 
-from hil.bench.beginning import blind_to_the_drive, emulated_hold, must_begin_where_it_stands
-from hil.bench.blueprint import Blueprint
-from hil.bench.held_rig import HeldRig
-from hil.bench.inertial_offsets import InertialWatch
+from hil.bench.doctor.inertial_offsets import InertialWatch
+from hil.bench.drive_start import blind_to_the_drive, emulated_hold, must_begin_where_it_stands
+from hil.bench.hold.held_devices import HeldRig
+from hil.bench.model import Blueprint
 from hil.bench.settings import real_time
+from hil.core.clock import Clock, nanoseconds
+from hil.core.errors import ConfigError, DeviceError, check_number
+from hil.core.geometry import Array, ArrayLike
+from hil.core.interfaces import RUN_NOTE, Sink
+from hil.core.signals import CycleRecord, RobotState
+from hil.fakes.body_interface import PlantState
 from hil.fakes.fault import Fault
-from hil.fakes.plant_api import PlantState
 from hil.fakes.world import World
+from hil.loop.control_loop import Brain, ControlLoop, LoopStatistics
+from hil.loop.device_set import Rig
+from hil.loop.realtime import warm_up
+from hil.loop.recorded_motion import Motion
+from hil.loop.user_parts import own_name
 from hil.recording.runs import START_COVARIANCE, RunStart
-from hil.ring.loop import Brain, ControlLoop, LoopStatistics
-from hil.ring.motion import Motion
-from hil.ring.own_parts import own_name
-from hil.ring.realtime import warm_up
-from hil.ring.rig import Rig
 from hil.robot.trajectories import Trajectory
-from hil.vocabulary.clock import Clock, nanoseconds
-from hil.vocabulary.errors import ConfigError, DeviceError, check_number
-from hil.vocabulary.geometry import Array, ArrayLike
-from hil.vocabulary.interfaces import RUN_NOTE, Sink
-from hil.vocabulary.signals import CycleRecord, RobotState
 
 LOG = logging.getLogger(__name__)
 

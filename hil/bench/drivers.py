@@ -7,16 +7,16 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, cast
 
-from hil.bench.guard import guarded
-from hil.bench.own_name import OwnName, making
+from hil.bench.named_errors import OwnName, making
+from hil.bench.third_party.driver import guarded
 from hil.config.bench import BenchConfig
 from hil.config.device import DeviceConfig
-from hil.ring.rig import Rig
-from hil.vocabulary.clock import Clock
-from hil.vocabulary.device import Connection, DeviceModel
-from hil.vocabulary.errors import HilError
-from hil.vocabulary.interfaces import Actuators, Device, Sensor
-from hil.vocabulary.kinds import base_of, kinds
+from hil.core.clock import Clock
+from hil.core.device import Connection, DeviceModel
+from hil.core.errors import HilError
+from hil.core.interfaces import Actuators, Device, Sensor
+from hil.core.registry import base_of, kinds
+from hil.loop.device_set import Rig
 
 
 def model_of(config: BenchConfig, kind: str) -> DeviceModel:

@@ -9,27 +9,27 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from hil.bench.drivers import model_of
-from hil.bench.guarded_parts import guarded_face, parts_of
-from hil.bench.own_name import named
+from hil.bench.named_errors import named
+from hil.bench.third_party.emulated import guarded_face, parts_of
 from hil.config.bench import BenchConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.config.servos import ServosConfig
-from hil.config.several import meant
-from hil.devices.emulated import EmulatedDevice, EmulationRequest, Face
+from hil.config.several_devices import meant
+from hil.core.clock import MonotonicClock
+from hil.core.device import Connection
+from hil.core.errors import ConfigError, FaultNotSupportedError, HilError, UsageError
+from hil.core.package_errors import OURS, PackageError, asked
+from hil.core.registry import base_of, kinds
+from hil.core.signals import KINDS
+from hil.devices.emulated_device import EmulatedDevice, EmulationRequest, Face
+from hil.fakes.active_faults import FaultPlan
+from hil.fakes.body_interface import Plant
 from hil.fakes.fault import Fault, Supported, describe
-from hil.fakes.faults import FaultPlan
-from hil.fakes.further import world_of
+from hil.fakes.fault_files import read_faults
+from hil.fakes.further_device import world_of
 from hil.fakes.plant import SteppedBody, make_plant
-from hil.fakes.plant_api import Plant
 from hil.fakes.server import EmulationServer
-from hil.fakes.timeline import read_faults
 from hil.fakes.world import World, random_stream
-from hil.vocabulary.blame import OURS, PackageError, asked
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.device import Connection
-from hil.vocabulary.errors import ConfigError, FaultNotSupportedError, HilError, UsageError
-from hil.vocabulary.kinds import base_of, kinds
-from hil.vocabulary.signals import KINDS
 
 _NUMBERS = itertools.count(1)
 _EMULATED = "an EmulatedDevice: connect() gives a Connection, serve() a Face"
@@ -52,7 +52,7 @@ def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ())
     """The robot on its surface at world time 0, without devices."""
     plan = FaultPlan(faults)
     if config.emulation.replay is not None:
-        from hil.bench.repeating import repeating_robot  # with readers of every kind of recording
+        from hil.bench.emulated_replay import repeating_robot  # with readers of every kind of recording
 
         return World(repeating_robot(config), seed=seed, faults=plan)
     return World(_simulated(config, seed, plan), seed=seed, faults=plan)

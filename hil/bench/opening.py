@@ -13,23 +13,23 @@ from pathlib import Path
 from typing import Any
 
 from hil.bench.bench import Bench
-from hil.bench.blueprint import Blueprint
+from hil.bench.camera_odometry import with_wheel_sigma
 from hil.bench.drivers import make_rig, model_of
 from hil.bench.emulation import build_world, check_faults, connect_in_process, planned_faults
-from hil.bench.process import EmulatorProcess
+from hil.bench.emulator_process import EmulatorProcess
+from hil.bench.model import Blueprint
 from hil.bench.settings import geometry_of, with_wheel_model
-from hil.bench.wheel_feed import with_wheel_sigma
-from hil.calibration.artefact import read_calibration
+from hil.calibration.calibration_file import read_calibration
 from hil.calibration.usable import check_usable, failed_validation
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
+from hil.core.clock import MonotonicClock
+from hil.core.device import Connection
+from hil.core.errors import DeviceError, UsageError
+from hil.core.interfaces import Sink
+from hil.core.registry import kinds
 from hil.fakes.fault import Fault, describe
 from hil.fakes.world import VirtualClock
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.device import Connection
-from hil.vocabulary.errors import DeviceError, UsageError
-from hil.vocabulary.interfaces import Sink
-from hil.vocabulary.kinds import kinds
 
 LOG = logging.getLogger(__name__)
 

@@ -8,36 +8,36 @@ from dataclasses import fields
 
 import numpy as np
 
-from hil.bench.added_checks import added_checks
+from hil.bench.doctor.steering_offsets import expected_offsets_rad
 from hil.bench.drivers import model_of
-from hil.bench.steering_offsets import expected_offsets_rad
-from hil.calibration.nominal import Nominal
+from hil.bench.third_party.added_checks import added_checks
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
+from hil.config.can_motor import KeptMotorConfig
 from hil.config.device import ImuConfig, TrackerConfig
 from hil.config.encoders import EncodersConfig
-from hil.config.kept_motor import KeptMotorConfig
 from hil.config.load_cells import LoadCellsConfig
 from hil.config.mocap import MocapConfig
 from hil.config.servos import ServosConfig
 from hil.config.thrust import ThrustConfig
-from hil.ring.adhesion import AdhesionLimits, AdhesionWatch
-from hil.ring.alignment import AlignmentParameters
-from hil.ring.capture_check import Seen
-from hil.ring.crosscheck import SteeringWatch
-from hil.ring.estimate_watch import EstimateWatch
-from hil.ring.motion_check import MotionCheck
-from hil.ring.poses import Mount
-from hil.ring.realtime import RealTime
-from hil.ring.safety import Checks, SafetyLimits
-from hil.ring.stream_watch import Healthy
-from hil.ring.wheel_watch import WheelWatch
+from hil.core.clock import Clock, MonotonicClock
+from hil.core.geometry import Array
+from hil.core.package_errors import OURS, asked
+from hil.core.registry import kinds
+from hil.datasets.nominal import Nominal
+from hil.loop.alignment import AlignmentParameters
+from hil.loop.checks.adhesion import AdhesionLimits, AdhesionWatch
+from hil.loop.checks.mocap_agreement import Seen
+from hil.loop.checks.mocap_estimate import EstimateWatch
+from hil.loop.checks.motion_agreement import MotionCheck
+from hil.loop.checks.sensor_rate import Healthy
+from hil.loop.checks.steering_encoders import SteeringWatch
+from hil.loop.checks.wheel_slip import WheelWatch
+from hil.loop.pose_alignment import Mount
+from hil.loop.realtime import RealTime
+from hil.loop.safety import Checks, SafetyLimits
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits
-from hil.vocabulary.blame import OURS, asked
-from hil.vocabulary.clock import Clock, MonotonicClock
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.kinds import kinds
 
 LOG = logging.getLogger(__name__)
 

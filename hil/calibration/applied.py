@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from hil.calibration.artefact import CalibrationFile
-from hil.calibration.datasets import Recording
+from hil.calibration.calibration_file import CalibrationFile
+from hil.datasets.dataset import Recording
 
 
 @dataclass(frozen=True)

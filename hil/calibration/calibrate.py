@@ -8,16 +8,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from hil.calibration.blocks import Blocks, reduce_recordings
-from hil.calibration.caveats import caveats, common_zero_rad, left_out_because, unexplained
-from hil.calibration.choice import Candidate, Choice, can_choose, candidates, choose
 from hil.calibration.corrupt import corrupt
-from hil.calibration.datasets import Recording
-from hil.calibration.driven import Driven, check_geometry, driven
 from hil.calibration.evaluation import cost, track_all
+from hil.calibration.excitation import Driven, check_geometry, driven
 from hil.calibration.fitting import Fit, fit, twist_between
 from hil.calibration.identifiability import Identifiability, StandardErrors, identifiability, standard_errors
-from hil.calibration.nominal import Nominal
+from hil.calibration.model_choice import Candidate, Choice, can_choose, candidates, choose
 from hil.calibration.parameters import named, numbers
 from hil.calibration.problem import PAPER, Setting
 from hil.calibration.validation import (
@@ -29,11 +25,15 @@ from hil.calibration.validation import (
     score,
     table_of,
 )
+from hil.calibration.warnings import caveats, common_zero_rad, left_out_because, unexplained
+from hil.core.clock import NS_PER_S, Clock
+from hil.core.errors import DataError
+from hil.core.geometry import Array
+from hil.datasets.blocks import Blocks, reduce_recordings
+from hil.datasets.dataset import Recording
+from hil.datasets.nominal import Nominal
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import NS_PER_S, Clock
-from hil.vocabulary.errors import DataError
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.progress import WHOLE, Report, silent
+from hil.support.progress import WHOLE, Report, silent
 
 _VALIDATION_BLOCK_S = 0.5
 

@@ -12,15 +12,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.calibration.blocks import reduce_recordings
-from hil.calibration.datasets import Recording
 from hil.calibration.fitting import fit
-from hil.calibration.leaps import Bools, fastest_m_s, find_leaps
-from hil.calibration.nominal import Nominal, lever_m
 from hil.calibration.problem import RECOMMENDED
-from hil.calibration.signs import RATES_AGAINST, missed_shares, rates_against_angles, wrong_signs
-from hil.calibration.time_offset import time_offset_s
-from hil.vocabulary.geometry import Array
+from hil.core.geometry import Array
+from hil.datasets.blocks import reduce_recordings
+from hil.datasets.dataset import Recording
+from hil.datasets.nominal import Nominal, lever_m
+from hil.datasets.signs import RATES_AGAINST, missed_shares, rates_against_angles, wrong_signs
+from hil.datasets.time_offset import time_offset_s
+from hil.datasets.truth_jumps import Bools, fastest_m_s, find_leaps
 
 Reasons = dict[int, str]
 """Why recordings are corrupt, by their index."""

@@ -4,7 +4,7 @@ Two preprocessings. `paper` follows the authors' own (arXiv 2509.04016): receive
 increasing, servo signals interpolated onto the ground-truth stamps, the first 29 samples dropped,
 forward Euler, initial heading from one sample. The default integrates on the SE(2) group from wheel row to
 wheel row, whatever the ground truth saw meanwhile, and compares at the rows of the ground truth alone. It
-starts as `hil.calibration.start` says.
+starts as `hil.datasets.initial_rest` says.
 
 Errors e_m and e_a are the paper's (arXiv 2509.04016): e_m is the largest absolute error of any
 repetition, e_a the mean over the repetitions of each one's largest absolute error.
@@ -17,13 +17,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.calibration.datasets import Recording
-from hil.calibration.sampling import block_vectors, interpolate, truth_window, wheel_edges, wheel_steps
-from hil.calibration.start import start_of
+from hil.core.errors import DataError
+from hil.core.geometry import Array
+from hil.datasets.dataset import Recording
+from hil.datasets.initial_rest import start_of
+from hil.datasets.sampling import block_vectors, interpolate, truth_window, wheel_edges, wheel_steps
 from hil.robot.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
 from hil.robot.odometry import integrate, sample_path
-from hil.vocabulary.errors import DataError
-from hil.vocabulary.geometry import Array
 
 FRICTION_BLOCK_S = 0.3
 _PAPER_DROPPED = 29

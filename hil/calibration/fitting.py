@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.calibration.blocks import Blocks
 from hil.calibration.motion_models import linear_matrix, make_model
 from hil.calibration.problem import Problem, Setting
 from hil.calibration.solvers import (
@@ -25,8 +24,9 @@ from hil.calibration.solvers import (
     solve,
     standard_errors_left,
 )
+from hil.core.geometry import Array
+from hil.datasets.blocks import Blocks
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.geometry import Array
 
 _CHAIN = (2.0, 1.5, 1.2, 1.0)
 _REWEIGHTINGS = 4

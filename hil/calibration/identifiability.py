@@ -9,10 +9,10 @@ import numpy as np
 from scipy.special import stdtrit
 
 from hil.calibration.fitting import Fit, twist_correction
-from hil.calibration.freedom import model_freedom
+from hil.calibration.model_uncertainty import model_freedom
 from hil.calibration.problem import PARAMETER_NAMES, Problem
+from hil.core.geometry import Array
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.geometry import Array
 
 _PRIOR_ONLY = 0.9
 _DEGREES_OF_FREEDOM = 8

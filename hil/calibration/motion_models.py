@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hil.calibration.evaluation import roll, turned_wheels
+from hil.core.geometry import Array
 from hil.robot.contact_laws import (
     Symmetric,
     Triple,
@@ -30,7 +31,6 @@ from hil.robot.contact_laws import (
     stiffness,
 )
 from hil.robot.kinematics import WheelGeometry, forward_matrix
-from hil.vocabulary.geometry import Array
 
 PAPER, FRICTION, CREEP = 0, 1, 2
 COLD, WARM, KNOWN = 0, 1, 2

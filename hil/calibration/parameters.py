@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from hil.vocabulary.geometry import Array
+from hil.core.geometry import Array
 
 POSITION_M = 0.05
 SHARE = 0.2

@@ -15,15 +15,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from hil.calibration.blocks import Blocks
 from hil.calibration.evaluation import turned_wheels
-from hil.calibration.known import Known, Terms
+from hil.calibration.last_evaluation import Known, Terms
 from hil.calibration.motion_models import Motions, make_model
-from hil.calibration.passes import Contacts, Driven, Reckoned, load_pass, run_pass
+from hil.calibration.residual_pass import Contacts, Driven, Reckoned, load_pass, run_pass
+from hil.core.geometry import Array
+from hil.core.signals import WHEELS
+from hil.datasets.blocks import Blocks
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate, integrate_with_jacobian
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.signals import WHEELS
 
 PARAMETER_NAMES = tuple(f"{k}_{wheel}" for k in ("x_w", "y_w", "r", "delta0") for wheel in WHEELS)
 

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from hil.calibration.problem import Problem
-from hil.vocabulary.choices import METHODS
-from hil.vocabulary.errors import UsageError
-from hil.vocabulary.extras import how_to_install, lacks
-from hil.vocabulary.geometry import Array
+from hil.core.choices import METHODS
+from hil.core.errors import UsageError
+from hil.core.geometry import Array
+from hil.support.extras import how_to_install, lacks
 
 Progress = Callable[[int, int], None]
 

@@ -16,13 +16,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hil.calibration.cleaning import Log
-from hil.calibration.datasets import Recording, build_recording
-from hil.calibration.nominal import Nominal
+from hil.core.geometry import Array
+from hil.datasets.cleaning import Log
+from hil.datasets.dataset import Recording, build_recording
+from hil.datasets.nominal import Nominal
 from hil.robot.contact_laws import least_dissipation
 from hil.robot.kinematics import WheelGeometry, inverse, projection, wheel_vectors
 from hil.robot.odometry import integrate
-from hil.vocabulary.geometry import Array
 
 MOTIONS = ("line_x", "line_y", "circle_ccw", "circle_cw", "rotation_ccw", "rotation_cw")
 OTHER_MOTIONS = ("diagonal", "arc", "curl", "scan")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.calibration.artefact import CalibrationFile, MadeFor
+from hil.calibration.calibration_file import CalibrationFile, MadeFor
 from hil.config.bench import BenchConfig
 from hil.config.servos import ServosConfig
+from hil.core.errors import ConfigError
+from hil.core.result_files import PASSED
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.result_files import PASSED
 
 _SAME_M = 1e-6
 _SAME_RAD = 1e-6

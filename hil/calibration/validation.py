@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.calibration.blocks import Blocks
-from hil.calibration.datasets import Recording
 from hil.calibration.evaluation import Track, metrics, track_all
 from hil.calibration.fitting import fit
 from hil.calibration.problem import Setting
 from hil.calibration.solvers import Progress
+from hil.core.geometry import Array
+from hil.datasets.blocks import Blocks
+from hil.datasets.dataset import Recording
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.geometry import Array
 
 Table = dict[str, dict[str, float]]
 _NEAR_START_M = 0.1

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hil.calibration.artefact import (
+from hil.calibration.calibration_file import (
     CalibrationFile,
     calibration_file,
     keep,
@@ -23,11 +23,11 @@ from hil.calibration.artefact import (
 )
 from hil.calibration.usable import check_made_for, check_passed, made_for
 from hil.config.bench import BenchConfig
-from hil.config.record.parts import Identity
-from hil.vocabulary.errors import ConfigError, reason_of
-from hil.vocabulary.files import put_whole
-from hil.vocabulary.reading import MOST_TOML_BYTES, read_bytes
-from hil.vocabulary.result_files import PASSED
+from hil.config.robot_record.parts import Identity
+from hil.core.errors import ConfigError, reason_of
+from hil.core.result_files import PASSED
+from hil.support.atomic_files import put_whole
+from hil.support.file_reading import MOST_TOML_BYTES, read_bytes
 
 if TYPE_CHECKING:
     from hil.calibration.calibrate import Calibration

@@ -19,10 +19,10 @@ import click
 from hil import __version__
 from hil.cli.options import PROGRESS, SuggestingGroup
 from hil.cli.output import Answered, Output, error_as_json, tell_calls
-from hil.vocabulary.errors import EXIT_ABORTED, Aborted, DefectError, HilError, UsageError
-from hil.vocabulary.errors import told as in_a_line
-from hil.vocabulary.reading import printable
-from hil.vocabulary.stop_signals import deaf_from_now_on
+from hil.core.errors import EXIT_ABORTED, Aborted, DefectError, HilError, UsageError
+from hil.core.errors import told as in_a_line
+from hil.support.file_reading import printable
+from hil.support.stop_signals import deaf_from_now_on
 
 # Set before numpy is imported by a command: its matrices here are small, and threads of the linear
 # algebra library then cost up to ten times what they bring when another process uses a core.

@@ -8,13 +8,13 @@ from typing import Any
 
 import click
 
-from hil.cli.attended import answers_option, asked_to_end, operator
+from hil.cli.answers import answers_option, asked_to_end, operator
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.options import JSON, OUT, results_folder
 from hil.cli.progress import reporting
-from hil.vocabulary.clock import local_time
-from hil.vocabulary.files import shown
-from hil.vocabulary.result_files import ACCEPTANCE_TABLE
+from hil.core.clock import local_time
+from hil.core.result_files import ACCEPTANCE_TABLE
+from hil.support.atomic_files import shown
 
 
 @click.command()
@@ -36,10 +36,10 @@ def command(
 
     Example: hil accept --bench my.toml
     """
+    from hil.core.errors import EXIT_ABORTED, ConfigError, HilError
     from hil.procedure.acceptance import Acceptance, accept
     from hil.report.acceptance_page import write_acceptance
-    from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, HilError
-    from hil.vocabulary.files import check_folder
+    from hil.support.atomic_files import check_folder
 
     folder = results_folder("accept", out, None)
     check_folder(folder)

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hil.cli.completion_types import BENCH
 from hil.cli.options import JSON, FiniteRange, SuggestingGroup
-from hil.cli.words import BENCH
-from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS, DeviceError, UsageError
+from hil.core.errors import EXIT_DEVICE, EXIT_PASS, DeviceError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from hil.bench.adhesion import Spec, Status
+    from hil.bench.fan_commands import Spec, Status
     from hil.config.bench import BenchConfig
 
 _BENCH = click.option("--bench", type=BENCH, required=True, help="Bench file of the robot.")
@@ -65,16 +65,16 @@ def switch_on(
 
     Example: hil adhesion on --bench my.toml
     """
-    from hil.bench import adhesion
+    from hil.bench import fan_commands
 
     if force_n is not None and duty is not None:
         raise UsageError("--force and --duty are both given", expected="one of them", remedy="leave one out")
     config = _config(bench)
-    spec = adhesion.keeper_spec(config)
-    reached_n = adhesion.switch_on(
+    spec = fan_commands.keeper_spec(config)
+    reached_n = fan_commands.switch_on(
         config, force_n=force_n, duty=duty, wait_s=wait_s, say=_progress, tethered=tethered
     )
-    status = adhesion.keeper_status(spec)
+    status = fan_commands.keeper_status(spec)
     if as_json:
         click.echo(json.dumps({"fan": spec.name, "force_n": reached_n, "keeper": status}))
     else:
@@ -93,15 +93,15 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
 
     Example: hil adhesion off --bench my.toml --tethered
     """
-    from hil.bench import adhesion
-    from hil.bench.off_the_wall import seen_off_the_wall
+    from hil.bench import fan_commands
+    from hil.bench.fan_interlock import seen_off_the_wall
 
     config = _config(bench)
-    specs = adhesion.kept_specs(config)
+    specs = fan_commands.kept_specs(config)
     why = "the operator: tethered or off the wall" if tethered else seen_off_the_wall(config)
-    found = {kind: adhesion.switch_off(spec, why, say=_progress) for kind, spec in specs.items()}
+    found = {kind: fan_commands.switch_off(spec, why, say=_progress) for kind, spec in specs.items()}
     kind, spec = next(iter(specs.items()))
-    if found[kind] is None and (others := adhesion.other_keepers(specs.values())):
+    if found[kind] is None and (others := fan_commands.other_keepers(specs.values())):
         raise DeviceError(
             kind,
             "it has no keeper and was not stopped; on its bus is kept " + "; ".join(others),
@@ -115,7 +115,9 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
     for kind, spec in specs.items():
         status, told = found[kind], "it has no keeper; nothing was running that could be stopped"
         if status is not None:
-            told = f"off ({why})" + (f", by the keeper{other}" if (other := adhesion.of_whom(status)) else "")
+            told = f"off ({why})" + (
+                f", by the keeper{other}" if (other := fan_commands.of_whom(status)) else ""
+            )
         click.echo(f"{spec.name}: {told}")
     return EXIT_PASS
 
@@ -128,9 +130,9 @@ def show_status(bench: str, as_json: bool) -> int:
 
     Example: hil adhesion status --bench my.toml
     """
-    from hil.bench import adhesion
+    from hil.bench import fan_commands
 
-    specs = adhesion.kept_specs(_config(bench))
+    specs = fan_commands.kept_specs(_config(bench))
     found = {kind: _asked(spec) for kind, spec in specs.items()}
     if as_json:
         click.echo(json.dumps(_told(specs, found)))
@@ -142,10 +144,10 @@ def show_status(bench: str, as_json: bool) -> int:
 
 def _asked(spec: Spec) -> Status | DeviceError | None:
     """What a keeper says, or why it does not; None where there is none."""
-    from hil.bench import adhesion
+    from hil.bench import fan_commands
 
     try:
-        return adhesion.keeper_status(spec)
+        return fan_commands.keeper_status(spec)
     except DeviceError as error:
         return error
 
@@ -170,15 +172,15 @@ def _told(specs: Mapping[str, Spec], found: Mapping[str, Status | DeviceError | 
 
 def _how(spec: Spec, status: Status | DeviceError | None) -> str:
     """How it runs, in words."""
-    from hil.bench import adhesion
+    from hil.bench import fan_commands
 
     if isinstance(status, DeviceError):
         return "its keeper does not tell how it runs"
-    return "no keeper" if status is None else adhesion.described(status, spec)
+    return "no keeper" if status is None else fan_commands.described(status, spec)
 
 
 def _show(spec: Spec, status: Status | DeviceError | None) -> None:
-    from hil.bench import adhesion
+    from hil.bench import fan_commands
 
     told = f"{spec.name}: {_how(spec, status)}"
     if status is None:
@@ -190,7 +192,7 @@ def _show(spec: Spec, status: Status | DeviceError | None) -> None:
     since = time.strftime("%Y-%m-%d %H:%M", time.localtime(status["since"]))
     behind = f"process {status['understudy']}" if status["understudy"] else "none"
     click.echo(
-        f"kept by process {status['pid']}{adhesion.of_whom(status)} since {since}, understudy: {behind}"
+        f"kept by process {status['pid']}{fan_commands.of_whom(status)} since {since}, understudy: {behind}"
     )
     click.echo(f"log: {status['log'] or 'that of its service'}")
 
@@ -216,9 +218,9 @@ def watch(bench: str, every_s: float, duration_s: float | None) -> int:
 
     Example: hil adhesion watch --bench my.toml
     """
-    from hil.bench import adhesion
+    from hil.bench import fan_commands
 
-    specs = adhesion.kept_specs(_config(bench))
+    specs = fan_commands.kept_specs(_config(bench))
     end_s = None if duration_s is None else time.monotonic() + duration_s
     while True:
         found = {kind: _asked(spec) for kind, spec in specs.items()}
@@ -240,9 +242,9 @@ def keep(bench: str, propellers: bool) -> int:
 
     Example: hil adhesion keep --bench my.toml
     """
-    from hil.bench import adhesion
+    from hil.bench import fan_commands
 
-    specs = adhesion.kept_specs(_config(bench))
+    specs = fan_commands.kept_specs(_config(bench))
     if (spec := specs.get("thrust" if propellers else "adhesion")) is None:
         missing, wanted = ("propellers", "propellers on VESCs") if propellers else ("fan", "a fan on CAN")
         raise UsageError(
@@ -250,13 +252,13 @@ def keep(bench: str, propellers: bool) -> int:
             expected=f"{wanted}, not emulated here",
             remedy="leave out --propellers" if propellers else "add [adhesion] to the bench file",
         )
-    if adhesion.keeper_status(spec) is not None:
+    if fan_commands.keeper_status(spec) is not None:
         raise UsageError(
             f"{spec.name} has a keeper already", remedy="`hil adhesion status` names its process"
         )
     sys.stdout.flush()
     sys.stderr.flush()
-    os.execv(sys.executable, adhesion.keeper_command(spec))
+    os.execv(sys.executable, fan_commands.keeper_command(spec))
 
 
 def _config(bench: str) -> BenchConfig:

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli import start
-from hil.cli.attended import watching
+from hil.cli import start_question
+from hil.cli.answers import watching
+from hil.cli.completion_types import BENCH, DEVICES, FAULT, SETTING
 from hil.cli.options import FILE, SEED
-from hil.cli.words import BENCH, DEVICES, FAULT, SETTING
 
 if TYPE_CHECKING:
-    from hil.procedure.bench_source import BenchSource
+    from hil.procedure.bench_request import BenchSource
 
 _stated = partial(partial, click.option)
 """An option that waits for what a command says otherwise."""
@@ -91,7 +91,7 @@ class BenchRequest:
         Raises:
             UsageError: `--start` is no pose.
         """
-        from hil.procedure.bench_source import BenchSource
+        from hil.procedure.bench_request import BenchSource
 
         return BenchSource(
             self.bench or otherwise,
@@ -99,7 +99,7 @@ class BenchRequest:
             seed=self.seed,
             realtime=self.realtime,
             faults=self.faults,
-            overrides={**overrides, **start.start_override(self.start_pose)},
+            overrides={**overrides, **start_question.start_override(self.start_pose)},
             calibration=self.calibration,
             watch=watching(),
         )

@@ -13,11 +13,11 @@ import click
 
 from hil.cli.options import FILE, JSON, OUT, SEED, FiniteRange
 from hil.cli.progress import reporting
-from hil.cli.robots import BENCH, configured, on_paper
+from hil.cli.robot_of_recordings import BENCH, configured, on_paper
+from hil.core.choices import METHODS
+from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE
+from hil.core.signals import WHEELS
 from hil.robot.kinematics import MODELS
-from hil.vocabulary.choices import METHODS
-from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE
-from hil.vocabulary.signals import WHEELS
 
 if TYPE_CHECKING:
     from hil.calibration.calibrate import Calibration
@@ -71,8 +71,8 @@ def command(
     """
     from hil.calibration.calibrate import calibrate
     from hil.calibration.problem import make_setting
-    from hil.recording.sources import read_recordings
-    from hil.vocabulary.clock import MonotonicClock
+    from hil.core.clock import MonotonicClock
+    from hil.datasets.read import read_recordings
 
     chosen = make_setting(setting, model=model, signal=signal, bounds=bounds)
     config = configured(bench)
@@ -116,8 +116,8 @@ def command(
 
 def _check_outputs(out: Path | None, plots: Path | None) -> None:
     """Refuse what cannot be written before the work, not after it."""
-    from hil.calibration.artefact import next_version
-    from hil.vocabulary.files import check_file, check_folder
+    from hil.calibration.calibration_file import next_version
+    from hil.support.atomic_files import check_file, check_folder
 
     if out is not None:
         check_file(out)
@@ -130,9 +130,9 @@ def _write(out: Path, result: Calibration, config: BenchConfig | None) -> None:
     import numpy as np
 
     from hil import __version__
-    from hil.calibration.artefact import write_calibration
+    from hil.calibration.calibration_file import write_calibration
     from hil.calibration.usable import made_for
-    from hil.config.record.overlay import identity
+    from hil.config.robot_record.overlay import identity
 
     created = datetime.now(timezone.utc).isoformat(timespec="seconds")
     file = write_calibration(

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.completion_types import BENCH
 from hil.cli.options import FILE, JSON, SuggestingGroup
-from hil.cli.robots import configured
-from hil.cli.words import BENCH
+from hil.cli.robot_of_recordings import configured
 
 if TYPE_CHECKING:
     from hil.calibration.versions import KeptVersion
@@ -38,7 +38,7 @@ def list_versions(file: Path, as_json: bool) -> int:
     Example: hil calibration list calibration.toml
     """
     from hil.calibration.versions import Shelf
-    from hil.vocabulary.errors import ConfigError
+    from hil.core.errors import ConfigError
 
     versions = [_described(v) for v in Shelf(file).versions()]
     if not versions:
@@ -69,9 +69,9 @@ def apply_version(
 
     Example: hil calibration apply calibration.toml --version 3
     """
-    from hil.calibration.artefact import read_calibration
+    from hil.calibration.calibration_file import read_calibration
     from hil.calibration.versions import Shelf
-    from hil.vocabulary.errors import UsageError
+    from hil.core.errors import UsageError
 
     if (version is None) == (source is None):
         raise UsageError("which calibration?", expected="either --version N or --from FILE")

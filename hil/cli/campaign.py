@@ -13,20 +13,20 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.bench_options import BenchRequest, bench_options
+from hil.cli.completion_types import SCRIPT
 from hil.cli.ended_early import shown_when_ended
 from hil.cli.options import FILE, JSON, OUT
 from hil.cli.output import kept_for_json
 from hil.cli.progress import reporting
-from hil.cli.words import SCRIPT
-from hil.vocabulary.errors import EXIT_ABORTED, EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, DataError, UsageError
-from hil.vocabulary.files import check_name, shown, write_text
-from hil.vocabulary.result_files import CAMPAIGN_CSV, CAMPAIGN_PAGE, CAMPAIGN_TABLE, LOST, ROWS, RUNS
+from hil.core.errors import EXIT_ABORTED, EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, DataError, UsageError
+from hil.core.result_files import CAMPAIGN_CSV, CAMPAIGN_PAGE, CAMPAIGN_TABLE, LOST, ROWS, RUNS
+from hil.support.atomic_files import check_name, shown, write_text
 
 if TYPE_CHECKING:
     from hil.procedure.campaign import Case, Row
-    from hil.procedure.campaign.running import Setup
+    from hil.procedure.campaign.run_case import Setup
     from hil.procedure.declaration import Procedure
-    from hil.procedure.outputs import Keep
+    from hil.procedure.run_outputs import Keep
 
 _SHOWN = 5
 """So many broken runs are named on the terminal."""
@@ -91,10 +91,10 @@ def command(
     Example: hil campaign wall_tracking --seeds 0:20 --vary fault=imu:off@5,tracker:off@5
     """
     from hil.procedure.campaign import check_dask, expand, parse_axis, parse_seeds
-    from hil.procedure.campaign.checking import check
-    from hil.procedure.campaign.kept_plan import alone_in, keep_plan
-    from hil.procedure.campaign.running import Setup
-    from hil.procedure.scripts import load_procedure
+    from hil.procedure.campaign.plan_checks import check
+    from hil.procedure.campaign.plan_file import alone_in, keep_plan
+    from hil.procedure.campaign.run_case import Setup
+    from hil.procedure.procedure_lookup import load_procedure
 
     if scheduler == "":
         raise UsageError("--scheduler is empty", expected="the address that `dask scheduler` prints")
@@ -150,7 +150,7 @@ def _absolute(given: str | Path) -> str:
 
     A procedure chosen from several in a file (`mine.py:name`) keeps its name.
     """
-    from hil.procedure.scripts import file_and_name
+    from hil.procedure.procedure_lookup import file_and_name
 
     file, name = file_and_name(str(given))
     path = Path(file)
@@ -173,8 +173,8 @@ def _run(
 ) -> None:
     """Run what is not finished; `rows` receives all that is, as it comes."""
     from hil.procedure.campaign import spread, write_rows
-    from hil.procedure.campaign.files import files_of
-    from hil.procedure.campaign.running import (
+    from hil.procedure.campaign.input_files import files_of
+    from hil.procedure.campaign.run_case import (
         Delivery,
         Job,
         arrived,
@@ -229,7 +229,7 @@ def _write(
     out: Path, proc: Procedure, setup: Setup, cases: Sequence[Case], rows: Sequence[Row]
 ) -> dict[str, Any]:
     from hil.procedure.campaign import alike, summarise, write_campaign_page, write_csv
-    from hil.procedure.campaign.kept_plan import SCHEMA
+    from hil.procedure.campaign.plan_file import SCHEMA
     from hil.procedure.campaign.table import count
 
     early = len(rows) < len(cases)
@@ -263,7 +263,7 @@ def _line(error: str) -> str:
 
 
 def _text(tree: dict[str, Any]) -> str:
-    from hil.procedure.campaign.alike import in_a_sentence
+    from hil.procedure.campaign.ineffective_settings import in_a_sentence
     from hil.procedure.campaign.table import in_words
     from hil.report.pages import number
 

@@ -9,14 +9,14 @@ from typing import Any
 
 import click
 
-from hil.cli import start
-from hil.cli.attended import answers_option, asked_to_end, operator
+from hil.cli import start_question
+from hil.cli.answers import answers_option, asked_to_end, operator
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.options import JSON, OUT, results_folder
 from hil.cli.progress import reporting
-from hil.vocabulary.clock import local_time
-from hil.vocabulary.files import shown
-from hil.vocabulary.result_files import COMMISSIONING_TABLE
+from hil.core.clock import local_time
+from hil.core.result_files import COMMISSIONING_TABLE
+from hil.support.atomic_files import shown
 
 DEFAULT = "emulated_delivered"
 
@@ -46,11 +46,11 @@ def command(
 
     Example: hil commission --quick
     """
+    from hil.core.clock import MonotonicClock
     from hil.procedure.commission import Commission, commission
-    from hil.vocabulary.clock import MonotonicClock
 
     source = request.source(_overrides(request.settings))
-    source = source.changed(overrides=start.asked_start(source.config))
+    source = source.changed(overrides=start_question.asked_start(source.config))
     interrupts = asked_to_end()
     folder = results_folder("commission", out, COMMISSIONING_TABLE if resume else None)
     with interrupts.installed(), interrupts.deferred(), reporting() as report:
@@ -72,8 +72,8 @@ def command(
 
 
 def _overrides(settings: tuple[str, ...]) -> dict[str, object]:
+    from hil.core.errors import UsageError
     from hil.procedure.parameters import split_settings
-    from hil.vocabulary.errors import UsageError
 
     parameters, overrides = split_settings(settings)
     if parameters:
@@ -85,7 +85,7 @@ def _overrides(settings: tuple[str, ...]) -> dict[str, object]:
 
 
 def _text(told: dict[str, Any]) -> str:
-    from hil.bench.held import held_in_words
+    from hil.bench.hold.result import held_in_words
 
     lines = [
         f"{stage['verdict']:10}{stage['name']:26}{stage.get('why', '')}".rstrip() for stage in told["stages"]

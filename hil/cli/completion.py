@@ -1,4 +1,4 @@
-"""Answers a shell that completes a line: the request itself; the words are `hil.cli.words`.
+"""Answers a shell that completes a line: the request itself; the words are `hil.cli.completion_types`.
 
 A line that is being typed is no place for messages. What goes wrong while words are looked for offers none.
 """
@@ -11,7 +11,7 @@ from io import StringIO
 import click
 from click.shell_completion import BashComplete, CompletionItem, add_completion_class, get_completion_class
 
-from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE, UsageError
+from hil.core.errors import EXIT_PASS, EXIT_USAGE, UsageError
 
 _BREAKS = (":", "=")
 

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.completion_types import BENCH
 from hil.cli.options import FILE, JSON
-from hil.cli.words import BENCH
-from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS, DataError, UsageError
+from hil.core.errors import EXIT_DEVICE, EXIT_PASS, DataError, UsageError
 
 if TYPE_CHECKING:
-    from hil.console.actions import Action
-    from hil.console.web import Server
+    from hil.console.command_forms import Action
+    from hil.console.web_server import Server
 
 _START_S, _POLL_S, _STOP_S = 10.0, 0.05, 60.0
 
@@ -55,9 +55,9 @@ def command(bench: str | None, where: Path, port: int, stopping: bool, as_json: 
 def _stop(folder: Path, *, as_json: bool) -> int:
     """Stop every job by its own files: needs neither the page nor the process with the button."""
     from hil.console import jobs
-    from hil.console.alarm import Alarm
-    from hil.console.stop_process import end_without_page
-    from hil.console.stopping import in_words, stop_all, wait_for
+    from hil.console.job_stopping import in_words, stop_all, wait_for
+    from hil.console.not_held_alarm import Alarm
+    from hil.console.stop_server import end_without_page
 
     ended = wait_for(stop_all(folder / "jobs"), _STOP_S)
     button = end_without_page(folder)
@@ -85,12 +85,12 @@ def _alarm(left: Sequence[Mapping[str, str]]) -> list[str]:
 
 def _serve(folder: Path, where: Path, bench: str | None, port: int, *, as_json: bool) -> int:
     from hil.config.loading import load_bench
-    from hil.console.objects import put_private, read
-    from hil.console.page_process import PageProcess, policy
-    from hil.console.stop_process import PAGE, runs
-    from hil.console.web import Server
-    from hil.vocabulary.files import check_folder
-    from hil.vocabulary.stop_signals import StopRequest
+    from hil.console.json_files import put_private, read
+    from hil.console.page_server import PageProcess, policy
+    from hil.console.stop_server import PAGE, runs
+    from hil.console.web_server import Server
+    from hil.support.atomic_files import check_folder
+    from hil.support.stop_signals import StopRequest
 
     load_bench(bench or "emulated")
     check_folder(folder)
@@ -124,15 +124,15 @@ def _serve(folder: Path, where: Path, bench: str | None, port: int, *, as_json: 
 
 def _address(stopper: Mapping[str, Any]) -> str:
     """What a browser opens: the page with the button."""
-    from hil.console.web import HOST
+    from hil.console.web_server import HOST
 
     return f"http://{HOST}:{stopper['port']}/?token={stopper['token']}"
 
 
 def _way_in(folder: Path) -> str:
     """How to get into the console of a folder that is running already."""
-    from hil.console.objects import is_private, read
-    from hil.console.stop_process import PAGE, STOP, runs
+    from hil.console.json_files import is_private, read
+    from hil.console.stop_server import PAGE, STOP, runs
 
     stopper = read(folder / STOP)
     if not runs(stopper):
@@ -146,13 +146,13 @@ def _way_in(folder: Path) -> str:
 
 
 def _actions(where: Path) -> list[Action]:
-    from hil.cli.forms import actions
+    from hil.cli.console_forms import actions
 
     return actions(where)
 
 
 def _benches() -> tuple[str, ...]:
-    from hil.cli.forms import benches
+    from hil.cli.console_forms import benches
 
     return benches()
 
@@ -163,8 +163,8 @@ def _open(server: Server, folder: Path) -> None:
     import threading
 
     from hil.console.jobs import identity
-    from hil.console.objects import put_private
-    from hil.console.stop_process import PAGE
+    from hil.console.json_files import put_private
+    from hil.console.stop_server import PAGE
 
     threading.Thread(target=server.serve_forever, args=(0.2,), daemon=True).start()
     put_private(folder / PAGE, identity(os.getpid()) | {"port": server.port})
@@ -183,8 +183,8 @@ def _stopper(folder: Path, port: int, known: dict[str, Any] | None = None) -> di
         DataError: it does not start.
     """
     from hil.console.jobs import detached, signal_process
-    from hil.console.objects import put_private, read
-    from hil.console.stop_process import ASKED, IDENTITY, PAGE, STOP, runs
+    from hil.console.json_files import put_private, read
+    from hil.console.stop_server import ASKED, IDENTITY, PAGE, STOP, runs
 
     there = read(folder / STOP)
     if runs(there) and port in (0, there["port"]):
@@ -194,7 +194,7 @@ def _stopper(folder: Path, port: int, known: dict[str, Any] | None = None) -> di
     for name in (STOP, *((PAGE,) if known is None else ())):
         (folder / name).unlink(missing_ok=True)
     put_private(folder / ASKED, {"port": port, "token": keys["token"], "cookie": keys["cookie"]})
-    detached("hil.console.stop_process", folder)
+    detached("hil.console.stop_server", folder)
     until_s = time.monotonic() + _START_S
     while not (told := read(folder / STOP)) and time.monotonic() < until_s:
         time.sleep(_POLL_S)
@@ -207,7 +207,7 @@ def _stopper(folder: Path, port: int, known: dict[str, Any] | None = None) -> di
 
 def _farewell(folder: Path) -> None:
     from hil.console import jobs
-    from hil.console.alarm import Alarm
+    from hil.console.not_held_alarm import Alarm
 
     for line in _alarm(Alarm(folder).not_held()):
         click.echo(f"hil: {line}", err=True)

@@ -12,10 +12,10 @@ from typing import Any
 
 import click
 
+from hil.cli.completion_types import FAULT
 from hil.cli.options import FILE, JSON, SEED
 from hil.cli.progress import reporting
-from hil.cli.robots import BENCH, configured, on_paper
-from hil.cli.words import FAULT
+from hil.cli.robot_of_recordings import BENCH, configured, on_paper
 
 _CONTACTS = {"formulas": ("viscous", "coulomb", "elastic"), "own": (), "mujoco": ("creep", "holding")}
 _FLOOR = "emulated_floor"
@@ -64,8 +64,8 @@ def command(
 
     Example: hil demo-data data --repetitions 2
     """
-    from hil.vocabulary.errors import UsageError
-    from hil.vocabulary.files import check_folder, staged, write_text
+    from hil.core.errors import UsageError
+    from hil.support.atomic_files import check_folder, staged, write_text
 
     world = plant or "formulas"
     chosen = _motions(world, motions)
@@ -112,7 +112,7 @@ def _same(old: Path, new: Path) -> bool:
 
 def _refuse(folder: Path, names: list[str]) -> None:
     """Raise `DataError` for a folder that holds such files; a folder with none is fine."""
-    from hil.vocabulary.errors import DataError
+    from hil.core.errors import DataError
 
     if names:
         others = f" and {len(names) - 1} more" if len(names) > 1 else ""
@@ -127,8 +127,8 @@ def _refuse(folder: Path, names: list[str]) -> None:
 def _motions(world: str, asked: str | None) -> tuple[str, ...]:
     """The motions wanted; raises `UsageError` that names one that there is not."""
     from hil.calibration.synthetic import MOTIONS, OTHER_MOTIONS
+    from hil.core.errors import UsageError, did_you_mean
     from hil.procedure.odometry_motions import OTHER_MOTIONS as DRIVEN
-    from hil.vocabulary.errors import UsageError, did_you_mean
 
     if asked is None:
         return MOTIONS
@@ -143,7 +143,7 @@ def _motions(world: str, asked: str | None) -> tuple[str, ...]:
 
 def _contact(world: str, asked: str | None) -> str | None:
     """How wheels touch; raises `UsageError` where that is not of this physics."""
-    from hil.vocabulary.errors import UsageError
+    from hil.core.errors import UsageError
 
     known = _CONTACTS[world]
     if asked is not None and asked not in known:
@@ -165,7 +165,7 @@ def _from_formulas(
 ) -> dict[str, Any]:
     """Write recordings of a robot that obeys a formula; returns its truth."""
     from hil.calibration.synthetic import hidden_robot, make_set
-    from hil.recording.plain_csv import write_plain
+    from hil.datasets.plain_csv import write_plain
 
     nominal = on_paper(configured(bench))
     robot = hidden_robot(seed, contact=contact or "viscous", nominal=nominal)

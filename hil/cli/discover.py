@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.options import JSON, OUT, FileName
-from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS
+from hil.core.errors import EXIT_DEVICE, EXIT_PASS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from hil.bench.discover import Discovery
+    from hil.bench.doctor.discovery import Discovery
     from hil.config.can_bus import CanConfig
     from hil.config.mocap import MocapConfig
 
@@ -65,11 +65,11 @@ def command(
 
     Example: hil discover --out my.toml
     """
-    from hil.bench.discover import discover, serial_ports
-    from hil.bench.ports_not_asked import ports_that_hold, why_not_asked
-    from hil.vocabulary.clock import MonotonicClock
-    from hil.vocabulary.errors import UsageError
-    from hil.vocabulary.files import check_new_file, write_text
+    from hil.bench.doctor.discovery import discover, serial_ports
+    from hil.bench.doctor.protected_ports import ports_that_hold, why_not_asked
+    from hil.core.clock import MonotonicClock
+    from hil.core.errors import UsageError
+    from hil.support.atomic_files import check_new_file, write_text
 
     if "" in ports:
         raise UsageError("--port ''", expected="a serial port or a pyserial URL")
@@ -110,10 +110,10 @@ def _say(text: str) -> None:
 
 def _must_stand(ports: list[str], on_stand: bool) -> None:
     """Say what will be written where; raise `Aborted` unless somebody says that the robot stands."""
-    from hil.bench.discover import what_is_written
-    from hil.bench.ports_not_asked import what_is_kept
+    from hil.bench.doctor.discovery import what_is_written
+    from hil.bench.doctor.protected_ports import what_is_kept
+    from hil.core.errors import Aborted
     from hil.procedure.operator import Terminal
-    from hil.vocabulary.errors import Aborted
 
     if not ports:
         return
@@ -160,8 +160,8 @@ def _given(mocap: str | None, buses: tuple[str, ...], places: tuple[str, ...]) -
 def _on_bus(text: str) -> Iterator[tuple[str, CanConfig]]:
     """Kind and table of every model that could be on a bus."""
     from hil.config.can_bus import SEARCH_S, CanConfig
-    from hil.vocabulary.errors import UsageError
-    from hil.vocabulary.kinds import kinds
+    from hil.core.errors import UsageError
+    from hil.core.registry import kinds
 
     interface, _, rest = text.partition(":")
     channel, _, port = rest.partition(":")
@@ -178,7 +178,7 @@ def _server(text: str) -> MocapConfig:
     from pydantic import ValidationError
 
     from hil.config.mocap import MocapConfig
-    from hil.vocabulary.errors import UsageError
+    from hil.core.errors import UsageError
 
     address, _, port = text.partition(":")
     try:
@@ -196,8 +196,8 @@ def _tables(places: tuple[str, ...]) -> dict[str, Any]:
     """By kind, the table that these keys and values make; other keys are as the model has them."""
     from pydantic import ValidationError
 
-    from hil.vocabulary.errors import UsageError
-    from hil.vocabulary.kinds import kind_of, kinds
+    from hil.core.errors import UsageError
+    from hil.core.registry import kind_of, kinds
 
     trees: dict[str, dict[str, Any]] = {}
     for text in places:

@@ -10,7 +10,7 @@ import click
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.options import JSON, OUT, FiniteRange
 from hil.cli.output import tell_calls
-from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS
+from hil.core.errors import EXIT_DEVICE, EXIT_PASS
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "failure": ("FAIL", "red")}
 
@@ -42,8 +42,8 @@ def command(request: BenchRequest, watch_s: float, fix: bool, out: Path | None, 
     """
     from itertools import chain
 
-    from hil.bench.doctor import examine
-    from hil.bench.what_opens import open_what_can_be
+    from hil.bench.doctor.degraded_bench import open_what_can_be
+    from hil.bench.doctor.examination import examine
     from hil.config.loading import must_have_a_device
 
     if fix or out is not None:
@@ -79,10 +79,11 @@ def command(request: BenchRequest, watch_s: float, fix: bool, out: Path | None, 
 
 
 def _fix(request: BenchRequest, fix: bool, out: Path | None) -> int:
-    from hil.bench.host import Host, udev_rules
+    from hil.bench.doctor.host_findings import Host
+    from hil.bench.doctor.host_rules import udev_rules
     from hil.config.loading import load_bench
-    from hil.vocabulary.errors import UsageError
-    from hil.vocabulary.files import write_text
+    from hil.core.errors import UsageError
+    from hil.support.atomic_files import write_text
 
     if not fix:
         raise UsageError("--out is for the rules of --fix", remedy="give --fix, too, or redirect the output")

@@ -18,13 +18,13 @@ import click
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.options import FILE, OUT
 from hil.cli.output import Answered
-from hil.vocabulary.clock import sleep_punctually
-from hil.vocabulary.errors import EXIT_PASS, UsageError
+from hil.core.clock import sleep_punctually
+from hil.core.errors import EXIT_PASS, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from hil.bench.on_its_wall import OnItsWall
+    from hil.bench.hold.emulated_support import OnItsWall
     from hil.cli.port_links import PortLinks
 
 _NICE = -5
@@ -88,11 +88,11 @@ def command(
     Example: hil emulate --only servos,imu --out endpoints.json
     """
     from hil.bench import open_emulation
-    from hil.bench.on_its_wall import OnItsWall
-    from hil.cli.endpoints import EndpointsFile, await_endpoints
+    from hil.bench.hold.emulated_support import OnItsWall
+    from hil.cli.endpoints_file import EndpointsFile, await_endpoints
     from hil.cli.port_links import PortLinks
     from hil.config.loading import NoSuchDevice, load_bench
-    from hil.config.several import meant
+    from hil.config.several_devices import meant
 
     if awaited is not None:
         click.echo(await_endpoints(awaited, _PATIENCE_S), nl=False)

@@ -9,7 +9,7 @@ from types import FrameType
 
 import click
 
-from hil.vocabulary.errors import Aborted, DataError
+from hil.core.errors import Aborted, DataError
 
 
 @contextmanager

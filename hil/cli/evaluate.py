@@ -12,15 +12,15 @@ import click
 
 from hil.cli.options import FILE, JSON
 from hil.cli.progress import reporting
-from hil.cli.robots import BENCH, configured, on_paper
+from hil.cli.robot_of_recordings import BENCH, configured, on_paper
+from hil.core.errors import EXIT_PASS, EXIT_USAGE
 from hil.robot.kinematics import MODELS
-from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE
 
 if TYPE_CHECKING:
-    from hil.calibration.artefact import CalibrationFile
-    from hil.calibration.datasets import Recording
+    from hil.calibration.calibration_file import CalibrationFile
     from hil.calibration.evaluation import Track
-    from hil.calibration.nominal import Nominal
+    from hil.datasets.dataset import Recording
+    from hil.datasets.nominal import Nominal
 
 _BLOCK_S = 0.1
 _COLUMNS = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
@@ -65,12 +65,12 @@ def command(
     Example: hil evaluate recordings/ --calibration calibration.toml
     """
     from hil.calibration.applied import in_sample, used_otherwise
-    from hil.calibration.caveats import crossed_gaps, told_by
     from hil.calibration.evaluation import evaluate
     from hil.calibration.usable import failed_validation
-    from hil.recording.sources import read_recordings
-    from hil.vocabulary.errors import UsageError
-    from hil.vocabulary.files import check_folder
+    from hil.calibration.warnings import crossed_gaps, told_by
+    from hil.core.errors import UsageError
+    from hil.datasets.read import read_recordings
+    from hil.support.atomic_files import check_folder
 
     if deploy == "twist" and calibration is None:
         raise UsageError("--deploy twist needs --calibration FILE")
@@ -121,7 +121,7 @@ def _robot(calibration: Path | None, bench: str | None) -> tuple[CalibrationFile
     Raises:
         ConfigError: the calibration was made for another robot than the bench's.
     """
-    from hil.calibration.artefact import read_calibration
+    from hil.calibration.calibration_file import read_calibration
     from hil.calibration.usable import check_made_for
 
     config = configured(bench)
@@ -154,12 +154,12 @@ def _doubts(
     recordings: list[Recording], file: CalibrationFile | None, robot: Nominal, signal: str, deploy: str
 ) -> list[str]:
     """What these errors must be judged by: geometry or columns that cannot be right, motions never fitted."""
-    from hil.calibration.blocks import reduce_recordings
-    from hil.calibration.caveats import beyond_driven, worse_as_twist
-    from hil.calibration.driven import Driven, mismatch
+    from hil.calibration.excitation import Driven, mismatch
     from hil.calibration.problem import make_setting
-    from hil.calibration.signs import contradictions
     from hil.calibration.validation import deployed
+    from hil.calibration.warnings import beyond_driven, worse_as_twist
+    from hil.datasets.blocks import reduce_recordings
+    from hil.datasets.signs import contradictions
 
     blocks = reduce_recordings(recordings, _BLOCK_S, signal)
     found = mismatch(blocks, robot)

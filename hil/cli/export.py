@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from hil.cli.options import FILE, JSON, OUT
-from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE, DataError
+from hil.core.errors import EXIT_PASS, EXIT_USAGE, DataError
 
 
 @click.command()
@@ -25,9 +25,9 @@ def command(recording: Path, kind: str | None, out: Path | None, topics: Path | 
 
     Example: hil export recording.mcap --format csv
     """
-    from hil.recording.export import check_target, write_table
+    from hil.datasets.export import check_target, write_table
     from hil.recording.mcap_reader import read_cycles
-    from hil.vocabulary.files import check_ending
+    from hil.support.atomic_files import check_ending
 
     chosen = kind or ("parquet" if out is not None and out.suffix == ".parquet" else "csv")
     target = out or recording.with_suffix(f".{chosen}")
@@ -36,9 +36,9 @@ def command(recording: Path, kind: str | None, out: Path | None, topics: Path | 
     if topics is None:
         records = list(read_cycles(recording, problems))
     else:
-        from hil.recording.foreign import to_cycles
-        from hil.recording.rosbag import read_bag
-        from hil.recording.topic_map import read_topic_map
+        from hil.datasets.as_cycles import to_cycles
+        from hil.datasets.rosbag import read_bag
+        from hil.datasets.topic_map import read_topic_map
 
         found = read_bag(recording, read_topic_map(topics))
         if found.later:

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.cli.bench_options import BenchRequest, bench_options
+from hil.cli.completion_types import FAULT
 from hil.cli.ended_early import shown_when_ended
 from hil.cli.options import JSON, OUT
 from hil.cli.progress import reporting
-from hil.cli.words import FAULT
-from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, did_you_mean
-from hil.vocabulary.files import check_file, shown
-from hil.vocabulary.result_files import FAULTS_MATRIX, FAULTS_PAGE
+from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, did_you_mean
+from hil.core.result_files import FAULTS_MATRIX, FAULTS_PAGE
+from hil.support.atomic_files import check_file, shown
 
 if TYPE_CHECKING:
     from hil.procedure.faults import Cell, CellVerdict, KeptVerdicts

@@ -12,12 +12,12 @@ import click
 from hil import __version__
 from hil.cli.options import JSON
 from hil.cli.progress import reporting
-from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE, HilError
-from hil.vocabulary.extras import MODULES, lacks, packages
-from hil.vocabulary.fingerprint import fingerprint
-from hil.vocabulary.kinds import kinds
-from hil.vocabulary.progress import Report
-from hil.vocabulary.versions import version_of
+from hil.core.errors import EXIT_PASS, EXIT_USAGE, HilError
+from hil.core.registry import kinds
+from hil.support.arithmetic_fingerprint import fingerprint
+from hil.support.extras import MODULES, lacks, packages
+from hil.support.progress import Report
+from hil.support.versions import version_of
 
 _COMPILING = "compiling numerical kernels"
 
@@ -25,7 +25,7 @@ _COMPILING = "compiling numerical kernels"
 def _compile(report: Report) -> None:
     """Have all kernels compiled, or loaded where they have been."""
     from hil.bench import open_bench
-    from hil.calibration.passes import load_pass
+    from hil.calibration.residual_pass import load_pass
     from hil.config.estimator import EstimatorConfig
     from hil.estimator.fusion import load_filter
     from hil.estimator.smoother import load_smoother

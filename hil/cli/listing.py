@@ -9,10 +9,10 @@ from typing import Any
 
 import click
 
+from hil.cli.completion_types import BENCH
 from hil.cli.options import JSON
-from hil.cli.words import BENCH
-from hil.vocabulary.choices import ESTIMATORS
-from hil.vocabulary.errors import EXIT_PASS
+from hil.core.choices import ESTIMATORS
+from hil.core.errors import EXIT_PASS
 
 _ESTIMATORS_IN_WORDS = {
     "odometry": "wheels alone, no filter",
@@ -22,7 +22,7 @@ _ESTIMATORS_IN_WORDS = {
 
 
 def _procedures() -> dict[str, str]:
-    from hil.procedure.scripts import load_procedure, shipped_names
+    from hil.procedure.procedure_lookup import load_procedure, shipped_names
 
     return {name: load_procedure(name).summary for name in shipped_names()}
 
@@ -34,7 +34,7 @@ def _profiles() -> dict[str, str]:
 
 
 def _devices() -> dict[str, dict[str, str]]:
-    from hil.vocabulary.kinds import kinds
+    from hil.core.registry import kinds
 
     return {kind.name: {m.name: m.title for m in kind.models} for kind in kinds().values()}
 

@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli import start
+from hil.cli import start_question
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.options import FILE, JSON, FiniteRange, on_recording_failure_option, rerun_option, tell_view
 from hil.cli.output import Answered, tell_the_end, unreadable
-from hil.vocabulary.choices import ESTIMATORS, LAWS
-from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, DeviceError, HilError, UsageError, reason_of
-from hil.vocabulary.files import check_new_file
+from hil.core.choices import ESTIMATORS, LAWS
+from hil.core.errors import EXIT_PASS, Aborted, DataError, DeviceError, HilError, UsageError, reason_of
+from hil.support.atomic_files import check_new_file
 
 if TYPE_CHECKING:
     from hil.bench import Bench
     from hil.live import LiveSession
     from hil.monitor import RerunMonitor
-    from hil.procedure.bench_source import BenchSource
+    from hil.procedure.bench_request import BenchSource
     from hil.recording.mcap_writer import McapRecorder, OnFailure
 
 
@@ -110,7 +110,7 @@ def command(
     """
     from hil.bench import plan_bench
     from hil.live import LivePlan, LiveSession, load_trajectory, open_commands
-    from hil.vocabulary.stop_signals import StopRequest
+    from hil.support.stop_signals import StopRequest
 
     _must_agree(source, commands, repeated, record, unrecorded=unrecorded)
     bench = _source(request, repeated)
@@ -165,12 +165,12 @@ def _source(request: BenchRequest, repeated: Path | None) -> BenchSource:
     overrides = {} if repeated is None else {"emulation.replay": str(repeated.resolve())}
     source = replace(request, realtime=True).source(overrides)
     must_have_a_device(source.config, request.bench, "there is nothing to watch or to move")
-    return source.changed(overrides=start.asked_start(source.config))
+    return source.changed(overrides=start_question.asked_start(source.config))
 
 
 def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
     """The session on the open bench; whatever ends it, also before it begins, the summary is told."""
-    from hil.bench.held import seen_in_words
+    from hil.bench.hold.result import seen_in_words
 
     bench = session.bench
     try:
@@ -232,7 +232,7 @@ def _report(session: LiveSession, *, as_json: bool) -> None:
 
 
 def _text(summary: dict[str, Any]) -> str:
-    from hil.bench.held import held_in_words
+    from hil.bench.hold.result import held_in_words
 
     timing = summary["timing"]
     lines = [

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from hil.vocabulary.errors import did_you_mean
+from hil.core.errors import did_you_mean
 
 _NOT_ONE_OF = re.compile(r"'(?P<given>[^']*)' is not one of (?P<known>.*?)\.?$", re.S)
 _NO_RANGE = re.compile(r"('[^']*')( is not a valid (?:integer|float)(?: range)?\.?)$")

@@ -13,8 +13,8 @@ from typing import Any
 
 import click
 
-from hil.vocabulary.errors import UsageError
-from hil.vocabulary.files import check_name
+from hil.core.errors import UsageError
+from hil.support.atomic_files import check_name
 
 SEED = click.IntRange(min=0)
 JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
@@ -124,7 +124,7 @@ def on_recording_failure_option(what: str) -> Callable[[Any], Any]:
 
 def tell_view(view: str) -> None:
     """Say on stderr which files `--rerun` has left and how to open them, and which of them are incomplete."""
-    from hil.monitor.rrd import files_of, what_is_missing
+    from hil.monitor.rrd_check import files_of, what_is_missing
 
     for name in files_of(part.strip() for part in view.split(",")):
         path = Path(name)

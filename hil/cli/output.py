@@ -24,7 +24,7 @@ from typing import Any
 
 import click
 
-from hil.vocabulary.errors import Aborted, HilError, reason_of
+from hil.core.errors import Aborted, HilError, reason_of
 
 _STDOUT, _STDERR = 1, 2
 
@@ -41,7 +41,7 @@ def error_as_json(error: HilError) -> dict[str, Any]:
 
     `frames` are those of the user's own code, as in `result.json`.
     """
-    from hil.vocabulary.call_chain import as_json, chain_of
+    from hil.core.call_chain import as_json, chain_of
 
     return {
         "message": error.message,
@@ -59,8 +59,8 @@ def tell_calls(frames: Sequence[Mapping[str, Any]], where: str = "") -> None:
         frames: as in `result.json`.
         where: the step, in words.
     """
-    from hil.vocabulary.call_chain import in_words
-    from hil.vocabulary.reading import printable
+    from hil.core.call_chain import in_words
+    from hil.support.file_reading import printable
 
     if frames:
         head = f"Calls in your code{where and ' '}{where}, the last one at the end:"
@@ -126,7 +126,7 @@ def tell_the_end(text: str, held: Mapping[str, Any]) -> None:
         text: all that is to be said.
         held: `Held.to_json` of the robot.
     """
-    from hil.bench.held import held_in_words
+    from hil.bench.hold.result import held_in_words
 
     click.echo(text)
     if unreadable():

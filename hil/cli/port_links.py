@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from hil.config.bench import BenchConfig
-from hil.vocabulary.errors import reason_of
-from hil.vocabulary.kinds import kinds
+from hil.core.errors import reason_of
+from hil.core.registry import kinds
 
 _OF_HARDWARE = Path("/dev")
 

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.options import PROGRESS
-from hil.vocabulary.clock import Clock, MonotonicClock, nanoseconds
-from hil.vocabulary.progress import WHOLE, Pace, Report, in_words, silent
+from hil.core.clock import Clock, MonotonicClock, nanoseconds
+from hil.support.progress import WHOLE, Pace, Report, in_words, silent
 
 if TYPE_CHECKING:
     from rich.progress import TaskID

@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
+from hil.cli.completion_types import BENCH
 from hil.cli.options import FILE, JSON, rerun_option, tell_view
 from hil.cli.output import error_as_json
-from hil.cli.words import BENCH
-from hil.vocabulary.choices import COMPARED
-from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, DataError, UsageError
+from hil.core.choices import COMPARED
+from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, DataError, UsageError
 
 if TYPE_CHECKING:
-    from hil.bench.blueprint import Blueprint
+    from hil.bench.model import Blueprint
+    from hil.loop.recorded_motion import Motion
     from hil.recording.runs import RecordedRun
     from hil.replay.recordings import OpenedRecording
-    from hil.ring.motion import Motion
 
 _PATH_POINTS = 400
 _COLUMNS = (
@@ -90,11 +90,11 @@ def command(
 
     Example: hil replay recording.mcap --page replay.html --estimator ekf --estimator mine.py:MyFilter
     """
-    from hil.replay.comparison import told_of_sensors
-    from hil.replay.own_estimators import check_named, unknown_states
+    from hil.core.signals import heard
+    from hil.replay.estimator_comparison import told_of_sensors
     from hil.replay.recordings import open_recording
-    from hil.vocabulary.files import check_ending, check_file
-    from hil.vocabulary.signals import heard
+    from hil.replay.user_estimators import check_named, unknown_states
+    from hil.support.atomic_files import check_ending, check_file
 
     for named in estimators:
         check_named(named)
@@ -154,8 +154,8 @@ def _verified(opened: OpenedRecording, number: int | None) -> dict[str, Any]:
 def _compared(
     opened: OpenedRecording, run: RecordedRun, named: tuple[str, ...]
 ) -> tuple[dict[str, Motion], dict[str, dict[str, float | None]]]:
-    from hil.replay.comparison import compare_run, table
-    from hil.replay.own_estimators import make_own
+    from hil.replay.estimator_comparison import compare_run, table
+    from hil.replay.user_estimators import make_own
 
     kinds = [name for name in named if name in COMPARED]
     own = {name: make_own(name, opened.bench) for name in named if name not in COMPARED}
@@ -168,7 +168,7 @@ def _compared(
 def _write_page(
     page: Path, opened: OpenedRecording, motions: dict[str, Motion], result: dict[str, Any]
 ) -> None:
-    from hil.replay.comparison import truth_of
+    from hil.replay.estimator_comparison import truth_of
     from hil.report.replay_page import write_replay_page
 
     write_replay_page(
@@ -194,7 +194,7 @@ def _show(bench: Blueprint, run: RecordedRun, motions: dict[str, Motion], view: 
     if view is None:
         return ""
     from hil.monitor import RerunMonitor, Scene
-    from hil.replay.comparison import beside
+    from hil.replay.estimator_comparison import beside
 
     scene = Scene.of(bench.config, bench.geometry, recorded=True)
     monitor = RerunMonitor(view, lossless=True, scene=scene)
@@ -209,7 +209,7 @@ def _show(bench: Blueprint, run: RecordedRun, motions: dict[str, Motion], view: 
 
 
 def _text(result: dict[str, Any]) -> str:
-    from hil.vocabulary.reading import printable
+    from hil.support.file_reading import printable
 
     if "verdict" in result:
         return _verification_text(result)
@@ -224,8 +224,8 @@ def _text(result: dict[str, Any]) -> str:
 
 
 def _verification_text(result: dict[str, Any]) -> str:
-    from hil.vocabulary.fingerprint import differences
-    from hil.vocabulary.reading import printable
+    from hil.support.arithmetic_fingerprint import differences
+    from hil.support.file_reading import printable
 
     words = {"identical": "identical in ", "agrees": "agrees within the limits in "}
     lines = [

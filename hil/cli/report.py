@@ -7,10 +7,10 @@ from pathlib import Path
 
 import click
 
+from hil.cli.completion_types import RESULTS
 from hil.cli.options import JSON, OUT
-from hil.cli.words import RESULTS
-from hil.vocabulary.files import shown
-from hil.vocabulary.result_files import COMPARISON
+from hil.core.result_files import COMPARISON
+from hil.support.atomic_files import shown
 
 
 @click.command()
@@ -28,7 +28,7 @@ def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:
     from hil.report.compare_page import compare, comparison_text, write_compare_page
     from hil.report.result_file import own_file, read_result
     from hil.report.run_page import write_run_page
-    from hil.vocabulary.reading import printable
+    from hil.support.file_reading import printable
 
     if len(folders) == 1:
         page = write_run_page(folders[0], out)
@@ -49,9 +49,9 @@ def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:
 
 def _campaigns(folders: tuple[Path, ...], page: Path, as_json: bool) -> int:
     """Compare two campaigns."""
+    from hil.core.errors import UsageError
     from hil.report.compare_campaigns import campaigns_text, compare_campaigns, write_campaigns_page
-    from hil.vocabulary.errors import UsageError
-    from hil.vocabulary.reading import printable
+    from hil.support.file_reading import printable
 
     if len(folders) != 2:
         raise UsageError(f"{len(folders)} campaigns to compare", expected="two of them")

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.completion_types import PROCEDURE, RUN
 from hil.cli.options import FILE, JSON, OUT, SuggestingGroup
-from hil.cli.words import PROCEDURE, RUN
-from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS
-from hil.vocabulary.files import shown
-from hil.vocabulary.result_files import TRENDS
+from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS
+from hil.core.result_files import TRENDS
+from hil.support.atomic_files import shown
 
 if TYPE_CHECKING:
-    from hil.report.history.found import Kept
+    from hil.report.history.index import Kept
 
 _COLOURS = {"PASS": "green", "MARGINAL": "yellow", "FAIL": "red", "ERROR": "red", "ABORTED": "magenta"}
 _KEY_ROWS = 2
@@ -98,8 +98,8 @@ def search(words: tuple[str, ...], where: Path, as_json: bool, **asked: Any) -> 
 
 
 def _tell(where: Path, as_json: bool, asked: Mapping[str, Any], words: Sequence[str]) -> int:
-    from hil.report.history.choice import chosen
-    from hil.report.history.found import find_results
+    from hil.report.history.index import find_results
+    from hil.report.history.query import chosen
 
     limit = asked["limit"]
     found = chosen(
@@ -143,7 +143,7 @@ def _as_json(kept: Kept) -> dict[str, Any]:
 
 
 def _print(kept: Kept) -> None:
-    from hil.vocabulary.reading import printable
+    from hil.support.file_reading import printable
 
     word = kept.verdict or kept.kind
     mark = click.style(f"{word:12}", fg=_COLOURS.get(word))
@@ -160,7 +160,7 @@ def _print(kept: Kept) -> None:
 def _key_rows(kept: Kept) -> list[str]:
     """The measurements that a reader wants first: what failed, then what is nearest to its limit."""
     from hil.report.pages import digits_of, number
-    from hil.report.run_words import missing_words
+    from hil.report.run_summary import missing_words
 
     def nearness(row: Mapping[str, Any]) -> tuple[bool, float]:
         limits = [abs(v) for v in (row["low"], row["high"]) if v]
@@ -204,9 +204,9 @@ def open_result(run: str, where: Path, browser: bool | None, as_json: bool) -> i
     import os
     import sys
 
-    from hil.report.history.choice import named
-    from hil.report.history.found import find_results
+    from hil.report.history.index import find_results
     from hil.report.history.opening import page_of
+    from hil.report.history.query import named
 
     kept = named(find_results(where), run)
     page = page_of(kept)
@@ -233,12 +233,12 @@ def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bo
 
     Example: hil results trends --bench lab
     """
-    from hil.report.history.choice import chosen
-    from hil.report.history.found import find_results
+    from hil.report.history.index import find_results
     from hil.report.history.page import headline, write_trends_page
+    from hil.report.history.query import chosen
     from hil.report.history.series import ALARMS, groups
     from hil.report.result_file import own_file
-    from hil.vocabulary.reading import printable
+    from hil.support.file_reading import printable
 
     found = groups(chosen(find_results(where), procedure=procedure, bench=bench, within=True))
     page = None
@@ -302,11 +302,11 @@ def delete(runs: tuple[str, ...], where: Path, yes: bool, as_json: bool) -> int:
 
     Example: hil results delete bring_up/20260131-101500-000
     """
-    from hil.report.history.choice import named
-    from hil.report.history.found import find_results
+    from hil.report.history.index import find_results
+    from hil.report.history.query import named
     from hil.report.history.removal import delete as remove
     from hil.report.history.removal import loss
-    from hil.vocabulary.reading import printable
+    from hil.support.file_reading import printable
 
     found = find_results(where)
     losses = [loss(where, kept) for kept in dict.fromkeys(named(found, run, whole=yes) for run in runs)]

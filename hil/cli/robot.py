@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.bench_options import BenchRequest, bench_options
+from hil.cli.completion_types import BENCH
 from hil.cli.options import FILE, JSON, OUT, SuggestingGroup
-from hil.cli.words import BENCH
-from hil.vocabulary.clock import local_time
+from hil.core.clock import local_time
 
 if TYPE_CHECKING:
-    from hil.config.record import KeptVersion, RecordFile
+    from hil.config.robot_record import KeptVersion, RecordFile
 
 _RECORD = click.argument("record", type=FILE)
 
@@ -35,10 +35,10 @@ def show(record: Path, version: int | None, page: Path | None, as_json: bool) ->
 
     Example: hil robot show robot --page robot.html
     """
-    from hil.config.record import RobotRecord
+    from hil.config.robot_record import RobotRecord
     from hil.report.commission_page import write_robot_page
     from hil.report.robot_table import part_rows
-    from hil.vocabulary.files import check_ending
+    from hil.support.atomic_files import check_ending
 
     if page is not None:
         check_ending(page, ".html")
@@ -103,8 +103,8 @@ def diff(record: Path, first: int | None, second: int | None, as_json: bool) -> 
 
 
 def _two(record: Path, first: int | None, second: int | None) -> tuple[RecordFile, RecordFile]:
-    from hil.config.record import RobotRecord
-    from hil.vocabulary.errors import ConfigError
+    from hil.config.robot_record import RobotRecord
+    from hil.core.errors import ConfigError
 
     found = RobotRecord(record)
     new = found.read() if second is None else found.find(second).file
@@ -146,10 +146,10 @@ def apply(
 
     Example: hil robot apply robot --from calibration.toml --bench my.toml
     """
-    from hil.bench.absorbing import absorb
+    from hil.bench.doctor.record_import import absorb
     from hil.config.loading import load_bench
-    from hil.config.record import RobotRecord
-    from hil.vocabulary.errors import UsageError
+    from hil.config.robot_record import RobotRecord
+    from hil.core.errors import UsageError
 
     if (version is None) == (source is None):
         raise UsageError("what is to be applied?", expected="either --version N or --from FILE")
@@ -173,7 +173,7 @@ def rollback(record: Path, version: int | None, as_json: bool) -> int:
 
     Example: hil robot rollback robot
     """
-    from hil.config.record import RobotRecord
+    from hil.config.robot_record import RobotRecord
 
     return _done(RobotRecord(record).rollback(version), as_json)
 
@@ -188,7 +188,7 @@ def urdf(request: BenchRequest, out: Path | None) -> int:
     """
     from hil.bench import plan_bench
     from hil.recording.urdf import urdf as described
-    from hil.vocabulary.files import write_text
+    from hil.support.atomic_files import write_text
 
     text = described(plan_bench(request.bench, calibration=request.calibration).header())
     if out is None:

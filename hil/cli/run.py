@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli import start
-from hil.cli.attended import answers_option, asked_to_end, operator
+from hil.cli import start_question
+from hil.cli.answers import answers_option, asked_to_end, operator
 from hil.cli.bench_options import BenchRequest, bench_options
+from hil.cli.completion_types import SCRIPT
 from hil.cli.options import JSON, OUT, on_recording_failure_option, results_folder
 from hil.cli.output import kept_for_json, tell_calls, tell_the_end
 from hil.cli.progress import reporting
-from hil.cli.words import SCRIPT
-from hil.vocabulary.clock import local_time
-from hil.vocabulary.errors import HilError
-from hil.vocabulary.files import shown
-from hil.vocabulary.result_files import JOURNAL
+from hil.core.clock import local_time
+from hil.core.errors import HilError
+from hil.core.result_files import JOURNAL
+from hil.support.atomic_files import shown
 
 if TYPE_CHECKING:
-    from hil.procedure.results import Result
+    from hil.procedure.result_files import Result
     from hil.recording.mcap_writer import OnFailure
 
 
@@ -40,7 +40,7 @@ class _WithParameters(click.Command):
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The parameters, with their defaults; of a procedure that cannot be read, why not."""
         from hil.procedure.parameters import described
-        from hil.procedure.scripts import load_procedure
+        from hil.procedure.procedure_lookup import load_procedure
 
         script = ctx.meta.get(_SCRIPT)
         if script is None:
@@ -101,10 +101,10 @@ def command(
 
     Example: hil run bring_up --quick --set watch_s=2
     """
+    from hil.core.clock import MonotonicClock
     from hil.procedure.parameters import split_settings
+    from hil.procedure.procedure_lookup import load_procedure
     from hil.procedure.runner import RunOptions, run_procedure
-    from hil.procedure.scripts import load_procedure
-    from hil.vocabulary.clock import MonotonicClock
 
     with kept_for_json(as_json):
         proc = load_procedure(script)
@@ -117,7 +117,7 @@ def command(
         plan = dry_run(proc, source, parameters)
         click.echo(json.dumps(plan) if as_json else _plan_text(plan))
         return 0
-    source = source.changed(overrides=start.asked_start(source.config))
+    source = source.changed(overrides=start_question.asked_start(source.config))
     interrupts = asked_to_end()
     with interrupts.installed(), interrupts.deferred():
         folder = results_folder(proc.name, out, JOURNAL if resume else None)
@@ -148,9 +148,9 @@ def command(
 
 def _report_of(result: Result) -> tuple[str | None, int]:
     """Path of the report, None where the disk does not take it, and the exit code of the run."""
-    from hil.procedure.results import KEEPING
+    from hil.core.errors import HilError
+    from hil.procedure.result_files import KEEPING
     from hil.report.run_page import write_run_page
-    from hil.vocabulary.errors import HilError
 
     if any(e.step == KEEPING for e in result.teardown_errors):
         return None, result.exit_code
@@ -179,10 +179,10 @@ def _plan_text(plan: dict[str, Any]) -> str:
 
 def text_of(result: Result) -> str:
     """What ended it first, then what was measured, and the verdict."""
-    from hil.bench.held import held_in_words
+    from hil.bench.hold.result import held_in_words
     from hil.procedure.measurements import Verdict
     from hil.report.pages import digits_of
-    from hil.vocabulary.reading import printable
+    from hil.support.file_reading import printable
 
     lines = []
     for problem in (result.error, *result.teardown_errors):

@@ -7,7 +7,7 @@ import json
 import click
 
 from hil.cli.options import JSON
-from hil.vocabulary.errors import EXIT_PASS, UsageError
+from hil.core.errors import EXIT_PASS, UsageError
 
 _ROLES = {"drive": {"operating_mode": 1}, "steer": {"operating_mode": 3}}
 
@@ -40,7 +40,7 @@ def command(
     Example: hil setup --port /dev/ttyUSB0 --id 1 --new-id 11
     """
     from hil.bench import set_up
-    from hil.vocabulary.clock import MonotonicClock
+    from hil.core.clock import MonotonicClock
 
     _must_not_hold(port)
     registers = {"return_delay_time": 0, **(_ROLES[role] if role else {}), **dict(map(_pair, pairs))}
@@ -68,7 +68,7 @@ def _must_not_hold(port: str) -> None:
     """Refuse a port of which a bench file of this folder, or its USB ids, say that it holds the robot."""
     from pathlib import Path
 
-    from hil.bench.ports_not_asked import ports_that_hold, why_it_holds
+    from hil.bench.doctor.protected_ports import ports_that_hold, why_it_holds
 
     if why := why_it_holds(port, ports_that_hold((), Path())):
         raise UsageError(

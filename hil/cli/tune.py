@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.completion_types import BENCH
 from hil.cli.options import FILE, JSON, OUT
 from hil.cli.progress import reporting
-from hil.cli.words import BENCH
-from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, ConfigError, DataError, UsageError
-from hil.vocabulary.files import check_ending, check_file, put_whole, refused
+from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, ConfigError, DataError, UsageError
+from hil.support.atomic_files import check_ending, check_file, put_whole, refused
 
 if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
     from hil.config.estimator import EstimatorConfig
+    from hil.datasets.read import Job
     from hil.estimator.tuning import Score, TruthRun, Tuned
-    from hil.recording.sources import Job
     from hil.robot.kinematics import WheelGeometry
 
 _DEFAULT = (
@@ -119,7 +119,7 @@ def command(
 
 def _check_out(out: Path, bench: str | None) -> None:
     """Refuse what cannot be written, and what would be written over: only an earlier result may be."""
-    from hil.vocabulary.reading import read_toml
+    from hil.support.file_reading import read_toml
 
     check_ending(out, ".toml")
     check_file(out)
@@ -140,7 +140,7 @@ def _check_out(out: Path, bench: str | None) -> None:
 
 def _found(paths: Sequence[Path]) -> list[list[Job]]:
     """The recordings at each path; those of a folder each by itself, as one of ours is more than a table."""
-    from hil.recording.sources import find_recordings
+    from hil.datasets.read import find_recordings
 
     return [find_recordings([path]) for path in paths]
 
@@ -165,14 +165,14 @@ def _read(
     jobs: Sequence[Job], bench: str | None, calibration: Path | None, problems: list[str], doubts: list[str]
 ) -> tuple[BenchConfig, list[TruthRun]]:
     """Bench and runs of recordings; `problems` and `doubts` receive what is wrong with files and columns."""
-    from hil.calibration.artefact import read_calibration
-    from hil.calibration.datasets import Recording
-    from hil.calibration.signs import contradictions
+    from hil.calibration.calibration_file import read_calibration
     from hil.calibration.usable import check_not_failed
+    from hil.datasets.dataset import Recording
+    from hil.datasets.signs import contradictions
     from hil.estimator.tuning import TruthRun
-    from hil.replay.comparison import truth_of
+    from hil.loop.recorded_motion import Motion
+    from hil.replay.estimator_comparison import truth_of
     from hil.replay.recordings import open_recording
-    from hil.ring.motion import Motion
 
     config, runs, tables, geometry = None, [], list[Recording](), None
     for path in (job.files[0] for job in jobs):
@@ -209,8 +209,8 @@ def _read(
 
 def _start(config: EstimatorConfig, runs: Sequence[TruthRun]) -> EstimatorConfig:
     """Where the search begins: with the filters that `hil replay` has for such recordings."""
-    from hil.replay.comparison import rest_on_wheels
-    from hil.vocabulary.signals import heard
+    from hil.core.signals import heard
+    from hil.replay.estimator_comparison import rest_on_wheels
 
     sensors = heard(m for run in runs for m in run.measurements)
     return config.on_wheels_alone() if rest_on_wheels(sensors) else config
@@ -236,7 +236,7 @@ def _same_robot(path: Path, header: dict[str, Any], config: BenchConfig) -> None
 
 def _geometry(used: WheelGeometry, bench: str | None) -> dict[str, object]:
     """The wheels that the estimators read with, as results name them."""
-    from hil.calibration.nominal import Nominal
+    from hil.datasets.nominal import Nominal
 
     source = "the recording" if bench is None else f"the recording, else bench {bench}"
     described = Nominal(used, source=source).to_json()

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from typing import Annotated, Any, ClassVar, Literal
 
 from hil.config.can_bus import Claim
+from hil.config.can_motor import HIGHEST_DUTY, KeptMotorConfig
 from hil.config.device import DeviceConfig
-from hil.config.kept_motor import HIGHEST_DUTY, KeptMotorConfig
 from hil.config.values import PolePairs, Switch, Within
 
 VESC_ID = "VESC id"

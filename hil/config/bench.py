@@ -26,9 +26,9 @@ from hil.config.sections import (
 )
 from hil.config.servos import ServosConfig
 from hil.config.values import Strict, Switch
-from hil.vocabulary.device import DeviceKind, DeviceModel
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import added, base_of, kinds
+from hil.core.device import DeviceKind, DeviceModel
+from hil.core.errors import ConfigError
+from hil.core.registry import added, base_of, kinds
 
 C = TypeVar("C", bound=DeviceConfig)
 

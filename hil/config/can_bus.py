@@ -10,7 +10,7 @@ from pydantic import Field
 
 from hil.config.device import DeviceConfig
 from hil.config.values import Patience, Within
-from hil.vocabulary.emulated_bus import bus_name
+from hil.support.emulated_can_mark import bus_name
 
 SEARCH_S = 0.5
 """So long discovery waits for a device on a bus."""

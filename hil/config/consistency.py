@@ -17,8 +17,8 @@ from hil.config.servo_models import DEFAULT_MODEL, servo_model
 from hil.config.servos import ServosConfig
 from hil.config.tracker import T265Config
 from hil.config.values import TOP_WHEEL_RATE_RAD_S
-from hil.vocabulary.geometry import wrap
-from hil.vocabulary.kinds import added, base_of, further
+from hil.core.geometry import wrap
+from hil.core.registry import added, base_of, further
 
 if TYPE_CHECKING:
     from hil.config.bench import BenchConfig

@@ -13,8 +13,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, model_validator
 
 from hil.config.values import Strict, Switch, Within
-from hil.vocabulary.choices import EstimatorName
-from hil.vocabulary.errors import ConfigError
+from hil.core.choices import EstimatorName
+from hil.core.errors import ConfigError
 
 Share = Annotated[float, Within(-1.0, 1.0, "m or rad per rolled m")]
 PerMetre = tuple[Share, Share, Share]
@@ -181,7 +181,7 @@ class TimeConfig(Strict):
         history_s: late samples younger than this rewind; older ones are counted and dropped.
         future_s: a stamp further ahead of the cycle than this is refused.
         clock: `stamp` trusts each sample's own stamp; `estimated` also follows offset and drift of each
-            sensor's clock against the host's (`hil.estimator.clocks`).
+            sensor's clock against the host's (`hil.estimator.clock_drift`).
         nis_samples: length of the running mean of each sensor's normalised innovation.
     """
 

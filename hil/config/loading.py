@@ -18,12 +18,12 @@ from pydantic import BaseModel, ValidationError
 
 from hil.config.bench import BenchConfig, bench_model
 from hil.config.consistency import contradictions
-from hil.config.record.overlay import check_record, laid_over
-from hil.config.several import devices_in, further_in, meant, spread
-from hil.vocabulary.errors import ConfigError, HilError, did_you_mean
-from hil.vocabulary.files import check_name
-from hil.vocabulary.kinds import kinds
-from hil.vocabulary.reading import put_dotted, read_toml, toml_tables
+from hil.config.robot_record.overlay import check_record, laid_over
+from hil.config.several_devices import devices_in, further_in, meant, spread
+from hil.core.errors import ConfigError, HilError, did_you_mean
+from hil.core.registry import kinds
+from hil.support.atomic_files import check_name
+from hil.support.file_reading import put_dotted, read_toml, toml_tables
 
 _PATHS = ("calibration", "emulation.mjcf", "emulation.replay", "monitor.mesh", "record.folder")
 _ADD_ONE = (
@@ -69,7 +69,8 @@ def _is_bench(path: Path) -> bool:
 def find_bench(source: str | Path) -> tuple[dict[str, Any], str]:
     """Tables and printable origin of a bench file: a path, or the name of a shipped profile.
 
-    Each device has a table of its own, also where the file has several of a kind (`hil.config.several`).
+    Each device has a table of its own, also where the file has several of a kind
+    (`hil.config.several_devices`).
 
     Raises:
         ConfigError: it is neither, cannot be read, or names of several devices of a kind are wrong.

@@ -9,11 +9,11 @@ from pydantic import ValidationError
 
 from hil.config.bench import BenchConfig, bench_model
 from hil.config.loading import explained
-from hil.config.several import further_in
+from hil.config.several_devices import further_in
 from hil.config.values import RECORDED
-from hil.vocabulary.device import DeviceKind, DeviceModel
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import kinds
+from hil.core.device import DeviceKind, DeviceModel
+from hil.core.errors import ConfigError
+from hil.core.registry import kinds
 
 
 def recorded_bench(

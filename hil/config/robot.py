@@ -15,8 +15,8 @@ from pydantic import model_validator
 
 from hil.config.environment import LEAST_FRICTION
 from hil.config.values import Strict, Within
-from hil.robot.holding import GRAVITY_M_S2, Statics
-from hil.vocabulary.geometry import Array
+from hil.core.geometry import Array
+from hil.robot.statics import GRAVITY_M_S2, Statics
 
 Place = Annotated[float, Within(-5.0, 5.0, "m from the body's origin")]
 Radius = Annotated[float, Within(0.001, 0.5, "m, for example 0.0254")]

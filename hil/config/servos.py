@@ -79,7 +79,7 @@ class ServosConfig(DeviceConfig):
 
     @property
     def ids(self) -> tuple[int, ...]:
-        """All eight IDs in the order of `hil.vocabulary.signals.SERVOS`."""
+        """All eight IDs in the order of `hil.core.signals.SERVOS`."""
         return self.drive_ids + self.steer_ids
 
     def asks_ahead(self, *, realtime: bool, rate_hz: float) -> bool:

@@ -20,7 +20,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-from hil.vocabulary.reading import printable
+from hil.support.file_reading import printable
 
 RECORDED: Mapping[str, bool] = {"recorded": True}
 """Validation context of a configuration that something was recorded with: history stays readable."""

@@ -32,7 +32,7 @@ from pathlib import Path
 from select import PIPE_BUF
 from typing import Any
 
-from hil.console.objects import read
+from hil.console.json_files import read
 
 COMMAND, PROCESS, STDIN, STDOUT, STDERR = "command.json", "process.json", "stdin", "stdout", "stderr"
 STOPPED, FINISH, ANSWER = "stopped.json", "finish", "answer-"
@@ -90,7 +90,7 @@ def start(root: Path, words: Sequence[str], title: str) -> Job:
     told = {"words": job.words, "title": title, "started": job.started}
     (folder / COMMAND).write_text(json.dumps(told), encoding="utf-8")
     os.mkfifo(folder / STDIN, 0o600)
-    detached("hil.console.launch", folder)
+    detached("hil.console.job_launcher", folder)
     return job
 
 

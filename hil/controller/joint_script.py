@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from hil.vocabulary.errors import UsageError
-from hil.vocabulary.geometry import ArrayLike
-from hil.vocabulary.interfaces import Controller
-from hil.vocabulary.signals import Reference, RobotState, WheelMeasurement, WheelSetpoint
+from hil.core.errors import UsageError
+from hil.core.geometry import ArrayLike
+from hil.core.interfaces import Controller
+from hil.core.signals import Reference, RobotState, WheelMeasurement, WheelSetpoint
 
 SCRIPT = "script"
 

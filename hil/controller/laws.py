@@ -14,8 +14,8 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.vocabulary.geometry import Array, Three, rotation2, wrap
-from hil.vocabulary.signals import Reference, RobotState
+from hil.core.geometry import Array, Three, rotation2, wrap
+from hil.core.signals import Reference, RobotState
 
 _NINE = Struct("9d")
 """Packs numbers into an array in a third of the time that a new array of them takes."""

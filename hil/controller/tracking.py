@@ -7,14 +7,14 @@ import math
 import numpy as np
 
 from hil.config.control import ControlConfig
-from hil.controller.allocation import ModuleLayer, ModuleLimits
 from hil.controller.laws import Law, NonlinearLaw, OptimalLaw, beyond, pose_error
+from hil.controller.module_layer import ModuleLayer, ModuleLimits
+from hil.core.errors import SafetyStop
+from hil.core.geometry import ArrayLike
+from hil.core.interfaces import Controller
+from hil.core.signals import Reference, RobotState, WheelMeasurement, WheelSetpoint
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.trajectories import Trajectory
-from hil.vocabulary.errors import SafetyStop
-from hil.vocabulary.geometry import ArrayLike
-from hil.vocabulary.interfaces import Controller
-from hil.vocabulary.signals import Reference, RobotState, WheelMeasurement, WheelSetpoint
 
 
 class TrackingController(Controller):

@@ -5,7 +5,8 @@ it is configured, driven, emulated, found and examined. The drivers and emulated
 robot of arXiv 2509.04016 lie in `hil.drivers` and `hil.fakes`; a model that came later has them in its own
 folder here, as an installed package has them in its own.
 
-What such a package imports: `hil.vocabulary` (kinds, samples, seams, errors), `hil.config.device`,
-`hil.devices.emulated` (how an emulated device is connected), `hil.devices.looks` (what the doctor asks),
-`hil.drivers.serial_url` and `hil.fakes.wire` (bytes on a serial line, from either end).
+What such a package imports: `hil.core` (kinds, samples, seams, errors), `hil.config.device`,
+`hil.devices.emulated_device` (how an emulated device is connected), `hil.devices.doctor_watch` (what the
+doctor asks),
+`hil.drivers.links.serial_url` and `hil.fakes.serial_chip` (bytes on a serial line, from either end).
 """

@@ -9,23 +9,13 @@ from hil.config.can_bus import CanConfig
 from hil.config.device import DeviceConfig, MountedConfig, Position
 from hil.config.streams import CanSensorConfig, SerialSensorConfig, StreamConfig
 from hil.config.values import Baud, Delay, Freshness, Patience, Within
-from hil.devices.looks import Watched, losses
-from hil.devices.models import CanModel, SerialModel
-from hil.ring.cycle import Check, Cycle, LastingCheck
-from hil.vocabulary.device import (
-    Connection,
-    DeviceKind,
-    DeviceModel,
-    Figures,
-    Force,
-    Found,
-    Plot,
-    Search,
-    Topic,
-)
-from hil.vocabulary.finding import Finding, Level
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.signals import Inputs, Stamp, Status
+from hil.core.device import Connection, DeviceKind, DeviceModel, Figures, Force, Found, Plot, Search, Topic
+from hil.core.finding import Finding, Level
+from hil.core.geometry import Array
+from hil.core.signals import Inputs, Stamp, Status
+from hil.devices.doctor_watch import Watched, losses
+from hil.devices.link_models import CanModel, SerialModel
+from hil.loop.cycle import Check, Cycle, LastingCheck
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker as MessageMaker  # it loads rosbags

@@ -1,17 +1,17 @@
 """What an emulated chip of an added device uses."""
 
-from hil.devices.emulated import EmulatedDevice, Face, Wired, on_serial_line
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.device import Connection
+from hil.core.geometry import rotated
+from hil.devices.emulated_device import EmulatedDevice, Face, Wired, on_serial_line
+from hil.fakes.active_faults import DeviceFaults
+from hil.fakes.can_channel import CanChannel
 from hil.fakes.can_node import CanStreamingNode
-from hil.fakes.can_wire import CanChannel
+from hil.fakes.emulation_request import EmulationRequest
 from hil.fakes.fault import PERIODIC, Fault, Supported
-from hil.fakes.faults import DeviceFaults
-from hil.fakes.request import EmulationRequest
-from hil.fakes.streaming import COMMON_FAULTS, SerialStreamingChip, StreamingChip
-from hil.fakes.wire import Reply, SerialChip
+from hil.fakes.serial_chip import Reply, SerialChip
+from hil.fakes.streaming_chip import COMMON_FAULTS, SerialStreamingChip, StreamingChip
 from hil.fakes.world import NEVER_NS, Scheduled, World
-from hil.vocabulary.clock import NS_PER_S, nanoseconds
-from hil.vocabulary.device import Connection
-from hil.vocabulary.geometry import rotated
 
 __all__ = [
     "COMMON_FAULTS",

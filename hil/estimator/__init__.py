@@ -1,11 +1,11 @@
-"""Pose estimation: wheel odometry, EKF and UKF behind one seam, `hil.vocabulary.interfaces.Estimator`."""
+"""Pose estimation: wheel odometry, EKF and UKF behind one seam, `hil.core.interfaces.Estimator`."""
 
 from __future__ import annotations
 
 from hil.config.estimator import EstimatorConfig, check_scales
+from hil.core.errors import ConfigError
+from hil.core.interfaces import Estimator
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.interfaces import Estimator
 
 SURFACES = ("wall", "floor")
 
@@ -32,7 +32,7 @@ def make_estimator(
 
         return OdometryEstimator(config, geometry, surface)
     from hil.estimator.fusion import CompiledEngine, Engine, FusionEstimator
-    from hil.estimator.layout import parameters
+    from hil.estimator.kernel_layout import parameters
     from hil.estimator.unscented import points_of
 
     given = parameters(config, geometry, surface)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import chdtrc, gammaincinv  # scipy.stats takes 1 s to import
 
-from hil.vocabulary.geometry import Array
+from hil.core.geometry import Array
 
 _LEAST_VARIANCE = 1e-14
 

@@ -17,12 +17,16 @@ import numpy.typing as npt
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator import events, motion, retraction, sensors
-from hil.estimator.conditioning import guard
-from hil.estimator.events import NONE_ACCEPTED
+from hil.core.clock import NS_PER_S
+from hil.core.geometry import Array
+from hil.core.named_records import Records
+from hil.estimator import constant_twist, event_loop, pose_correction, sensors
+from hil.estimator.event_buffer import History
+from hil.estimator.event_loop import NONE_ACCEPTED
 from hil.estimator.fusion import Engine, Now
-from hil.estimator.history import History
-from hil.estimator.process import add_noise
+from hil.estimator.kalman_update import guard
+from hil.estimator.matrix_loops import square_root
+from hil.estimator.process_model import add_noise
 from hil.estimator.sensors import (
     GATED_TOGETHER,
     MARK,
@@ -37,19 +41,15 @@ from hil.estimator.sensors import (
 )
 from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
 from hil.estimator.sensors.wheels import nominal
-from hil.estimator.small_matrices import square_root
-from hil.estimator.state import AUX, ROWS, SCALE, STATES
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.jit import kernel
-from hil.vocabulary.numpy_records import Records
+from hil.estimator.state_vector import AUX, ROWS, SCALE, STATES
+from hil.support.numba_jit import kernel
 
 Bools = npt.NDArray[np.bool_]
 
-compare, innovation = kernel(events.compare), kernel(sensors.innovation)
-move, transition = kernel(motion.move), kernel(motion.transition)
-is_lost, is_unsure = kernel(retraction.is_lost), kernel(retraction.is_unsure)
-follow, carry = kernel(retraction.follow), kernel(retraction.carry)
+compare, innovation = kernel(event_loop.compare), kernel(sensors.innovation)
+move, transition = kernel(constant_twist.move), kernel(constant_twist.transition)
+is_lost, is_unsure = kernel(pose_correction.is_lost), kernel(pose_correction.is_unsure)
+follow, carry = kernel(pose_correction.follow), kernel(pose_correction.carry)
 
 
 def _symmetric(p: Array) -> Array:
@@ -104,7 +104,7 @@ def accepted(nu: Array, s: Array, usable: Bools, gate: float, nis: Array) -> lis
 def before(
     number: int, t_ns: float, m: Records, row: Records, par: Records, z: Array, var: Array, aux: Array
 ) -> tuple[int, int]:
-    """A sample of `events.run` up to the comparison: what `admit` says, how many rows there are to compare.
+    """A sample of `event_loop.run` up to the comparison: what `admit` says, and how many rows to compare.
 
     Memory, row and parameters come as arrays (1,), here and below: quicker to pass than single records.
     """
@@ -127,7 +127,7 @@ def counted(
 def after(
     number: int, use: int, t_ns: float, x: Array, p: Array, m: Records, row: Records, par: Records
 ) -> None:
-    """A sample of `events.run` behind the comparison, on the state (20,) and its covariance (20, 20)."""
+    """A sample of `event_loop.run` behind the comparison, on the state (20,) and its covariance (20, 20)."""
     if use == USED and let_in(number, par[0].filter.limit, t_ns, p, m[0], par[0]):
         use = NEW_FRAME
     if use == NEW_FRAME:
@@ -227,7 +227,7 @@ class FilterpyEngine(Engine):
         move(self._by_slopes.x, self._step_s, self._slip_s, self._scaled, self._scale, self._nominal)
 
     def _take(self, number: int, t_ns: float, x: Array, p: Array, m: Records, row: Records) -> None:
-        """As a sample of `events.run`, with the comparison on filterpy.
+        """As a sample of `event_loop.run`, with the comparison on filterpy.
 
         It has no update about another point than the mean: while the heading is unsure the kernel does it.
         """
@@ -240,7 +240,7 @@ class FilterpyEngine(Engine):
         after(number, use, t_ns, x, p, m, row, self._par)
 
     def _compare(self, number: int, x: Array, p: Array, m: Records, r: Rows) -> None:
-        """As `events.compare`: gates first, then one stacked update with the rows that passed."""
+        """As `event_loop.compare`: gates first, then one stacked update with the rows that passed."""
         (mean, s), shown = self._innovation(number, x, p, r), np.zeros(ROWS)
         innovation(number, r.z, mean, r.var, r.count, shown)
         nu, nis, gate = shown[: r.count], np.full(ROWS, -1.0), self._gate_row

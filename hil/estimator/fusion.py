@@ -14,13 +14,17 @@ from typing import Protocol
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.events import run
-from hil.estimator.history import History
-from hil.estimator.intake import REASONS, Intake
-from hil.estimator.layout import MEMORY, MEMORY_FLOATS, PARAMETERS, States, first_memory
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.interfaces import Estimator
+from hil.core.named_records import Records, place
+from hil.core.signals import Measurements, RobotState
+from hil.estimator.event_buffer import History
+from hil.estimator.event_loop import run
+from hil.estimator.initial_state import start_of
+from hil.estimator.kernel_layout import MEMORY, MEMORY_FLOATS, PARAMETERS, States, first_memory
+from hil.estimator.measurement_queue import REASONS, Intake
 from hil.estimator.sensors import SENSORS
-from hil.estimator.start import start_of
-from hil.estimator.state import (
+from hil.estimator.state_vector import (
     BIAS,
     CREEP_X,
     CREEP_Y,
@@ -36,11 +40,7 @@ from hil.estimator.state import (
 )
 from hil.estimator.unscented import Points
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import NS_PER_S, nanoseconds
-from hil.vocabulary.interfaces import Estimator
-from hil.vocabulary.jit import compile_for, plain
-from hil.vocabulary.numpy_records import Records, place
-from hil.vocabulary.signals import Measurements, RobotState
+from hil.support.numba_jit import compile_for, plain
 
 _TWIST_SIGMA = 0.02
 _STATE = MEMORY_FLOATS
@@ -111,10 +111,10 @@ def load_filter(points: Points = None) -> None:
 
 
 class CompiledEngine(Engine):
-    """The kernels of `hil.estimator.events`; making the first one loads or compiles them.
+    """The kernels of `hil.estimator.event_loop`; making the first one loads or compiles them.
 
     Args:
-        par: see `hil.estimator.layout.parameters`.
+        par: see `hil.estimator.kernel_layout.parameters`.
         points: of the UKF; None for the EKF.
     """
 

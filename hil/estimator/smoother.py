@@ -15,9 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.events import run
-from hil.estimator.intake import Intake
-from hil.estimator.layout import (
+from hil.core.geometry import Array
+from hil.core.named_records import Ints, Records
+from hil.core.signals import Measurements, RobotState
+from hil.estimator.constant_twist import transition
+from hil.estimator.event_loop import run
+from hil.estimator.initial_state import start_of
+from hil.estimator.kernel_layout import (
     MEMORY,
     PARAMETERS,
     ROW,
@@ -30,20 +34,16 @@ from hil.estimator.layout import (
     first_memory,
     parameters,
 )
-from hil.estimator.motion import transition
-from hil.estimator.process import advance_linear
-from hil.estimator.retraction import is_unsure, pull_carry, settle
+from hil.estimator.matrix_loops import put, put_rows, seen
+from hil.estimator.measurement_queue import Intake
+from hil.estimator.pose_correction import is_unsure, pull_carry, settle
+from hil.estimator.process_model import advance_linear
 from hil.estimator.sensors import GATED_TOGETHER, MARK, admit, innovation, jacobian, observe, predicted, undo
 from hil.estimator.sensors.sensor import NEW_FRAME, USED
 from hil.estimator.sensors.wheels import nominal
-from hil.estimator.small_matrices import put, put_rows, seen
-from hil.estimator.start import start_of
-from hil.estimator.state import MOTION, POSE, ROWS, STATES, TWIST
+from hil.estimator.state_vector import MOTION, POSE, ROWS, STATES, TWIST
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.jit import compile_for, inner, kernel, plain
-from hil.vocabulary.numpy_records import Ints, Records
-from hil.vocabulary.signals import Measurements, RobotState
+from hil.support.numba_jit import compile_for, inner, kernel, plain
 
 _SEGMENT = 512
 

@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
+from hil.core.errors import UsageError
+from hil.core.geometry import Array, wrap_array
+from hil.core.signals import Measurements, RobotState, heard
 from hil.estimator import make_estimator
 from hil.estimator.consistency import nees
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.errors import UsageError
-from hil.vocabulary.geometry import Array, wrap_array
-from hil.vocabulary.progress import Report, silent
-from hil.vocabulary.signals import Measurements, RobotState, heard
+from hil.support.progress import Report, silent
 
 CHECK_EVERY_NS = 500_000_000
 _FACTORS = (3.0, 1.7, 1.3)

@@ -19,14 +19,14 @@ import math
 from typing import NamedTuple, TypeAlias
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.layout import Parameters, Work
-from hil.estimator.motion import fade, sight_shift, wall_shift
-from hil.estimator.process import add_noise, fade_covariance, mirror
+from hil.core.geometry import Array
+from hil.estimator.constant_twist import fade, sight_shift, wall_shift
+from hil.estimator.kernel_layout import Parameters, Work
+from hil.estimator.matrix_loops import spread, square_root
+from hil.estimator.process_model import add_noise, fade_covariance, mirror
 from hil.estimator.sensors import predicted
-from hil.estimator.small_matrices import spread, square_root
-from hil.estimator.state import CURVED, OMEGA, ROWS, SCALE, SIGHT_X, SIGHT_Y, STATES, X, Y
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.jit import inner
+from hil.estimator.state_vector import CURVED, OMEGA, ROWS, SCALE, SIGHT_X, SIGHT_Y, STATES, X, Y
+from hil.support.numba_jit import inner
 
 PLACES = (X, Y, SIGHT_X, SIGHT_Y)
 """The numbers of the state that do not move linearly."""

@@ -11,15 +11,15 @@ import math
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.friction import contacts, windowed_twist
-from hil.estimator.start import check_state
+from hil.core.clock import NS_PER_S
+from hil.core.geometry import Array, compose, se2_exp
+from hil.core.interfaces import Estimator
+from hil.core.named_records import Records
+from hil.core.signals import Measurements, RobotState, WheelMeasurement
+from hil.estimator.initial_state import check_state
+from hil.estimator.wheel_friction import contacts, windowed_twist
 from hil.robot.kinematics import WheelGeometry, forward_matrix, projection, wheel_vectors
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.geometry import Array, compose, se2_exp
-from hil.vocabulary.interfaces import Estimator
-from hil.vocabulary.jit import kernel
-from hil.vocabulary.numpy_records import Records
-from hil.vocabulary.signals import Measurements, RobotState, WheelMeasurement
+from hil.support.numba_jit import kernel
 
 _LEAST_WHEELS = 2
 

@@ -6,9 +6,9 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
-from hil.fakes.can_wire import WIRE_FAULTS, CanChannel
-from hil.fakes.request import EmulationRequest
-from hil.fakes.streaming import COMMON_FAULTS, StreamingChip
+from hil.fakes.can_channel import WIRE_FAULTS, CanChannel
+from hil.fakes.emulation_request import EmulationRequest
+from hil.fakes.streaming_chip import COMMON_FAULTS, StreamingChip
 from hil.fakes.world import NEVER_NS, Scheduled
 
 

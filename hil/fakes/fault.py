@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.errors import UsageError, did_you_mean
 from hil.fakes.fault_options import option_of
-from hil.vocabulary.clock import NS_PER_S, nanoseconds
-from hil.vocabulary.errors import UsageError, did_you_mean
 
 MEANINGS = {
     "off": "no power, or no server: silence; what comes back has started anew",

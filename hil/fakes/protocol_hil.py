@@ -13,9 +13,9 @@ from urllib.parse import urlsplit
 
 from serial import SerialBase, SerialException
 
+from hil.core.clock import nanoseconds
 from hil.fakes.serial_line import SerialLine, Unplugged, find_line, line_names
 from hil.fakes.world import NEVER_NS
-from hil.vocabulary.clock import nanoseconds
 
 _LOOK_NS = 50_000
 """World time that a client's look at an empty port takes."""

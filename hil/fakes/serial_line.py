@@ -14,12 +14,12 @@ from collections.abc import Callable
 
 import serial
 
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.errors import UsageError
 from hil.fakes.fault import STRIKES, Supported
-from hil.fakes.uart import heard, same_rate
-from hil.fakes.wire import Reply, SerialChip
+from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, Scheduled, World
-from hil.vocabulary.clock import NS_PER_S, nanoseconds
-from hil.vocabulary.errors import UsageError
+from hil.fakes.wrong_baud import heard, same_rate
 
 LINE_FAULTS: Supported = {
     "drop": STRIKES,

@@ -17,8 +17,8 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
+from hil.core.clock import NS_PER_S, Clock
 from hil.fakes.world import Scheduled, World
-from hil.vocabulary.clock import NS_PER_S, Clock
 
 _LONGEST_WAIT_S = 0.05
 _PIECE_NS = 20_000_000

@@ -23,10 +23,10 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.fakes.faults import FaultPlan
-from hil.fakes.plant_api import Plant
-from hil.vocabulary.clock import Clock, Task
-from hil.vocabulary.errors import HilError, UsageError
+from hil.core.clock import Clock, Task
+from hil.core.errors import HilError, UsageError
+from hil.fakes.active_faults import FaultPlan
+from hil.fakes.body_interface import Plant
 
 NEVER_NS = 1 << 62
 

@@ -13,23 +13,23 @@ import numpy as np
 from hil.bench import Bench
 from hil.bench.settings import motion_limits
 from hil.config.servos import ServosConfig
-from hil.live.commands import CommandLines
-from hil.live.lateness import LateWarning, advice
-from hil.live.references import MakeTrajectory
-from hil.live.samples import SampleCounter
-from hil.live.velocity import VelocityReference
+from hil.core.clock import nanoseconds
+from hil.core.errors import Aborted, HilError
+from hil.core.geometry import Array
+from hil.core.signals import CycleRecord
+from hil.live.late_cycles import LateWarning, advice
+from hil.live.reference_files import MakeTrajectory
+from hil.live.sample_counts import SampleCounter
+from hil.live.velocity_input import CommandLines
+from hil.live.velocity_reference import VelocityReference
+from hil.loop.control_loop import Brain
+from hil.loop.realtime import warm_up
 from hil.monitor import RerunMonitor
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RunStart
-from hil.ring.loop import Brain
-from hil.ring.realtime import warm_up
 from hil.robot.paths import Segment, Straight
 from hil.robot.trajectories import Trajectory
-from hil.vocabulary.clock import nanoseconds
-from hil.vocabulary.errors import Aborted, HilError
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.signals import CycleRecord
-from hil.vocabulary.stop_signals import StopRequest
+from hil.support.stop_signals import StopRequest
 
 _SETTLE_S = 0.5
 _HOLD_S = 2.0

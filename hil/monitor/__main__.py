@@ -1,6 +1,7 @@
 """The monitor's own process: cycle records from standard input, Rerun behind it.
 
-Pieces on standard input (`hil.monitor.pipe`) come from `hil.monitor.sink` in the parent process and from
+Pieces on standard input (`hil.monitor.record_pipe`) come from `hil.monitor.sink` in the parent process and
+from
 nowhere else (they are pickles). Ends with the empty piece or when the parent is gone, also where Rerun then
 waits for a viewer without an end; an interrupt is the parent's. The exit code is 1 where an output could not
 be opened or did not take everything.
@@ -17,9 +18,9 @@ import threading
 from collections.abc import Sequence
 from typing import BinaryIO
 
-from hil.monitor.pipe import READY, taken
-from hil.vocabulary.errors import reason_of
-from hil.vocabulary.signals import CycleRecord
+from hil.core.errors import reason_of
+from hil.core.signals import CycleRecord
+from hil.monitor.record_pipe import READY, taken
 
 _NICE = 10
 _LOOK_S, _LEFT_S = 1.0, 15.0
@@ -43,7 +44,7 @@ def main(targets: Sequence[str], pipe: BinaryIO) -> int:
     os.nice(_NICE)
     import rerun  # noqa: F401  # the slow part, before the parent is told to go on
 
-    from hil.monitor.stream import RerunStream
+    from hil.monitor.rerun_stream import RerunStream
 
     scene, _ = taken(pipe)
     if not scene:

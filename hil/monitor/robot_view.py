@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from hil.monitor import robot_parts, solid
-from hil.monitor.blueprint import PATH_COLOURS, ROBOT, SCENE, Colour
-from hil.monitor.moments import Moment
+from hil.core.geometry import Array, quat_from_yaw
+from hil.monitor import robot_mesh, solid_geometry
+from hil.monitor.plot_series import finite
+from hil.monitor.rerun_layout import PATH_COLOURS, ROBOT, SCENE, Colour
 from hil.monitor.scene import Scene
-from hil.monitor.series import finite
-from hil.vocabulary.geometry import Array, quat_from_yaw
+from hil.monitor.scene_state import Moment
 
 WALL = f"{SCENE}/wall"
 
@@ -92,7 +92,7 @@ class RobotView:
         self._log(f"{WALL}/axes", axes, static=True)
         place = np.array([high_m[0] - _INSET_M, low_m[1] + _INSET_M, 0.1])
         gravity = rr.Arrows3D(
-            origins=[solid.wall_rotation(self._scene.tilt_rad) @ place],
+            origins=[solid_geometry.wall_rotation(self._scene.tilt_rad) @ place],
             vectors=[(0, 0, -0.25)],
             colors=[_WEIGHT],
             labels=["gravity"],
@@ -113,8 +113,10 @@ class RobotView:
         for name, pose in (("estimate", m.pose), ("truth", m.truth), ("reference", m.reference)):
             if pose is not None:
                 self._place(name, pose)
-        turns = solid.wheel_turns(m.steering_rad, m.wheel_angle_rad, geometry)
-        wheels = rr.InstancePoses3D(translations=solid.hub_places(geometry), quaternions=_xyzw(turns))
+        turns = solid_geometry.wheel_turns(m.steering_rad, m.wheel_angle_rad, geometry)
+        wheels = rr.InstancePoses3D(
+            translations=solid_geometry.hub_places(geometry), quaternions=_xyzw(turns)
+        )
         self._log(f"{ROBOT}/wheels", wheels)
         if not 0.0 <= m.t_s - self._explained_s < _EXPLAINED_S:
             self._explained_s = m.t_s
@@ -125,13 +127,13 @@ class RobotView:
     def _explain_estimate(self, m: Moment) -> None:
         """How sure it is of the position."""
         if finite(m.covariance[:2, :2]):
-            ellipse = solid.ellipse_in_body(m.covariance, float(m.pose[2]))
+            ellipse = solid_geometry.ellipse_in_body(m.covariance, float(m.pose[2]))
             self._log(f"{ROBOT}/covariance_95", self._lines([ellipse], PATH_COLOURS["estimate"], 2.0))
 
     def _explain_wheels(self, m: Moment) -> None:
         rr, geometry = self._rr, self._scene.geometry
         loads = [f"{n:.1f} N" for n in m.load_n]
-        origins, vectors = solid.load_arrows(m.load_n, geometry)
+        origins, vectors = solid_geometry.load_arrows(m.load_n, geometry)
         arrows = rr.Arrows3D(
             origins=origins, vectors=vectors, colors=[_LOAD], labels=loads, show_labels=False, radii=0.003
         )
@@ -139,7 +141,7 @@ class RobotView:
         if m.slip_m_s is None or not finite(m.slip_m_s):
             return
         slips = [f"{1e3 * math.hypot(*slip):.1f} mm/s" for slip in m.slip_m_s]
-        origins, vectors = solid.slip_arrows(m.slip_m_s, m.steering_rad, geometry)
+        origins, vectors = solid_geometry.slip_arrows(m.slip_m_s, m.steering_rad, geometry)
         arrows = rr.Arrows3D(
             origins=origins, vectors=vectors, colors=[_SLIP], labels=slips, show_labels=False, radii=0.003
         )
@@ -148,10 +150,10 @@ class RobotView:
     def _explain_forces(self, m: Moment) -> None:
         """Weight, fan and propellers; an arrow that pushes on the surface ends where it acts."""
         scene, rr = self._scene, self._rr
-        weight = scene.robot.weight_n * solid.gravity_in_body(scene.tilt_rad, float(m.pose[2]))
+        weight = scene.robot.weight_n * solid_geometry.gravity_in_body(scene.tilt_rad, float(m.pose[2]))
         named = [("weight", np.array(scene.robot.centre_of_mass_m), weight, _WEIGHT)]
         named += [(f.name, f.place_m, f.force_n, _FORCE) for f in m.forces]
-        vectors = [solid.ARROW_M_PER_N * force for _, _, force, _ in named]
+        vectors = [solid_geometry.ARROW_M_PER_N * force for _, _, force, _ in named]
         origins = [
             place - vector if vector[2] < -abs(vector[0]) else place
             for (_, place, _, _), vector in zip(named, vectors, strict=True)
@@ -170,13 +172,13 @@ class RobotView:
     def _draw_frames(self) -> None:
         rr = self._rr
         self._log(SCENE, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        tilted = rr.Transform3D(mat3x3=solid.wall_rotation(self._scene.tilt_rad))
+        tilted = rr.Transform3D(mat3x3=solid_geometry.wall_rotation(self._scene.tilt_rad))
         self._log(WALL, tilted, static=True)
 
     def _draw_robot(self) -> None:
         """What belongs to the robot's frames and never moves in them."""
         rr, scene = self._rr, self._scene
-        vertices, triangles, colours = robot_parts.wheel_mesh(float(np.mean(scene.geometry.radius_m)))
+        vertices, triangles, colours = robot_mesh.wheel_mesh(float(np.mean(scene.geometry.radius_m)))
         wheel = rr.Mesh3D(vertex_positions=vertices, triangle_indices=triangles, vertex_colors=colours)
         self._log(f"{ROBOT}/wheels", wheel, static=True)
         for part in scene.mounted:
@@ -208,19 +210,19 @@ class RobotView:
     def _draw_body(self) -> None:
         rr, scene = self._rr, self._scene
         plate = rr.Boxes3D(
-            sizes=[(*robot_parts.plate_size(scene.geometry), robot_parts.PLATE_THICKNESS_M)],
-            centers=[(0.0, 0.0, robot_parts.PLATE_HEIGHT_M)],
-            colors=[robot_parts.LIGHT],
+            sizes=[(*robot_mesh.plate_size(scene.geometry), robot_mesh.PLATE_THICKNESS_M)],
+            centers=[(0.0, 0.0, robot_mesh.PLATE_HEIGHT_M)],
+            colors=[robot_mesh.LIGHT],
             fill_mode="solid",
         )
         fan = rr.Cylinders3D(
             lengths=[_FAN_M[1]],
             radii=[_FAN_M[0]],
-            colors=[robot_parts.DARK],
+            colors=[robot_mesh.DARK],
             fill_mode="solid",
-            centers=[(0.0, 0.0, robot_parts.PLATE_HEIGHT_M + 0.5 * _FAN_M[1])],
+            centers=[(0.0, 0.0, robot_mesh.PLATE_HEIGHT_M + 0.5 * _FAN_M[1])],
         )
-        tubes = robot_parts.tubes(scene.robot, scene.geometry)
+        tubes = robot_mesh.tubes(scene.robot, scene.geometry)
         frame = rr.LineStrips3D(
             [t.points for t in tubes], colors=[t.colour for t in tubes], radii=[t.radius_m for t in tubes]
         )
@@ -232,10 +234,10 @@ class RobotView:
         rr = self._rr
         if name not in self._outlined:
             self._outlined.add(name)
-            drawn = robot_parts.outline(self._scene.robot)
+            drawn = robot_mesh.outline(self._scene.robot)
             self._log(f"{WALL}/{name}/outline", self._lines([drawn], PATH_COLOURS[name], 1.5))
         w, x, y, z = quat_from_yaw(float(pose[2])).tolist()
-        placed = rr.Transform3D(translation=solid.translation(pose), quaternion=(x, y, z, w))
+        placed = rr.Transform3D(translation=solid_geometry.translation(pose), quaternion=(x, y, z, w))
         self._log(f"{WALL}/{name}", placed)
 
     def _log(self, entity: str, drawn: Any, *, static: bool = False) -> None:

@@ -1,7 +1,7 @@
 """What the three-dimensional view is made of, taken from the bench's configuration; plain data, no Rerun.
 
 A `Scene` is what does not change while the robot moves: its geometry and looks, the surface that it stands
-on and how steep that is. `hil.monitor.solid` has the geometry, `hil.monitor.robot_view` draws it.
+on and how steep that is. `hil.monitor.solid_geometry` has the geometry, `hil.monitor.robot_view` draws it.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from hil.config.device import DeviceConfig, MountedConfig
 from hil.config.environment import EnvironmentConfig
 from hil.config.monitor import MonitorConfig
 from hil.config.robot import RobotConfig
+from hil.core.errors import ConfigError
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.errors import ConfigError
 
 LOG = logging.getLogger(__name__)
 

@@ -18,17 +18,17 @@ import threading
 from collections import deque
 from pathlib import Path
 
-from hil.monitor.pipe import READY, Shown, packed, put
-from hil.monitor.rrd import files_of, what_is_missing
+from hil.core.clock import nanoseconds
+from hil.core.errors import UsageError, did_you_mean
+from hil.core.geometry import Array
+from hil.core.interfaces import Sink
+from hil.core.signals import CycleRecord
+from hil.monitor.record_pipe import READY, Shown, packed, put
+from hil.monitor.rerun_viewer import LIVE, check_url, url
+from hil.monitor.rrd_check import files_of, what_is_missing
 from hil.monitor.scene import Scene
-from hil.monitor.viewer import LIVE, check_url, url
-from hil.vocabulary.clock import nanoseconds
-from hil.vocabulary.errors import UsageError, did_you_mean
-from hil.vocabulary.extras import how_to_install, is_installed
-from hil.vocabulary.files import check_file, check_name
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.interfaces import Sink
-from hil.vocabulary.signals import CycleRecord
+from hil.support.atomic_files import check_file, check_name
+from hil.support.extras import how_to_install, is_installed
 
 LOG = logging.getLogger(__name__)
 

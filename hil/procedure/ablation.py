@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from hil.config.record import PARTS
+from hil.config.robot_record import PARTS
 from hil.report.ablation_figure import EVERYTHING, NOTHING
 
 Table = dict[str, dict[str, dict[str, float]]]

@@ -26,17 +26,17 @@ from hil.bench.contract import (
     punctuality,
     without_restart,
 )
-from hil.bench.doctor import examine
-from hil.bench.what_opens import open_what_can_be
-from hil.procedure.bench_source import BenchSource
+from hil.bench.doctor.degraded_bench import open_what_can_be
+from hil.bench.doctor.examination import examine
+from hil.core.errors import EXIT_ABORTED, EXIT_DEVICE, EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, HilError
+from hil.core.finding import Finding
+from hil.procedure.bench_request import BenchSource
 from hil.procedure.commission.stages import off_the_wall
-from hil.procedure.interrupts import Interrupts
 from hil.procedure.measurements import Verdict
 from hil.procedure.operator import Operator, Terminal
-from hil.vocabulary.errors import EXIT_ABORTED, EXIT_DEVICE, EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, HilError
-from hil.vocabulary.finding import Finding
-from hil.vocabulary.progress import Report, silent
-from hil.vocabulary.versions import versions
+from hil.procedure.stop_requests import Interrupts
+from hil.support.progress import Report, silent
+from hil.support.versions import versions
 
 DOCTOR, CONTRACT, LATENCY, MOTION = "doctor", "contract", "latency", "motion"
 TITLES = {

@@ -7,16 +7,16 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.procedure.benches import RunBenches
+from hil.core.clock import NS_PER_S
+from hil.core.errors import HilError, UsageError
 from hil.procedure.declaration import Procedure
-from hil.procedure.elsewhere import Errand, Result
 from hil.procedure.measurements import Verdict
-from hil.procedure.outputs import Notebook, as_json
+from hil.procedure.parallel_drives import Errand, Result
+from hil.procedure.run_benches import RunBenches
 from hil.procedure.run_options import RunOptions
-from hil.procedure.workers import Workers
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.errors import HilError, UsageError
-from hil.vocabulary.progress import WHOLE
+from hil.procedure.run_outputs import Notebook, as_json
+from hil.procedure.worker_processes import Workers
+from hil.support.progress import WHOLE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -20,12 +20,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.config.bench import BenchConfig
+from hil.core.errors import ConfigError, UsageError, did_you_mean
+from hil.core.package_errors import of_a_script
+from hil.core.registry import kinds
 from hil.procedure.measurements import Measurement, check_unique
 from hil.procedure.parameters import check_model
 from hil.robot.trajectories import Trajectory
-from hil.vocabulary.blame import of_a_script
-from hil.vocabulary.errors import ConfigError, UsageError, did_you_mean
-from hil.vocabulary.kinds import kinds
 
 if TYPE_CHECKING:
     from hil.procedure.context import Context

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hil.bench.settings import geometry_of, motion_limits
-from hil.procedure.bench_source import BenchSource
+from hil.procedure.bench_request import BenchSource
 from hil.procedure.declaration import Procedure
 from hil.procedure.parameters import as_dict, described, make_parameters
 from hil.robot.motion_limits import check

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from hil.procedure.driven_rows import DrivenRows
-from hil.vocabulary.clock import nanoseconds
-from hil.vocabulary.interfaces import Sink
-from hil.vocabulary.signals import CycleRecord
+from hil.core.clock import nanoseconds
+from hil.core.interfaces import Sink
+from hil.core.signals import CycleRecord
+from hil.procedure.figure_rows import DrivenRows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,7 +44,7 @@ class HoldHistory(Sink):
 
     def figure(self) -> Figure | None:
         """Force and need, and friction in use, over the time driven; None where nobody measured."""
-        from hil.report.run_plots import SERIES, legend, new_figure, style
+        from hil.report.plot_style import SERIES, legend, new_figure, style
 
         if len(self._driven.rows) < 2:
             return None

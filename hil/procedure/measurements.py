@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import Any
 
-from hil.vocabulary.errors import UsageError
+from hil.core.errors import UsageError
 
 
 class Verdict(str, enum.Enum):

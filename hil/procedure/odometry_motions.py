@@ -11,22 +11,22 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from hil.bench.settings import motion_limits
-from hil.calibration.cleaning import Log
-from hil.calibration.coverage import covered
-from hil.calibration.datasets import Recording, build_recording
-from hil.calibration.nominal import Nominal
-from hil.procedure.devices import leaving
-from hil.procedure.scripted import Stretch, play
-from hil.procedure.tracking import STAGGER_S, stand
-from hil.recording.plain_csv import write_plain
-from hil.ring.motion import Motion
+from hil.core.clock import NS_PER_S
+from hil.core.errors import DataError
+from hil.core.geometry import Array, ArrayLike, rotation2
+from hil.core.signals import KINDS
+from hil.datasets.cleaning import Log
+from hil.datasets.coverage import covered
+from hil.datasets.dataset import Recording, build_recording
+from hil.datasets.nominal import Nominal
+from hil.datasets.plain_csv import write_plain
+from hil.loop.recorded_motion import Motion
+from hil.procedure.needed_devices import leaving
+from hil.procedure.scripted_joints import Stretch, play
+from hil.procedure.tracking_errors import STAGGER_S, stand
 from hil.robot.kinematics import WheelGeometry, inverse
 from hil.robot.motion_limits import slowed
 from hil.robot.trajectories import Trajectory, circle, line
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.errors import DataError
-from hil.vocabulary.geometry import Array, ArrayLike, rotation2
-from hil.vocabulary.signals import KINDS
 
 if TYPE_CHECKING:
     from hil.bench import Bench

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-from hil.vocabulary.errors import Aborted, ConfigError, reason_of
-from hil.vocabulary.reading import read_text
+from hil.core.errors import Aborted, ConfigError, reason_of
+from hil.support.file_reading import read_text
 
 _MOST_BYTES = 1 << 20
 _YES, _NO = ("", "y", "yes", "ok"), ("n", "no", "stop", "abort", "cancel", "quit", "exit", "q")

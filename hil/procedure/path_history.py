@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.procedure.driven_rows import DrivenRows
-from hil.vocabulary.clock import nanoseconds
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.interfaces import Sink
-from hil.vocabulary.signals import CycleRecord
+from hil.core.clock import nanoseconds
+from hil.core.geometry import Array
+from hil.core.interfaces import Sink
+from hil.core.signals import CycleRecord
+from hil.procedure.figure_rows import DrivenRows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,7 +55,7 @@ class PathHistory(Sink):
 
     def figure(self) -> Figure | None:
         """Paths in the wall, and their distances over the time driven; None where nothing was driven."""
-        from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
+        from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, style
 
         if len(self._driven.rows) < 2:
             return None
@@ -79,7 +79,7 @@ class PathHistory(Sink):
 
     @staticmethod
     def _draw_distances(figure: Figure, t_s: Array, paths: dict[str, Array]) -> None:
-        from hil.report.run_plots import SERIES, legend, style
+        from hil.report.plot_style import SERIES, legend, style
 
         pairs = [
             (a, b)

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hil.procedure.interrupts import Interrupts
+from hil.core.clock import Clock
 from hil.procedure.operator import Operator, Terminal
-from hil.procedure.outputs import Keep
+from hil.procedure.run_outputs import Keep
+from hil.procedure.stop_requests import Interrupts
 from hil.recording.mcap_writer import OnFailure
-from hil.vocabulary.clock import Clock
-from hil.vocabulary.progress import Report, silent
+from hil.support.progress import Report, silent
 
 
 @dataclass(frozen=True)

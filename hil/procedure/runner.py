@@ -12,23 +12,31 @@ from dataclasses import replace
 from typing import Any
 
 from hil.config.bench import BenchConfig
-from hil.procedure.bench_source import BenchSource
-from hil.procedure.benches import RunBenches
-from hil.procedure.conclusion import conclude, facts_of, failure, not_held
+from hil.core.clock import NS_PER_S
+from hil.core.errors import EXIT_ABORTED, ConfigError, DataError, RecordingError, reason_of
+from hil.core.result_files import JOURNAL, RESULT
+from hil.procedure.bench_request import BenchSource
 from hil.procedure.context import Context
 from hil.procedure.declaration import Procedure
-from hil.procedure.interrupts import time_limit
-from hil.procedure.journal import SCHEMA, Entry, Journal, PastRun, differences, drop_torn_line, read_journal
-from hil.procedure.learning import keep_parts
 from hil.procedure.measurements import Measurement, Verdict
-from hil.procedure.outputs import Notebook
 from hil.procedure.parameters import as_dict, make_parameters
-from hil.procedure.results import KEEPING, Failure, Result, write_result
+from hil.procedure.record_parts import keep_parts
+from hil.procedure.result_files import KEEPING, Failure, Result, write_result
+from hil.procedure.run_benches import RunBenches
+from hil.procedure.run_journal import (
+    SCHEMA,
+    Entry,
+    Journal,
+    PastRun,
+    differences,
+    drop_torn_line,
+    read_journal,
+)
 from hil.procedure.run_options import RunOptions
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, DataError, RecordingError, reason_of
-from hil.vocabulary.files import make_folder, where_else
-from hil.vocabulary.result_files import JOURNAL, RESULT
+from hil.procedure.run_outputs import Notebook
+from hil.procedure.run_verdict import conclude, facts_of, failure, not_held
+from hil.procedure.stop_requests import time_limit
+from hil.support.atomic_files import make_folder, where_else
 
 __all__ = ["RunOptions", "header_of", "run_procedure"]
 

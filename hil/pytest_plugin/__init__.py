@@ -14,8 +14,8 @@ import pytest
 
 if TYPE_CHECKING:
     from hil.bench import Bench, World
-    from hil.ring.loop import ControlLoop
-    from hil.vocabulary.clock import Clock
+    from hil.core.clock import Clock
+    from hil.loop.control_loop import ControlLoop
 
 MARKERS = (
     "needs(*devices): skip unless the bench has these kinds of devices, as its bench file names them, for "
@@ -75,8 +75,8 @@ def _seed(text: str) -> int:
 def _devices(text: str) -> str:
     from argparse import ArgumentTypeError
 
-    from hil.vocabulary.errors import HilError
-    from hil.vocabulary.kinds import kinds
+    from hil.core.errors import HilError
+    from hil.core.registry import kinds
 
     try:
         known = kinds()
@@ -100,7 +100,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Refuse a wrong bench file, and a real bench shared by several processes, before anything runs."""
     if _named(session.config):
-        from hil.pytest_plugin.selection import check_session
+        from hil.pytest_plugin.bench_selection import check_session
 
         check_session(session.config)
     if session.config.getoption("hil_blind_spots"):
@@ -152,7 +152,7 @@ def pytest_report_header(config: pytest.Config) -> str | None:
     """The bench, where one was named."""
     if not _named(config):
         return None
-    from hil.pytest_plugin.selection import describe
+    from hil.pytest_plugin.bench_selection import describe
 
     return describe(config)
 
@@ -161,7 +161,7 @@ def pytest_report_header(config: pytest.Config) -> str | None:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Skip what this bench cannot do, and say why."""
     if any(item.get_closest_marker(name) for name in ("needs", "fault", "real_only")):
-        from hil.pytest_plugin.selection import skip_where_impossible
+        from hil.pytest_plugin.bench_selection import skip_where_impossible
 
         skip_where_impossible(item)
 
@@ -175,7 +175,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
     if opened is None:
         return
     if report.failed:
-        from hil.pytest_plugin.selection import how_to_repeat
+        from hil.pytest_plugin.bench_selection import how_to_repeat
 
         report.sections.append(("bench", how_to_repeat(item, opened)))
     if report.when == "call":
@@ -190,8 +190,8 @@ def bench(request: pytest.FixtureRequest) -> Generator[Bench, None, None]:
 
     Then it is told how the robot was left.
     """
-    from hil.pytest_plugin.ending import end
-    from hil.pytest_plugin.selection import opened
+    from hil.pytest_plugin.bench_selection import opened
+    from hil.pytest_plugin.test_outcome import end
 
     item = request.node
     item.stash[_PASSED] = False

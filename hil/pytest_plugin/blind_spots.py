@@ -15,9 +15,9 @@ import pytest
 from _pytest.runner import runtestprotocol
 from _pytest.terminal import TerminalReporter
 
-from hil.pytest_plugin.breakages import Breakage, breakages
-from hil.pytest_plugin.selection import in_several_processes, source_of, use_source
-from hil.vocabulary.errors import HilError, did_you_mean
+from hil.core.errors import HilError, did_you_mean
+from hil.pytest_plugin.bench_selection import in_several_processes, source_of, use_source
+from hil.pytest_plugin.broken_robots import Breakage, breakages
 
 FOUND = pytest.StashKey["list[Seen]"]()
 _CHOSEN = pytest.StashKey[list[Breakage]]()

@@ -26,12 +26,12 @@ from hil.bench.contract import Subject, at_rest, read_for
 from hil.bench.contract.faulted import each_fault_acts
 from hil.bench.contract.losses import loses_next_to_nothing
 from hil.bench.contract.stillness import sees_no_motion
-from hil.bench.doctor import examine
-from hil.procedure.bench_source import BenchSource
-from hil.pytest_plugin.selection import plainly, source_of
-from hil.vocabulary.errors import DeviceError
-from hil.vocabulary.finding import Finding
-from hil.vocabulary.kinds import base_of
+from hil.bench.doctor.examination import examine
+from hil.core.errors import DeviceError
+from hil.core.finding import Finding
+from hil.core.registry import base_of
+from hil.procedure.bench_request import BenchSource
+from hil.pytest_plugin.bench_selection import plainly, source_of
 
 __all__ = [
     "closed_bench",

@@ -25,15 +25,15 @@ import pytest
 from hil.bench import Bench, contract
 from hil.bench.contract import BUSY_SHARE, due, oldest_s
 from hil.bench.settings import alignment_parameters
-from hil.procedure.bench_source import BenchSource
-from hil.pytest_plugin.selection import plainly, properties, source_of
-from hil.ring.loop_timing import LoopStatistics
-from hil.ring.motion import Motion
-from hil.robot.holding import GRAVITY_M_S2
-from hil.vocabulary.clock import nanoseconds
-from hil.vocabulary.geometry import rotated
-from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import SERVOS, Status, worst
+from hil.core.clock import nanoseconds
+from hil.core.geometry import rotated
+from hil.core.registry import kinds
+from hil.core.signals import SERVOS, Status, worst
+from hil.loop.recorded_motion import Motion
+from hil.loop.timing import LoopStatistics
+from hil.procedure.bench_request import BenchSource
+from hil.pytest_plugin.bench_selection import plainly, properties, source_of
+from hil.robot.statics import GRAVITY_M_S2
 
 __all__ = [
     "_told",

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from hil.vocabulary.geometry import Array
+from hil.core.geometry import Array
 
 _ENCODING = b"\0\1\0\0"
 _STAMP = struct.Struct("<iI")

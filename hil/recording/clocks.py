@@ -13,10 +13,10 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hil.recording.frames import recorded_offset
+from hil.core.clock import NS_PER_S
+from hil.core.errors import DataError
 from hil.recording.mcap_reader import read_header
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.errors import DataError
+from hil.recording.transform_tree import recorded_offset
 
 DEVICES = Path("/dev")
 _LOOKS = 25

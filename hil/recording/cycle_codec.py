@@ -19,9 +19,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from hil.vocabulary.device import DeviceKind
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.signals import CycleRecord
+from hil.core.device import DeviceKind
+from hil.core.errors import ConfigError
+from hil.core.signals import CycleRecord
 
 FORMAT = 2
 """Of a recording: what the topic `/hil/cycle` holds. Files of another number are not read."""

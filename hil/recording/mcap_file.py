@@ -9,13 +9,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hil.core.clock import NS_PER_S, MonotonicClock, WallOffset
+from hil.core.signals import KINDS, CycleRecord
 from hil.recording.cycle_codec import FORMAT, CycleCodec
-from hil.recording.frames import FrameTree, recorded_offset
-from hil.recording.packages import needed_packages, recorded_kinds
+from hil.recording.needed_packages import needed_packages, recorded_kinds
 from hil.recording.topics import topics_with
+from hil.recording.transform_tree import FrameTree, recorded_offset
 from hil.recording.urdf import urdf
-from hil.vocabulary.clock import NS_PER_S, MonotonicClock, WallOffset
-from hil.vocabulary.signals import KINDS, CycleRecord
 
 if TYPE_CHECKING:
     from hil.recording.ros_messages import CycleMessages, Message

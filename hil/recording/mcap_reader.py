@@ -1,7 +1,7 @@
 """Reads recordings made by `hil.recording.mcap_writer`, whole or damaged.
 
 What can be read is read; what cannot is named in `problems`. A file without our header is refused
-with `DataError`: recordings of other robots are read with a topic mapping (`hil.recording.rosbag`).
+with `DataError`: recordings of other robots are read with a topic mapping (`hil.datasets.rosbag`).
 """
 
 from __future__ import annotations
@@ -10,15 +10,15 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from hil.core.clock import WallOffset
+from hil.core.errors import ConfigError, DataError
+from hil.core.signals import CycleRecord
 from hil.recording.cycle_codec import FORMAT, CycleCodec
 from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, FORMAT_KEY, LIBRARY, METADATA, PACKAGES
 from hil.recording.mcap_records import COPY_AGAIN, in_place_of, records_of
-from hil.recording.packages import added_kinds
+from hil.recording.needed_packages import added_kinds
 from hil.recording.topics import TOPICS
-from hil.vocabulary.clock import WallOffset
-from hil.vocabulary.errors import ConfigError, DataError
-from hil.vocabulary.reading import json_object
-from hil.vocabulary.signals import CycleRecord
+from hil.support.file_reading import json_object
 
 NEEDS_TOPICS = "recordings of other robots need a topic mapping (--topics FILE)"
 _CYCLE, _NOTE = "/hil/cycle", "/hil/notes"

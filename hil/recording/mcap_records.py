@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hil.vocabulary.errors import DataError, reason_of
-from hil.vocabulary.mistaken import meant
-from hil.vocabulary.reading import must_be_file
+from hil.core.errors import DataError, reason_of
+from hil.core.wrong_path_hint import meant
+from hil.support.file_reading import must_be_file
 
 COPY_AGAIN = "copy it again from where it was recorded"
 _MAGIC_BYTES, _ZSTD = 8, b"\x28\xb5\x2f\xfd"

@@ -16,11 +16,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
+from hil.core.errors import HilError, RecordingError
+from hil.core.interfaces import Sink
+from hil.core.signals import CycleRecord
 from hil.recording.mcap_file import RecordingFile
-from hil.vocabulary.errors import HilError, RecordingError
-from hil.vocabulary.files import refused
-from hil.vocabulary.interfaces import Sink
-from hil.vocabulary.signals import CycleRecord
+from hil.support.atomic_files import refused
 
 LOG = logging.getLogger(__name__)
 

@@ -9,12 +9,12 @@ from typing import Any
 from rosbags.typesys.stores.ros2_humble import rcl_interfaces__msg__Log as Log
 from rosbags.typesys.stores.ros2_humble import std_msgs__msg__String as String
 
+from hil.core.device import DeviceKind
+from hil.core.geometry import Array
+from hil.core.signals import CycleRecord, Event, RobotState, samples_of
 from hil.recording import cdr
-from hil.recording.frames import BODY, WALL, Frame, FrameTree
 from hil.recording.ros_types import MessageMaker, to_cdr
-from hil.vocabulary.device import DeviceKind
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.signals import CycleRecord, Event, RobotState, samples_of
+from hil.recording.transform_tree import BODY, WALL, Frame, FrameTree
 
 Message = tuple[str, int, bytes]
 """Topic, time of measurement (bench clock, ns), CDR bytes."""

@@ -18,10 +18,10 @@ from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Quaternion as
 from rosbags.typesys.stores.ros2_humble import geometry_msgs__msg__Vector3 as Vector3
 from rosbags.typesys.stores.ros2_humble import std_msgs__msg__Header as Header
 
+from hil.core.clock import NS_PER_S
+from hil.core.errors import ConfigError
+from hil.core.geometry import Array
 from hil.recording import cdr
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.geometry import Array
 
 _STORE: Any = get_typestore(Stores.ROS2_HUMBLE)
 _LATEST_NS = 2**31 * NS_PER_S - 1

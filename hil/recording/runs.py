@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.errors import DataError
+from hil.core.interfaces import RUN_NOTE
+from hil.core.signals import CycleRecord, RobotState
 from hil.recording.mcap_reader import GO_ON, Note, RecordingReader
-from hil.vocabulary.errors import DataError
-from hil.vocabulary.interfaces import RUN_NOTE
-from hil.vocabulary.signals import CycleRecord, RobotState
 
 START_COVARIANCE = np.diag([1e-8, 1e-8, 1e-7, 1e-6, 1e-6, 1e-6])
 """How well the state is known that a run begins with, (6, 6): m, m, rad, m/s, m/s and rad/s, squared."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hil.vocabulary.device import DeviceKind
+from hil.core.device import DeviceKind
 
 TOPICS = {
     "/hil/cycle": "std_msgs/msg/UInt8MultiArray",

@@ -17,9 +17,9 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 
 from hil.config.robot import RobotConfig
-from hil.recording.frames import BODY, fixed_frames
-from hil.vocabulary.geometry import rotated
-from hil.vocabulary.signals import WHEELS
+from hil.core.geometry import rotated
+from hil.core.signals import WHEELS
+from hil.recording.transform_tree import BODY, fixed_frames
 
 _TYRE_WIDTH_M, _PLATE_M, _CLEARANCE_M, _SENSOR_M = 0.022, 0.008, 0.012, 0.02
 _PLATE_SHARE = 0.6

@@ -10,26 +10,26 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from hil.bench.blueprint import Blueprint
+from hil.bench.model import Blueprint
 from hil.bench.settings import geometry_of, nominal_of, with_wheel_model
-from hil.calibration.artefact import read_calibration
-from hil.calibration.blocks import reduce_recordings
-from hil.calibration.coverage import covered
-from hil.calibration.datasets import Recording
-from hil.calibration.driven import mismatch
-from hil.calibration.nominal import Nominal
+from hil.calibration.calibration_file import read_calibration
+from hil.calibration.excitation import mismatch
 from hil.calibration.usable import check_made_for, failed_validation
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.config.recorded import recorded_bench
-from hil.recording.foreign import to_run
+from hil.core.errors import DataError, HilError, UsageError
+from hil.datasets.as_cycles import to_run
+from hil.datasets.blocks import reduce_recordings
+from hil.datasets.coverage import covered
+from hil.datasets.dataset import Recording
+from hil.datasets.nominal import Nominal
+from hil.datasets.read import find_recordings, read_recordings
+from hil.datasets.rosbag import is_bag, read_bag
+from hil.datasets.topic_map import read_topic_map
 from hil.recording.mcap_reader import RecordingReader
-from hil.recording.rosbag import is_bag, read_bag
 from hil.recording.runs import RecordedRun, read_runs
-from hil.recording.sources import find_recordings, read_recordings
-from hil.recording.topic_map import read_topic_map
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.errors import DataError, HilError, UsageError
 
 _FOREIGN_BENCH = "emulated_floor"
 _NAMED = 4
@@ -79,7 +79,7 @@ class OpenedRecording:
         failed = [self.failed] if self.failed else []
         if not self.tables:
             return failed
-        from hil.calibration.caveats import told_by
+        from hil.calibration.warnings import told_by
 
         told = told_by(self.tables)
         assumed = [] if self.named or len(self.tables[0].sources) == _PAIR else [self._assumed()]

@@ -1,7 +1,7 @@
 """Whether a recording repeats: its inputs are decided upon again and every number is compared.
 
 Where the same arithmetic decides, every bit must be equal. Where it is another one, numbers may differ within
-the limits of `hil.replay.agreement`.
+the limits of `hil.replay.difference_limits`.
 """
 
 from __future__ import annotations
@@ -10,18 +10,18 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Any
 
-from hil.bench.blueprint import Blueprint
+from hil.bench.model import Blueprint
 from hil.controller.joint_script import SCRIPT, JointScript
+from hil.core.choices import ESTIMATORS, LAWS
+from hil.core.errors import SafetyStop, UsageError
+from hil.core.signals import CycleRecord, Inputs, Reference
+from hil.loop.control_loop import OUTSIDE, Brain
 from hil.recording.compare import first_difference
 from hil.recording.runs import RecordedRun, RunStart, read_cycles_of_runs
-from hil.replay.agreement import LIMITS, Agreement, same_text
+from hil.replay.difference_limits import LIMITS, Agreement, same_text
 from hil.replay.recordings import OpenedRecording
-from hil.ring.loop import OUTSIDE, Brain
 from hil.robot.trajectories import Trajectory
-from hil.vocabulary.choices import ESTIMATORS, LAWS
-from hil.vocabulary.errors import SafetyStop, UsageError
-from hil.vocabulary.fingerprint import fingerprint
-from hil.vocabulary.signals import CycleRecord, Inputs, Reference
+from hil.support.arithmetic_fingerprint import fingerprint
 
 IDENTICAL, AGREES, DIFFERS = "identical", "agrees", "differs"
 """Verdicts, from best to worst."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
+from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

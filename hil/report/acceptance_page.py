@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from hil.core.result_files import ACCEPTANCE_PAGE, ACCEPTANCE_TABLE
 from hil.report.pages import environment
-from hil.vocabulary.files import staged
-from hil.vocabulary.result_files import ACCEPTANCE_PAGE, ACCEPTANCE_TABLE
+from hil.support.atomic_files import staged
 
 
 def write_acceptance(folder: Path, told: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,9 +7,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from hil.vocabulary.errors import DataError
-from hil.vocabulary.reading import read_json
-from hil.vocabulary.result_files import PLAN
+from hil.core.errors import DataError
+from hil.core.result_files import PLAN
+from hil.support.file_reading import read_json
 
 _NONE = "–"
 _DIGITS = 8

@@ -12,14 +12,14 @@ from typing import Any
 
 from markupsafe import Markup
 
-from hil.config.record import RobotRecord
+from hil.config.robot_record import RobotRecord
+from hil.core.errors import ConfigError
+from hil.core.result_files import COMMISSIONING_PAGE
 from hil.report.ablation_figure import EVERYTHING, NOTHING, ablation_figure
-from hil.report.figures import figure_image, save_figure
+from hil.report.page_figures import figure_image, save_figure
 from hil.report.pages import duration, environment
 from hil.report.robot_table import part_rows
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.files import put_whole, refused, write_text
-from hil.vocabulary.result_files import COMMISSIONING_PAGE
+from hil.support.atomic_files import put_whole, refused, write_text
 
 FIGURE = "ablation.svg"
 

@@ -16,15 +16,15 @@ from markupsafe import Markup
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy import stats
 
+from hil.core.errors import DataError, UsageError
+from hil.core.result_files import CAMPAIGN_TABLE, LOST, PASSED, PLAN
 from hil.report.campaign_differences import differences
-from hil.report.figures import drawn_image
+from hil.report.page_figures import drawn_image
 from hil.report.pages import environment, number
+from hil.report.plot_style import PALETTE, new_figure, style
 from hil.report.result_file import wrong_shape
-from hil.report.run_plots import PALETTE, new_figure, style
-from hil.vocabulary.errors import DataError, UsageError
-from hil.vocabulary.files import write_text
-from hil.vocabulary.reading import read_json
-from hil.vocabulary.result_files import CAMPAIGN_TABLE, LOST, PASSED, PLAN
+from hil.support.atomic_files import write_text
+from hil.support.file_reading import read_json
 
 _SURE = 0.95
 _ROUNDING = 1e-9

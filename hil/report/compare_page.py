@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from hil.core.errors import UsageError
 from hil.report.pages import environment, number, outcome_words
 from hil.report.result_file import read_result
-from hil.report.run_words import grouped
-from hil.vocabulary.errors import UsageError
-from hil.vocabulary.files import write_text
+from hil.report.run_summary import grouped
+from hil.support.atomic_files import write_text
 
 _NAMED = 3
 _LINES = 8

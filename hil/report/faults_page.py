@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from hil.core.result_files import FAULTS_PAGE, FAULTS_TABLE
 from hil.report.pages import environment
-from hil.vocabulary.files import put_whole, refused
-from hil.vocabulary.result_files import FAULTS_PAGE, FAULTS_TABLE
+from hil.support.atomic_files import put_whole, refused
 
 
 def write_faults(folder: Path, told: Mapping[str, Any]) -> Path:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
-from hil.report.figures import drawn_image, figure_image, save_figure
+from hil.report.page_figures import drawn_image, figure_image, save_figure
 from hil.report.pages import environment
-from hil.vocabulary.files import staged, write_text
+from hil.support.atomic_files import staged, write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,8 +13,8 @@ from typing import Any
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
-from hil.report.figures import theme
-from hil.vocabulary.digits import digits_apart
+from hil.core.digits import digits_apart
+from hil.report.page_figures import theme
 
 _PLAIN = 1e6
 _READ = {

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hil.core.geometry import Array, wrap_array
 from hil.estimator.consistency import nees
+from hil.loop.recorded_motion import Motion
 from hil.report.overview import Drawn, Overview, Table, write_overview
 from hil.report.pages import number
-from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, plain_log, share_scale, style, thin
-from hil.ring.motion import Motion
-from hil.vocabulary.geometry import Array, wrap_array
+from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, plain_log, share_scale, style, thin
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -69,8 +69,8 @@ def write_replay_page(
         path: HTML file.
         title: heading.
         motions: the same run as recorded and as each estimator sees it, by name.
-        truth: `hil.replay.comparison.truth_of` the run, shape (n, 3).
-        numbers: `hil.replay.comparison.table` of them.
+        truth: `hil.replay.estimator_comparison.truth_of` the run, shape (n, 3).
+        numbers: `hil.replay.estimator_comparison.table` of them.
         warnings: above the figures: what could not be read, or makes no sense.
         facts: which sensors there are.
         on_wall: whether x points up.

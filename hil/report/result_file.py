@@ -12,10 +12,10 @@ from urllib.parse import quote
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from hil.vocabulary.errors import DataError
-from hil.vocabulary.mistaken import meant
-from hil.vocabulary.reading import read_json
-from hil.vocabulary.result_files import PASSED, RESULT, RESULT_SCHEMA
+from hil.core.errors import DataError
+from hil.core.result_files import PASSED, RESULT, RESULT_SCHEMA
+from hil.core.wrong_path_hint import meant
+from hil.support.file_reading import read_json
 
 _SHOWN = 5
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from datetime import date
 from typing import Any
 
-from hil.config.record import PARTS, Figure, Part, RecordFile
+from hil.config.robot_record import PARTS, Figure, Part, RecordFile
 
 _SHOWN = {
     "rad": ("deg", math.degrees(1.0)),

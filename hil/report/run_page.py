@@ -14,15 +14,15 @@ from typing import Any
 
 from markupsafe import Markup
 
-from hil.report.figures import figure_image
+from hil.core.call_chain import in_words
+from hil.core.errors import DataError
+from hil.core.result_files import REPORT, RESULT
+from hil.report.page_figures import figure_image
 from hil.report.pages import digits_of, duration, environment, outcome_words
 from hil.report.result_file import address, inside, own_file, read_result
-from hil.report.run_words import grouped, sentence
-from hil.vocabulary.call_chain import in_words
-from hil.vocabulary.errors import DataError
-from hil.vocabulary.files import write_text
-from hil.vocabulary.reading import dotted
-from hil.vocabulary.result_files import REPORT, RESULT
+from hil.report.run_summary import grouped, sentence
+from hil.support.atomic_files import write_text
+from hil.support.file_reading import dotted
 
 _BAR = 100.0
 

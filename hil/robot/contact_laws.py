@@ -15,7 +15,7 @@ Forces along a wheel count like those across: its servo holds the rotation that 
 `creep_motion` and `least_dissipation` take rows of wheel vectors. What stands below them is written once for
 one row and for many: a quantity is a number, or an array (n,) with one number for each row; wheel vectors
 u (8,) or (8, n) hold their quantities along the first axis. numba compiles this for numbers
-(`hil.calibration.passes`), numpy runs it on arrays. Wheel positions are the first eight numbers of a
+(`hil.calibration.residual_pass`), numpy runs it on arrays. Wheel positions are the first eight numbers of a
 parameter vector z: x_1..4, y_1..4, m. A symmetric 3x3 matrix is (xx, xy, xt, yy, yt, tt).
 """
 
@@ -25,7 +25,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from hil.vocabulary.geometry import Array
+from hil.core.geometry import Array
 
 FRICTION_EPSILON = 2e-3
 LEAST_ROLLED = 0.05

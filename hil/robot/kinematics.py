@@ -21,9 +21,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from hil.core.errors import UsageError
+from hil.core.geometry import Array, ArrayLike
 from hil.robot.contact_laws import creep_motion, least_dissipation
-from hil.vocabulary.errors import UsageError
-from hil.vocabulary.geometry import Array, ArrayLike
 
 ForwardModel = Literal["exact", "paper", "dry-friction", "creep"]
 MODELS: tuple[str, ...] = get_args(ForwardModel)

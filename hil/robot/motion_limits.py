@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hil.core.errors import TrajectoryError
+from hil.core.geometry import Array
 from hil.robot.trajectories import Trajectory
-from hil.vocabulary.errors import TrajectoryError
-from hil.vocabulary.geometry import Array
 
 _CHECK_STEP_S = 0.01
 _LEAST_TIMES = 32

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.core.errors import UsageError
+from hil.core.geometry import Array, ArrayLike, wrap_array
 from hil.robot.kinematics import WheelGeometry, forward_matrix, wheel_vectors
-from hil.vocabulary.errors import UsageError
-from hil.vocabulary.geometry import Array, ArrayLike, wrap_array
 
 INTEGRATORS = ("exponential", "euler")
 

@@ -16,7 +16,7 @@ from typing import Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from hil.vocabulary.geometry import Array, rotation2
+from hil.core.geometry import Array, rotation2
 
 TimeLaw = Literal["quintic", "constant"]
 Pose = tuple[float, float, float]

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from hil.core.errors import UsageError, check_number
+from hil.core.geometry import Array, ArrayLike, rotation2
+from hil.core.signals import Reference
 from hil.robot.paths import Arc, Chain, Ints, Pose, Segment, Straight, TimeLaw
-from hil.vocabulary.errors import UsageError, check_number
-from hil.vocabulary.geometry import Array, ArrayLike, rotation2
-from hil.vocabulary.signals import Reference
 
 _STRIDE = 64
 """Segments that are walked through one by one to find one; sets of these are found by bisection."""

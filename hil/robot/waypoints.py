@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.vocabulary.errors import DataError, reason_of
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.reading import read_text
+from hil.core.errors import DataError, reason_of
+from hil.core.geometry import Array
+from hil.support.file_reading import read_text
 
 MOST_WAYPOINTS = 10_000
 _MOST_BYTES = 16 << 20

@@ -12,13 +12,13 @@ import numpy as np
 from hil.bench import Bench
 from hil.bench.settings import adhesion_limits, force_wanted_n, thrust_wanted_n
 from hil.config.bench import BenchConfig
+from hil.core.errors import ConfigError, DataError
+from hil.core.geometry import Array
+from hil.core.signals import Status
+from hil.loop.recorded_motion import Motion
 from hil.procedure import Context
 from hil.procedures.parts.surface_slip import moved_at_rest
-from hil.ring.motion import Motion
-from hil.robot.holding import Statics
-from hil.vocabulary.errors import ConfigError, DataError
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.signals import Status
+from hil.robot.statics import Statics
 
 _STEP_N, _STEP_S, _SETTLE_S = 2.0, 0.3, 2.5
 _ABOVE_LIMIT, _LEAST_N = 1.15, 8.0
@@ -200,7 +200,7 @@ def fit(levels: Sequence[Level]) -> Fit:
 
 def draw(ctx: Context, found: Fit) -> None:
     """Cells against the square of the speed, with the fitted line."""
-    from hil.report.run_plots import SERIES, new_figure, style
+    from hil.report.plot_style import SERIES, new_figure, style
 
     levels, figure = found.levels, new_figure(4.6, 2.6)
     axes = style(figure.add_subplot(), "speed (1000/min) squared", "load cells (N)")

@@ -14,10 +14,10 @@ import numpy as np
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
-from hil.procedure.samples import Series, encoders, poses, wheels
-from hil.procedure.scripted import Stretch, play
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.signals import WHEELS
+from hil.core.geometry import Array
+from hil.core.signals import WHEELS
+from hil.procedure.sample_arrays import Series, encoders, poses, wheels
+from hil.procedure.scripted_joints import Stretch, play
 
 _OUT_S, _REST_S, _LOOK_S = 0.4, 0.45, 0.3
 _SETTLE_S = 1.5

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.config.servos import ServosConfig
+from hil.core.geometry import Array
+from hil.core.signals import WHEELS
 from hil.procedure import Context
 from hil.procedures.parts.bring_up_jogs import DriveJogs, SteerJogs, exchanged_axes, exchanged_drives
 from hil.procedures.parts.bring_up_streams import Stream
-from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.signals import WHEELS
+from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

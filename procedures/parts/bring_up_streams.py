@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.config.bench import BenchConfig
-from hil.procedure.samples import Series, arrivals, camera, encoders, inertial, poses, wheels
-from hil.ring.motion import Motion
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.kinds import kinds
+from hil.core.geometry import Array
+from hil.core.registry import kinds
+from hil.loop.recorded_motion import Motion
+from hil.procedure.sample_arrays import Series, arrivals, camera, encoders, inertial, poses, wheels
 
 _BLOCKS = 24
 

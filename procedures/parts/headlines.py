@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from hil.vocabulary.signals import WHEELS
+from hil.core.signals import WHEELS
 
 _FILTERS = {"ekf": "the EKF", "ukf": "the UKF"}
 _LINES = (("x_line", "Up the wall", "short", "shortfall"), ("y_line", "Across it", "too low", "sag"))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.vocabulary.geometry import Array
+from hil.core.geometry import Array
 
 FEWEST = 9
 _WHITE_UP_TO_S = 0.5

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from hil.core.geometry import Array
 from hil.procedure import Context
 from hil.procedures.parts.imu_noise import Allan
-from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
-from hil.vocabulary.geometry import Array
+from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, style
 
 _DEG = float(np.degrees(1.0))
 

@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from hil.ring.motion import Motion
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.geometry import Array
+from hil.core.clock import NS_PER_S
+from hil.core.geometry import Array
+from hil.loop.recorded_motion import Motion
 
 _BLOCKS = 8
 _STUDENT_7 = 2.365

@@ -9,12 +9,12 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 
-from hil.calibration.datasets import Recording
+from hil.datasets.dataset import Recording
+from hil.datasets.plain_csv import read_plain
 from hil.procedure import Context
-from hil.procedure.elsewhere import Errand
 from hil.procedure.odometry_motions import Repetition, drive_repetition, unused
-from hil.procedure.workers import Workers
-from hil.recording.plain_csv import read_plain
+from hil.procedure.parallel_drives import Errand
+from hil.procedure.worker_processes import Workers
 
 
 def read_round(folder: Path, names: Sequence[str]) -> list[Recording]:

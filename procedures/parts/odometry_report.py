@@ -13,7 +13,7 @@ from hil.calibration.evaluation import Track, evaluate
 from hil.calibration.fitting import fit
 from hil.procedure import Context
 from hil.procedures.parts.odometry_rounds import Driven, Odometry
-from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, plain_log, style, thin
+from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, plain_log, style, thin
 
 _NAMED = 4
 """Recordings that a note names; it counts the others."""

@@ -14,19 +14,19 @@ from pathlib import Path
 import numpy as np
 
 from hil.bench.settings import geometry_of, nominal_of
-from hil.calibration.artefact import read_calibration
 from hil.calibration.calibrate import Calibration, calibrate
-from hil.calibration.choice import Candidate, Choice, candidates, choose
+from hil.calibration.calibration_file import read_calibration
 from hil.calibration.corrupt import corrupt
-from hil.calibration.datasets import Recording
 from hil.calibration.evaluation import Track, position_rmse, track_all
+from hil.calibration.model_choice import Candidate, Choice, candidates, choose
 from hil.calibration.problem import Setting
 from hil.calibration.validation import left_out, repetition_numbers
 from hil.config.bench import BenchConfig
+from hil.core.geometry import Array
+from hil.datasets.dataset import Recording
 from hil.procedure import Context
-from hil.procedure.learning import known_parts
+from hil.procedure.record_parts import known_parts
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.geometry import Array
 
 BY_EVIDENCE = "by evidence"
 WORTH = 0.05

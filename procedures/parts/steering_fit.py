@@ -19,9 +19,9 @@ import numpy as np
 
 from hil.bench.settings import load_shares
 from hil.config.bench import BenchConfig
-from hil.procedure.samples import poses, wheels
-from hil.ring.motion import Motion
-from hil.vocabulary.geometry import Array, rotation2, wrap_array
+from hil.core.geometry import Array, rotation2, wrap_array
+from hil.loop.recorded_motion import Motion
+from hil.procedure.sample_arrays import poses, wheels
 
 _MAGNET_SIGMA_RAD = math.radians(0.5)
 _TURNING_RAD_S = 0.05

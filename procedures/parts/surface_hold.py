@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
+from hil.core.errors import SafetyStop
 from hil.procedure import Context
 from hil.procedures.parts.surface_slip import held
-from hil.vocabulary.errors import SafetyStop
 
 _TETHERED = {"safety.tethered": True, "safety.heading_limit_rad": math.pi / 2}
 WITHOUT = {"encoders": None, "tracker": None}

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from hil.ring.motion import Motion
-from hil.vocabulary.errors import DataError
-from hil.vocabulary.geometry import Array, ArrayLike, rotation2
+from hil.core.errors import DataError
+from hil.core.geometry import Array, ArrayLike, rotation2
+from hil.loop.recorded_motion import Motion
 
 _HELD_M = 2e-3
 _LEAST_SEEN = 0.8
@@ -181,7 +181,7 @@ def downhill(start: Array, way_m: float, direction: str) -> Array:
 
 def draw(ctx: Any, rows: Sequence[dict[str, list[float]]]) -> None:
     """Downhill slip of every motion, by direction."""
-    from hil.report.run_plots import SERIES, new_figure, style
+    from hil.report.plot_style import SERIES, new_figure, style
 
     figure = new_figure(4.6, 2.6)
     axes = style(figure.add_subplot(), "", "downhill slip (mm per m)")

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 
 from hil.bench import Bench
+from hil.core.clock import NS_PER_S
+from hil.core.geometry import Array
+from hil.loop.recorded_motion import Motion
 from hil.procedure import Context
-from hil.procedure.elsewhere import Errand
-from hil.procedure.samples import Series, camera, poses
-from hil.procedure.tracking import STAGGER_S, stand
-from hil.procedure.workers import Workers
-from hil.ring.motion import Motion
+from hil.procedure.parallel_drives import Errand
+from hil.procedure.sample_arrays import Series, camera, poses
+from hil.procedure.tracking_errors import STAGGER_S, stand
+from hil.procedure.worker_processes import Workers
 from hil.robot.trajectories import Trajectory, line
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.geometry import Array
 
 Trip = tuple[tuple[float, float, float], ...]
 """Poses that a round trip goes to, relative to its start, m and rad; the last is the start."""
@@ -37,7 +37,7 @@ class Leg:
     Attributes:
         begin_s, end_s: of the leg.
         truth: poses by motion capture, (n, 3).
-        seen: the camera's own poses, as `hil.procedure.samples.camera` gives them.
+        seen: the camera's own poses, as `hil.procedure.sample_arrays.camera` gives them.
         aligned: poses of the body by the camera and its mount as configured, (n, 3).
     """
 

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from hil.procedure.samples import Series
-from hil.ring.motion import LONGEST_GAP_S
-from hil.vocabulary.errors import DataError
-from hil.vocabulary.geometry import Array, ArrayLike, quat_from_rotvec, quat_multiply
+from hil.core.errors import DataError
+from hil.core.geometry import Array, ArrayLike, quat_from_rotvec, quat_multiply
+from hil.loop.recorded_motion import LONGEST_GAP_S
+from hil.procedure.sample_arrays import Series
 
 INTERVAL_S = 0.5
 _LOWEST_TURN_RAD, _SHORTEST_STEP_M = 0.01, 0.005

@@ -6,7 +6,7 @@ import numpy as np
 
 from hil.config.device import TrackerConfig
 from hil.procedure import Context
-from hil.procedure.samples import Series
+from hil.procedure.sample_arrays import Series
 from hil.procedures.parts.tracker_hand_eye import (
     Extrinsics,
     Intervals,
@@ -15,7 +15,7 @@ from hil.procedures.parts.tracker_hand_eye import (
     laid_over,
     lateness_curve,
 )
-from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
+from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, style, thin
 
 _DEG = float(np.degrees(1.0))
 

@@ -12,16 +12,16 @@ import pytest
 from hil.bench.contract import Broken, Subject, losses
 from hil.cli import main
 from hil.config.encoders import SHIPPED_DBC
+from hil.core.errors import Aborted, DeviceError
 from hil.drivers.servos import DynamixelServos
+from hil.loop.timing import LoopStatistics
 from hil.procedure import acceptance
 from hil.procedure.acceptance import QUESTION, Acceptance, accept
-from hil.procedure.bench_source import BenchSource
-from hil.procedure.interrupts import Interrupts
+from hil.procedure.bench_request import BenchSource
 from hil.procedure.operator import Operator
+from hil.procedure.stop_requests import Interrupts
 from hil.report import acceptance_page
 from hil.report.acceptance_page import write_acceptance
-from hil.ring.loop_timing import LoopStatistics
-from hil.vocabulary.errors import Aborted, DeviceError
 
 SERVOS = '[servos]\nbackend = "emulated"\n'
 ENCODERS = '[encoders]\nbackend = "emulated"\ninterface = "hil"\n'

@@ -3,11 +3,11 @@
 import sys
 import time
 
+from hil.core.clock import MonotonicClock
+from hil.core.errors import UsageError
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.deputy import KeptByProcess
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import UsageError
 
 
 def tell(text):

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 import can
 
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.fakes.loopback import free_udp_port
+from hil.fakes.free_port import free_udp_port
 
 GROUP = "239.74.164.9"
 RELEASED_AFTER_S = 1.0

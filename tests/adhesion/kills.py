@@ -13,8 +13,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from hil.core.errors import DeviceError
 from hil.drivers.adhesion.keeper import client
-from hil.vocabulary.errors import DeviceError
 
 STAND_IN = Path(__file__).with_name("bench_stand_in.py")
 HELD_DUTY = 0.57

@@ -16,18 +16,18 @@ import numpy as np
 import pytest
 from kills import end_keeper, keeper_pid
 
-from hil.bench import adhesion, off_the_wall
-from hil.bench.adhesion import keeper_spec, kept_specs
+from hil.bench import fan_commands, fan_interlock
 from hil.bench.drivers import make_rig
+from hil.bench.fan_commands import keeper_spec, kept_specs
 from hil.cli import main
 from hil.config.loading import load_bench
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DeviceError, UsageError
+from hil.core.signals import Status
 from hil.drivers.adhesion.keeper import client
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.door import of_another
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.emulated_bus import is_emulated
-from hil.vocabulary.errors import DeviceError, UsageError
-from hil.vocabulary.signals import Status
+from hil.support.emulated_can_mark import is_emulated
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 
@@ -229,14 +229,14 @@ def test_status_tells_of_the_fan_where_the_propellers_keeper_is_another_users(at
             f'[thrust]\nmodel = "vesc"\ninterface = "{spec.interface}"\nchannel = "{spec.channel}"\n'
             f"controller_ids = [2, 3]\noptions = {{ port = {spec.options['port']}, hop_limit = 0 }}\n"
         )
-    ask = adhesion.keeper_status
+    ask = fan_commands.keeper_status
 
     def refused(one):
         if one.device == "thrust":
             raise of_another(one, "root", "user robot (1000)")
         return ask(one)
 
-    monkeypatch.setattr(adhesion, "keeper_status", refused)
+    monkeypatch.setattr(fan_commands, "keeper_status", refused)
     with client.find_or_start(spec):
         code, out, err = hil("adhesion", "status", "--bench", path)
         assert (code, f"{spec.name}: idle" in out) == (3, True)
@@ -263,7 +263,7 @@ def test_propellers_that_need_no_keeper_are_told_what_does(at_wire, hil):
 def test_the_service_is_started_by_a_command_that_there_is():
     unit = configparser.ConfigParser(strict=False, interpolation=None)
     unit.optionxform = str
-    unit.read(ROOT / "examples" / "hil-adhesion.service")
+    unit.read(ROOT / "examples" / "hil-fan_commands.service")
     words = unit["Service"]["ExecStart"].split()
     assert words[1:4] == ["adhesion", "keep", "--bench"]
     assert unit["Unit"]["RefuseManualStop"] == "yes"
@@ -294,7 +294,7 @@ def robot(monkeypatch, *, up, cells_n, rpm):
         "load_cells": Seen(SimpleNamespace(status=(ok, ok), force_n=np.array([cells_n / 2, cells_n / 2]))),
         "adhesion": Seen(SimpleNamespace(status=ok, speed_rpm=rpm)),
     }
-    for module in (adhesion, off_the_wall):
+    for module in (fan_commands, fan_interlock):
         monkeypatch.setattr(module, "make_rig", lambda config, clock, connections: devices)
         monkeypatch.setattr(module, "WATCH_S", 0.05)
     return load_bench("emulated").model_copy(
@@ -309,7 +309,7 @@ LEVEL, ON_THE_WALL, TILTED = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.3, 0.0, 0.954)
 
 
 def test_a_level_robot_with_nothing_pressed_is_off_the_wall(monkeypatch):
-    why = off_the_wall.seen_off_the_wall(robot(monkeypatch, up=LEVEL, cells_n=2.0, rpm=30_000.0))
+    why = fan_interlock.seen_off_the_wall(robot(monkeypatch, up=LEVEL, cells_n=2.0, rpm=30_000.0))
     assert why == "seen off the wall: tilted by 0 deg, load cells 2.0 N"
 
 
@@ -327,20 +327,20 @@ def test_a_level_robot_with_nothing_pressed_is_off_the_wall(monkeypatch):
 )
 def test_one_witness_that_says_it_may_hang_is_enough_to_refuse(monkeypatch, up, cells_n, told):
     with pytest.raises(UsageError, match=rf"may hang by its fan: .*{told}.*9.0 N.*--tethered"):
-        off_the_wall.seen_off_the_wall(robot(monkeypatch, up=up, cells_n=cells_n, rpm=30_000.0))
+        fan_interlock.seen_off_the_wall(robot(monkeypatch, up=up, cells_n=cells_n, rpm=30_000.0))
 
 
 def test_without_witnesses_only_the_operator_can_say_it(monkeypatch):
     config = robot(monkeypatch, up=LEVEL, cells_n=0.0, rpm=30_000.0)
     emulated = config.imu.model_copy(update={"backend": "emulated"})
     with pytest.raises(UsageError, match=r"no imu of the robot.*--tethered"):
-        off_the_wall.seen_off_the_wall(config.model_copy(update={"imu": emulated}))
+        fan_interlock.seen_off_the_wall(config.model_copy(update={"imu": emulated}))
 
 
 def asked_of(monkeypatch, *, up, cells_n, rpm, **asked):
     """What `switch_on` asked of the fan since it opened it last."""
     config, given = robot(monkeypatch, up=up, cells_n=cells_n, rpm=rpm), []
-    fan = adhesion.make_rig(None, None, None)["adhesion"]
+    fan = fan_commands.make_rig(None, None, None)["adhesion"]
     sample = SimpleNamespace(
         status=Status.OK, speed_rpm=rpm, duty=rpm / 36_000.0, input_v=22.0, trouble="", stamp=None
     )
@@ -350,9 +350,9 @@ def asked_of(monkeypatch, *, up, cells_n, rpm, **asked):
         set_force_n=lambda n: given.append(n),
         set_duty=lambda d: given.append(d),
     )
-    monkeypatch.setattr(adhesion, "keeper_status", lambda spec: None)
+    monkeypatch.setattr(fan_commands, "keeper_status", lambda spec: None)
     with contextlib.suppress(DeviceError):  # it never gets there
-        adhesion.switch_on(
+        fan_commands.switch_on(
             config,
             force_n=asked.get("force_n"),
             duty=asked.get("duty"),

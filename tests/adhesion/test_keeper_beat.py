@@ -4,12 +4,12 @@ import can
 import pytest
 from can_bus import Bus
 
+from hil.core.clock import nanoseconds
+from hil.core.errors import DeviceError
 from hil.drivers.adhesion.keeper import beat as beats
 from hil.drivers.adhesion.keeper.beat import Beat
 from hil.drivers.adhesion.keeper.core import Keeper, SetPoint
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.vocabulary.clock import nanoseconds
-from hil.vocabulary.errors import DeviceError
 
 SPEC = Spec("udp_multicast", "239.74.164.9", 7)
 PERIOD_NS = nanoseconds(SPEC.period_s)

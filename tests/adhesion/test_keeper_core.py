@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hil.core.clock import nanoseconds
+from hil.core.errors import ConfigError, DeviceError, UsageError
 from hil.drivers.adhesion.keeper.core import RELEASE, Keeper, SetPoint
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.vocabulary.clock import nanoseconds
-from hil.vocabulary.errors import ConfigError, DeviceError, UsageError
 
 SPEC = Spec("udp_multicast", "239.74.164.9", 7)
 PERIOD_NS = nanoseconds(SPEC.period_s)

@@ -7,13 +7,13 @@ import can
 import pytest
 from can_bus import Bus
 
+from hil.core.clock import nanoseconds
+from hil.core.errors import ConfigError
 from hil.drivers.adhesion.dronecan import frames
 from hil.drivers.adhesion.keeper.beat import Beat
 from hil.drivers.adhesion.keeper.core import Keeper, SetPoint
 from hil.drivers.adhesion.keeper.dialects import dialect
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.vocabulary.clock import nanoseconds
-from hil.vocabulary.errors import ConfigError
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "dronecan_frames.json").read_text())
 RUNNING = GOLDEN["statuses"][0]

@@ -22,11 +22,11 @@ from kills import (
     wait_until,
 )
 
+from hil.core.clock import MonotonicClock
 from hil.drivers.adhesion.keeper import client, deputy
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.deputy import KeptByProcess
 from hil.drivers.adhesion.keeper.door import of_another
-from hil.vocabulary.clock import MonotonicClock
 
 MOST_S = 0.2
 FEW, MANY = 2, 100

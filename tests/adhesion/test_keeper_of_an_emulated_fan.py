@@ -12,11 +12,11 @@ import pytest
 from kills import HELD_DUTY, both, keeper_pid, wait_until
 from test_keeper_process import emulating, written
 
+from hil.core.clock import MonotonicClock
 from hil.drivers.adhesion.keeper import client
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.deputy import KeptByProcess
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.emulated_bus import Emulation, Mark, is_emulated
+from hil.support.emulated_can_mark import Emulation, Mark, is_emulated
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 

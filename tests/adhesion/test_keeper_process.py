@@ -15,11 +15,11 @@ from contextlib import closing, contextmanager
 import pytest
 from kills import commanded, end_keeper
 
+from hil.core.errors import DeviceError, UsageError
 from hil.drivers.adhesion.keeper import client, door, understudy
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.door import Door
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.vocabulary.errors import DeviceError, UsageError
 
 POINT = SetPoint("duty", 0.3)
 
@@ -50,7 +50,7 @@ def is_unkept(spec):
 def emulating(spec):
     """A process that says that it emulates the fan's bus."""
     mark = f"Mark({spec.bus!r}, {spec.bitrate})"
-    code = f"from hil.vocabulary.emulated_bus import Mark; marked = {mark}; print(); input()"
+    code = f"from hil.support.emulated_can_mark import Mark; marked = {mark}; print(); input()"
     command = [sys.executable, "-c", code]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as emulator:
         emulator.stdout.readline()

@@ -13,7 +13,7 @@ import pytest
 from kills import both, end_keeper, wait_until
 from wall_trials import bench_driving, robot_on_the_wall
 
-from hil.bench.adhesion import keeper_spec
+from hil.bench.fan_commands import keeper_spec
 from hil.config.loading import load_bench
 
 pytestmark = pytest.mark.timeout(120)

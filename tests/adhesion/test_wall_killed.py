@@ -4,7 +4,7 @@ import pytest
 from kills import end_keeper
 from wall_trials import benches_killed, keepers_killed, robot_on_the_wall
 
-from hil.bench.adhesion import keeper_spec
+from hil.bench.fan_commands import keeper_spec
 from hil.config.loading import load_bench
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(3600)]

@@ -10,8 +10,8 @@ import time
 import numpy as np
 
 from hil.bench import open_bench
+from hil.core.errors import HilError
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import HilError
 from tests import patience
 
 PATIENT = {"servos.reply_slack_s": 0.02, "servos.retry_budget_s": 0.02, "imu.reply_timeout_s": 0.04}

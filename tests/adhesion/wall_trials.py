@@ -17,10 +17,10 @@ import can
 import tomli_w
 from kills import both, keeper_pid, wait_until
 
-from hil.bench.adhesion import keeper_spec
+from hil.bench.fan_commands import keeper_spec
 from hil.config.loading import load_bench
-from hil.vocabulary.device import Connection
-from hil.vocabulary.kinds import kinds
+from hil.core.device import Connection
+from hil.core.registry import kinds
 from tests.patience import FANLESS, PATIENT
 
 FOLDER = Path(__file__).parent

@@ -8,17 +8,17 @@ import pytest
 from worlds import ON, duty_frame, fan_world, heard, keep, send
 
 from hil.config.adhesion import VescConfig
-from hil.fakes.adhesion import frames
+from hil.fakes.adhesion import vesc_frames
 
 VECTORS = json.loads((Path(__file__).parents[1] / "golden" / "vesc_frames.json").read_text())
-DBC = Path(frames.__file__).parents[2] / "drivers" / "adhesion" / "vesc" / "vesc.dbc"
+DBC = Path(vesc_frames.__file__).parents[2] / "drivers" / "adhesion" / "vesc" / "vesc.dbc"
 S = 1_000_000_000
 
 
 @pytest.mark.parametrize("order", VECTORS["orders"], ids=lambda o: f"{o['packet']} {o['value']}")
 def test_orders_are_understood_byte_by_byte(order):
     frame_id, data = int(order["id"], 16), bytes.fromhex(order["data"])
-    assert frames.command_value(frame_id >> 8, data) == pytest.approx(order["value"])
+    assert vesc_frames.command_value(frame_id >> 8, data) == pytest.approx(order["value"])
     config = VescConfig(controller_id=min(order["controller_id"], 254))
     with fan_world(config=config, timeout_s=1.0) as (_world, clock, node, bus):
         clock.sleep_until_ns(S)
@@ -31,9 +31,9 @@ def test_reports_have_the_bytes_that_were_written_out_by_hand():
     report = {
         r["is"]: (r["id"], bytes.fromhex(r["data"])) for r in VECTORS["reports"][:7] if r["id"][2:] == "07"
     }
-    assert frames.status_1(60000, 30.0, 0.5) == report["Status"][1]
-    assert frames.status_4(45.0, -5.0, 30.0)[:6] == report["Status4"][1][:6]
-    assert frames.status_5(-6, 22.2) == report["Status5"][1]
+    assert vesc_frames.status_1(60000, 30.0, 0.5) == report["Status"][1]
+    assert vesc_frames.status_4(45.0, -5.0, 30.0)[:6] == report["Status4"][1][:6]
+    assert vesc_frames.status_5(-6, 22.2) == report["Status5"][1]
     with fan_world(config=VescConfig(controller_id=7), start="off") as (_w, clock, _node, bus):
         ping = next(p for p in VECTORS["pings"] if p["controller_id"] == 7)
         send(bus, int(ping["id"], 16), bytes.fromhex(ping["data"]))
@@ -90,7 +90,7 @@ def test_without_commands_the_motor_is_released_after_the_time_out_and_the_robot
 
 
 def _holding(joint):
-    from hil.fakes.plant_api import JointCommand
+    from hil.fakes.body_interface import JointCommand
 
     return JointCommand("velocity" if joint < 4 else "position", 0.0)
 

@@ -6,11 +6,11 @@ import pytest
 from worlds import ON, fan_world
 
 from hil.config.adhesion import VescConfig
-from hil.devices.adhesion.in_world import KeptInWorld
-from hil.drivers.adhesion.fan import VescFan
+from hil.core.errors import DeviceError, DeviceTimeoutError, UsageError
+from hil.core.signals import Status
+from hil.devices.adhesion.emulated_keeper import KeptInWorld
+from hil.drivers.adhesion.vesc_fan import VescFan
 from hil.fakes.adhesion import AdhesionTruthOptions, VescNode
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, UsageError
-from hil.vocabulary.signals import Status
 
 S = 1_000_000_000
 

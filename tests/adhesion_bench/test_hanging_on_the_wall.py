@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 import hil
-from hil.bench.hanging import Hanging
+from hil.bench.hold.preload import Hanging
 from hil.bench.settings import adhesion_limits, thrust_wanted_n
 from hil.config.loading import load_bench
+from hil.core.errors import DeviceError, SafetyStop, UsageError
 from hil.procedure.faults import cells_of
-from hil.procedure.faults.driving import run_cell
-from hil.procedure.tracking import stand
+from hil.procedure.faults.drive import run_cell
+from hil.procedure.tracking_errors import stand
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import DeviceError, SafetyStop, UsageError
 
 CLIMB = line((0, 0, 0), (0.12, 0, 0), duration_s=4.0)
 COLD = {"emulation.adhesion.start": "tethered", "emulation.thrust.start": "tethered"}
@@ -221,7 +221,7 @@ def test_on_the_floor_nothing_waits_for_a_fan():
     ],
 )
 def test_what_cannot_be_meant_is_named_by_its_key(keys, told):
-    with pytest.raises(hil.vocabulary.errors.ConfigError, match=told):
+    with pytest.raises(hil.core.errors.ConfigError, match=told):
         hil.open_bench("emulated", overrides=keys)
     assert load_bench("emulated").adhesion.controller_id == 1
 

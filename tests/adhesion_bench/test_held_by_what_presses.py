@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import hil
-from hil.bench.pressing import RUN_DOWN_S
+from hil.bench.hold.adhesion_force import RUN_DOWN_S
+from hil.core.errors import SafetyStop
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import SafetyStop
 
 CLIMB = line((0, 0, 0), (0.12, 0, 0), duration_s=4.0)
 

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.bench.left_alone import LeftAlone, least_push_n
-from hil.bench.pressing import RUN_DOWN_S, PressWatch
+from hil.bench.hold.adhesion_force import RUN_DOWN_S, PressWatch
+from hil.bench.hold.propeller_handover import LeftAlone, least_push_n
 from hil.bench.settings import adhesion_limits
 from hil.config.loading import load_bench
 from hil.config.thrust import TeensyConfig, ThrustConfig
-from hil.vocabulary.errors import DeviceError
-from hil.vocabulary.signals import LoadCellSample, Stamp, Status
+from hil.core.errors import DeviceError
+from hil.core.signals import LoadCellSample, Stamp, Status
 
 LIMITS = replace(adhesion_limits(load_bench("emulated")), nominal_thrust_n=0.0, zero_n=0.0)
 NEED_N = LIMITS.statics.needed_n(0.0, 0.0)

@@ -9,30 +9,30 @@ import pytest
 from worlds import duty_frame, heard, send
 
 import hil
-from hil.bench.discover import Discovery
-from hil.bench.hanging import Hanging
+from hil.bench.doctor.discovery import Discovery
+from hil.bench.hold.preload import Hanging
 from hil.bench.settings import thrust_wanted_n
 from hil.config.adhesion import VescConfig
 from hil.config.loading import load_bench
 from hil.config.robot import RobotConfig
-from hil.devices.adhesion.in_world import KeptInWorld
-from hil.devices.adhesion.vesc import Vesc
+from hil.core.device import Search
+from hil.core.errors import ConfigError, DeviceError, DeviceTimeoutError, SafetyStop, UsageError
+from hil.core.signals import Status
+from hil.devices.adhesion.emulated_keeper import KeptInWorld
+from hil.devices.adhesion.vesc_model import Vesc
 from hil.devices.thrust.vesc import VescPropellers
 from hil.devices.thrust.vesc.config import VescThrustConfig
 from hil.devices.thrust.vesc.driver import VescThrust
-from hil.devices.thrust.vesc.propellers import PropellerNode, VescThrustTruthOptions, propellers
+from hil.devices.thrust.vesc.emulated_propellers import PropellerNode, VescThrustTruthOptions, propellers
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.dialects import dialect
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.fakes.can_wire import CanChannel, WorldBus
+from hil.fakes.active_faults import FaultPlan
+from hil.fakes.can_channel import CanChannel, WorldBus
 from hil.fakes.fault import parse_fault
-from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import make_plant
 from hil.fakes.world import VirtualClock, World
 from hil.robot.trajectories import line
-from hil.vocabulary.device import Search
-from hil.vocabulary.errors import ConfigError, DeviceError, DeviceTimeoutError, SafetyStop, UsageError
-from hil.vocabulary.signals import Status
 
 S = 1_000_000_000
 CLIMB = line((0, 0, 0), (0.12, 0, 0), duration_s=4.0)

@@ -8,10 +8,10 @@ import numpy as np
 
 from hil.config.adhesion import VescConfig
 from hil.config.robot import RobotConfig
+from hil.fakes.active_faults import FaultPlan
 from hil.fakes.adhesion import AdhesionTruthOptions, VescNode
-from hil.fakes.can_wire import CanChannel
+from hil.fakes.can_channel import CanChannel
 from hil.fakes.fault import parse_fault
-from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import make_plant
 from hil.fakes.world import VirtualClock, World
 

@@ -11,11 +11,11 @@ import pytest
 from hil.config.robot import RobotConfig
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.driver import DroneCanFan
-from hil.devices.adhesion.dronecan.node import DroneCanNode, DroneCanTruthOptions
-from hil.devices.adhesion.in_world import KeptInWorld
-from hil.fakes.can_wire import CanChannel
+from hil.devices.adhesion.dronecan.emulated_node import DroneCanNode, DroneCanTruthOptions
+from hil.devices.adhesion.emulated_keeper import KeptInWorld
+from hil.fakes.active_faults import FaultPlan
+from hil.fakes.can_channel import CanChannel
 from hil.fakes.fault import parse_fault
-from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import make_plant
 from hil.fakes.world import VirtualClock, World
 

@@ -6,15 +6,15 @@ import can
 import pytest
 
 from hil.bench import open_bench
-from hil.devices.adhesion.dronecan import library as libraries
+from hil.core.errors import ConfigError, DeviceError, DeviceTimeoutError, UsageError
+from hil.core.signals import Status
+from hil.devices.adhesion.dronecan import dronecan_library as libraries
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.driver import DroneCanFan
-from hil.devices.adhesion.in_world import KeptInWorld
+from hil.devices.adhesion.emulated_keeper import KeptInWorld
 from hil.drivers.adhesion.keeper.dialects import dialect
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.drivers.can_link import CanLink
-from hil.vocabulary.errors import ConfigError, DeviceError, DeviceTimeoutError, UsageError
-from hil.vocabulary.signals import Status
+from hil.drivers.links.can_bus import CanLink
 
 dronecan = pytest.importorskip("dronecan", reason="the extra dronecan is not installed")
 COMMON = dronecan.driver.common

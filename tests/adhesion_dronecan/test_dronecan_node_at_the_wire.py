@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
 
-from hil.fakes.can_face import CanFace
-from hil.fakes.loopback import free_udp_port
+from hil.core.clock import MonotonicClock
+from hil.fakes.can_server import CanFace
+from hil.fakes.free_port import free_udp_port
 from hil.fakes.server import EmulationServer
-from hil.vocabulary.clock import MonotonicClock
 
 pytest.importorskip("dronecan", reason="the extra dronecan is not installed")
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "adhesion.md"

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import hil
-from hil.bench.beginning import must_begin_where_it_stands
-from hil.procedure.tracking import stand
+from hil.bench.drive_start import must_begin_where_it_stands
+from hil.core.errors import TrajectoryError
+from hil.procedure.tracking_errors import stand
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import TrajectoryError
 
 UP = line((0, 0, 0), (0.1, 0, 0), duration_s=2.5)
 

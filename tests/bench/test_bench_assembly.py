@@ -9,8 +9,8 @@ import pytest
 
 import hil
 from hil.config.loading import load_bench
+from hil.core.errors import ConfigError, FaultNotSupportedError, SafetyStop, TrajectoryError, UsageError
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import ConfigError, FaultNotSupportedError, SafetyStop, TrajectoryError, UsageError
 from tests.patience import FANLESS, PATIENT
 
 pytestmark = pytest.mark.usefixtures("warm_commands")

@@ -7,8 +7,8 @@ import pytest
 
 from hil.bench import open_bench
 from hil.config.loading import load_bench, validate
+from hil.core.errors import ConfigError
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import ConfigError
 from tests.patience import FANLESS
 
 KNOWN = {"tracker.scale": 1.01, "tracker.scale_sigma": 0.0012}

@@ -6,8 +6,8 @@ import pytest
 import hil
 from hil.cli import main
 from hil.config.loading import load_bench
+from hil.core.errors import ConfigError, UsageError
 from hil.robot.trajectories import circle, line, rotation, scan, through
-from hil.vocabulary.errors import ConfigError, UsageError
 
 ORIGIN = (0.0, 0.0, 0.0)
 

@@ -8,8 +8,8 @@ import pytest
 from hil.bench import open_bench
 from hil.cli import main
 from hil.config.loading import load_bench
+from hil.core.errors import ConfigError
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import ConfigError
 from tests.patience import FANLESS
 
 MUJOCO = {"emulation.plant": "mujoco"}

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 import hil
-from hil.bench.discover import discover
-from hil.bench.doctor import examine
+from hil.bench.doctor.discovery import discover
+from hil.bench.doctor.examination import examine
 from hil.bench.emulation import build_world, connect_in_process
 from hil.config.loading import load_bench
 from hil.config.servo_models import servo_model
 from hil.config.servos import ServosConfig
+from hil.core.errors import ConfigError
+from hil.core.signals import ServoSetpoint
 from hil.drivers.servos import DynamixelServos
 from hil.fakes.plant.parameters import nominal_joints
 from hil.fakes.world import VirtualClock
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.signals import ServoSetpoint
 
 if sys.version_info >= (3, 11):
     import tomllib

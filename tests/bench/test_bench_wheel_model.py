@@ -6,12 +6,12 @@ import pytest
 import tomli_w
 
 import hil
-from hil.bench.doctor import examine
-from hil.calibration.artefact import save_calibration
+from hil.bench.doctor.examination import examine
+from hil.calibration.calibration_file import save_calibration
 from hil.config.loading import load_bench
+from hil.core.errors import ConfigError
 from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording
-from hil.vocabulary.errors import ConfigError
 from tests.procedures.made_calibrations import made
 
 MODEL = "estimator.wheels.model"

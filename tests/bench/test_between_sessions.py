@@ -6,14 +6,14 @@ import re
 import pytest
 
 from hil.bench import open_bench
-from hil.bench.doctor import examine
+from hil.bench.doctor.examination import examine
 from hil.config.loading import load_bench
-from hil.config.record import Figure, NewPart, Part, RobotRecord
-from hil.config.record.overlay import identity
-from hil.procedure.samples import inertial, poses
+from hil.config.robot_record import Figure, NewPart, Part, RobotRecord
+from hil.config.robot_record.overlay import identity
+from hil.core.errors import DeviceError, SafetyStop
+from hil.core.geometry import quat_from_yaw
+from hil.procedure.sample_arrays import inertial, poses
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import DeviceError, SafetyStop
-from hil.vocabulary.geometry import quat_from_yaw
 from tests.patience import FANLESS
 
 SEED = 5

@@ -11,8 +11,8 @@ from hil.bench.contract import losses
 from hil.bench.contract.losses import loses_next_to_nothing
 from hil.bench.contract.stillness import sees_no_motion
 from hil.bench.contract.subject import Broken, Subject
-from hil.ring.loop import LoopStatistics
-from hil.vocabulary.clock import NS_PER_S
+from hil.core.clock import NS_PER_S
+from hil.loop.control_loop import LoopStatistics
 
 
 def told(kind, altered, check=sees_no_motion):

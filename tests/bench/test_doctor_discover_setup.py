@@ -10,14 +10,14 @@ from itertools import pairwise
 import pytest
 
 import hil
-from hil.bench.discover import Discovery, discover
-from hil.bench.doctor import examine
+from hil.bench.doctor.discovery import Discovery, discover
+from hil.bench.doctor.examination import examine
 from hil.bench.emulation import build_world, connect_in_process
 from hil.cli import main
 from hil.config.loading import load_bench
+from hil.core.signals import KINDS
 from hil.drivers.servos import scan
 from hil.fakes.world import VirtualClock
-from hil.vocabulary.signals import KINDS
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 
@@ -188,7 +188,7 @@ def test_discover_finds_everything_and_its_file_opens_a_healthy_bench(
 
 def test_discover_names_a_port_at_which_nothing_answered_beside_one_where_something_did(monkeypatch, capsys):
     answered = Discovery(sections={"imu": {"port": "chip://imu"}}, silent=["chip://nope"])
-    monkeypatch.setattr("hil.bench.discover.discover", lambda *_, **__: answered)
+    monkeypatch.setattr("hil.bench.doctor.discovery.discover", lambda *_, **__: answered)
     assert main(["discover", "--on-stand", "--port", "chip://imu", "--port", "chip://nope"]) == 3
     said = capsys.readouterr()
     assert "hil: nothing answered at chip://nope; check its name, power and cable" in said.err

@@ -8,12 +8,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.bench.host import Host, host_findings, udev_rules
-from hil.bench.host.findings import _GRABBERS
+from hil.bench.doctor.host_findings import _GRABBERS, Host, host_findings
+from hil.bench.doctor.host_rules import udev_rules
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.drivers.serial_url import cannot_open
-from hil.vocabulary.port_users import programs_with
+from hil.drivers.links.serial_url import cannot_open
+from hil.support.port_users import programs_with
 
 
 def write(path, text):

@@ -8,16 +8,16 @@ from contextlib import contextmanager
 import pytest
 
 import hil
-from hil.bench.doctor import examine
+from hil.bench.doctor.examination import examine
+from hil.bench.doctor.host_findings import Host
 from hil.bench.drivers import make_rig
 from hil.bench.emulation import build_world, connect_in_process
-from hil.bench.host import Host
 from hil.config.loading import load_bench
-from hil.drivers.serial_url import latency_timer
+from hil.core.clock import MonotonicClock
+from hil.core.signals import KINDS
+from hil.drivers.links.serial_url import latency_timer
 from hil.drivers.servos import scan, set_up
 from hil.fakes.world import VirtualClock
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.signals import KINDS
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 

@@ -4,9 +4,9 @@ import sys
 
 import pytest
 
-from hil.bench.process import EmulatorProcess
+from hil.bench.emulator_process import EmulatorProcess
 from hil.config.loading import load_bench
-from hil.vocabulary.errors import DeviceError
+from hil.core.errors import DeviceError
 
 WORDS = "thing (hil-evil 6.6): on_due() raised RuntimeError: boom"
 

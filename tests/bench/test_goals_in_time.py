@@ -3,9 +3,9 @@
 import pytest
 
 import hil
+from hil.core.errors import HilError
 from hil.fakes.servos.bus import ServoBus
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import HilError
 
 AT_S, SOON_S, LOOK_NS = 1.5, 0.15, 1_000_000
 CLIMB = line((0, 0, 0), (0.12, 0, 0), duration_s=2.4)

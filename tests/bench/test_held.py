@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import hil
+from hil.core.errors import ConfigError, DeviceError, HilError, SafetyStop, UsageError
+from hil.core.signals import SERVOS
 from hil.fakes.fault import parse_fault
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import ConfigError, DeviceError, HilError, SafetyStop, UsageError
-from hil.vocabulary.signals import SERVOS
 from tests.patience import FANLESS
 
 SECOND = 1_000_000_000
@@ -196,7 +196,7 @@ def left_without_servos(**how):
 
 def test_a_script_that_leaves_the_robot_falling_is_warned_once(caplog):
     bench = left_without_servos()
-    told = [r.getMessage() for r in caplog.records if r.name == "hil.bench.held_rig"]
+    told = [r.getMessage() for r in caplog.records if r.name == "hil.bench.hold.held_devices"]
     assert told == [f"bench emulated: the robot is left {bench.held}"]
     assert bench.held.lost
 
@@ -287,7 +287,7 @@ def test_with_the_bus_away_the_wheels_rest_within_200_ms(kind):
 def test_wheels_that_a_program_forgot_come_to_rest_and_stay_looked_after():
     with hil.open_bench("emulated", seed=1, overrides=FANLESS) as bench:
         steering = np.zeros(4)
-        bench.rig.servos.command(hil.vocabulary.signals.ServoSetpoint(np.full(4, 1.0), steering))
+        bench.rig.servos.command(hil.core.signals.ServoSetpoint(np.full(4, 1.0), steering))
         wait(bench, 0.05)
         assert bench.truth().joint_velocity_rad_s[:4].min() > 0.3
         wait(bench, 0.25)

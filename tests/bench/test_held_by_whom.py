@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import hil
-from hil.bench.sighting import JOINTS, Travel
+from hil.bench.hold.rest import JOINTS, Travel
+from hil.core.device import DeviceKind
+from hil.core.errors import SafetyStop
 from hil.devices.servos import KIND as SERVO_KIND
 from hil.devices.tracker import KIND as CAMERA_KIND
 from hil.robot.trajectories import line
-from hil.vocabulary.device import DeviceKind
-from hil.vocabulary.errors import SafetyStop
 
 CLIMB = line((0, 0, 0), (0.4, 0, 0), duration_s=8.0)
 HOP = line((0, 0, 0), (0.12, 0, 0), duration_s=2.4)
@@ -237,9 +237,9 @@ def test_held_names_everybody_and_what_presses():
 
 def test_the_accelerometer_sees_a_robot_that_speeds_up(monkeypatch):
     """What it feels differs from its weight by more than a data sheet allows."""
-    from hil.bench import holding
+    from hil.bench.hold import monitor
 
-    monkeypatch.setattr(holding, "_felt_m_s2", lambda sample: 7.0)
+    monkeypatch.setattr(monitor, "_felt_m_s2", lambda sample: 7.0)
     held, *_ = left(way=HOP, **BRIEFLY)
     assert held.state == "NOT HELD"
     assert "speeding up" in held.why

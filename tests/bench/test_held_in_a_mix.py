@@ -11,12 +11,12 @@ import pytest
 import hil
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
-from hil.procedure.bench_source import BenchSource
+from hil.core.clock import MonotonicClock
+from hil.core.errors import SafetyStop
+from hil.procedure.bench_request import BenchSource
 from hil.procedure.declaration import Measurement, Procedure
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import SafetyStop
 
 HOP = line((0, 0, 0), (0.12, 0, 0), duration_s=2.4)
 SEES = ("imu", "tracker", "mocap")

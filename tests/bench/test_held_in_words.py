@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hil.bench.held import Held, abandoned, held_in_words, lacking_in_words, seen_in_words
-from hil.vocabulary.signals import SERVOS, ServoHold
+from hil.bench.hold.result import Held, abandoned, held_in_words, lacking_in_words, seen_in_words
+from hil.core.signals import SERVOS, ServoHold
 
 
 @pytest.mark.parametrize(

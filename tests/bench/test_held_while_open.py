@@ -6,8 +6,8 @@ import pytest
 
 import hil
 from hil.config.thrust import TeensyConfig
+from hil.core.errors import UsageError
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import UsageError
 
 SHORT = line((0.0, 0.0, 0.0), (0.06, 0.0, 0.0), duration_s=1.5)
 

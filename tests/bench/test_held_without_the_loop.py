@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import hil
+from hil.core.clock import nanoseconds
+from hil.core.errors import SafetyStop
 from hil.fakes.servos.bus import ServoBus
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import nanoseconds
-from hil.vocabulary.errors import SafetyStop
 
 WAY = line((0.0, 0.0, 0.0), (0.12, 0.0, 0.0), duration_s=3.0)
 ENDED_S = 4.5

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import hil
-from hil.bench.leaps import Leaps
+from hil.bench.hold.frame_jumps import Leaps
+from hil.core.clock import nanoseconds
+from hil.core.errors import SafetyStop
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import nanoseconds
-from hil.vocabulary.errors import SafetyStop
 from tests.patience import FANLESS
 
 FAR = np.array([0.12, 0.0, 0.0])
@@ -94,7 +94,7 @@ def test_the_next_drive_does_not_begin_where_motion_capture_has_leapt_to(profile
         drive(bench, 0)
         bench.look()
         if gone:
-            with pytest.raises(hil.vocabulary.errors.DeviceTimeoutError):
+            with pytest.raises(hil.core.errors.DeviceTimeoutError):
                 drive(bench, 1)
             assert bench.truth().pose_body_in_wall[0] < 0.24
         else:

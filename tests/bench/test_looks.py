@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from hil.bench.drivers import model_of
-from hil.bench.promises import broken_promises
+from hil.bench.third_party.contract_findings import broken_promises
 from hil.config.load_cells import LineCellsConfig
 from hil.config.loading import load_bench
-from hil.devices.looks import Watched, losses
-from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import AdhesionSample, Status
+from hil.core.registry import kinds
+from hil.core.signals import AdhesionSample, Status
+from hil.devices.doctor_watch import Watched, losses
 from tests.recording.mcap_cases import driving_record
 
 INPUTS = driving_record(0).inputs

@@ -12,19 +12,19 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.bench.discover import what_is_written
+from hil.bench.doctor.discovery import what_is_written
+from hil.bench.doctor.protected_ports import ports_that_hold, why_not_asked
 from hil.bench.emulation import build_world
-from hil.bench.ports_not_asked import ports_that_hold, why_not_asked
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.config.thrust import TeensyConfig
-from hil.devices.imu.microstrain.chip import MicrostrainChip
-from hil.drivers.serial_url import open_serial
+from hil.core.registry import kinds
+from hil.devices.imu.microstrain.emulated_chip import MicrostrainChip
+from hil.drivers.links.serial_url import open_serial
 from hil.fakes.imu import Bno055Chip
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.thrust import TeensyChip, ThrustTruthOptions
 from hil.fakes.world import VirtualClock, World
-from hil.vocabulary.kinds import kinds
 from tests.turning_plant import TurningPlant
 
 SETTINGS = {"baud": 115_200, "timeout_s": 0.0, "write_timeout_s": 0.1}

@@ -8,17 +8,17 @@ import time
 import pytest
 
 import hil
-from hil.bench.replug import Replugged, replugged
+from hil.bench.reconnect import Replugged, replugged
 from hil.bench.settings import fail_limits
 from hil.cli import main
 from hil.config.loading import load_bench
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DeviceError, DeviceTimeoutError
+from hil.core.interfaces import Sensor
+from hil.core.signals import Status, worst
 from hil.fakes.world import VirtualClock
 from hil.live import LivePlan, LiveSession
 from hil.recording.mcap_reader import read_cycles
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
-from hil.vocabulary.interfaces import Sensor
-from hil.vocabulary.signals import Status, worst
 
 CLOCK = MonotonicClock()
 
@@ -65,7 +65,7 @@ def wait_for(condition, seconds=5.0):
 
 @pytest.fixture
 def plug(monkeypatch):
-    monkeypatch.setattr("hil.bench.replug._PAUSE_S", 0.002)
+    monkeypatch.setattr("hil.bench.reconnect._PAUSE_S", 0.002)
     return Plug()
 
 

@@ -7,18 +7,18 @@ import threading
 import pytest
 from turning_plant import TurningPlant
 
-from hil.bench.replug import Replugged
-from hil.devices.imu.microstrain.chip import MicrostrainChip
+from hil.bench.reconnect import Replugged
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DeviceError, DeviceTimeoutError
+from hil.core.signals import Status, worst
 from hil.devices.imu.microstrain.config import MicrostrainConfig
 from hil.devices.imu.microstrain.driver import MicrostrainImu
-from hil.drivers import serial_url
+from hil.devices.imu.microstrain.emulated_chip import MicrostrainChip
+from hil.drivers.links import serial_url
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
-from hil.vocabulary.signals import Status, worst
 
 CLOCK = MonotonicClock()
 PERIOD_NS = 10_000_000

@@ -8,10 +8,10 @@ import pytest
 from click.testing import CliRunner
 
 import hil
-from hil.cli import main, start
+from hil.cli import main, start_question
 from hil.config.loading import load_bench
+from hil.core.errors import ConfigError, UsageError
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import ConfigError, UsageError
 
 REAL = 'schema = 1\nname = "blind"\n[servos]\nport = "/dev/no-such-port"\n[imu]\nbackend = "emulated"\n'
 WALL = """
@@ -97,23 +97,23 @@ def test_a_pose_that_is_none_is_refused(command, capsys):
     ],
 )
 def test_a_start_is_metres_and_radians_or_degrees(text, pose):
-    assert start.parse_start(text) == pytest.approx(pose)
+    assert start_question.parse_start(text) == pytest.approx(pose)
 
 
 @pytest.mark.parametrize("text", ["", "1,2", "1,2,3,4", "a,b,c", "1,2,nan", "inf,0,0", "1,2,deg"])
 def test_what_is_no_start_is_told_how_it_is_written(text):
     with pytest.raises(UsageError, match="x,y,theta: m, m, rad"):
-        start.parse_start(text)
+        start_question.parse_start(text)
 
 
 def test_at_a_terminal_it_is_asked_until_it_is_answered(blind, monkeypatch):
     runner, config = CliRunner(), load_bench(blind)
     with runner.isolation(input="there\n0.5,1,0\n") as (_, err, *_rest):
         monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
-        assert start.asked_start(config) == {start.KEY: (0.5, 1.0, 0.0)}
+        assert start_question.asked_start(config) == {start_question.KEY: (0.5, 1.0, 0.0)}
         asked = err.getvalue().decode()
     assert asked.count("blind: where does the robot stand? (x,y,theta: m, m, rad") == 2
-    assert start.asked_start(load_bench("emulated")) == {}
+    assert start_question.asked_start(load_bench("emulated")) == {}
 
 
 @pytest.mark.parametrize(

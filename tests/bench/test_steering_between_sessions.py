@@ -5,12 +5,12 @@ import json
 import pytest
 
 from hil.bench import open_bench
-from hil.bench.doctor import examine
-from hil.bench.steering_offsets import encoder_minus_servo
+from hil.bench.doctor.examination import examine
+from hil.bench.doctor.steering_offsets import encoder_minus_servo
 from hil.cli import main
-from hil.config.record import RobotRecord
+from hil.config.robot_record import RobotRecord
+from hil.core.errors import SafetyStop
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import SafetyStop
 
 WAY = line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0))
 

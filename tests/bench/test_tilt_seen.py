@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 import hil
-from hil.bench.doctor import examine
-from hil.bench.held import held_in_words
-from hil.bench.tilt import TiltWatch, tilt_finding, tilt_rad
+from hil.bench.doctor.examination import examine
+from hil.bench.hold.result import held_in_words
+from hil.bench.hold.tilt import TiltWatch, tilt_finding, tilt_rad
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
+from hil.core.errors import ConfigError, UsageError
+from hil.core.signals import Status
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import ConfigError, UsageError
-from hil.vocabulary.signals import Status
 
 HOP = line((0, 0, 0), (0.06, 0, 0), duration_s=2.0)
 

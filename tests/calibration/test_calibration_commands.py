@@ -8,10 +8,10 @@ import shutil
 import numpy as np
 import pytest
 
-from hil.calibration.artefact import read_calibration
+from hil.calibration.calibration_file import read_calibration
 from hil.cli import main
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.signals import WHEELS
+from hil.core.errors import ConfigError
+from hil.core.signals import WHEELS
 from tests.selected import every
 
 
@@ -347,7 +347,7 @@ def test_what_cannot_be_written_is_named_before_the_work(data, tmp_path, capsys,
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_text("kept")
     worked = []
-    monkeypatch.setattr("hil.recording.sources.read_recordings", lambda *a, **k: worked.append(a))
+    monkeypatch.setattr("hil.datasets.read.read_recordings", lambda *a, **k: worked.append(a))
     monkeypatch.setattr("hil.calibration.synthetic.make_set", lambda *a, **k: worked.append(a))
     for target in targets:
         path = target.format(proc="/proc/self") if "{" in target else str(tmp_path / target)
@@ -375,7 +375,7 @@ def test_a_read_only_folder_is_named(data, tmp_path, capsys):
 def test_nothing_is_half_written(tmp_path, capsys, monkeypatch):
     """The room runs out after three recordings: what was there stays, nothing new appears."""
     import hil.procedure.odometry_motions  # noqa: F401  binds it at import: not while it is another one
-    from hil.recording import plain_csv
+    from hil.datasets import plain_csv
 
     real, written = plain_csv.write_plain, []
 

@@ -6,18 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.calibration.blocks import reduce_recordings
 from hil.calibration.calibrate import calibrate
-from hil.calibration.caveats import beyond_driven, unpredicted, worse_as_twist
-from hil.calibration.driven import Driven, driven, mismatch
-from hil.calibration.nominal import Nominal
+from hil.calibration.excitation import Driven, driven, mismatch
 from hil.calibration.problem import RECOMMENDED, make_setting
 from hil.calibration.synthetic import MOTIONS, hidden_robot, make_set
 from hil.calibration.validation import Deployed
-from hil.recording.sources import read_recordings
+from hil.calibration.warnings import beyond_driven, unpredicted, worse_as_twist
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DataError
+from hil.datasets.blocks import reduce_recordings
+from hil.datasets.nominal import Nominal
+from hil.datasets.read import read_recordings
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DataError
 
 CAD = WheelGeometry.nominal()
 CLOCK = MonotonicClock()

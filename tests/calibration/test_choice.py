@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from hil.calibration import calibrate as calibrate_module
-from hil.calibration import choice as choice_module
-from hil.calibration.artefact import calibration_file
+from hil.calibration import model_choice as choice_module
 from hil.calibration.calibrate import calibrate
-from hil.calibration.choice import Candidate, Choice, candidates, choose
-from hil.calibration.nominal import Nominal
+from hil.calibration.calibration_file import calibration_file
+from hil.calibration.model_choice import Candidate, Choice, candidates, choose
 from hil.calibration.problem import make_setting
 from hil.calibration.synthetic import _springs, hidden_robot, make_set
 from hil.calibration.validation import table_of
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DataError
+from hil.datasets.nominal import Nominal
 from hil.robot.contact_laws import creep_motion
 from hil.robot.kinematics import WheelGeometry, projection, wheel_vectors
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DataError
 
 SETTING = make_setting("recommended")
 BRIEF = ("line_x", "line_y", "circle_ccw")

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.calibration.artefact import read_calibration
+from hil.calibration.calibration_file import read_calibration
 from hil.calibration.corrupt import corrupt
-from hil.calibration.nominal import Nominal
 from hil.calibration.synthetic import MOTIONS, hidden_robot, make_set
 from hil.cli import main
-from hil.recording.sources import read_recordings
+from hil.datasets.nominal import Nominal
+from hil.datasets.read import read_recordings
 from tests.calibration.spoilt_sets import KINDS, make_drives
 from tests.selected import every
 

@@ -5,15 +5,15 @@ import gzip
 import numpy as np
 import pytest
 
-from hil.calibration.cleaning import Log
-from hil.calibration.coverage import covered
-from hil.calibration.datasets import build_recording
-from hil.calibration.nominal import Nominal
 from hil.cli import main
-from hil.recording.plain_csv import write_plain
-from hil.recording.sources import read_recordings
+from hil.core.errors import DataError
+from hil.datasets.cleaning import Log
+from hil.datasets.coverage import covered
+from hil.datasets.dataset import build_recording
+from hil.datasets.nominal import Nominal
+from hil.datasets.plain_csv import write_plain
+from hil.datasets.read import read_recordings
 from hil.robot.kinematics import NOMINAL_RADIUS_M
-from hil.vocabulary.errors import DataError
 
 SPEED_M_S = 0.1
 DRIVES = ((3.0, 8.0), (11.0, 16.0))

@@ -8,7 +8,7 @@ import pytest
 
 from hil.calibration.evaluation import position_rmse, track
 from hil.cli import main
-from hil.recording.plain_csv import read_plain
+from hil.datasets.plain_csv import read_plain
 from hil.robot.kinematics import WheelGeometry
 from tests.selected import every
 

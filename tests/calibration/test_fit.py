@@ -5,20 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.calibration.blocks import reduce_recordings
 from hil.calibration.calibrate import calibrate
 from hil.calibration.evaluation import evaluate, track
 from hil.calibration.fitting import fit
 from hil.calibration.identifiability import identifiability, play_shift, standard_errors
 from hil.calibration.motion_models import make_model
 from hil.calibration.problem import PAPER, RECOMMENDED, Problem, make_setting
-from hil.calibration.sampling import truth_window
 from hil.calibration.solvers import METHODS, interior_point, levenberg_marquardt, solve
 from hil.calibration.synthetic import OTHER_MOTIONS, hidden_robot, make_set
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DataError, UsageError
+from hil.datasets.blocks import reduce_recordings
+from hil.datasets.sampling import truth_window
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DataError, UsageError
-from hil.vocabulary.progress import WHOLE
+from hil.support.progress import WHOLE
 from tests.selected import every
 
 CAD = WheelGeometry.nominal()

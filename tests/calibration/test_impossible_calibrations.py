@@ -5,10 +5,10 @@ import json
 import pytest
 import tomli_w
 
-from hil.calibration.artefact import CalibrationFile, read_calibration, save_calibration
+from hil.calibration.calibration_file import CalibrationFile, read_calibration, save_calibration
 from hil.calibration.parameters import SHARE
 from hil.cli import main
-from hil.vocabulary.errors import ConfigError
+from hil.core.errors import ConfigError
 
 X, Y, R = (0.1125, -0.1125, -0.1125, 0.1125), (0.1125, 0.1125, -0.1125, -0.1125), (0.0254,) * 4
 PAPER = {"x_w_m": X, "y_w_m": Y, "r_m": R}

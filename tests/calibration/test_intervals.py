@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from hil.calibration import identifiability as judged
-from hil.calibration.blocks import reduce_recordings
 from hil.calibration.calibrate import calibrate
 from hil.calibration.fitting import fit
 from hil.calibration.identifiability import data_information, group_shift, standard_errors
 from hil.calibration.problem import RECOMMENDED, make_setting
 from hil.calibration.synthetic import hidden_robot, make_set
+from hil.core.clock import MonotonicClock
+from hil.datasets.blocks import reduce_recordings
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import MonotonicClock
 
 CAD = WheelGeometry.nominal()
 BRIEF = ("line_x", "line_y", "circle_ccw", "rotation_cw")

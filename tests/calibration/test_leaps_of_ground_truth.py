@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from hil.calibration.calibrate import calibrate
-from hil.calibration.cleaning import Log
-from hil.calibration.datasets import build_recording
 from hil.calibration.evaluation import position_rmse, track
-from hil.calibration.nominal import Nominal
 from hil.calibration.problem import RECOMMENDED
 from hil.calibration.synthetic import hidden_robot, make_set, simulate
-from hil.recording.sources import read_recordings
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DataError
+from hil.datasets.cleaning import Log
+from hil.datasets.dataset import build_recording
+from hil.datasets.nominal import Nominal
+from hil.datasets.read import read_recordings
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DataError
 
 CAD = WheelGeometry.nominal()
 DROPPED = "ground-truth rows that leap away and back dropped"

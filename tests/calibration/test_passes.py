@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.calibration.blocks import reduce_recordings
 from hil.calibration.problem import PAPER, RECOMMENDED, Problem
 from hil.calibration.synthetic import hidden_robot, make_set
+from hil.datasets.blocks import reduce_recordings
 from hil.robot.kinematics import WheelGeometry
 
 TYRES = WheelGeometry.nominal().with_tyres([0.5, 1.4, 1.5, 0.6], 0.7)

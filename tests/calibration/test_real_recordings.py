@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.calibration.blocks import reduce_recordings
 from hil.calibration.calibrate import calibrate
 from hil.calibration.evaluation import evaluate, track
 from hil.calibration.fitting import fit
 from hil.calibration.problem import RECOMMENDED, make_setting
 from hil.cli.calibrate import _text
-from hil.recording.sources import read_recordings
+from hil.core.clock import MonotonicClock
+from hil.datasets.blocks import reduce_recordings
+from hil.datasets.read import read_recordings
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import MonotonicClock
 
 # Table II with its two misprints corrected from the raw data (arXiv 2509.04016).
 TABLE_2 = {

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from hil.calibration.calibrate import calibrate
-from hil.calibration.nominal import Nominal
 from hil.calibration.problem import RECOMMENDED
-from hil.calibration.signs import check_signs, contradictions
 from hil.calibration.synthetic import MOTIONS, hidden_robot, make_set
 from hil.cli import main
-from hil.recording.plain_csv import write_plain
-from hil.recording.sources import read_recordings
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DataError
+from hil.datasets.nominal import Nominal
+from hil.datasets.plain_csv import write_plain
+from hil.datasets.read import read_recordings
+from hil.datasets.signs import check_signs, contradictions
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DataError
 
 CAD = WheelGeometry.nominal()
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.calibration.caveats import told_by
 from hil.calibration.synthetic import OTHER_MOTIONS, hidden_robot, make_set
-from hil.calibration.time_offset import different_clocks, time_offset_s
+from hil.calibration.warnings import told_by
 from hil.cli import main
-from hil.recording.plain_csv import write_plain
-from hil.recording.sources import read_recordings
+from hil.datasets.plain_csv import write_plain
+from hil.datasets.read import read_recordings
+from hil.datasets.time_offset import different_clocks, time_offset_s
 
 
 @pytest.fixture(scope="module")

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from hil.calibration.cleaning import Log
-from hil.calibration.datasets import build_recording
 from hil.calibration.synthetic import hidden_robot, simulate
 from hil.cli import main
-from hil.recording.plain_csv import write_plain
-from hil.vocabulary.errors import DataError
+from hil.core.errors import DataError
+from hil.datasets.cleaning import Log
+from hil.datasets.dataset import build_recording
+from hil.datasets.plain_csv import write_plain
 
 DEG = 180.0 / np.pi
 

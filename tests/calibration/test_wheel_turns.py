@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from hil.calibration.cleaning import Log
-from hil.calibration.datasets import build_recording
-from hil.calibration.turns import BY_RATES, WRAPS
-from hil.vocabulary.errors import DataError
+from hil.core.errors import DataError
+from hil.datasets.cleaning import Log
+from hil.datasets.dataset import build_recording
+from hil.datasets.wheel_turns import BY_RATES, WRAPS
 
 RADIUS_M, RATE_HZ, SPEED_RAD_S = 0.0254, 50.0, 3.15
 GAP = "wheel gaps over 0.1 s bridged"

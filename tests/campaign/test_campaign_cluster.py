@@ -15,7 +15,7 @@ from threading import Thread
 
 import pytest
 
-from hil.calibration.artefact import CalibrationFile, save_calibration
+from hil.calibration.calibration_file import CalibrationFile, save_calibration
 from hil.cli import main
 from hil.config.loading import load_bench
 

@@ -7,8 +7,8 @@ from contextlib import ExitStack
 
 import pytest
 
-from hil.procedure.campaign.ending import Strikes, close_once
-from hil.procedure.campaign.spread import spread
+from hil.procedure.campaign.cancellation import Strikes, close_once
+from hil.procedure.campaign.dask_run import spread
 
 
 def strike(number=signal.SIGINT):

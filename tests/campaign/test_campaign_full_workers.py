@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from hil.cli import main
-from hil.procedure import results
-from hil.procedure.campaign import cluster as campaign_cluster
-from hil.procedure.campaign.parcel import Parcel, parcel, unpacked
-from hil.vocabulary.errors import DataError
+from hil.core.errors import DataError
+from hil.procedure import result_files
+from hil.procedure.campaign import remote_workers as campaign_cluster
+from hil.procedure.campaign.worker_files import Parcel, parcel, unpacked
 
 distributed = pytest.importorskip("distributed", reason="Dask (the extra campaign) is not installed")
 
@@ -76,7 +76,7 @@ def campaign(capsys):
 
 def full(monkeypatch, *folders):
     """The disks of these folders take no result of a run; gives the seeds that were refused."""
-    usual, refused = results.put_whole, []
+    usual, refused = result_files.put_whole, []
 
     def put(path, content):
         if str(path).startswith(folders):
@@ -84,7 +84,7 @@ def full(monkeypatch, *folders):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         usual(path, content)
 
-    monkeypatch.setattr(results, "put_whole", put)
+    monkeypatch.setattr(result_files, "put_whole", put)
     return refused
 
 

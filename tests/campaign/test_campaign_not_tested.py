@@ -8,7 +8,7 @@ import os
 import pytest
 
 from hil.cli import main
-from hil.procedure import results
+from hil.procedure import result_files
 from hil.procedure.campaign import Case, Row, summarise
 
 SCRIPT = '''
@@ -89,14 +89,14 @@ def test_an_untested_failure_is_not_counted_either():
 
 def no_room_for(monkeypatch, *seeds):
     """The disk takes no result of these seeds."""
-    usual = results.put_whole
+    usual = result_files.put_whole
 
     def put(path, content):
         if path.parent.name in {f"seed={seed}" for seed in seeds}:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         usual(path, content)
 
-    monkeypatch.setattr(results, "put_whole", put)
+    monkeypatch.setattr(result_files, "put_whole", put)
 
 
 def test_a_run_that_left_no_result_is_lost_and_counts_as_neither_good_nor_bad(

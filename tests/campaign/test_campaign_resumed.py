@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from hil.cli import main
-from hil.procedure.campaign.kept_plan import alone_in
-from hil.procedure.scripts import modules_beside
-from hil.vocabulary import versions
-from hil.vocabulary.errors import UsageError
+from hil.core.errors import UsageError
+from hil.procedure.campaign.plan_file import alone_in
+from hil.procedure.procedure_lookup import modules_beside
+from hil.support import versions
 
 DRIVES = '''
 """Two checkpoints on one bench; the second one dies once."""
@@ -127,7 +127,7 @@ def test_other_versions_do_not_go_on_with_it(campaign, tmp_path, monkeypatch, ch
     (tmp_path / "plain.py").write_text(PLAIN)
     assert campaign("plain.py", "--seeds", "0", "--out", "o")[0] == 0
     here = versions.make()
-    monkeypatch.setattr("hil.procedure.campaign.kept_plan.make", lambda: {**here, changed: "another"})
+    monkeypatch.setattr("hil.procedure.campaign.plan_file.make", lambda: {**here, changed: "another"})
     code, _, said = campaign("plain.py", "--seeds", "0:2", "--out", "o", "--resume")
     assert (code, told in said) == (2, True), said
 

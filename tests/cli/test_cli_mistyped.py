@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from hil.bench import check_faults
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.vocabulary.errors import FaultNotSupportedError
+from hil.core.errors import FaultNotSupportedError
 
 OPENING = [
     "run bring_up",
@@ -45,7 +45,7 @@ def unopened(monkeypatch):
     def opened(*_, **__):
         raise AssertionError("the bench was opened")
 
-    monkeypatch.setattr("hil.ring.rig.Rig.open", opened)
+    monkeypatch.setattr("hil.loop.device_set.Rig.open", opened)
     monkeypatch.setattr("hil.bench.opening.EmulatorProcess", opened)
     monkeypatch.setattr("hil.fakes.server.EmulationServer.run", opened)
 

@@ -14,13 +14,13 @@ import pytest
 from hil.bench import open_bench, open_emulation
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.config.record import NewPart, Part, RobotRecord
-from hil.config.record.overlay import identity
+from hil.config.robot_record import NewPart, Part, RobotRecord
+from hil.config.robot_record.overlay import identity
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DeviceError
+from hil.core.registry import kinds
 from hil.procedure.faults import lost
 from hil.recording.mcap_writer import McapRecorder
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DeviceError
-from hil.vocabulary.kinds import kinds
 from tests.command_tree import leaves
 from tests.selected import every
 
@@ -114,7 +114,7 @@ def base(world, tmp_path, monkeypatch):
     def nobody(self):
         raise DeviceError("the robot", "is not commissioned in this test")
 
-    monkeypatch.setattr("hil.procedure.commission.running._Running.all", nobody)
+    monkeypatch.setattr("hil.procedure.commission.run._Running.all", nobody)
 
     monkeypatch.setattr("hil.procedure.acceptance._Running.all", nobody)
 
@@ -131,9 +131,9 @@ def base(world, tmp_path, monkeypatch):
     monkeypatch.setattr("hil.cli.emulate._PATIENCE_S", 0.0)
     monkeypatch.setattr("hil.cli.emulate._as_prompt_as_hardware", lambda fifo_priority: None)
     monkeypatch.setattr("hil.fakes.server.EmulationServer.run", lambda self, **_: self.close())
-    monkeypatch.setattr("hil.bench.discover.serial_ports", list)
-    monkeypatch.setattr("hil.bench.discover.kinds", lambda: dict(map(on_ports, kinds().items())))
-    monkeypatch.setattr("hil.vocabulary.clock.MonotonicClock", Hasty)
+    monkeypatch.setattr("hil.bench.doctor.discovery.serial_ports", list)
+    monkeypatch.setattr("hil.bench.doctor.discovery.kinds", lambda: dict(map(on_ports, kinds().items())))
+    monkeypatch.setattr("hil.core.clock.MonotonicClock", Hasty)
     return {
         "run": {"script": world / "idle.py"},
         "campaign": {"script": world / "idle.py", "seeds": "0", "workers": "0"},

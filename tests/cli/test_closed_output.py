@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hil.calibration.synthetic import hidden_robot, simulate
-from hil.recording.plain_csv import write_plain
+from hil.datasets.plain_csv import write_plain
 from tests.patience import patient_bench
 from tests.selected import every
 

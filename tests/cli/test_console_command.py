@@ -10,19 +10,19 @@ import sys
 import pytest
 
 from hil.bench import open_bench
-from hil.cli import forms, main
+from hil.cli import console_forms, main
 from hil.cli.live import _recorder
 from hil.console import jobs
-from hil.console.objects import read
-from hil.console.stop_process import PAGE, STOP, runs
+from hil.console.json_files import read
+from hil.console.stop_server import PAGE, STOP, runs
+from hil.core.errors import DataError
 from hil.procedure.parameters import make_parameters
-from hil.procedure.scripts import load_procedure, shipped_names
-from hil.vocabulary.errors import DataError
+from hil.procedure.procedure_lookup import load_procedure, shipped_names
 
 
 @pytest.fixture(scope="module")
 def offered(tmp_path_factory):
-    return {action.name: action for action in forms.actions(tmp_path_factory.mktemp("out"))}
+    return {action.name: action for action in console_forms.actions(tmp_path_factory.mktemp("out"))}
 
 
 def test_every_shipped_procedure_and_the_commands_around_them_are_offered(offered):

@@ -8,7 +8,7 @@ import pytest
 
 from hil import bench as benches
 from hil.cli import COMMANDS, main
-from hil.vocabulary.errors import DeviceError
+from hil.core.errors import DeviceError
 
 GONE = "nowhere.toml"
 WRONG = {

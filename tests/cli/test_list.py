@@ -6,9 +6,9 @@ import pytest
 
 from hil.cli import main
 from hil.config.loading import load_bench
+from hil.core.registry import kinds
 from hil.fakes.fault import parse_fault
-from hil.procedure.scripts import load_procedure
-from hil.vocabulary.kinds import kinds
+from hil.procedure.procedure_lookup import load_procedure
 
 
 @pytest.fixture

@@ -14,7 +14,8 @@ DRAWING = {"matplotlib"}
     [
         (
             "hil.procedures.wall_tracking, hil.procedures.bring_up, hil.procedures.latency, "
-            "hil.procedure.runner, hil.bench, hil.live, hil.replay.comparison, hil.replay.recordings",
+            "hil.procedure.runner, hil.bench, hil.live, hil.replay.estimator_comparison, "
+            "hil.replay.recordings",
             SOLVERS | DRAWING,
         ),
         (

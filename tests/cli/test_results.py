@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from hil.cli import main
+from hil.core.errors import DataError
+from hil.datasets.export import write_table
 from hil.procedure.measurements import Verdict
-from hil.recording.export import write_table
-from hil.vocabulary.errors import DataError
-from hil.vocabulary.files import refused
+from hil.support.atomic_files import refused
 
 SCRIPT = '''
 """Nothing to do."""

@@ -8,9 +8,9 @@ import sys
 import pytest
 
 from hil.console import jobs
-from hil.console.alarm import SECURED, Alarm
-from hil.console.stop_process import StopProcess
-from hil.console.web import Refused, Request
+from hil.console.not_held_alarm import SECURED, Alarm
+from hil.console.stop_server import StopProcess
+from hil.console.web_server import Refused, Request
 from tests.console.test_jobs import HELD, job_in, line
 
 LOOSE = HELD | {"state": "NOT HELD", "why": "the fan does not answer"}

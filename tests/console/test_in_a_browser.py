@@ -10,8 +10,8 @@ import time
 import pytest
 
 from hil.console.jobs import signal_process
-from hil.console.objects import read
-from hil.console.stop_process import IDENTITY, PAGE, STOP
+from hil.console.json_files import read
+from hil.console.stop_server import IDENTITY, PAGE, STOP
 from tests.chromium import CHROMIUM, Browser
 from tests.console.test_jobs import job_in, wait_until
 

@@ -10,7 +10,7 @@ import time
 import pytest
 
 from hil.console import jobs
-from hil.console.stopping import finish, in_words, stop_all, wait_for
+from hil.console.job_stopping import finish, in_words, stop_all, wait_for
 
 ASKING = '''
 """Asks, then drives for a minute."""
@@ -151,7 +151,7 @@ def test_a_job_that_cannot_read_has_not_been_answered(asking):
 def test_a_second_click_on_the_end_after_a_step_does_not_end_it_at_once(asking, monkeypatch):
     job, _, _ = asking
     sent = []
-    monkeypatch.setattr("hil.console.stopping.send", lambda job, number: sent.append(number) or True)
+    monkeypatch.setattr("hil.console.job_stopping.send", lambda job, number: sent.append(number) or True)
     assert finish(job) == ""
     assert jobs.state(job)["finishing"]
     assert finish(job) == "it was asked to end already: STOP ends it at once"
@@ -241,7 +241,9 @@ def test_a_job_that_was_stopped_before_its_process_was_known_does_not_begin(tmp_
     job = job_in(tmp_path, process={"pid": 0}, started=time.time())
     (job.folder / jobs.PROCESS).unlink()
     assert stop_all(tmp_path) == [job]
-    done = subprocess.run([sys.executable, "-m", "hil.console.launch", str(job.folder)], capture_output=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "hil.console.job_launcher", str(job.folder)], capture_output=True
+    )
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
     assert (job.folder / jobs.STDOUT).read_text() == ""
 

@@ -7,9 +7,9 @@ from http import HTTPStatus
 import pytest
 
 from hil.console import jobs
-from hil.console.actions import Action, Field
-from hil.console.page_process import PageProcess
-from hil.console.web import Refused, Request
+from hil.console.command_forms import Action, Field
+from hil.console.page_server import PageProcess
+from hil.console.web_server import Refused, Request
 from tests.console.test_jobs import job_in
 
 

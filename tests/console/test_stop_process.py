@@ -9,9 +9,9 @@ import urllib.request
 
 import pytest
 
-from hil.console import jobs, stop_process
-from hil.console.stop_process import ASKED, PAGE, STOP, StopProcess
-from hil.console.web import Request
+from hil.console import jobs, stop_server
+from hil.console.stop_server import ASKED, PAGE, STOP, StopProcess
+from hil.console.web_server import Request
 from tests.console.test_jobs import HELD, job_in
 
 ASKING = Request("/state", {}, {}, "127.0.0.1")
@@ -19,7 +19,7 @@ ASKING = Request("/state", {}, {}, "127.0.0.1")
 
 def test_it_needs_the_standard_library_alone():
     code = (
-        "import sys; before = set(sys.modules); import hil.console.stop_process, hil.console.launch\n"
+        "import sys; before = set(sys.modules); import hil.console.stop_server, hil.console.job_launcher\n"
         "came = {name.split('.')[0] for name in sys.modules.keys() - before}\n"
         "print(*sorted(came - set(sys.stdlib_module_names)))"
     )
@@ -59,7 +59,7 @@ def time_passes(monkeypatch):
             assert self.now_s < 5000.0, "it stays for ever"
 
     made = Time()
-    monkeypatch.setattr(stop_process, "time", made)
+    monkeypatch.setattr(stop_server, "time", made)
     return made
 
 
@@ -98,7 +98,7 @@ def test_its_page_knows_whether_the_console_lives_and_how_the_last_run_left_the_
 def test_it_serves_by_itself_from_a_folder(tmp_path):
     """As the console starts it, without a console."""
     (tmp_path / ASKED).write_text(json.dumps({"port": 0, "token": "secret", "cookie": "hil_x"}))
-    process = subprocess.Popen([sys.executable, "-m", "hil.console.stop_process", str(tmp_path)])
+    process = subprocess.Popen([sys.executable, "-m", "hil.console.stop_server", str(tmp_path)])
     try:
         end_s = time.monotonic() + 30.0
         while not (tmp_path / STOP).exists():

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from hil.console.web import Reply, Server, as_json
+from hil.console.web_server import Reply, Server, as_json
 
 COOKIE = "hil_test=secret"
 AS_JSON = {"Content-Type": "application/json"}

@@ -2,9 +2,9 @@
 
 import pytest
 
+from hil.core.registry import kinds
 from hil.pytest_plugin.contract import *  # noqa: F403
-from hil.vocabulary.extras import MODULES, is_installed
-from hil.vocabulary.kinds import kinds
+from hil.support.extras import MODULES, is_installed
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from hil.bench import open_bench
+from hil.core.errors import ConfigError, DeviceTimeoutError, SafetyStop, TrajectoryError
 from hil.robot.paths import Segment, Straight
 from hil.robot.trajectories import Trajectory, circle, line, through
-from hil.vocabulary.errors import ConfigError, DeviceTimeoutError, SafetyStop, TrajectoryError
 from tests.selected import every
 
 ORIGIN = np.zeros(3)

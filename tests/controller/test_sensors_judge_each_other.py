@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from hil.bench import open_bench
+from hil.core.errors import DeviceTimeoutError, HilError, SafetyStop
 from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_run
 from hil.robot.trajectories import circle, line, scan, through
-from hil.vocabulary.errors import DeviceTimeoutError, HilError, SafetyStop
 from tests.selected import every
 
 ORIGIN = np.zeros(3)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hil.bench import open_bench
+from hil.core.errors import HilError
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import HilError
 from tests.selected import every
 
 ORIGIN = np.zeros(3)

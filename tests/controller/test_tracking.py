@@ -8,15 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.config.control import ControlConfig
-from hil.controller import four_wheels as at
 from hil.controller import make_controller
-from hil.controller.allocation import ModuleLayer, ModuleLimits, optimize
+from hil.controller import module_arithmetic as at
 from hil.controller.laws import NonlinearLaw, OptimalLaw, beyond, lag_model, pose_error, riccati_gains
+from hil.controller.module_layer import ModuleLayer, ModuleLimits, optimize
+from hil.core.errors import SafetyStop
+from hil.core.geometry import compose, se2_exp
+from hil.core.signals import Reference, RobotState, Stamp, WheelMeasurement
 from hil.robot.kinematics import WheelGeometry, forward, wheel_vectors
 from hil.robot.trajectories import circle, line
-from hil.vocabulary.errors import SafetyStop
-from hil.vocabulary.geometry import compose, se2_exp
-from hil.vocabulary.signals import Reference, RobotState, Stamp, WheelMeasurement
 from tests.selected import every
 
 CAD, ORIGIN = WheelGeometry.nominal(), np.zeros(3)

@@ -1,7 +1,7 @@
 """A supervisor that is given the samples and the estimate of one cycle after the other."""
 
-from hil.ring.supervisor import Supervisor
-from hil.vocabulary.signals import Inputs, Measurements
+from hil.core.signals import Inputs, Measurements
+from hil.loop.supervisor import Supervisor
 
 
 class Supervised(Supervisor):

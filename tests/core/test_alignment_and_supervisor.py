@@ -10,18 +10,9 @@ from supervised import Supervised
 
 from hil.bench.settings import checks, geometry_of
 from hil.config.loading import load_bench
-from hil.ring.alignment import Alignment, AlignmentParameters
-from hil.ring.poses import AT_ORIGIN, Mount, PoseAlignment
-from hil.ring.safety import Checks, SafetyLimits
-from hil.vocabulary.errors import ConfigError, SafetyStop
-from hil.vocabulary.geometry import (
-    quat_conjugate,
-    quat_from_rotvec,
-    quat_from_yaw,
-    quat_multiply,
-    quat_rotate,
-)
-from hil.vocabulary.signals import (
+from hil.core.errors import ConfigError, SafetyStop
+from hil.core.geometry import quat_conjugate, quat_from_rotvec, quat_from_yaw, quat_multiply, quat_rotate
+from hil.core.signals import (
     ImuSample,
     Inputs,
     MocapSample,
@@ -33,6 +24,9 @@ from hil.vocabulary.signals import (
     TrackerSample,
     WheelSetpoint,
 )
+from hil.loop.alignment import Alignment, AlignmentParameters
+from hil.loop.pose_alignment import AT_ORIGIN, Mount, PoseAlignment
+from hil.loop.safety import Checks, SafetyLimits
 
 STAMP = Stamp(0, 0, 0)
 

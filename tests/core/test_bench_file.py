@@ -5,7 +5,7 @@ import pytest
 from hil.config.bench import BenchConfig
 from hil.config.estimator import EstimatorConfig
 from hil.config.loading import load_bench
-from hil.vocabulary.errors import ConfigError
+from hil.core.errors import ConfigError
 
 GOOD = """
 schema = 1

@@ -8,8 +8,8 @@ import pytest
 import hil
 from hil.config.loading import load_bench
 from hil.config.recorded import recorded_bench
-from hil.procedure.bench_source import BenchSource
-from hil.vocabulary.errors import ConfigError
+from hil.core.errors import ConfigError
+from hil.procedure.bench_request import BenchSource
 
 NUMBERS = (
     "safety.servo_stale_s",

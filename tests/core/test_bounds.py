@@ -11,10 +11,10 @@ from hil.cli import main
 from hil.config.bench import bench_model
 from hil.config.loading import explained
 from hil.config.values import bounds_of
-from hil.devices.emulated import EmulationRequest
-from hil.fakes.truth_options import impossible, ranges
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import kinds
+from hil.core.errors import ConfigError
+from hil.core.registry import kinds
+from hil.devices.emulated_device import EmulationRequest
+from hil.fakes.truth_bounds import impossible, ranges
 
 WRONG = (0, -1, -1e-300, 1e-300, -1e12, 1e21, 10**400, math.inf, -math.inf, math.nan, True, False, "1")
 

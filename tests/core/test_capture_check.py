@@ -6,23 +6,16 @@ import numpy as np
 import pytest
 from supervised import Supervised
 
-from hil.ring.capture_check import CaptureCheck, Seen
-from hil.ring.cycle import Cycle
-from hil.ring.dead_reckoning import WheelTrack
-from hil.ring.doubts import CAMERA, WHEELS, Doubt, Relocalisation, Sum
-from hil.ring.left_out import LeftOut
-from hil.ring.motion_check import MotionCheck
-from hil.ring.safety import Checks, SafetyLimits
+from hil.core.errors import SafetyStop
+from hil.core.signals import GyroMeasurement, Inputs, Measurements, PoseMeasurement, Stamp, WheelMeasurement
+from hil.loop.checks.dead_reckoning import WheelTrack
+from hil.loop.checks.disagreement import CAMERA, WHEELS, Doubt, Relocalisation, Sum
+from hil.loop.checks.exclusion import LeftOut
+from hil.loop.checks.mocap_agreement import CaptureCheck, Seen
+from hil.loop.checks.motion_agreement import MotionCheck
+from hil.loop.cycle import Cycle
+from hil.loop.safety import Checks, SafetyLimits
 from hil.robot.kinematics import WheelGeometry, inverse
-from hil.vocabulary.errors import SafetyStop
-from hil.vocabulary.signals import (
-    GyroMeasurement,
-    Inputs,
-    Measurements,
-    PoseMeasurement,
-    Stamp,
-    WheelMeasurement,
-)
 
 GEOMETRY = WheelGeometry.nominal()
 PERIOD_NS = 10_000_000

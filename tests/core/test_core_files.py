@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from hil.console.objects import put_private
-from hil.vocabulary.errors import DataError
-from hil.vocabulary.files import put_whole, write_text
+from hil.console.json_files import put_private
+from hil.core.errors import DataError
+from hil.support.atomic_files import put_whole, write_text
 
 
 def test_a_text_is_written_over_what_was_there(tmp_path):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from hil.config.servo_models import DEFAULT_MODEL, servo_model
-from hil.fakes.encoders import as5045
-from hil.fakes.imu.sample import counts
-from hil.fakes.imu.sensors import Sensed
+from hil.fakes.encoders import as5045_chip
+from hil.fakes.imu.output_sample import counts
+from hil.fakes.imu.sensor_physics import Sensed
 from hil.fakes.servos.sensing import Sensing
 
 
@@ -40,18 +40,18 @@ def test_the_servos_measure_what_their_firmware_does():
     assert sensing.counts(40_000_000) == seen[-11].tolist()
 
 
-@pytest.mark.parametrize("flags", [0, as5045.MAG_INC, as5045.COF])
+@pytest.mark.parametrize("flags", [0, as5045_chip.MAG_INC, as5045_chip.COF])
 def test_the_encoders_words_have_their_parity(flags):
     draws, chips = np.random.default_rng(flags), []
     for _ in range(4):
         once, twice = draws.normal(0.0, 0.1, (2, 2)).tolist()
-        chips += as5045.chip(once=once, twice=twice, noise_rad=0.01, sign=-1, zero_rad=draws.normal())
-    chips[as5045.CHIP_SIZE + as5045.FLAGS] = flags
+        chips += as5045_chip.chip(once=once, twice=twice, noise_rad=0.01, sign=-1, zero_rad=draws.normal())
+    chips[as5045_chip.CHIP_SIZE + as5045_chip.FLAGS] = flags
     numbers, noise = np.array(chips), draws.standard_normal((100, 5))
     for row in range(100):
-        angles, more = draws.normal(0.0, 5.0, 4).tolist(), as5045.OCF if row > 3 else 0
-        words = as5045.words(numbers, *angles, noise, row, more)
-        assert words == tuple(as5045.with_parity(word) for word in words)
+        angles, more = draws.normal(0.0, 5.0, 4).tolist(), as5045_chip.OCF if row > 3 else 0
+        words = as5045_chip.words(numbers, *angles, noise, row, more)
+        assert words == tuple(as5045_chip.with_parity(word) for word in words)
 
 
 @pytest.mark.parametrize(

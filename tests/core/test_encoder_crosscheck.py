@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hil.config.encoders import EncodersConfig
-from hil.ring.crosscheck import CrossCheck, SteeringWatch
-from hil.vocabulary.signals import EncoderSample, Inputs, Measurements, Stamp, Status, WheelMeasurement
+from hil.core.signals import EncoderSample, Inputs, Measurements, Stamp, Status, WheelMeasurement
+from hil.loop.checks.steering_encoders import CrossCheck, SteeringWatch
 
 
 def steer(check, *, slip=0.0, play=0.0, config=None, noise=0.0):

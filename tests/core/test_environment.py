@@ -7,8 +7,8 @@ from hil.bench.settings import motion_limits, safety_limits
 from hil.config.environment import SURFACES
 from hil.config.loading import load_bench, validate
 from hil.config.recorded import changed_since
+from hil.core.errors import ConfigError
 from hil.fakes.plant import surfaces
-from hil.vocabulary.errors import ConfigError
 
 HEAD = 'schema = 1\nname = "lab"\n'
 

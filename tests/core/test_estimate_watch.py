@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from supervised import Supervised
 
-from hil.ring.capture_check import Seen
-from hil.ring.estimate_watch import EstimateWatch
-from hil.ring.motion_check import MotionCheck
-from hil.ring.safety import Checks, SafetyLimits
+from hil.core.errors import SafetyStop
+from hil.core.signals import Inputs, Measurements, PoseMeasurement, RobotState, Stamp, WheelMeasurement
+from hil.loop.checks.mocap_agreement import Seen
+from hil.loop.checks.mocap_estimate import EstimateWatch
+from hil.loop.checks.motion_agreement import MotionCheck
+from hil.loop.safety import Checks, SafetyLimits
 from hil.robot.kinematics import WheelGeometry, inverse
-from hil.vocabulary.errors import SafetyStop
-from hil.vocabulary.signals import Inputs, Measurements, PoseMeasurement, RobotState, Stamp, WheelMeasurement
 
 GEOMETRY = WheelGeometry.nominal()
 PERIOD_NS = 10_000_000

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.ring.fall_watch import FallWatch
-from hil.vocabulary.signals import Status
+from hil.core.signals import Status
+from hil.loop.checks.fall import FallWatch
 
 LIGHTEST_M_S2, FASTEST_M_S = 4.0, 0.5
 

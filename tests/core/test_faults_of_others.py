@@ -3,9 +3,9 @@
 import numpy as np
 
 import hil
+from hil.core.signals import ServoSetpoint
+from hil.fakes.active_faults import FaultPlan
 from hil.fakes.fault import Fault
-from hil.fakes.faults import FaultPlan
-from hil.vocabulary.signals import ServoSetpoint
 from tests.to_the_bit import bits
 
 CYCLES, RATE_HZ = 60, 100

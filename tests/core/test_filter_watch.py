@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from supervised import Supervised
 
-from hil.ring.filter_watch import FilterWatch
-from hil.ring.safety import SafetyLimits
-from hil.vocabulary.signals import Inputs, Measurements, RobotState
+from hil.core.signals import Inputs, Measurements, RobotState
+from hil.loop.checks.filter_fit import FilterWatch
+from hil.loop.safety import SafetyLimits
 
 
 def state(t_ns=0, sigma_m=0.001, **figures):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.vocabulary import geometry as g
+from hil.core import geometry as g
 
 number = st.floats(-3, 3)
 pose = st.tuples(number, number, number)

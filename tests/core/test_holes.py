@@ -10,12 +10,12 @@ import pytest
 
 from hil.bench.contract import at_rest
 from hil.bench.contract.subject import Broken
-from hil.ring.sample_watch import SampleWatch
-from hil.vocabulary.device import DeviceKind
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.holes import unsaid_holes
-from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import AdhesionSample, Inputs, Stamp, Status
+from hil.core.device import DeviceKind
+from hil.core.geometry import Array
+from hil.core.nonfinite import unsaid_holes
+from hil.core.registry import kinds
+from hil.core.signals import AdhesionSample, Inputs, Stamp, Status
+from hil.loop.checks.sensor_status import SampleWatch
 
 OK, LOST = Status.OK, Status.TIMEOUT
 STAMP = Stamp(0, 0, 0)

@@ -9,11 +9,11 @@ from can.interfaces.udp_multicast import UdpMulticastBus
 from can.interfaces.udp_multicast.utils import pack_message
 
 from hil.config.encoders import EncodersConfig
-from hil.drivers.can_link import open_bus
-from hil.fakes.loopback import free_udp_port
-from hil.vocabulary import host_multicast
-from hil.vocabulary.emulated_bus import Mark, bus_name
-from hil.vocabulary.host_multicast import HostMulticastBus, is_of_this_host
+from hil.drivers.links.can_bus import open_bus
+from hil.fakes.free_port import free_udp_port
+from hil.support import host_multicast
+from hil.support.emulated_can_mark import Mark, bus_name
+from hil.support.host_multicast import HostMulticastBus, is_of_this_host
 
 GROUP, STRANGER = "239.74.164.10", "127.0.0.2"
 FRAME = can.Message(arbitration_id=0x123, data=b"\x01\x02", is_extended_id=False)

@@ -12,24 +12,24 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from hil.calibration.artefact import read_calibration
+from hil.calibration.calibration_file import read_calibration
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.config.record.folder import read_version
-from hil.drivers.imu.calibration import ImuCalibration
-from hil.fakes.timeline import read_faults
-from hil.procedure.journal import read_journal
+from hil.config.robot_record.folder import read_version
+from hil.core.errors import DataError, HilError
+from hil.core.result_files import JOURNAL
+from hil.datasets.plain_csv import read_plain
+from hil.datasets.public_csv import read_pair
+from hil.datasets.topic_map import read_topic_map
+from hil.drivers.imu.bno055_calibration import ImuCalibration
+from hil.fakes.fault_files import read_faults
 from hil.procedure.operator import Answers
 from hil.procedure.parameters import split_settings
-from hil.recording.plain_csv import read_plain
-from hil.recording.public_csv import read_pair
-from hil.recording.topic_map import read_topic_map
+from hil.procedure.run_journal import read_journal
 from hil.report.result_file import read_result
 from hil.report.run_page import write_run_page
 from hil.robot.waypoints import read_waypoints
-from hil.vocabulary.errors import DataError, HilError
-from hil.vocabulary.reading import json_value, read_json, toml_tables
-from hil.vocabulary.result_files import JOURNAL
+from hil.support.file_reading import json_value, read_json, toml_tables
 
 BOUNDED = settings(
     max_examples=20,

@@ -9,10 +9,10 @@ from hil.bench import check_faults
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.config.values import Within
-from hil.devices.emulated import EmulationRequest
-from hil.fakes.truth_options import impossible
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import kinds
+from hil.core.errors import ConfigError
+from hil.core.registry import kinds
+from hil.devices.emulated_device import EmulationRequest
+from hil.fakes.truth_bounds import impossible
 
 SIGNED = {"ambient_c"}
 NUMBERS = [

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.ring.motion import HELD_S, LONGEST_GAP_S, Motion
-from hil.vocabulary.interpolation import between_samples
+from hil.core.interpolation import between_samples
+from hil.loop.recorded_motion import HELD_S, LONGEST_GAP_S, Motion
 
 
 def motion(at_s, until_s, cycle_s=0.02):

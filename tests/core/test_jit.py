@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from numba.core import event
 
-from hil.vocabulary import jit
-from hil.vocabulary.errors import Aborted
-from hil.vocabulary.jit import cache_folder, compile_for, kernel
+from hil.core.errors import Aborted
+from hil.support import numba_jit
+from hil.support.numba_jit import cache_folder, compile_for, kernel
 
 ROOT = Path(__file__).parents[2]
 MODULE = """
-from hil.vocabulary.jit import inner, kernel
+from hil.support.numba_jit import inner, kernel
 
 @inner
 def added(x):
@@ -46,9 +46,9 @@ def fresh(folder, text=MODULE):
 @pytest.fixture
 def kept_in(tmp_path, monkeypatch, caplog):
     """Folder in which this process keeps machine code for a while."""
-    kinds, ours, watch = ("numba:compile", "numba:run_pass"), jit._watch, jit._Watch()
+    kinds, ours, watch = ("numba:compile", "numba:run_pass"), numba_jit._watch, numba_jit._Watch()
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr(jit, "_watch", watch)
+    monkeypatch.setattr(numba_jit, "_watch", watch)
     caplog.set_level(logging.WARNING)
     for kind in kinds:
         event.unregister(kind, ours)
@@ -68,7 +68,7 @@ def from_the_cache(folder):
 
 STEERED = """
 import numpy as np
-from hil.controller import four_wheels as at
+from hil.controller import module_arithmetic as at
 n = np.zeros(at.SIZE)
 n[at.SPEED], n[at.ANGLE] = 1.0, 0.5
 at.steer(n, at.ModuleLimits(), 1.0)
@@ -188,12 +188,12 @@ def test_an_inner_function_is_machine_code_in_a_kernel_and_plain_in_python(kept_
     made = fresh(tmp_path)
     compile_for(made.outer, 1.0)
     assert len(made.outer.signatures) == 1
-    assert (made.outer(3.0), made.added(3.0), jit.kernel(made.added)(3.0)) == (9.0, 4.5, 4.5)
+    assert (made.outer(3.0), made.added(3.0), numba_jit.kernel(made.added)(3.0)) == (9.0, 4.5, 4.5)
     assert made.added(np.float32(1.0)) == 2.5
 
 
 def test_a_compilation_that_takes_long_is_told_with_what_does_it_beforehand(kept_in, monkeypatch, caplog):
-    monkeypatch.setattr(jit, "_FIRST_WORD_NS", -1)
+    monkeypatch.setattr(numba_jit, "_FIRST_WORD_NS", -1)
     kernel(lambda x: x + 1.0)(1.0)
     (told,) = caplog.messages
     assert "hil info --compile" in told

@@ -6,18 +6,10 @@ import socket
 import numpy as np
 import pytest
 
-from hil.fakes.server import EmulationServer, Face
-from hil.fakes.world import NEVER_NS, VirtualClock, World
-from hil.ring.alignment import Alignment, AlignmentParameters
-from hil.ring.loop import Brain, ControlLoop
-from hil.ring.motion import Motion
-from hil.ring.rig import Rig
-from hil.ring.safety import SafetyLimits
-from hil.ring.supervisor import Supervisor
-from hil.vocabulary.clock import MonotonicClock, nanoseconds
-from hil.vocabulary.errors import DeviceError, SafetyStop
-from hil.vocabulary.interfaces import Actuators, Controller, Estimator, Sensor, Sink
-from hil.vocabulary.signals import (
+from hil.core.clock import MonotonicClock, nanoseconds
+from hil.core.errors import DeviceError, SafetyStop
+from hil.core.interfaces import Actuators, Controller, Estimator, Sensor, Sink
+from hil.core.signals import (
     MocapSample,
     Reference,
     RobotState,
@@ -27,6 +19,14 @@ from hil.vocabulary.signals import (
     Status,
     WheelSetpoint,
 )
+from hil.fakes.server import EmulationServer, Face
+from hil.fakes.world import NEVER_NS, VirtualClock, World
+from hil.loop.alignment import Alignment, AlignmentParameters
+from hil.loop.control_loop import Brain, ControlLoop
+from hil.loop.device_set import Rig
+from hil.loop.recorded_motion import Motion
+from hil.loop.safety import SafetyLimits
+from hil.loop.supervisor import Supervisor
 
 
 class StillPlant:

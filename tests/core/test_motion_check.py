@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.ring.dead_reckoning import GyroTrack, WheelTrack
-from hil.ring.motion_check import Honest, MotionCheck
+from hil.core.signals import GyroMeasurement, Measurements, PoseMeasurement, Stamp, WheelMeasurement
+from hil.loop.checks.dead_reckoning import GyroTrack, WheelTrack
+from hil.loop.checks.motion_agreement import Honest, MotionCheck
 from hil.robot.kinematics import WheelGeometry, inverse
-from hil.vocabulary.signals import GyroMeasurement, Measurements, PoseMeasurement, Stamp, WheelMeasurement
 
 GEOMETRY = WheelGeometry.nominal()
 PERIOD_NS, LATE_NS = 10_000_000, 25_000_000

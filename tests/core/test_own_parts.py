@@ -12,13 +12,13 @@ import pytest
 
 import hil
 from hil.cli import main
+from hil.core.errors import UsageError
+from hil.core.signals import RobotState, WheelSetpoint
+from hil.loop.user_parts import own_name
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RunStart, read_runs
-from hil.replay.comparison import estimate
-from hil.ring.own_parts import own_name
+from hil.replay.estimator_comparison import estimate
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import UsageError
-from hil.vocabulary.signals import RobotState, WheelSetpoint
 
 WAY = line((0, 0, 0), (0.02, 0, 0), duration_s=1.0)
 FOUR, THREE = np.zeros(4), np.zeros(3)

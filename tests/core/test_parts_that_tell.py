@@ -3,9 +3,9 @@
 import numpy as np
 
 import hil
+from hil.core.errors import HilError
+from hil.core.signals import ServoSetpoint
 from hil.fakes.world import World
-from hil.vocabulary.errors import HilError
-from hil.vocabulary.signals import ServoSetpoint
 from tests.to_the_bit import bits
 
 SECONDS, RATE_HZ = 2.0, 50

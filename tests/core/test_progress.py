@@ -3,8 +3,8 @@
 import pytest
 
 from hil.cli.progress import reporting
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.progress import WHOLE, Pace
+from hil.core.clock import NS_PER_S
+from hil.support.progress import WHOLE, Pace
 
 
 class Waiting:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hil.ring.sample_watch import SampleWatch
-from hil.vocabulary.signals import EncoderSample, ImuSample, Inputs, MocapSample, Stamp, Status, TrackerSample
+from hil.core.signals import EncoderSample, ImuSample, Inputs, MocapSample, Stamp, Status, TrackerSample
+from hil.loop.checks.sensor_status import SampleWatch
 
 PERIOD_NS = 10_000_000
 NAN = np.full(4, np.nan)

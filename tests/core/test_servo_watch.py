@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from supervised import Supervised
 
-from hil.ring.safety import SafetyLimits
-from hil.vocabulary.errors import SafetyStop
-from hil.vocabulary.signals import EncoderSample, Inputs, ServoSample, Stamp, Status, WheelSetpoint
+from hil.core.errors import SafetyStop
+from hil.core.signals import EncoderSample, Inputs, ServoSample, Stamp, Status, WheelSetpoint
+from hil.loop.safety import SafetyLimits
 
 PERIOD_NS = 10_000_000
 IDS = (11, 12, 13, 14, 15, 16, 17, 18)

@@ -7,10 +7,10 @@ import pytest
 from supervised import Supervised
 
 import hil
-from hil.ring.safety import SafetyLimits
+from hil.core.errors import SafetyStop
+from hil.core.signals import Inputs, RobotState
+from hil.loop.safety import SafetyLimits
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import SafetyStop
-from hil.vocabulary.signals import Inputs, RobotState
 
 CYCLE_NS = 10_000_000
 WAY = line((0, 0, 0), (0.25, 0, 0), duration_s=6.0)

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from hil.ring.sample_watch import SampleWatch
-from hil.ring.stream_watch import Healthy, StreamWatch
-from hil.vocabulary.signals import Inputs, Stamp, Status, TrackerSample
+from hil.core.signals import Inputs, Stamp, Status, TrackerSample
+from hil.loop.checks.sensor_rate import Healthy, StreamWatch
+from hil.loop.checks.sensor_status import SampleWatch
 
 CYCLE_NS = 10_000_000
 CAMERA = Healthy(200.0, 0.95, 0.07, 100.0)

@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 from supervised import Supervised
 
-from hil.ring.cycle import Check
-from hil.ring.doubts import Doubt
-from hil.ring.safety import Checks, SafetyLimits
-from hil.ring.stream_watch import Healthy
-from hil.vocabulary.errors import SafetyStop
-from hil.vocabulary.signals import (
+from hil.core.errors import SafetyStop
+from hil.core.signals import (
     Inputs,
     Measurements,
     Reference,
@@ -22,6 +18,10 @@ from hil.vocabulary.signals import (
     TrackerSample,
     WheelSetpoint,
 )
+from hil.loop.checks.disagreement import Doubt
+from hil.loop.checks.sensor_rate import Healthy
+from hil.loop.cycle import Check
+from hil.loop.safety import Checks, SafetyLimits
 
 CYCLE_NS = 10_000_000
 OK = (Status.OK,) * 8

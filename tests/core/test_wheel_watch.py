@@ -5,9 +5,9 @@ import re
 import numpy as np
 import pytest
 
-from hil.ring.wheel_watch import WheelWatch
+from hil.core.signals import Stamp, WheelMeasurement
+from hil.loop.checks.wheel_slip import WheelWatch
 from hil.robot.kinematics import WheelGeometry, inverse
-from hil.vocabulary.signals import Stamp, WheelMeasurement
 from tests.selected import every
 
 GEOMETRY = WheelGeometry.nominal()

@@ -11,7 +11,7 @@ from installing import EXAMPLE, install
 
 from hil.cli import main
 from hil.config.bench import bench_model
-from hil.vocabulary.kinds import kinds
+from hil.core.registry import kinds
 
 
 @pytest.fixture(scope="session")

@@ -12,11 +12,11 @@ from typing import Literal
 import numpy as np
 
 from hil.config.device import DeviceConfig
-from hil.devices.emulated import Wired
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.interfaces import Sensor
-from hil.vocabulary.device import Connection, DeviceKind, DeviceModel
-from hil.vocabulary.signals import Stamp, Status
+from hil.devices.emulated_device import Wired
+from hil.core.geometry import Array
+from hil.core.interfaces import Sensor
+from hil.core.device import Connection, DeviceKind, DeviceModel
+from hil.core.signals import Stamp, Status
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def run(ctx):
         ctx.bench.observe(0.1)
 """
 CHIP = """
-from hil.devices.emulated import Face
+from hil.devices.emulated_device import Face
 from hil.fakes.world import NEVER_NS, Scheduled
 
 

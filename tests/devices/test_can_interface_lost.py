@@ -6,14 +6,14 @@ import can
 import numpy as np
 import pytest
 
-from hil.bench.replug import Replugged
+from hil.bench.reconnect import Replugged
 from hil.config.load_cells import CanCellsConfig
 from hil.config.robot import RobotConfig
-from hil.drivers import can_link
+from hil.core.clock import MonotonicClock
+from hil.drivers.links import can_bus
 from hil.drivers.load_cells.can_cells import CanCells
 from hil.fakes.plant import make_plant
 from hil.fakes.world import VirtualClock, World
-from hil.vocabulary.clock import MonotonicClock
 
 FRAME_ID, COUNTS = 0x1B0, bytes((0, 1, 0, 0, 2, 0, 0, 3))
 
@@ -47,7 +47,7 @@ def adapters(monkeypatch):
         opened.append(Adapter())
         return opened[-1]
 
-    monkeypatch.setattr(can_link, "open_bus", open_bus)
+    monkeypatch.setattr(can_bus, "open_bus", open_bus)
     yield opened
     for adapter in opened:
         adapter.shutdown()

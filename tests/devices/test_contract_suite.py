@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from hil.config.imu import Bno055Config
-from hil.devices.imu.bno055 import Bno055
+from hil.devices.imu.bno055_model import Bno055
 from hil.drivers.imu import Bno055Imu
 
 
@@ -76,12 +76,12 @@ from typing import Literal
 import numpy as np
 
 from hil.config.device import DeviceConfig
-from hil.devices.emulated import Wired
-from hil.vocabulary.errors import DeviceError
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.interfaces import Sensor
-from hil.vocabulary.device import Connection, DeviceKind, DeviceModel
-from hil.vocabulary.signals import Stamp, Status
+from hil.devices.emulated_device import Wired
+from hil.core.errors import DeviceError
+from hil.core.geometry import Array
+from hil.core.interfaces import Sensor
+from hil.core.device import Connection, DeviceKind, DeviceModel
+from hil.core.signals import Stamp, Status
 
 
 @dataclass(frozen=True)

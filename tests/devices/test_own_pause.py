@@ -3,14 +3,14 @@
 import pytest
 
 import hil
-from hil.ring.alignment import Alignment
-from hil.ring.loop import Brain, ControlLoop
-from hil.ring.rig import Rig
-from hil.ring.supervisor import Supervisor
-from hil.vocabulary.clock import Clock, nanoseconds
-from hil.vocabulary.errors import DeviceTimeoutError, SafetyStop
-from hil.vocabulary.interfaces import Sensor
-from hil.vocabulary.kinds import kinds
+from hil.core.clock import Clock, nanoseconds
+from hil.core.errors import DeviceTimeoutError, SafetyStop
+from hil.core.interfaces import Sensor
+from hil.core.registry import kinds
+from hil.loop.alignment import Alignment
+from hil.loop.control_loop import Brain, ControlLoop
+from hil.loop.device_set import Rig
+from hil.loop.supervisor import Supervisor
 
 NEVER_ANSWER = {"teensy"}
 MODELS = [

@@ -202,7 +202,10 @@ def test_figures_that_fail_are_named_and_the_rest_is_drawn(package, hil, tmp_pat
     )
     assert done.returncode == 0, done.stderr
     assert "hil: wrote x.rrd (" in done.stderr
-    assert done.stderr.count("WARNING hil.monitor.series: thing (hil-evil 6.6): figures raised Runtime") == 1
+    assert (
+        done.stderr.count("WARNING hil.monitor.plot_series: thing (hil-evil 6.6): figures raised Runtime")
+        == 1
+    )
     assert (tmp_path / "x.rrd").stat().st_size > 0
 
 
@@ -317,7 +320,7 @@ SERIAL = """
 from hil.devkit import SerialSensorConfig
 from hil.devkit.chip import SerialStreamingChip
 from hil.devkit.driver import LineParser, SerialSensor
-from hil.devices.emulated import on_serial_line
+from hil.devices.emulated_device import on_serial_line
 
 
 class OnALine(SerialSensorConfig):

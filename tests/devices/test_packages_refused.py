@@ -4,17 +4,17 @@ import json
 
 import pytest
 
+from hil.core.errors import ConfigError
+from hil.core.registry import added
 from hil.recording.cycle_codec import CycleCodec
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import added
 
 MODEL = """
 from dataclasses import dataclass
 from typing import Literal
 
 from hil.config.device import DeviceConfig
-from hil.vocabulary.device import DeviceKind, DeviceModel
-from hil.vocabulary.signals import Stamp, Status
+from hil.core.device import DeviceKind, DeviceModel
+from hil.core.signals import Stamp, Status
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def bench(tmp_path):
 
 
 def changed(text):
-    return f"{MODEL}\nfrom hil.devices.imu.bno055 import Bno055\nBNO055 = Bno055()\nITEM = {text}\n"
+    return f"{MODEL}\nfrom hil.devices.imu.bno055_model import Bno055\nBNO055 = Bno055()\nITEM = {text}\n"
 
 
 REFUSED = {

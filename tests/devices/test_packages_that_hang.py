@@ -5,7 +5,7 @@ import threading
 import pytest
 from faulty_package import CHIP, PACKAGE, TABLES, driver
 
-from hil.bench import overdue
+from hil.bench.third_party import call_timeout
 
 HANGING = {
     "a loop": "while True: pass",
@@ -41,7 +41,7 @@ backend = "emulated"
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch):
-    monkeypatch.setattr(overdue, "_LOOK_S", 0.03)
+    monkeypatch.setattr(call_timeout, "_LOOK_S", 0.03)
 
 
 def hanging(body):
@@ -79,7 +79,7 @@ def test_what_cannot_be_ended_is_said_with_what_to_do(caplog):
     free = threading.Event()
 
     def work():
-        with overdue.not_for_ever("thing", "hil-evil 6.6", "read()"):
+        with call_timeout.not_for_ever("thing", "hil-evil 6.6", "read()"):
             free.wait(60.0)
 
     thread = threading.Thread(target=work)
@@ -140,8 +140,8 @@ def test_a_close_that_never_returns_is_named_and_the_others_are_closed(package, 
 
 
 def test_opening_may_take_what_the_time_outs_of_the_table_allow():
-    assert overdue.opening(3.0).ended == overdue.opening().ended == 60
-    assert overdue.opening(60.0).ended == 130
+    assert call_timeout.opening(3.0).ended == call_timeout.opening().ended == 60
+    assert call_timeout.opening(60.0).ended == 130
 
 
 def test_the_time_outs_of_a_table_are_added_up():

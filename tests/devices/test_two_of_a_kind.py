@@ -13,19 +13,19 @@ from installing import EXAMPLE
 from mcap.reader import make_reader
 
 import hil
-from hil.bench.discover import discover
-from hil.bench.doctor import examine
+from hil.bench.doctor.discovery import discover
+from hil.bench.doctor.examination import examine
 from hil.bench.emulation import build_world, connect_in_process
 from hil.cli import main
 from hil.config.loading import load_bench
+from hil.core.errors import ConfigError, DeviceError, FaultNotSupportedError, SafetyStop
+from hil.core.signals import Status
+from hil.datasets.plugin_columns import added_columns
 from hil.fakes.world import VirtualClock
-from hil.monitor.series import SeriesCollector, conditions
-from hil.recording.added_columns import added_columns
+from hil.loop.cycle import LastingCheck
+from hil.monitor.plot_series import SeriesCollector, conditions
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.ros_types import from_cdr
-from hil.ring.cycle import LastingCheck
-from hil.vocabulary.errors import ConfigError, DeviceError, FaultNotSupportedError, SafetyStop
-from hil.vocabulary.signals import Status
 
 HEAD = """
 schema = 1

@@ -22,9 +22,9 @@ from shown_commands import problem
 
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.procedure.scripts import load_procedure
-from hil.vocabulary.kinds import kinds
-from hil.vocabulary.reading import read_toml
+from hil.core.registry import kinds
+from hil.procedure.procedure_lookup import load_procedure
+from hil.support.file_reading import read_toml
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 

@@ -10,7 +10,7 @@ import serial
 from emulators import END_S, emulator
 
 from hil.cli import main
-from hil.fakes.standard_can import DEFAULT_PORT
+from hil.fakes.emulated_can_group import DEFAULT_PORT
 
 ENDS = ("SIGINT", "SIGTERM", "SIGHUP", "lifeline")
 

@@ -9,7 +9,7 @@ import pytest
 from emulators import END_S, emulator
 
 from hil.bench import open_bench, open_emulation
-from hil.bench.on_its_wall import OnItsWall
+from hil.bench.hold.emulated_support import OnItsWall
 from hil.config.loading import load_bench
 
 pytestmark = pytest.mark.usefixtures("warm_commands")

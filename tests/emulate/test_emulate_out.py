@@ -12,8 +12,8 @@ import serial
 from emulators import END_S, emulator
 
 from hil.cli import main
-from hil.cli.endpoints import EndpointsFile, await_endpoints
-from hil.vocabulary.errors import DeviceTimeoutError, UsageError
+from hil.cli.endpoints_file import EndpointsFile, await_endpoints
+from hil.core.errors import DeviceTimeoutError, UsageError
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 

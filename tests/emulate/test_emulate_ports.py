@@ -12,7 +12,7 @@ import hil
 from hil.bench.emulation import build_world
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.fakes.loopback import free_udp_port
+from hil.fakes.free_port import free_udp_port
 from hil.fakes.mocap import NatNetFace, NatNetServer
 
 pytestmark = pytest.mark.usefixtures("warm_commands")

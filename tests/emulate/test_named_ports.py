@@ -12,7 +12,7 @@ from emulators import emulator
 from hil.bench import open_emulation
 from hil.cli.port_links import PortLinks
 from hil.config.loading import load_bench
-from hil.fakes.loopback import free_udp_port
+from hil.fakes.free_port import free_udp_port
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 

@@ -12,10 +12,10 @@ import pytest
 
 from hil.bench import open_emulation
 from hil.config.loading import load_bench
-from hil.fakes import standard_can
-from hil.fakes.loopback import free_udp_port
-from hil.fakes.mocap.face import _cannot_serve
-from hil.vocabulary.errors import DeviceError
+from hil.core.errors import DeviceError
+from hil.fakes import emulated_can_group
+from hil.fakes.free_port import free_udp_port
+from hil.fakes.mocap.natnet_udp import _cannot_serve
 
 NAMES = ("encoders", "adhesion", "load_cells")
 PING_TO_ALL = can.Message(arbitration_id=0x11FF, data=b"\xfe", is_extended_id=True)
@@ -25,7 +25,7 @@ PING_TO_ALL = can.Message(arbitration_id=0x11FF, data=b"\xfe", is_extended_id=Tr
 def first_port(monkeypatch):
     """Instead of python-can's, which another program of this host may have."""
     port = free_udp_port()
-    monkeypatch.setattr(standard_can, "DEFAULT_PORT", port)
+    monkeypatch.setattr(emulated_can_group, "DEFAULT_PORT", port)
     return port
 
 
@@ -45,7 +45,7 @@ def emulation(**overrides):
 
 def heard(port, wanted):
     """Identifiers that a client hears who asks for VESCs, until all that are wanted are among them."""
-    found, where = set(), {"channel": standard_can.DEFAULT_GROUP, "port": port, "hop_limit": 0}
+    found, where = set(), {"channel": emulated_can_group.DEFAULT_GROUP, "port": port, "hop_limit": 0}
     with can.Bus(interface="udp_multicast", **where) as bus:
         for count in range(4000):
             if count % 400 == 0:
@@ -63,7 +63,7 @@ def test_encoders_fan_and_load_cells_of_one_bus_are_heard_at_one_port(first_port
         assert set(ports.values()) == {first_port}
         wanted = {0x1A0, 0x1B0, 0x12FE}  # the encoders' frame, the cells', and the controller's answer
         assert heard(first_port, wanted) >= wanted
-    assert standard_can._HELD == {}
+    assert emulated_can_group._HELD == {}
 
 
 def test_a_device_on_another_bus_has_the_next_port(first_port):

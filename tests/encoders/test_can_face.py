@@ -7,15 +7,15 @@ import can
 import pytest
 
 from hil.config.encoders import SHIPPED_DBC, EncodersConfig
-from hil.drivers.can_link import open_bus
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DeviceError, UsageError
+from hil.core.signals import Status
 from hil.drivers.encoders import As5045Encoders
-from hil.fakes.can_face import CanFace
-from hil.fakes.can_wire import CanChannel
+from hil.drivers.links.can_bus import open_bus
+from hil.fakes.can_channel import CanChannel
+from hil.fakes.can_server import CanFace
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import NEVER_NS
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DeviceError, UsageError
-from hil.vocabulary.signals import Status
 
 pytestmark = pytest.mark.alone
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from hil.config.encoders import EncodersConfig
+from hil.core.errors import DeviceError, DeviceTimeoutError
+from hil.core.signals import Status
 from hil.drivers.encoders import As5045Encoders
 from hil.fakes.encoders import EncoderTruthOptions
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
-from hil.vocabulary.signals import Status
 
 IDEAL = EncoderTruthOptions(noise_rad=0.0, once_rad=0.0, twice_rad=0.0)
 OK4 = (Status.OK,) * 4

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from still_plant import StillPlant
 
 from hil.config.encoders import EncodersConfig
+from hil.core.errors import DeviceError
+from hil.core.signals import Status
 from hil.drivers.encoders import As5045Encoders
-from hil.fakes.can_wire import CanChannel
+from hil.fakes.can_channel import CanChannel
 from hil.fakes.encoders import EncoderNode
 from hil.fakes.world import VirtualClock, World
-from hil.vocabulary.errors import DeviceError
-from hil.vocabulary.signals import Status
 
 OURS = st.sampled_from([416, 417])
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.config.encoders import SHIPPED_DBC, EncodersConfig
-from hil.drivers.encoders.layout import load_layout
-from hil.vocabulary.errors import DataError
+from hil.core.errors import DataError
+from hil.drivers.encoders.frame_layout import load_layout
 
 DATABASE = cantools.database.load_file(SHIPPED_DBC)
 LAYOUT = load_layout(EncodersConfig())

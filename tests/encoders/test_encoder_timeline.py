@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hil.drivers.arrivals import ArrivalClock
-from hil.drivers.encoders.timeline import NodeTimeline
+from hil.drivers.encoders.node_clock import NodeTimeline
+from hil.drivers.links.can_arrival_times import ArrivalClock
 
 PERIOD_NS = 5_000_000
 

@@ -5,9 +5,9 @@ import cantools
 import pytest
 
 from hil.config.encoders import SHIPPED_DBC, EncodersConfig
+from hil.devices.doctor_watch import Watched
 from hil.devices.encoders import KIND
-from hil.devices.encoders.look import look
-from hil.devices.looks import Watched
+from hil.devices.encoders.doctor_check import look
 from hil.drivers.encoders.node_status import NodeStatus
 
 DATABASE = cantools.database.load_file(SHIPPED_DBC)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.vocabulary.clock import NS_PER_S
+from hil.core.clock import NS_PER_S
 
 BAD = float("nan")
 

@@ -14,10 +14,10 @@ from simulated_sensors import (
     wheel_samples,
 )
 
+from hil.core.clock import NS_PER_S
+from hil.core.geometry import compose, se2_exp
+from hil.core.signals import PoseMeasurement, RobotState, Stamp
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.geometry import compose, se2_exp
-from hil.vocabulary.signals import PoseMeasurement, RobotState, Stamp
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ covariance is lost, the filter ends and says when.
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
+from hil.core.signals import RobotState
 from hil.robot.kinematics import forward_matrix
-from hil.vocabulary.signals import RobotState
 
 Q = np.diag([1e-8, 1e-8, 1e-8, 2e-4, 2e-4, 4e-4])
 R_WHEELS = np.diag([0.003, 0.003, 0.02]) ** 2

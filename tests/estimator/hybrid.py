@@ -22,17 +22,17 @@ from simulated_sensors import (
     wheel_samples,
 )
 
-from hil.calibration.blocks import reduce_recordings
 from hil.calibration.fitting import fit
 from hil.calibration.problem import RECOMMENDED
-from hil.calibration.start import start_of
 from hil.config.estimator import EstimatorConfig
+from hil.core.clock import NS_PER_S
+from hil.core.geometry import wrap_array
+from hil.datasets.blocks import reduce_recordings
+from hil.datasets.initial_rest import start_of
+from hil.datasets.read import read_recordings
 from hil.estimator import make_estimator
 from hil.estimator.consistency import nees
-from hil.recording.sources import read_recordings
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.geometry import wrap_array
 
 CAMERA, INERTIAL = CameraErrors(), InertialErrors()
 

@@ -13,9 +13,9 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.geometry import Array, between
-from hil.vocabulary.signals import (
+from hil.core.clock import NS_PER_S
+from hil.core.geometry import Array, between
+from hil.core.signals import (
     GyroMeasurement,
     Measurements,
     PoseMeasurement,

@@ -16,12 +16,12 @@ COMPASS = '''
 
 import math
 
-from hil.vocabulary.numpy_records import Record
+from hil.core.named_records import Record
 from hil.estimator.sensors.sensor import (
     DUPLICATE, USED, Tally, account_together, is_repeated, no_frame, undo_nothing,
 )
-from hil.estimator.state import THETA
-from hil.vocabulary.jit import inner
+from hil.estimator.state_vector import THETA
+from hil.support.numba_jit import inner
 
 NAME = "compass"
 BENT = False
@@ -105,7 +105,7 @@ from hil.config.estimator import EstimatorConfig
 from hil.estimator import make_estimator
 from hil.estimator.smoother import smooth
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.signals import Measurements, RobotState, Stamp
+from hil.core.signals import Measurements, RobotState, Stamp
 
 @dataclass(frozen=True)
 class Heading:

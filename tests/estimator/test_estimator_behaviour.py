@@ -21,10 +21,10 @@ from simulated_sensors import (
 )
 
 from hil.config.estimator import EstimatorConfig
+from hil.core.signals import GyroMeasurement, Measurements, PoseMeasurement, Stamp, WheelMeasurement
 from hil.estimator import make_estimator
-from hil.estimator.clocks import SensorClock
+from hil.estimator.clock_drift import SensorClock
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.signals import GyroMeasurement, Measurements, PoseMeasurement, Stamp, WheelMeasurement
 
 ROOT = FilePath(__file__).parents[2]
 EKF = EstimatorConfig()

@@ -10,10 +10,8 @@ import pytest
 from scipy.optimize import minimize
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator import make_estimator
-from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.geometry import compose, se2_exp
-from hil.vocabulary.signals import (
+from hil.core.geometry import compose, se2_exp
+from hil.core.signals import (
     GyroMeasurement,
     Measurements,
     PoseMeasurement,
@@ -21,6 +19,8 @@ from hil.vocabulary.signals import (
     Stamp,
     WheelMeasurement,
 )
+from hil.estimator import make_estimator
+from hil.robot.kinematics import WheelGeometry
 from tests.selected import every
 
 _estimator, _geometry, _kinematics = (

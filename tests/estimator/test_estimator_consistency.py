@@ -5,23 +5,27 @@ import pytest
 from estimator_drives import drive
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator import conditioning, events, make_estimator, motion, process, sensors
-from hil.estimator.conditioning import Compared
+from hil.core.signals import Measurements, PoseMeasurement, RobotState, Stamp
+from hil.estimator import constant_twist, event_loop, kalman_update, make_estimator, process_model, sensors
 from hil.estimator.consistency import autocorrelation, band, nees, whiteness
-from hil.estimator.layout import ROW, first_memory, parameters
+from hil.estimator.kalman_update import Compared
+from hil.estimator.kernel_layout import ROW, first_memory, parameters
+from hil.estimator.matrix_loops import square_root
 from hil.estimator.sensors import NUMBERS, tracker, wheels
-from hil.estimator.small_matrices import square_root
 from hil.estimator.smoother import smooth
-from hil.estimator.state import CLONE, MOTION, POSE, ROWS, SCALE, STATES, V_X, V_Y, prior_variances
+from hil.estimator.state_vector import CLONE, MOTION, POSE, ROWS, SCALE, STATES, V_X, V_Y, prior_variances
 from hil.estimator.unscented import points_of
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.jit import kernel
-from hil.vocabulary.signals import Measurements, PoseMeasurement, RobotState, Stamp
+from hil.support.numba_jit import kernel
 from tests.selected import every
 
-advance, moments, predicted = kernel(events.advance), kernel(events.moments), kernel(sensors.predicted)
-move, add_noise = kernel(motion.move), kernel(process.add_noise)
-condition, joint_nis = kernel(conditioning.condition), kernel(conditioning.joint_nis)
+advance, moments, predicted = (
+    kernel(event_loop.advance),
+    kernel(event_loop.moments),
+    kernel(sensors.predicted),
+)
+move, add_noise = kernel(constant_twist.move), kernel(process_model.add_noise)
+condition, joint_nis = kernel(kalman_update.condition), kernel(kalman_update.joint_nis)
 new_frame, clone_pose = kernel(tracker.new_frame), kernel(wheels.clone_pose)
 
 DT_S = 0.01

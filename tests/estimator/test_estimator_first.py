@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator import make_estimator
-from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.errors import ConfigError, UsageError
-from hil.vocabulary.signals import (
+from hil.core.errors import ConfigError, UsageError
+from hil.core.signals import (
     GyroMeasurement,
     Measurements,
     PoseMeasurement,
@@ -18,6 +16,8 @@ from hil.vocabulary.signals import (
     Stamp,
     WheelMeasurement,
 )
+from hil.estimator import make_estimator
+from hil.robot.kinematics import WheelGeometry
 
 STEP_NS = 10_000_000
 START = RobotState(0, np.zeros(3), np.zeros(3), np.eye(6) * 1e-6)

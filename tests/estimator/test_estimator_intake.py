@@ -7,11 +7,11 @@ import pytest
 from estimator_drives import drive
 
 from hil.config.estimator import EstimatorConfig
+from hil.core.signals import Measurements
 from hil.estimator import make_estimator
-from hil.estimator.history import CAPACITY
+from hil.estimator.event_buffer import CAPACITY
 from hil.estimator.smoother import smooth
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.signals import Measurements
 
 
 def bits(states):

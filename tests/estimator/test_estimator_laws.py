@@ -4,24 +4,24 @@ import numpy as np
 import pytest
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator import conditioning, events, make_estimator, motion, sensors
-from hil.estimator import process as model
-from hil.estimator import small_matrices as small
-from hil.estimator.layout import ROW, first_memory, parameters
+from hil.core.named_records import dtype_of, filled
+from hil.core.signals import Measurements, PoseMeasurement, RobotState, Stamp
+from hil.estimator import constant_twist, event_loop, kalman_update, make_estimator, sensors
+from hil.estimator import matrix_loops as small
+from hil.estimator import process_model as model
+from hil.estimator.kernel_layout import ROW, first_memory, parameters
 from hil.estimator.sensors import NUMBERS, tracker, wheels
-from hil.estimator.state import CLONE, OMEGA, POSE, ROWS, STATES, prior_variances
-from hil.estimator.state import SCALE as STATE_SCALE
+from hil.estimator.state_vector import CLONE, OMEGA, POSE, ROWS, STATES, prior_variances
+from hil.estimator.state_vector import SCALE as STATE_SCALE
 from hil.estimator.unscented import points_of
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.jit import kernel
-from hil.vocabulary.numpy_records import dtype_of, filled
-from hil.vocabulary.signals import Measurements, PoseMeasurement, RobotState, Stamp
+from hil.support.numba_jit import kernel
 
-advance, compare = kernel(events.advance), kernel(events.compare)
-move, transition = kernel(motion.move), kernel(motion.transition)
+advance, compare = kernel(event_loop.advance), kernel(event_loop.compare)
+move, transition = kernel(constant_twist.move), kernel(constant_twist.transition)
 add_noise, advance_linear = kernel(model.add_noise), kernel(model.advance_linear)
 predicted, jacobian = kernel(sensors.predicted), kernel(sensors.jacobian)
-condition, clone_pose = kernel(conditioning.condition), kernel(wheels.clone_pose)
+condition, clone_pose = kernel(kalman_update.condition), kernel(wheels.clone_pose)
 
 SCALE = np.array([1, 1, 1, 0.1, 0.1, 0.3, 1, 1, 1, 5e-3, 0.01, 0.01, 2e-3, 2e-3, 0.05, 0.05, 5e-3, 1, 1, 1])
 ROLLING = np.array([0.07, -0.04])
@@ -141,7 +141,7 @@ def test_row_by_row_conditioning_is_the_stacked_kalman_update():
         nu, cross, own, var = np.zeros(8), np.zeros((8, STATES)), np.zeros((8, 8)), np.zeros(8)
         nu[:count], var[:count], cross[:count] = z - h @ x, r, h @ p
         own[:count, :count] = h @ p @ h.T
-        rows = conditioning.Compared(nu, cross, own, var, np.zeros(8))
+        rows = kalman_update.Compared(nu, cross, own, var, np.zeros(8))
         assert condition(x, p, rows, count, np.inf) == count
         assert np.allclose(x, want_x, atol=1e-9)
         assert np.allclose(p, want_p, atol=1e-9)

@@ -7,11 +7,11 @@ import pytest
 
 import hil
 from hil.cli import main
+from hil.core.errors import DataError
+from hil.loop.recorded_motion import Motion
 from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording
-from hil.ring.motion import Motion
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import DataError
 
 
 @pytest.fixture(scope="module")

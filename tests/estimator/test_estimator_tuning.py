@@ -11,9 +11,9 @@ from estimator_drives import drive
 from hil.cli.tune import command
 from hil.config.estimator import EstimatorConfig
 from hil.config.loading import load_bench
+from hil.core.errors import ConfigError, UsageError
 from hil.estimator.tuning import TruthRun, score, tunable, tune, with_values
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.errors import ConfigError, UsageError
 
 NAMES = ("wheels.step_m", "wheels.per_sqrt_m")
 

@@ -8,9 +8,9 @@ from estimator_drives import drive
 from test_estimator_engines import assert_same, states
 
 from hil.config.estimator import EstimatorConfig
+from hil.core.signals import Measurements, RobotState, Stamp, WheelMeasurement
 from hil.estimator import make_estimator
 from hil.robot.kinematics import NOMINAL_RADIUS_M, WheelGeometry
-from hil.vocabulary.signals import Measurements, RobotState, Stamp, WheelMeasurement
 
 KINDS = ["ekf", "ukf"]
 SPEED_M_S, SILENT_FROM_S, SECONDS, PERIOD_S = 0.1, 2.0, 10.0, 0.01

@@ -6,12 +6,12 @@ from estimator_drives import true_path, wheel_log
 from simulated_sensors import InertialErrors, Path, cycles, inertial, wheel_samples
 
 from hil.config.estimator import EstimatorConfig
+from hil.core.geometry import compose
+from hil.core.signals import PoseMeasurement, RobotState, Stamp
 from hil.estimator import make_estimator
 from hil.estimator.consistency import nees
 from hil.estimator.smoother import smooth
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.geometry import compose
-from hil.vocabulary.signals import PoseMeasurement, RobotState, Stamp
 
 FIX_M = 5e-3
 CONFIG = EstimatorConfig(mocap={"use": True, "position_m": FIX_M, "heading_rad": 10.0})

@@ -7,10 +7,10 @@ import pytest
 from test_camera_scale import CREEP, MATCHED, climb, followed
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.layout import first_memory, parameters
+from hil.estimator.kernel_layout import first_memory, parameters
 from hil.estimator.sensors import wheels
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.jit import kernel
+from hil.support.numba_jit import kernel
 
 known_slip = kernel(wheels.known_slip)
 

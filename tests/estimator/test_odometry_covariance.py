@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hil.config.estimator import EstimatorConfig, SlipModel, WheelNoise
+from hil.core.signals import Measurements, RobotState, Stamp, WheelMeasurement
 from hil.estimator import make_estimator
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.signals import Measurements, RobotState, Stamp, WheelMeasurement
 
 STEP_NS, STEP_M = 20_000_000, 0.002
 SLIPS = np.array([0.05, 0.002, 0.05])

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.vocabulary.signals import RobotState
+from hil.core.signals import RobotState
 
 
 @dataclass

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.layout import MEMORY, ROW, parameters
+from hil.core.geometry import Array
+from hil.core.named_records import Ints, Record, dtype_of, filled, floats, part_of, place
+from hil.estimator.kernel_layout import MEMORY, ROW, parameters
 from hil.estimator.sensors import SENSORS
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.numpy_records import Ints, Record, dtype_of, filled, floats, part_of, place
 
 
 class Inner(Record):

@@ -10,14 +10,14 @@ import pytest
 from node_on_host import HostBoard
 
 from hil.config.encoders import SHIPPED_DBC, EncodersConfig
+from hil.core.signals import WHEELS, Status
 from hil.drivers.encoders import As5045Encoders, decode_word
-from hil.fakes.can_wire import CanChannel
+from hil.fakes.active_faults import FaultPlan
+from hil.fakes.can_channel import CanChannel
 from hil.fakes.encoders import EncoderNode
-from hil.fakes.encoders.as5045 import OCF, chip, with_parity
-from hil.fakes.encoders.as5045 import word as word_of
-from hil.fakes.faults import FaultPlan
+from hil.fakes.encoders.as5045_chip import OCF, chip, with_parity
+from hil.fakes.encoders.as5045_chip import word as word_of
 from hil.fakes.world import Scheduled, VirtualClock, World
-from hil.vocabulary.signals import WHEELS, Status
 
 DATABASE = cantools.database.load_file(SHIPPED_DBC)
 NAMES = EncodersConfig().signals

@@ -15,11 +15,11 @@ from tapping import Tap, frame_of, tapped
 
 from hil.bench.emulation import build_world, connect_in_process
 from hil.config.loading import load_bench
+from hil.core.device import Connection, DeviceModel
+from hil.core.errors import HilError
+from hil.core.registry import kinds
+from hil.core.signals import ServoSetpoint
 from hil.fakes.world import VirtualClock, World
-from hil.vocabulary.device import Connection, DeviceModel
-from hil.vocabulary.errors import HilError
-from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import ServoSetpoint
 
 MODELS = [m for kind in kinds().values() for m in kind.models if m.emulate is not None]
 NO_BYTES = ("t265",)  # its library hands over objects; what the feed of `hil emulate` says is a parser

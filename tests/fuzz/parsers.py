@@ -11,28 +11,28 @@ import sealing
 from emulations import recorded
 from mutating import Seal
 
-from hil.devices.imu.microstrain import fields as mip_fields
-from hil.devices.imu.microstrain.packets import PacketParser, encode
-from hil.devices.tracker.mavlink.messages import Parser, axes_of, dialect, pose_of, twist_of
+from hil.core.errors import HilError
+from hil.core.tracker_feed import FEED_INFO, FEED_MAGIC, INFO_RECORD
+from hil.devices.imu.microstrain import mip_fields as mip_fields
+from hil.devices.imu.microstrain.mip_packets import PacketParser, encode
+from hil.devices.tracker.mavlink.odometry_messages import Parser, axes_of, dialect, pose_of, twist_of
 from hil.drivers.adhesion.dronecan.frames import StatusReader, command_of
 from hil.drivers.adhesion.keeper.client import understood
 from hil.drivers.adhesion.keeper.door import _answered
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.vesc import frames as vesc
-from hil.drivers.mocap.frames import FrameParser, parse_frame
-from hil.drivers.mocap.models import parse_models
-from hil.drivers.mocap.packets import MalformedPacket, parse_server_info, split
+from hil.drivers.mocap.natnet_frames import FrameParser, parse_frame
+from hil.drivers.mocap.natnet_packets import MalformedPacket, parse_server_info, split
+from hil.drivers.mocap.rigid_body_names import parse_models
 from hil.drivers.servos.packets import GroupRead, find_statuses
-from hil.drivers.tracker.feed import FeedDevice
+from hil.drivers.tracker.emulated_pipeline import FeedDevice
 from hil.fakes.fault import parse_fault
-from hil.fakes.imu.uart import RequestParser
+from hil.fakes.imu.bno055_uart import RequestParser
 from hil.fakes.servos import protocol
-from hil.live.commands import parse_command
+from hil.live.velocity_input import parse_command
 from hil.recording import cdr
 from hil.recording.ros_types import MessageMaker, from_cdr, to_cdr
-from hil.vocabulary.errors import HilError
-from hil.vocabulary.reading import json_object, json_value, toml_tables
-from hil.vocabulary.tracker_feed import FEED_INFO, FEED_MAGIC, INFO_RECORD
+from hil.support.file_reading import json_object, json_value, toml_tables
 
 
 @dataclass(frozen=True)

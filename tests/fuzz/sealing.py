@@ -7,8 +7,8 @@ from typing import Any
 
 from fastcrc import crc16
 
-from hil.devices.imu.microstrain import packets as mip
-from hil.devices.tracker.mavlink.messages import dialect
+from hil.devices.imu.microstrain import mip_packets as mip
+from hil.devices.tracker.mavlink.odometry_messages import dialect
 from hil.fakes.servos import protocol
 
 _BODIES = 8

@@ -10,9 +10,9 @@ from unittest import mock
 
 import can
 
-from hil.devices.tracker.mavlink.network import WorldLink
-from hil.fakes.can_wire import WorldBus
-from hil.fakes.mocap.network import WorldPort
+from hil.devices.tracker.mavlink.virtual_network import WorldLink
+from hil.fakes.can_channel import WorldBus
+from hil.fakes.mocap.virtual_network import WorldPort
 from hil.fakes.protocol_hil import Serial
 
 Spoil = Callable[[bytes], bytes]

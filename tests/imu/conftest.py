@@ -11,8 +11,8 @@ from turning_plant import TurningPlant
 
 from hil.config.imu import Bno055Config
 from hil.drivers.imu import Bno055Imu
+from hil.fakes.active_faults import FaultPlan
 from hil.fakes.fault import parse_fault
-from hil.fakes.faults import FaultPlan
 from hil.fakes.imu import Bno055Chip, ImuTruthOptions
 from hil.fakes.world import VirtualClock, World
 

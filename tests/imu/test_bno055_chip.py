@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.fakes.imu import ImuTruthOptions
-from hil.fakes.imu.uart import RequestParser
+from hil.fakes.imu.bno055_uart import RequestParser
 from hil.fakes.world import NEVER_NS
 
 MS = 1_000_000

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from hil.core.errors import DataError, DeviceError, DeviceTimeoutError, HilError
+from hil.core.signals import Status
 from hil.drivers.imu import ImuCalibration
 from hil.fakes.fault import parse_fault
-from hil.fakes.wire import Reply
-from hil.vocabulary.errors import DataError, DeviceError, DeviceTimeoutError, HilError
-from hil.vocabulary.signals import Status
+from hil.fakes.serial_chip import Reply
 
 MODE_WRITE = bytes.fromhex("AA003D0108")
 

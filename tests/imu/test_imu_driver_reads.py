@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from hil.core.geometry import quat_conjugate, quat_rotate
+from hil.core.signals import Status
 from hil.fakes.imu import ImuTruthOptions
-from hil.vocabulary.geometry import quat_conjugate, quat_rotate
-from hil.vocabulary.signals import Status
 
 IDEAL = ImuTruthOptions(
     gyro_noise_rad_s=0,

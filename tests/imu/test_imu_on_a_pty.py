@@ -9,13 +9,13 @@ import pytest
 import serial
 
 from hil.config.imu import Bno055Config
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DeviceError
+from hil.core.signals import Status
 from hil.drivers.imu import Bno055Imu
 from hil.fakes.imu import Bno055Chip
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import NEVER_NS, World
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DeviceError
-from hil.vocabulary.signals import Status
 
 pytestmark = pytest.mark.alone
 

@@ -1,6 +1,6 @@
 """The periodic look at mode and system status rides on the prefetched burst: it takes no cycle any time."""
 
-from hil.vocabulary.signals import Status
+from hil.core.signals import Status
 
 PERIOD_NS = 10_000_000
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from hil.config.imu import Bno055Config
+from hil.core.signals import Status
 from hil.drivers.imu import Bno055Imu
 from hil.fakes.imu import Bno055Chip
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.world import VirtualClock, World
-from hil.vocabulary.signals import Status
 
 PERIOD_NS = 4_000_000
 

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import pytest
 from turning_plant import TurningPlant
 
-from hil.devices.imu.microstrain.chip import MicrostrainChip
 from hil.devices.imu.microstrain.config import MicrostrainConfig
 from hil.devices.imu.microstrain.driver import MicrostrainImu
-from hil.devices.imu.microstrain.sensing import MicrostrainTruthOptions
+from hil.devices.imu.microstrain.emulated_chip import MicrostrainChip
+from hil.devices.imu.microstrain.emulated_sensing import MicrostrainTruthOptions
+from hil.fakes.active_faults import FaultPlan
 from hil.fakes.fault import parse_fault
-from hil.fakes.faults import FaultPlan
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.world import VirtualClock, World
 

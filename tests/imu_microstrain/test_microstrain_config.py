@@ -4,7 +4,7 @@ import pytest
 from pydantic import ValidationError
 
 from hil.devices.imu.microstrain.config import MicrostrainConfig
-from hil.devices.imu.microstrain.fields import PACKET_BYTES
+from hil.devices.imu.microstrain.mip_fields import PACKET_BYTES
 
 
 def test_as_delivered_the_line_can_carry_the_rate():

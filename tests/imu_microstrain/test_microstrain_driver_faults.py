@@ -6,13 +6,13 @@ import itertools
 import numpy as np
 import pytest
 
-from hil.devices.imu.microstrain import fields as f
-from hil.devices.imu.microstrain.commands import Settings
-from hil.devices.imu.microstrain.packets import Field, cut, encode
+from hil.core.errors import DeviceTimeoutError
+from hil.core.signals import Status
+from hil.devices.imu.microstrain import mip_fields as f
+from hil.devices.imu.microstrain.emulated_commands import Settings
+from hil.devices.imu.microstrain.mip_packets import Field, cut, encode
 from hil.fakes.fault import parse_fault
-from hil.fakes.wire import Reply
-from hil.vocabulary.errors import DeviceTimeoutError
-from hil.vocabulary.signals import Status
+from hil.fakes.serial_chip import Reply
 
 
 def kinds(samples):

@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from hil.devices.imu.microstrain import fields as f
-from hil.devices.imu.microstrain import readings
-from hil.devices.imu.microstrain.packets import Field, Packet
-from hil.vocabulary.errors import DeviceError
-from hil.vocabulary.geometry import quat_conjugate, quat_rotate
-from hil.vocabulary.signals import Stamp, Status
+from hil.core.errors import DeviceError
+from hil.core.geometry import quat_conjugate, quat_rotate
+from hil.core.signals import Stamp, Status
+from hil.devices.imu.microstrain import filter_samples
+from hil.devices.imu.microstrain import mip_fields as f
+from hil.devices.imu.microstrain.mip_packets import Field, Packet
 
 LABEL_UP = (0.0, 1.0, 0.0, 0.0)
 
@@ -99,8 +99,8 @@ def test_a_real_sensors_figures_at_rest_are_read_with_the_right_signs():
     }
     packet = Packet(f.FILTER_DATA, tuple(Field(k, f.LAYOUTS[k].pack(*v)) for k, v in values.items()))
     data = f.FilterData.of(packet)
-    assert readings.judge(data) is Status.OK
-    sample = readings.sample(data, Stamp(0, 0, 1), Status.OK)
+    assert filter_samples.judge(data) is Status.OK
+    sample = filter_samples.sample(data, Stamp(0, 0, 1), Status.OK)
     felt = sample.gravity_m_s2 + sample.linear_acceleration_m_s2
     np.testing.assert_allclose(felt, [-0.060, 0.046, -9.820], atol=1e-3)
     up = quat_rotate(quat_conjugate(sample.quaternion_wxyz), [0.0, 0.0, 9.78])

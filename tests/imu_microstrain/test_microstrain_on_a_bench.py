@@ -5,12 +5,14 @@ import pytest
 import tomli_w
 
 import hil
-from hil.bench.discover import discover
-from hil.bench.doctor import examine
+from hil.bench.doctor.discovery import discover
+from hil.bench.doctor.examination import examine
 from hil.bench.emulation import build_world, connect_in_process
 from hil.cli import main
 from hil.config.imu import Bno055Config
 from hil.config.loading import load_bench, validate
+from hil.core.errors import ConfigError
+from hil.core.signals import Status
 from hil.devices.imu.microstrain import MicroStrain
 from hil.devices.imu.microstrain.config import MicrostrainConfig
 from hil.fakes.world import VirtualClock
@@ -18,8 +20,6 @@ from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_recording
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.signals import Status
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 

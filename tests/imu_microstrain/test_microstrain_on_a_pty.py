@@ -5,18 +5,18 @@ import threading
 import pytest
 import serial
 
-from hil.devices.imu.microstrain import fields as f
-from hil.devices.imu.microstrain.chip import MicrostrainChip
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DeviceError
+from hil.core.signals import Status
+from hil.devices.imu.microstrain import mip_fields as f
 from hil.devices.imu.microstrain.config import MicrostrainConfig
 from hil.devices.imu.microstrain.driver import MicrostrainImu
-from hil.devices.imu.microstrain.packets import Field, PacketParser, encode
+from hil.devices.imu.microstrain.emulated_chip import MicrostrainChip
+from hil.devices.imu.microstrain.mip_packets import Field, PacketParser, encode
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DeviceError
-from hil.vocabulary.signals import Status
 
 pytestmark = pytest.mark.alone
 

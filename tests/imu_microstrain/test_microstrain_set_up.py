@@ -6,11 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from hil.devices.imu.microstrain import fields as f
-from hil.devices.imu.microstrain.commands import Settings
-from hil.devices.imu.microstrain.packets import PacketParser
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
-from hil.vocabulary.signals import Status
+from hil.core.errors import DeviceError, DeviceTimeoutError
+from hil.core.signals import Status
+from hil.devices.imu.microstrain import mip_fields as f
+from hil.devices.imu.microstrain.emulated_commands import Settings
+from hil.devices.imu.microstrain.mip_packets import PacketParser
 
 OTHER = {f.FILTER_DATA: ((f.REFERENCE_TIME, 2), (f.STATUS, 2), (f.GRAVITY, 2))}
 

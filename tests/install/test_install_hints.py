@@ -9,16 +9,16 @@ import sys
 import pytest
 from packaging.requirements import Requirement
 
-from hil.bench.process import last_words
-from hil.devices.tracker.mavlink.messages import dialect
-from hil.drivers.tracker.library import realsense
+from hil.bench.emulator_process import last_words
+from hil.core.errors import HilError, UsageError
+from hil.datasets.export import write_table
+from hil.datasets.number_table import numbers_at_once
+from hil.devices.tracker.mavlink.odometry_messages import dialect
+from hil.drivers.tracker.librealsense_interface import realsense
 from hil.monitor import RerunMonitor
 from hil.procedure.campaign import Case, Row, write_rows
-from hil.procedure.campaign.spread import spread
-from hil.recording.export import write_table
-from hil.recording.numbers import numbers_at_once
-from hil.vocabulary.errors import HilError, UsageError
-from hil.vocabulary.extras import DISTRIBUTION, how_to_install
+from hil.procedure.campaign.dask_run import spread
+from hil.support.extras import DISTRIBUTION, how_to_install
 
 
 def behind(extra):

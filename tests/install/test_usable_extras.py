@@ -9,7 +9,7 @@ import pytest
 from packaging.requirements import Requirement
 
 from hil.cli import main
-from hil.vocabulary import extras
+from hil.support import extras
 
 try:
     import tomllib

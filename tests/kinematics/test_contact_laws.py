@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.estimator import friction
+from hil.estimator import wheel_friction
 from hil.robot import contact_laws as law
 from hil.robot.kinematics import WheelGeometry, forward_matrix, projection, twist_of_vectors, wheel_vectors
-from hil.vocabulary.jit import kernel
+from hil.support.numba_jit import kernel
 
-creep_twist, friction_twist = kernel(friction.creep_twist), kernel(friction.friction_twist)
+creep_twist, friction_twist = kernel(wheel_friction.creep_twist), kernel(wheel_friction.friction_twist)
 
 CAD = WheelGeometry.nominal()
 LOAD = np.array([0.5, 1.4, 1.5, 0.6])
@@ -150,7 +150,7 @@ def test_a_robot_that_stands_does_not_move():
 )
 def test_filter_kernels_follow_the_same_laws(geometry):
     """The window of the last steps decides the weights; with one step in it both forms are one law."""
-    wheels, p = friction.contacts(geometry)[0], projection(geometry.x_m, geometry.y_m)
+    wheels, p = wheel_friction.contacts(geometry)[0], projection(geometry.x_m, geometry.y_m)
     for u in contradicting(np.random.default_rng(7)):
         want = law.creep_motion(p, u[None], geometry.load, geometry.creep_ratio)[0]
         np.testing.assert_allclose(creep_twist(u, u, wheels), want, rtol=1e-6, atol=1e-12)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from hil.core.errors import UsageError
+from hil.core.geometry import compose, se2_exp
 from hil.robot import kinematics as k
 from hil.robot import odometry as o
-from hil.vocabulary.errors import UsageError
-from hil.vocabulary.geometry import compose, se2_exp
 
 CAD = k.WheelGeometry.nominal()
 

@@ -5,13 +5,13 @@ import pytest
 
 from hil.bench import open_bench
 from hil.bench.settings import motion_limits
-from hil.live.commands import CommandLines
-from hil.live.velocity import VelocityReference
+from hil.core.clock import nanoseconds
+from hil.live.velocity_input import CommandLines
+from hil.live.velocity_reference import VelocityReference
 from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_run
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import nanoseconds
 
 PAUSED_S = 0.3
 

@@ -6,10 +6,10 @@ import socket
 import numpy as np
 import pytest
 
+from hil.core.errors import UsageError
 from hil.live import VelocityReference, open_commands
-from hil.live.commands import TOKEN_VARIABLE, UdpLines
+from hil.live.velocity_input import TOKEN_VARIABLE, UdpLines
 from hil.robot.motion_limits import MotionLimits
-from hil.vocabulary.errors import UsageError
 
 TOKEN = "0123456789abcdef"
 

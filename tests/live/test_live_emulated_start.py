@@ -8,9 +8,9 @@ import pytest
 from still_plant import StillPlant
 
 import hil
+from hil.core.clock import MonotonicClock
 from hil.fakes.server import EmulationServer, Face
 from hil.fakes.world import NEVER_NS, World
-from hil.vocabulary.clock import MonotonicClock
 from tests.patience import FANLESS
 
 pytestmark = pytest.mark.usefixtures("warm_commands")

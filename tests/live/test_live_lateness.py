@@ -5,8 +5,8 @@ import logging
 import pytest
 
 from hil.cli.live import _text
-from hil.live.lateness import LateWarning, advice
-from hil.ring.loop_timing import LoopStatistics
+from hil.live.late_cycles import LateWarning, advice
+from hil.loop.timing import LoopStatistics
 
 
 def statistics(cycles, late, work_ms):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from hil.core.errors import ConfigError
 from hil.live import load_trajectory
 from hil.robot.trajectories import through
-from hil.vocabulary.errors import ConfigError
 
 POINTS = [(0.2, 0.1, 0.0), (0.4, 0.1, 0.0), (0.4, 0.3, 0.1)]
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.ring.loop_timing import Distribution, Laps, LoopStatistics
-from hil.ring.realtime import RealTime
-from hil.vocabulary.clock import Clock, MonotonicClock
+from hil.core.clock import Clock, MonotonicClock
+from hil.loop.realtime import RealTime
+from hil.loop.timing import Distribution, Laps, LoopStatistics
 
 MS = 1_000_000
 

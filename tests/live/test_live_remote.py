@@ -10,11 +10,11 @@ import pytest
 from remote_bridges import Bridge, SocketCanDaemon
 
 import hil
-from hil.drivers.serial_url import RemotePort, open_serial
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DeviceError
+from hil.drivers.links.serial_url import RemotePort, open_serial
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DeviceError
 
 LATENCY_S = 0.003
 BAUD = 3_000_000

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import hil
+from hil.core.errors import DataError, SafetyStop, UsageError
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RecordedRun, RunStart
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_run
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import DataError, SafetyStop, UsageError
 
 STRAIGHT = line((0.0, 0.0, 0.0), (0.04, 0.01, 0.0), duration_s=1.2)
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import hil
+from hil.core.errors import ConfigError, DataError
+from hil.datasets.read import read_recordings
 from hil.fakes.plant import RecordedMotion, RecordedRobot
-from hil.recording.sources import read_recordings
 from hil.robot.kinematics import NOMINAL_RADIUS_M, WheelGeometry
-from hil.vocabulary.errors import ConfigError, DataError
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("HIL_DATA", ROOT.parent / "shared" / "data")) / "4wis4wid"

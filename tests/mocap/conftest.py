@@ -10,13 +10,13 @@ from following import follow
 from still_plant import StillPlant
 
 from hil.config.mocap import MocapConfig
+from hil.core.clock import MonotonicClock
 from hil.drivers.mocap import NatNetMocap
+from hil.fakes.active_faults import FaultPlan
 from hil.fakes.fault import parse_fault
-from hil.fakes.faults import FaultPlan
 from hil.fakes.mocap import STILL, NatNetFace, NatNetServer
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import VirtualClock, World
-from hil.vocabulary.clock import MonotonicClock
 
 
 class Climber(StillPlant):

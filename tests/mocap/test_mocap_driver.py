@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from hil.config.mocap import MocapConfig
+from hil.core.errors import DeviceError, DeviceTimeoutError, UsageError
+from hil.core.signals import Status
 from hil.drivers.mocap import Datagram, NatNetMocap
 from hil.fakes.mocap import MocapTruthOptions
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, UsageError
-from hil.vocabulary.signals import Status
 
 NOISY = MocapTruthOptions(stalls_per_s=0.0)
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from following import kinds
 
+from hil.core.errors import DeviceError, DeviceTimeoutError
+from hil.core.signals import Status
 from hil.fakes.fault import parse_fault
 from hil.fakes.mocap import MocapTruthOptions
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
-from hil.vocabulary.signals import Status
 
 
 @pytest.mark.parametrize("fault", ["off@1", "unplug@1", "intermittent@1,duty=1", "drop@1,probability=1"])

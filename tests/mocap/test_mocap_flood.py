@@ -8,10 +8,10 @@ import natnet_builder as build
 import pytest
 
 from hil.config.mocap import MocapConfig
+from hil.core.clock import MonotonicClock
 from hil.drivers.mocap import Datagram
-from hil.drivers.mocap.datagrams import _MOST_PER_WINDOW, _WINDOW_NS, UdpPort
-from hil.drivers.mocap.session import Session
-from hil.vocabulary.clock import MonotonicClock
+from hil.drivers.mocap.natnet_session import Session
+from hil.drivers.mocap.udp_ports import _MOST_PER_WINDOW, _WINDOW_NS, UdpPort
 
 pytestmark = pytest.mark.alone
 

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.config.mocap import MocapConfig
+from hil.core.errors import DeviceError
+from hil.core.signals import Status
 from hil.drivers.mocap import Datagram, NatNetMocap
 from hil.fakes.world import VirtualClock, World
-from hil.vocabulary.errors import DeviceError
-from hil.vocabulary.signals import Status
 
 SERVER = ("127.0.0.1", 1510)
 FLOATS = st.floats(allow_nan=True, allow_infinity=True)

@@ -14,12 +14,12 @@ from natnet import NatNetClient
 from natnet.version import Version
 
 from hil.config.mocap import MocapConfig
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.drivers.mocap import NatNetMocap
-from hil.drivers.mocap.datagrams import UdpPort
+from hil.drivers.mocap.udp_ports import UdpPort
 from hil.fakes.mocap import NatNetFace, NatNetServer
 from hil.fakes.world import World
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 
 pytestmark = pytest.mark.real_time
 

@@ -5,7 +5,7 @@ import struct
 import pytest
 
 import hil
-from hil.fakes.mocap.network import Outlet
+from hil.fakes.mocap.virtual_network import Outlet
 
 CONNECT, REQUEST, KEEPALIVE, FRAME = 0, 2, 10, 7
 S = 1_000_000_000

@@ -14,25 +14,25 @@ from natnet.packet_buffer import PacketBuffer
 from natnet.server_info import ServerInfo
 from natnet.version import Version
 
-from hil.drivers.mocap.frames import frame_number, parse_frame
-from hil.drivers.mocap.models import parse_models
-from hil.drivers.mocap.packets import MalformedPacket, Message, parse_server_info, request, split
-from hil.fakes.mocap import encode
-from hil.fakes.mocap.capture import SeenBody
+from hil.drivers.mocap.natnet_frames import frame_number, parse_frame
+from hil.drivers.mocap.natnet_packets import MalformedPacket, Message, parse_server_info, request, split
+from hil.drivers.mocap.rigid_body_names import parse_models
+from hil.fakes.mocap import natnet_encoding
+from hil.fakes.mocap.camera_view import SeenBody
 
 MARKERS = tuple((0.1 * k, 0.2 * k, 0.3 * k) for k in range(4))
 SEEN = (
     SeenBody("other", 2, (1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0), MARKERS, 0.0005),
     SeenBody("robot", 1, (-1.5, 0.25, 4.0), (0.5, -0.5, 0.5, 0.5), MARKERS, 0.00025, tracked=False),
 )
-TIMES = encode.FrameTimes(12.5, 1000, 1400, 2000)
+TIMES = natnet_encoding.FrameTimes(12.5, 1000, 1400, 2000)
 
 
 def payload(packet):
     return split(packet)[1]
 
 
-@pytest.mark.parametrize("version", encode.VERSIONS)
+@pytest.mark.parametrize("version", natnet_encoding.VERSIONS)
 def test_emulated_frames_have_the_published_layout(version):
     """Byte for byte: three marker sets, two bodies, eight labelled markers, nothing else."""
     flat = [v for m in MARKERS for v in m]
@@ -49,19 +49,21 @@ def test_emulated_frames_have_the_published_layout(version):
         sections.insert(4, [])
     data = struct.pack("<i", 77) + b"".join(build.counted(s, version) for s in sections)
     data += struct.pack("<IId3QHi", 0, 0, 12.5, 1000, 1400, 2000, 0, 0)
-    assert encode.Frames().frame(77, SEEN, TIMES, version) == build.message(7, data)
+    assert natnet_encoding.Frames().frame(77, SEEN, TIMES, version) == build.message(7, data)
 
 
-@pytest.mark.parametrize("version", encode.VERSIONS)
+@pytest.mark.parametrize("version", natnet_encoding.VERSIONS)
 def test_a_frame_is_the_same_whatever_was_sent_before(version):
     moved = SEEN[1]._replace(position_m=(3.0, 2.0, 1.0), markers_m=MARKERS[::-1], tracked=True)
-    frames = encode.Frames()
+    frames = natnet_encoding.Frames()
     for k, bodies in enumerate((SEEN, (SEEN[0], moved), SEEN[::-1], SEEN, SEEN[:1], (SEEN[0], moved))):
-        times = encode.FrameTimes(*(k + t for t in TIMES))
-        assert frames.frame(k, bodies, times, version) == encode.Frames().frame(k, bodies, times, version)
+        times = natnet_encoding.FrameTimes(*(k + t for t in TIMES))
+        assert frames.frame(k, bodies, times, version) == natnet_encoding.Frames().frame(
+            k, bodies, times, version
+        )
 
 
-@pytest.mark.parametrize("version", encode.VERSIONS)
+@pytest.mark.parametrize("version", natnet_encoding.VERSIONS)
 def test_emulated_definitions_and_description_have_the_published_layout(version):
     names = (("other", 2), ("robot", 1))
     labels = b"".join(build.text(f"Marker{k}") for k in range(1, 5))
@@ -70,17 +72,17 @@ def test_emulated_definitions_and_description_have_the_published_layout(version)
     for name, identifier in names:
         data = build.text(name) + struct.pack("<ii3fi", identifier, -1, 0, 0, 0, 4) + bytes(48 + 16)
         bodies.append((1, data + (labels if version >= (4, 0) else b"")))
-    assert encode.models(names, version) == build.models(version, *sets, *bodies)
-    info = encode.server_info(version, 10_000_000, 1511, "239.255.42.99")
+    assert natnet_encoding.models(names, version) == build.models(version, *sets, *bodies)
+    info = natnet_encoding.server_info(version, 10_000_000, 1511, "239.255.42.99")
     assert len(info) == 4 + 256 + 8 + 15
     assert info[4 + 256 + 4 : 4 + 256 + 8] == bytes((*version, 0, 0))
     assert info[-15:] == struct.pack("<QHB", 10_000_000, 1511, 1) + bytes((239, 255, 42, 99))
 
 
-@pytest.mark.parametrize("version", encode.VERSIONS)
+@pytest.mark.parametrize("version", natnet_encoding.VERSIONS)
 def test_a_public_client_reads_the_emulated_packets(version):
     public = Version(*version)
-    frame = encode.Frames().frame(77, SEEN, TIMES, version)
+    frame = natnet_encoding.Frames().frame(77, SEEN, TIMES, version)
     seen = DataFrame.read_from_buffer(PacketBuffer(payload(frame)), public)
     assert seen.prefix.frame_number == 77
     assert [b.id_num for b in seen.rigid_bodies] == [2, 1]
@@ -88,10 +90,10 @@ def test_a_public_client_reads_the_emulated_packets(version):
     assert [b.tracking_valid for b in seen.rigid_bodies] == [True, False]
     assert len(seen.labeled_markers) == 8
     assert (seen.suffix.timestamp, seen.suffix.stamp_transmit) == (12.5, 2000)
-    models = payload(encode.models((("other", 2), ("robot", 1)), version))
+    models = payload(natnet_encoding.models((("other", 2), ("robot", 1)), version))
     described = DataDescriptions.read_from_buffer(PacketBuffer(models), public)
     assert [(b.name, b.id_num) for b in described.rigid_bodies] == [("other", 2), ("robot", 1)]
-    info = payload(encode.server_info(version, 10_000_000, 1511, None))
+    info = payload(natnet_encoding.server_info(version, 10_000_000, 1511, None))
     assert ServerInfo.read_from_buffer(PacketBuffer(info), public).application_name == "Motive"
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.monitor import viewer
+from hil.monitor import rerun_viewer
 
 needs_rerun = pytest.mark.skipif(importlib.util.find_spec("rerun") is None, reason="Rerun is not installed")
 needs_proc = pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="no /proc/net on this system")
@@ -37,14 +37,14 @@ def addresses(port, table="tcp"):
 @needs_proc
 def test_the_server_for_browsers_listens_to_this_computer_only():
     grpc_port, web_port = free_port(), free_port()
-    process = viewer.serve(grpc_port, web_port)
+    process = rerun_viewer.serve(grpc_port, web_port)
     try:
         assert addresses(grpc_port) == {LOOPBACK}
         assert addresses(web_port) == {LOOPBACK}
         with pytest.raises(RuntimeError, match=f"port {grpc_port} is in use"):
-            viewer.serve(grpc_port, web_port)
+            rerun_viewer.serve(grpc_port, web_port)
     finally:
-        viewer.stop(process)
+        rerun_viewer.stop(process)
     assert addresses(grpc_port) == addresses(web_port) == set()
 
 
@@ -54,13 +54,13 @@ def test_a_stream_that_serves_takes_records_and_ends_its_server(monkeypatch, cap
     from test_monitor_sink import shown
 
     from hil.monitor import Scene
-    from hil.monitor.stream import RerunStream
+    from hil.monitor.rerun_stream import RerunStream
 
     grpc_port, web_port = free_port(), free_port()
-    monkeypatch.setattr(viewer, "url", lambda: f"rerun+http://127.0.0.1:{grpc_port}/proxy")
-    serve = viewer.serve
-    monkeypatch.setattr(viewer, "serve", lambda: serve(grpc_port, web_port))
-    monkeypatch.setattr(viewer, "WEB_PORT", web_port)
+    monkeypatch.setattr(rerun_viewer, "url", lambda: f"rerun+http://127.0.0.1:{grpc_port}/proxy")
+    serve = rerun_viewer.serve
+    monkeypatch.setattr(rerun_viewer, "serve", lambda: serve(grpc_port, web_port))
+    monkeypatch.setattr(rerun_viewer, "WEB_PORT", web_port)
     stream = RerunStream(("serve",), Scene())
     assert addresses(grpc_port) == addresses(web_port) == {LOOPBACK}
     for k in range(50):

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from hil.monitor.shapes import (
+from hil.core.geometry import compose
+from hil.monitor.wall_outlines import (
     Trail,
     body_outline,
     covariance_ellipse,
@@ -17,7 +18,6 @@ from hil.monitor.shapes import (
     wheel_segments,
 )
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.geometry import compose
 
 GEOMETRY = WheelGeometry.nominal()
 POSE = np.array([1.2, -0.4, 0.3])

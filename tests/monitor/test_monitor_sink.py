@@ -16,14 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.monitor import RerunMonitor
-from hil.monitor.blueprint import line_colours
-from hil.monitor.pipe import put
-from hil.monitor.rrd import what_is_missing
-from hil.monitor.series import Series, SeriesCollector
-from hil.monitor.sink import split_targets
-from hil.vocabulary.errors import DataError, UsageError
-from hil.vocabulary.signals import (
+from hil.core.errors import DataError, UsageError
+from hil.core.signals import (
     SERVOS,
     CycleRecord,
     Event,
@@ -41,6 +35,12 @@ from hil.vocabulary.signals import (
     WheelMeasurement,
     WheelSetpoint,
 )
+from hil.monitor import RerunMonitor
+from hil.monitor.plot_series import Series, SeriesCollector
+from hil.monitor.record_pipe import put
+from hil.monitor.rerun_layout import line_colours
+from hil.monitor.rrd_check import what_is_missing
+from hil.monitor.sink import split_targets
 
 needs_rerun = pytest.mark.skipif(
     importlib.util.find_spec("rerun") is None, reason="the extra `rerun` is not installed"

@@ -18,14 +18,14 @@ from test_monitor_sink import shown  # noqa: E402
 import hil  # noqa: E402
 from hil.config.environment import EnvironmentConfig  # noqa: E402
 from hil.config.loading import load_bench  # noqa: E402
-from hil.monitor import Scene, solid  # noqa: E402
-from hil.monitor.stream import RerunStream  # noqa: E402
+from hil.core.geometry import Array, quat_rotate, rotation2  # noqa: E402
+from hil.core.signals import CycleRecord, WheelMeasurement  # noqa: E402
+from hil.monitor import Scene, solid_geometry  # noqa: E402
+from hil.monitor.rerun_stream import RerunStream  # noqa: E402
 from hil.recording.mcap_writer import McapRecorder  # noqa: E402
 from hil.recording.runs import read_runs  # noqa: E402
 from hil.robot.kinematics import WheelGeometry, inverse  # noqa: E402
 from hil.robot.trajectories import line  # noqa: E402
-from hil.vocabulary.geometry import Array, quat_rotate, rotation2  # noqa: E402
-from hil.vocabulary.signals import CycleRecord, WheelMeasurement  # noqa: E402
 
 GEOMETRY = WheelGeometry(
     np.array([0.11, -0.12, -0.11, 0.10]),
@@ -161,10 +161,10 @@ def test_loads_and_slip_are_the_emulated_robots_own(climbed):
     slips = drawn.rows(f"{ROBOT}/slip", "Arrows3D:vectors")
     assert len(loads) >= 3
     for cycle, arrows in loads.items():
-        expected = solid.ARROW_M_PER_N * truths[cycle]["normal_load_n"]
+        expected = solid_geometry.ARROW_M_PER_N * truths[cycle]["normal_load_n"]
         np.testing.assert_allclose(arrows[:, 2], expected, rtol=1e-5)
         length = np.linalg.norm(slips[cycle], axis=1)
-        expected = solid.ARROW_S * np.linalg.norm(truths[cycle]["slip_m_s"], axis=1)
+        expected = solid_geometry.ARROW_S * np.linalg.norm(truths[cycle]["slip_m_s"], axis=1)
         np.testing.assert_allclose(length, expected, atol=1e-6)
 
 
@@ -177,11 +177,11 @@ def test_slip_seen_from_outside_and_loads_by_statics_are_near_the_emulated_robot
     cycle = 150
     truth = records[cycle].truth
     assert truth is not None
-    slip = seen.rows(f"{ROBOT}/slip", "Arrows3D:vectors")[cycle] / solid.ARROW_S
+    slip = seen.rows(f"{ROBOT}/slip", "Arrows3D:vectors")[cycle] / solid_geometry.ARROW_S
     expected = np.mean([r.truth["slip_m_s"] for r in records[cycle - 50 : cycle]], axis=0)
     assert np.linalg.norm(expected[:, 0]) > 1e-3
     np.testing.assert_allclose(slip[:, 0], expected[:, 0], atol=4e-4)
-    loads = seen.rows(f"{ROBOT}/loads", "Arrows3D:vectors")[cycle][:, 2] / solid.ARROW_M_PER_N
+    loads = seen.rows(f"{ROBOT}/loads", "Arrows3D:vectors")[cycle][:, 2] / solid_geometry.ARROW_M_PER_N
     np.testing.assert_allclose(loads, truth["normal_load_n"], rtol=0.02)
 
 
@@ -238,6 +238,6 @@ def test_fan_and_propellers_push_on_a_wall_only_and_weight_points_down(tmp_path,
     assert list(labels[:1]) == ["weight 32 N"]
     assert any("fan (assumed) 45 N" in label for label in labels) is pushed
     in_wall = np.array([*(rotation2(0.3) @ vectors[0][:2]), vectors[0][2]])
-    in_scene = solid.wall_rotation(tilt_rad) @ in_wall
+    in_scene = solid_geometry.wall_rotation(tilt_rad) @ in_wall
     weight_n = scene.robot.mass_kg * 9.81
-    np.testing.assert_allclose(in_scene, [0, 0, -solid.ARROW_M_PER_N * weight_n], atol=1e-6)
+    np.testing.assert_allclose(in_scene, [0, 0, -solid_geometry.ARROW_M_PER_N * weight_n], atol=1e-6)

@@ -12,13 +12,13 @@ from test_monitor_sink import needs_rerun, shown
 from hil.config.environment import EnvironmentConfig
 from hil.config.loading import load_bench
 from hil.config.robot import RobotConfig
+from hil.core.device import Force
+from hil.core.errors import ConfigError
+from hil.core.signals import AdhesionSample, Stamp, ThrustSample
 from hil.devices.imu import Imu
-from hil.monitor import RerunMonitor, Scene, moments
-from hil.monitor.moments import Moments
+from hil.monitor import RerunMonitor, Scene, scene_state
+from hil.monitor.scene_state import Moments
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.device import Force
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.signals import AdhesionSample, Stamp, ThrustSample
 
 TRIANGLE = "v 0 0 0\nv 100 0 0\nv 0 100 50\nf 1 2 3\n"
 
@@ -70,7 +70,7 @@ def test_forces_that_a_device_tells_replace_the_assumed_ones(monkeypatch):
         "left propeller (assumed)",
         "right propeller (assumed)",
     ]
-    monkeypatch.setattr(moments, "kinds", lambda: {"imu": Telling()})
+    monkeypatch.setattr(scene_state, "kinds", lambda: {"imu": Telling()})
     follower.note(shown(1))
     assert follower.at(shown(1), 0.01).forces == (told,)
 
@@ -119,7 +119,7 @@ def test_forces_that_fail_are_named_once_and_the_rest_is_shown(monkeypatch, capl
         def forces(self, inputs, robot, config):
             return 1 / 0
 
-    monkeypatch.setattr(moments, "kinds", lambda: {"imu": Failing()})
+    monkeypatch.setattr(scene_state, "kinds", lambda: {"imu": Failing()})
     follower = Moments(Scene())
     for k in range(3):
         follower.note(shown(k))

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from hil.bench import open_bench
-from hil.monitor.status import StatusStream
-from hil.vocabulary.clock import Clock, nanoseconds
-from hil.vocabulary.interfaces import Sink
-from hil.vocabulary.signals import Event
+from hil.core.clock import Clock, nanoseconds
+from hil.core.interfaces import Sink
+from hil.core.signals import Event
+from hil.monitor.status_lines import StatusStream
 
 
 class At(Clock):

@@ -17,12 +17,12 @@ import unittest.mock
 
 import can
 
-from hil.fakes.can_face import CanFace
-from hil.fakes.can_wire import CanChannel
-from hil.fakes.faults import FaultPlan
+from hil.core.clock import MonotonicClock
+from hil.fakes.active_faults import FaultPlan
+from hil.fakes.can_channel import CanChannel
+from hil.fakes.can_server import CanFace
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World
-from hil.vocabulary.clock import MonotonicClock
 
 
 class Still:

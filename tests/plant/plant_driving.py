@@ -8,16 +8,16 @@ import pytest
 from hil.config.control import ControlConfig
 from hil.config.robot import RobotConfig
 from hil.controller import make_controller
+from hil.core.clock import NS_PER_S
+from hil.core.geometry import compose, se2_exp
+from hil.core.signals import RobotState, Stamp, WheelMeasurement
+from hil.fakes.active_faults import FaultPlan
+from hil.fakes.body_interface import JointCommand
 from hil.fakes.fault import make_fault
-from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import WallRobot, make_plant
 from hil.fakes.plant.robot import GRAVITY_M_S2
-from hil.fakes.plant_api import JointCommand
 from hil.robot.kinematics import WheelGeometry, forward, inverse
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.geometry import compose, se2_exp
-from hil.vocabulary.signals import RobotState, Stamp, WheelMeasurement
 
 PERIOD_NS = 10_000_000
 MS_NS = 1_000_000

@@ -7,9 +7,9 @@ import pytest
 from mujoco_driving import mujoco, robot
 from plant_driving import MS_NS, build, drive, settle, wait
 
+from hil.core.errors import DeviceError, UsageError
 from hil.fakes.mujoco_plant import CONTACTS
 from hil.fakes.mujoco_plant.model import as_built, build_model
-from hil.vocabulary.errors import DeviceError, UsageError
 
 
 def _bits(plant):

@@ -19,14 +19,14 @@ from plant_driving import (
 )
 
 from hil.config.robot import RobotConfig
+from hil.core.errors import UsageError
+from hil.fakes.active_faults import FaultPlan
+from hil.fakes.body_interface import JointCommand, Plant
 from hil.fakes.fault import make_fault
-from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import Patch, Surface, make_plant
 from hil.fakes.plant.robot import GRAVITY_M_S2
-from hil.fakes.plant_api import JointCommand, Plant
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.trajectories import circle
-from hil.vocabulary.errors import UsageError
 from tests.selected import every
 
 WEIGHT_N = 3.25 * GRAVITY_M_S2

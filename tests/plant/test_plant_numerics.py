@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from plant_driving import FLOOR, MS_NS, build, drive, release, settle, wait
 
+from hil.core.errors import UsageError
+from hil.fakes.active_faults import FaultPlan
+from hil.fakes.body_interface import JointCommand
 from hil.fakes.fault import make_fault
-from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import Patch
-from hil.fakes.plant.kernel import advance
-from hil.fakes.plant_api import JointCommand
-from hil.vocabulary.errors import UsageError
+from hil.fakes.plant.step_kernel import advance
 from tests.selected import every
 
 

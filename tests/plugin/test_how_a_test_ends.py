@@ -5,10 +5,10 @@ from xml.etree import ElementTree
 
 import pytest
 
-from hil.bench.held import Held
+from hil.bench.hold.result import Held
+from hil.fakes.active_faults import FaultPlan
 from hil.fakes.fault import parse_fault
-from hil.fakes.faults import FaultPlan
-from hil.pytest_plugin import ending
+from hil.pytest_plugin import test_outcome
 
 pytest_plugins = ["pytester"]
 pytestmark = pytest.mark.usefixtures("started_commands")
@@ -148,7 +148,7 @@ def item(warned, *, real=(), fails=False, blind=None):
 )
 def test_a_lost_robot_is_an_error_where_it_matters(monkeypatch, real, wire, faults, fails, raised, warns):
     warned = []
-    monkeypatch.setattr(ending, "source_of", lambda _: tested.source)
+    monkeypatch.setattr(test_outcome, "source_of", lambda _: tested.source)
     tested = item(warned, real=real, fails=fails)
     bench = SimpleNamespace(
         config=SimpleNamespace(name="lab"),
@@ -159,18 +159,18 @@ def test_a_lost_robot_is_an_error_where_it_matters(monkeypatch, real, wire, faul
     )
     if raised:
         with pytest.raises(pytest.fail.Exception, match="bench lab: the test has left the robot NOT HELD"):
-            ending.end(tested, bench, passed=True)
+            test_outcome.end(tested, bench, passed=True)
     else:
-        ending.end(tested, bench, passed=True)
+        test_outcome.end(tested, bench, passed=True)
     assert len(warned) == warns
     assert ("held", "NOT HELD") in tested.user_properties
 
 
 def test_a_robot_that_was_let_go_of_is_no_error(monkeypatch):
     tested = item([], real=("servos",))
-    monkeypatch.setattr(ending, "source_of", lambda _: tested.source)
+    monkeypatch.setattr(test_outcome, "source_of", lambda _: tested.source)
     held = Held("NOT HELD", None, "torque was released, as exit.policy asks", wanted=False)
-    ending.end(tested, SimpleNamespace(held=held, faults_not_begun=tuple), passed=True)
+    test_outcome.end(tested, SimpleNamespace(held=held, faults_not_begun=tuple), passed=True)
     assert tested.user_properties == [("held", "NOT HELD")]
 
 

@@ -7,14 +7,14 @@ from xml.etree import ElementTree
 
 import pytest
 
-from hil.calibration.artefact import save_calibration
+from hil.calibration.calibration_file import save_calibration
 from hil.config.loading import load_bench
-from hil.procedure.bench_source import BenchSource
+from hil.core.clock import MonotonicClock
+from hil.core.signals import Stamp, Status
+from hil.loop.timing import LoopStatistics
+from hil.procedure.bench_request import BenchSource
 from hil.pytest_plugin import selfcheck
 from hil.pytest_plugin.selfcheck import idle_for, oldest_s, too_late
-from hil.ring.loop_timing import LoopStatistics
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.signals import Stamp, Status
 from tests.procedures.made_calibrations import made
 
 pytest_plugins = ["pytester"]

@@ -5,9 +5,9 @@ import itertools
 import pytest
 
 from hil.config.bench import BenchConfig
-from hil.procedure.bench_source import BenchSource
+from hil.core.clock import MonotonicClock
+from hil.procedure.bench_request import BenchSource
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.vocabulary.clock import MonotonicClock
 
 
 class Scripted:

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 
 from hil.cli import main
-from hil.vocabulary.call_chain import chain_of, keep_chain
+from hil.core.call_chain import chain_of, keep_chain
 
 BOOM = """
 from hil.procedure import Measurement, procedure

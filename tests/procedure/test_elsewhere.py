@@ -6,17 +6,17 @@ from functools import partial
 
 import pytest
 
+from hil.core.clock import MonotonicClock
+from hil.core.errors import Aborted, DataError, TrajectoryError
 from hil.procedure import procedure
-from hil.procedure.bench_source import BenchSource
-from hil.procedure.driven_rows import DrivenRows
-from hil.procedure.elsewhere import Errand, Sent, driven
+from hil.procedure.bench_request import BenchSource
+from hil.procedure.figure_rows import DrivenRows
 from hil.procedure.measurements import Verdict
+from hil.procedure.parallel_drives import Errand, Sent, driven
+from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.procedure.scripts import load_procedure
-from hil.procedure.tracking import stand
+from hil.procedure.tracking_errors import stand
 from hil.recording.runs import read_runs
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import Aborted, DataError, TrajectoryError
 from tests.patience import FANLESS
 
 SHORT = {

@@ -8,10 +8,10 @@ from click.testing import CliRunner
 from hil.bench import supported_faults
 from hil.cli.faults import command
 from hil.config.loading import load_bench
+from hil.core.errors import Aborted, ConfigError, HilError, UsageError
 from hil.procedure import faults
 from hil.procedure.faults import MOMENTS, CellVerdict, cells_of, random_cells
-from hil.report.history.found import find_results
-from hil.vocabulary.errors import Aborted, ConfigError, HilError, UsageError
+from hil.report.history.index import find_results
 
 SUPPORTED = {
     "plant": ("adhesion_loss",),
@@ -92,7 +92,7 @@ def test_the_short_form_passes(tmp_path):
 
 
 def test_physics_that_are_not_installed_are_refused_before_the_first_cell(tmp_path, monkeypatch):
-    monkeypatch.setattr("hil.fakes.mujoco_plant.reading.lacks", lambda extra: "not installed")
+    monkeypatch.setattr("hil.fakes.mujoco_plant.mjcf_check.lacks", lambda extra: "not installed")
     with pytest.raises(ConfigError, match="needs the extra mujoco"):
         command.main(["--plants", "own,mujoco", "--out", str(tmp_path / "out")], standalone_mode=False)
     assert not (tmp_path / "out").exists()

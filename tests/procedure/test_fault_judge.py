@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from hil.bench import Held
+from hil.core.errors import DeviceError, SafetyStop
 from hil.procedure.faults import MOMENTS, Cell, CellVerdict, matrix_page, summary
-from hil.procedure.faults.bounds import LIMP_M_S, farthest_m
-from hil.procedure.faults.judging import Measured, judge
-from hil.procedure.faults.seen import Ended, Seen, ended_by
-from hil.vocabulary.errors import DeviceError, SafetyStop
+from hil.procedure.faults.judge import Measured, judge
+from hil.procedure.faults.movement_bounds import LIMP_M_S, farthest_m
+from hil.procedure.faults.observation import Ended, Seen, ended_by
 
 STOPPED_S, LOOKED_S = 1.4, 6.4
 

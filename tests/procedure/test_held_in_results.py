@@ -7,18 +7,18 @@ from contextlib import suppress
 
 import pytest
 
-from hil.bench.held import held_in_words
-from hil.bench.holding import HoldWatch
+from hil.bench.hold.monitor import HoldWatch
+from hil.bench.hold.result import held_in_words
 from hil.cli import main
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DeviceTimeoutError
 from hil.procedure import Measurement, procedure
-from hil.procedure.bench_source import BenchSource
+from hil.procedure.bench_request import BenchSource
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.recording.mcap_reader import RecordingReader
 from hil.report import run_page
 from hil.report.run_page import write_run_page
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DeviceTimeoutError
 
 
 @procedure(name="climb", needs=("servos",), measurements=(Measurement("last", "1"),))

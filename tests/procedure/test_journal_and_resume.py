@@ -8,10 +8,10 @@ import sys
 
 import pytest
 
+from hil.core.errors import ConfigError
 from hil.procedure import Measurement, procedure
-from hil.procedure.journal import Journal, read_journal
-from hil.procedure.scripts import load_procedure
-from hil.vocabulary.errors import ConfigError
+from hil.procedure.procedure_lookup import load_procedure
+from hil.procedure.run_journal import Journal, read_journal
 
 DONE = []
 

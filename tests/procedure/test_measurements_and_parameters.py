@@ -14,10 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, Field
 
+from hil.core.errors import ConfigError, UsageError
 from hil.procedure import Measurement, Verdict, procedure
 from hil.procedure.measurements import worst
 from hil.procedure.parameters import as_dict, make_parameters, split_settings
-from hil.vocabulary.errors import ConfigError, UsageError
 
 
 @pytest.mark.parametrize(

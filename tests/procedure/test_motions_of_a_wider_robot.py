@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from hil.bench.settings import motion_limits
-from hil.calibration.nominal import Nominal
 from hil.config.loading import load_bench
+from hil.core.errors import TrajectoryError
+from hil.datasets.nominal import Nominal
 from hil.procedure.odometry_motions import MOTIONS, Sizes, followed, reference
 from hil.robot.motion_limits import check
-from hil.vocabulary.errors import TrajectoryError
 
 START = np.array([0.1, -0.2, 0.3])
 

@@ -4,14 +4,14 @@ import json
 
 import pytest
 
+from hil.core.clock import MonotonicClock
 from hil.procedure import procedure
-from hil.procedure.bench_source import BenchSource
+from hil.procedure.bench_request import BenchSource
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.report.figures import themed_svg
-from hil.report.readings import taken_out
-from hil.report.run_plots import new_figure
+from hil.report.figure_data import taken_out
+from hil.report.page_figures import themed_svg
+from hil.report.plot_style import new_figure
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import MonotonicClock
 
 
 @procedure(name="climb", needs=("servos",))

@@ -5,12 +5,12 @@ import sys
 
 import pytest
 
+from hil.core.errors import ConfigError
 from hil.procedure import Procedure
-from hil.procedure.scripts import load_procedure, shipped_names
-from hil.vocabulary.errors import ConfigError
+from hil.procedure.procedure_lookup import load_procedure, shipped_names
 
 FIND = """
-from hil.procedure.scripts import load_procedure, shipped_names
+from hil.procedure.procedure_lookup import load_procedure, shipped_names
 assert "mine" not in shipped_names()
 print(load_procedure("wall_tracking").name, load_procedure("procedures/mine.py").name)
 """

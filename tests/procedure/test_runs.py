@@ -10,11 +10,11 @@ from xml.etree import ElementTree
 import pytest
 
 from hil.cli.run import text_of
+from hil.core.errors import Aborted, ConfigError, DeviceError, SafetyStop, UsageError
 from hil.procedure import Measurement, procedure
-from hil.procedure.interrupts import Interrupts, time_limit
 from hil.procedure.operator import Answers, Terminal
+from hil.procedure.stop_requests import Interrupts, time_limit
 from hil.report.run_page import write_run_page
-from hil.vocabulary.errors import Aborted, ConfigError, DeviceError, SafetyStop, UsageError
 
 LIMITS = (Measurement("good", "mm", high=10.0, rationale="because"), Measurement("seen", "s"))
 

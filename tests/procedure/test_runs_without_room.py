@@ -8,12 +8,12 @@ import pytest
 from click.testing import CliRunner
 
 from hil.cli.run import command
+from hil.core.errors import RecordingError
 from hil.procedure import Measurement, procedure
-from hil.procedure.bench_source import BenchSource
-from hil.procedure.journal import Journal, read_journal
+from hil.procedure.bench_request import BenchSource
+from hil.procedure.run_journal import Journal, read_journal
 from hil.recording.mcap_reader import read_cycles
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import RecordingError
 
 FULL = Path("/dev/full")
 
@@ -97,7 +97,7 @@ def test_a_refusal_without_a_text_of_the_system_is_told_all_the_same(tmp_path, m
         raise error
 
     journal = Journal(tmp_path / "journal.jsonl")
-    monkeypatch.setattr("hil.procedure.journal.os.write", refused)
+    monkeypatch.setattr("hil.procedure.run_journal.os.write", refused)
     with pytest.raises(RecordingError, match=rf"cannot be written \({said}\)"):
         journal.add("run", {"schema": 1})
     journal.close()
@@ -115,7 +115,7 @@ def test_a_journal_that_is_full_stops_the_run_and_can_be_resumed(run_small, tmp_
         return write(fd, data[:12])
 
     with monkeypatch.context() as patch:
-        patch.setattr("hil.procedure.journal.os.write", half)
+        patch.setattr("hil.procedure.run_journal.os.write", half)
         with pytest.raises(
             RecordingError, match=r"journal\.jsonl: cannot be written \(No space left"
         ) as error:

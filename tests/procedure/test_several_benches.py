@@ -5,22 +5,22 @@ from functools import partial
 
 import pytest
 
-from hil.bench.held import Held
+from hil.bench.hold.result import Held
 from hil.cli import main
+from hil.core.clock import NS_PER_S, MonotonicClock
+from hil.core.errors import Aborted, SafetyStop
 from hil.fakes.fault import parse_fault
 from hil.procedure import Measurement, procedure
-from hil.procedure.bench_source import BenchSource
-from hil.procedure.elsewhere import Errand
-from hil.procedure.guard import LoopGuard
-from hil.procedure.interrupts import Interrupts
-from hil.procedure.journal import Journal, read_journal
-from hil.procedure.left_benches import LeftBenches
+from hil.procedure.bench_request import BenchSource
+from hil.procedure.hold_record import LeftBenches
+from hil.procedure.parallel_drives import Errand
+from hil.procedure.run_journal import Journal, read_journal
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.procedure.tracking import stand
+from hil.procedure.step_timer import LoopGuard
+from hil.procedure.stop_requests import Interrupts
+from hil.procedure.tracking_errors import stand
 from hil.report.run_page import write_run_page
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import NS_PER_S, MonotonicClock
-from hil.vocabulary.errors import Aborted, SafetyStop
 
 WHY = "adhesion is lost"
 MEASURED = (Measurement("done", "1", low=1.0),)

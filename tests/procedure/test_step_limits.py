@@ -4,10 +4,10 @@ import json
 
 import pytest
 
+from hil.core.clock import nanoseconds
+from hil.core.errors import StepTimeoutError
 from hil.procedure import procedure
-from hil.procedure.bench_source import BenchSource
-from hil.vocabulary.clock import nanoseconds
-from hil.vocabulary.errors import StepTimeoutError
+from hil.procedure.bench_request import BenchSource
 from tests.patience import FANLESS
 
 

@@ -4,10 +4,10 @@ import pickle
 
 import pytest
 
-from hil.bench.overdue import OverdueError
+from hil.bench.third_party.call_timeout import OverdueError
 from hil.config.loading import NoSuchDevice
-from hil.procedure.workers import Workers
-from hil.vocabulary.errors import HilError, SafetyStop, TrajectoryError
+from hil.core.errors import HilError, SafetyStop, TrajectoryError
+from hil.procedure.worker_processes import Workers
 
 
 def every(kind):

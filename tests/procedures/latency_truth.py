@@ -10,6 +10,9 @@ from contextlib import contextmanager
 import numpy as np
 
 from hil.bench import open_bench
+from hil.core.clock import NS_PER_S
+from hil.core.interfaces import Sink
+from hil.core.signals import Status
 from hil.fakes.encoders import EncoderNode
 from hil.fakes.imu import Bno055Chip
 from hil.fakes.mocap import NatNetServer
@@ -19,9 +22,6 @@ from hil.fakes.tracker import T265
 from hil.procedures.latency import body_signals, steer, steering_signals, turn, values_ms
 from hil.procedures.parts.latency_fit import fit_delay, integrated
 from hil.robot.kinematics import forward
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.interfaces import Sink
-from hil.vocabulary.signals import Status
 
 GRID_NS, VELOCITY_LAG_NS = 4_000_000, 50_000_000
 HALF_STEP_MS = 0.5e-6 * STEP_NS

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hil.calibration.artefact import CalibrationFile
+from hil.calibration.calibration_file import CalibrationFile
 from hil.calibration.usable import made_for
 from hil.config.loading import load_bench
 

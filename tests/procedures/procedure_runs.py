@@ -11,13 +11,13 @@ import numpy as np
 from nobody import Nobody
 
 from hil.bench import open_bench
-from hil.procedure.bench_source import BenchSource
-from hil.procedure.results import Result
+from hil.core.clock import MonotonicClock, nanoseconds
+from hil.procedure.bench_request import BenchSource
+from hil.procedure.procedure_lookup import load_procedure
+from hil.procedure.result_files import Result
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.procedure.scripts import load_procedure
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_run
-from hil.vocabulary.clock import MonotonicClock, nanoseconds
 
 SAFE_HEADING_RAD = math.radians(15.0)
 

@@ -15,13 +15,13 @@ import traceback
 import numpy as np
 from procedure_runs import Nobody, Run, assert_still, watched
 
-from hil.procedure.guard import LoopGuard
-from hil.procedure.journal import read_journal
+from hil.core.clock import MonotonicClock
+from hil.core.interfaces import Sink
+from hil.procedure.procedure_lookup import load_procedure
+from hil.procedure.run_journal import read_journal
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.procedure.scripts import load_procedure
+from hil.procedure.step_timer import LoopGuard
 from hil.recording.mcap_reader import read_cycles
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.interfaces import Sink
 
 EXPECTED = {"exception": 2, "sigterm": 4, "one sigint": 4, "two sigints": 4, "time out": 3}
 KILL = "kill -9"

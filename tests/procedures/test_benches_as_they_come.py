@@ -5,7 +5,7 @@ import pytest
 
 from hil.bench import open_bench
 from hil.cli import main
-from hil.procedure.samples import encoders
+from hil.procedure.sample_arrays import encoders
 
 
 def test_encoders_whose_zeros_are_unknown_are_read_as_they_are():

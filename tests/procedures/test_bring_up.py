@@ -16,7 +16,9 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 from hil.config.loading import load_bench
-from hil.procedure.tracking import stand
+from hil.core.clock import nanoseconds
+from hil.loop.control_loop import ControlLoop
+from hil.procedure.tracking_errors import stand
 from hil.procedures.bring_up import Parameters, measurements
 from hil.procedures.parts.bring_up_jogs import (
     DriveJogs,
@@ -26,8 +28,6 @@ from hil.procedures.parts.bring_up_jogs import (
     expected_push,
 )
 from hil.procedures.parts.bring_up_streams import judge_stream
-from hil.ring.loop import ControlLoop
-from hil.vocabulary.clock import nanoseconds
 
 SHORT = {"watch_s": 4.0}
 BRIEF = {"watch_s": 2.0}

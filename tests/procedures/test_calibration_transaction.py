@@ -7,12 +7,12 @@ import pytest
 from made_calibrations import CONFIG, made
 
 from hil.bench import open_bench
-from hil.calibration.artefact import read_calibration, save_calibration
+from hil.calibration.calibration_file import read_calibration, save_calibration
 from hil.calibration.versions import Shelf
 from hil.cli import main
 from hil.config.loading import load_bench
+from hil.core.errors import ConfigError
 from hil.procedure import BenchSource
-from hil.vocabulary.errors import ConfigError
 
 
 @pytest.fixture

@@ -4,12 +4,12 @@ import signal
 
 import pytest
 
-from hil.procedure.bench_source import BenchSource
-from hil.procedure.interrupts import Interrupts
+from hil.core.clock import MonotonicClock
+from hil.core.interfaces import Sink
+from hil.procedure.bench_request import BenchSource
+from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.procedure.scripts import load_procedure
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.interfaces import Sink
+from hil.procedure.stop_requests import Interrupts
 from tests.patience import FANLESS
 
 SHORT = {"processes": 1, "length_m": 0.05, "duration_s": 2.0, "hold_s": 0.5}

@@ -5,10 +5,10 @@ import json
 import pytest
 from procedure_runs import Nobody, watched
 
+from hil.core.clock import MonotonicClock
+from hil.core.errors import HilError
+from hil.procedure.procedure_lookup import load_procedure, shipped_names
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.procedure.scripts import load_procedure, shipped_names
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import HilError
 
 NAMES = shipped_names()
 

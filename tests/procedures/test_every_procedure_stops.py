@@ -9,11 +9,11 @@ import pytest
 from procedure_runs import Nobody, Run, watched
 from struck_runs import WAYS, check, struck
 
-from hil.procedure.journal import read_journal
+from hil.core.clock import MonotonicClock
 from hil.procedure.parameters import make_parameters
+from hil.procedure.procedure_lookup import load_procedure, shipped_names
+from hil.procedure.run_journal import read_journal
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.procedure.scripts import load_procedure, shipped_names
-from hil.vocabulary.clock import MonotonicClock
 
 SHORT = {
     "adhesion_check": {"levels": 3, "dwell_s": 0.5, "slide": False},

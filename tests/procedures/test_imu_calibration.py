@@ -9,7 +9,7 @@ from procedure_runs import assert_covered, assert_covered_over_twenty_seeds, par
 
 from hil.drivers.imu import ImuCalibration
 from hil.fakes.imu import Bno055Chip
-from hil.fakes.imu.sample import GRAVITY_M_S2
+from hil.fakes.imu.output_sample import GRAVITY_M_S2
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -9,15 +9,15 @@ from procedure_runs import Nobody
 
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.config.record import Figure, NewPart, Part, RobotRecord
-from hil.config.record.overlay import identity
+from hil.config.robot_record import Figure, NewPart, Part, RobotRecord
+from hil.config.robot_record.overlay import identity
+from hil.core.clock import MonotonicClock
 from hil.procedure import BenchSource, Measurement, procedure
-from hil.procedure.learning import known_parts, leave_part
+from hil.procedure.record_parts import known_parts, leave_part
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedures.parts.surface_slip import next_lines
 from hil.procedures.parts.tracker_scale import session_spread
 from hil.procedures.tracker_extrinsics import Parameters
-from hil.vocabulary.clock import MonotonicClock
 
 
 @procedure(name="learns", measurements=[Measurement("off", "mm", high=1.0)])

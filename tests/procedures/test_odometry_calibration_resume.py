@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from hil.recording.plain_csv import read_plain
+from hil.datasets.plain_csv import read_plain
 
 SETTINGS = {
     "motions": "rotation_ccw",

@@ -8,14 +8,17 @@ import pytest
 from procedure_runs import Nobody, run, watched
 
 from hil.bench.settings import nominal_of
-from hil.calibration.artefact import read_calibration
 from hil.calibration.calibrate import calibrate
+from hil.calibration.calibration_file import read_calibration
 from hil.calibration.evaluation import position_rmse, track_all
 from hil.calibration.problem import make_setting
 from hil.calibration.versions import Shelf
+from hil.core.clock import MonotonicClock
+from hil.core.errors import ConfigError
+from hil.datasets.plain_csv import read_plain
 from hil.procedure.dry_run import dry_run
+from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.procedure.scripts import load_procedure
 from hil.procedures.odometry_calibration import Parameters
 from hil.procedures.parts.odometry_rounds import (
     WORTH,
@@ -26,10 +29,7 @@ from hil.procedures.parts.odometry_rounds import (
     improvement_bound,
     rise_beyond_chance,
 )
-from hil.recording.plain_csv import read_plain
 from hil.report.run_page import write_run_page
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import ConfigError
 
 SMALL = {
     "motions": "line_x,line_y,rotation_ccw",

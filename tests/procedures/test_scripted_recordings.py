@@ -5,11 +5,11 @@ from procedure_runs import assert_verifies, run
 
 import hil
 from hil.controller.joint_script import JointScript, Stretch
-from hil.procedure.scripted import play
+from hil.core.errors import UsageError
+from hil.procedure.scripted_joints import play
 from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_run
-from hil.vocabulary.errors import UsageError
 
 pytestmark = pytest.mark.timeout(600)  # the first process to start may compile the estimators
 

@@ -8,15 +8,15 @@ import pytest
 
 from hil.bench import open_bench
 from hil.config.loading import load_bench
-from hil.fakes.plant_api import JointCommand
+from hil.core.clock import MonotonicClock, nanoseconds
+from hil.core.errors import ConfigError
+from hil.fakes.body_interface import JointCommand
 from hil.procedure import BenchSource
 from hil.procedure.dry_run import dry_run
 from hil.procedure.operator import Terminal
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedures import surface_identification
 from hil.procedures.parts.surface_slip import rate
-from hil.vocabulary.clock import MonotonicClock, nanoseconds
-from hil.vocabulary.errors import ConfigError
 
 QUICK = {
     "length_m": "0.2",

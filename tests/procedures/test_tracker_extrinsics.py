@@ -8,10 +8,10 @@ import pytest
 from procedure_runs import assert_covered, assert_covered_over_twenty_seeds, part, run, true_world
 
 from hil.config.loading import load_bench
+from hil.core.geometry import quat_from_rotvec, quat_multiply
 from hil.fakes.tracker import T265
-from hil.procedure.samples import Series
+from hil.procedure.sample_arrays import Series
 from hil.procedures.parts.tracker_hand_eye import Truth, intervals, solve
-from hil.vocabulary.geometry import quat_from_rotvec, quat_multiply
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from hil.bench import open_bench
-from hil.procedure.bench_source import BenchSource
+from hil.core.clock import MonotonicClock
+from hil.core.geometry import wrap_array
+from hil.procedure.bench_request import BenchSource
 from hil.procedure.measurements import Verdict
+from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.procedure.scripts import load_procedure
-from hil.procedure.tracking import tracking_errors
+from hil.procedure.tracking_errors import tracking_errors
 from hil.procedures import grid_scan, wall_tracking
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.geometry import wrap_array
 from tests.patience import FANLESS
 
 SHORT_LINES = {"length_m": 0.3, "duration_s": 5.5, "hold_s": 0.5, "feedbacks": ["odometry", "ekf"]}

@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 
 from hil.bench import open_bench
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DataError
+from hil.loop.recorded_motion import Motion
 from hil.procedure import procedure
-from hil.procedure.bench_source import BenchSource
+from hil.procedure.bench_request import BenchSource
 from hil.procedure.measurements import Measurement, Verdict
+from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.procedure.samples import Series
-from hil.procedure.scripts import load_procedure
-from hil.procedure.tracking import tracking_errors, unseen
+from hil.procedure.sample_arrays import Series
+from hil.procedure.tracking_errors import tracking_errors, unseen
 from hil.procedures import grid_scan
 from hil.procedures.parts.surface_slip import held, slip_of
 from hil.procedures.parts.tracker_hand_eye import Truth
 from hil.procedures.tracker_extrinsics import disagreement_m
-from hil.replay.comparison import errors
-from hil.ring.motion import Motion
+from hil.replay.estimator_comparison import errors
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DataError
 from tests.patience import FANLESS
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")

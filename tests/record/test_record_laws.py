@@ -11,14 +11,14 @@ import pytest
 from pydantic import TypeAdapter
 
 from hil.bench import open_bench
-from hil.bench.absorbing import absorb
+from hil.bench.doctor.record_import import absorb
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.config.record import Figure, NewPart, Part, RobotRecord
-from hil.config.record.overlay import identity
+from hil.config.robot_record import Figure, NewPart, Part, RobotRecord
+from hil.config.robot_record.overlay import identity
 from hil.config.values import UnitQuaternion
+from hil.core.errors import ConfigError
 from hil.procedure import BenchSource
-from hil.vocabulary.errors import ConfigError
 
 WALL = load_bench("emulated")
 ROBOT = identity(WALL)

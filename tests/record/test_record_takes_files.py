@@ -4,18 +4,18 @@ import json
 
 import pytest
 
-from hil.calibration.artefact import save_calibration
+from hil.calibration.calibration_file import save_calibration
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.config.record import Figure, Part, RobotRecord
-from hil.config.record.overlay import identity
+from hil.config.robot_record import Figure, Part, RobotRecord
+from hil.config.robot_record.overlay import identity
+from hil.core.clock import MonotonicClock
+from hil.core.errors import EXIT_PASS, EXIT_USAGE
 from hil.procedure import BenchSource, Measurement, procedure
-from hil.procedure.fragment import write_fragment
-from hil.procedure.learning import leave_part
+from hil.procedure.bench_fragment import write_fragment
 from hil.procedure.operator import Terminal
+from hil.procedure.record_parts import leave_part
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE
 from tests.procedures.made_calibrations import made
 
 ZEROS = [0.01, -0.02, 0.03, -0.04]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from hypothesis import strategies as st
 
-from hil.vocabulary.signals import (
+from hil.core.signals import (
     AdhesionSample,
     CycleRecord,
     EncoderSample,

@@ -12,13 +12,13 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from hil.cli import main
-from hil.recording.names import motion_of
-from hil.recording.rosbag import read_bag
-from hil.recording.sources import read_recordings
-from hil.recording.topic_map import read_topic_map
+from hil.core.errors import ConfigError, DataError
+from hil.datasets.read import read_recordings
+from hil.datasets.recording_names import motion_of
+from hil.datasets.rosbag import read_bag
+from hil.datasets.topic_map import read_topic_map
 from hil.robot.kinematics import NOMINAL_RADIUS_M
-from hil.vocabulary.errors import ConfigError, DataError
-from hil.vocabulary.extras import is_installed
+from hil.support.extras import is_installed
 
 RATE_HZ, SPEED_M_S, SECONDS = 50, 0.08, 10
 BEGIN_NS = 1_700_000_000_000_000_000

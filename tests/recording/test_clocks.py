@@ -12,15 +12,15 @@ from mcap_cases import driving_record
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from hil.bench.blueprint import Blueprint
+from hil.bench.model import Blueprint
 from hil.config.loading import load_bench
+from hil.core.clock import NS_PER_S, WallOffset
+from hil.core.errors import DataError
 from hil.recording.clocks import PtpOffset, ptp_offsets, recorded_ptp, shift_between
-from hil.recording.frames import describe_clock
 from hil.recording.mcap_reader import read_cycles, read_header
 from hil.recording.mcap_writer import McapRecorder
+from hil.recording.transform_tree import describe_clock
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import NS_PER_S, WallOffset
-from hil.vocabulary.errors import DataError
 
 EPOCH_NS = 1_790_000_000 * NS_PER_S
 TAI_NS = 37 * NS_PER_S

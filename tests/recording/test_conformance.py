@@ -15,16 +15,16 @@ from mcap_cases import driving_record
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from hil.bench.blueprint import Blueprint
+from hil.bench.model import Blueprint
 from hil.config.loading import load_bench
-from hil.recording.frame_check import broken_frames, problems_of
-from hil.recording.frames import describe_clock
+from hil.core.clock import NS_PER_S, WallOffset
+from hil.core.registry import kinds
+from hil.core.signals import KINDS, AdhesionSample, LoadCellSample, Status, ThrustSample
+from hil.datasets.transform_tree_check import broken_frames, problems_of
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.topics import topics_with
+from hil.recording.transform_tree import describe_clock
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import NS_PER_S, WallOffset
-from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import KINDS, AdhesionSample, LoadCellSample, Status, ThrustSample
 
 CYCLES = 120
 

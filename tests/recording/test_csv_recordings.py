@@ -5,15 +5,15 @@ import gzip
 import numpy as np
 import pytest
 
-from hil.calibration.cleaning import Log, increasing
-from hil.calibration.datasets import build_recording
 from hil.calibration.synthetic import hidden_robot, simulate
-from hil.recording import numbers
-from hil.recording.plain_csv import read_plain, write_plain
-from hil.recording.public_csv import read_pair
-from hil.recording.sources import read_recordings
-from hil.vocabulary.errors import DataError
-from hil.vocabulary.extras import is_installed
+from hil.core.errors import DataError
+from hil.datasets import number_table
+from hil.datasets.cleaning import Log, increasing
+from hil.datasets.dataset import build_recording
+from hil.datasets.plain_csv import read_plain, write_plain
+from hil.datasets.public_csv import read_pair
+from hil.datasets.read import read_recordings
+from hil.support.extras import is_installed
 
 needs_pyarrow = pytest.mark.skipif(not is_installed("parquet"), reason="the extra parquet is not installed")
 NAMES = [f"{w}_{k}" for w in ("BL", "BR", "FL", "FR") for k in ("Position", "Wheel")]
@@ -116,7 +116,7 @@ def test_a_column_that_is_there_twice_is_named(tmp_path, run):
 
 @pytest.mark.parametrize("fast", [pytest.param(True, marks=needs_pyarrow), False])
 def test_quick_and_slow_path_agree_and_broken_rows_are_counted(tmp_path, fast, monkeypatch):
-    monkeypatch.setattr(numbers, "is_installed", lambda extra: fast)
+    monkeypatch.setattr(number_table, "is_installed", lambda extra: fast)
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
     write_pair(tmp_path / "a")
@@ -129,7 +129,7 @@ def test_quick_and_slow_path_agree_and_broken_rows_are_counted(tmp_path, fast, m
 @pytest.mark.parametrize("fast", [pytest.param(True, marks=needs_pyarrow), False])
 def test_a_number_that_slid_into_the_next_row_is_no_even_table(tmp_path, fast, monkeypatch):
     """As many numbers as in a whole file, but one row has one too few and the next one too many."""
-    monkeypatch.setattr(numbers, "is_installed", lambda extra: fast)
+    monkeypatch.setattr(number_table, "is_installed", lambda extra: fast)
     write_pair(tmp_path)
     lines = (tmp_path / "abs_3.csv").read_text().splitlines()
     lines[20], lines[21] = lines[20].removesuffix(";1"), lines[21] + ";1"
@@ -143,7 +143,7 @@ def test_pyarrow_and_numpy_read_the_same_numbers(tmp_path, run):
     """Digits as Python writes them, with exponents and without."""
     values = np.concatenate([run.wheel_angle_rad.ravel(), 1e-7 * run.steering_rad.ravel()])[: 400 * 16]
     text = "\n".join(",".join(map(repr, row)) for row in values.reshape(-1, 16).tolist()) + "\n"
-    quick = [read(text.encode(), 400, 16) for read in (numbers._by_pyarrow, numbers._by_numpy)]
+    quick = [read(text.encode(), 400, 16) for read in (number_table._by_pyarrow, number_table._by_numpy)]
     np.testing.assert_array_equal(quick[0], quick[1])
     np.testing.assert_array_equal(quick[0], values.reshape(-1, 16))
 
@@ -158,8 +158,8 @@ def test_plain_files_are_read_alike_at_once_and_line_by_line(tmp_path, run, monk
     write_plain(path, build_recording("line_x_1", wheels, truth))
     assert b"nan" in path.read_bytes()
     found = []
-    for at_once in (numbers._by_pyarrow, numbers._by_numpy, lambda *_: None):
-        monkeypatch.setattr(numbers, "_by_pyarrow", at_once)
+    for at_once in (number_table._by_pyarrow, number_table._by_numpy, lambda *_: None):
+        monkeypatch.setattr(number_table, "_by_pyarrow", at_once)
         read = read_plain(path)
         found.append((read.t_s, read.wheel_angle_rad, read.steering_rad, read.truth_t_s, read.truth_pose))
     for other in found[1:]:

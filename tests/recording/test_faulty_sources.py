@@ -11,15 +11,15 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from hil.calibration.calibrate import calibrate
-from hil.calibration.caveats import told_by
 from hil.calibration.evaluation import position_rmse, track
 from hil.calibration.problem import make_setting
+from hil.calibration.warnings import told_by
 from hil.cli import main
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DataError
+from hil.datasets.read import read_recordings
 from hil.recording.mcap_writer import McapRecorder
-from hil.recording.sources import read_recordings
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DataError
 
 WHEELS = WheelGeometry.nominal()
 MAPPING = """

@@ -7,13 +7,13 @@ from pathlib import Path
 from mcap_cases import driving_record
 from rosbags.typesys import Stores, get_typestore
 
-from hil.bench.blueprint import Blueprint
+from hil.bench.model import Blueprint
 from hil.config.loading import load_bench
-from hil.recording.frames import BODY, WALL, FrameTree
+from hil.core.registry import kinds
 from hil.recording.ros_messages import CycleMessages
 from hil.recording.topics import topics_with
+from hil.recording.transform_tree import BODY, WALL, FrameTree
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.kinds import kinds
 
 LAYOUT = json.loads((Path(__file__).parents[2] / "docs" / "foxglove" / "layout.json").read_text())
 KINDS = tuple(kinds().values())

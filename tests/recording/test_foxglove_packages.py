@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from mcap_cases import driving_record
 
-from hil.bench.blueprint import Blueprint
+from hil.bench.model import Blueprint
 from hil.config.loading import load_bench
-from hil.recording.frames import describe_clock
+from hil.core.clock import NS_PER_S, WallOffset
 from hil.recording.mcap_writer import McapRecorder
+from hil.recording.transform_tree import describe_clock
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import NS_PER_S, WallOffset
 
 PACKAGES = (
     "@foxglove/rosmsg@5.0.5",

@@ -5,12 +5,12 @@ import perfect_robot as perfect
 import pytest
 
 from hil.calibration.calibrate import calibrate
-from hil.calibration.caveats import told_by
 from hil.calibration.evaluation import position_rmse, track
 from hil.calibration.problem import make_setting
-from hil.recording.plain_csv import read_plain
+from hil.calibration.warnings import told_by
+from hil.core.clock import MonotonicClock
+from hil.datasets.plain_csv import read_plain
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import MonotonicClock
 from tests.selected import every
 
 WHEELS = WheelGeometry.nominal()

@@ -12,16 +12,16 @@ from mcap_cases import driving_record
 
 from hil.cli import main
 from hil.config.loading import load_bench
+from hil.core.errors import HilError
+from hil.core.signals import CycleRecord
 from hil.recording.cycle_codec import FORMAT, CycleCodec
-from hil.recording.frames import FrameTree
 from hil.recording.mcap_file import METADATA
 from hil.recording.mcap_reader import Note, RecordingReader
 from hil.recording.ros_messages import CycleMessages
 from hil.recording.runs import RunStart, read_runs
+from hil.recording.transform_tree import FrameTree
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_recording
-from hil.vocabulary.errors import HilError
-from hil.vocabulary.signals import CycleRecord
 
 BOUNDED = settings(
     max_examples=15,

@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap_cases import CYCLE_RECORDS, driving_record
 
+from hil.core.device import DeviceKind
+from hil.core.geometry import Array
+from hil.core.signals import Stamp, Status
 from hil.recording.compare import first_difference
 from hil.recording.cycle_codec import DTYPES, CycleCodec
-from hil.vocabulary.device import DeviceKind
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.signals import Stamp, Status
 
 CODEC = CycleCodec()
 

@@ -15,13 +15,13 @@ from click.testing import CliRunner
 from mcap_cases import driving_record
 
 from hil.cli.export import command
-from hil.recording.export import COLUMNS, tabulate, to_recording, write_table
+from hil.core.errors import ConfigError, DataError, UsageError
+from hil.core.signals import SERVOS
+from hil.datasets.export import COLUMNS, tabulate, to_recording, write_table
+from hil.datasets.plain_csv import read_plain
+from hil.datasets.rosbag import read_bag
+from hil.datasets.topic_map import read_topic_map
 from hil.recording.mcap_writer import McapRecorder
-from hil.recording.plain_csv import read_plain
-from hil.recording.rosbag import read_bag
-from hil.recording.topic_map import read_topic_map
-from hil.vocabulary.errors import ConfigError, DataError, UsageError
-from hil.vocabulary.signals import SERVOS
 
 CYCLES = 300
 
@@ -217,7 +217,7 @@ def test_a_disk_that_is_full_costs_no_earlier_export(recording, tmp_path, monkey
         return value != value
 
     if kind == "csv":
-        monkeypatch.setattr("hil.recording.export.math.isnan", full)
+        monkeypatch.setattr("hil.datasets.export.math.isnan", full)
     else:
         monkeypatch.setattr(pyarrow.parquet, "write_table", lambda table, file: [full(k) for k in range(501)])
     with pytest.raises(DataError, match=rf"e\.{kind}: cannot be written \(No space left on device\)"):

@@ -15,12 +15,12 @@ from mcap_cases import PERIOD_NS, driving_record
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from hil.core.errors import DataError
+from hil.core.registry import kinds
 from hil.recording.compare import first_difference
 from hil.recording.mcap_reader import Note, RecordingReader, read_cycles, read_header
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.topics import topics_with
-from hil.vocabulary.errors import DataError
-from hil.vocabulary.kinds import kinds
 from tests.selected import every
 
 HEADER = {"seed": 7, "config": {"name": "test", "rate_hz": 100.0}, "versions": {"hil": "0"}}
@@ -263,7 +263,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_loop(tmp_path, mode):
 KILLED = """
 import sys
 from mcap_cases import PERIOD_NS, driving_record
-from hil.vocabulary.clock import MonotonicClock
+from hil.core.clock import MonotonicClock
 from hil.recording.mcap_writer import McapRecorder
 recorder = McapRecorder(sys.argv[1], {}, lossless=False)
 clock = MonotonicClock()

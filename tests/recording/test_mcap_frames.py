@@ -13,15 +13,15 @@ from mcap_cases import PERIOD_NS, driving_record
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from hil.bench.blueprint import Blueprint
+from hil.bench.model import Blueprint
 from hil.config.loading import load_bench
-from hil.recording.frames import describe_clock
+from hil.core.clock import NS_PER_S, MonotonicClock, WallOffset
+from hil.core.geometry import quat_from_yaw, quat_rotate
+from hil.core.signals import WHEELS, Status
 from hil.recording.mcap_reader import read_cycles, read_wall_offsets
 from hil.recording.mcap_writer import McapRecorder
+from hil.recording.transform_tree import describe_clock
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.clock import NS_PER_S, MonotonicClock, WallOffset
-from hil.vocabulary.geometry import quat_from_yaw, quat_rotate
-from hil.vocabulary.signals import WHEELS, Status
 
 EPOCH_NS = 1_790_000_000 * NS_PER_S
 OFFSET = WallOffset(EPOCH_NS, 300, 5)
@@ -186,6 +186,6 @@ def test_the_look_that_took_least_is_believed(monkeypatch):
     """One look is torn apart by a pause of 5 ms; of the others the narrowest counts."""
     times = iter([0, 5_000_900, 1_000, 1_300, 2_000, 2_040] + [3_000, 3_200] * 22)
     slow = SimpleNamespace(monotonic_ns=lambda: next(times), time_ns=lambda: EPOCH_NS)
-    monkeypatch.setattr("hil.vocabulary.clock.time", slow)
+    monkeypatch.setattr("hil.core.clock.time", slow)
     offset = MonotonicClock().wall_offset()
     assert offset == WallOffset(EPOCH_NS - 2_020, 21, 2_020)

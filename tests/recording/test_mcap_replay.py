@@ -9,25 +9,25 @@ import numpy as np
 import pytest
 from mcap_cases import driving_record
 
-from hil.bench.blueprint import Blueprint
+from hil.bench.model import Blueprint
 from hil.config.loading import load_bench
+from hil.core.choices import COMPARED
+from hil.core.errors import DataError, SafetyStop
+from hil.core.geometry import compose, se2_exp
+from hil.core.interfaces import Controller, Estimator
+from hil.core.signals import CycleRecord, Event, Reference, RobotState, WheelSetpoint
+from hil.loop.alignment import Alignment, AlignmentParameters
+from hil.loop.control_loop import Brain
+from hil.loop.recorded_motion import Motion
+from hil.loop.safety import SafetyLimits
+from hil.loop.supervisor import Supervisor
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RecordedRun, RunStart, read_runs
-from hil.replay.agreement import Agreement
-from hil.replay.comparison import compare, compare_run, consistency, errors, table, truth_of
+from hil.replay.difference_limits import Agreement
+from hil.replay.estimator_comparison import compare, compare_run, consistency, errors, table, truth_of
 from hil.replay.verification import DIFFERS, IDENTICAL, RecordedReferences, verify_cycle
 from hil.report.replay_page import write_replay_page
-from hil.ring.alignment import Alignment, AlignmentParameters
-from hil.ring.loop import Brain
-from hil.ring.motion import Motion
-from hil.ring.safety import SafetyLimits
-from hil.ring.supervisor import Supervisor
 from hil.robot.kinematics import WheelGeometry, twist_of_vectors
-from hil.vocabulary.choices import COMPARED
-from hil.vocabulary.errors import DataError, SafetyStop
-from hil.vocabulary.geometry import compose, se2_exp
-from hil.vocabulary.interfaces import Controller, Estimator
-from hil.vocabulary.signals import CycleRecord, Event, Reference, RobotState, WheelSetpoint
 
 GEOMETRY = WheelGeometry.nominal()
 OTHER_SCALE = 1.0 + 1e-12

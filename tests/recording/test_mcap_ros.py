@@ -11,17 +11,17 @@ from hypothesis import strategies as st
 from mcap_cases import driving_record
 from rosbags.typesys import Stores, get_typestore
 
-from hil.bench.blueprint import Blueprint
+from hil.bench.model import Blueprint
 from hil.config.loading import load_bench
+from hil.core.errors import ConfigError
+from hil.core.registry import kinds
+from hil.core.signals import SERVOS
 from hil.recording import cdr
-from hil.recording.frames import FrameTree
 from hil.recording.ros_messages import CycleMessages
 from hil.recording.ros_types import MessageMaker, definition, from_cdr
 from hil.recording.topics import topics_with
+from hil.recording.transform_tree import FrameTree
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import SERVOS
 
 KINDS = tuple(kinds().values())
 TOPICS = topics_with(KINDS)

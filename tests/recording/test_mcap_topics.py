@@ -12,7 +12,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from hil.cli import main
-from hil.recording.frame_check import broken_frames
+from hil.datasets.transform_tree_check import broken_frames
 from hil.robot.kinematics import NOMINAL_RADIUS_M
 
 RATE_HZ = 50
@@ -227,7 +227,7 @@ def test_a_bag_with_a_broken_frame_tree_is_read_and_named(bag, caplog):
     (problem,) = broken_frames(folder.parent / "tf")
     assert problem == "2 trees that nothing connects (map, odom): record the transform between them"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hil.recording.rosbag.broken_frames", lambda path: broken_frames(folder.parent / "tf"))
+        patch.setattr("hil.datasets.rosbag.broken_frames", lambda path: broken_frames(folder.parent / "tf"))
         code, _ = hil("evaluate", folder, "--topics", topics)
     assert code == 0
     assert f"{folder}: {problem}" in caplog.text

@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.calibration.artefact import read_calibration
 from hil.calibration.calibrate import calibrate
-from hil.calibration.copies import is_copy
+from hil.calibration.calibration_file import read_calibration
 from hil.calibration.problem import RECOMMENDED
 from hil.calibration.synthetic import hidden_robot, make_set
 from hil.cli import main
-from hil.recording.plain_csv import write_plain
-from hil.recording.sources import read_recordings
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DataError
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DataError
+from hil.datasets.copies import is_copy
+from hil.datasets.plain_csv import write_plain
+from hil.datasets.read import read_recordings
 
 MOTIONS = ("line_x", "line_y", "rotation_ccw")
 

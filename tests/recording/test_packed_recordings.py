@@ -9,9 +9,9 @@ from mcap_cases import MAPPING
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from test_mcap_topics import write_bag
 
-from hil.recording.rosbag import read_bag
-from hil.recording.topic_map import read_topic_map
-from hil.vocabulary.errors import DataError
+from hil.core.errors import DataError
+from hil.datasets.rosbag import read_bag
+from hil.datasets.topic_map import read_topic_map
 
 
 @pytest.fixture

@@ -7,15 +7,15 @@ import pytest
 from mcap_cases import driving_record
 
 import hil
+from hil.core.clock import NS_PER_S, MonotonicClock
+from hil.core.errors import EXIT_ABORTED, RecordingError
+from hil.core.interfaces import Sink
+from hil.core.signals import CycleRecord
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_recording
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import NS_PER_S, MonotonicClock
-from hil.vocabulary.errors import EXIT_ABORTED, RecordingError
-from hil.vocabulary.interfaces import Sink
-from hil.vocabulary.signals import CycleRecord
 
 AHEAD = line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=4.0)
 

@@ -13,13 +13,13 @@ from mcap_cases import driving_record
 
 import hil
 from hil.cli import main
+from hil.core.interfaces import Sink
+from hil.core.signals import Event
 from hil.recording.mcap_writer import McapRecorder
-from hil.replay.agreement import LIMITS, Agreement, same_text
+from hil.replay.difference_limits import LIMITS, Agreement, same_text
 from hil.replay.verification import DECIDED
 from hil.robot.trajectories import line
-from hil.vocabulary.fingerprint import fingerprint
-from hil.vocabulary.interfaces import Sink
-from hil.vocabulary.signals import Event
+from hil.support.arithmetic_fingerprint import fingerprint
 
 pytestmark = pytest.mark.timeout(600)  # the first process to start may compile the estimators
 

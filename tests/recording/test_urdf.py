@@ -11,14 +11,14 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from hil.bench.blueprint import Blueprint
+from hil.bench.model import Blueprint
 from hil.cli import main
 from hil.config.loading import load_bench
+from hil.core.signals import SERVOS, WHEELS, Inputs, ServoSample, Stamp, Status
+from hil.loop.alignment import Alignment, AlignmentParameters
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.urdf import urdf
-from hil.ring.alignment import Alignment, AlignmentParameters
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.signals import SERVOS, WHEELS, Inputs, ServoSample, Stamp, Status
 
 CONFIG = load_bench("emulated")
 

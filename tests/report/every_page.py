@@ -7,14 +7,14 @@ import numpy as np
 
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.config.record import Figure, NewPart, Part, RobotRecord
-from hil.config.record.overlay import identity
+from hil.config.robot_record import Figure, NewPart, Part, RobotRecord
+from hil.config.robot_record.overlay import identity
 from hil.report.commission_page import write_commission_page, write_robot_page
 
 DRIVE = '''
 """A short line."""
 from hil.procedure import Context, Measurement, procedure
-from hil.procedure.tracking import error_figure, path_figure, series
+from hil.procedure.tracking_errors import error_figure, path_figure, series
 from hil.robot.trajectories import line
 
 

@@ -4,10 +4,10 @@ import pytest
 
 from hil.procedure.faults import CellVerdict, cells_of, summary
 from hil.report.faults_page import write_faults
-from hil.report.history.choice import LAST, named
-from hil.report.history.found import find_results
+from hil.report.history.index import find_results
 from hil.report.history.opening import page_of
-from hil.report.history.written import written
+from hil.report.history.own_files import written
+from hil.report.history.query import LAST, named
 
 CELLS = cells_of({"imu": ("off", "jump")}, seeds=(0,), plants=("own",), moments=("motion",))
 

@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.procedure.tracking import path_figure, series
+from hil.procedure.tracking_errors import path_figure, series
 from hil.report.calibration_page import _draw_position, _parameters
-from hil.report.figures import save_figure
-from hil.report.readings import taken_out
+from hil.report.figure_data import taken_out
+from hil.report.page_figures import save_figure
+from hil.report.plot_style import MOST_POINTS, kept_rows, new_figure, plain_log, style, thin
 from hil.report.replay_page import _path
-from hil.report.run_plots import MOST_POINTS, kept_rows, new_figure, plain_log, style, thin
 
 LONG = 25_003
 

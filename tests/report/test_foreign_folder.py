@@ -16,9 +16,9 @@ from urllib.parse import unquote
 import pytest
 
 from hil.cli import main
+from hil.core.errors import DataError
 from hil.report.result_file import read_result
 from hil.report.run_page import write_run_page
-from hil.vocabulary.errors import DataError
 
 EVIL = '"><script>document.title = "ran"</script><img src="http://127.0.0.1:{port}/text" onerror="alert(1)">'
 SVG = """<?xml version="1.0"?>

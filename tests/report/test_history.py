@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 from hil.config.bench import BenchConfig
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DataError, UsageError
 from hil.procedure import BenchSource, Measurement, procedure
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.report.history.chart import DRIFTING, OUTSIDE, STEADY, TOO_FEW, individuals_chart
-from hil.report.history.choice import chosen, named
-from hil.report.history.found import UNFINISHED, find_results
+from hil.report.history.index import UNFINISHED, find_results
 from hil.report.history.opening import page_of
 from hil.report.history.page import drawing, headline, write_trends_page
+from hil.report.history.query import chosen, named
 from hil.report.history.removal import delete, loss
 from hil.report.history.series import groups
 from hil.report.run_page import write_run_page
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DataError, UsageError
 
 NOISE = np.random.default_rng(1).normal(0.0, 0.1, 40)
 BEGIN = datetime(2026, 3, 1, tzinfo=timezone.utc)

@@ -7,15 +7,15 @@ import pytest
 
 from hil.cli import main
 from hil.config.bench import BenchConfig
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DataError
 from hil.procedure import BenchSource, procedure
-from hil.procedure.fragment import write_fragment
+from hil.procedure.bench_fragment import write_fragment
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.report.history.choice import named
-from hil.report.history.found import find_results
+from hil.report.history.index import find_results
+from hil.report.history.query import named
 from hil.report.history.removal import delete, loss
 from hil.report.run_page import write_run_page
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DataError
 
 SMALL = '''
 """Drives a little, and leaves everything that a run can leave."""

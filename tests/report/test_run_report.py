@@ -13,17 +13,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.config.bench import BenchConfig
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DataError, UsageError
 from hil.procedure import BenchSource, Measurement, procedure
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.report.compare_page import compare, comparison_text, write_compare_page
-from hil.report.figures import figure_image, save_figure, themed_svg
-from hil.report.readings import taken_out
+from hil.report.figure_data import taken_out
+from hil.report.page_figures import figure_image, save_figure, themed_svg
+from hil.report.plot_style import PALETTE, legend, new_figure, plain_log, style
 from hil.report.result_file import read_result
 from hil.report.run_page import bar, write_run_page
-from hil.report.run_plots import PALETTE, legend, new_figure, plain_log, style
-from hil.report.run_words import grouped
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DataError, UsageError
+from hil.report.run_summary import grouped
 
 SCRIPTED = SimpleNamespace(ask=lambda question: "yes")
 

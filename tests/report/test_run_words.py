@@ -5,13 +5,13 @@ import pytest
 
 from hil.cli.run import text_of
 from hil.config.bench import BenchConfig
+from hil.core.clock import MonotonicClock
 from hil.procedure import BenchSource, Measurement, procedure
-from hil.procedure.results import judge
+from hil.procedure.result_files import judge
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.report.result_file import read_result
 from hil.report.run_page import write_run_page
-from hil.report.run_words import sentence
-from hil.vocabulary.clock import MonotonicClock
+from hil.report.run_summary import sentence
 
 
 def said_of(declared, values, headline=""):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hil.vocabulary.signals import ServoSetpoint
+from hil.core.signals import ServoSetpoint
 
 SECOND = 1_000_000_000
 CYCLE_NS = 10_000_000

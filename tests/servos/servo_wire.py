@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
+from hil.fakes.active_faults import FaultPlan
+from hil.fakes.body_interface import JointCommand, Plant, PlantState
 from hil.fakes.fault import parse_fault
-from hil.fakes.faults import FaultPlan
-from hil.fakes.plant_api import JointCommand, Plant, PlantState
 from hil.fakes.servos import ServoBus, ServoBusOptions
 from hil.fakes.world import World
 

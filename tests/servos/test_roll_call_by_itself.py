@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from hil.core.signals import Status
 from hil.drivers.servos.bus import Exchange
+from hil.drivers.servos.latency_probe import RollCall
 from hil.drivers.servos.packets import Answer
-from hil.drivers.servos.roll_call import RollCall
-from hil.vocabulary.signals import Status
 
 IN_TIME_S, NEVER = 0.003, None
 IDS = (11, 12, 13, 14, 15, 16, 17, 18)

@@ -2,8 +2,8 @@
 
 import pytest
 
+from hil.core.errors import DeviceError, DeviceTimeoutError, UsageError
 from hil.drivers.servos import FoundServo, scan, set_up
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, UsageError
 
 PORT = "hil://servos"
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from hil.vocabulary.signals import ServoSetpoint
+from hil.core.signals import ServoSetpoint
 
 
 def test_it_opens_reads_and_moves(servo_bench):

@@ -6,9 +6,9 @@ from servo_client import Client
 from servo_cycles import CYCLE_NS, ROLLING, SECOND, STILL, between, cycles, statuses
 from servo_wire import Wire
 
+from hil.core.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
+from hil.core.signals import Status
 from hil.fakes.fault import parse_fault
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
-from hil.vocabulary.signals import Status
 from tests.selected import every
 
 

@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 from servo_wire import JointPlant
 
 from hil.config.servos import ServosConfig
+from hil.core.errors import DeviceError, HilError
+from hil.core.signals import Status
 from hil.drivers.servos import DynamixelServos, scan, set_up
 from hil.drivers.servos.packets import GroupRead, find_statuses
+from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.servos import ServoBus, protocol
-from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import VirtualClock, World
-from hil.vocabulary.errors import DeviceError, HilError
-from hil.vocabulary.signals import Status
 
 SECOND = 1_000_000_000
 STATUSES = st.builds(protocol.status, st.integers(0, 253), st.integers(0, 255), st.binary(max_size=20))

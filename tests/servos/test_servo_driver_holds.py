@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from servo_cycles import ROLLING, SECOND, STILL, cycles
 
+from hil.core.errors import DeviceError, DeviceTimeoutError, UsageError
+from hil.core.signals import ServoSetpoint
 from hil.fakes.fault import parse_fault
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, UsageError
-from hil.vocabulary.signals import ServoSetpoint
 
 
 def test_servos_that_fall_silent_for_good_while_torque_comes_on_are_told(servo_bench):

@@ -9,12 +9,12 @@ from servo_client import ALL, TABLE, word
 from hil.cli.setup import command as setup
 from hil.config.servo_models.codes import BAUD_RATES
 from hil.config.servos import ServosConfig
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DeviceError, DeviceTimeoutError
+from hil.core.signals import ServoSetpoint, Status
 from hil.drivers.servos import DynamixelServos, set_up
-from hil.drivers.servos.identity import identified
+from hil.drivers.servos.expected_servos import identified
 from hil.drivers.servos.packets import BAD_CHECKSUM, NO_ANSWER, instruction
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
-from hil.vocabulary.signals import ServoSetpoint, Status
 
 
 @pytest.mark.parametrize(

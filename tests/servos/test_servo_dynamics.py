@@ -9,11 +9,11 @@ from servo_client import ALL, RAD_PER_COUNT, RAD_S_PER_COUNT, READ, SYNC_WRITE, 
 from servo_wire import Wire
 
 from hil.config.robot import RobotConfig
+from hil.core.signals import ServoSetpoint
 from hil.drivers.servos.packets import find_statuses, instruction
 from hil.fakes.plant import make_plant
 from hil.fakes.servos import ServoBus, ServoBusOptions
 from hil.fakes.world import World
-from hil.vocabulary.signals import ServoSetpoint
 
 STEP_NS = 1_000_000
 

@@ -5,11 +5,11 @@ import pytest
 from servo_client import MODEL, RAD_PER_COUNT, RAD_S_PER_COUNT, TABLE
 
 from hil.config.servos import ServosConfig
-from hil.drivers.servos.goals import Goals
+from hil.core.errors import UsageError
+from hil.core.signals import ServoSetpoint
+from hil.drivers.servos.goal_values import Goals
 from hil.drivers.servos.packets import GoalWrite
-from hil.drivers.servos.registers import RegisterMap
-from hil.vocabulary.errors import UsageError
-from hil.vocabulary.signals import ServoSetpoint
+from hil.drivers.servos.register_map import RegisterMap
 
 LOW, HIGH = 700, 3400
 

@@ -25,10 +25,10 @@ from servo_client import (
 from servo_wire import make_wire
 
 from hil.config.servo_models.codes import BAUD_RATES
+from hil.core.signals import Status
 from hil.drivers.servos.packets import GroupRead, find_statuses, instruction
-from hil.fakes.plant_api import JointCommand
+from hil.fakes.body_interface import JointCommand
 from hil.fakes.servos import protocol
-from hil.vocabulary.signals import Status
 
 IDS = bytes(range(1, 9))
 POSITION = where("present_position")

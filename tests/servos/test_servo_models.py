@@ -15,11 +15,11 @@ from servo_wire import make_wire
 from hil.config.servo_models import model_text, models_text, servo_model, servo_models, shared_register
 from hil.config.servo_models.codes import BAUD_RATES, RETURN_DELAY_STEP_S, WATCHDOG_STEP_S
 from hil.config.servos import ServosConfig
+from hil.core.errors import DeviceError, UsageError
+from hil.core.signals import ServoSetpoint
 from hil.drivers.servos import scan, set_up
 from hil.drivers.servos.multi_turn import EVERYBODY, MultiTurnCounter
-from hil.drivers.servos.registers import RegisterMap
-from hil.vocabulary.errors import DeviceError, UsageError
-from hil.vocabulary.signals import ServoSetpoint
+from hil.drivers.servos.register_map import RegisterMap
 
 NUMBERS = (1000, 1010, 1020, 1030, 1040, 1050)
 PORT = "hil://servos"
@@ -150,7 +150,7 @@ def test_the_emulated_motor_gives_the_vendors_stall_and_no_load_rows(number):
 
 def test_nothing_is_read_before_somebody_asks():
     code = (
-        "import hil.config.servos, hil.drivers.servos, hil.fakes.servos, hil.bench.discover;"
+        "import hil.config.servos, hil.drivers.servos, hil.fakes.servos, hil.bench.doctor.discovery;"
         "from hil.config.servo_models import loading;"
         "assert loading._families.cache_info().currsize == 0;"
         "loading.servo_models();"

@@ -22,15 +22,15 @@ from dynamixel_sdk import (
 from servo_wire import JointPlant
 
 from hil.config.servos import ServosConfig
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DeviceError, DeviceTimeoutError
+from hil.core.signals import ServoSetpoint, Status
 from hil.drivers.servos import DynamixelServos, scan
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
 from hil.fakes.servos import ServoBus, ServoBusOptions
 from hil.fakes.world import World
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
-from hil.vocabulary.signals import ServoSetpoint, Status
 
 pytestmark = pytest.mark.alone
 

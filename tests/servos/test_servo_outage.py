@@ -3,10 +3,10 @@
 import pytest
 
 from hil.config.servos import ServosConfig
-from hil.drivers.servos.cycle import ALL_OK
-from hil.drivers.servos.timeouts import OutageWatch
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
-from hil.vocabulary.signals import Status
+from hil.core.errors import DeviceError, DeviceTimeoutError
+from hil.core.signals import Status
+from hil.drivers.servos.answer_timeouts import OutageWatch
+from hil.drivers.servos.cyclic_read import ALL_OK
 
 LIMIT_NS = 500_000_000
 

@@ -5,8 +5,8 @@ import logging
 import numpy as np
 import pytest
 
-from hil.vocabulary.errors import DeviceTimeoutError
-from hil.vocabulary.signals import ServoSetpoint, Status
+from hil.core.errors import DeviceTimeoutError
+from hil.core.signals import ServoSetpoint, Status
 
 SECOND = 1_000_000_000
 

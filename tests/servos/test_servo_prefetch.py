@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil.vocabulary.signals import ServoSetpoint, Status
+from hil.core.signals import ServoSetpoint, Status
 
 CYCLE_NS = 5_000_000
 ROLLING = ServoSetpoint(np.full(4, 2.0), np.zeros(4))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from servo_cycles import ROLLING, cycles
 
+from hil.core.signals import SERVOS, Status
 from hil.fakes.fault import parse_fault
-from hil.vocabulary.signals import SERVOS, Status
 
 LONG = {"fail_after_s": 60.0}
 SECOND = 1_000_000_000

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hil.vocabulary.signals import ServoSetpoint, Status
+from hil.core.signals import ServoSetpoint, Status
 
 
 def test_repairing_eight_tripped_watchdogs_does_not_cost_the_read_behind_it(servo_bench):

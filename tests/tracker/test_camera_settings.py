@@ -15,18 +15,18 @@ from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 import hil
-from hil.bench.wheel_feed import with_wheel_sigma
+from hil.bench.camera_odometry import with_wheel_sigma
 from hil.config.loading import load_bench
 from hil.config.tracker import FeedEndpoint, T265Config
+from hil.core.clock import MonotonicClock
+from hil.core.errors import ConfigError, DeviceError
+from hil.core.geometry import quat_from_rotvec
 from hil.drivers.tracker import T265Tracker
-from hil.drivers.tracker.settings import wheel_calibration
+from hil.drivers.tracker.t265_settings import wheel_calibration
 from hil.fakes.server import EmulationServer
 from hil.fakes.tracker import IDEAL, T265, TrackerFace, TrackerTruthOptions
-from hil.fakes.tracker.wheel_input import WheelInput
+from hil.fakes.tracker.wheel_odometer_input import WheelInput
 from hil.fakes.world import World
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import ConfigError, DeviceError
-from hil.vocabulary.geometry import quat_from_rotvec
 from tests.tracker.software_device import SoftwareT265
 
 KEYS = ("mapping", "relocalisation", "pose_jumping", "map_preservation")

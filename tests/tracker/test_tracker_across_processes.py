@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from hil.config.tracker import T265Config
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DeviceError
+from hil.core.signals import Status
+from hil.core.tracker_feed import FEED_HEAD, FEED_MAGIC, FEED_SUBSCRIBE, INFO_RECORD, POSE_RECORD
 from hil.drivers.tracker import FeedPipeline, T265Tracker
 from hil.fakes.server import EmulationServer
 from hil.fakes.tracker import TrackerFace
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DeviceError
-from hil.vocabulary.signals import Status
-from hil.vocabulary.tracker_feed import FEED_HEAD, FEED_MAGIC, FEED_SUBSCRIBE, INFO_RECORD, POSE_RECORD
 from tests.tracker.software_device import SoftwareT265
 
 pytestmark = pytest.mark.real_time

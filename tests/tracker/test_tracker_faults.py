@@ -8,12 +8,12 @@ import pytest
 from following import kinds
 
 from hil.config.tracker import T265Config
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
+from hil.core.signals import Status
 from hil.drivers.tracker import T265Tracker
 from hil.fakes.fault import parse_fault
 from hil.fakes.tracker import IDEAL, SUPPORTED_FAULTS, TrackerTruthOptions
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
-from hil.vocabulary.signals import Status
 
 
 def test_a_jump_is_marked_until_the_new_place_is_consistent(tracker_bench, follow):

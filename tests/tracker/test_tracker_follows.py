@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from hil.core.geometry import between, quat_from_rotvec, quat_rotate, yaw_of_quat
+from hil.core.signals import Inputs, Status
 from hil.fakes.tracker import TrackerTruthOptions
-from hil.ring.alignment import Alignment, AlignmentParameters
-from hil.ring.poses import Mount
-from hil.vocabulary.geometry import between, quat_from_rotvec, quat_rotate, yaw_of_quat
-from hil.vocabulary.signals import Inputs, Status
+from hil.loop.alignment import Alignment, AlignmentParameters
+from hil.loop.pose_alignment import Mount
 from tests.selected import every
 
 TILTED = tuple(float(v) for v in quat_from_rotvec([0.05, -0.3, 0.2]))

@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.config.tracker import T265Config
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DeviceError
+from hil.core.signals import Status
+from hil.core.tracker_feed import FEED_INFO, FEED_MAGIC, INFO_RECORD, POSE_RECORD
 from hil.drivers.tracker import T265Tracker
-from hil.drivers.tracker.feed import FeedDevice, FeedFrame, FeedSensor
+from hil.drivers.tracker.emulated_pipeline import FeedDevice, FeedFrame, FeedSensor
 from hil.fakes.world import VirtualClock, World
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DeviceError
-from hil.vocabulary.signals import Status
-from hil.vocabulary.tracker_feed import FEED_INFO, FEED_MAGIC, INFO_RECORD, POSE_RECORD
 from tests.selected import every
 
 INFO = INFO_RECORD.pack(FEED_MAGIC, FEED_INFO, b"Intel RealSense T265", b"0815", b"0.2.0.951")

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.bench.discover import discover
+from hil.bench.doctor.discovery import discover
 from hil.config.tracker import T265Config
+from hil.core.errors import DeviceError
 from hil.drivers.tracker import T265Tracker
-from hil.drivers.tracker.library import PlainLibrary, StreamRequest
-from hil.vocabulary.errors import DeviceError
+from hil.drivers.tracker.librealsense_interface import PlainLibrary, StreamRequest
 
 OTHER = ("Intel RealSense D435", "1234")
 

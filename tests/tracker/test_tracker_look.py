@@ -4,11 +4,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.devices.looks import Watched
+from hil.core.signals import Status
+from hil.devices.doctor_watch import Watched
 from hil.devices.tracker import KIND
-from hil.devices.tracker.look import look
+from hil.devices.tracker.doctor_check import look
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
-from hil.vocabulary.signals import Status
 
 
 def told(statuses):

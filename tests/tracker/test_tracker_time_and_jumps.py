@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hil.config.tracker import TrackerConfig
-from hil.drivers.device_clock import DeviceClock
-from hil.drivers.jumps import JumpTest
+from hil.drivers.links.device_clock import DeviceClock
+from hil.drivers.links.pose_jumps import JumpTest
 from hil.fakes.tracker import IDEAL
 
 STILL = (1.0, 0.0, 0.0, 0.0)

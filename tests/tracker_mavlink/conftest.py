@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from travelling_plant import TravellingPlant
 
-from hil.devices.tracker.mavlink.computer import VisualInertialComputer
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
 from hil.devices.tracker.mavlink.driver import MavlinkTracker
-from hil.devices.tracker.mavlink.network import ComputerLink
-from hil.devices.tracker.mavlink.options import IDEAL
-from hil.devices.tracker.mavlink.wire import Arrival, Link
+from hil.devices.tracker.mavlink.emulated_computer import VisualInertialComputer
+from hil.devices.tracker.mavlink.emulated_truth import IDEAL
+from hil.devices.tracker.mavlink.transport_interface import Arrival, Link
+from hil.devices.tracker.mavlink.virtual_network import ComputerLink
+from hil.fakes.active_faults import FaultPlan
 from hil.fakes.fault import parse_fault
-from hil.fakes.faults import FaultPlan
 from hil.fakes.world import VirtualClock, World
 
 NAN = math.nan

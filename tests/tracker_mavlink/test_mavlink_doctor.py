@@ -7,9 +7,9 @@ import re
 import pytest
 from following import follow
 
-from hil.devices.tracker.mavlink.messages import dialect
-from hil.devices.tracker.mavlink.network import WorldLink
-from hil.devices.tracker.mavlink.options import IDEAL
+from hil.devices.tracker.mavlink.emulated_truth import IDEAL
+from hil.devices.tracker.mavlink.odometry_messages import dialect
+from hil.devices.tracker.mavlink.virtual_network import WorldLink
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
 

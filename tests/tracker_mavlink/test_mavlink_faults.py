@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from following import follow, kinds, until
 
+from hil.core.clock import MonotonicClock
+from hil.core.errors import ConfigError, DeviceError, DeviceTimeoutError, FaultNotSupportedError
+from hil.core.signals import Status
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
 from hil.devices.tracker.mavlink.driver import MavlinkTracker
-from hil.devices.tracker.mavlink.faulty import SUPPORTED_FAULTS
-from hil.devices.tracker.mavlink.options import IDEAL, ComputerTruthOptions
+from hil.devices.tracker.mavlink.emulated_faults import SUPPORTED_FAULTS
+from hil.devices.tracker.mavlink.emulated_truth import IDEAL, ComputerTruthOptions
 from hil.fakes.fault import parse_fault
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import ConfigError, DeviceError, DeviceTimeoutError, FaultNotSupportedError
-from hil.vocabulary.signals import Status
 
 
 @pytest.fixture(autouse=True)

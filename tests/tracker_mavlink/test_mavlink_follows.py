@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from following import follow
 
-from hil.devices.tracker.mavlink import messages
-from hil.devices.tracker.mavlink.options import IDEAL, ComputerTruthOptions
-from hil.ring.alignment import Alignment, AlignmentParameters, Mount
-from hil.vocabulary.geometry import between, quat_from_rotvec, quat_rotate, yaw_of_quat
-from hil.vocabulary.signals import Inputs, Status
+from hil.core.geometry import between, quat_from_rotvec, quat_rotate, yaw_of_quat
+from hil.core.signals import Inputs, Status
+from hil.devices.tracker.mavlink import odometry_messages
+from hil.devices.tracker.mavlink.emulated_truth import IDEAL, ComputerTruthOptions
+from hil.loop.alignment import Alignment, AlignmentParameters, Mount
 from tests.selected import every
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
@@ -76,8 +76,8 @@ def test_covariances_come_through_and_grow_with_the_way(mavlink_bench, travellin
     bench.driver.open()
     last = follow(bench, 3.0)[-1]
     message = bench.driver._session.last
-    axes = messages.axes_of(message.frame_id, message.child_frame_id)
-    sigma = np.sqrt(np.diag(messages.pose_covariance(message, axes)))
+    axes = odometry_messages.axes_of(message.frame_id, message.child_frame_id)
+    sigma = np.sqrt(np.diag(odometry_messages.pose_covariance(message, axes)))
     way_m = 0.1 * last.stamp.t_ns * 1e-9
     assert sigma[0] == pytest.approx(math.hypot(0.001, 0.01 * math.sqrt(way_m)), rel=0.02)
     np.testing.assert_allclose(sigma[3:], 0.002, rtol=1e-6)

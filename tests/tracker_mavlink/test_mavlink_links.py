@@ -9,18 +9,18 @@ import pytest
 from following import follow, kinds
 from pydantic import ValidationError
 
+from hil.core.clock import MonotonicClock
+from hil.core.errors import DeviceError, DeviceTimeoutError
+from hil.core.signals import Status
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
 from hil.devices.tracker.mavlink.driver import MavlinkTracker
-from hil.devices.tracker.mavlink.face import MavlinkFace
-from hil.devices.tracker.mavlink.options import ComputerTruthOptions
-from hil.devices.tracker.mavlink.serial import SerialComputer
-from hil.fakes.loopback import free_udp_port
+from hil.devices.tracker.mavlink.emulated_serial import SerialComputer
+from hil.devices.tracker.mavlink.emulated_truth import ComputerTruthOptions
+from hil.devices.tracker.mavlink.emulated_udp import MavlinkFace
+from hil.fakes.free_port import free_udp_port
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
-from hil.vocabulary.signals import Status
 
 pytestmark = pytest.mark.alone
 

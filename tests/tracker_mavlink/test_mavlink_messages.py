@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from hil.devices.tracker.mavlink import messages
-from hil.vocabulary.signals import Status
+from hil.core.signals import Status
+from hil.devices.tracker.mavlink import odometry_messages
 
 LOCAL_NED, LOCAL_ENU, BODY_NED, BODY_FRD, BODY_FLU, LOCAL_FRD, LOCAL_FLU = 1, 4, 8, 12, 13, 20, 21
 DOWN, UP = np.diag([1.0, -1.0, -1.0]), np.eye(3)
@@ -46,13 +46,15 @@ def test_every_pair_of_frames_gives_back_the_motion(common, odometry, frame, chi
         **dict(zip(("vx", "vy", "vz"), (moves @ VELOCITY).tolist(), strict=True)),
         **dict(zip(("rollspeed", "pitchspeed", "yawspeed"), (moves @ RATES).tolist(), strict=True)),
     )
-    (received,) = messages.Parser(common, datagrams=True).feed(bytes(message.pack(common.MAVLink(None))))
-    axes = messages.axes_of(received.frame_id, received.child_frame_id, body_axes)
-    pose = messages.pose_of(received, axes)
+    (received,) = odometry_messages.Parser(common, datagrams=True).feed(
+        bytes(message.pack(common.MAVLink(None)))
+    )
+    axes = odometry_messages.axes_of(received.frame_id, received.child_frame_id, body_axes)
+    pose = odometry_messages.pose_of(received, axes)
     np.testing.assert_allclose(pose[:3], POSITION, atol=1e-7)
     found = Rotation.from_quat(np.array(pose[3:])[[1, 2, 3, 0]]).as_matrix()
     np.testing.assert_allclose(found, ATTITUDE, atol=1e-6)
-    twist = messages.twist_of(received, axes, pose[3:])
+    twist = odometry_messages.twist_of(received, axes, pose[3:])
     np.testing.assert_allclose(twist[:3], VELOCITY, atol=1e-7)
     np.testing.assert_allclose(twist[3:], RATES, atol=1e-6)
 
@@ -60,10 +62,10 @@ def test_every_pair_of_frames_gives_back_the_motion(common, odometry, frame, chi
 def test_a_level_camera_that_drives_forward_right_and_up_in_local_frd(odometry):
     """By hand: 1 m forward, 2 m to the right, 3 m up, turned to the left by 0.2 rad."""
     message = odometry(x=1.0, y=2.0, z=-3.0, q=[np.cos(0.1), 0.0, 0.0, -np.sin(0.1)], vx=0.1, yawspeed=-0.5)
-    axes = messages.axes_of(LOCAL_FRD, BODY_FRD)
-    pose = messages.pose_of(message, axes)
+    axes = odometry_messages.axes_of(LOCAL_FRD, BODY_FRD)
+    pose = odometry_messages.pose_of(message, axes)
     np.testing.assert_allclose(pose, [1, -2, 3, np.cos(0.1), 0, 0, np.sin(0.1)], atol=1e-7)
-    twist = messages.twist_of(message, axes, pose[3:])
+    twist = odometry_messages.twist_of(message, axes, pose[3:])
     expected = [0.1 * np.cos(0.2), 0.1 * np.sin(0.2), 0, 0, 0, 0.5]
     np.testing.assert_allclose(twist, expected, atol=1e-7)
 
@@ -81,7 +83,7 @@ def test_a_level_camera_that_drives_forward_right_and_up_in_local_frd(odometry):
 )
 def test_frames_that_cannot_be_used_together_have_no_axes(frame, child):
     """A global frame, a pose in body axes, a twist in another local frame, numbers that mean nothing."""
-    assert messages.axes_of(frame, child) is None
+    assert odometry_messages.axes_of(frame, child) is None
 
 
 def triangle(matrix):
@@ -92,21 +94,21 @@ def test_a_covariance_is_an_upper_triangle_by_rows_turned_into_the_start_frame(o
     root = np.random.default_rng(3).standard_normal((6, 6))
     covariance = root @ root.T
     message, down = odometry(pose_covariance=triangle(covariance)), np.kron(np.eye(2), DOWN)
-    found = messages.pose_covariance(message, messages.axes_of(LOCAL_FRD, BODY_FRD))
+    found = odometry_messages.pose_covariance(message, odometry_messages.axes_of(LOCAL_FRD, BODY_FRD))
     np.testing.assert_allclose(found, down @ covariance @ down.T, rtol=1e-6)
 
 
 def test_a_covariance_that_is_not_given_or_cannot_be_is_none(odometry):
-    axes = messages.axes_of(LOCAL_FRD, BODY_FRD)
+    axes = odometry_messages.axes_of(LOCAL_FRD, BODY_FRD)
     unknown = odometry()
-    assert messages.pose_covariance(unknown, axes) is None
+    assert odometry_messages.pose_covariance(unknown, axes) is None
     negative = odometry(pose_covariance=triangle(np.diag([1.0, 1, -1, 1, 1, 1])))
-    assert messages.pose_covariance(negative, axes) is None
+    assert odometry_messages.pose_covariance(negative, axes) is None
 
 
 def test_a_twist_that_is_not_given_is_nan_throughout(odometry):
-    axes = messages.axes_of(LOCAL_FRD, BODY_FRD)
-    assert np.isnan(messages.twist_of(odometry(vy=np.nan), axes, (1, 0, 0, 0))).all()
+    axes = odometry_messages.axes_of(LOCAL_FRD, BODY_FRD)
+    assert np.isnan(odometry_messages.twist_of(odometry(vy=np.nan), axes, (1, 0, 0, 0))).all()
 
 
 def packed(common, *parts):
@@ -116,13 +118,13 @@ def packed(common, *parts):
 
 def test_a_damaged_datagram_does_not_spoil_the_next_one_and_a_stream_goes_on(common, odometry):
     first, second = packed(common, odometry(1.0), odometry(2.0))
-    datagrams = messages.Parser(common, datagrams=True)
+    datagrams = odometry_messages.Parser(common, datagrams=True)
     assert datagrams.feed(first[:-40]) == []
     assert [m.time_usec for m in datagrams.feed(second)] == [2_000_000]
     damaged = bytearray(first)
     damaged[30] ^= 1
     assert [m.get_type() for m in datagrams.feed(bytes(damaged))] == ["BAD_DATA"]
-    stream = messages.Parser(common, datagrams=False)
+    stream = odometry_messages.Parser(common, datagrams=False)
     assert stream.feed(first[:100]) == []
     assert [m.time_usec for m in stream.feed(first[100:] + second)] == [1_000_000, 2_000_000]
 
@@ -132,17 +134,17 @@ def test_a_message_of_the_first_protocol_version_and_one_without_extensions_are_
     plain = odometry(quality=0, reset_counter=0, estimator_type=0)
     (data,) = packed(common, plain)
     assert len(data) < 12 + 230 + 3
-    (received,) = messages.Parser(common, datagrams=True).feed(data)
+    (received,) = odometry_messages.Parser(common, datagrams=True).feed(data)
     assert (received.quality, received.reset_counter) == (0, 0)
     beat = common.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)
     old = bytes(beat.pack(common.MAVLink(None), force_mavlink1=True))
-    assert [m.get_type() for m in messages.Parser(common, datagrams=True).feed(old)] == ["HEARTBEAT"]
+    assert [m.get_type() for m in odometry_messages.Parser(common, datagrams=True).feed(old)] == ["HEARTBEAT"]
 
 
 @given(st.lists(st.binary(max_size=300), max_size=6), st.booleans())
 def test_no_bytes_at_all_break_the_parser(pieces, datagrams):
     common = pytest.importorskip("pymavlink.dialects.v20.common", reason="the extra mavlink is not installed")
-    parser = messages.Parser(common, datagrams=datagrams)
+    parser = odometry_messages.Parser(common, datagrams=datagrams)
     for piece in pieces:
         for marker in (b"", b"\xfd", b"\xfe"):
             for message in parser.feed(marker + piece):
@@ -156,15 +158,17 @@ def test_a_vision_position_estimate_says_the_same_pose(common):
     estimate = common.MAVLink_vision_position_estimate_message(
         1_000_000, x, y, z, sent[2], sent[1], sent[0], [0.0] * 21, 3
     )
-    (received,) = messages.Parser(common, datagrams=True).feed(bytes(estimate.pack(common.MAVLink(None))))
-    message = messages.odometry_of(received, common)
-    axes = messages.axes_of(message.frame_id, message.child_frame_id)
-    pose = messages.pose_of(message, axes)
+    (received,) = odometry_messages.Parser(common, datagrams=True).feed(
+        bytes(estimate.pack(common.MAVLink(None)))
+    )
+    message = odometry_messages.odometry_of(received, common)
+    axes = odometry_messages.axes_of(message.frame_id, message.child_frame_id)
+    pose = odometry_messages.pose_of(message, axes)
     np.testing.assert_allclose(pose[:3], POSITION, atol=1e-6)
     found = Rotation.from_quat(np.array(pose[3:])[[1, 2, 3, 0]]).as_matrix()
     np.testing.assert_allclose(found, ATTITUDE, atol=1e-6)
-    assert np.isnan(messages.twist_of(message, axes, pose[3:])).all()
-    assert messages.pose_covariance(message, axes) is None
+    assert np.isnan(odometry_messages.twist_of(message, axes, pose[3:])).all()
+    assert odometry_messages.pose_covariance(message, axes) is None
     assert message.reset_counter == 3
 
 

@@ -10,20 +10,20 @@ import hil
 from hil.bench.emulation import open_emulation
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.devices.tracker.mavlink.face import MavlinkFace
-from hil.devices.tracker.mavlink.options import ComputerTruthOptions
-from hil.devices.tracker.mavlink.serial import SerialComputer
+from hil.core.clock import MonotonicClock
+from hil.core.device import Search
+from hil.core.errors import ConfigError
+from hil.core.registry import kinds
+from hil.core.signals import Status
+from hil.devices.tracker.mavlink.emulated_serial import SerialComputer
+from hil.devices.tracker.mavlink.emulated_truth import ComputerTruthOptions
+from hil.devices.tracker.mavlink.emulated_udp import MavlinkFace
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_run
 from hil.robot.trajectories import line
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.device import Search
-from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import Status
 from tests.patience import PATIENT
 from tests.tracker_mavlink.test_mavlink_links import BAUD, serving
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from following import follow, kinds
 
-from hil.devices.tracker.mavlink.options import IDEAL
+from hil.core.errors import DeviceTimeoutError
+from hil.core.signals import Status
+from hil.devices.tracker.mavlink.emulated_truth import IDEAL
 from hil.devices.tracker.mavlink.timesync import TimeSync
-from hil.vocabulary.errors import DeviceTimeoutError
-from hil.vocabulary.signals import Status
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
 

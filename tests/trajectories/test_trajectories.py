@@ -6,14 +6,14 @@ import math
 import numpy as np
 import pytest
 
+from hil.core.errors import DataError, TrajectoryError, UsageError
+from hil.core.geometry import rotation2
+from hil.core.signals import Reference
 from hil.robot import trajectories as tr
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits, check, slowed
 from hil.robot.paths import Segment, Straight
 from hil.robot.waypoints import MOST_WAYPOINTS, read_waypoints
-from hil.vocabulary.errors import DataError, TrajectoryError, UsageError
-from hil.vocabulary.geometry import rotation2
-from hil.vocabulary.signals import Reference
 
 CAD = WheelGeometry.nominal().projection()
 ORIGIN = np.zeros(3)

@@ -8,16 +8,16 @@ import serial
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hil.core.clock import MonotonicClock
+from hil.core.errors import FaultNotSupportedError, UsageError
+from hil.fakes.active_faults import FaultPlan
 from hil.fakes.fault import parse_fault
-from hil.fakes.faults import FaultPlan
+from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.serial_line import SerialLine, find_line
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
-from hil.fakes.uart import heard as heard_by_a_uart
-from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import World
-from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import FaultNotSupportedError, UsageError
+from hil.fakes.wrong_baud import heard as heard_by_a_uart
 
 
 class Still:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from hil.procedure import Context, Measurement, procedure
-from hil.procedure.tracking import stand
+from hil.procedure.tracking_errors import stand
 from hil.robot.trajectories import line
 
 UP = np.array([0.1, 0.0, 0.0])

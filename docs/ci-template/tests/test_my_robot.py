@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hil.procedure.tracking import stand
+from hil.core.errors import DeviceTimeoutError
+from hil.procedure.tracking_errors import stand
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import DeviceTimeoutError
 
 UP = np.array([0.1, 0.0, 0.0])
 

@@ -6,9 +6,9 @@ import pytest
 
 from hil.bench import open_bench
 from hil.config.loading import load_bench
+from hil.core.errors import ConfigError, DeviceError, DeviceTimeoutError
+from hil.core.signals import Status
 from hil.recording.runs import RunStart
-from hil.vocabulary.errors import ConfigError, DeviceError, DeviceTimeoutError
-from hil.vocabulary.signals import Status
 
 pytestmark = pytest.mark.needs("rangefinder")
 

@@ -12,17 +12,14 @@ import numpy as np
 from hil.bench.contract.losses import loses_next_to_nothing
 from hil.bench.contract.stillness import sees_no_motion
 from hil.bench.contract.subject import SHARE, SHORT_S, WATCH_S, Broken, Subject, due, read_for
-from hil.bench.promises import EARLY_NS, OLDEST_NS
-from hil.devices.looks import MORE_FAILURE, surplus
-from hil.recording.compare import first_difference
-from hil.recording.cycle_codec import DTYPES, CycleCodec
-from hil.vocabulary.clock import NS_PER_S, nanoseconds
-from hil.vocabulary.errors import DeviceError
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.holes import unsaid_holes
-from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import KINDS as OURS
-from hil.vocabulary.signals import (
+from hil.bench.third_party.contract_findings import EARLY_NS, OLDEST_NS
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.errors import DeviceError
+from hil.core.geometry import Array
+from hil.core.nonfinite import unsaid_holes
+from hil.core.registry import kinds
+from hil.core.signals import KINDS as OURS
+from hil.core.signals import (
     CycleRecord,
     Inputs,
     Measurements,
@@ -32,6 +29,9 @@ from hil.vocabulary.signals import (
     WheelSetpoint,
     worst,
 )
+from hil.devices.doctor_watch import MORE_FAILURE, surplus
+from hil.recording.compare import first_difference
+from hil.recording.cycle_codec import DTYPES, CycleCodec
 
 LONGEST_READ_NS = nanoseconds(0.06)
 NOTHING = (Status.TIMEOUT, Status.CRC, Status.PARITY, Status.PROTOCOL)

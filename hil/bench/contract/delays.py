@@ -15,12 +15,12 @@ from hil.bench.contract.in_motion import at_loop_rate, enabled, fresh, still
 from hil.bench.contract.subject import Broken, Subject, oldest_s
 from hil.bench.settings import real_time
 from hil.config.bench import BenchConfig
-from hil.ring.loop_timing import LoopStatistics
-from hil.ring.realtime import idle_loop
-from hil.vocabulary.clock import NS_PER_S, MonotonicClock, nanoseconds
-from hil.vocabulary.finding import Finding
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.signals import ServoSample, ServoSetpoint, Status, worst
+from hil.core.clock import NS_PER_S, MonotonicClock, nanoseconds
+from hil.core.finding import Finding
+from hil.core.geometry import Array
+from hil.core.signals import ServoSample, ServoSetpoint, Status, worst
+from hil.loop.realtime import idle_loop
+from hil.loop.timing import LoopStatistics
 
 _TURN_RAD, _RATE_RAD_S, _LASTS_S, _TIMES = 0.07, 1.0, 0.6, 4
 BUSY_SHARE, _IDLE_S = 0.05, 2.0

@@ -15,9 +15,9 @@ import numpy as np
 from hil.bench.bench import Bench
 from hil.bench.contract.subject import Broken
 from hil.config.servos import ServosConfig
-from hil.vocabulary.clock import nanoseconds
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.signals import SERVOS, ServoSample, ServoSetpoint
+from hil.core.clock import nanoseconds
+from hil.core.geometry import Array
+from hil.core.signals import SERVOS, ServoSample, ServoSetpoint
 
 _PATIENCE_S = 1.0
 _RATE_RAD_S = 1.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hil.bench.contract.subject import Broken, Subject, read_for
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.kinds import kinds
+from hil.core.clock import NS_PER_S
+from hil.core.registry import kinds
 
 _WATCH_S, _FEWEST = 2.0, 20
 MOST_M_S = 0.005

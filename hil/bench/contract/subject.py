@@ -13,10 +13,10 @@ import numpy as np
 from hil.bench.bench import Bench
 from hil.bench.drivers import model_of
 from hil.config.bench import BenchConfig
-from hil.vocabulary.clock import NS_PER_S, nanoseconds
-from hil.vocabulary.errors import Aborted, HilError
-from hil.vocabulary.finding import Finding
-from hil.vocabulary.kinds import kinds
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.errors import Aborted, HilError
+from hil.core.finding import Finding
+from hil.core.registry import kinds
 
 WATCH_S, SHORT_S = 1.0, 0.2
 SHARE = 0.7

@@ -11,7 +11,7 @@ from typing import Any
 
 from hil.config.servo_models.model import Motor, Performance, ServoModel
 from hil.config.servo_models.register import Register
-from hil.vocabulary.errors import UsageError
+from hil.core.errors import UsageError
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -10,13 +10,13 @@ import numpy as np
 
 from hil.config.adhesion import AdhesionConfig
 from hil.config.robot import RobotConfig
+from hil.core.device import DeviceKind, Figures, Force, Plot, Topic
+from hil.core.finding import Finding
+from hil.core.signals import AdhesionSample, Inputs, Status
+from hil.devices.adhesion.doctor_check import look
 from hil.devices.adhesion.dronecan import DroneCan
-from hil.devices.adhesion.look import look
-from hil.devices.adhesion.vesc import Vesc
-from hil.devices.looks import Watched
-from hil.vocabulary.device import DeviceKind, Figures, Force, Plot, Topic
-from hil.vocabulary.finding import Finding
-from hil.vocabulary.signals import AdhesionSample, Inputs, Status
+from hil.devices.adhesion.vesc_model import Vesc
+from hil.devices.doctor_watch import Watched
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker

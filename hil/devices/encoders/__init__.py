@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from hil.devices.encoders.as5045 import As5045
-from hil.devices.encoders.look import look
-from hil.devices.looks import Watched
-from hil.vocabulary.device import DeviceKind, Topic
-from hil.vocabulary.finding import Finding
-from hil.vocabulary.signals import SERVOS, WHEELS, EncoderSample
+from hil.core.device import DeviceKind, Topic
+from hil.core.finding import Finding
+from hil.core.signals import SERVOS, WHEELS, EncoderSample
+from hil.devices.doctor_watch import Watched
+from hil.devices.encoders.as5045_model import As5045
+from hil.devices.encoders.doctor_check import look
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker

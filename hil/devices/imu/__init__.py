@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from hil.devices.imu.bno055 import Bno055
-from hil.devices.imu.look import look
+from hil.core.device import DeviceKind, Topic
+from hil.core.finding import Finding
+from hil.core.geometry import Array
+from hil.core.signals import ImuSample, Status
+from hil.devices.doctor_watch import Watched
+from hil.devices.imu.bno055_model import Bno055
+from hil.devices.imu.doctor_check import look
 from hil.devices.imu.microstrain import MicroStrain
-from hil.devices.looks import Watched
-from hil.vocabulary.device import DeviceKind, Topic
-from hil.vocabulary.finding import Finding
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.signals import ImuSample, Status
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker

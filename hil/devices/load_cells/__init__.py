@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from hil.devices.load_cells.hx711 import Hx711Can, Hx711Line
-from hil.devices.load_cells.look import look
-from hil.devices.looks import Watched
-from hil.vocabulary.device import DeviceKind, Figures, Plot, Topic
-from hil.vocabulary.finding import Finding
-from hil.vocabulary.signals import Inputs, LoadCellSample
+from hil.core.device import DeviceKind, Figures, Plot, Topic
+from hil.core.finding import Finding
+from hil.core.signals import Inputs, LoadCellSample
+from hil.devices.doctor_watch import Watched
+from hil.devices.load_cells.doctor_check import look
+from hil.devices.load_cells.hx711_model import Hx711Can, Hx711Line
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker

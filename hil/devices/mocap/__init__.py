@@ -6,13 +6,13 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from hil.devices.looks import Watched
-from hil.devices.mocap.look import look
-from hil.devices.mocap.natnet import NatNet
-from hil.vocabulary.device import DeviceKind, Topic
-from hil.vocabulary.finding import Finding
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.signals import MocapSample, Status
+from hil.core.device import DeviceKind, Topic
+from hil.core.finding import Finding
+from hil.core.geometry import Array
+from hil.core.signals import MocapSample, Status
+from hil.devices.doctor_watch import Watched
+from hil.devices.mocap.doctor_check import look
+from hil.devices.mocap.natnet_model import NatNet
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker

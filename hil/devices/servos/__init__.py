@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from hil.devices.looks import Watched
-from hil.devices.servos.dynamixel import Dynamixel
-from hil.devices.servos.look import look
-from hil.vocabulary.device import DeviceKind, Figures, Plot, Topic
-from hil.vocabulary.finding import Finding
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.signals import SERVOS, Inputs, ServoSample
+from hil.core.device import DeviceKind, Figures, Plot, Topic
+from hil.core.finding import Finding
+from hil.core.geometry import Array
+from hil.core.signals import SERVOS, Inputs, ServoSample
+from hil.devices.doctor_watch import Watched
+from hil.devices.servos.doctor_check import look
+from hil.devices.servos.dynamixel_model import Dynamixel
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker

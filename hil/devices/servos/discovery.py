@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from hil.config.servo_models import model_text, models_text, servo_models
+from hil.core.clock import Clock
+from hil.core.device import Found
+from hil.core.errors import HilError
 from hil.drivers.servos import FoundServo, scan
-from hil.vocabulary.clock import Clock
-from hil.vocabulary.device import Found
-from hil.vocabulary.errors import HilError
 
 _VELOCITY_MODE = 1
 _WHEELS = 4

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from hil.config.robot import RobotConfig
 from hil.config.thrust import ThrustConfig
-from hil.devices.looks import Watched
-from hil.devices.thrust.teensy import Teensy
+from hil.core.device import DeviceKind, Figures, Force, Plot, Topic
+from hil.core.finding import Finding
+from hil.core.signals import Inputs, Status, ThrustSample
+from hil.devices.doctor_watch import Watched
+from hil.devices.thrust.teensy_model import Teensy
 from hil.devices.thrust.vesc import VescPropellers
-from hil.vocabulary.device import DeviceKind, Figures, Force, Plot, Topic
-from hil.vocabulary.finding import Finding
-from hil.vocabulary.signals import Inputs, Status, ThrustSample
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from hil.devices.looks import Watched
-from hil.devices.tracker.look import look
+from hil.core.device import DeviceKind, Topic
+from hil.core.finding import Finding
+from hil.core.geometry import Array
+from hil.core.signals import Status, TrackerSample
+from hil.devices.doctor_watch import Watched
+from hil.devices.tracker.doctor_check import look
 from hil.devices.tracker.mavlink import Mavlink
-from hil.devices.tracker.t265 import T265
-from hil.vocabulary.device import DeviceKind, Topic
-from hil.vocabulary.finding import Finding
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.signals import Status, TrackerSample
+from hil.devices.tracker.t265_model import T265
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker

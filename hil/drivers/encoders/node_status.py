@@ -7,7 +7,7 @@ from typing import Any
 import can
 
 from hil.config.encoders import EncodersConfig
-from hil.drivers.dbc import load_database
+from hil.drivers.links.dbc_file import load_database
 
 _MESSAGE, _LAYOUT = "NodeStatus", "Layout"
 _COUNTERS = {

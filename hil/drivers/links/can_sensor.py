@@ -6,10 +6,10 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
-from hil.drivers.can_link import GONE_NS, CanLink, remedy_of_silence
+from hil.core.clock import Clock, nanoseconds
+from hil.core.errors import DeviceError, DeviceTimeoutError
+from hil.drivers.links.can_bus import GONE_NS, CanLink, remedy_of_silence
 from hil.drivers.links.streaming import C, S, StreamingSensor
-from hil.vocabulary.clock import Clock, nanoseconds
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 
 _LOOK_S, _STANDARD = 0.02, 0x7FF
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
-from hil.drivers.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
-from hil.vocabulary.clock import Clock, nanoseconds
-from hil.vocabulary.errors import DeviceError
+from hil.core.clock import Clock, nanoseconds
+from hil.core.errors import DeviceError
+from hil.drivers.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
 
 T = TypeVar("T")
 

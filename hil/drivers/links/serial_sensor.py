@@ -6,10 +6,10 @@ from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from hil.core.clock import Clock
+from hil.core.errors import DeviceError
 from hil.drivers.links.serial_port import PortLostError, SerialPort
 from hil.drivers.links.streaming import C, S, StreamingSensor
-from hil.vocabulary.clock import Clock
-from hil.vocabulary.errors import DeviceError
 
 
 class SerialSensor(StreamingSensor[C, S]):

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from typing import Any, Generic, TypeVar
 
 from hil.config.device import DeviceConfig
-from hil.drivers.patience import Usefulness, used_while_closed
-from hil.drivers.stuck import StuckTest
-from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
-from hil.vocabulary.errors import DeviceTimeoutError
-from hil.vocabulary.interfaces import Sensor
-from hil.vocabulary.signals import Stamp
+from hil.core.clock import NS_PER_S, Clock, nanoseconds
+from hil.core.errors import DeviceTimeoutError
+from hil.core.interfaces import Sensor
+from hil.core.signals import Stamp
+from hil.drivers.links.silence_limit import Usefulness, used_while_closed
+from hil.drivers.links.stuck_values import StuckTest
 
 C = TypeVar("C", bound=DeviceConfig)
 S = TypeVar("S", covariant=True)

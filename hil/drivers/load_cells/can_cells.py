@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from hil.config.load_cells import CanCellsConfig
-from hil.drivers.dbc import load_database
+from hil.core.errors import DataError
+from hil.core.signals import LoadCellSample, Stamp
 from hil.drivers.links.can_sensor import CanSensor
-from hil.drivers.load_cells.judging import Judge
-from hil.vocabulary.errors import DataError
-from hil.vocabulary.signals import LoadCellSample, Stamp
+from hil.drivers.links.dbc_file import load_database
+from hil.drivers.load_cells.counts_to_force import Judge
 
 _BITS = 24
 

@@ -7,12 +7,12 @@ from typing import NamedTuple, TypeVar
 
 from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, COMM_SUCCESS, PacketHandler
 
+from hil.core.clock import NS_PER_S, Clock
+from hil.core.errors import DeviceError, DeviceTimeoutError
+from hil.core.signals import Status
 from hil.drivers.servos import packets
 from hil.drivers.servos.packets import ALERT, ERROR_NUMBER, ERROR_TEXT, Answer, GroupRead
-from hil.drivers.servos.port import PortLost, ServoPort
-from hil.vocabulary.clock import NS_PER_S, Clock
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
-from hil.vocabulary.signals import Status
+from hil.drivers.servos.sdk_port import PortLost, ServoPort
 
 T = TypeVar("T")
 

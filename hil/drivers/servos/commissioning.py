@@ -14,14 +14,14 @@ from hil.config.servo_models import (
     shared_register,
 )
 from hil.config.servo_models.codes import BAUD_CODES, BAUD_RATES, RETURN_DELAY_STEP_S
+from hil.core.clock import Clock
+from hil.core.errors import DeviceError, UsageError
+from hil.core.signals import Status
 from hil.drivers.servos import packets
 from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.packets import find_statuses
-from hil.drivers.servos.port import ServoPort
-from hil.drivers.servos.registers import from_block
-from hil.vocabulary.clock import Clock
-from hil.vocabulary.errors import DeviceError, UsageError
-from hil.vocabulary.signals import Status
+from hil.drivers.servos.register_map import from_block
+from hil.drivers.servos.sdk_port import ServoPort
 
 _DEVICE = "servos"
 _LATENCY_S, _SLACK_S = 0.016, 0.004  # an adapter as delivered must do here

@@ -22,24 +22,24 @@ import numpy as np
 from hil.config.servo_models import ServoModel
 from hil.config.servo_models.codes import RETURN_DELAY_STEP_S
 from hil.config.servos import ServosConfig
-from hil.drivers.patience import used_while_closed
-from hil.drivers.servos import diagnosis
-from hil.drivers.servos import identity as ident
+from hil.core.clock import Clock, nanoseconds
+from hil.core.errors import DeviceError, DeviceTimeoutError
+from hil.core.finding import Finding
+from hil.core.interfaces import Actuators
+from hil.core.signals import SERVOS, ServoHealth, ServoHold, ServoSample, ServoSetpoint, Status
+from hil.drivers.links.silence_limit import used_while_closed
+from hil.drivers.servos import bus_checks
+from hil.drivers.servos import expected_servos as ident
+from hil.drivers.servos.answer_timeouts import OutageWatch
 from hil.drivers.servos.bus import Bus
-from hil.drivers.servos.caretaker import Caretaker
-from hil.drivers.servos.cycle import CycleReader, Reading
-from hil.drivers.servos.goals import Goals
-from hil.drivers.servos.health import HealthWatch
-from hil.drivers.servos.port import ServoPort
-from hil.drivers.servos.registers import RegisterMap
-from hil.drivers.servos.restoring import ANSWERING, Upkeep, acknowledge_all
-from hil.drivers.servos.samples import Samples
-from hil.drivers.servos.timeouts import OutageWatch
-from hil.vocabulary.clock import Clock, nanoseconds
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
-from hil.vocabulary.finding import Finding
-from hil.vocabulary.interfaces import Actuators
-from hil.vocabulary.signals import SERVOS, ServoHealth, ServoHold, ServoSample, ServoSetpoint, Status
+from hil.drivers.servos.cyclic_read import CycleReader, Reading
+from hil.drivers.servos.goal_values import Goals
+from hil.drivers.servos.health_reads import HealthWatch
+from hil.drivers.servos.keep_alive import Caretaker
+from hil.drivers.servos.recovery import ANSWERING, Upkeep, acknowledge_all
+from hil.drivers.servos.register_map import RegisterMap
+from hil.drivers.servos.sdk_port import ServoPort
+from hil.drivers.servos.servo_samples import Samples
 
 _LOG = logging.getLogger(__name__)
 _OK = Status.OK
@@ -340,8 +340,8 @@ class DynamixelServos(Actuators):
     def diagnose(self) -> tuple[Finding, ...]:
         """Facts about the bus for `hil doctor`: reply time, firmware, return delay, kinds of packets."""
         with self._talking:
-            reply = diagnosis.reply_time(self._opened(), self._config, self._clock, self.name)
+            reply = bus_checks.reply_time(self._opened(), self._config, self._clock, self.name)
         fast, mapped = self._cycle.fast, self._upkeep.mapped
-        return reply, *diagnosis.findings(
+        return reply, *bus_checks.findings(
             self._config, self._registers, self._blocks, self.name, fast=fast, mapped=mapped
         )

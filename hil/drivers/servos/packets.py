@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 from fastcrc import crc16
 
-from hil.drivers.servos.registers import Fields
-from hil.vocabulary.signals import Status
+from hil.core.signals import Status
+from hil.drivers.servos.register_map import Fields
 
 BROADCAST = 0xFE
 ALERT, ERROR_NUMBER = 0x80, 0x7F

@@ -11,11 +11,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from hil.core.geometry import Array
 from hil.estimator.sensors import gyro, mocap, tracker, wheels
 from hil.estimator.sensors.sensor import Sensor
-from hil.estimator.state import ROWS
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.jit import inner
+from hil.estimator.state_vector import ROWS
+from hil.support.numba_jit import inner
 
 SENSORS: tuple[Sensor, ...] = (wheels, gyro, tracker, mocap)
 

@@ -12,6 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
+from hil.core.geometry import Array
+from hil.core.named_records import Record
+from hil.core.signals import GyroMeasurement
 from hil.estimator.sensors.sensor import (
     DUPLICATE,
     FARTHEST_RAD,
@@ -22,12 +25,9 @@ from hil.estimator.sensors.sensor import (
     tally,
     undo_nothing,
 )
-from hil.estimator.state import BIAS, OFFSET, OMEGA, THETA
+from hil.estimator.state_vector import BIAS, OFFSET, OMEGA, THETA
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.jit import inner
-from hil.vocabulary.numpy_records import Record
-from hil.vocabulary.signals import GyroMeasurement
+from hil.support.numba_jit import inner
 
 NAME = "gyro"
 BENT = False

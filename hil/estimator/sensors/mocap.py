@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.sensors.poses import PoseRow, pack_pose, read, shake
+from hil.core.geometry import Array
+from hil.core.named_records import Record
+from hil.estimator.sensors.pose_sensor import PoseRow, pack_pose, read, shake
 from hil.estimator.sensors.sensor import (
     DUPLICATE,
     REFUSED,
@@ -16,11 +18,9 @@ from hil.estimator.sensors.sensor import (
     no_frame,
     undo_nothing,
 )
-from hil.estimator.state import THETA, X, Y
+from hil.estimator.state_vector import THETA, X, Y
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.jit import inner
-from hil.vocabulary.numpy_records import Record
+from hil.support.numba_jit import inner
 
 NAME = "mocap"
 BENT = False

@@ -1,7 +1,7 @@
 """What a sensor is to the filter: its intake, its numbers, and the kernels that the event loop calls.
 
 Notation of the kernels, the same for every sensor: `x` (20,) is the state and `p` (20, 20) its covariance, in
-the order of `hil.estimator.state`; `m`, `row` and `par` are the sensor's own memory, event row and
+the order of `hil.estimator.state_vector`; `m`, `row` and `par` are the sensor's own memory, event row and
 parameters; `t_ns` is the sample's stamp, ns since the start. A sample is compared in `count` <= 8 rows: `z`
 (8,) what was measured, `var` (8,) its variances (negative: row not usable), `aux` (5,) figures that the
 prediction needs. `out` (8,) is what the state predicts, `h` (8, 20) its derivative by the state, `nu` (8,)
@@ -15,10 +15,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 from hil.config.estimator import EstimatorConfig
+from hil.core.geometry import Array
+from hil.core.named_records import Record
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.jit import inner
-from hil.vocabulary.numpy_records import Record
+from hil.support.numba_jit import inner
 
 FARTHEST_M, FARTHEST_RAD = 1e3, 1e6
 """What is finite but beyond any robot would leave no digits for the covariance."""
@@ -100,7 +100,7 @@ class Sensor(Protocol):
 
     @property
     def NAME(self) -> str:
-        """Its field of `Measurements`, and of the records of `hil.estimator.layout`."""
+        """Its field of `Measurements`, and of the records of `hil.estimator.kernel_layout`."""
 
     @property
     def BENT(self) -> bool:

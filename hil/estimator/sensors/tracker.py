@@ -1,7 +1,7 @@
 """Tracking camera: pose in a frame of its own.
 
 The state holds this pose, too: it moves with the pose in the wall frame, (1 + scale) as far, and drifts
-(`hil.estimator.process`). It begins with the camera's first pose and anew after a jump.
+(`hil.estimator.process_model`). It begins with the camera's first pose and anew after a jump.
 """
 
 from __future__ import annotations
@@ -11,7 +11,9 @@ import math
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.sensors.poses import POSE_ROWS, PoseRow, pack_pose, read, shake
+from hil.core.geometry import Array
+from hil.core.named_records import Record
+from hil.estimator.sensors.pose_sensor import POSE_ROWS, PoseRow, pack_pose, read, shake
 from hil.estimator.sensors.sensor import (
     DUPLICATE,
     NEW_FRAME,
@@ -21,11 +23,9 @@ from hil.estimator.sensors.sensor import (
     account_together,
     is_repeated,
 )
-from hil.estimator.state import ROWS, SIGHT_X
+from hil.estimator.state_vector import ROWS, SIGHT_X
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.jit import inner
-from hil.vocabulary.numpy_records import Record
+from hil.support.numba_jit import inner
 
 NAME = "tracker"
 BENT = False

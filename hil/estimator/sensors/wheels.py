@@ -20,11 +20,13 @@ from typing import Annotated, Any
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.friction import Contacts, contact_values, weighted_twist, windowed_twist
-from hil.estimator.motion import sinc, sinc_slope
+from hil.core.geometry import Array
+from hil.core.named_records import Eight, Four, Record
+from hil.core.signals import WheelMeasurement
+from hil.estimator.constant_twist import sinc, sinc_slope
+from hil.estimator.matrix_loops import check_size, put
 from hil.estimator.sensors.sensor import DUPLICATE, FARTHEST_RAD, USED, Tally, is_repeated, no_frame, tally
-from hil.estimator.small_matrices import check_size, put
-from hil.estimator.state import (
+from hil.estimator.state_vector import (
     CLONE_THETA,
     CLONE_X,
     CLONE_Y,
@@ -43,11 +45,9 @@ from hil.estimator.state import (
     X,
     Y,
 )
+from hil.estimator.wheel_friction import Contacts, contact_values, weighted_twist, windowed_twist
 from hil.robot.kinematics import WheelGeometry, forward_matrix, projection
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.jit import inner
-from hil.vocabulary.numpy_records import Eight, Four, Record
-from hil.vocabulary.signals import WheelMeasurement
+from hil.support.numba_jit import inner
 
 NAME = "wheels"
 BENT = True
@@ -82,7 +82,7 @@ class Parameters(Record):
         longest_gap_s: a longer interval is not taken for one displacement.
         from_rate: 1 where the displacement comes from the rate, 0 from the angle.
         rows: 8 equations, or 3 of one body displacement.
-        friction_window_s: of `hil.estimator.friction`; 0: least squares.
+        friction_window_s: of `hil.estimator.wheel_friction`; 0: least squares.
         creeping: 1 for creep, 0 for dry friction.
         scaled: 1 where the state's scale error is that of the wheels, else 0.
         known: slip per rolled metre when driving up, down, left and right: wall x, wall y (m/m), turn

@@ -1,7 +1,7 @@
 """The emulated fan: its motor controller on CAN, its motor and battery."""
 
-from hil.fakes.adhesion.motor import FAN_FAULTS, MotorNode
-from hil.fakes.adhesion.options import AdhesionTruthOptions
-from hil.fakes.adhesion.vesc import VescNode
+from hil.fakes.adhesion.fan_truth import AdhesionTruthOptions
+from hil.fakes.adhesion.motor_controller import FAN_FAULTS, MotorNode
+from hil.fakes.adhesion.vesc_node import VescNode
 
 __all__ = ["FAN_FAULTS", "AdhesionTruthOptions", "MotorNode", "VescNode"]

@@ -1,7 +1,7 @@
 """The emulated motion capture server (OptiTrack Motive, NatNet)."""
 
-from hil.fakes.mocap.face import NatNetFace
-from hil.fakes.mocap.options import STILL, MocapTruthOptions
-from hil.fakes.mocap.server import SUPPORTED_FAULTS, NatNetServer
+from hil.fakes.mocap.capture_truth import STILL, MocapTruthOptions
+from hil.fakes.mocap.motive_server import SUPPORTED_FAULTS, NatNetServer
+from hil.fakes.mocap.natnet_udp import NatNetFace
 
 __all__ = ["STILL", "SUPPORTED_FAULTS", "MocapTruthOptions", "NatNetFace", "NatNetServer"]

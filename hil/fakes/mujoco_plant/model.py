@@ -13,14 +13,17 @@ from typing import Any
 import numpy as np
 
 from hil.config.robot import RobotConfig
-from hil.fakes.mujoco_plant import kernel as mk
+from hil.core.geometry import Array
+from hil.core.named_records import Records, filled
+from hil.core.signals import WHEELS
+from hil.fakes.mujoco_plant import step_hooks as mk
 from hil.fakes.mujoco_plant.contact import (
     FRICTION_TIME_CONSTANT_S,
     IMPEDANCE,
     TIME_CONSTANT_S,
     ContactSetting,
 )
-from hil.fakes.mujoco_plant.reading import (
+from hil.fakes.mujoco_plant.mjcf_check import (
     JOINTS,
     compiled,
     load_mujoco,
@@ -29,7 +32,7 @@ from hil.fakes.mujoco_plant.reading import (
     refuse,
     wheel_geoms,
 )
-from hil.fakes.mujoco_plant.records import PLACES
+from hil.fakes.mujoco_plant.named_numbers import PLACES
 from hil.fakes.mujoco_plant.wheels import (
     at_zero,
     look_at_wheel,
@@ -40,9 +43,6 @@ from hil.fakes.mujoco_plant.wheels import (
 )
 from hil.fakes.plant.parameters import TrueParameters
 from hil.fakes.plant.robot import GRAVITY_M_S2
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.numpy_records import Records, filled
-from hil.vocabulary.signals import WHEELS
 
 STEP_S = 0.001
 _FORK_ARMATURE_KG_M2 = 1e-3

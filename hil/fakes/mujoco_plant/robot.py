@@ -11,23 +11,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.fakes.faults import FaultPlan
-from hil.fakes.mujoco_plant import kernel as mk
+from hil.core.clock import NS_PER_S
+from hil.core.errors import ConfigError, DeviceError
+from hil.core.geometry import Array, ArrayLike
+from hil.core.named_records import Records
+from hil.core.signals import WHEELS
+from hil.fakes.active_faults import FaultPlan
+from hil.fakes.mujoco_plant import step_hooks as mk
 from hil.fakes.mujoco_plant.contact import CREEP_FLOOR_M_S, HOLDING_IMPRATIO
+from hil.fakes.mujoco_plant.mjcf_check import JOINTS, load_mujoco
 from hil.fakes.mujoco_plant.model import Built, as_built
-from hil.fakes.mujoco_plant.reading import JOINTS, load_mujoco
-from hil.fakes.mujoco_plant.records import ROBOT
-from hil.fakes.plant.body import SteppedBody, checked_pose
-from hil.fakes.plant.kernel import look_from_origin
+from hil.fakes.mujoco_plant.named_numbers import ROBOT
+from hil.fakes.plant.common_body import SteppedBody, checked_pose
 from hil.fakes.plant.parameters import TrueParameters
 from hil.fakes.plant.robot import GRAVITY_M_S2, make_constants, make_patches
+from hil.fakes.plant.step_kernel import look_from_origin
 from hil.fakes.plant.surfaces import Patch
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.errors import ConfigError, DeviceError
-from hil.vocabulary.geometry import Array, ArrayLike
-from hil.vocabulary.jit import compile_for
-from hil.vocabulary.numpy_records import Records
-from hil.vocabulary.signals import WHEELS
+from hil.support.numba_jit import compile_for
 
 _SETTLE_S = 0.4
 _AT_REST = 1e-3

@@ -1,13 +1,13 @@
 """The joints of an emulated robot: motors, their gears and the firmware's loops, without what wheels do.
 
-On named records, as `hil.fakes.plant.kernel`, which steps them with body and wheels.
+On named records, as `hil.fakes.plant.step_kernel`, which steps them with body and wheels.
 """
 
 from __future__ import annotations
 
 import math
 
-from hil.fakes.plant.records import (
+from hil.fakes.plant.named_numbers import (
     MODE_CURRENT,
     MODE_OFF,
     MODE_POSITION,
@@ -16,7 +16,7 @@ from hil.fakes.plant.records import (
     Constants,
     State,
 )
-from hil.vocabulary.jit import inner
+from hil.support.numba_jit import inner
 
 
 @inner

@@ -12,10 +12,10 @@ import numpy as np
 
 from hil.config.robot import RobotConfig
 from hil.config.servo_models import ServoModel
+from hil.core.geometry import Array
+from hil.fakes.body_interface import HoldingForces
 from hil.fakes.plant.surfaces import Surface
-from hil.fakes.plant_api import HoldingForces
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.geometry import Array
 
 _STEERING_SIGMA_RAD = math.radians(1.0)
 _VELOCITY_P_V_S_RAD, _VELOCITY_I_V_RAD, _POSITION_P_V_RAD = 0.41, 60.0, 100.0

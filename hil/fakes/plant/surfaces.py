@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hil.vocabulary.errors import UsageError
+from hil.core.errors import UsageError
 
 
 @dataclass(frozen=True)

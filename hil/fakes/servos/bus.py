@@ -9,21 +9,21 @@ from __future__ import annotations
 
 from hil.config.servo_models import DEFAULT_MODEL
 from hil.config.servo_models.codes import WATCHDOG_STEP_S
-from hil.fakes.request import EmulationRequest
+from hil.core.clock import nanoseconds
+from hil.fakes.emulation_request import EmulationRequest
+from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.servos import protocol
-from hil.fakes.servos.faulty import BUS_FAULTS, ServoFaults
-from hil.fakes.servos.group import GROUP_READS, Wanted, write_parts
-from hil.fakes.servos.live import LiveRegisters
-from hil.fakes.servos.options import ServoBusOptions
+from hil.fakes.servos.bus_truth import ServoBusOptions
+from hil.fakes.servos.group_instructions import GROUP_READS, Wanted, write_parts
 from hil.fakes.servos.protocol import Instruction, InstructionParser
-from hil.fakes.servos.sampling import Cadence
+from hil.fakes.servos.register_refresh import Cadence
+from hil.fakes.servos.sensed_registers import LiveRegisters
 from hil.fakes.servos.sensing import GRID_NS, Sensing
 from hil.fakes.servos.servo import Servo
-from hil.fakes.servos.single import SingleInstructions, identification
-from hil.fakes.servos.thermal import ThermalModel
-from hil.fakes.wire import Reply, SerialChip
+from hil.fakes.servos.servo_faults import BUS_FAULTS, ServoFaults
+from hil.fakes.servos.single_instructions import SingleInstructions, identification
+from hil.fakes.servos.thermal_load import ThermalModel
 from hil.fakes.world import Scheduled, World
-from hil.vocabulary.clock import nanoseconds
 
 _SLOW_TICKS = 25
 _WATCHDOG_STEP_NS = nanoseconds(WATCHDOG_STEP_S)
@@ -32,7 +32,7 @@ _FAST = (protocol.FAST_SYNC_READ, protocol.FAST_BULK_READ)
 
 
 class ServoBus(SerialChip, Scheduled):
-    """A `SerialChip` with eight servos behind it, joint by joint as in `hil.vocabulary.signals.SERVOS`.
+    """A `SerialChip` with eight servos behind it, joint by joint as in `hil.core.signals.SERVOS`.
 
     Args:
         world: plant, seed and faults; the bus registers itself as a part.

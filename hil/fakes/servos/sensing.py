@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from hil.config.servo_models import ServoModel
-from hil.fakes.plant_api import Plant
-from hil.fakes.servos.counting import ANGLES, CURRENTS, OLD, PER_RAD, PER_SPAN, SHOWN_COUNTS, SPAN, show
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.jit import compile_for
-from hil.vocabulary.numpy_records import Ints
+from hil.core.geometry import Array
+from hil.core.named_records import Ints
+from hil.fakes.body_interface import Plant
+from hil.fakes.servos.encoder_counts import ANGLES, CURRENTS, OLD, PER_RAD, PER_SPAN, SHOWN_COUNTS, SPAN, show
+from hil.support.numba_jit import compile_for
 
 GRID_NS = 4_000_000
 _GRID_S = GRID_NS * 1e-9

@@ -16,11 +16,11 @@ from hil.config.servo_models.codes import (
     VELOCITY,
     WATCHDOG_STEP_S,
 )
-from hil.fakes.plant_api import Plant
+from hil.fakes.body_interface import Plant
 from hil.fakes.servos import protocol
-from hil.fakes.servos.axis import Axis
-from hil.fakes.servos.memory import GOALS, ControlTable, WriteRefused
-from hil.fakes.servos.options import ServoBusOptions
+from hil.fakes.servos.bus_truth import ServoBusOptions
+from hil.fakes.servos.control_table import GOALS, ControlTable, WriteRefused
+from hil.fakes.servos.motor_command import Axis
 
 _TORQUE_ON_BY_GOAL = 8
 _POSITION_GAINS = ("position_p_gain", "position_i_gain", "position_d_gain")
@@ -32,13 +32,13 @@ class Servo:
     """State of one servo without its bus.
 
     Args:
-        joint: index in the plant and in `hil.vocabulary.signals.SERVOS`.
+        joint: index in the plant and in `hil.core.signals.SERVOS`.
         plant: has the motor.
         options: how it was left.
         model: its control table and motor.
 
     Attributes:
-        joint: index in the plant and in `hil.vocabulary.signals.SERVOS`.
+        joint: index in the plant and in `hil.core.signals.SERVOS`.
         table: the control table.
         axis: the motor, and what it is asked for.
         dead: without power.

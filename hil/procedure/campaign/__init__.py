@@ -4,13 +4,13 @@
 others check, keep and send what the runs need, and say what came out as statistics, CSV and a page.
 """
 
-from hil.procedure.campaign.alike import alike
+from hil.procedure.campaign.cases import Axis, Case, expand, parse_axis, parse_seeds
+from hil.procedure.campaign.dask_run import check_dask, spread
+from hil.procedure.campaign.ineffective_settings import alike
 from hil.procedure.campaign.page import write_campaign_page
-from hil.procedure.campaign.parcel import Parcel, names, parcel
-from hil.procedure.campaign.plan import Axis, Case, expand, parse_axis, parse_seeds
-from hil.procedure.campaign.rows import write_rows
-from hil.procedure.campaign.spread import check_dask, spread
+from hil.procedure.campaign.parquet_rows import write_rows
 from hil.procedure.campaign.table import Row, summarise, write_csv
+from hil.procedure.campaign.worker_files import Parcel, names, parcel
 
 __all__ = [
     "Axis",

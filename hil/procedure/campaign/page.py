@@ -11,13 +11,13 @@ from urllib.parse import quote
 import numpy as np
 from markupsafe import Markup
 
-from hil.procedure.campaign.alike import in_a_sentence
+from hil.core.result_files import REPORT, RUNS
+from hil.procedure.campaign.ineffective_settings import in_a_sentence
 from hil.procedure.campaign.table import NEVER_SET, NOT_FINITE, Row, count, in_words, not_tested
-from hil.report.figures import drawn_image
+from hil.report.page_figures import drawn_image
 from hil.report.pages import environment
-from hil.report.run_plots import PALETTE, new_figure, style
-from hil.vocabulary.files import write_text
-from hil.vocabulary.result_files import REPORT, RUNS
+from hil.report.plot_style import PALETTE, new_figure, style
+from hil.support.atomic_files import write_text
 
 _ROWS_SHOWN = 500
 _NAMED = 3

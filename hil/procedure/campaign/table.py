@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from hil.procedure.campaign.plan import Case
-from hil.report.run_words import was_set
-from hil.vocabulary.errors import DataError, reason_of
-from hil.vocabulary.result_files import LOST, PASSED
+from hil.core.errors import DataError, reason_of
+from hil.core.result_files import LOST, PASSED
+from hil.procedure.campaign.cases import Case
+from hil.report.run_summary import was_set
 
 _Z95 = 1.959963984540054
 NOT_FINITE, NEVER_SET, ENDED_BEFORE = "no finite number", "never measured", "ended before"

@@ -12,9 +12,9 @@ from typing import Any, Literal
 
 from hil.config.bench import BenchConfig
 from hil.config.imu import Bno055Config
+from hil.core.registry import kinds
 from hil.procedure.declaration import Procedure
-from hil.procedure.scripts import load_procedure
-from hil.vocabulary.kinds import kinds
+from hil.procedure.procedure_lookup import load_procedure
 
 Place = Literal["floor", "wall"]
 _FLOOR: dict[str, object] = {

@@ -5,7 +5,7 @@ held within the bounds of its class of faults, whether what was struck is accuse
 where it should, and whether the recording can be read.
 """
 
-from hil.procedure.faults.cells import (
+from hil.procedure.faults.cases import (
     MOMENTS,
     PLANTS,
     Cell,
@@ -14,11 +14,11 @@ from hil.procedure.faults.cells import (
     random_cells,
     stands_for_itself,
 )
-from hil.procedure.faults.driving import run_cell
-from hil.procedure.faults.judging import CellVerdict, lost
-from hil.procedure.faults.kept import KeptVerdicts, missing
-from hil.procedure.faults.matrix import matrix_page, write_page
+from hil.procedure.faults.drive import run_cell
+from hil.procedure.faults.judge import CellVerdict, lost
+from hil.procedure.faults.matrix_table import matrix_page, write_page
 from hil.procedure.faults.summary import summary
+from hil.procedure.faults.verdict_log import KeptVerdicts, missing
 
 __all__ = [
     "MOMENTS",

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from hil.procedure.faults.bounds import CLASSES, FaultClass, class_of
-from hil.procedure.faults.cells import MOMENTS
-from hil.procedure.faults.judging import CellVerdict
-from hil.procedure.faults.quiet import quiet_rows
+from hil.procedure.faults.cases import MOMENTS
+from hil.procedure.faults.judge import CellVerdict
+from hil.procedure.faults.movement_bounds import CLASSES, FaultClass, class_of
+from hil.procedure.faults.silent_faults import quiet_rows
 
 
 def summary(verdicts: Sequence[CellVerdict], *, bench: str, command: str, planned: int) -> dict[str, Any]:

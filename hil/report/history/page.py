@@ -11,12 +11,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from hil.report.figure_data import Curve, Readings, Scale, as_json
 from hil.report.history.chart import DRIFTING, OUTSIDE, STEADY, TOO_FEW
 from hil.report.history.series import MISSING, Group, Series
 from hil.report.pages import environment, number, quantity
-from hil.report.readings import Curve, Readings, Scale, as_json
-from hil.report.run_plots import MOST_POINTS
-from hil.vocabulary.files import write_text
+from hil.report.plot_style import MOST_POINTS
+from hil.support.atomic_files import write_text
 
 _IN_WORDS = {
     MISSING: "without a value in the newest runs",

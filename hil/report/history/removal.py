@@ -8,9 +8,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from hil.report.history.found import OURS, Kept, in_use
-from hil.report.history.written import FOLDERS, all_files, written
-from hil.vocabulary.errors import DataError, reason_of
+from hil.core.errors import DataError, reason_of
+from hil.report.history.index import OURS, Kept, in_use
+from hil.report.history.own_files import FOLDERS, all_files, written
 
 _PRECIOUS = ("calibration.toml", "bench_fragment.toml", "record.toml")
 _SHOWN = 4

@@ -14,10 +14,10 @@ from datetime import datetime
 from itertools import groupby, takewhile
 from typing import Any
 
+from hil.core.result_files import PASSED
 from hil.report.history.chart import DRIFTING, OUTSIDE, STEADY, TOO_FEW, Chart, individuals_chart
-from hil.report.history.found import RUN, Kept
+from hil.report.history.index import RUN, Kept
 from hil.report.pages import number
-from hil.vocabulary.result_files import PASSED
 
 MISSING = "missing"
 """State of a measurement of which the newest runs have no value."""

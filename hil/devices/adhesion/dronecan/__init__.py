@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
-from hil.devices.adhesion.vesc import KeptFan
+from hil.devices.adhesion.vesc_model import KeptFan
 
 _HERE = "hil.devices.adhesion.dronecan"
 
@@ -13,4 +13,4 @@ class DroneCan(KeptFan):
 
     kind, name, title = "adhesion", "dronecan", "a ducted fan on a controller that speaks DroneCAN"
     config, subnet, printed = DroneCanConfig, 164, ("node_id", "esc_index")
-    driver, chip = f"{_HERE}.driver:DroneCanFan", f"{_HERE}.node:DroneCanNode"
+    driver, chip = f"{_HERE}.driver:DroneCanFan", f"{_HERE}.emulated_node:DroneCanNode"

@@ -8,16 +8,16 @@ from typing import Any
 
 import can
 
+from hil.core.clock import Clock, nanoseconds
+from hil.core.errors import DeviceError, DeviceTimeoutError
+from hil.core.finding import Finding
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
-from hil.devices.adhesion.dronecan.library import Receiver, frames_of, library
+from hil.devices.adhesion.dronecan.dronecan_library import Receiver, frames_of, library
+from hil.drivers.adhesion.can_fan import Figures, MotorFan
 from hil.drivers.adhesion.dronecan.frames import EscStatus, StatusReader
 from hil.drivers.adhesion.keeper.kept import Keep, finding
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.drivers.adhesion.motor import Figures, MotorFan
-from hil.drivers.can_link import remedy_of_silence
-from hil.vocabulary.clock import Clock, nanoseconds
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
-from hil.vocabulary.finding import Finding
+from hil.drivers.links.can_bus import remedy_of_silence
 
 _WAIT_S = 0.01
 _ASK_NS = nanoseconds(0.1)

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from hil.core.finding import Finding
+from hil.devices.doctor_watch import Watched
 from hil.devices.imu.microstrain.config import MicrostrainConfig
-from hil.devices.imu.microstrain.look import look
-from hil.devices.looks import Watched
-from hil.devices.models import SerialModel
-from hil.vocabulary.finding import Finding
+from hil.devices.imu.microstrain.doctor_check import look
+from hil.devices.link_models import SerialModel
 
 _HERE = "hil.devices.imu.microstrain"
 
@@ -23,7 +23,7 @@ class MicroStrain(SerialModel):
 
     kind, name, title = "imu", "microstrain", "MicroStrain 3DM-CV7 or 3DM-GV7 on a serial port"
     config = MicrostrainConfig
-    driver, chip = f"{_HERE}.driver:MicrostrainImu", f"{_HERE}.chip:MicrostrainChip"
+    driver, chip = f"{_HERE}.driver:MicrostrainImu", f"{_HERE}.emulated_chip:MicrostrainChip"
     probe_order, probe_bauds = 2, (115_200, 921_600)  # as delivered, and as fast as it can be set
     probe_writes = "a request for the identity of a MicroStrain sensor, at 115200 and 921600 baud"
 

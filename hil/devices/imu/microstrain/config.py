@@ -8,8 +8,8 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from hil.config.device import ImuConfig, Position
 from hil.config.values import Baud, Freshness, Patience, Switch, UnitQuaternion, Within
-from hil.devices.imu.microstrain.fields import PACKET_BYTES
-from hil.devices.imu.microstrain.packets import BITS_PER_BYTE
+from hil.devices.imu.microstrain.mip_fields import PACKET_BYTES
+from hil.devices.imu.microstrain.mip_packets import BITS_PER_BYTE
 
 _FULLEST = 0.95
 _PROCESSING_S = 0.002

@@ -11,10 +11,13 @@ import logging
 import math
 from collections.abc import Mapping
 
-from hil.devices.imu.microstrain import fields as f
-from hil.devices.imu.microstrain import readings
-from hil.devices.imu.microstrain.config import MicrostrainConfig
-from hil.devices.imu.microstrain.dialogue import (
+from hil.core.clock import NS_PER_S, Clock, nanoseconds
+from hil.core.errors import DeviceError, DeviceTimeoutError
+from hil.core.interfaces import Sensor
+from hil.core.signals import ImuSample, Stamp, Status
+from hil.devices.imu.microstrain import filter_samples
+from hil.devices.imu.microstrain import mip_fields as f
+from hil.devices.imu.microstrain.command_queue import (
     Dialogue,
     RefusedError,
     SetUp,
@@ -22,15 +25,12 @@ from hil.devices.imu.microstrain.dialogue import (
     answers,
     set_up,
 )
-from hil.devices.imu.microstrain.link import Link, LinkLostError, longest_packet_ns
-from hil.devices.imu.microstrain.packets import Packet, PacketParser
-from hil.drivers.device_clock import DeviceClock
-from hil.drivers.patience import Usefulness, used_while_closed
-from hil.drivers.stuck import StuckTest
-from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
-from hil.vocabulary.interfaces import Sensor
-from hil.vocabulary.signals import ImuSample, Stamp, Status
+from hil.devices.imu.microstrain.config import MicrostrainConfig
+from hil.devices.imu.microstrain.mip_packets import Packet, PacketParser
+from hil.devices.imu.microstrain.serial_link import Link, LinkLostError, longest_packet_ns
+from hil.drivers.links.device_clock import DeviceClock
+from hil.drivers.links.silence_limit import Usefulness, used_while_closed
+from hil.drivers.links.stuck_values import StuckTest
 
 _LOG = logging.getLogger(__name__)
 
@@ -265,16 +265,16 @@ class MicrostrainImu(Sensor[ImuSample]):
         restarted, self._restarted = self._restarted, False
         self._heard_ns = self._told_ns = now_ns
         stuck = self._stuck.stuck(data.raw, now_ns)
-        status = Status.RESET if restarted else readings.judge(data)
+        status = Status.RESET if restarted else filter_samples.judge(data)
         if status is Status.OK and stuck:
             status = Status.FROZEN
         elif status is Status.OK and not (credible and now_ns - t_ns <= self._stale_ns):
             status = Status.STALE
         if status is not Status.OK:
             self._trouble = f"last status {status.value}"
-        if status not in readings.WITH_VALUES:
+        if status not in filter_samples.WITH_VALUES:
             return (self._empty(status, now_ns, data.device_ns),)
-        return (readings.sample(data, self._stamp(t_ns, now_ns, data.device_ns), status),)
+        return (filter_samples.sample(data, self._stamp(t_ns, now_ns, data.device_ns), status),)
 
     def _missing(self, now_ns: int) -> tuple[ImuSample, ...]:
         """A sample that says that there is none, every 20 ms while the sensor is silent."""
@@ -302,4 +302,4 @@ class MicrostrainImu(Sensor[ImuSample]):
         return Stamp(t_ns=t_ns, host_ns=now_ns, seq=self._sequence, device_ns=device_ns)
 
     def _empty(self, status: Status, now_ns: int, device_ns: int | None = None) -> ImuSample:
-        return readings.empty(self._stamp(now_ns, now_ns, device_ns), status)
+        return filter_samples.empty(self._stamp(now_ns, now_ns, device_ns), status)

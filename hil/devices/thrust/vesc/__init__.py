@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from hil.config.adhesion import VescConfig
-from hil.devices.adhesion.on_buses import controllers
-from hil.devices.models import CanModel
+from hil.core.device import Found, Search
+from hil.devices.adhesion.vesc_discovery import controllers
+from hil.devices.link_models import CanModel
 from hil.devices.thrust.vesc.config import MOST_CONTROLLERS, VescThrustConfig
-from hil.vocabulary.device import Found, Search
 
 _HERE = "hil.devices.thrust.vesc"
 
@@ -18,13 +18,13 @@ class VescPropellers(CanModel):
 
     kind, name, title = "thrust", "vesc", "propellers on VESCs"
     config, subnet, printed = VescThrustConfig, 166, ("controller_ids",)
-    driver, chip = f"{_HERE}.driver:VescThrust", f"{_HERE}.propellers:PropellerNode"
+    driver, chip = f"{_HERE}.driver:VescThrust", f"{_HERE}.emulated_propellers:PropellerNode"
 
     def emulate(self, request: Any) -> Any:
         """Controllers on a bus of their own, commanded from their world."""
-        from hil.devices.adhesion.in_world import kept_on_can
-        from hil.devices.canbus import channel_of
-        from hil.devices.thrust.vesc.propellers import VescThrustTruthOptions, propellers
+        from hil.devices.adhesion.emulated_keeper import kept_on_can
+        from hil.devices.emulated_can import channel_of
+        from hil.devices.thrust.vesc.emulated_propellers import VescThrustTruthOptions, propellers
         from hil.drivers.adhesion.vesc import DBC
 
         channel = channel_of(request)
@@ -34,7 +34,7 @@ class VescPropellers(CanModel):
 
     def search(self, search: Search) -> Found | None:
         """Ping the controllers on the CAN buses that were named, or of the system, without the fan's."""
-        from hil.drivers.can_link import detected
+        from hil.drivers.links.can_bus import detected
 
         fan = VescConfig.model_validate(search.found["adhesion"]) if "adhesion" in search.found else None
         named = [c for c in search.given.get("thrust", ()) if isinstance(c, VescThrustConfig)]

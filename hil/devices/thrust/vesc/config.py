@@ -10,7 +10,7 @@ from pydantic import Field, field_validator
 
 from hil.config.adhesion import VESC_ID, VescConfig, VescId
 from hil.config.can_bus import Claim
-from hil.config.kept_motor import HIGHEST_DUTY, KeptMotorConfig
+from hil.config.can_motor import HIGHEST_DUTY, KeptMotorConfig
 from hil.config.thrust import ThrustConfig
 from hil.config.values import PolePairs, Within
 

@@ -8,21 +8,21 @@ from typing import cast
 import can
 
 from hil.config.adhesion import VescConfig
+from hil.core.clock import Clock
+from hil.core.errors import UsageError
+from hil.core.finding import Finding
+from hil.core.signals import Stamp, Status, ThrustSample
 from hil.devices.thrust.vesc.config import VescThrustConfig
+from hil.drivers.adhesion.can_motor import KeptMotor
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.kept import Keep, finding
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.drivers.adhesion.kept_motor import KeptMotor
-from hil.drivers.adhesion.settings import Answers
 from hil.drivers.adhesion.vesc import Packet, address, decode
 from hil.drivers.adhesion.vesc import Status as Report
-from hil.drivers.adhesion.who import Seen, ask_who
-from hil.drivers.patience import Usefulness
-from hil.drivers.stuck import StuckTest
-from hil.vocabulary.clock import Clock
-from hil.vocabulary.errors import UsageError
-from hil.vocabulary.finding import Finding
-from hil.vocabulary.signals import Stamp, Status, ThrustSample
+from hil.drivers.adhesion.vesc_identity import Seen, ask_who
+from hil.drivers.adhesion.vesc_settings import Answers
+from hil.drivers.links.silence_limit import Usefulness
+from hil.drivers.links.stuck_values import StuckTest
 
 _FASTEST = 3.0
 """Times the full speed: no propeller turns so fast."""

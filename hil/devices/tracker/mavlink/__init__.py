@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
+from hil.core.clock import Clock
+from hil.core.device import Connection, DeviceModel, Found, Search
+from hil.core.errors import HilError
+from hil.core.finding import Finding
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig, udp_address
-from hil.vocabulary.clock import Clock
-from hil.vocabulary.device import Connection, DeviceModel, Found, Search
-from hil.vocabulary.errors import HilError
-from hil.vocabulary.extras import is_installed
-from hil.vocabulary.finding import Finding
+from hil.support.extras import is_installed
 
 if TYPE_CHECKING:
-    from hil.devices.emulated import EmulationRequest, Face
-    from hil.devices.looks import Watched
-    from hil.devices.tracker.mavlink.computer import VisualInertialComputer
+    from hil.devices.doctor_watch import Watched
+    from hil.devices.emulated_device import EmulationRequest, Face
+    from hil.devices.tracker.mavlink.emulated_computer import VisualInertialComputer
 
 __all__ = ["Mavlink"]
 
@@ -30,14 +30,14 @@ class Mavlink(DeviceModel):
 
     kind, name, title = "tracker", "mavlink", "visual-inertial computer that sends MAVLink odometry"
     config, probe_order = MavlinkTrackerConfig, 9
-    driver, chip = f"{_HERE}.driver:MavlinkTracker", f"{_HERE}.computer:VisualInertialComputer"
+    driver, chip = f"{_HERE}.driver:MavlinkTracker", f"{_HERE}.emulated_computer:VisualInertialComputer"
 
     def emulate(self, request: EmulationRequest) -> Any:
         """A computer of its own, where the table says."""
-        from hil.devices.emulated import Wired, on_serial_line
-        from hil.devices.tracker.mavlink.computer import VisualInertialComputer
-        from hil.devices.tracker.mavlink.network import ComputerLink
-        from hil.devices.tracker.mavlink.serial import SerialComputer
+        from hil.devices.emulated_device import Wired, on_serial_line
+        from hil.devices.tracker.mavlink.emulated_computer import VisualInertialComputer
+        from hil.devices.tracker.mavlink.emulated_serial import SerialComputer
+        from hil.devices.tracker.mavlink.virtual_network import ComputerLink
 
         computer, config = VisualInertialComputer.build(request), request.config
         if udp_address(config.port) is None:
@@ -83,7 +83,7 @@ class Mavlink(DeviceModel):
 
 def _face(request: EmulationRequest, computer: VisualInertialComputer) -> Face:
     """On UDP: where the bench file says, at the usual ground station's port, or at a free port."""
-    from hil.devices.tracker.mavlink.face import MavlinkFace
+    from hil.devices.tracker.mavlink.emulated_udp import MavlinkFace
 
     config: MavlinkTrackerConfig = request.config
     address = udp_address(config.port) if "port" in config.model_fields_set else None

@@ -13,21 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from hil.devices.tracker.mavlink import messages
+from hil.core.clock import NS_PER_S, Clock, nanoseconds
+from hil.core.finding import Finding
+from hil.core.interfaces import Sensor
+from hil.core.signals import Stamp, Status, TrackerSample
+from hil.devices.tracker.mavlink import odometry_messages
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
-from hil.devices.tracker.mavlink.doctor import diagnose
-from hil.devices.tracker.mavlink.link import open_link
-from hil.devices.tracker.mavlink.opening import await_sender, silent
+from hil.devices.tracker.mavlink.doctor_check import diagnose
+from hil.devices.tracker.mavlink.first_contact import await_sender, silent
 from hil.devices.tracker.mavlink.session import Received, Session
-from hil.devices.tracker.mavlink.wire import LinkFactory
-from hil.drivers.device_clock import DeviceClock
-from hil.drivers.jumps import JumpTest
-from hil.drivers.patience import USELESS, Usefulness, nothing_usable, used_while_closed
-from hil.drivers.stuck import StuckTest
-from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
-from hil.vocabulary.finding import Finding
-from hil.vocabulary.interfaces import Sensor
-from hil.vocabulary.signals import Stamp, Status, TrackerSample
+from hil.devices.tracker.mavlink.transport_interface import LinkFactory
+from hil.devices.tracker.mavlink.transports import open_link
+from hil.drivers.links.device_clock import DeviceClock
+from hil.drivers.links.pose_jumps import JumpTest
+from hil.drivers.links.silence_limit import USELESS, Usefulness, nothing_usable, used_while_closed
+from hil.drivers.links.stuck_values import StuckTest
 
 _LOG = logging.getLogger(__name__)
 
@@ -85,7 +85,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
         """
         self.close()
         self._forget()
-        common = messages.dialect()
+        common = odometry_messages.dialect()
         link = self._open_link(self._config, self._clock, self.name)
         self._session = session = Session(link, common, self._config, self._clock)
         try:
@@ -229,14 +229,14 @@ class MavlinkTracker(Sensor[TrackerSample]):
     ) -> tuple[tuple[float, ...], tuple[float, ...], Status]:
         """Pose, twist and status, without regard to time."""
         config = self._config
-        axes = messages.axes_of(message.frame_id, message.child_frame_id, config.body_axes)
-        if axes is None or config.frame not in (None, messages.frame_name(message.frame_id)):
+        axes = odometry_messages.axes_of(message.frame_id, message.child_frame_id, config.body_axes)
+        if axes is None or config.frame not in (None, odometry_messages.frame_name(message.frame_id)):
             return _NAN7, _NAN6, Status.PROTOCOL
-        pose = messages.pose_of(message, axes)
+        pose = odometry_messages.pose_of(message, axes)
         if not all(map(math.isfinite, pose)):
             return pose, _NAN6, Status.NOT_FINITE
         norm = math.hypot(*pose[3:])
-        twist = messages.twist_of(message, axes, pose[3:])
+        twist = odometry_messages.twist_of(message, axes, pose[3:])
         near = math.hypot(*pose[:3]) < _FARTHEST_M and not max(map(abs, twist)) > _FASTEST
         if not (_NORM_LOW < norm < _NORM_HIGH and near):
             return pose, twist, Status.IMPLAUSIBLE
@@ -256,8 +256,8 @@ class MavlinkTracker(Sensor[TrackerSample]):
 
     def _confidence(self, quality: int) -> int:
         """The sender's percentage as 0 (failed) to 3 (high); unknown is as good as usable."""
-        if quality <= messages.FAILED:
+        if quality <= odometry_messages.FAILED:
             return 0
-        if quality == messages.UNKNOWN_QUALITY:
+        if quality == odometry_messages.UNKNOWN_QUALITY:
             return _USABLE_CONFIDENCE
         return 1 + (quality >= self._config.least_quality) + (quality >= self._config.good_quality)

@@ -6,11 +6,11 @@ import logging
 from collections import deque
 from typing import Any, NamedTuple, TypeAlias
 
+from hil.core.clock import NS_PER_S, Clock
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
-from hil.devices.tracker.mavlink.messages import POSES, Parser, odometry_of
+from hil.devices.tracker.mavlink.odometry_messages import POSES, Parser, odometry_of
 from hil.devices.tracker.mavlink.timesync import TimeSync, Trip
-from hil.devices.tracker.mavlink.wire import Address, Arrival, Link
-from hil.vocabulary.clock import NS_PER_S, Clock
+from hil.devices.tracker.mavlink.transport_interface import Address, Arrival, Link
 
 _LOG = logging.getLogger(__name__)
 SYSTEM, COMPONENT = 255, 190

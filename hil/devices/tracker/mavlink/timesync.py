@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-from hil.vocabulary.clock import nanoseconds
+from hil.core.clock import nanoseconds
 
 _QUICK_NS, _STEADY_NS = nanoseconds(0.02), nanoseconds(0.2)
 _QUICK_TRIPS = 5

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from hil.vocabulary.errors import UsageError
+from hil.core.errors import UsageError
 
 NODE_STATUS, RAW_COMMAND, RPM_COMMAND, STATUS = 341, 1030, 1031, 1034
 FULL_RAW = 8191

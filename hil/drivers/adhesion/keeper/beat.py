@@ -8,13 +8,13 @@ from typing import Any
 
 import can
 
-from hil.drivers import can_link
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.errors import DeviceError
 from hil.drivers.adhesion.keeper.core import Keeper, SetPoint
 from hil.drivers.adhesion.keeper.dialects import Wire, dialect
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.drivers.can_link import BUS_ERRORS
-from hil.vocabulary.clock import NS_PER_S, nanoseconds
-from hil.vocabulary.errors import DeviceError
+from hil.drivers.links import can_bus
+from hil.drivers.links.can_bus import BUS_ERRORS
 
 _MOST_FRAMES = 512
 _REOPEN_NS = nanoseconds(0.5)
@@ -25,7 +25,7 @@ _ECHOES = 16
 def open_bus(spec: Spec) -> can.BusABC:
     """The fan's bus; raises `DeviceError`."""
     shared = "a python-can interface that several programs can share, such as socketcan"
-    return can_link.open_bus(spec.device, spec, expected=shared)
+    return can_bus.open_bus(spec.device, spec, expected=shared)
 
 
 class Beat:
@@ -113,7 +113,7 @@ class Beat:
 
     def _listen(self, bus: can.BusABC, t_ns: int) -> None:
         """Take what has arrived; anybody may send, so that it is bounded."""
-        take = can_link.receiver(bus)
+        take = can_bus.receiver(bus)
         for _ in range(_MOST_FRAMES):
             try:
                 message = take()

@@ -16,12 +16,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from hil.core.errors import EXIT_USAGE, DeviceError, UsageError
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.door import MOST_BYTES, address, may_ask, of_another, peer, user
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.vocabulary.emulated_bus import is_emulated
-from hil.vocabulary.errors import EXIT_USAGE, DeviceError, UsageError
-from hil.vocabulary.reading import json_object
+from hil.support.emulated_can_mark import is_emulated
+from hil.support.file_reading import json_object
 
 KEEPER = (sys.executable, "-m", "hil.drivers.adhesion.keeper")
 _START_S = 15.0

@@ -11,9 +11,9 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.errors import DeviceError, UsageError, did_you_mean
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.vocabulary.clock import NS_PER_S, nanoseconds
-from hil.vocabulary.errors import DeviceError, UsageError, did_you_mean
 
 _LISTEN_NS = nanoseconds(1.5)
 """For so long after its start a keeper looks for a fan that runs already."""

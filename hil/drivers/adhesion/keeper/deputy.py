@@ -12,6 +12,8 @@ import logging
 import threading
 from collections.abc import Callable
 
+from hil.core.clock import NS_PER_S, Clock, nanoseconds
+from hil.core.errors import DeviceError, HilError
 from hil.drivers.adhesion.keeper.beat import Beat, open_bus
 from hil.drivers.adhesion.keeper.client import (
     Starting,
@@ -28,9 +30,7 @@ from hil.drivers.adhesion.keeper.core import Keeper, SetPoint, check_point
 from hil.drivers.adhesion.keeper.kept import Kept
 from hil.drivers.adhesion.keeper.link import Link, Request
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
-from hil.vocabulary.emulated_bus import Emulation
-from hil.vocabulary.errors import DeviceError, HilError
+from hil.support.emulated_can_mark import Emulation
 
 _LOG = logging.getLogger(__name__)
 

@@ -8,13 +8,13 @@ from collections.abc import Callable, Mapping
 from itertools import count
 from typing import NamedTuple, Protocol
 
+from hil.core.clock import NS_PER_S
+from hil.core.errors import ConfigError, did_you_mean
 from hil.drivers.adhesion import vesc
 from hil.drivers.adhesion.dronecan import frames as dronecan
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.vesc import EVERYBODY, Packet
-from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.errors import ConfigError, did_you_mean
 
 Wire = tuple[int, bytes]
 """Identifier and data of an extended frame."""

@@ -21,9 +21,9 @@ import struct
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from hil.core.errors import DeviceError, HilError, UsageError, reason_of
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.vocabulary.emulated_bus import abstract_names
-from hil.vocabulary.errors import DeviceError, HilError, UsageError, reason_of
+from hil.support.emulated_can_mark import abstract_names
 
 MOST_BYTES = 8192
 HOW_TO_ASK = 'send one JSON object a packet; docs/adhesion.md, "The socket", shows each'

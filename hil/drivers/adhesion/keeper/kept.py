@@ -6,11 +6,11 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Protocol
 
+from hil.core.clock import Clock
+from hil.core.finding import Finding
 from hil.drivers.adhesion.keeper.client import Status, of_whom
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.vocabulary.clock import Clock
-from hil.vocabulary.finding import Finding
 
 
 class Kept(Protocol):

@@ -19,6 +19,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.errors import EXIT_DEVICE, HilError, UsageError
 from hil.drivers.adhesion.keeper.beat import Beat, open_bus
 from hil.drivers.adhesion.keeper.client import KEEPER, Status
 from hil.drivers.adhesion.keeper.core import Keeper, SetPoint
@@ -27,9 +29,7 @@ from hil.drivers.adhesion.keeper.log import Log
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.keeper.surviving import be_deaf, detach, harden
 from hil.drivers.adhesion.keeper.understudy import Understudies, stand_beside
-from hil.vocabulary.clock import NS_PER_S, nanoseconds
-from hil.vocabulary.emulated_bus import Emulation
-from hil.vocabulary.errors import EXIT_DEVICE, HilError, UsageError
+from hil.support.emulated_can_mark import Emulation
 
 _IDLE_NS = nanoseconds(IDLE_S)
 _REPEAT_NS = nanoseconds(60.0)

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from hil.vocabulary.emulated_bus import bus_name
-from hil.vocabulary.errors import ConfigError
+from hil.core.errors import ConfigError
+from hil.support.emulated_can_mark import bus_name
 
 _HIGHEST = {"duty": 0.95, "current_a": 60.0, "erpm": 150_000.0}
 _PERIODS = 10

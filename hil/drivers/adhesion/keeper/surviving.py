@@ -11,7 +11,7 @@ import signal
 from collections.abc import Callable
 from pathlib import Path
 
-from hil.vocabulary.clock import sleep_punctually
+from hil.core.clock import sleep_punctually
 
 _NICE, _FIFO_PRIORITY = -15, 20
 _OOM_SCORES = (-1000, -500)

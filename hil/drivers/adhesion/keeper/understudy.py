@@ -13,10 +13,10 @@ import subprocess
 import time
 from collections.abc import Callable, Sequence
 
+from hil.core.clock import nanoseconds
 from hil.drivers.adhesion.keeper import client
 from hil.drivers.adhesion.keeper.door import MOST_BYTES
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.vocabulary.clock import nanoseconds
 
 _ASK_S = 0.025
 _AGAIN_NS, _ABSENT_NS = nanoseconds(5.0), nanoseconds(1.0)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
-from hil.vocabulary.errors import UsageError
+from hil.core.errors import UsageError
 
 EVERYBODY = 255
 """The controller id that every controller listens to."""

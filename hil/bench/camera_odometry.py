@@ -1,0 +1,66 @@
+"""Tells a tracking camera that asks for it how the wheels move: calibrated odometry, cycle by cycle.
+
+The odometry is the wheels' alone, not the state of the filter, which has heard the camera: a camera that is
+told its own opinion believes it twice.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from hil.bench.model import Blueprint
+from hil.config.bench import BenchConfig
+from hil.config.servos import ServosConfig
+from hil.config.tracker import T265Config
+from hil.core.interfaces import Estimator, Sink
+from hil.core.signals import CycleRecord
+from hil.loop.device_set import Rig
+
+
+class WheelFeed(Sink):
+    """Sees the cycles go by and hands the wheels' velocity to the camera.
+
+    Args:
+        odometry: of the calibrated wheels.
+        tracker: driver with `take_wheel_velocity`, which neither waits nor raises.
+    """
+
+    def __init__(self, odometry: Estimator, tracker: Any) -> None:
+        self._odometry, self._tracker = odometry, tracker
+
+    def write(self, record: CycleRecord) -> None:
+        """Tell the velocity of the body's origin in the body's axes, where the wheels were read."""
+        if not record.measurements.wheels:
+            return
+        v_x_m_s, v_y_m_s, _ = self._odometry.update(record.measurements).twist_body.tolist()
+        if math.isfinite(v_x_m_s + v_y_m_s):
+            self._tracker.take_wheel_velocity(v_x_m_s, v_y_m_s)
+
+    def close(self) -> None:
+        """The camera goes on alone."""
+
+
+def wheel_feed(blueprint: Blueprint, rig: Rig) -> tuple[Sink, ...]:
+    """What tells the camera of the wheels, if `tracker.wheel_odometry` asks for it."""
+    camera = blueprint.config.of(T265Config)
+    if camera is None or not camera.wheel_odometry:
+        return ()
+    return (WheelFeed(blueprint.make_estimator("odometry", diagnostics=False), rig.get("tracker")),)
+
+
+def with_wheel_sigma(config: BenchConfig) -> BenchConfig:
+    """A configuration whose camera knows how well the wheels know their velocity.
+
+    Of one axis, from one servo read to the next at the highest speed, by the noise that the estimator takes
+    (`estimator.wheels`) and what creep leaves of the way.
+    """
+    camera, servos = config.of(T265Config), config.of(ServosConfig)
+    if camera is None or servos is None or not camera.wheel_odometry or camera.wheel_sigma_m_s is not None:
+        return config
+    noise, slip = config.estimator.wheels, getattr(config.estimator, config.environment.kind)
+    speed_m_s, rate_hz = config.control.wheel_speed_m_s, config.loop.rate_hz
+    step_m2 = 0.25 * (noise.step_m**2 + noise.per_sqrt_m**2 * speed_m_s / rate_hz)
+    sigma_m_s = math.sqrt(step_m2 * rate_hz**2 + (slip.creep * speed_m_s) ** 2)
+    told = camera.model_copy(update={"wheel_sigma_m_s": min(max(sigma_m_s, 1e-4), 0.1)})
+    return config.model_copy(update={"tracker": told})

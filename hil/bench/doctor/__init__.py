@@ -1,0 +1,1 @@
+"""Examination of a bench that does not move: devices, host, robot record, discovery."""

@@ -1,0 +1,36 @@
+"""A bench for the doctor: without the devices that their packages cannot even build; each is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from hil.bench.bench import Bench
+from hil.bench.opening import open_bench
+from hil.config.bench import BenchConfig
+from hil.config.loading import load_bench
+from hil.core.finding import Finding
+from hil.core.package_errors import PackageError
+
+
+def open_what_can_be(
+    config: str | Path | BenchConfig, *, emulate: str | None = None, **given: Any
+) -> tuple[Bench, list[Finding]]:
+    """A bench as `open_bench` returns it, and a failure for every device that had to be left out.
+
+    Args:
+        config: as of `open_bench`.
+        emulate: as of `open_bench`.
+        given: further arguments of `open_bench`.
+    """
+    left_out: list[Finding] = []
+    rest = load_bench(config, emulate=emulate)
+    while True:
+        try:
+            return open_bench(rest, **given), left_out
+        except PackageError as error:
+            if error.kind not in rest.devices():
+                raise
+            left_out.append(Finding.of_error(error.kind, "open", error))
+            emulation = rest.emulation.model_copy(update={error.kind: {}})
+            rest = rest.model_copy(update={error.kind: None, "emulation": emulation})

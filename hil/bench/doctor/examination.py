@@ -1,0 +1,165 @@
+"""Examines a bench without moving it: what answers, how well, and what to do about what does not.
+
+Every device is opened by itself, so that one that is missing does not hide the others, and then read
+at the loop rate for a while. The findings are data; `hil doctor` prints them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+from hil.bench.bench import Bench
+from hil.bench.doctor.force_findings import unexplained_force
+from hil.bench.doctor.host_findings import Host, host_findings
+from hil.bench.doctor.inertial_offsets import changed_between
+from hil.bench.doctor.steering_offsets import slipped_between
+from hil.bench.drivers import model_of
+from hil.bench.hold.tilt import tilt_finding
+from hil.bench.settings import wheel_model
+from hil.bench.third_party.added_checks import checks_of
+from hil.bench.third_party.contract_findings import broken_promises
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.errors import Aborted, HilError
+from hil.core.finding import Finding, Level
+from hil.core.interfaces import Device
+from hil.core.package_errors import OURS, asked
+from hil.core.registry import base_of, kinds
+from hil.devices.doctor_watch import Watched
+from hil.drivers.links.serial_url import latency_timer
+
+_WATCH_S = 2.0
+_SETTLE_S = 0.6
+_LATENCY_TIMER_S = 0.001
+_HERE = Host()
+_SHOWN_BY_SAMPLES = ("hardware errors",)
+_SLOWNESS, _HURT_BY_SLOWNESS = ("latency timer", "reply time"), ("open", "read", "samples")
+
+
+def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> Iterator[Finding]:
+    """Findings about the machine, the calibration and every device of a bench that has not been entered.
+
+    Args:
+        bench: as `open_bench` returned it; its devices are opened and closed here.
+        watch_s: how long each is read.
+        host: where the machine tells of itself.
+
+    Raises:
+        Aborted: a person or a signal ended it.
+    """
+    seen: dict[str, list[Any]] = {}
+    try:
+        yield from host_findings(bench.config, host)
+        bench.begin()
+        yield from _calibration(bench)
+        for name in dict.fromkeys((*bench.rig.sensors, *bench.config.devices())):
+            kind = base_of(name)
+            for found in _examine_one(bench, name, watch_s, host, seen):
+                yield replace(found, device=name) if found.device == kind else found
+        yield from tilt_finding(bench.config, seen)
+        yield from unexplained_force(bench.config, seen)
+        yield from slipped_between(bench.config, seen)
+        yield from changed_between(bench.config, bench.model.alignment_parameters, seen)
+    finally:
+        bench.close()
+
+
+def _calibration(bench: Bench) -> Iterator[Finding]:
+    """Calibrated wheels belong to the wheel model that they were fitted with."""
+    if not bench.calibration:
+        return
+    used, wanted = bench.config.estimator.wheels.model, wheel_model(bench.model.fitted_with)
+    level: Level = "ok" if used == wanted else "warning"
+    found = f"{bench.calibration}, fitted with the {bench.model.fitted_with} model; estimated with {used}"
+    remedy = f'set estimator.wheels.model to "{wanted}", or leave it out of the bench file'
+    yield Finding("bench", "calibration", level, found, f"estimator.wheels.model {wanted}", remedy)
+
+
+def _examine_one(
+    bench: Bench, kind: str, watch_s: float, host: Host, seen: dict[str, list[Any]]
+) -> Iterator[Finding]:
+    """Findings about one device; `seen` receives what it delivered."""
+    device = bench.rig.get(kind)
+    told = list(_latency_timer(bench, kind, host))
+    yield from told
+    try:
+        device.open()
+    except Aborted:
+        raise  # whoever ended it: that says nothing of the device
+    except HilError as error:
+        yield _slowness_first(told, _failure(device, "open", error))
+        return
+    try:
+        identity = ", ".join(f"{key} {value}" for key, value in device.identity().items())
+        yield Finding(device.name, "open", "ok", identity)
+        own = [f for f in getattr(device, "diagnose", tuple)() if f.check not in _SHOWN_BY_SAMPLES]
+        told += own
+        yield from own
+        _watch(bench, device, _SETTLE_S, [])
+        for finding in _looks(bench, kind, device, watch_s, seen):
+            yield _slowness_first(told, finding)
+    except Aborted:
+        raise
+    except HilError as error:
+        yield _slowness_first(told, _failure(device, "read", error))
+    finally:
+        device.close()
+
+
+def _looks(
+    bench: Bench, name: str, device: Any, watch_s: float, seen: dict[str, list[Any]]
+) -> Iterator[Finding]:
+    """What kind and model have to say of a device after it was read for a while."""
+    kind, model, config = kinds()[name], model_of(bench.config, name), bench.config.devices()[name]
+    waits_s: list[float] = []
+    samples = seen[name] = _watch(bench, device, watch_s, waits_s)
+    watched = Watched(kind, config, device, samples, watch_s, bench.clock, bench.config.loop.rate_hz)
+    if model.package != OURS:
+        yield from broken_promises(watched, waits_s)
+    package = model.package if kind.package == OURS else kind.package
+    yield from asked(name, package, "its check or rate_hz", lambda: list(kind.check(watched)))
+    yield from asked(name, model.package, "its check", lambda: list(model.check(watched)))
+    checks_of(bench.config, name)
+
+
+def _failure(device: Device, check: str, error: HilError) -> Finding:
+    return Finding.of_error(device.name, check, error)
+
+
+def _slowness_first(told: list[Finding], finding: Finding) -> Finding:
+    """A slow adapter makes all that is behind it look dead: that is to be mended first."""
+    slow = [f.remedy for f in told if f.check in _SLOWNESS and f.level != "ok"]
+    if not slow or finding.level != "failure" or finding.check not in _HURT_BY_SLOWNESS:
+        return finding
+    return replace(finding, remedy=f"{slow[-1]}; then look again")
+
+
+def _watch(bench: Bench, device: Any, watch_s: float, waits_s: list[float]) -> list[Any]:
+    """Everything read from a device at the loop rate; `waits_s` receives how long each read took."""
+    samples: list[Any] = []
+    period_ns = nanoseconds(1.0 / bench.config.loop.rate_hz)
+    next_ns = bench.clock.now_ns()
+    for _ in range(round(watch_s * bench.config.loop.rate_hz)):
+        began_ns, began_s = bench.clock.now_ns(), time.perf_counter()
+        samples += device.read()
+        waits_s.append(max((bench.clock.now_ns() - began_ns) / NS_PER_S, time.perf_counter() - began_s))
+        next_ns += period_ns
+        bench.clock.sleep_until_ns(next_ns)
+    return samples
+
+
+def _latency_timer(bench: Bench, name: str, host: Host) -> Iterator[Finding]:
+    """USB serial adapters as delivered wait 16 ms for more before they pass on what they hold."""
+    config = bench.config.devices()[name]
+    port = getattr(config, "port", None)
+    timer = latency_timer(port, host.sysfs) if isinstance(port, str) else None
+    if timer is None or config.backend == "emulated":
+        return
+    try:
+        found_s = int(timer.read_text()) / 1000.0
+    except (OSError, ValueError):
+        return
+    level: Level = "ok" if found_s <= _LATENCY_TIMER_S else "warning"
+    yield Finding(name, "latency timer", level, f"{found_s * 1e3:g} ms", "1 ms", f"echo 1 | sudo tee {timer}")

@@ -1,0 +1,148 @@
+"""What the machine does to the ports of a bench: other programs on them, USB supply, names that change."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from hil.bench.doctor.host_usb import HUB_BUDGET_MA, UsbDevice, behind, plugged_in
+from hil.config.bench import BenchConfig
+from hil.config.tracker import T265Config
+from hil.core.finding import Finding
+from hil.drivers.links.serial_url import BY_ID
+from hil.support.port_users import PROC, named, programs_with, running
+
+T265_IDS = {("8087", "0b37")}
+_USB3_MBIT = 5000.0
+_GRABBERS = {
+    "ModemManager": (
+        "asks every new serial port for seconds whether it is a modem",
+        "sudo systemctl disable --now ModemManager; or, where it is needed, the rules of `hil doctor --fix`",
+    ),
+    "brltty": (
+        "takes adapters with CP210x, CH340 and FTDI chips for Braille displays: the port vanishes",
+        "sudo apt remove brltty",
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Host:
+    """Where this machine tells of itself.
+
+    Attributes:
+        sysfs, proc: of the kernel.
+        by_id: links to serial ports by their adapters' serial numbers.
+    """
+
+    sysfs: Path = Path("/sys")
+    proc: Path = PROC
+    by_id: Path = BY_ID
+
+
+def real_ports(config: BenchConfig) -> Mapping[str, str]:
+    """Local serial ports of devices that are not emulated, by device; pseudo-terminals are no hardware."""
+    ports = {}
+    for name, device in config.devices().items():
+        port = getattr(device, "port", None)
+        if not isinstance(port, str) or not port.startswith("/") or device.backend == "emulated":
+            continue
+        if not os.path.realpath(port).startswith("/dev/pts/"):
+            ports[name] = port
+    return ports
+
+
+def host_findings(config: BenchConfig, host: Host) -> Iterator[Finding]:
+    """Findings about the machine, as far as this bench is concerned by it.
+
+    Args:
+        config: of the bench.
+        host: where the machine tells of itself.
+    """
+    ports = real_ports(config)
+    if ports:
+        programs = {program.name for program in running(host.proc)}
+        for name in sorted(programs & set(_GRABBERS)):
+            does, remedy = _GRABBERS[name]
+            yield Finding("bench", "other programs", "warning", f"{name} runs and {does}", "", remedy)
+    seen: set[str] = set()
+    for name, port in ports.items():
+        yield from _names(name, port, host)
+        yield from _sharers(name, port, host)
+        adapter = behind(port, host.sysfs)
+        if adapter is not None and adapter.place not in seen:
+            seen.add(adapter.place)
+            yield from _supply(name, adapter)
+    camera = config.of(T265Config)
+    if camera is not None and camera.backend != "emulated":
+        for found in plugged_in(T265_IDS, host.sysfs):
+            yield from _camera(found)
+
+
+def _names(name: str, port: str, host: Host) -> Iterator[Finding]:
+    """`ttyUSB0` is another adapter after the next plugging in."""
+    device = Path(port).resolve()
+    links = sorted(host.by_id.glob("*")) if host.by_id.is_dir() else []
+    stable = next((link for link in links if link.resolve() == device), None)
+    if stable is not None and not Path(port).is_symlink():
+        yield Finding(
+            name,
+            "port name",
+            "warning",
+            f"{port} is the adapter that was plugged in at that time",
+            "a name that stays",
+            f'port = "{stable}"',
+        )
+
+
+def _sharers(name: str, port: str, host: Host) -> Iterator[Finding]:
+    """Programs that take no lock get in beside us; then both read half of the replies."""
+    others = programs_with(port, host.proc)
+    if others:
+        yield Finding(
+            name,
+            "other programs",
+            "failure",
+            f"{port} is open in {named(others)}",
+            "nobody else",
+            f"close it, or kill {others[0].pid}",
+        )
+
+
+def _supply(name: str, adapter: UsbDevice) -> Iterator[Finding]:
+    starved = adapter.starved_by()
+    if starved is not None:
+        hub, asked_ma = starved
+        found = f"the devices of hub {hub}, which has no supply, ask for {asked_ma} mA"
+        yield Finding(
+            name,
+            "USB supply",
+            "warning",
+            found,
+            f"at most {HUB_BUDGET_MA} mA",
+            "give the hub a supply of its own, or use a port of the computer",
+        )
+    if adapter.may_sleep:
+        found = f"the kernel may suspend {adapter.name or adapter.place}"
+        yield Finding(
+            name,
+            "USB suspend",
+            "warning",
+            found,
+            "never",
+            f"echo on | sudo tee {adapter.folder / 'power/control'}",
+        )
+
+
+def _camera(found: UsbDevice) -> Iterator[Finding]:
+    slow = 0 < found.speed_mbit < _USB3_MBIT
+    yield Finding(
+        "tracker",
+        "USB speed",
+        "warning" if slow else "ok",
+        f"{found.speed_mbit:g} Mbit/s",
+        f"{_USB3_MBIT:g} Mbit/s",
+        "use a blue port and a USB 3 cable of at most 2 m",
+    )

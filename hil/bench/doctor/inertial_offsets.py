@@ -1,0 +1,129 @@
+"""Gravity and turn rate of the IMU at rest, held against what `imu_calibration` has kept in the record.
+
+On a wall gravity and motion capture both tell the heading. The record's mount of the IMU is the one with
+which they agreed, so what lies between them at rest is by how much the IMU, or the rigid body of motion
+capture, has turned since, also while no program ran. The turn rate of a robot at rest is the gyro's bias.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from hil.config.bench import BenchConfig
+from hil.config.robot_record.overlay import known_parts
+from hil.config.robot_record.parts import Part
+from hil.core.errors import DeviceError
+from hil.core.finding import Finding, Level
+from hil.core.geometry import mean_angle, wrap
+from hil.core.signals import GyroMeasurement, Inputs, Measurements
+from hil.loop.alignment import Alignment, AlignmentParameters
+from hil.loop.recorded_motion import Motion
+
+TOLD_RAD, STOP_RAD = 0.03, 0.09
+"""A heading that is told of, and one with which no filter is given the IMU. An accelerometer that has warmed
+up by 20 K is off by 0.02 rad; beyond 5 deg `imu_calibration` fails."""
+TOLD_RAD_S, STOP_RAD_S = math.radians(0.1), math.radians(3.0)
+"""Likewise of the turn rate: the limit of `imu_calibration`, and of the data sheet (BST-BNO055-DS000)."""
+_FEWEST = 20
+"""Samples of each; their noise is then a fifth of what is told, at most."""
+
+
+def inertial_changes(config: BenchConfig, measured: Iterable[Measurements]) -> Iterator[Finding]:
+    """What has changed of the IMU since the record's part `inertial`; nothing where none is kept or seen.
+
+    Args:
+        config: of the bench.
+        measured: aligned, of a robot at rest.
+    """
+    elsewhere = config.elsewhere()
+    part = None if "imu" in elsewhere else known_parts(config).get("inertial")
+    if part is None:
+        return
+    gyro, seen_rad = list[GyroMeasurement](), list[float]()
+    for one in measured:
+        gyro += one.gyro
+        seen_rad += [] if "mocap" in elsewhere else [float(m.pose[2]) for m in one.mocap if m.valid]
+    kept = part.figures.get("gyro_bias")
+    if len(gyro) >= _FEWEST and kept is not None:
+        rate_rad_s = math.fsum(g.yaw_rate_rad_s for g in gyro) / len(gyro)
+        yield _bias(part, rate_rad_s - math.radians(kept.value))
+    felt_rad = [g.gravity_heading_rad for g in gyro if math.isfinite(g.gravity_heading_rad)]
+    if min(len(felt_rad), len(seen_rad)) >= _FEWEST and "imu.mount_rotation_wxyz" in part.values:
+        yield _heading(part, wrap(mean_angle(felt_rad) - mean_angle(seen_rad)))
+
+
+def _bias(part: Part, changed_rad_s: float) -> Finding:
+    return Finding(
+        "imu",
+        "gyro bias",
+        _level(abs(changed_rad_s), TOLD_RAD_S, STOP_RAD_S),
+        f"{math.degrees(changed_rad_s):+.2f} deg/s at rest since it was measured ({part.measured[:10]})",
+        f"within {math.degrees(TOLD_RAD_S):g} deg/s",
+        "let the robot rest; if it stays, run `hil run imu_calibration`",
+    )
+
+
+def _heading(part: Part, turned_rad: float) -> Finding:
+    return Finding(
+        "imu",
+        "heading against motion capture",
+        _level(abs(turned_rad), TOLD_RAD, STOP_RAD),
+        f"{turned_rad:+.3f} rad ({math.degrees(turned_rad):+.1f} deg) since it was measured "
+        f"({part.measured[:10]})",
+        f"within {TOLD_RAD:g} rad",
+        "the IMU has turned on the robot, or the markers of motion capture have: fasten them, then "
+        "`hil run imu_calibration`",
+    )
+
+
+def _level(size: float, told: float, stop: float) -> Level:
+    return "ok" if size <= told else "warning" if size <= stop else "failure"
+
+
+def changed_between(
+    config: BenchConfig, parameters: AlignmentParameters, seen: Mapping[str, Sequence[Any]]
+) -> Iterator[Finding]:
+    """The same for the doctor, of samples as they come.
+
+    Args:
+        config: of the bench.
+        parameters: of its alignment.
+        seen: samples of every kind that was watched, at rest.
+    """
+    inputs = Inputs(0, 0, imu=tuple(seen.get("imu", ())), mocap=tuple(seen.get("mocap", ())))
+    return inertial_changes(config, (Alignment(parameters).measure(inputs),))
+
+
+class InertialWatch:
+    """What the latest rest of a bench has shown of its IMU.
+
+    Args:
+        config: of the bench.
+    """
+
+    def __init__(self, config: BenchConfig) -> None:
+        self._config = config
+        self._changed: list[Finding] = []
+
+    def rested(self, motion: Motion) -> Iterator[str]:
+        """Take a rest, after devices were opened or a motion ended; yields warnings."""
+        found = inertial_changes(self._config, (r.measurements for r in motion.records))
+        self._changed = [finding for finding in found if finding.level != "ok"]
+        for finding in self._changed:
+            yield f"{_in_words(finding)}; {finding.remedy}"
+
+    def must_be_usable(self) -> None:
+        """Refuse to move by a filter that uses an IMU which has changed by far.
+
+        Raises:
+            DeviceError: names how far.
+        """
+        for finding in self._changed:
+            if finding.level == "failure":
+                raise DeviceError("imu", f"{_in_words(finding)}; nothing is moved", remedy=finding.remedy)
+
+
+def _in_words(finding: Finding) -> str:
+    return f"{finding.check}: {finding.found}, {finding.expected} is allowed"

@@ -1,0 +1,76 @@
+"""How a drive begins: where the robot stands; and who will not see it move is named before."""
+
+from __future__ import annotations
+
+import math
+
+from hil.bench.settings import pretended_holders
+from hil.config.bench import BenchConfig
+from hil.core.errors import TrajectoryError
+from hil.core.geometry import Array, wrap
+from hil.core.registry import kinds
+from hil.robot.trajectories import Trajectory
+
+_NEAR_M, _NEAR_RAD = 0.02, math.radians(5.0)
+"""What a robot that was put down by hand may be off. The laws correct it with up to 5 m/s per metre, that is
+with 0.1 m/s, below the fastest that wheels are asked for (`control.wheel_speed_m_s`, 0.122 m/s)."""
+_REMEDY = (
+    "begin where it stands: in Python with start = hil.procedure.tracking_errors.stand(bench) and "
+    "line(start, ...), or put the robot there; where no motion capture sees it, say where it stands (--start x,y,theta)"
+)
+
+
+def must_begin_where_it_stands(trajectory: Trajectory, stands: Array) -> None:
+    """Refuse a trajectory that begins elsewhere: the robot would race there at full speed, the straight way.
+
+    Args:
+        trajectory: what is to be followed.
+        stands: (3,) where the robot stands, as the estimate begins.
+
+    Raises:
+        TrajectoryError: it begins more than 20 mm or 5 degrees from there.
+    """
+    begins = trajectory.sample(0.0).pose_in_wall
+    far_m = math.hypot(begins[0] - stands[0], begins[1] - stands[1])
+    turned_rad = abs(wrap(float(begins[2] - stands[2])))
+    near = far_m <= _NEAR_M
+    if near and turned_rad <= _NEAR_RAD:
+        return
+    raise TrajectoryError(
+        f"{trajectory.name}: it begins at {_told(begins)}, the robot stands at {_told(stands)}",
+        t_s=0.0,
+        quantity="angle between them (rad)" if near else "distance between them (m)",
+        value=turned_rad if near else far_m,
+        limit=_NEAR_RAD if near else _NEAR_M,
+        remedy=_REMEDY,
+    )
+
+
+def blind_to_the_drive(config: BenchConfig) -> str:
+    """What a drive on this bench has to expect of sensors that do not see the robot; empty where all do."""
+    found = kinds()
+    blind = [found[name].noun for name in config.elsewhere() if found[name].motion_threshold]
+    if not blind:
+        return ""
+    return (
+        f"{', '.join(blind)}: in another world than the servos (emulated beside real ones, or the reverse), "
+        "so they do not see the robot move. A drive whose estimate needs one of them ends in a SafetyStop "
+        "(sensors_disagree), and none is a witness that the robot is held. Emulate only devices that do not "
+        "see it move, emulate the servos as well, or drive by odometry"
+    )
+
+
+def emulated_hold(config: BenchConfig) -> str:
+    """That what is to hold a real robot on its wall is emulated; empty where it is not, or it cannot fall."""
+    holders = pretended_holders(config)
+    if not holders:
+        return ""
+    return (
+        f"{', '.join(kinds()[name].noun for name in holders)}: emulated beside real servos, so the "
+        "real robot gets nothing from there that holds it on its wall. Do not emulate what holds a real robot"
+    )
+
+
+def _told(pose: Array) -> str:
+    x_m, y_m, heading_rad = pose.tolist()
+    return f"x {x_m:.3f} m, y {y_m:.3f} m, theta {heading_rad:.3f} rad"

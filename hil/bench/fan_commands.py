@@ -1,0 +1,244 @@
+"""Fan and propellers of a bench outside any run: what `hil adhesion` does, by their keepers and devices."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
+
+from hil.bench.drivers import make_rig
+from hil.bench.fan_interlock import DEVICE, STEP_NS, WATCH_S, duty_n, fan_of, must_be_enough
+from hil.bench.settings import force_wanted_n
+from hil.config.adhesion import AdhesionConfig, MotorConfig
+from hil.config.bench import BenchConfig
+from hil.config.can_motor import KeptMotorConfig
+from hil.core.clock import MonotonicClock, nanoseconds
+from hil.core.errors import ConfigError, DeviceError, UsageError
+from hil.core.signals import Status as SampleStatus
+from hil.core.signals import worst
+from hil.drivers.adhesion.keeper import client
+from hil.drivers.adhesion.keeper.client import Status, of_whom
+from hil.drivers.adhesion.keeper.door import bus_of, keepers
+from hil.drivers.adhesion.keeper.spec import Spec
+from hil.support.port_users import Program, ending, named, running
+
+__all__ = [
+    "Spec",
+    "Status",
+    "described",
+    "keeper_command",
+    "keeper_spec",
+    "keeper_status",
+    "kept_specs",
+    "of_whom",
+    "other_keepers",
+    "switch_off",
+    "switch_on",
+]
+
+_NEAR, _STEADY_NS, _TELL_NS = 0.05, nanoseconds(0.5), nanoseconds(1.0)
+
+Say = Callable[[str], None]
+
+
+def kept_specs(config: BenchConfig) -> dict[str, Spec]:
+    """What is kept running of a bench, by kind: the fan first, and propellers behind VESCs.
+
+    Raises:
+        ConfigError: it has neither, or a fan that no other program can reach.
+    """
+    found = {
+        name: Spec(**table.keeper())
+        for name, table in config.devices().items()
+        if isinstance(table, KeptMotorConfig) and table.backend == "real"
+    }
+    return found if found and config.of(AdhesionConfig) is None else {DEVICE: keeper_spec(config), **found}
+
+
+def keeper_spec(config: BenchConfig) -> Spec:
+    """What keeps the fan of a bench.
+
+    Raises:
+        ConfigError: it has no fan, or one that no other program can reach.
+    """
+    table = fan_of(config)
+    if not isinstance(table, MotorConfig):
+        raise ConfigError(
+            f"{config.name}: a fan without a keeper",
+            expected="one whose controller is on CAN",
+            remedy='adhesion.model = "vesc" or "dronecan"',
+        )
+    return Spec(**table.keeper())
+
+
+def keeper_status(spec: Spec) -> Status | None:
+    """What a keeper says; None where there is none. Raises `DeviceError`."""
+    connection = client.connect(spec)
+    if connection is None:
+        return None
+    with connection:
+        return client.ask(connection, {"do": "status"}, spec)
+
+
+def other_keepers(specs: Collection[Spec]) -> list[str]:
+    """Names of fans and propellers on the buses of these that have a keeper and are not among them."""
+    named, buses = {spec.name for spec in specs}, {spec.bus for spec in specs}
+    return [name for name in keepers() if name not in named and bus_of(name) in buses]
+
+
+def switch_on(
+    config: BenchConfig,
+    *,
+    force_n: float | None,
+    duty: float | None,
+    wait_s: float,
+    say: Say,
+    tethered: bool = False,
+) -> float:
+    """Start the fan, or give one that runs another set-point, and wait until it is reached.
+
+    Args:
+        config: of the bench; its fan is opened, and IMU and load cells where a robot might fall.
+        force_n: what to ask for; what the bench wants on its wall when None.
+        duty: asked for in place of a force.
+        wait_s: how long it may take.
+        say: told how far it is.
+        tethered: the robot is tethered or off the wall: somebody has looked.
+
+    Returns:
+        The force that the fan's speed gives, N. The fan goes on, whatever ends this.
+
+    Raises:
+        ConfigError, UsageError, DeviceError: it cannot be asked for, or is not reached; a bench commands the
+            fan now; or it is too little for a robot that may hang by it, as `seen_off_the_wall` says.
+    """
+    table, clock = fan_of(config), MonotonicClock()
+    wanted_n = force_wanted_n(config) if force_n is None else force_n
+    if isinstance(table, MotorConfig):
+        _must_be_free(keeper_spec(config))
+    fan: Any = make_rig(config, clock, {}).get(DEVICE)
+    if not tethered:  # and closed again: nobody would command it while the others are looked at
+        fan.open()
+        with contextlib.closing(fan):
+            now = _first_report(fan, clock)
+        asked_n = wanted_n if duty is None else duty_n(table, duty, now)
+        must_be_enough(config, table.force_at_n(now.speed_rpm), asked_n)
+    fan.open()
+    with contextlib.closing(fan):
+        _first_report(fan, clock)  # a fan that runs goes on from there
+        if duty is None:
+            fan.set_force_n(wanted_n)
+        else:
+            fan.set_duty(duty)
+        near_ns, told_ns, newest = None, 0, None
+        end_ns = clock.now_ns() + nanoseconds(wait_s)
+        while (now_ns := clock.now_ns()) < end_ns:
+            newest = (*fan.read()[-1:], newest)[0]
+            if newest is not None:
+                is_n = table.force_at_n(newest.speed_rpm)
+                off = is_n / wanted_n - 1.0 if duty is None else newest.duty / duty - 1.0
+                near_ns = (near_ns or now_ns) if abs(off) <= _NEAR else None
+                if near_ns is not None and now_ns - near_ns >= _STEADY_NS:
+                    return is_n
+                if now_ns - told_ns > _TELL_NS:
+                    told_ns = now_ns
+                    say(f"{newest.speed_rpm:.0f} 1/min, good for {is_n:.1f} N")
+            clock.sleep_until_ns(now_ns + STEP_NS)
+        raise _not_reached(newest, f"{wanted_n:g} N" if duty is None else f"duty {duty:g}", wait_s)
+
+
+def _must_be_free(spec: Spec) -> None:
+    """Refuse a fan that another program commands: that one would ask for its own set-point at once.
+
+    Raises:
+        UsageError: a bench, or another `hil adhesion on`, has asked its keeper for a set-point and goes on.
+    """
+    setters = set((keeper_status(spec) or {}).get("set_by", ())) - {os.getpid()}
+    if not setters:
+        return
+    names = {program.pid: program.name for program in running()}
+    others = [Program(pid, names.get(pid, "a program")) for pid in sorted(setters)]
+    raise UsageError(
+        f"{spec.name}: {named(others)} commands the fan now, and would go on with its own set-point",
+        expected="a fan that no running bench commands",
+        remedy=f"end that program first{ending(others)}; the fan goes on meanwhile",
+    )
+
+
+def _first_report(fan: Any, clock: MonotonicClock) -> Any:
+    """A good sample of the fan, as soon as there is one; raises `DeviceError` where none comes."""
+    end_ns = clock.now_ns() + nanoseconds(WATCH_S)
+    while clock.now_ns() < end_ns:
+        good = [sample for sample in fan.read() if worst(sample) is SampleStatus.OK]
+        if good:
+            return good[-1]
+        clock.sleep_until_ns(clock.now_ns() + STEP_NS)
+    raise DeviceError(
+        DEVICE,
+        f"no usable report of its speed for {WATCH_S:g} s: nothing was changed",
+        expected="how fast the fan turns, before it is given another set-point",
+        remedy="`hil doctor` examines its controller",
+    )
+
+
+def _not_reached(newest: Any, wanted: str, wait_s: float) -> DeviceError:
+    found = "no report" if newest is None else f"{newest.speed_rpm:.0f} 1/min, duty {newest.duty:.2f}"
+    trouble = f" ({newest.trouble})" if newest is not None and newest.trouble else ""
+    return DeviceError(
+        DEVICE,
+        f"not steady at the set-point within {wait_s:g} s: {found}{trouble}",
+        expected=wanted,
+        remedy="it goes on as far as it can; look at battery and temperature (`hil adhesion status`)",
+    )
+
+
+def switch_off(spec: Spec, confirmed_by: str, *, say: Say) -> Status | None:
+    """Let a fan or propellers come to rest along the ramp and wait for it; None where they have no keeper.
+
+    Args:
+        spec: what is kept.
+        confirmed_by: why nothing hangs by it.
+        say: told how far it is.
+
+    Raises:
+        UsageError: somebody has asked for the force again meanwhile.
+    """
+    connection = client.connect(spec)
+    if connection is None:
+        return None
+    with connection:
+        status = client.ask(connection, client.off_request(confirmed_by), spec)
+        while status["state"] != "idle":
+            say(f"{status['sent'][0]} {status['sent'][1]:.2f}")
+            time.sleep(0.5)
+            status = client.ask(connection, {"do": "status"}, spec)
+            if status["state"] == "keeping":
+                raise UsageError(f"somebody has asked for {spec.noun} again", remedy="`hil adhesion status`")
+        return status
+
+
+def described(status: Mapping[str, Any], spec: Spec) -> str:
+    """One line about a kept fan, or propellers."""
+    sent, report = status["sent"], status["report"]
+    parts = [status["state"] + (f" at {sent[0]} {sent[1]:.3g}" if sent else "")]
+    units = (
+        ("erpm", "1/min" if spec.dialect == "dronecan" else "electrical 1/min", 0),
+        ("current_a", "A", 1),
+        ("input_v", "V", 1),
+        ("fet_c", "degC", 0),
+    )
+    parts += [f"{report[name]:.{digits}f} {unit}" for name, unit, digits in units if name in report]
+    if status["report_age_s"] is None or status["report_age_s"] > 1.0:
+        parts.append("its controller is silent")
+    if sent:
+        parts.append(f"longest gap between commands {1e3 * status['worst_gap_s']:.0f} ms")
+    if status["bus_error"]:
+        parts.append(f"CAN: {status['bus_error']}: it stops {status['timeout_s']:g} s after the last command")
+    return ", ".join(parts)
+
+
+def keeper_command(spec: Spec) -> list[str]:
+    """The command line of a keeper that stays in the foreground."""
+    return [*client.KEEPER, spec.to_json(), "--stay"]

@@ -1,0 +1,135 @@
+"""Whether a robot may hang by its fan: it is lowered only where IMU and load cells say that it does not."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from typing import Any
+
+import numpy as np
+
+from hil.bench.drivers import make_rig
+from hil.bench.hold.tilt import tilt_rad
+from hil.bench.settings import adhesion_limits, can_fall, thrust_wanted_n
+from hil.config.adhesion import AdhesionConfig, MotorConfig
+from hil.config.bench import BenchConfig
+from hil.core.clock import MonotonicClock, nanoseconds
+from hil.core.errors import ConfigError, UsageError
+from hil.core.signals import Status, worst
+
+DEVICE = "adhesion"
+WATCH_S, STEP_NS = 2.0, nanoseconds(0.02)
+"""For how long, and how often, a device is asked outside any run."""
+_AS_NOW = 0.95
+"""Share of the present force from which on a set-point is none that lowers it."""
+_LEVEL_RAD = math.radians(15.0)
+_NO_FORCE = 0.2
+"""Share of what the fan's speed would press with: less of it in the cells means that nothing is sucked at."""
+_CELLS_REST_N = 1.0
+_TURNS_RPM = 1000.0
+"""From here on speed over duty is that of a fan that runs."""
+_TETHERED = "say --tethered once the robot is tethered or off the wall"
+
+
+def fan_of(config: BenchConfig) -> AdhesionConfig:
+    """Table of the fan of a bench, which has to be a real one.
+
+    Raises:
+        ConfigError: it has none, or an emulated one.
+    """
+    table = config.of(AdhesionConfig)
+    if table is None:
+        raise ConfigError(
+            f"{config.name}: no fan", expected="a table [adhesion]", remedy="see docs/hardware.md"
+        )
+    if table.backend == "emulated":
+        raise ConfigError(
+            f"{config.name}: its fan is emulated, and is gone with the program that emulates it",
+            expected='adhesion.backend = "real"',
+            remedy="serve it with `hil emulate` and write its endpoint into a bench file",
+        )
+    return table
+
+
+def must_be_enough(config: BenchConfig, is_n: float, asked_n: float) -> None:
+    """Refuse a set-point that lets a robot fall that may hang by its fan: less than now, or than it needs.
+
+    Args:
+        config: of the bench.
+        is_n: what the fan gives now, N.
+        asked_n: what it is to give, N; NaN where nobody can tell.
+
+    Raises:
+        UsageError: IMU and load cells do not say that the robot is off the wall.
+        DeviceError: one of them cannot be asked.
+    """
+    least_n, limits = 0.0, adhesion_limits(config)
+    if limits is not None and can_fall(config):
+        least_n = limits.limit_n(thrust_wanted_n(config), config.environment.start_pose[2])
+    if asked_n >= max(_AS_NOW * is_n, least_n):
+        return
+    least = f"; {least_n:.1f} N are the least on this surface" if least_n else ""
+    try:
+        seen_off_the_wall(config)
+    except UsageError as error:
+        raise UsageError(
+            f"the fan stays at {is_n:.1f} N, it is not set to {asked_n:.1f} N{least}: {error.message}",
+            expected=error.expected,
+            remedy=error.remedy,
+        ) from None
+
+
+def duty_n(table: AdhesionConfig, duty: float, now: Any) -> float:
+    """Force that a duty gives, N: by how the fan runs now, else by its ratings; NaN where nothing tells."""
+    if now.duty > 0.0 and now.speed_rpm > _TURNS_RPM:
+        return table.force_at_n(now.speed_rpm * duty / now.duty)
+    if not isinstance(table, MotorConfig):
+        return math.nan
+    input_v = now.input_v if math.isfinite(now.input_v) else table.rated_input_v
+    return table.force_at_n(table.DROOP * table.rpm_per_v * input_v * duty)
+
+
+def seen_off_the_wall(config: BenchConfig) -> str:
+    """What shows that the robot does not hang by its fan: it lies level, and nothing is pressed.
+
+    Both have to say so, because either may lie.
+
+    Raises:
+        UsageError: something says that it may hang, or nobody can see.
+    """
+    table = fan_of(config)
+    rig, clock = make_rig(config, MonotonicClock(), {}), MonotonicClock()
+    seen: dict[str, list[Any]] = {}
+    for name in ("imu", "load_cells", DEVICE):
+        device = rig.get(name)
+        if device is None or config.devices()[name].backend == "emulated":
+            raise UsageError(
+                f"{config.name}: no {name} of the robot to see whether it is off the wall",
+                expected="imu, load_cells and adhesion, all real",
+                remedy=_TETHERED,
+            )
+        device.open()
+        with contextlib.closing(device):
+            seen[name] = _watched(device, clock)
+    tilted_rad = tilt_rad(config, seen["imu"])
+    blows_n = max((table.force_at_n(s.speed_rpm) for s in seen[DEVICE]), default=math.nan)
+    limit_n = max(_NO_FORCE * blows_n, _CELLS_REST_N)
+    force_n = max((float(np.sum(s.force_n)) for s in seen["load_cells"]), default=math.nan)
+    told = f"tilted by {math.degrees(tilted_rad):.0f} deg, load cells {force_n:.1f} N"
+    if not (tilted_rad <= _LEVEL_RAD and abs(force_n) <= limit_n):
+        raise UsageError(
+            f"the robot may hang by its fan: {told}",
+            expected=f"at most {math.degrees(_LEVEL_RAD):.0f} deg and {limit_n:.1f} N",
+            remedy=_TETHERED,
+        )
+    return f"seen off the wall: {told}"
+
+
+def _watched(device: Any, clock: MonotonicClock) -> list[Any]:
+    """Good samples of a while."""
+    samples: list[Any] = []
+    end_ns = clock.now_ns() + nanoseconds(WATCH_S)
+    while clock.now_ns() < end_ns:
+        samples += device.read()
+        clock.sleep_until_ns(clock.now_ns() + STEP_NS)
+    return [s for s in samples if worst(s) is Status.OK]

@@ -1,0 +1,1 @@
+"""Whether the robot is held on its wall, and what keeps it there."""

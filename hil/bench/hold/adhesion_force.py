@@ -1,0 +1,262 @@
+"""Whether what presses the robot on its wall is heard, and presses enough: a part of whether it is held.
+
+A robot whose fan has just died still stands still. A controller that nobody hears may have let go of its
+motor, or will when its time-out ends, and the fan takes a second to run down. So a silent fan is no longer
+trusted until the load cells have felt enough force for longer than that, and a force that falls quickly is
+doubted before it is lost. Propellers carry a part of the weight: they count by what they report. Those that
+report nothing may not have understood it: they count once the robot has been seen at rest for as long as they
+would need to let it slide (`hil.bench.hold.propeller_handover`). Load cells do not feel their push.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from hil.bench.hold.propeller_handover import LeftAlone, least_push_n
+from hil.bench.settings import adhesion_limits, can_fall, pretended_holders, thrust_wanted_n
+from hil.config.adhesion import AdhesionConfig
+from hil.config.bench import BenchConfig
+from hil.config.can_motor import KeptMotorConfig
+from hil.config.thrust import ThrustConfig
+from hil.core.clock import nanoseconds
+from hil.core.errors import HilError
+from hil.core.registry import kinds
+from hil.core.signals import LoadCellSample, Status, worst
+from hil.loop.checks.adhesion import AdhesionLimits
+from hil.loop.checks.force_trend import ForceTrend
+from hil.loop.device_set import Rig
+
+RUN_DOWN_S = 1.0
+"""A fan without current has lost more force than any reserve by then."""
+MEASURES = ("adhesion", "load_cells")
+"""Kinds whose samples tell a force."""
+FAN, _CELLS = "the fan's speed", "the load cells"
+
+
+def measured_n(limits: AdhesionLimits, samples: Iterable[Any]) -> Iterator[tuple[str, int, float]]:
+    """Who measures what presses the robot, when (ns), and the force (N): of samples that can be used.
+
+    Args:
+        limits: of the bench.
+        samples: of the kinds in `MEASURES`.
+    """
+    for sample in samples:
+        if worst(sample) is Status.OK:
+            cells = isinstance(sample, LoadCellSample)
+            who, force_n = (_CELLS, limits.cells_n(sample)) if cells else (FAN, limits.speed_n(sample))
+            yield who, sample.stamp.t_ns, force_n
+
+
+class PressWatch:
+    """Follows fan and load cells of a robot that has been stopped on a wall.
+
+    Args:
+        rig: devices of the bench.
+        limits: what they must feel; None where nothing reports a force, or nothing can let the robot fall.
+        fan: of the bench, if its controller lets go by itself.
+        alone: of propellers that report nothing.
+        carried: whether such propellers carry a robot that can fall.
+        pretended: fan and propellers that are emulated beside real servos: they hold no real robot.
+
+    Attributes:
+        heading_rad: of the body, as estimated last.
+        waits: whether propellers that are left alone are all that is still in doubt.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        limits: AdhesionLimits | None,
+        fan: KeptMotorConfig | None,
+        alone: LeftAlone,
+        carried: bool = False,
+        pretended: Sequence[str] = (),
+    ) -> None:
+        self._rig, self._limits, self._pretended = rig, limits, tuple(pretended)
+        self._outlasts_ns = nanoseconds(RUN_DOWN_S + (0.0 if fan is None else fan.timeout_s))
+        self._stale_ns = 0 if limits is None else nanoseconds(limits.stale_s)
+        self._forces: dict[str, tuple[int, float]] = {}
+        self._trends: dict[str, ForceTrend] = {}
+        self._push: tuple[int, float] | None = None
+        self._enough_since_ns: int | None = None
+        self._alone, self._carried = alone, carried
+        self.heading_rad = 0.0
+        self.waits = False
+
+    def begin(self, *, for_good: bool = False) -> None:
+        """A look begins, the last one or not: what was heard before it is out of date."""
+        self._forces.clear()
+        self._trends.clear()
+        self._push = None
+        self._enough_since_ns = None
+        self._alone.begin(for_good=for_good)
+
+    def end(self) -> None:
+        """Nobody looks any more: propellers that were left alone are told their force again."""
+        self._alone.end()
+        self.waits = False
+
+    def doubt(self, now_ns: int, *, sees_slide: bool, moves: bool = False) -> str:
+        """What speaks against a robot that is pressed on its wall for good; empty when nothing does.
+
+        Args:
+            now_ns: time.
+            sees_slide: whether somebody who is believed sees places, and the robot at rest.
+            moves: whether the robot is seen not to rest.
+        """
+        self.waits = False
+        if self._limits is None:
+            return self._nothing_real() or self._unmeasured(now_ns, sees_slide, moves)
+        for name in MEASURES:
+            for who, t_ns, force_n in measured_n(self._limits, self._samples(name)):
+                if math.isfinite(force_n):
+                    self._forces[who] = t_ns, force_n
+                    self._trends.setdefault(who, ForceTrend()).follow(t_ns, force_n)
+        fresh = self._fresh(now_ns)
+        push_n, without = self._counted_push(now_ns, sees_slide, moves, fresh)
+        least_n = self._limits.statics.needed_n(push_n, self.heading_rad)
+        told = ", ".join(f"{force_n:.1f} N by {name}" for name, force_n in fresh.items())
+        if not fresh or not min(fresh.values()) >= least_n:  # NaN is not enough either
+            told = told or "nobody measures it"
+            whole_n = self._limits.statics.needed_n(self._limits.nominal_thrust_n, self.heading_rad)
+            self.waits = self._alone.begun and min(fresh.values(), default=0.0) >= whole_n
+            if self.waits:
+                self._outlasted(now_ns, fresh)
+            else:
+                self._enough_since_ns = None
+            needed = f"{least_n:.1f} N are needed{without}"
+            return f"what presses the robot on the wall: {told}; {needed}: secure the robot"
+        for name, force_n in fresh.items():
+            falling_n_s = -self._trends[name].slope_n_s()
+            if not force_n - RUN_DOWN_S * falling_n_s >= least_n:
+                return f"the force by {name} falls by {falling_n_s:.0f} N/s; {told} so far: secure the robot"
+        if not self._outlasted(now_ns, fresh):
+            return f"the fan's controller is silent, it may have let go; {told} so far: secure the robot"
+        return ""
+
+    def _outlasted(self, now_ns: int, fresh: Mapping[str, float]) -> bool:
+        """Whether a fan is heard, or has been pressing unheard for longer than one that has let go would."""
+        if not (self._limits and self._limits.has_fan) or FAN in fresh:
+            self._enough_since_ns = None
+            return True
+        if self._enough_since_ns is None:
+            self._enough_since_ns = now_ns
+        return now_ns - self._enough_since_ns >= self._outlasts_ns
+
+    def _nothing_real(self) -> str:
+        """What is said of a robot whose fan or propellers are emulated, and that nobody measures either."""
+        if not self._pretended:
+            return ""
+        return (
+            "torque is on, but nothing real reports what presses the robot on the wall "
+            f"({', '.join(kinds()[name].noun for name in self._pretended)}: emulated beside real servos): do "
+            "not emulate what holds a real robot; secure the robot"
+        )
+
+    def _unmeasured(self, now_ns: int, sees_slide: bool, moves: bool) -> str:
+        """What is said where propellers that report nothing carry it, and nobody measures what presses it."""
+        if not self._carried:
+            return ""
+        left_s = self._alone.left_s(now_ns, rests=sees_slide, moves=moves, least_n=0.0)
+        self.waits = self._alone.begun
+        if not left_s:
+            return ""
+        seen = _to_be_seen(left_s)
+        return f"what carries the robot is not measured: the propellers report nothing, and {seen}"
+
+    def _counted_push(
+        self, now_ns: int, sees_slide: bool, moves: bool, fresh: Mapping[str, float]
+    ) -> tuple[float, str]:
+        """What the propellers push with for certain (N), and in words why that is not all."""
+        limits = self._limits
+        assert limits is not None
+        if not limits.nominal_thrust_n:
+            return 0.0, ""
+        if "thrust" in self._pretended:
+            return 0.0, " without the propellers: they are emulated beside real servos"
+        if not limits.reports_thrust:
+            return self._unheard_push(now_ns, sees_slide, moves, fresh)
+        for sample in self._samples("thrust"):
+            push_n = limits.push_n(sample)
+            if math.isfinite(push_n):
+                self._push = sample.stamp.t_ns, push_n
+        if self._push is None or now_ns - self._push[0] > self._stale_ns:
+            return 0.0, " without the propellers: their controllers are silent and may have let go"
+        if limits.pushes_too_much(self._push[1]):
+            return 0.0, (
+                f" without the propellers: they report {self._push[1]:.1f} N, more than the "
+                f"{limits.nominal_thrust_n:.1f} N that they are to give, so that what they give is not known"
+            )
+        return self._push[1], f" with the {self._push[1]:.1f} N that the propellers report"
+
+    def _unheard_push(
+        self, now_ns: int, sees_slide: bool, moves: bool, fresh: Mapping[str, float]
+    ) -> tuple[float, str]:
+        """As `_counted_push`, of propellers that report nothing; not asked where the fan alone holds."""
+        limits = self._limits
+        assert limits is not None
+        statics, heading_rad, asked_n = limits.statics, self.heading_rad, limits.nominal_thrust_n
+        if fresh and min(fresh.values()) >= statics.needed_n(0.0, heading_rad):
+            return 0.0, ""
+        force_n = max(fresh.values(), default=0.0)
+        least_n = least_push_n(statics, force_n, asked_n, heading_rad)
+        rests = sees_slide and bool(fresh)
+        left_s = self._alone.left_s(now_ns, rests=rests, moves=moves, least_n=least_n)
+        if not left_s:
+            return asked_n, ""
+        return 0.0, f" without the propellers: they report nothing, and {_to_be_seen(left_s)}"
+
+    def feels(self, now_ns: int) -> bool:
+        """Whether load cells have just felt the force: enough of it, where nothing is doubted."""
+        return _CELLS in self._fresh(now_ns)
+
+    def in_words(self, now_ns: int) -> str:
+        """What presses it, by whom, and who is silent; empty where nobody measures it."""
+        if self._limits is None:
+            return ""
+        fresh = self._fresh(now_ns)
+        measures = {FAN: self._limits.has_fan, _CELLS: self._limits.zero_n is not None}
+        told = [
+            f"{fresh[name]:.1f} N by {name}" if name in fresh else f"nothing by {name}"
+            for name, there in measures.items()
+            if there
+        ]
+        if self._limits.nominal_thrust_n and not self._limits.reports_thrust:
+            told.append("the propellers report nothing")
+        return f"; pressed on the wall: {', '.join(told)}"
+
+    def _fresh(self, now_ns: int) -> dict[str, float]:
+        """Forces (N) that have just been measured, by who did."""
+        return {name: n for name, (t_ns, n) in self._forces.items() if now_ns - t_ns <= self._stale_ns}
+
+    def _samples(self, name: str) -> Sequence[Any]:
+        device = self._rig.get(name)
+        try:
+            return () if device is None else device.read()
+        except HilError:
+            return ()
+
+
+def _to_be_seen(left_s: float) -> str:
+    """What propellers that report nothing still lack."""
+    if math.isfinite(left_s):
+        return f"the robot is to be seen at rest for {left_s:.1f} s more"
+    return "nobody sees whether it slides, or knows how long they would need to let it"
+
+
+def press_watch(config: BenchConfig, rig: Rig) -> PressWatch:
+    """That of a bench: it looks at what presses a robot that hangs on a wall without a tether.
+
+    What is in another world than the servos presses another robot, or none.
+    """
+    pretended = pretended_holders(config)
+    config = config.of_one_world()
+    fan = config.of(AdhesionConfig)
+    kept = fan if isinstance(fan, KeptMotorConfig) else None
+    limits = adhesion_limits(config) if can_fall(config) else None
+    own, asked_n = config.of(ThrustConfig), thrust_wanted_n(config)
+    carried = can_fall(config) and asked_n > 0.0 and "thrust" in config.devices()
+    carried = carried and not isinstance(own, KeptMotorConfig)
+    return PressWatch(rig, limits, kept, LeftAlone(rig, own, asked_n), carried, pretended)

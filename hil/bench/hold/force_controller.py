@@ -1,0 +1,70 @@
+"""The fan's force follows the need: posture, surface and tilt, with a margin, to spare the battery."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+
+from hil.bench.settings import adhesion_limits, force_wanted_n, thrust_wanted_n
+from hil.config.adhesion import AdhesionConfig
+from hil.config.bench import BenchConfig
+from hil.core.clock import nanoseconds
+from hil.core.errors import HilError
+from hil.core.interfaces import Sink
+from hil.core.signals import CycleRecord
+from hil.loop.device_set import Rig
+
+_EVERY_NS = nanoseconds(0.5)
+_MARGIN = 1.1
+"""Over the limit at which the robot would be stopped."""
+LARGEST_STEP_DOWN_N, _CHANGE_N = 0.5, 0.25
+"""So that nobody takes it for a loss; smallest change that is worth a word."""
+_RAISED_N = 2.0
+"""A fan that gives so much more than was asked for here was raised by a stop."""
+
+
+class ForceByNeed(Sink):
+    """Sees the cycles go by and asks the fan for what the present heading needs.
+
+    Args:
+        config: of a bench with a fan on a wall.
+        rig: its devices.
+    """
+
+    def __init__(self, config: BenchConfig, rig: Rig) -> None:
+        self._limits, self._rig = adhesion_limits(config), rig
+        self._thrust_n = thrust_wanted_n(config)
+        self._asked_n = force_wanted_n(config)
+        fan = config.of(AdhesionConfig)
+        self._highest_n = self._asked_n if fan is None else fan.highest_force_n
+        self._next_ns = 0
+
+    def write(self, record: CycleRecord) -> None:
+        """Twice a second: more at once, less in small steps."""
+        t_ns = record.inputs.t_ns
+        if t_ns < self._next_ns or self._limits is None or "adhesion_n" not in record.state.diagnostics:
+            return
+        self._next_ns = t_ns + _EVERY_NS
+        heading_rad = float(record.state.pose_body_in_wall[2])
+        if not math.isfinite(heading_rad):
+            return
+        wanted_n = min(_MARGIN * self._limits.limit_n(self._thrust_n, heading_rad), self._highest_n)
+        runs_n = record.state.diagnostics.get("adhesion_fan_n", self._asked_n)
+        if runs_n > self._asked_n + _RAISED_N:
+            self._asked_n = min(runs_n, self._highest_n)
+        force_n = max(wanted_n, self._asked_n - LARGEST_STEP_DOWN_N)
+        if abs(force_n - self._asked_n) < _CHANGE_N:
+            return
+        with contextlib.suppress(HilError):
+            self._rig.get("adhesion").set_force_n(force_n)
+            self._asked_n = force_n
+
+    def close(self) -> None:
+        """The fan goes on with what it was asked for last."""
+
+
+def by_need(config: BenchConfig, rig: Rig) -> tuple[Sink, ...]:
+    """What adjusts the force of a bench, if `adhesion.by_need` asks for it."""
+    fan = config.of(AdhesionConfig)
+    on = fan is not None and fan.by_need and config.environment.on_wall
+    return (ForceByNeed(config, rig),) if on else ()

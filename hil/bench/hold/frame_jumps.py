@@ -1,0 +1,156 @@
+"""Steps that no robot makes: whoever tells them has begun to tell places in another frame.
+
+Motion capture whose rigid body was defined anew, and a camera that corrects its map, say from one sample to
+the next that the robot is somewhere else. What they say from then on is no way that the robot has gone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from operator import sub
+
+from hil.core.clock import NS_PER_S
+from hil.core.geometry import Array
+
+Place = list[float]
+"""In m; in every cycle plain numbers cost less than arrays of three."""
+
+_SLACK_M, _PULL_M_S2 = 0.008, 5.0
+"""By how much a step may differ from the one before: noise, and half of gravity's pull for one that falls."""
+_GAP_NS, _TOGETHER_NS = NS_PER_S // 20, NS_PER_S // 4
+"""Behind a longer gap the robot may be anywhere, but where the estimate goes on, or another sees it rest: one
+that has seen it nearly when the gap began and when it ended."""
+_ESTIMATED = 0.1
+"""By which share of its way in such a gap the estimate may be off."""
+_KEPT = 64
+
+
+class _Told:
+    """What one of them has told.
+
+    Attributes:
+        seen: its newest places.
+        step, step_s: the latest step that was no leap, and how long it took.
+        estimated: (2,) m, where the estimate had the robot at its newest place; None where nothing did.
+    """
+
+    def __init__(self, t_ns: int, place: Place, estimated: Array | None) -> None:
+        self.seen: deque[tuple[int, Place]] = deque([(t_ns, place)], maxlen=_KEPT)
+        self.step, self.step_s = [0.0] * len(place), 1.0
+        self.estimated = estimated
+
+
+@dataclass(frozen=True)
+class _Gap:
+    """`way`: to the first sample behind it; `seen`: where others saw the robot as it began."""
+
+    ended_ns: int
+    way: Place
+    seen: dict[str, Place]
+
+
+class Leaps:
+    """Follows all that tell a place.
+
+    Attributes:
+        off_m: by how much a frame has moved since the beginning, by kind.
+    """
+
+    def __init__(self) -> None:
+        self._told: dict[str, _Told] = {}
+        self._gaps: dict[str, _Gap] = {}
+        self.off_m: dict[str, Place] = {}
+
+    def size_m(self, name: str) -> float:
+        """How far a frame has moved."""
+        return math.hypot(*self.off_m.get(name, (0.0,)))
+
+    def run_ended(self) -> None:
+        """The next run may begin to estimate anywhere."""
+        for told in self._told.values():
+            told.estimated = None
+
+    def begins_anew(self, name: str) -> None:
+        """It says itself that it has begun anew: nothing follows from what it said before."""
+        self._told.pop(name, None)
+        self._gaps.pop(name, None)
+
+    def follow(self, name: str, t_ns: int, place: Array, estimated: Array | None = None) -> tuple[str, ...]:
+        """Take a sample; kinds whose frame has moved as it shows.
+
+        Args:
+            name: of its kind.
+            t_ns: of the sample.
+            place: (k,) m.
+            estimated: (2,) m, where the robot is by the estimate that is followed, if one is.
+        """
+        here: Place = place.tolist()
+        told = self._told.get(name)
+        if told is None:
+            self._told[name] = _Told(t_ns, here, estimated)
+            return tuple(self._behind_gaps(t_ns))
+        before_ns, before = told.seen[-1]
+        if t_ns <= before_ns:
+            return ()
+        was = told.estimated
+        if estimated is not None:
+            told.estimated = estimated
+        step, leap = list(map(sub, here, before)), None
+        if t_ns - before_ns <= _GAP_NS:
+            leap = self._step(told, step, (t_ns - before_ns) / NS_PER_S)
+        else:
+            told.step, told.step_s = [0.0] * len(here), 1.0
+            if was is not None and estimated is not None:
+                leap = _beyond(step, math.dist(estimated, was))
+            else:
+                self._gaps[name] = _Gap(t_ns, step, dict(self._others(name, before_ns)))
+        told.seen.append((t_ns, here))
+        if leap is None and not self._gaps:
+            return ()
+        moved = [] if leap is None else [self._moved(name, leap)]
+        return (*moved, *self._behind_gaps(t_ns))
+
+    def _step(self, told: _Told, step: Place, dt_s: float) -> Place | None:
+        """By how much it differs from the one before, where that is a leap."""
+        before_s = told.step_s
+        as_before = [a / before_s * dt_s for a in told.step]
+        if math.dist(step, as_before) > _SLACK_M + _PULL_M_S2 * dt_s**2:
+            return list(map(sub, step, as_before))
+        told.step, told.step_s = step, dt_s
+        return None
+
+    def _others(self, name: str, at_ns: int) -> Iterator[tuple[str, Place]]:
+        """Where others saw the robot about then."""
+        for other, told in self._told.items():
+            if other == name:
+                continue
+            t_ns, place = min(told.seen, key=lambda one: abs(one[0] - at_ns))
+            if abs(t_ns - at_ns) <= _TOGETHER_NS:
+                yield other, place
+
+    def _behind_gaps(self, now_ns: int) -> Iterator[str]:
+        """Who says that the robot has gone away in its gap, while another saw it rest."""
+        for name, gap in list(self._gaps.items()):
+            for other, place in self._others(name, gap.ended_ns):
+                if other in gap.seen and math.dist(place, gap.seen[other]) <= _SLACK_M < math.hypot(*gap.way):
+                    yield self._moved(name, gap.way)
+                    break
+            if now_ns - gap.ended_ns > _TOGETHER_NS:
+                self._gaps.pop(name, None)
+
+    def _moved(self, name: str, way: Place) -> str:
+        self._gaps.pop(name, None)
+        self.off_m[name] = [a + b for a, b in zip(self.off_m.get(name, [0.0] * len(way)), way, strict=True)]
+        return name
+
+
+def _beyond(step: Place, way_m: float) -> Place | None:
+    """What of a step is no part of a way of that length, where it is too much for that."""
+    length_m = math.hypot(*step)
+    further_m = length_m - way_m
+    if abs(further_m) <= _SLACK_M + _ESTIMATED * way_m:
+        return None
+    return [a * (further_m / max(length_m, _SLACK_M)) for a in step]

@@ -1,0 +1,276 @@
+"""The devices of a bench, opened and closed together with its sinks: whatever happens, the robot is held."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from types import TracebackType
+from typing import TypeVar
+
+from hil.bench.camera_odometry import wheel_feed
+from hil.bench.hold.force_controller import by_need
+from hil.bench.hold.monitor import HoldWatch
+from hil.bench.hold.preload import Hanging
+from hil.bench.hold.result import Held, untouched
+from hil.bench.model import Blueprint
+from hil.bench.reconnect import replugged
+from hil.bench.settings import can_fall, fail_limits
+from hil.bench.unreached_faults import not_begun, not_begun_in_words
+from hil.controller.joint_script import JointScript
+from hil.core.clock import Clock
+from hil.core.errors import UsageError, check_number
+from hil.core.interfaces import HELD_NOTE, Sink
+from hil.fakes.fault import Fault
+from hil.loop.control_loop import Brain
+from hil.loop.device_set import Rig
+from hil.recording.clocks import ptp_offsets
+from hil.recording.transform_tree import describe_clock
+from hil.robot.trajectories import Trajectory
+
+LOG = logging.getLogger(__name__)
+_LOOK_S = 1.0
+Opened = TypeVar("Opened", bound="HeldRig")
+
+
+class HeldRig:
+    """The part of `Bench` that opens, holds and closes; its attributes are described there."""
+
+    def __init__(
+        self, model: Blueprint, clock: Clock, rig: Rig, *, sinks: tuple[Sink, ...], faults: tuple[Fault, ...]
+    ) -> None:
+        self.model, self.clock, self.rig = model, clock, rig
+        self.config, self.geometry = model.config, model.geometry
+        self.seed, self.calibration = model.seed, model.calibration
+        self.held = untouched("no device was opened: the robot is as it was before")
+        self.tells_held = True
+        self.waits_for_sensors = False
+        self.lost: list[str] = []
+        self.faults = faults
+        self._is_open = False
+        self._begun_ns: int | None = None
+        self._closed_ns: int | None = None
+        self._looked_ns: int | None = None
+        self.pressed = ""
+        self._hold = HoldWatch(model, rig, clock)
+        self._sinks = list(sinks)
+        self._stack = ExitStack()
+        self._before_opening: list[Callable[[], object]] = []
+
+    def __enter__(self: Opened) -> Opened:
+        try:
+            self.begin()
+            limits = None if self.waits_for_sensors else fail_limits(self.config)
+            self.rig.sensors = replugged(self.rig.sensors, self.clock, limits)
+            self.rig.open()
+        except BaseException as error:
+            self.held = self._hold.unseen(f"the bench did not open ({type(error).__name__})")
+            self._let_go()
+            raise
+        self._stack.callback(self.rig.close)
+        self._is_open = True
+        self._not_looked_at("the bench is open, and bench.look() was not called")
+        try:
+            self.pressed = Hanging(self.config, self.rig, self.clock).hold()
+            self._sinks += [*by_need(self.config, self.rig), *wheel_feed(self.model, self.rig)]
+            if self.on_wall and self.rig.servos is not None:
+                self.rig.servos.enable()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Hold the robot and look until that is true (or release it, as configured); close everything.
+
+        Whatever `held` says then is in the recordings too. Idempotent.
+        """
+        if self._closed_ns is None:
+            self._closed_ns = self.clock.now_ns()
+        try:
+            if self.rig.servos is not None and self.rig.servos.identity():
+                self.held = self._hold.unseen("ended before anybody had looked")
+                self.rig.servos.stop()
+                self.held = self._hold.look(self.config.exit.look_after_s, for_good=True)
+                if self.config.exit.policy == "release" and not self._steeper():
+                    self.rig.servos.release()
+                    self.held = self._hold.released()
+                self._looked_ns = self.clock.now_ns()
+                self._note(self._looked_ns, HELD_NOTE, self.held.to_json())
+                if self.tells_held and self.held.lost:
+                    LOG.warning("bench %s: the robot is left %s", self.config.name, self.held)
+        finally:
+            self._let_go()
+
+    def must_be_open(self) -> None:
+        """Raise `UsageError` before the bench is entered, and once it is closed."""
+        if not self._is_open:
+            raise UsageError(
+                "the bench is not open" if self._closed_ns is None else "the bench is closed",
+                remedy="use `with hil.open_bench(...) as bench:`, and the bench within that block",
+            )
+
+    def _let_go(self) -> None:
+        self._is_open = False
+        self._close_sinks()
+        self._stack.close()
+
+    def on_open(self, callback: Callable[[], object]) -> None:
+        """Have something else called right before the devices are opened."""
+        self._before_opening.append(callback)
+
+    def begin(self) -> None:
+        """Let an emulated world at the wire run, for whoever opens devices one by one. Idempotent."""
+        while self._before_opening:
+            self._before_opening.pop(0)()
+        if self._begun_ns is None:
+            self._begun_ns = self.clock.now_ns()
+
+    @property
+    def world_ns(self) -> int:
+        """How far the emulated world has come, by which faults begin; until the bench was closed."""
+        return self._since_begun_ns(self._closed_ns)
+
+    @property
+    def looked_ns(self) -> int:
+        """The same until the look at the stopped robot was over; never less than `world_ns`."""
+        return self._since_begun_ns(self._closed_ns if self._looked_ns is None else self._looked_ns)
+
+    def _since_begun_ns(self, ended_ns: int | None) -> int:
+        if self._begun_ns is None:
+            return 0
+        return (self.clock.now_ns() if ended_ns is None else ended_ns) - self._begun_ns
+
+    def faults_not_begun(self) -> tuple[str, ...]:
+        """Specs of the planned faults that the world had not come to when the bench was closed."""
+        return not_begun(self.faults, self.world_ns)
+
+    def not_begun_in_words(self, specs: Sequence[str]) -> str:
+        """One line about some of `faults_not_begun`."""
+        return not_begun_in_words(specs, self.world_ns, self.looked_ns)
+
+    def on_close(self, callback: Callable[[], object]) -> None:
+        """Have something else ended together with the bench, after the devices."""
+        self._stack.callback(callback)
+
+    def add_sink(self, sink: Sink) -> None:
+        """Let a sink receive every cycle from now on; the bench closes it."""
+        self._sinks.append(sink)
+
+    def remove_sink(self, sink: Sink) -> None:
+        """Stop feeding a sink and close it."""
+        self._sinks.remove(sink)
+        sink.close()
+
+    def _close_sinks(self) -> None:
+        for sink in self._sinks:
+            sink.close()
+        self._sinks.clear()
+
+    def make_brain(
+        self,
+        trajectory: Trajectory | JointScript | None,
+        *,
+        controller: str | None = None,
+        feedback: str = "ekf",
+        observers: tuple[str, ...] = (),
+    ) -> Brain:
+        """The deterministic part of the loop for one motion or script (also what replay runs).
+
+        Raises:
+            UsageError: unknown feedback or controller.
+        """
+        return self.model.make_brain(
+            trajectory, controller=controller, feedback=feedback, observers=observers
+        )
+
+    def check(self, trajectory: Trajectory, *, known: Trajectory | None = None) -> None:
+        """Refuse what the limits cannot follow.
+
+        Args:
+            trajectory: what is asked for.
+            known: was checked before; the segments that both end with are not looked at again.
+
+        Raises:
+            TrajectoryError: with the first offending time.
+            UsageError: it is no trajectory.
+        """
+        self.model.check(trajectory, known=known)
+
+    def header(self) -> dict[str, object]:
+        """As of the model, and where the clock stands against the time of day, now."""
+        wall = self.clock.wall_offset()
+        ptp = [] if wall is None else [one._asdict() for one in ptp_offsets(self.clock.now_ns)]
+        return {**self.model.header(), "clock": describe_clock(wall, ptp)}
+
+    def _note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
+        """Tell the sinks something that belongs between two cycles."""
+        for sink in self._sinks:
+            sink.note(t_ns, kind, data)
+
+    def has(self, name: str) -> bool:
+        """Whether the bench has a device of this kind."""
+        return self.rig.get(name) is not None
+
+    def _steeper(self) -> str:
+        """What speaks against letting go of a robot without a tether that the bench file has on a floor."""
+        return "" if self.config.safety.tethered else self._hold.tilt.steeper()
+
+    @property
+    def on_wall(self) -> bool:
+        """Whether gravity pulls along the surface: the robot has to be held."""
+        return self.config.environment.on_wall
+
+    def look(self, limit_s: float | None = None) -> Held:
+        """How a stopped robot is, after looking after it until it is held; `held` is that from then on.
+
+        Args:
+            limit_s: the longest look. By default 1 s, and as much longer as propellers that report nothing
+                need to let a robot slide (seconds). What is not known by then is NOT HELD.
+
+        Raises:
+            UsageError: a limit that is below 0 or no number.
+        """
+        if limit_s is not None:
+            check_number(limit_s, "limit_s", "s")
+        self.held = self._hold.look(_LOOK_S if limit_s is None else limit_s, strict=limit_s is not None)
+        return self.held
+
+    def _not_looked_at(self, why: str) -> None:
+        """What was found no longer holds."""
+        if self.rig.servos is None:
+            self.held = untouched("the bench has no servos: the robot is as it was before")
+        else:
+            self.held = self._hold.unseen(why, wanted=False)
+
+    def stop(self) -> None:
+        """Ask for wheels at rest, steering held, torque on; `look` says whether that has come true."""
+        self.rig.actuators().stop()
+
+    def release(self) -> None:
+        """Drop torque: on a wall the robot slides.
+
+        Raises:
+            UsageError: the robot hangs on a wall by its fan, and no tether is said to hold it; or the IMU
+                shows a wall where the bench file has none.
+        """
+        if steeper := self._steeper():
+            raise UsageError(
+                f"torque is not released: {steeper}",
+                expected="a robot off the wall, or on a tether",
+                remedy="correct environment.tilt_rad, or secure the robot and set safety.tethered = true",
+            )
+        if can_fall(self.config) and self.has("adhesion"):
+            raise UsageError(
+                "torque is not released: the robot hangs on a wall",
+                expected="a robot off the wall, or on a tether",
+                remedy="take it off the wall, or secure it and set safety.tethered = true",
+            )
+        self._hold.let_go()
+        self._not_looked_at("torque was released")
+        self.rig.actuators().release()

@@ -1,0 +1,346 @@
+"""Whether the robot is held: somebody looks after every stop, until it is true or time is up.
+
+"Held" is a claim about the world, not about what was sent: all eight servos say that they have torque and
+that their watchdogs wait, the wheels rest, and nothing that can see the robot sees it move. Until then the
+servos go on being looked after.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import deque
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hil.bench.hold.adhesion_force import press_watch
+from hil.bench.hold.frame_jumps import Leaps
+from hil.bench.hold.rest import JOINTS, WINDOW_NS, Trail, Travel
+from hil.bench.hold.result import Held, State, lacking_in_words, on_the_floor
+from hil.bench.hold.tilt import TiltWatch
+from hil.bench.model import Blueprint
+from hil.bench.settings import can_fall
+from hil.core.clock import Clock, nanoseconds
+from hil.core.errors import HilError
+from hil.core.geometry import Array
+from hil.core.interfaces import Sink
+from hil.core.registry import base_of, further, kinds
+from hil.core.signals import (
+    KINDS,
+    CycleRecord,
+    ImuSample,
+    Inputs,
+    RobotState,
+    ServoHold,
+    Status,
+    samples_of,
+    worst,
+)
+from hil.loop.device_set import Rig
+from hil.robot.statics import GRAVITY_M_S2
+
+LOG = logging.getLogger(__name__)
+_LOOK_NS = nanoseconds(0.02)
+_SELDOM_NS = nanoseconds(0.05)
+"""Where only time has to pass: a window still holds five sightings by the servos."""
+_CALM_M_S2 = 2.0
+"""By how much the mean of what an accelerometer feels may differ from gravity: data sheets allow 0.8."""
+_ALL_NS = 2 * WINDOW_NS
+"""So long at the most it is waited for all that have begun to see the robot."""
+_SLOW_NS = nanoseconds(1.5)
+"""So long for an IMU that has begun to show the tilt: a busy computer hears it late."""
+_MOVED_M = 0.001
+_UNSEEN_M = 0.005
+"""What a robot that is held may move after its stop."""
+_FELT = 10
+"""Samples of it that are averaged."""
+
+
+class HoldWatch(Sink):
+    """Sees the robot's cycles go by, so that it knows where the robot stood when it was stopped.
+
+    Args:
+        model: of the bench. Devices in another world than the servos see another robot, and are not asked.
+        rig: devices of the bench.
+        clock: the bench clock.
+
+    Attributes:
+        tilt: how steep it stands: "on the floor" is believed only where that does not say otherwise.
+        last_state: as the latest cycle estimated it; None before.
+    """
+
+    def __init__(self, model: Blueprint, rig: Rig, clock: Clock) -> None:
+        config, elsewhere = model.config, model.config.elsewhere()
+        self.tilt = TiltWatch(config)
+        self._press = press_watch(config, rig)
+        self._lightest_m_s2 = config.safety.adhesion_limit_m_s2
+        self._felt_m_s2: deque[float] = deque(maxlen=_FELT)
+        self._rig, self._clock = rig, clock
+        present = [k for k in kinds().values() if rig.get(k.name) is not None]
+        present += [kinds()[name] for name in further(rig.sensors) if base_of(name) not in KINDS]
+        able = {k.name: k for k in present if k.motion_threshold}
+        self._seeing = {name: kind for name, kind in able.items() if name not in elsewhere}
+        self._blind = [k.noun for name, k in able.items() if name in elsewhere and k.measures_position]
+        self._on_wall, self._can_fall = config.environment.on_wall, can_fall(config)
+        self._travel = Travel(self._seeing, float(np.mean(model.geometry.radius_m)))
+        tellers = [(name, self._seeing[name]) for name in self._travel.names]
+        self._tellers = [(n, samples_of(n), k.motion_value, k.measures_position) for n, k in tellers]
+        self._doubted: dict[str, bool] = {}
+        self._leaps = Leaps()
+        self._let_go = False
+        self.last_state: RobotState | None = None
+
+    def write(self, record: CycleRecord) -> None:
+        """Remember where the robot was seen last."""
+        inputs = record.inputs
+        pose = record.state.pose_body_in_wall
+        heading_rad, estimated = pose.item(2), None
+        if math.isfinite(heading_rad):  # the last cycle before a stop has no estimate
+            self._press.heading_rad = heading_rad
+            self.last_state, estimated = record.state, pose[:2]
+        self.tilt.saw(inputs.imu)
+        passed, t_ns = self._travel.passed, inputs.t_ns
+        for name, among, told_by, is_place in self._tellers:
+            for sample in among(inputs):
+                place = told_by(sample)
+                if place is None:
+                    continue
+                if is_place:
+                    self._leapt(name, sample, place, estimated)
+                passed(name, t_ns, place)
+
+    def passed_over(self, inputs: Inputs) -> None:
+        """Take what has piled up before a run and goes to nobody else."""
+        self.tilt.saw(inputs.imu)
+        for name, among, told_by, is_place in self._tellers:
+            for sample in among(inputs) if is_place else ():
+                place = told_by(sample)
+                if place is not None:
+                    self._leapt(name, sample, place)
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    def stopped(self, doubted: Mapping[str, bool] | None = None, agreed: Collection[str] = ()) -> None:
+        """The robot has been stopped: what it moves from here on counts.
+
+        Args:
+            doubted: devices whose word on how it moved was in doubt, and whether others agreed against them;
+                that it rests is not believed of them.
+            agreed: those that told of a way as others did; they are believed again.
+        """
+        for name in agreed:
+            self._doubted.pop(name, None)
+        for name, sure in (doubted or {}).items():
+            self._doubted[name] = sure or self._doubted.get(name, False)
+        self._travel.stopped(self._clock.now_ns())
+        self._leaps.run_ended()
+
+    def at_rest(self, left: RobotState) -> RobotState:
+        """A robot that a run left there, unsure by what it moved since, or may have without being seen."""
+        moved_m = self._travel.moved_m(self._believed(self._travel.names), slides=self._on_wall)
+        covariance = left.covariance.copy()
+        covariance[:2, :2] += max(moved_m or 0.0, _UNSEEN_M) ** 2 * np.eye(2)
+        return replace(left, twist_body=np.zeros(3), covariance=covariance, diagnostics={})
+
+    def frame_moved_m(self, name: str) -> float:
+        """How far the frame has moved in which a kind of device measures places, as far as that was seen."""
+        return self._leaps.size_m(name)
+
+    def look(self, limit_s: float, *, strict: bool = False, for_good: bool = False) -> Held:
+        """Look after the robot until it is held, for `limit_s` at the most.
+
+        Beside propellers that report nothing it takes as much longer as they need to be known to go on,
+        unless it is `strict`. Never raises for what a device does: a sensor that fails is a witness less.
+
+        Args:
+            limit_s: so long.
+            strict: no longer in any case; what is not known by then makes the robot NOT HELD.
+            for_good: whether the bench ends now: what is held is sent nothing more.
+        """
+        held = self._look(limit_s, strict, for_good)
+        if not (for_good and held.state == "HELD"):
+            self._press.end()
+        return held
+
+    def _look(self, limit_s: float, strict: bool, for_good: bool) -> Held:
+        servos = self._rig.servos
+        if servos is None or not servos.identity():
+            return self.unseen("no servos are open", wanted=False)
+        began_ns = self._clock.now_ns()
+        end_ns = began_ns + nanoseconds(limit_s)
+        trails = {name: Trail() for name in self._seeing}
+        self._press.begin(for_good=for_good)
+        self._felt_m_s2.clear()
+        while True:
+            hold = servos.look_after()
+            self._see(hold, trails)
+            seen = [name for name, trail in trails.items() if trail.full(hold.t_ns)]
+            places = self._places(seen)
+            doubt = self._doubt(hold, trails, seen, places)
+            unpressed = self._press.doubt(
+                self._clock.now_ns(), sees_slide=bool(places) and not doubt, moves=bool(places and doubt)
+            )
+            doubt = doubt or unpressed or self._doubt_of_floor()
+            early = hold.t_ns - began_ns < _ALL_NS
+            slow = self.tilt.begun and hold.t_ns - began_ns < _SLOW_NS
+            unsure = (early or slow) and not self._on_wall and not self.tilt.known
+            if unsure or (early and any(trail.fills(hold.t_ns) for trail in trails.values())):
+                doubt = doubt or "not all that see the robot have seen it for long enough"
+            if not hold.wanted and not unsure:
+                why = f"torque was {'switched off' if hold.released else 'never switched on'}"
+                return self._verdict("NOT HELD", why, seen, wanted=hold.released and not self._let_go)
+            late = "".join(f"; {name} ({text})" for name, text in hold.late.items())
+            if not doubt:
+                by = {*self._believed(seen), *places}
+                rests = ", ".join(kinds()[name].noun for name in seen if name in by)
+                pressed = self._press.in_words(hold.t_ns)
+                tether = self._on_wall and not (self._can_fall or places or self._press.feels(hold.t_ns))
+                by_tether = "; on its tether, so nobody has to see whether it slides" if tether else ""
+                why = f"torque on, at rest by {rests}{pressed}{by_tether}{late}"
+                return self._verdict("HELD", why, seen)
+            if self._clock.now_ns() >= end_ns and (strict or not self._press.waits):
+                return self._verdict("NOT HELD", doubt + late, seen)
+            pause_ns = _SELDOM_NS if self._press.waits else _LOOK_NS
+            self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)
+
+    def _believed(self, seen: Collection[str]) -> list[str]:
+        """Those who have seen the robot and whose word was not in doubt."""
+        return [name for name in seen if name == JOINTS or name not in self._doubted]
+
+    def _places(self, seen: Collection[str]) -> list[str]:
+        """Those of them who would see a slide, and are believed.
+
+        Of two that contradicted each other, nobody knows who, one is right: when both see it rest, it does.
+        """
+        places = [name for name in seen if self._seeing[name].measures_position]
+        undecided = [name for name in places if not self._doubted.get(name)]
+        return self._believed(places) or (undecided if len(undecided) > 1 else [])
+
+    def _verdict(self, state: State, why: str, seen: Collection[str] = (), *, wanted: bool = True) -> Held:
+        moved_m = self._travel.moved_m(self._believed(seen), slides=self._on_wall)
+        if moved_m is None and state == "NOT HELD":  # of one that is lost: how far it was seen to go
+            last_m = self._travel.moved_m(self._believed(self._travel.names), slides=self._on_wall)
+            moved_m = last_m if last_m is not None and last_m > _MOVED_M else None
+        if state == "HELD" and moved_m is None:
+            why += "; how far it has moved since the stop was not measured"
+        no_floor = self._doubt_of_floor()
+        if no_floor and no_floor not in why:
+            why += f"; {no_floor}"
+        held = Held(state, moved_m, why, wanted)
+        return held if self._on_wall or no_floor else on_the_floor(held)
+
+    def let_go(self) -> None:
+        """Torque is about to be released on purpose: that it is off from then on is no loss."""
+        self._let_go = True
+
+    def released(self) -> Held:
+        """The robot has been let go of on purpose."""
+        return self._verdict("NOT HELD", "torque was released, as exit.policy asks", wanted=False)
+
+    def unseen(self, why: str, *, wanted: bool = True) -> Held:
+        """Nobody could look, or has not yet."""
+        return replace(self._verdict("NOT HELD", f"not checked: {why}", wanted=wanted), moved_m=None)
+
+    def _see(self, hold: ServoHold, trails: dict[str, Trail]) -> None:
+        """Take what servos and sensors say now."""
+        now_ns = hold.t_ns
+        seen = [(JOINTS, hold.position_rad)] if np.isfinite(hold.position_rad).all() else []
+        for name in self._seeing:
+            if name != JOINTS:
+                seen += [(name, value) for value in self._testified(name)]
+        for name, value in seen:
+            trails[name].add(now_ns, value)
+            if name in self._travel.names:
+                self._travel.saw(name, now_ns, value)
+        for trail in trails.values():
+            trail.forget(now_ns - WINDOW_NS)
+
+    def _testified(self, name: str) -> list[Array]:
+        """What a sensor has seen since it was last asked; nothing where it fails, whatever it raises."""
+        try:
+            samples = self._rig.get(name).read()
+        except HilError:
+            return []
+        except Exception:  # of a driver of another package: the others go on looking
+            LOG.warning("%s: its driver failed while somebody looked", name, exc_info=True)
+            return []
+        for sample in samples:
+            if isinstance(sample, ImuSample) and sample.status is Status.OK:
+                self._felt_m_s2.append(_felt_m_s2(sample))
+                self.tilt.saw((sample,))
+            if name in self._travel.names and worst(sample) is Status.RESET:
+                self._travel.begins_anew(name)
+                self._leaps.begins_anew(name)
+        values = [(sample, self._seeing[name].motion_value(sample)) for sample in samples]
+        for sample, value in values:
+            if value is not None and self._seeing[name].measures_position:
+                self._leapt(name, sample, value)
+        return [value for _, value in values if value is not None]
+
+    def _leapt(self, name: str, sample: Any, place: Array, estimated: Array | None = None) -> None:
+        """What is told in another frame from now on is no way that the robot has gone."""
+        for moved in self._leaps.follow(name, sample.stamp.t_ns, place, estimated):
+            self._travel.begins_anew(moved)
+
+    def _doubt(
+        self, hold: ServoHold, trails: dict[str, Trail], seen: Collection[str], places: Collection[str]
+    ) -> str:
+        """What speaks against calling the robot held; empty when nothing does.
+
+        Args:
+            hold: what the servos say.
+            trails: by witness.
+            seen: those who have seen the robot for long enough.
+            places: those of them who would see a slide, and are believed.
+        """
+        felt = self._doubt_of_weight()
+        if hold.trouble or felt:
+            servos = lacking_in_words(hold) if hold.trouble else "torque is on"
+            return "; ".join([felt, servos] if felt else [servos])
+        if JOINTS not in seen:
+            return "torque is on, but the servos have not been seen at rest for long enough"
+        for name in seen:
+            change = float(np.abs(trails[name].change()).max())
+            if change > self._seeing[name].motion_threshold:
+                return f"torque is on, but the robot still moves by its {kinds()[name].noun}"
+        if len(seen) == 1 and len(self._seeing) > 1:
+            return "torque is on, but no camera, motion capture or IMU confirms that it stands still"
+        if not self._can_fall or places or self._press.feels(hold.t_ns):
+            return ""
+        return self._nobody_sees_a_slide(seen)
+
+    def _doubt_of_weight(self) -> str:
+        """What the accelerometer says against a robot at rest."""
+        felt = self._felt_m_s2
+        if felt and felt[-1] < self._lightest_m_s2:
+            return "the accelerometer feels less than the weight: adhesion is lost"
+        if len(felt) == _FELT and abs(float(np.mean(felt)) - GRAVITY_M_S2) > _CALM_M_S2:
+            return (
+                f"the accelerometer feels {np.mean(felt):.1f} m/s^2 in place of 9.8: the robot is speeding up"
+            )
+        return ""
+
+    def _doubt_of_floor(self) -> str:
+        """What the IMU says against the floor, or against a tilt for which what must hold it is reckoned."""
+        steeper = self.tilt.steeper()
+        return f"{steeper}: secure the robot, and correct environment.tilt_rad" if steeper else ""
+
+    def _nobody_sees_a_slide(self, seen: Collection[str]) -> str:
+        """Wheels and IMU do not: somebody has to who sees places, or measures the force."""
+        doubted = [kinds()[name].noun for name in seen if self._seeing[name].measures_position]
+        why = f" (what the {' and the '.join(doubted)} said before the stop is in doubt)" if doubted else ""
+        if self._blind:
+            why += f" ({', '.join(self._blind)}: in another world than the servos, blind to this robot)"
+        return (
+            f"torque is on, but nobody can tell whether the robot slides{why}: that takes a camera, motion "
+            "capture or load cells; secure the robot"
+        )
+
+
+def _felt_m_s2(sample: ImuSample) -> float:
+    """Size of the specific force."""
+    return float(np.linalg.norm(sample.specific_force_m_s2))

@@ -1,0 +1,183 @@
+"""Presses the robot on its wall before anything moves: fan and propellers on, force measured, then servos."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from hil.bench.hold.adhesion_force import FAN, MEASURES, measured_n
+from hil.bench.hold.force_controller import LARGEST_STEP_DOWN_N
+from hil.bench.settings import adhesion_limits, force_wanted_n, thrust_wanted_n
+from hil.config.adhesion import AdhesionConfig
+from hil.config.bench import BenchConfig
+from hil.config.can_motor import KeptMotorConfig
+from hil.config.thrust import ThrustConfig
+from hil.core.clock import Clock, nanoseconds
+from hil.core.errors import DeviceError, SafetyStop
+from hil.core.registry import kinds
+from hil.core.signals import Status
+from hil.loop.checks.adhesion import AdhesionLimits, apart
+from hil.loop.device_set import Rig
+
+_STEP_NS = nanoseconds(0.01)
+_PATIENCE_NS = nanoseconds(12.0)
+_STEADY_NS = nanoseconds(0.1)
+_TETHERED_SHARE = 0.9
+_PUSHES = 0.9
+"""Share of the wanted push with which propellers count as running."""
+_NO_SAMPLE_NS = nanoseconds(1.0)
+
+
+class Hanging:
+    """Fan and propellers of a bench on a wall.
+
+    Args:
+        config: of the bench.
+        rig: its devices, open.
+        clock: the bench clock.
+    """
+
+    def __init__(self, config: BenchConfig, rig: Rig, clock: Clock) -> None:
+        self._config, self._rig, self._clock = config, rig, clock
+        self._limits = adhesion_limits(config)
+        self._seen_n: dict[str, float] = {}
+        propellers = config.of(ThrustConfig)
+        self._propellers = propellers if isinstance(propellers, KeptMotorConfig) else None
+        self._push_n = 0.0
+
+    def hold(self) -> str:
+        """Ask for the working forces, and wait until the robot is pressed firmly enough.
+
+        Does nothing where the bench has nothing that holds the robot, or the robot is on the floor.
+
+        Returns:
+            What was measured, in words; empty where nothing was done.
+
+        Raises:
+            SafetyStop: `adhesion`: the force stays below the limit of this surface; `adhesion_disagree`:
+                those who measure it contradict each other. Nothing has moved, and the fan goes on.
+            DeviceError: a device fails.
+        """
+        limits = self._limits
+        if not self._config.environment.on_wall:
+            return ""
+        thrust_n = thrust_wanted_n(self._config)
+        self._ask("thrust", thrust_n)
+        if limits is None:
+            return ""
+        raised_n = self._raised_n(limits)
+        self._ask("adhesion", raised_n or force_wanted_n(self._config))
+        limit_n = self._wait(limits, thrust_n)
+        self._compare()
+        told = f"Pressed on the wall with {self._told()}; {limit_n:.1f} N are the least on this surface."
+        if raised_n:
+            told += (
+                f" The fan ran at {raised_n:.1f} N, more than the {force_wanted_n(self._config):g} N of the "
+                "bench's file, as after a stop that raises it, and stays there: less might let the robot "
+                "slide where it stands. Once it is secured, `hil adhesion on --tethered` lowers it."
+            )
+        blind = [kinds()[name].noun for name in self._config.elsewhere() if name in MEASURES]
+        if blind:
+            told += " In another world than the servos, with no word on what presses this robot: "
+            told += ", ".join(blind) + "."
+        return told
+
+    def _raised_n(self, limits: AdhesionLimits) -> float:
+        """Force of a fan that runs at more than the bench wants (N), 0 for any other.
+
+        A stop has raised it where the robot stands, or an operator has; nobody here knows better.
+        """
+        fan, wanted_n = self._config.of(AdhesionConfig), force_wanted_n(self._config)
+        if fan is None or not limits.has_fan:
+            return 0.0
+        end_ns = self._clock.now_ns() + _NO_SAMPLE_NS
+        while FAN not in self._seen_n and self._clock.now_ns() < end_ns:
+            self._look()
+            self._clock.sleep_until_ns(self._clock.now_ns() + _STEP_NS)
+        runs_n = min(self._seen_n.get(FAN, 0.0), fan.highest_force_n)
+        return runs_n if runs_n > wanted_n + LARGEST_STEP_DOWN_N else 0.0
+
+    def _ask(self, name: str, force_n: float) -> None:
+        """Ask a device for a force; a keeper may have to hear its motor first."""
+        device = self._rig.get(name)
+        if device is None:
+            return
+        end_ns = self._clock.now_ns() + _NO_SAMPLE_NS
+        while True:
+            self._look()
+            try:
+                device.set_force_n(force_n)
+                return
+            except DeviceError:
+                if self._clock.now_ns() >= end_ns:
+                    raise
+            self._clock.sleep_until_ns(self._clock.now_ns() + _STEP_NS)
+
+    def _compare(self) -> None:
+        """Cells and speed have to agree before anything hangs by them."""
+        found = list(self._seen_n.values())
+        if len(found) == 2 and apart(found[0], found[1]):
+            raise SafetyStop(
+                "adhesion_disagree",
+                f"nothing has moved, and those who measure the force disagree: {self._told()}; look at "
+                "load_cells.zero_n, adhesion.rated_force_n and the seal, and run adhesion_check",
+            )
+
+    def _told(self) -> str:
+        return ", ".join(f"{force:.1f} N by {name}" for name, force in self._seen_n.items())
+
+    def _wait(self, limits: AdhesionLimits, thrust_n: float) -> float:
+        """Wait for the force; returns its limit."""
+        limit_n = limits.limit_n(thrust_n, self._config.environment.start_pose[2])
+        if self._config.safety.tethered:
+            limit_n = min(limit_n, _TETHERED_SHARE * force_wanted_n(self._config))
+        steady_ns: int | None = None
+        end_ns = self._clock.now_ns() + _PATIENCE_NS
+        while (now_ns := self._clock.now_ns()) < end_ns:
+            force_n = self._look()
+            if force_n < limit_n or not math.isfinite(force_n) or not self._pushes(limits, thrust_n):
+                steady_ns = None
+            elif steady_ns is None:
+                steady_ns = now_ns
+            steady = steady_ns is not None and now_ns - steady_ns >= _STEADY_NS
+            if steady or (steady_ns is not None and force_n >= self._enough(limit_n)):
+                return limit_n
+            self._clock.sleep_until_ns(now_ns + _STEP_NS)
+        told = self._told() or "nothing measured"
+        if not self._pushes(limits, thrust_n):
+            told += f", and pushed up with {self._push_n:.1f} N of {thrust_n:.1f}"
+            if limits.pushes_too_much(self._push_n):
+                told += " by their speed: a lost blade, a loose propeller, or a miscounted speed"
+        raise SafetyStop(
+            "adhesion",
+            f"the robot is not pressed on the wall: {told}; {limit_n:.1f} N are the least on this surface. "
+            "Nothing has moved; look at fan, battery, seal and load cells (`hil doctor`)",
+        )
+
+    def _enough(self, limit_n: float) -> float:
+        """A force near the one that was asked for needs no second look."""
+        return max(limit_n, 0.9 * force_wanted_n(self._config))
+
+    def _look(self) -> float:
+        """Newest force, the smaller of what is measured; NaN before everybody was heard."""
+        limits = self._limits
+        if limits is None:
+            return math.nan
+        for name in MEASURES:
+            for who, _, force_n in measured_n(limits, self._samples(name)):
+                self._seen_n[who] = force_n
+        wanted = limits.has_fan + (limits.zero_n is not None)
+        return min(self._seen_n.values()) if len(self._seen_n) == wanted else math.nan
+
+    def _pushes(self, limits: AdhesionLimits, thrust_n: float) -> bool:
+        """Whether propellers that report their speed push as they were asked to."""
+        if self._propellers is None:
+            return True
+        for sample in self._samples("thrust"):
+            if sample.status is Status.OK:
+                self._push_n = self._propellers.force_at_n(sample.throttle)
+        return self._push_n >= _PUSHES * thrust_n and not limits.pushes_too_much(self._push_n)
+
+    def _samples(self, name: str) -> Any:
+        device = self._rig.get(name)
+        return () if device is None else device.read()

@@ -1,0 +1,83 @@
+"""How a run left the robot: the bench's last word after a stop, as data and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from hil.core.signals import SERVOS, ServoHold, Status
+
+State = Literal["HELD", "NOT HELD", "not needed"]
+
+
+@dataclass(frozen=True)
+class Held:
+    """How a run left the robot.
+
+    Attributes:
+        state: `not needed` where gravity does not pull along the surface.
+        moved_m: farthest that camera, motion capture or wheels say that it went since it was stopped; None
+            where it was not measured: on a wall wheels do not see a slide.
+        why: what confirms it; or what is missing, and what is left to do.
+        opened: whether servos were opened: without, nothing was done after which the robot must be held.
+        wanted: whether the servos were asked to hold it, and the bench was not told to let go (`release`,
+            `exit.policy`); torque that somebody else switched off does not make it unwanted.
+    """
+
+    state: State
+    moved_m: float | None
+    why: str
+    wanted: bool = True
+    opened: bool = True
+
+    @property
+    def lost(self) -> bool:
+        """Whether it should be held and is not."""
+        return self.state == "NOT HELD" and self.wanted
+
+    def to_json(self) -> dict[str, object]:
+        """As in `result.json` and the summary of the live loop."""
+        return {"state": self.state, "moved_m": self.moved_m, "why": self.why}
+
+    def __str__(self) -> str:
+        return held_in_words(self.to_json())
+
+
+def held_in_words(held: Mapping[str, Any]) -> str:
+    """One line of what `Held.to_json` says."""
+    if held["moved_m"] is None:
+        return f"{held['state']}: {held['why']}"
+    least = "at least " if held["state"] == "NOT HELD" else ""
+    return f"{held['state']}: moved {least}{1e3 * held['moved_m']:.1f} mm since the stop; {held['why']}"
+
+
+def seen_in_words(held: Held) -> str:
+    """One line of a look at a robot that nobody has set in motion yet."""
+    return f"{held.state}: {held.why}"
+
+
+def abandoned(why: str, *, on_wall: bool) -> Held:
+    """Of a robot whose bench ended before anybody could look."""
+    held = Held("NOT HELD", None, f"not checked: {why}")
+    return held if on_wall else on_the_floor(held)
+
+
+def on_the_floor(held: Held) -> Held:
+    """The same of a robot that need not be held, because gravity does not pull along the surface."""
+    return replace(held, state="not needed", why=f"on the floor; {held.why}")
+
+
+def untouched(why: str) -> Held:
+    """Of a robot whose devices were never opened: nothing has been done after which it must be held."""
+    return Held("not needed", None, why, wanted=False, opened=False)
+
+
+def lacking_in_words(hold: ServoHold) -> str:
+    """What the servos lack, and what is left to do about it."""
+    silent = [text for text in hold.trouble.values() if Status.TIMEOUT.value in text]
+    if len(silent) == len(SERVOS):
+        found = "no servo answers: check the servos' supply, the bus and its adapter"
+    else:
+        found = ", ".join(f"{name} ({text})" for name, text in hold.trouble.items())
+    return f"{found}; torque comes back with the servos only while this program runs: secure the robot"

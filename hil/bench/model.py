@@ -1,0 +1,163 @@
+"""What a bench makes out of its configuration alone: brains, estimators, the head of a recording.
+
+No device, clock or loop: a replay needs this half of a bench only, and gets the same brains from it as
+the loop had.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+
+from hil.bench.settings import alignment_parameters, checks, motion_limits, safety_limits, with_measured_scale
+from hil.config.bench import BenchConfig
+from hil.config.estimator import EstimatorConfig
+from hil.config.servos import ServosConfig
+from hil.controller import make_controller
+from hil.controller.joint_script import JointScript, ScriptedController
+from hil.core.choices import ESTIMATORS, LAWS
+from hil.core.errors import UsageError
+from hil.core.interfaces import Controller, Estimator
+from hil.estimator import make_estimator
+from hil.loop.alignment import Alignment
+from hil.loop.control_loop import Brain
+from hil.loop.restart import Restart
+from hil.loop.supervisor import Supervisor
+from hil.robot.kinematics import WheelGeometry
+from hil.robot.motion_limits import check
+from hil.robot.trajectories import Trajectory
+from hil.support.arithmetic_fingerprint import fingerprint
+from hil.support.versions import versions
+
+
+class Blueprint:
+    """Configuration and wheel geometry of a bench.
+
+    Attributes:
+        config: the checked configuration, as used.
+        geometry: wheel geometry in use (nominal or calibrated).
+        calibration: name and version of the calibration in use; empty without one.
+        fitted_with: forward model that it was fitted with; empty without one.
+        seed: seed of the emulated world.
+    """
+
+    def __init__(
+        self,
+        config: BenchConfig,
+        *,
+        geometry: WheelGeometry,
+        calibration: str = "",
+        fitted_with: str = "",
+        seed: int = 0,
+    ) -> None:
+        self.config, self.geometry, self.seed = with_measured_scale(config), geometry, seed
+        self.calibration, self.fitted_with = calibration, fitted_with
+        self.alignment_parameters = alignment_parameters(config)
+
+    def with_estimator(self, estimator: EstimatorConfig) -> Blueprint:
+        """The same bench with other filters."""
+        made = copy(self)
+        made.config = self.config.model_copy(update={"estimator": estimator})
+        return made
+
+    def versions(self) -> dict[str, str]:
+        """Versions of what the result depends on."""
+        return versions()
+
+    def header(self) -> dict[str, object]:
+        """What a recording says about its origin, enough to build the brain of every run again."""
+        return {
+            "config": self.config.model_dump(mode="json", by_alias=True, exclude_none=True),
+            "geometry": self.geometry.vector().tolist(),
+            "tyres": self.geometry.tyres(),
+            "calibration": self.calibration,
+            "seed": self.seed,
+            "versions": self.versions(),
+            "arithmetic": fingerprint(),
+        }
+
+    def make_brain(
+        self,
+        trajectory: Trajectory | JointScript | None,
+        *,
+        controller: str | None = None,
+        feedback: str = "ekf",
+        observers: tuple[str, ...] = (),
+    ) -> Brain:
+        """The deterministic part of the loop for one motion or script (also what replay runs).
+
+        Raises:
+            UsageError: unknown feedback or controller.
+        """
+        config = self.config
+        law: Controller | None = None
+        follows = trajectory is not None and not isinstance(trajectory, JointScript)
+        if isinstance(trajectory, JointScript):
+            law = ScriptedController(trajectory)
+        elif trajectory is not None:
+            control = config.control
+            if controller not in (None, *LAWS):
+                raise UsageError(f"controller {controller!r} is unknown", expected=" or ".join(LAWS))
+            if controller is not None:
+                control = control.model_copy(update={"law": controller})
+            law = make_controller(control, self.geometry, trajectory, rate_hz=config.loop.rate_hz)
+        restart = self._restart()
+        reference_at = None
+        if trajectory is not None:
+            reference_at = trajectory.sample if restart is None else restart.paced(trajectory.sample)
+        return Brain(
+            Supervisor(
+                safety_limits(config),
+                checks=checks(config, self.geometry, follows=follows, feedback=feedback),
+            ),
+            Alignment(self.alignment_parameters),
+            self.make_estimator(feedback),
+            law,
+            reference_at,
+            {name: self.make_estimator(name, diagnostics=False) for name in observers},
+            restart,
+        )
+
+    def _restart(self) -> Restart | None:
+        """How it goes on after a pause that its servos' watchdogs did not wait for."""
+        servos, control = self.config.of(ServosConfig), self.config.control
+        if servos is None or not servos.watchdog_s:
+            return None
+        return Restart(
+            servos.watchdog_s,
+            control.acceleration_m_s2,
+            control.wheel_speed_m_s,
+            control.servo_lag_s,
+            self.geometry.radius_m,
+        )
+
+    def make_estimator(self, kind: str, *, diagnostics: bool = True) -> Estimator:
+        """A fresh estimator of this bench, with or without figures about itself.
+
+        Raises:
+            UsageError: unknown kind.
+        """
+        if kind not in ESTIMATORS:
+            raise UsageError(f"feedback {kind!r} is unknown", expected="one of " + ", ".join(ESTIMATORS))
+        config = self.config.estimator.model_copy(update={"kind": kind})
+        return make_estimator(
+            config, self.geometry, surface=self.config.environment.kind, diagnostics=diagnostics
+        )
+
+    def check(self, trajectory: Trajectory, *, known: Trajectory | None = None) -> None:
+        """Refuse what the limits cannot follow.
+
+        Args:
+            trajectory: what is asked for.
+            known: was checked before; the segments that both end with are not looked at again.
+
+        Raises:
+            TrajectoryError: with the first offending time.
+            UsageError: it is no trajectory.
+        """
+        if not isinstance(trajectory, Trajectory):
+            raise UsageError(
+                f"{trajectory!r} is no trajectory",
+                expected="a hil.robot.trajectories.Trajectory",
+                remedy="make one there: line(start, end), circle, through, ...",
+            )
+        check(trajectory, self.geometry.projection(), motion_limits(self.config), known=known)

@@ -1,0 +1,211 @@
+"""Calls into another package that do not come back: named while they run, and ended where that can be done.
+
+A driver that waits for ever would stop the loop without a word. A thread looks at what is running. It says
+what takes too long, and then interrupts the main thread by a signal, which reaches Python and system calls.
+Foreign code that heeds neither cannot be ended from here: that is said, too. Servos hold a robot meanwhile:
+their driver looks after them when nobody else does.
+
+Opening a device may take seconds, so it has limits of its own; and whoever has asked for the end of a run
+need not wait for all of them (`leave`).
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from types import FrameType
+
+from hil.core.errors import HilError
+from hil.core.package_errors import PackageError
+
+LOG = logging.getLogger(__name__)
+
+_LOOKS_PER_S = 2
+_LOOK_S = 1.0 / _LOOKS_PER_S
+_COMPILER = "numba."
+_SIGNAL = signal.SIGUSR2
+
+
+@dataclass(frozen=True)
+class Patience:
+    """How long a call may take, in looks at it; while the process is stopped nobody looks.
+
+    Attributes:
+        told: after which it is told of.
+        ended: after which it is ended.
+        expected: of a call that is not ended.
+        may_be_left: whether `leave` ends it once it is told of.
+    """
+
+    told: int
+    ended: int
+    expected: str
+    may_be_left: bool = False
+
+
+IN_A_CYCLE = Patience(
+    2 * _LOOKS_PER_S, 5 * _LOOKS_PER_S, "a call that comes back without waiting for anything"
+)
+BESIDE_CYCLES = Patience(2 * _LOOKS_PER_S, 10 * _LOOKS_PER_S, "a call that comes back soon")
+AT_THE_END = replace(BESIDE_CYCLES, may_be_left=True)
+_OPENING_S = 30.0
+_BEYOND_TIMEOUTS_S = 5.0
+
+
+def opening(timeouts_s: float = 0.0) -> Patience:
+    """For opening a device: 30 s, or 5 s more than the time-outs of its table in the bench file."""
+    ended_s = max(_OPENING_S, timeouts_s + _BEYOND_TIMEOUTS_S)
+    return Patience(
+        5 * _LOOKS_PER_S,
+        math.ceil(ended_s * _LOOKS_PER_S),
+        f"a call that gives up after less than {ended_s:g} s and raises DeviceError",
+        True,
+    )
+
+
+class OverdueError(PackageError):
+    """A call of a package's code did not come back, and was ended."""
+
+
+class _Overdue(BaseException):
+    """Ends a call; no `except Exception` of a package keeps it."""
+
+
+@dataclass(eq=False)
+class _Call:
+    """What a thread is at."""
+
+    kind: str
+    package: str
+    what: str
+    patience: Patience
+    began_s: float
+    looks: int = 0
+    asked: Callable[[str], HilError] | None = None
+
+    @property
+    def most(self) -> int:
+        """Looks after which it is ended."""
+        return self.patience.ended if self.asked is None else self.patience.told
+
+    def __str__(self) -> str:
+        return f"{self.kind} ({self.package}): {self.what}"
+
+
+_RUNNING: dict[int, _Call] = {}
+"""By thread: the innermost call that runs."""
+_WATCHMEN: list[threading.Thread] = []
+
+
+@contextmanager
+def not_for_ever(kind: str, package: str, what: str, patience: Patience = IN_A_CYCLE) -> Iterator[None]:
+    """Run code of a package that is to come back soon.
+
+    Args:
+        kind: of the device.
+        package: name and version.
+        what: is run, for example `read()`.
+        patience: how long it may take.
+
+    Raises:
+        OverdueError: it has been ended.
+        HilError: it has been left, with this (`leave`).
+    """
+    _watch()
+    ident = threading.get_ident()
+    outer = _RUNNING.get(ident)
+    call = _Call(kind, package, what, patience, time.monotonic())
+    try:
+        _RUNNING[ident] = call
+        yield
+    except _Overdue:
+        if call.asked is not None:
+            raise call.asked(str(call)) from None
+        ran_s = time.monotonic() - call.began_s
+        raise OverdueError(
+            kind,
+            package,
+            f"{what} had not come back after {ran_s:.1f} s and was ended",
+            expected=patience.expected,
+        ) from None
+    finally:
+        if outer is None:
+            _RUNNING.pop(ident, None)
+        else:
+            _RUNNING[ident] = outer
+
+
+def leave(error: Callable[[str], HilError]) -> None:
+    """From a signal handler: have the call that runs, if it may be left, end as soon as it is told of.
+
+    Until then it may come back by itself, so that a healthy device is open before it is let go of.
+
+    Args:
+        error: makes what the call is left with; given the call in words.
+    """
+    call = _RUNNING.get(threading.get_ident())
+    if call is not None and call.patience.may_be_left:
+        call.asked = error
+        _end()
+
+
+def _watch() -> None:
+    """Have a thread look, and the main thread listen to it."""
+    if not (_WATCHMEN and _WATCHMEN[0].is_alive()):
+        _WATCHMEN[:] = [threading.Thread(target=_look, name="overdue", daemon=True)]
+        _WATCHMEN[0].start()
+    if signal.getsignal(_SIGNAL) is not _end and threading.current_thread() is threading.main_thread():
+        signal.signal(_SIGNAL, _end)
+
+
+def _end(_number: int = _SIGNAL, _frame: FrameType | None = None) -> None:
+    """In the main thread: leave the call that is overdue, if it still runs."""
+    call = _RUNNING.get(threading.get_ident())
+    if call is not None and call.looks >= call.most:
+        raise _Overdue
+
+
+def _look() -> None:
+    while True:
+        time.sleep(_LOOK_S)
+        frames = sys._current_frames()
+        for ident, call in list(_RUNNING.items()):
+            if not _compiles(frames.get(ident)):
+                call.looks += 1
+                _judge(ident, call)
+
+
+def _compiles(frame: FrameType | None) -> bool:
+    """Whether a thread waits for our own code to be compiled, which takes a while at the first start."""
+    while frame is not None:
+        if str(frame.f_globals.get("__name__", "")).startswith(_COMPILER):
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _judge(ident: int, call: _Call) -> None:
+    ran_s = time.monotonic() - call.began_s
+    if call.looks == call.patience.told:
+        LOG.warning("%s has been running for %.1f s", call, ran_s)
+    if call.looks == 0 or call.looks % call.most:
+        return
+    heard = ident == threading.main_thread().ident and signal.getsignal(_SIGNAL) is _end
+    if not heard or call.looks > call.most:
+        LOG.error(
+            "%s has been running for %.1f s and cannot be ended from here: end process %d (kill -9); servos "
+            "with torque go on holding the robot",
+            call,
+            ran_s,
+            os.getpid(),
+        )
+    if heard:
+        signal.pthread_kill(ident, _SIGNAL)

@@ -1,0 +1,129 @@
+"""What recordings drove: how far in which direction, and whether their geometry can be right.
+
+A calibration is a 3x3 map of body motion at least. A direction that no recording drives on its own leaves
+a column of it to the prior and to what the other motions happen to imply, and odometry there extrapolates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.calibration.motion_models import make_model
+from hil.core.errors import DataError
+from hil.core.geometry import Array
+from hil.datasets.blocks import Blocks
+from hil.datasets.nominal import Nominal, lever_m
+from hil.robot.kinematics import WheelGeometry
+
+DIRECTIONS = ("forward", "sideways", "turning")
+_SHARE, _OWN_SHARE = 0.05, 0.2
+_WORTH_M, _WORTH_RAD = 0.3, 1.0
+_PLAUSIBLE = 0.2
+
+
+@dataclass(frozen=True)
+class Driven:
+    """Ways driven in each body direction, independently of the other two.
+
+    Attributes:
+        way_m: (3,) forward, sideways, turning; turning counts at the distance of the wheels, m. A circle
+            goes ahead and turns at once: one alone shows neither, one of each sense shows both.
+        total_m: whole way, m.
+    """
+
+    way_m: Array
+    total_m: float
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Directions with less than a twentieth of the whole way."""
+        return tuple(
+            name for name, way_m in zip(DIRECTIONS, self.way_m, strict=True) if way_m < _SHARE * self.total_m
+        )
+
+    def to_json(self) -> dict[str, float]:
+        """`{"forward": m, "sideways": m, "turning": m, "total": m}`."""
+        return dict(zip((*DIRECTIONS, "total"), [*self.way_m.tolist(), self.total_m], strict=True))
+
+    @classmethod
+    def from_json(cls, ways_m: Mapping[str, float]) -> Driven:
+        """The reverse of `to_json`."""
+        return cls(np.array([ways_m[name] for name in DIRECTIONS]), ways_m["total"])
+
+
+def driven(blocks: Blocks, nominal: WheelGeometry) -> Driven:
+    """How far recordings drive in each direction, by nominal odometry."""
+    step_m = _steps(blocks, nominal).reshape(-1, 3) * _levers(nominal)
+    size = np.sqrt(np.sum(step_m**2, axis=1))
+    moving = size > 0.0
+    total_m = float(size.sum())
+    moment = step_m[moving].T @ (step_m[moving] / size[moving, None])
+    alone = 1.0 / np.diag(np.linalg.inv(moment + 1e-9 * max(total_m, 1.0) * np.eye(3)))
+    return Driven(np.asarray(alone, dtype=np.float64), total_m)
+
+
+def _levers(nominal: WheelGeometry) -> Array:
+    """(3,) m per unit of a body displacement: a turn counts at the wheels' distance from the middle."""
+    return np.array([1.0, 1.0, lever_m(nominal)])
+
+
+def _steps(blocks: Blocks, nominal: WheelGeometry) -> Array:
+    """Body displacement (R, N, 3) of every block by nominal odometry."""
+    r, n, _ = blocks.wheel_rad.shape
+    model = make_model("exact", blocks.wheel_rad.reshape(-1, 8), nominal)
+    return model.motion(nominal.vector()).reshape(r, n, 3)
+
+
+def mismatch(blocks: Blocks, nominal: Nominal) -> str:
+    """Why the geometry cannot be that of the robot that was recorded; empty where it can.
+
+    Held against ground truth are the ways and the turns of the recordings, by their median, so that a bad
+    recording does not count.
+    """
+    step = _steps(blocks, nominal.geometry) * blocks.real[..., None]
+    truth = np.concatenate([blocks.start[:, None], blocks.truth], axis=1)
+    move = np.diff(truth, axis=1) * blocks.real[..., None]
+    ways = [np.hypot(move[..., 0], move[..., 1]), np.hypot(step[..., 0], step[..., 1])]
+    wrong = []
+    for verb, much, (true, wheels), worth in (
+        ("went", "as far", ways, _WORTH_M),
+        ("turned", "as much", [move[..., 2], step[..., 2]], _WORTH_RAD),
+    ):
+        by_truth, by_wheels = np.abs(true.sum(axis=1)), np.abs(wheels.sum(axis=1))
+        enough = by_wheels > worth
+        ratio = float(np.median(by_truth[enough] / by_wheels[enough])) if enough.any() else 1.0
+        if abs(ratio - 1.0) > _PLAUSIBLE:
+            wrong.append(f"{verb} {ratio:.2f} times {much}")
+    return f"by ground truth the robot {' and '.join(wrong)} as its wheels say" if wrong else ""
+
+
+def check_geometry(blocks: Blocks, nominal: Nominal) -> None:
+    """Refuse to calibrate with the geometry of another robot; raises `DataError`."""
+    found = mismatch(blocks, nominal)
+    if found:
+        raise DataError(
+            "",
+            f"the geometry does not fit the recordings: {found}; {nominal.in_words()}",
+            expected=f"agreement within {100 * _PLAUSIBLE:.0f} %",
+            remedy="name the robot's bench file with --bench, or correct its [robot] section",
+        )
+
+
+def undriven(blocks: Blocks, nominal: WheelGeometry, known: Driven) -> dict[str, tuple[str, ...]]:
+    """Which motions go where a calibration's recordings did not, and in which directions.
+
+    Args:
+        blocks: recordings to look at.
+        nominal: geometry on paper.
+        known: what the calibration's own recordings drove.
+    """
+    ways_m = np.abs(_steps(blocks, nominal)).sum(axis=1) * _levers(nominal)
+    out: dict[str, tuple[str, ...]] = {}
+    for motion, way_m in zip(blocks.motions, ways_m, strict=True):
+        gone = [n for n, w in zip(DIRECTIONS, way_m, strict=True) if w > _OWN_SHARE * way_m.sum()]
+        if found := tuple(n for n in gone if n in known.missing):
+            out[motion] = found
+    return out

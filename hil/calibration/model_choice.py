@@ -1,0 +1,154 @@
+"""Which forward model, wheel loads and tyre ratio: decided by recordings that the fit did not see.
+
+On the emulated wall's own plant creep under unequal loads predicts best, in another physics and on the
+recordings of the real robot dry friction does (`docs/calibration.md`). No residual tells which: a wrong
+model fits what it was fitted to about as well. So every candidate is fitted without one repetition at a time
+and judged on that one.
+
+A repetition of what the fit has seen shows only half of it. Dry friction reads wheels that contradict each
+other always in the same way to half a millimetre, and to 4 to 6 mm once they are driven with other
+parameters. Who will drive with the result groups what is to be left out together: all that one set of
+parameters drove, or all of one motion, which ranks the models as the next round does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.calibration.evaluation import Track, position_rmse
+from hil.calibration.problem import Setting
+from hil.calibration.validation import left_out, repetition_numbers
+from hil.core.errors import DataError
+from hil.datasets.blocks import reduce_recordings
+from hil.datasets.dataset import Recording
+from hil.robot.kinematics import WheelGeometry
+from hil.support.progress import Report, silent
+
+_MOST_FOLDS = 5
+_BOOTSTRAP = 2000
+_CLEARLY = 0.975
+_EQUAL = (1.0, 1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A way to read the wheels: its name, setting with forward model, geometry with loads and ratio."""
+
+    name: str
+    setting: Setting
+    nominal: WheelGeometry
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The candidate that predicts best, and how all did.
+
+    Attributes:
+        best: the one chosen.
+        held_out_m: position RMSE on recordings left out of the fit, mean, by candidate.
+        confidence: share of bootstrap draws over recordings in which it predicts better than the runner-up.
+        rivals: candidates that may be as right: no clearly worse in these draws.
+        groups: label of each recording; what shares one was left out together.
+        runs: of each recording, the odometry by the best one's fit without its group.
+    """
+
+    best: Candidate
+    held_out_m: dict[str, float]
+    confidence: float
+    rivals: tuple[Candidate, ...] = ()
+    groups: tuple[object, ...] = ()
+    runs: tuple[Track, ...] = ()
+
+    def in_words(self) -> str:
+        """One sentence for a report."""
+        order = sorted(self.held_out_m, key=lambda name: self.held_out_m[name])
+        others = ", ".join(f"{name} {1e3 * self.held_out_m[name]:.2f} mm" for name in order[1:])
+        clear = "clear" if self.confidence > _CLEARLY else "no clear choice"
+        return (
+            f"Forward model by held-out recordings: {order[0]}, {1e3 * self.held_out_m[order[0]]:.2f} mm; "
+            f"{others}. Better than the next with a confidence of {100 * self.confidence:.0f} %: {clear}."
+        )
+
+    def to_json(self) -> dict[str, object]:
+        """Name of the best, error by candidate, and how clear it was."""
+        return {"best": self.best.name, "held_out_rmse_m": self.held_out_m, "confidence": self.confidence}
+
+
+def candidates(setting: Setting, nominal: WheelGeometry) -> tuple[Candidate, ...]:
+    """The forward models; with loads by statics and with equal ones, creep also on tyres of other stiffness.
+
+    Args:
+        setting: how to fit, whatever its forward model.
+        nominal: the robot on paper, with its loads by statics and its tyre ratio.
+    """
+    creep = replace(setting, model="creep", choose_model=False)
+    dry = replace(creep, model="dry-friction")
+    by_statics, ratio = tuple(float(v) for v in nominal.load), nominal.creep_ratio
+    found = {
+        "exact": Candidate("exact", replace(creep, model="exact"), nominal),
+        "dry-friction": Candidate("dry friction", dry, nominal.with_tyres(_EQUAL, ratio)),
+    }
+    if by_statics != _EQUAL:
+        name = "dry friction, loads by statics"
+        found[name] = Candidate(name, dry, nominal)
+    known = "equal loads" if by_statics == _EQUAL else "loads by statics"
+    for loads, words, ratios in ((by_statics, known, (ratio, 1.0, 0.4)), (_EQUAL, "equal loads", (1.0,))):
+        for tyres in ratios:
+            name = f"creep, {words}, tyre ratio {tyres:g}"
+            found.setdefault(name, Candidate(name, creep, nominal.with_tyres(loads, tyres)))
+    return tuple(found.values())
+
+
+def can_choose(recordings: Sequence[Recording]) -> bool:
+    """Whether something can be left out: some motion was repeated."""
+    return len(set(repetition_numbers([r.motion for r in recordings]))) > 1
+
+
+def choose(
+    recordings: Sequence[Recording],
+    among: Sequence[Candidate],
+    *,
+    seed: int,
+    groups: Sequence[object] = (),
+    report: Report = silent,
+) -> Choice:
+    """Fit every candidate without one group of recordings at a time, and judge it on these.
+
+    Args:
+        recordings: at least two repetitions.
+        among: candidates.
+        seed: of the bootstrap.
+        groups: label of each recording; those of one label are left out together. Repetitions where it is
+            empty or has one label only.
+        report: progress.
+
+    Raises:
+        DataError: nothing can be left out.
+    """
+    if len(set(groups)) < 2 and not can_choose(recordings):
+        raise DataError("", "one repetition only: no forward model can be chosen", expected="at least two")
+    if len(set(groups)) < 2:
+        groups = [n % _MOST_FOLDS for n in repetition_numbers([r.motion for r in recordings])]
+    runs, errors = [], []
+    for done, candidate in enumerate(among):
+        report("forward models", done, len(among))
+        runs.append(_left_out(recordings, groups, candidate))
+        errors.append(np.array([position_rmse(run) for run in runs[-1]]))
+    report("forward models", len(among), len(among))
+    means = [float(e.mean()) for e in errors]
+    first, second, *_ = (*np.argsort(means), -1)
+    picks = np.random.default_rng(seed).integers(0, len(recordings), (_BOOTSTRAP, len(recordings)))
+    beaten = [float(np.mean((e - errors[first])[picks].mean(axis=1) > 0.0)) for e in errors]
+    rivals = tuple(c for k, c in enumerate(among) if k != first and beaten[k] <= _CLEARLY)
+    named = {c.name: m for c, m in zip(among, means, strict=True)}
+    return Choice(among[first], named, beaten[second], rivals, tuple(groups), tuple(runs[first]))
+
+
+def _left_out(recordings: Sequence[Recording], groups: Sequence[object], candidate: Candidate) -> list[Track]:
+    setting, nominal = candidate.setting, candidate.nominal
+    blocks = reduce_recordings(recordings, setting.block_s, setting.signal)
+    start = nominal.vector()[: 16 if setting.offsets else 12]
+    return left_out(recordings, blocks, setting, nominal, start, groups)

@@ -1,0 +1,240 @@
+"""What the user of a calibration has to know about it, in sentences: `warnings` of the result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from hil.calibration.excitation import DIRECTIONS, Driven, driven, undriven
+from hil.calibration.fitting import Fit
+from hil.calibration.identifiability import Identifiability, identifiability
+from hil.calibration.motion_models import make_model
+from hil.calibration.validation import Deployed, Table
+from hil.datasets.blocks import Blocks
+from hil.datasets.dataset import Recording
+from hil.datasets.initial_rest import start_of
+from hil.datasets.nominal import lever_m
+from hil.datasets.sampling import LONGEST_GAP_S
+from hil.datasets.signs import LOOK, contradictions
+from hil.datasets.time_offset import different_clocks
+from hil.robot.kinematics import WheelGeometry
+from hil.robot.odometry import integrate
+
+RECORD = {
+    "forward": "line_x (straight ahead, 2 m or more)",
+    "sideways": "line_y (straight to the side, 2 m or more)",
+    "turning": "rotation_ccw and rotation_cw (turns on the spot)",
+}
+_CLEARLY_M, _CLEARLY_RAD = 2e-3, float(np.radians(0.5))
+_MUCH = 1.5
+_LENGTHS, _COMMON_RAD = 12, 0.02
+_UNEXPLAINED = 0.2
+_HARDLY = 0.05
+_NO_WORKSHOP = (
+    " (ten standard deviations of the prior, more than a workshop leaves; look for a wrong column, unit or "
+    "bench file)"
+)
+_POSITION, _HEADING = "rmse_position_m", "rmse_theta_rad"
+
+
+def caveats(
+    recordings: Sequence[Recording],
+    found: Fit,
+    spectrum: Identifiability,
+    paper: Fit | None,
+    tables: Mapping[str, Table],
+    deployed: Deployed,
+) -> tuple[str, ...]:
+    """Every sentence: repairs first, then what weakens the result, then what it means.
+
+    Args:
+        recordings: what was fitted.
+        found: the fit.
+        spectrum: what the data determine under it.
+        paper: the paper's setting on the same data, where it could be fitted.
+        tables: validation by name, empty without.
+        deployed: errors of the result on the recordings.
+    """
+    out = told_by(recordings)
+    out += contradictions(recordings, found.problem.tyres.with_vector(found.problem.nominal))
+    if len(recordings) == 1:
+        out.append("one recording only: no interval, no cross-validation; repeat the motion")
+    elif tables and "leave_one_repetition_out" not in tables:
+        out.append(
+            "no motion is repeated, so no repetition can be left out: how well the result predicts another "
+            "drive of these motions is not known; record each at least twice"
+        )
+    out += motions_apart(found)
+    out += unexplained(found)
+    out += turned_in_common(found)
+    if spectrum.at_bound:
+        far = "" if found.problem.setting.bounds is not None else _NO_WORKSHOP
+        out.append("at their bound, so the bound decides them: " + ", ".join(spectrum.at_bound) + far)
+    if not found.solution.converged:
+        out.append(
+            "the fit ended before its parameters had settled within a twentieth of a standard error; "
+            "hold it against another --method"
+        )
+    if spectrum.unobservable:
+        out.append("unobservable, moved by their prior only: " + ", ".join(spectrum.unobservable))
+    out += extrapolating(found)
+    out += unpredicted(tables)
+    out += worse_as_twist(deployed, found.problem.setting.model)
+    total = len(found.solution.z)
+    out.append(
+        f"the data determine {spectrum.determined} directions of the {total} parameters, "
+        f"{spectrum.whatever_the_model} without a law of contact: what goes beyond, only the model "
+        f"{found.problem.setting.model} claims; single parameters are effective values, only their "
+        "combinations are measured"
+    )
+    if paper is not None:
+        out.append(
+            f"under the paper's setting the data determine {identifiability(paper).determined} of its "
+            f"{len(paper.solution.z)} parameters; the bounds decide the rest"
+        )
+    return tuple(out)
+
+
+def left_out_because(rejected: Mapping[str, str]) -> list[str]:
+    """One line for each recording that was left out, by name, and why."""
+    return [f"{name}: left out: {why}" for name, why in rejected.items()]
+
+
+def motions_apart(found: Fit) -> list[str]:
+    """Motions of which every recording, two or more, fits badly: no one of them is to blame."""
+    weights: dict[str, list[float]] = {}
+    for motion, weight in zip(found.problem.blocks.motions, found.problem.weights, strict=True):
+        weights.setdefault(motion, []).append(float(weight))
+    return [
+        f"{motion}: none of its recordings fits those of other motions, so they hardly count; {LOOK}"
+        for motion, own in weights.items()
+        if len(own) > 1 and max(own) < _HARDLY
+    ]
+
+
+def told_by(recordings: Sequence[Recording]) -> list[str]:
+    """What recordings say about themselves: damage, repairs, a start in motion, and clocks that differ."""
+    lines = [line for r in recordings for line in (*r.warnings(), *start_of(r).doubt(r.name))]
+    return [*lines, *different_clocks(recordings)]
+
+
+def crossed_gaps(recordings: Sequence[Recording]) -> list[str]:
+    """One line where the paper's preprocessing steps across gaps of the ground truth."""
+    lost = [r.name for r in recordings if np.max(np.diff(r.truth_receive_s)) > LONGEST_GAP_S]
+    if not lost:
+        return []
+    return [
+        "the paper's preprocessing (--model paper) crosses gaps of the ground truth in one step: its errors "
+        f"on {', '.join(lost)} are not those of the wheels alone"
+    ]
+
+
+def unexplained(found: Fit) -> list[str]:
+    """One line where the fit leaves more than a fifth of the way in the typical recording."""
+    blocks, weight = found.problem.blocks, np.array([1.0, 1.0, lever_m(found.geometry)])
+    inside = blocks.mask[..., None] * weight
+    left = np.linalg.norm(found.problem.errors(found.solution.z) * inside, axis=2)
+    way = np.linalg.norm((blocks.truth - blocks.start[:, None]) * inside, axis=2).max(axis=1)
+    rms = np.sqrt((left**2).sum(axis=1) / np.maximum(blocks.compared, 1))
+    share = float(np.median(rms / np.maximum(way, 1e-9)))
+    if share < _UNEXPLAINED:
+        return []
+    return [
+        f"the result does not explain the recordings: {100 * share:.0f} % of the way is left as error in "
+        f"the typical one; do not use it, {LOOK}"
+    ]
+
+
+def common_zero_rad(found: Fit) -> float | None:
+    """By how much the steering zeros are off in common, rad: their mean; None where they were not fitted."""
+    zeros = found.solution.z[_LENGTHS:]
+    return float(np.mean(zeros - found.problem.nominal[_LENGTHS:])) if len(zeros) else None
+
+
+def turned_in_common(found: Fit) -> list[str]:
+    """One line where all steering zeros are off by much the same: so they would be by another heading."""
+    common = common_zero_rad(found)
+    if common is None or abs(common) < _COMMON_RAD:
+        return []
+    zeros = found.solution.z[_LENGTHS:] - found.problem.nominal[_LENGTHS:]
+    if np.max(np.abs(zeros - common)) > 0.5 * abs(common):
+        return []
+    return [
+        f"all four steering zeros are off by much the same, {common:.3f} rad in the mean: so they would be "
+        f"if the heading of the ground truth were {common:.3f} rad off the robot's; set the heading of its "
+        "body, or mount_rotation_wxyz of [truth] in the topic mapping, before this is taken for steering"
+    ]
+
+
+def extrapolating(found: Fit) -> list[str]:
+    """Directions that no recording drives on its own: how far the result goes there, what to record."""
+    nominal = found.problem.tyres.with_vector(found.problem.nominal)
+    return [
+        f"no recording drives {name} on its own, so there the calibration extrapolates, as parameters and "
+        f"with --deploy twist (a metre {name} ends {_parting(found, nominal, name)} from where nominal "
+        f"odometry ends); record {RECORD[name]} at least twice"
+        for name in driven(found.problem.blocks, nominal).missing
+    ]
+
+
+def beyond_driven(blocks: Blocks, nominal: WheelGeometry, known: Driven) -> list[str]:
+    """Motions of other recordings that go where a calibration's own, which drove `known`, did not.
+
+    Args:
+        blocks: of the other recordings.
+        nominal: geometry by which their motion is judged.
+        known: what the calibration's recordings drove.
+    """
+    return [
+        f"{motion} drives {' and '.join(names)}, which no recording of the calibration did: it extrapolates; "
+        f"calibrate again with {' and '.join(RECORD[n] for n in names)}"
+        for motion, names in undriven(blocks, nominal, known).items()
+    ]
+
+
+def _parting(found: Fit, nominal: WheelGeometry, name: str) -> str:
+    """How far apart fitted and nominal odometry end after a metre in one direction (at the wheels)."""
+    steps, twist = 100, np.zeros(3)
+    twist[DIRECTIONS.index(name)] = 1.0 / steps / (lever_m(nominal) if name == "turning" else 1.0)
+    wheel_rad = np.tile(nominal.projection() @ twist / np.repeat(nominal.radius_m, 2), (steps, 1))
+    fitted = make_model(found.problem.setting.model, wheel_rad, nominal).motion(found.solution.z)
+    here, there = (integrate(np.zeros(3), m)[-1] for m in (fitted, np.tile(twist, (steps, 1))))
+    gap = here - there
+    return f"{1e3 * np.hypot(gap[0], gap[1]):.0f} mm and {abs(np.degrees(gap[2])):.1f} deg"
+
+
+def unpredicted(tables: Mapping[str, Table]) -> list[str]:
+    """Motions that a fit to the others predicts worse than nominal parameters do."""
+    left_out, nominal = tables.get("leave_one_motion_out", {}), tables.get("nominal", {})
+    out = []
+    for motion, row in left_out.items():
+        before = nominal[motion]
+        lost_m, lost_rad = row[_POSITION] - before[_POSITION], row[_HEADING] - before[_HEADING]
+        if motion != "mean" and (lost_m > _CLEARLY_M or lost_rad > _CLEARLY_RAD):
+            out.append(
+                f"a fit without {motion} predicts it worse than nominal parameters do ({_errors(row)} "
+                f"against {_errors(before)}): motions that are not among the recordings may come out as "
+                f"badly; keep {motion} among them and record every motion that the robot is going to drive"
+            )
+    return out
+
+
+def worse_as_twist(deployed: Deployed, model: str) -> list[str]:
+    """Motions on which `--deploy twist` loses much of what the parameters reach, in one line."""
+    lost = []
+    for motion, row in deployed.parameters.items():
+        other = deployed.twist[motion]
+        far = other[_POSITION] - row[_POSITION] > _CLEARLY_M and other[_POSITION] > _MUCH * row[_POSITION]
+        if motion != "mean" and far:
+            lost.append(f"{motion} ({_errors(other)} against {_errors(row)})")
+    if not lost:
+        return []
+    return [
+        f"with --deploy twist errors grow on {', '.join(lost)}: one 3x3 matrix cannot stand in for the model "
+        f"{model} there; deploy the parameters"
+    ]
+
+
+def _errors(row: Mapping[str, float]) -> str:
+    return f"{1e3 * row[_POSITION]:.1f} mm, {np.degrees(row[_HEADING]):.2f} deg"

@@ -1,0 +1,156 @@
+"""Types of arguments and options whose words a shell completes: benches, faults, procedures, results.
+
+As values they are texts like any other; what is wrong with one is said where it is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem
+
+from hil.cli.options import FileName
+
+Known = Mapping[str, str]
+"""Words that there are, with what they mean; empty where that need not be said."""
+Find = Callable[[click.Context, str], Known]
+_OUT = Path("out")
+_DEFAULT_BENCH = "emulated"
+
+
+def _items(found: Known, incomplete: str) -> list[CompletionItem[str]]:
+    return [CompletionItem(w, help=told or None) for w, told in found.items() if w.startswith(incomplete)]
+
+
+class Words(click.types.StringParamType):
+    """A text; a shell is offered what `find` finds, and files where there may be one.
+
+    Args:
+        find: from the context and what has been typed of the word, the words that there are.
+        files: whether it may be the name of a file, too.
+    """
+
+    def __init__(self, find: Find, *, files: bool = False) -> None:
+        self._find, self._files = find, files
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem[str]]:
+        """What the word may become."""
+        file = [CompletionItem(incomplete, type="file")] if self._files else []
+        return [*file, *_items(self._find(ctx, incomplete), incomplete)]
+
+
+class _ResultsFolder(FileName):
+    """A folder of results; a shell is offered those of earlier runs, by the name of the whole path."""
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem[str]]:
+        """What the word may become."""
+        runs = {str(_OUT / name): told for name, told in _results(_OUT).items()}
+        return [CompletionItem(incomplete, type="file"), *_items(runs, incomplete)]
+
+
+def _given(ctx: click.Context, name: str) -> Any:
+    """The value of a parameter on this line; None where it has none.
+
+    click reads nothing of a line that ends in an option without its value, so this reads it once more without
+    that. `ctx.obj` holds the words before the one that is being typed.
+    """
+    words = list(ctx.obj or ())
+    words = words[words.index(ctx.info_name) + 1 :] if ctx.info_name in words else []
+    words = words[:-1] if words and words[-1].startswith("-") else words
+    line = ctx.command.make_context(ctx.info_name, words, parent=ctx.parent, resilient_parsing=True)
+    return line.params.get(name)
+
+
+def _with_files(found: Known, ending: str, incomplete: str) -> Known:
+    """Also the files of that kind in the folder that has been typed."""
+    folder = Path(incomplete).parent if "/" in incomplete else Path()
+    return {**found, **{str(path): "" for path in sorted(folder.glob(f"*{ending}"))}}
+
+
+def _benches(ctx: click.Context, incomplete: str) -> Known:
+    from hil.config.loading import profile_names, profile_summary
+
+    return _with_files({n: profile_summary(n) for n in profile_names()}, ".toml", incomplete)
+
+
+def _procedures(ctx: click.Context, incomplete: str) -> Known:
+    from hil.procedure.procedure_lookup import shipped_names
+
+    return dict.fromkeys(shipped_names(), "")
+
+
+def _scripts(ctx: click.Context, incomplete: str) -> Known:
+    return _with_files(_procedures(ctx, incomplete), ".py", incomplete)
+
+
+def _devices(ctx: click.Context, incomplete: str) -> Known:
+    from hil.core.registry import kinds
+
+    return {**{name: kind.noun for name, kind in kinds().items()}, "all": ""}
+
+
+def _faults(ctx: click.Context, incomplete: str) -> Known:
+    """Devices first; once one is typed, or only one can be meant, its faults."""
+    from hil.bench.emulation import supported_faults
+    from hil.config.loading import load_bench
+
+    known = supported_faults(load_bench(_given(ctx, "bench") or _DEFAULT_BENCH, emulate="all"))
+    meant = [device for device in known if f"{device}:".startswith(incomplete)]
+    if len(meant) > 1:
+        return {f"{device}:": "" for device in meant}
+    return {
+        f"{d}:{kind}": _optional(options) for d, kinds in known.items() for kind, options in kinds.items()
+    }
+
+
+def _optional(options: Iterable[str]) -> str:
+    return f"options {' '.join(options)}" if options else ""
+
+
+def _settings(ctx: click.Context, incomplete: str) -> Known:
+    """The parameters of the procedure on this line, with their defaults."""
+    from hil.procedure.parameters import described
+    from hil.procedure.procedure_lookup import load_procedure
+
+    script = _given(ctx, "script")
+    if not script:
+        return {}
+    return {f"{d.name}={d.default}": d.help for d in described(load_procedure(script).parameters)}
+
+
+def _results(folder: Path) -> Known:
+    from hil.report.history.index import find_results
+
+    if not folder.is_dir():
+        return {}
+    return {kept.name: kept.verdict or kept.kind for kept in find_results(folder)}
+
+
+def _runs(ctx: click.Context, incomplete: str) -> Known:
+    found = _results(Path(_given(ctx, "where") or _OUT))
+    return {"last": "the latest", **found} if found and ctx.command.name == "open" else found
+
+
+BENCH: Any = Words(_benches, files=True)
+"""A shipped profile, or a bench file."""
+DEVICES: Any = Words(_devices)
+"""Devices of a bench."""
+FAULT: Any = Words(_faults, files=True)
+"""A fault, or a file of them."""
+PROCEDURE: Any = Words(_procedures)
+"""The name of a shipped procedure."""
+RESULTS: Any = _ResultsFolder(path_type=Path)
+"""A folder that a run has left."""
+RUN: Any = Words(_runs)
+"""The name of an earlier run."""
+SCRIPT: Any = Words(_scripts, files=True)
+"""A shipped procedure, or a script."""
+SETTING: Any = Words(_settings)
+"""A parameter of the procedure, as KEY=VALUE."""

@@ -1,0 +1,108 @@
+"""Which robots the jobs of a console have left NOT HELD: an alarm that stays. Standard library alone.
+
+It is read from the folders of the jobs, so that it is the same after a reload or a restart. A later job takes
+it away only where it was on the same bench and has found the robot held: one that opened no device, or only
+examined the devices, has not looked. And a person takes it away, who says that the robot is secured.
+
+An emulated world ends with its run; its alarm goes in these two ways, and says that the robot was emulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from hil.console.jobs import PROCESS, UNTOLD, Job, job_folders, job_in, state
+from hil.console.json_files import put_private, read
+
+SECURED = "secured.json"
+_BENCH, _EMULATE = "--bench=", "--emulate="
+
+
+class Alarm:
+    """The robots that are not known to be held, of one console.
+
+    Args:
+        folder: of the console.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._jobs: dict[Path, Job | None] = {}
+        self._ended: dict[Job, dict[str, Any]] = {}
+
+    def not_held(self) -> list[dict[str, str]]:
+        """Of each bench the job that left its robot so and what to say of it, as `job` and `words`."""
+        secured = self._secured()
+        left: dict[tuple[str, ...], dict[str, str]] = {}
+        looked: set[tuple[str, ...]] = set()
+        for job in self._latest_first():
+            bench = _bench(job)
+            told = {} if bench in looked else self._told(job)
+            if _is_loose(told) or _found_held(told):
+                looked.add(bench)
+                if _is_loose(told) and job.name not in secured:
+                    left[bench] = {"job": job.name, "words": _in_words(job, told)}
+        return list(left.values())
+
+    def _latest_first(self) -> Iterator[Job]:
+        """All jobs; what does not change of them is read once."""
+        for folder in job_folders(self._folder / "jobs"):
+            job = self._jobs.get(folder) or job_in(folder)
+            self._jobs[folder] = job
+            if job is not None:
+                yield job
+
+    def _told(self, job: Job) -> Mapping[str, Any]:
+        """How a job ended; empty while it runs."""
+        if job not in self._ended:
+            told = state(job)
+            if told["running"]:
+                return {}
+            if not (job.folder / PROCESS).exists():  # it may yet begin
+                return told
+            self._ended[job] = told
+        return self._ended[job]
+
+    def secure(self, names: Collection[str]) -> None:
+        """Note that a person has secured the robots that these jobs left; raises `OSError`."""
+        there = {left["job"] for left in self.not_held()} & set(names)
+        if there:
+            put_private(self._folder / SECURED, {"jobs": sorted(self._secured() | there)})
+
+    def _secured(self) -> set[str]:
+        names = read(self._folder / SECURED).get("jobs")
+        return set(map(str, names)) if isinstance(names, list) else set()
+
+
+def _is_loose(told: Mapping[str, Any]) -> bool:
+    """Whether a job that has ended left its robot NOT HELD, or drove and was killed before it could say."""
+    held = told.get("held")
+    if held:
+        return bool(held.get("state") == "NOT HELD")
+    return told.get("verdict") == UNTOLD and told.get("live") is not None
+
+
+def _found_held(told: Mapping[str, Any]) -> bool:
+    """Whether a job has looked at the robot and found it held, or at rest where it need not be held."""
+    held = told.get("held") or {}
+    return held.get("state") == "HELD" or (
+        held.get("state") == "not needed" and held.get("moved_m") is not None
+    )
+
+
+def _bench(job: Job) -> tuple[str, ...]:
+    """What tells the bench of a job from others: its file, and which of its devices are emulated."""
+    words = job.words[: job.words.index("--")] if "--" in job.words else job.words
+    return tuple(sorted(word for word in words if word.startswith((_BENCH, _EMULATE))))
+
+
+def _in_words(job: Job, told: Mapping[str, Any]) -> str:
+    held = told.get("held")
+    if not held:
+        return f"{job.title} was killed while its loop ran. Check whether the robot is held."
+    why = str(held.get("why")).rstrip(".")
+    if told.get("emulated") or not any(word.startswith(_BENCH) for word in _bench(job)):
+        return f"{job.title} left its emulated robot NOT HELD: {why}."
+    return f"The robot is NOT HELD since {job.title}: {why}. Secure it before you do anything else."

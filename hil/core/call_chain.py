@@ -1,0 +1,145 @@
+"""The call chain of an exception through the user's own code: procedure, script, device package, own parts.
+
+Frames of this package, of Python and of installed libraries are left out: what they were called with comes
+from the user's code. Those of an installed package that adds a device stay: it may be the user's own.
+"""
+
+from __future__ import annotations
+
+import os
+import sysconfig
+import traceback
+from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
+from importlib.metadata import entry_points
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hil.core.errors import HilError, told
+from hil.core.registry import GROUP
+from hil.support.atomic_files import shown
+
+_PACKAGE = os.path.realpath(Path(__file__).parents[1])
+_SHIPPED = os.path.realpath(os.path.join(_PACKAGE, "procedures"))
+_PYTHON = tuple(os.path.realpath(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib"))
+_INSTALLED = ("site-packages", "dist-packages")
+_FROM_ELSEWHERE = "_hil_frames"
+_MOST = 50
+
+
+class Frame(NamedTuple):
+    """One call of a chain.
+
+    Attributes:
+        file: below the current folder relative to it, else absolute.
+        line: number of the line in it, from 1.
+        function: whose line it is.
+        code: the line.
+        times: how often it stands there one after the other.
+        raised: the exception that left it, in a line; empty unless it is the last frame of one.
+    """
+
+    file: str
+    line: int
+    function: str
+    code: str
+    times: int = 1
+    raised: str = ""
+
+    @property
+    def call(self) -> tuple[str, int, str]:
+        """File, line and function."""
+        return self[:3]
+
+
+def chain_of(error: BaseException, *, shipped: bool = False) -> tuple[Frame, ...]:
+    """The frames of the user's code, the outermost call first, at most 50; empty where there is none.
+
+    An exception that was raised from another is followed by the frames of that one.
+
+    Args:
+        error: as it was caught.
+        shipped: whether the procedures that come with this package count as the user's.
+    """
+    return tuple(_frames(error, shipped))[-_MOST:]
+
+
+def keep_chain(error: BaseException) -> None:
+    """Have an exception keep its chain when it is sent to another process."""
+    setattr(error, _FROM_ELSEWHERE, chain_of(error))
+
+
+def as_json(chain: Iterable[Frame]) -> list[dict[str, Any]]:
+    """A chain as JSON values; its keys are the attributes of `Frame`."""
+    return [frame._asdict() for frame in chain]
+
+
+def in_words(chain: Iterable[Mapping[str, Any]]) -> str:
+    """A chain of `as_json` in lines, as Python writes one, the last call at the end."""
+    lines: list[str] = []
+    for frame in chain:
+        lines.append(f'  File "{frame["file"]}", line {frame["line"]}, in {frame["function"]}')
+        lines += [f"    {frame['code']}"] if frame["code"] else []
+        lines += [f"    ({frame['times']} times)"] if frame["times"] > 1 else []
+        lines += [f"  {frame['raised']}"] if frame["raised"] else []
+    return "\n".join(lines)
+
+
+def place_of(error: BaseException) -> str:
+    """File and line from which an exception comes: of the user's code, where it is in the chain."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if _is_users(frame.filename, shipped=True)]
+    last = next(reversed(own or frames), None)
+    return "unknown place" if last is None else f"{Path(last.filename).name}, line {last.lineno}"
+
+
+def _frames(error: BaseException, shipped: bool) -> Iterator[Frame]:
+    seen: set[int] = set()
+    link: BaseException | None = error
+    while link is not None and id(link) not in seen:
+        seen.add(id(link))
+        kept = getattr(link, _FROM_ELSEWHERE, ())
+        own = [frame for frame in _own(link, shipped) if frame.call not in {known.call for known in kept}]
+        if own and not kept and not isinstance(link, HilError):
+            own[-1] = own[-1]._replace(raised=told(link))
+        yield from own
+        yield from kept
+        if kept:  # its causes are among them, also where a library has sent those, too
+            return
+        link = link.__cause__ or (None if link.__suppress_context__ else link.__context__)
+
+
+def _own(error: BaseException, shipped: bool) -> Iterator[Frame]:
+    """The user's frames of one exception."""
+    every = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in every if _is_users(frame.filename, shipped)]
+    for (file, line, function), same in groupby(own, key=lambda s: (s.filename, s.lineno, s.name)):
+        alike = list(same)
+        yield Frame(shown(Path(file)), line or 0, function, alike[0].line or "", len(alike))
+
+
+@lru_cache(maxsize=512)
+def _is_users(file: str, shipped: bool) -> bool:
+    """Whether a file is none of this package, of Python, or of an installed library that adds no device."""
+    if file.startswith("<frozen "):
+        return False
+    whole = os.path.realpath(file)
+    if _below(whole, _SHIPPED):
+        return shipped
+    if _below(whole, _PACKAGE):
+        return False
+    parts = Path(whole).parts
+    place = next((parts.index(name) for name in _INSTALLED if name in parts), None)
+    if place is not None:
+        return Path(parts[place + 1]).stem in _device_packages()
+    return not any(_below(whole, folder) for folder in _PYTHON)
+
+
+def _below(file: str, folder: str) -> bool:
+    return file.startswith(folder + os.sep)
+
+
+def _device_packages() -> set[str]:
+    """The outermost modules of the installed packages that add devices."""
+    return {entry.module.partition(".")[0] for entry in entry_points(group=GROUP)}

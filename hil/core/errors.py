@@ -1,0 +1,222 @@
+"""The one error tree of the project and the exit code that each branch maps to.
+
+Every error that can reach a user derives from `HilError`. A leaf also inherits the builtin that a
+Python reader would expect (`ValueError`, `OSError`, ...), carries the data needed to act on it, and
+says what was found, what was expected and what to do. The command line turns it into one line on
+stderr and `exit_code`; it never shows a traceback for one of these.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable
+from numbers import Real
+
+from hil.core.digits import digits_apart
+from hil.core.suspects import suspects_of
+
+EXIT_PASS = 0
+EXIT_LIMIT_FAILED = 1
+EXIT_USAGE = 2
+EXIT_DEVICE = 3
+EXIT_ABORTED = 4
+_LONGEST = 300
+
+
+class HilError(Exception):
+    """Root of every error raised on purpose.
+
+    Args:
+        message: what is wrong, naming the file, key or device.
+        expected: what would have been right, if that can be said.
+        remedy: what the user can do about it.
+    """
+
+    exit_code = EXIT_USAGE
+
+    def __init__(self, message: str, *, expected: str = "", remedy: str = "") -> None:
+        self.message = message
+        self.expected = expected
+        self.remedy = remedy
+        parts = [message]
+        if expected:
+            parts.append(f"expected {expected}")
+        if remedy:
+            parts.append(remedy)
+        super().__init__("; ".join(parts))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Errors go from a worker process to its parent as they are, whatever their arguments are."""
+        return _again, (type(self), self.args, self.__dict__)
+
+
+def _again(kind: type[HilError], args: tuple[object, ...], carried: dict[str, object]) -> HilError:
+    error = kind.__new__(kind)
+    error.args = args
+    error.__dict__.update(carried)
+    return error
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """A question that names the known word nearest to a mistyped one; empty when none is near."""
+    by_lower = {name.lower(): name for name in known}
+    near = difflib.get_close_matches(word.lower(), by_lower, n=1)
+    return f"did you mean {by_lower[near[0]]}?" if near else ""
+
+
+def reason_of(error: Exception) -> str:
+    """Why the system or a parser said no, without the number and the path that an `OSError` carries.
+
+    An `OSError` that a library raised may have no text of the system; then its own text counts, or its kind.
+    """
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__
+
+
+def told(error: BaseException) -> str:
+    """An exception in one line: its class and what it says."""
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text[:_LONGEST]}" if text else type(error).__name__
+
+
+class ConfigError(HilError, ValueError):
+    """A configuration file or option is wrong; `problems` lists every fault found at once."""
+
+    def __init__(
+        self, message: str, *, problems: tuple[str, ...] = (), expected: str = "", remedy: str = ""
+    ) -> None:
+        self.problems = problems
+        super().__init__(
+            "\n  ".join((message, *problems)) if problems else message, expected=expected, remedy=remedy
+        )
+
+
+class UsageError(HilError, ValueError):
+    """A command or a call cannot mean anything sensible (bad argument, bad combination)."""
+
+
+def check_number(value: float, name: str, unit: str, *, above_zero: bool = False) -> None:
+    """Refuse an argument that is not finite, or below zero.
+
+    Args:
+        value: of the argument.
+        name: of the argument.
+        unit: of its value, for the error.
+        above_zero: zero is refused, too.
+
+    Raises:
+        UsageError: naming argument, value and what was expected.
+    """
+    if isinstance(value, Real) and math.isfinite(value) and (value > 0 if above_zero else value >= 0):
+        return
+    least = "more than 0" if above_zero else "0 or more"
+    raise UsageError(f"{name} is {value!r}", expected=f"a finite number of {unit}, {least}")
+
+
+class DataError(HilError, ValueError):
+    """A recording or another data file cannot be used; `path` names it."""
+
+    def __init__(self, path: str, message: str, *, expected: str = "", remedy: str = "") -> None:
+        self.path = path
+        super().__init__(f"{path}: {message}" if path else message, expected=expected, remedy=remedy)
+
+
+class TrajectoryError(HilError, ValueError):
+    """A reference cannot be followed; carries the first offending time and value.
+
+    Args:
+        t_s: time on the trajectory, s.
+        quantity: name with unit, for example `wheel speed (m/s)`.
+        value: the offending value; `limit` is what it was held against.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        t_s: float,
+        quantity: str,
+        value: float,
+        limit: float,
+        remedy: str = "slow the motion down or change its shape",
+    ) -> None:
+        self.t_s, self.quantity, self.value, self.limit = t_s, quantity, value, limit
+        digits = digits_apart(value, (limit,))
+        super().__init__(
+            f"{message}: {quantity} is {value:.{digits}g} at t = {t_s:.3f} s",
+            expected=f"at most {limit:.4g}",
+            remedy=remedy,
+        )
+
+
+class DeviceError(HilError, OSError):
+    """A device cannot be used or has failed for good; `device` and `port` name it."""
+
+    exit_code = EXIT_DEVICE
+
+    def __init__(
+        self, device: str, message: str, *, port: str = "", expected: str = "", remedy: str = ""
+    ) -> None:
+        self.device, self.port = device, port
+        where = f"{device} at {port}" if port else device
+        super().__init__(f"{where}: {message}", expected=expected, remedy=remedy)
+
+
+class DeviceTimeoutError(DeviceError, TimeoutError):
+    """A device did not answer within its budget, repeatedly."""
+
+
+class FaultNotSupportedError(UsageError):
+    """A fault was asked for that the emulated device does not model, or on real hardware."""
+
+
+class SafetyStop(HilError, RuntimeError):
+    """The supervisor stopped the robot.
+
+    Attributes:
+        reason: a short machine-readable word.
+        suspects: kinds of devices that may be the cause; empty where none is known.
+    """
+
+    exit_code = EXIT_DEVICE
+
+    def __init__(self, reason: str, message: str, suspects: Iterable[str] = ()) -> None:
+        self.reason = reason
+        self.suspects = tuple(dict.fromkeys((*suspects, *suspects_of(reason))))
+        super().__init__(f"robot stopped ({reason}): {message}")
+
+
+class Aborted(HilError, RuntimeError):
+    """The operator or a signal ended the work; the robot is stopped on the way out."""
+
+    exit_code = EXIT_ABORTED
+
+
+class RecordingError(Aborted):
+    """What a run leaves behind can no longer be kept (disk full, read-only, too slow); `path` names it."""
+
+    def __init__(self, path: str, message: str, *, remedy: str = "") -> None:
+        self.path = path
+        super().__init__(f"{path}: {message}", remedy=remedy)
+
+
+class DefectError(HilError):
+    """An exception that nobody foresaw; its traceback is printed before its message."""
+
+    exit_code = EXIT_ABORTED
+
+    def __init__(self, what: str) -> None:
+        super().__init__(
+            f"{what}: a defect of this program",
+            remedy="report it with the traceback on standard error and what hil info prints",
+        )
+
+
+class StepTimeoutError(HilError, TimeoutError):
+    """A step or a teardown took longer than it may; the robot is stopped on the way out."""
+
+    exit_code = EXIT_DEVICE
+
+    def __init__(self, what: str, limit_s: float) -> None:
+        self.what, self.limit_s = what, limit_s
+        super().__init__(f"{what} took longer than {limit_s:g} s")

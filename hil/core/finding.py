@@ -1,0 +1,43 @@
+"""One thing that a look at a bench has found: what drivers say of themselves, and `hil doctor` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from hil.core.errors import HilError
+
+Level = Literal["ok", "warning", "failure"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was looked at, what was found, what would be right, what to do.
+
+    Attributes:
+        device: of the bench, or `bench`.
+        check: what was looked at.
+        found, expected, remedy: in words.
+        frames: of the package's code that failed, as `hil.core.call_chain.as_json` has them.
+    """
+
+    device: str
+    check: str
+    level: Level
+    found: str
+    expected: str = ""
+    remedy: str = ""
+    frames: tuple[Mapping[str, Any], ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        return {key: list(v) if key == "frames" else str(v) for key, v in asdict(self).items()}
+
+    @classmethod
+    def of_error(cls, device: str, check: str, error: HilError) -> Finding:
+        """A failure that an error says."""
+        from hil.core.call_chain import as_json, chain_of
+
+        frames = tuple(as_json(chain_of(error)))
+        return cls(device, check, "failure", error.message, error.expected, error.remedy, frames)

@@ -1,0 +1,153 @@
+"""A further device of a kind on one bench: a second range finder, another IMU.
+
+To the rest of the bench it is a kind of its own, called `KIND_NAME` (`rangefinder_rear`): so it has its own
+table, samples, faults, topics, columns and plots. What the kind says about one device is asked of inputs in
+which the further one's samples stand where the kind looks for its own.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from hil.core.device import DeviceKind, DeviceModel, Figures, Force, Plot, Topic
+from hil.core.finding import Finding
+from hil.core.geometry import Array
+from hil.core.signals import KINDS, Inputs
+
+LABEL_RULE = "lower case letters, digits and _, beginning with a letter"
+_LABEL = re.compile("[a-z][a-z0-9_]*")
+
+
+def is_label(name: object) -> bool:
+    """Whether one of several devices of a kind may be called so."""
+    return isinstance(name, str) and _LABEL.fullmatch(name) is not None
+
+
+def in_place_of(name: str, kind: str, inputs: Inputs) -> Inputs:
+    """Inputs in which the samples of the device `name` are those of its kind.
+
+    Args:
+        name: of a further device.
+        kind: that it is of.
+        inputs: of a cycle.
+    """
+    own = {kind: inputs.of(name)}
+    changed: dict[str, Any] = own if kind in KINDS else {"added": {**inputs.added, **own}}
+    return replace(inputs, **changed)
+
+
+class FurtherKind(DeviceKind):
+    """A kind, as one further device of it.
+
+    Args:
+        kind: that there is.
+        label: the device's `name` in the bench file.
+
+    Attributes:
+        of: name of the kind.
+        label: the device's name beside others of the kind.
+    """
+
+    def __init__(self, kind: DeviceKind, label: str) -> None:
+        self.__dict__.update({key: getattr(kind, key) for key in DeviceKind.__annotations__})
+        self._kind, self.of, self.label = kind, kind.name, label
+        about = {
+            "name": f"{kind.name}_{label}",
+            "noun": f"{label.replace('_', ' ')} {kind.noun}",
+            "aliases": tuple(f"{alias}_{label}" for alias in kind.aliases),
+            "endpoint": "",
+            "topics": tuple(self._topic(topic) for topic in kind.topics),
+            "plots": tuple(self._plot(plot) for plot in kind.plots),
+        }
+        self.__dict__.update(about)
+        self.models = tuple(_further_model(model, self.name) for model in kind.models)
+
+    def _topic(self, topic: Topic) -> Topic:
+        return Topic(f"{topic.name}_{self.label}", topic.type, partial(self._message, topic))
+
+    def _message(self, topic: Topic, sample: Any, ros: Any) -> Any:
+        return topic.message(sample, _OwnFrames(ros, self))
+
+    def _plot(self, plot: Plot) -> Plot:
+        return Plot(plot.tab, f"{plot.title}, {self.label}", self._entity(plot.entity))
+
+    def _entity(self, entity: str) -> str:
+        return f"{entity}_{self.label}"
+
+    def own(self, text: str) -> str:
+        """A name of the kind, or one that begins with it and a dot or underscore, as that of the device."""
+        begins = text == self.of or text.startswith((f"{self.of}.", f"{self.of}_"))
+        return self.name + text.removeprefix(self.of) if begins else text
+
+    def alone(self, inputs: Inputs) -> Inputs:
+        """Inputs as if the device were the only one of its kind."""
+        return in_place_of(self.name, self.of, inputs)
+
+    def stale_after_s(self, safety: Any, config: Any) -> float | None:
+        """As of the kind."""
+        return self._kind.stale_after_s(safety, config)
+
+    def rate_hz(self, config: Any, loop_hz: float) -> float:
+        """As of the kind."""
+        return self._kind.rate_hz(config, loop_hz)
+
+    def checks(self, config: Any) -> Sequence[Any]:
+        """As of the kind; they are to be given cycles whose inputs are `alone`."""
+        return self._kind.checks(config)
+
+    def figures(self, inputs: Inputs) -> Iterator[tuple[str, Figures]]:
+        """As of the kind, for entities of its own."""
+        for entity, figures in self._kind.figures(self.alone(inputs)):
+            yield self._entity(entity), figures
+
+    def forces(self, inputs: Inputs, robot: Any, config: Any) -> Iterator[Force]:
+        """As of the kind, by names of its own."""
+        for force in self._kind.forces(self.alone(inputs), robot, config):
+            yield force._replace(name=f"{force.name} {self.label}")
+
+    def motion_value(self, sample: Any) -> Array | None:
+        """(k,) as of the kind."""
+        return self._kind.motion_value(sample)
+
+    def check(self, watched: Any) -> Iterator[Finding]:
+        """As of the kind."""
+        return self._kind.check(watched)
+
+
+class _OwnFrames:
+    """Makes the messages of a kind, in the frames of a further device of it.
+
+    Args:
+        ros: a `hil.recording.ros_types.MessageMaker`.
+        kind: the further device.
+    """
+
+    def __init__(self, ros: Any, kind: FurtherKind) -> None:
+        self._ros, self._kind = ros, kind
+
+    def header(self, t_ns: int, frame: str) -> Any:
+        """As of the maker."""
+        return self._ros.header(t_ns, self._kind.own(frame))
+
+    def pose_stamped(self, t_ns: int, frame: str, *place: Any, **named: Any) -> Any:
+        """As of the maker."""
+        return self._ros.pose_stamped(t_ns, self._kind.own(frame), *place, **named)
+
+    def numbers(self, t_ns: int, texts: tuple[str, ...], values: Sequence[float]) -> Any:
+        """As of the maker; frames are among the texts."""
+        return self._ros.numbers(t_ns, tuple(map(self._kind.own, texts)), values)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._ros, name)
+
+
+def _further_model(model: DeviceModel, name: str) -> DeviceModel:
+    """A model of a further device; on CAN it is served at a multicast group of its own."""
+    made = copy(model)
+    made.__dict__.update({"kind": name, "subnet": 0})
+    return made

@@ -1,0 +1,63 @@
+"""Where a sample is not finite although its status says that it is good."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from hil.core.device import DeviceKind
+from hil.core.package_errors import OURS
+from hil.core.signals import Status
+
+
+def unsaid_holes(kind: DeviceKind, sample: Any, not_measured: Collection[str] = ()) -> Iterator[str]:
+    """Names of the fields of a sample that hold NaN or infinity where its status says that they are good.
+
+    An array or a tuple with as many rows as there are channels is judged row by row, everything else by all
+    channels together. In samples of this project only arrays are judged: a number of theirs may be NaN
+    because the device does not report it.
+
+    Args:
+        kind: of the device.
+        sample: of it.
+        not_measured: fields that its model does not measure.
+    """
+    states = sample.status if isinstance(sample.status, tuple) else (sample.status,)
+    good = [state is Status.OK for state in states]
+    for field in fields(sample):
+        value = getattr(sample, field.name)
+        if field.name in not_measured:
+            continue
+        if kind.package == OURS and not isinstance(value, np.ndarray):
+            continue
+        if len(good) > 1 and _rows(value) == len(good):
+            whole = all(map(_finite, (row for row, said in zip(value, good, strict=True) if said)))
+        else:
+            whole = not all(good) or _finite(value)
+        if not whole:
+            yield field.name
+
+
+def _rows(value: Any) -> int:
+    if isinstance(value, np.ndarray):
+        return len(value) if value.ndim else 0
+    return len(value) if isinstance(value, tuple) else 0
+
+
+def _finite(value: Any) -> bool:
+    """Whether no number in it is NaN or infinite."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.dtype.kind != "f" or bool(np.isfinite(value).all())
+    if isinstance(value, float):
+        return math.isfinite(value)
+    if isinstance(value, tuple):
+        return all(map(_finite, value))
+    if isinstance(value, Mapping):
+        return all(map(_finite, value.values()))
+    if is_dataclass(value):
+        return all(_finite(getattr(value, field.name)) for field in fields(value))
+    return True

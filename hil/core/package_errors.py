@@ -1,0 +1,75 @@
+"""Says whose fault it is: whatever code of another package raises becomes an error that names the package.
+
+Nothing is translated for what this project ships: there a foreign exception is a defect, and its traceback
+is wanted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+from hil.core.call_chain import place_of
+from hil.core.errors import ConfigError, DeviceError, HilError, told
+
+OURS = "hil"
+T = TypeVar("T")
+
+
+class PackageError(DeviceError):
+    """Code of a package that adds a device has failed; `kind` is the device's."""
+
+    def __init__(self, kind: str, package: str, message: str, *, expected: str = "") -> None:
+        self.kind = kind
+        super().__init__(
+            f"{kind} ({package})",
+            message,
+            expected=expected,
+            remedy=f"mend {package.split()[0]}, or install a version of it without this",
+        )
+
+
+@contextmanager
+def of_a_script(what: str) -> Iterator[None]:
+    """Run a user's function; what it raises beside our own errors becomes a `ConfigError`.
+
+    Args:
+        what: is run, for example `measurements of procedure square`.
+    """
+    try:
+        yield
+    except (HilError, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        raise ConfigError(
+            f"{what}: {told(error)} ({place_of(error)})", remedy="mend the script there"
+        ) from error
+
+
+@contextmanager
+def blamed(kind: str, package: str, what: str) -> Iterator[None]:
+    """Run code of a package; what it raises beside our own errors becomes a `PackageError`.
+
+    Args:
+        kind: of the device.
+        package: name and version, as `DeviceKind.package` and `DeviceModel.package` have it.
+        what: is run, for example `read()`.
+
+    Raises:
+        PackageError: naming kind, package, what was run and the exception.
+    """
+    try:
+        yield
+    except HilError:
+        raise
+    except (Exception, SystemExit, GeneratorExit) as error:
+        if package == OURS:
+            raise
+        raise PackageError(kind, package, f"{what} raised {told(error)}") from error
+
+
+def asked(kind: str, package: str, what: str, call: Callable[..., T], *given: Any) -> T:
+    """What a function of a package gives, `blamed` on it if it fails."""
+    with blamed(kind, package, what):
+        return call(*given)

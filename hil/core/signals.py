@@ -1,0 +1,453 @@
+"""What flows through the ring: samples from devices, states, references, setpoints, cycle records.
+
+Frozen dataclasses, SI units, unit and frame in the name. Wheel order is FL, BL, BR, FR everywhere
+(the paper's 1..4); an array over servos has the four drives first, then the four steers, each in
+wheel order. "No data" is never a number: it is NaN together with a status that says why.
+
+Frames: `body` has x forward, y left, z out of the surface; `wall` has X up the wall, Y to the left,
+Z out of the wall (arXiv 2509.04016). On the floor the same names hold with Z up.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from operator import attrgetter
+from typing import Any
+
+from hil.core.geometry import Array
+from hil.core.suspects import SEPARATOR
+
+WHEELS = ("FL", "BL", "BR", "FR")
+SERVOS = tuple(f"drive_{w}" for w in WHEELS) + tuple(f"steer_{w}" for w in WHEELS)
+
+
+class Status(str, enum.Enum):
+    """Why a sample or a channel of it can or cannot be used."""
+
+    OK = "ok"
+    TIMEOUT = "timeout"
+    CRC = "crc"
+    HARDWARE_ERROR = "hardware error"
+    PROTOCOL = "protocol"
+    STALE = "stale"
+    FROZEN = "frozen"
+    STARTING = "starting"
+    NOT_TRACKED = "not tracked"
+    LOW_CONFIDENCE = "low confidence"
+    JUMP = "jump"
+    NOT_FINITE = "not finite"
+    IMPLAUSIBLE = "implausible"
+    PARITY = "parity"
+    MAGNET = "magnet"
+    RESET = "reset"
+
+
+_OK = Status.OK
+_ALL_OK = (_OK,) * len(SERVOS)
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """When a sample was measured and when the host saw it.
+
+    Attributes:
+        t_ns: best knowledge of the instant of measurement, on the bench clock.
+        host_ns: when the host received it, on the bench clock.
+        seq: sequence number counted by the source (or the driver), never decreasing.
+        device_ns: the device's own clock where it has one, else None.
+    """
+
+    t_ns: int
+    host_ns: int
+    seq: int
+    device_ns: int | None = None
+
+
+@dataclass(frozen=True)
+class ServoSample:
+    """One synchronised read of the eight servos; arrays of shape (8,), order `SERVOS`.
+
+    Angles are the servo's own (before `alignment`), multi-turn; NaN where `status` is not OK.
+    `current_a` is signed motor current. `alert` is the hardware-error byte per servo (0 = none).
+    """
+
+    stamp: Stamp
+    position_rad: Array
+    velocity_rad_s: Array
+    current_a: Array
+    status: tuple[Status, ...]
+    alert: tuple[int, ...] = (0,) * 8
+
+    @property
+    def ok(self) -> bool:
+        """Whether all eight servos answered."""
+        return self.status == _ALL_OK
+
+
+@dataclass(frozen=True)
+class ServoHealth:
+    """Slow bulk read: shape (8,), NaN where a servo did not answer."""
+
+    stamp: Stamp
+    voltage_v: Array
+    temperature_c: Array
+    status: tuple[Status, ...]
+
+
+@dataclass(frozen=True)
+class ServoHold:
+    """What the servos say about holding the robot, when they were last looked after.
+
+    Attributes:
+        t_ns: when that was.
+        position_rad: (8,), as in `ServoSample`; NaN where a servo did not answer.
+        trouble: what keeps a servo from holding, by its name in `SERVOS`; empty when all eight have torque
+            and a watchdog that waits.
+        wanted: whether they are to hold at all: from `enable` until `release`.
+        late: what is known of servos that answer, but too late for a cycle, by name.
+        released: whether torque was on and `release` has switched it off; `enable` leaves it as it is.
+    """
+
+    t_ns: int
+    position_rad: Array
+    wanted: bool
+    trouble: Mapping[str, str] = field(default_factory=dict)
+    late: Mapping[str, str] = field(default_factory=dict)
+    released: bool = False
+
+
+@dataclass(frozen=True)
+class EncoderSample:
+    """External steering encoders (AS5045), shape (4,), rad in [-pi, pi), NaN where not OK."""
+
+    stamp: Stamp
+    angle_rad: Array
+    status: tuple[Status, ...]
+    raw_word: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class ImuSample:
+    """Rates, gravity and attitude of an inertial unit, in the sensor's own frame.
+
+    Attributes:
+        quaternion_wxyz: shape (4,), sensor in its gravity-levelled reference frame.
+        gyro_rad_s: shape (3,).
+        linear_acceleration_m_s2: shape (3,), without gravity.
+        gravity_m_s2: shape (3,), points **up** (specific force at rest), sensor frame.
+        calibration: (system, gyro, accelerometer, magnetometer), each 0..3, of a sensor that says so; else
+            empty.
+    """
+
+    stamp: Stamp
+    quaternion_wxyz: Array
+    gyro_rad_s: Array
+    linear_acceleration_m_s2: Array
+    gravity_m_s2: Array
+    calibration: tuple[int, ...]
+    status: Status = Status.OK
+
+    @property
+    def specific_force_m_s2(self) -> Array:
+        """What an accelerometer feels, shape (3,): gravity, up, and acceleration."""
+        return self.gravity_m_s2 + self.linear_acceleration_m_s2
+
+
+@dataclass(frozen=True)
+class TrackerSample:
+    """Pose of a tracking camera in robot axes (x forward, y left, z up of the camera), in its start frame.
+
+    The mount on the robot is not applied here; `hil.loop.alignment` does that.
+    """
+
+    stamp: Stamp
+    position_m: Array
+    quaternion_wxyz: Array
+    velocity_m_s: Array
+    angular_velocity_rad_s: Array
+    confidence: int
+    status: Status = Status.OK
+
+
+@dataclass(frozen=True)
+class MocapSample:
+    """Motion-capture pose of the robot's rigid body in the capture frame."""
+
+    stamp: Stamp
+    position_m: Array
+    quaternion_wxyz: Array
+    tracking_valid: bool
+    latency_s: float
+    marker_error_m: float
+    status: Status = Status.OK
+
+
+@dataclass(frozen=True)
+class AdhesionSample:
+    """What the fan's controller reports; NaN for what it has not reported yet, or no longer does.
+
+    Attributes:
+        speed_rpm: mechanical speed of the fan.
+        duty: share of the battery's voltage that the motor gets, -1..1.
+        motor_a, input_a: current of the motor, and that from the battery.
+        input_v: battery voltage at the controller.
+        fet_c, motor_c: temperatures of power stage and motor.
+        trouble: what is wrong with how the fan is kept running, in words; empty for nothing.
+    """
+
+    stamp: Stamp
+    speed_rpm: float
+    duty: float
+    motor_a: float
+    input_a: float
+    input_v: float
+    fet_c: float
+    motor_c: float
+    status: Status = Status.OK
+    trouble: str = ""
+
+
+@dataclass(frozen=True)
+class ThrustSample:
+    """The propellers that carry part of the weight.
+
+    Attributes:
+        throttle: 0..1, their force goes with its square: as it was sent last, NaN where this program has
+            sent none; where controllers report their speed, the share of full speed.
+        speed_rpm: where the controllers report it, their mean; else NaN.
+    """
+
+    stamp: Stamp
+    throttle: float
+    speed_rpm: float
+    status: Status = Status.OK
+
+
+@dataclass(frozen=True)
+class LoadCellSample:
+    """The cells that measure with which force the fan presses; shape (2,), N, NaN where not OK.
+
+    Cells have a zero of their own, which `hil.loop.checks.adhesion` takes off. `raw` holds the converter's
+    counts.
+    """
+
+    stamp: Stamp
+    force_n: Array
+    status: tuple[Status, ...]
+    raw: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Everything that the devices delivered since the previous cycle, oldest first per device.
+
+    The fields after `health` and `servos` are the kinds of devices that this package knows, by their names
+    (`KINDS`). `added` holds the samples of kinds that other packages add, by kind (`hil.core.registry`),
+    and those of further devices of a kind, by the device's name.
+    """
+
+    cycle: int
+    t_ns: int
+    servos: tuple[ServoSample, ...] = ()
+    health: tuple[ServoHealth, ...] = ()
+    encoders: tuple[EncoderSample, ...] = ()
+    imu: tuple[ImuSample, ...] = ()
+    tracker: tuple[TrackerSample, ...] = ()
+    mocap: tuple[MocapSample, ...] = ()
+    adhesion: tuple[AdhesionSample, ...] = ()
+    thrust: tuple[ThrustSample, ...] = ()
+    load_cells: tuple[LoadCellSample, ...] = ()
+    added: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+
+    def of(self, kind: str) -> tuple[Any, ...]:
+        """Samples of a kind by its name; none of a kind that delivered nothing."""
+        if kind in _KNOWN:
+            samples: tuple[Any, ...] = getattr(self, kind)
+            return samples
+        return self.added.get(kind, ())
+
+
+def worst(sample: Any) -> Status:
+    """OK where all of a sample can be used, else the first reason why not."""
+    status: Status | tuple[Status, ...] = sample.status
+    if not isinstance(status, tuple):
+        return status
+    if status.count(_OK) == len(status):
+        return _OK
+    return next(state for state in status if state is not _OK)
+
+
+KINDS = tuple(f.name for f in fields(Inputs) if f.name not in ("cycle", "t_ns", "health", "added"))
+"""Names of the kinds of devices that this package knows, in the order in which they are opened and read."""
+_KNOWN = frozenset(KINDS)
+
+
+def samples_of(kind: str) -> Callable[[Inputs], tuple[Any, ...]]:
+    """What takes the samples of a kind out of inputs: `Inputs.of` for whoever asks in every cycle."""
+    if kind in _KNOWN:
+        return attrgetter(kind)
+    return lambda inputs: inputs.added.get(kind, ())
+
+
+@dataclass(frozen=True)
+class WheelMeasurement:
+    """Aligned wheel state: shape (4,) each, wheel order; signs and zero offsets applied.
+
+    `valid` marks wheels whose drive and steer are both usable.
+    """
+
+    stamp: Stamp
+    wheel_angle_rad: Array
+    wheel_rate_rad_s: Array
+    steering_rad: Array
+    valid: tuple[bool, ...]
+
+
+@dataclass(frozen=True)
+class GyroMeasurement:
+    """Aligned inertial sample in body axes.
+
+    Attributes:
+        yaw_rate_rad_s: rate about the surface normal.
+        gravity_heading_rad: heading about the wall normal from gravity in the wall plane; NaN on the floor.
+        acceleration_m_s2: (2,) body, without gravity.
+    """
+
+    stamp: Stamp
+    yaw_rate_rad_s: float
+    gravity_heading_rad: float
+    acceleration_m_s2: Array
+
+
+@dataclass(frozen=True)
+class PoseMeasurement:
+    """Planar pose of the body from a camera or the capture system, shape (3,): (m, m, rad unwrapped).
+
+    `source` is `tracker` (own start frame) or `mocap` (wall frame). `quality` is 0..3.
+    """
+
+    stamp: Stamp
+    source: str
+    pose: Array
+    quality: int
+    valid: bool
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Aligned inputs of one cycle: what the estimator sees.
+
+    Attributes:
+        added: `Inputs.added`, as it was delivered: for estimators of one's own. A recording holds it once.
+    """
+
+    cycle: int
+    t_ns: int
+    wheels: tuple[WheelMeasurement, ...] = ()
+    gyro: tuple[GyroMeasurement, ...] = ()
+    tracker: tuple[PoseMeasurement, ...] = ()
+    mocap: tuple[PoseMeasurement, ...] = ()
+    added: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+
+
+def heard(cycles: Iterable[Measurements]) -> tuple[str, ...]:
+    """Sensors, by their fields of `Measurements`, of which there is any sample."""
+    missing = ["wheels", "gyro", "tracker", "mocap"]
+    found = dict.fromkeys(missing, False)
+    for m in cycles:
+        for name in [n for n in missing if getattr(m, n)]:
+            found[name] = True
+            missing.remove(name)
+        if not missing:
+            break
+    return tuple(name for name, there in found.items() if there)
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """Estimated state.
+
+    Attributes:
+        pose_body_in_wall: shape (3,), (x m, y m, theta rad unwrapped).
+        twist_body: shape (3,), (m/s, m/s, rad/s).
+        covariance: shape (6, 6) of (pose, twist), pose errors in wall axes.
+        diagnostics: scalar figures by name (`nis_wheels`, `rejected_tracker`, `sag_m_s`, ...).
+    """
+
+    t_ns: int
+    pose_body_in_wall: Array
+    twist_body: Array
+    covariance: Array
+    diagnostics: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Where the robot should be at `t_s`: pose in the wall frame, body twist, acceleration in wall axes."""
+
+    t_s: float
+    pose_in_wall: Array
+    twist_body: Array
+    acceleration_wall: Array
+    done: bool = False
+
+
+@dataclass(frozen=True)
+class WheelSetpoint:
+    """Wheel rates and steering angles in the aligned (body) convention, shape (4,) each."""
+
+    wheel_rate_rad_s: Array
+    steering_rad: Array
+
+
+@dataclass(frozen=True)
+class ServoSetpoint:
+    """What goes on the bus: drive velocity goals and steering position goals of the servos themselves."""
+
+    drive_velocity_rad_s: Array
+    steer_position_rad: Array
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something worth telling: a fault, a rejected sample, a stop, a mode change.
+
+    `source` is the kind of the device that it is about. Where one of several kinds may be the cause, it holds
+    them all (`hil.core.suspects`).
+    """
+
+    t_ns: int
+    level: str
+    source: str
+    message: str
+
+    @property
+    def suspects(self) -> tuple[str, ...]:
+        """Kinds of devices that it is about."""
+        return tuple(self.source.split(SEPARATOR))
+
+
+@dataclass(frozen=True)
+class CycleRecord:
+    """Everything about one cycle; what sinks receive and what `hil replay --verify` reproduces.
+
+    `observers` holds the states of estimators that run beside the one in the loop, by name. `truth` is what
+    an emulated robot really did, where its world lives in this process: `t_ns`, `pose_body_in_wall` (3,),
+    `steering_true_rad` (4,), `normal_load_n` (4,), `slip_m_s` (4, 2) along and across each wheel, `fallen`.
+    """
+
+    cycle: int
+    deadline_ns: int
+    start_ns: int
+    inputs: Inputs
+    measurements: Measurements
+    state: RobotState
+    reference: Reference | None
+    setpoint: WheelSetpoint
+    command: ServoSetpoint
+    events: tuple[Event, ...] = ()
+    observers: Mapping[str, RobotState] = field(default_factory=dict)
+    timing_ns: Mapping[str, int] = field(default_factory=dict)
+    truth: Mapping[str, Any] | None = None

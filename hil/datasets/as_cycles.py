@@ -1,0 +1,106 @@
+"""Recordings of other origin as cycle records: one cycle per wheel sample.
+
+Nothing is estimated or commanded in such a run: it is there to be replayed through estimators, drawn,
+and compared like one of our own. It begins where odometry begins in `hil evaluate`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hil.core.clock import nanoseconds
+from hil.core.geometry import Array
+from hil.core.signals import (
+    CycleRecord,
+    Inputs,
+    Measurements,
+    PoseMeasurement,
+    RobotState,
+    ServoSetpoint,
+    Stamp,
+    WheelMeasurement,
+    WheelSetpoint,
+)
+from hil.datasets.dataset import Recording
+from hil.datasets.initial_rest import start_of
+from hil.datasets.sampling import interpolate, truth_window, wheel_edges
+from hil.recording.runs import START_COVARIANCE, RecordedRun, RunStart
+
+_USABLE = (True,) * 4
+
+
+def to_run(recording: Recording) -> RecordedRun:
+    """A recording as a run that starts at its first ground truth within the wheel log, see `start_of`."""
+    start = RobotState(0, start_of(recording).pose, np.zeros(3), START_COVARIANCE)
+    return RecordedRun(RunStart(start, "odometry"), to_cycles(_from_first_truth(recording)))
+
+
+def _from_first_truth(recording: Recording) -> Recording:
+    """Without the wheel rows before the first ground truth, at which the wheels are interpolated."""
+    at_s = wheel_edges(recording, truth_window(recording)[0][0], recording.t_s[-1])
+    angle, steering, rate, receive_s = (
+        interpolate(at_s, recording.t_s, values)
+        for values in (
+            recording.wheel_angle_rad,
+            recording.steering_rad,
+            recording.wheel_rate_rad_s,
+            recording.receive_s[:, None],
+        )
+    )
+    return replace(
+        recording,
+        t_s=at_s,
+        wheel_angle_rad=angle,
+        steering_rad=steering,
+        wheel_rate_rad_s=rate,
+        receive_s=receive_s[:, 0],
+    )
+
+
+def to_cycles(recording: Recording) -> tuple[CycleRecord, ...]:
+    """Every wheel row of a recording as a cycle, with the ground truth since the one before."""
+    t_ns = [nanoseconds(t) for t in (recording.t_s - recording.t_s[0]).tolist()]
+    edges = np.searchsorted(recording.truth_t_s, recording.t_s, side="right")
+    rates = _rates(recording)
+    records = []
+    for k, now_ns in enumerate(t_ns):
+        seen = range(int(edges[k - 1]) if k else 0, int(edges[k]))
+        wheels = WheelMeasurement(
+            Stamp(now_ns, now_ns, k),
+            recording.wheel_angle_rad[k],
+            rates[k],
+            recording.steering_rad[k],
+            _USABLE,
+        )
+        measured = Measurements(k, now_ns, (wheels,), mocap=tuple(_truth(recording, i) for i in seen))
+        records.append(_cycle(measured))
+    return tuple(records)
+
+
+def _rates(recording: Recording) -> Array:
+    if recording.has_rates:
+        return recording.wheel_rate_rad_s
+    return np.asarray(np.gradient(recording.wheel_angle_rad, recording.t_s, axis=0), dtype=np.float64)
+
+
+def _truth(recording: Recording, i: int) -> PoseMeasurement:
+    t_ns = nanoseconds(float(recording.truth_t_s[i] - recording.t_s[0]))
+    return PoseMeasurement(Stamp(t_ns, t_ns, i), "mocap", recording.truth_pose[i], 3, True)
+
+
+def _cycle(measured: Measurements) -> CycleRecord:
+    """A cycle in which nothing was estimated and nothing commanded."""
+    t_ns, unknown, none = measured.t_ns, np.full(3, np.nan), np.full(4, np.nan)
+    return CycleRecord(
+        measured.cycle,
+        t_ns,
+        t_ns,
+        Inputs(measured.cycle, t_ns),
+        measured,
+        RobotState(t_ns, unknown, unknown, np.full((6, 6), np.nan)),
+        None,
+        WheelSetpoint(none, none),
+        ServoSetpoint(none, none),
+    )

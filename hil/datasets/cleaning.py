@@ -1,0 +1,147 @@
+"""Rows of a log made usable: numbers only, stamps that increase, and a count of each repair."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import SupportsInt
+
+import numpy as np
+
+from hil.core.geometry import Array
+from hil.datasets.truth_jumps import Bools, Rows
+
+_GAP_S, _GAPS_LONGER = 0.1, 1.5
+_MIN_STEP_S = 1e-6
+_CREDIBLE = 1e12
+_ROLLED_RAD = 0.5
+_STAMPED_S = 1.0
+_DIPS, _MOST_DIPS = 2.0, 0.02
+INTEGRATED = (
+    "wheels whose angles are integrated from their rates and as wrong as those: a fit takes that for radii"
+)
+
+
+@dataclass(frozen=True)
+class Log:
+    """Rows as read from a file, before repair.
+
+    Attributes:
+        t_s: (n,) best time stamp (the source's own clock, shifted to the receiver's by its median).
+        values: (n, k).
+        receive_s: (n,) receive stamps where the file has them.
+    """
+
+    t_s: Array
+    values: Array
+    receive_s: Array | None = None
+
+
+def count(repairs: dict[str, int], what: str, number: SupportsInt) -> None:
+    """Add a number to the repairs of a name; 0 is none."""
+    if int(number):
+        repairs[what] = repairs.get(what, 0) + int(number)
+
+
+def count_gaps(repairs: dict[str, int], t_s: Array, what: str) -> None:
+    """Count steps of stamps (n,), s, over a tenth of a second and clearly longer than they usually are."""
+    lasts_s = np.diff(t_s)
+    gap_s = max(_GAP_S, round(_GAPS_LONGER * float(np.median(lasts_s)), 2))
+    count(repairs, what.format(gap_s), np.count_nonzero(lasts_s > gap_s + _MIN_STEP_S))
+
+
+def emptiest(log: Log, names: tuple[str, ...]) -> str:
+    """The column in which most rows of a log hold no number, in brackets; empty where all do."""
+    values = credible(np.column_stack([log.t_s, log.values[:, : len(names) - 1]]))
+    lacking = np.count_nonzero(~np.isfinite(values), axis=0)
+    worst = int(np.argmax(lacking))
+    if not lacking[worst]:
+        return ""
+    return f" ({names[worst]} holds no number in {lacking[worst]} of {len(values)} rows)"
+
+
+def clean(log: Log, needed: int, kind: str, repairs: dict[str, int]) -> tuple[Array, Array, Array]:
+    """Finite rows in strictly increasing time: stamps (n,), values (n, k) and receive stamps (n,).
+
+    Receive stamps are made increasing the authors' way.
+
+    Args:
+        log: as read.
+        needed: how many of its columns have to be numbers.
+        kind: what to call its rows.
+        repairs: counts what was repaired.
+    """
+    t_s, values = credible(log.t_s), credible(log.values)
+    receive_s = log.receive_s if log.receive_s is not None else t_s
+    unstamped = without_stamp(t_s)
+    count(repairs, f"{kind} rows stamped 0 among others dropped", np.count_nonzero(unstamped))
+    good = np.isfinite(t_s) & np.all(np.isfinite(values[:, :needed]), axis=1)
+    count(repairs, f"{kind} rows without numbers dropped", np.count_nonzero(~good & ~unstamped))
+    good &= ~unstamped
+    t_s, values, receive_s = t_s[good], values[good], receive_s[good]
+    if len(t_s) == 0:
+        return t_s, values, receive_s
+    count(repairs, f"{kind} stamps out of order sorted", np.count_nonzero(np.diff(t_s) < 0))
+    order = np.argsort(t_s, kind="stable")
+    t_s, values, receive_s = t_s[order], values[order], receive_s[order]
+    keep = np.concatenate([[True], np.diff(t_s) > _MIN_STEP_S])
+    count(repairs, f"{kind} rows with a repeated stamp dropped", np.count_nonzero(~keep))
+    t_s, values, receive_s = t_s[keep], values[keep], receive_s[keep]
+    return t_s, values, increasing(receive_s)
+
+
+def dips(t_s: Array) -> Rows:
+    """Rows of (n,) stamps that are before the row before them."""
+    return np.asarray(np.flatnonzero(np.diff(t_s) < 0.0) + 1, dtype=np.int_)
+
+
+def most_dips(t_s: Array) -> float:
+    """How many `dips` rows (n,) in order may have; with more of them their order says nothing."""
+    return max(_DIPS, _MOST_DIPS * len(t_s))
+
+
+def without_stamp(t_s: Array) -> Bools:
+    """Which rows (n,) are stamped 0 between rows that are at 1 s or later: they have no stamp."""
+    out = np.zeros(len(t_s), dtype=np.bool_)
+    if len(dips(t_s)) > most_dips(t_s):
+        return out
+    out[1:-1] = (t_s[1:-1] == 0.0) & (t_s[:-2] > _STAMPED_S) & (t_s[2:] > _STAMPED_S)
+    return out
+
+
+def with_angles(log: Log, repairs: dict[str, int]) -> Log:
+    """The wheel log with angles integrated from the rates, where no wheel has angles and all have rates."""
+    if log.values.shape[1] < 12:
+        return log
+    angles, rates = (np.isfinite(log.values[:, k : k + 4]).any(axis=0) for k in (0, 8))
+    if angles.any() or not rates.all():
+        return log
+    values = np.array(log.values)
+    for wheel in range(4):
+        rows = np.flatnonzero(np.isfinite(log.t_s) & np.isfinite(values[:, 8 + wheel]))
+        rows = rows[np.argsort(log.t_s[rows], kind="stable")]
+        rate = values[rows, 8 + wheel]
+        way = 0.5 * (rate[1:] + rate[:-1]) * np.diff(log.t_s[rows])
+        values[rows, wheel] = np.concatenate([[0.0], np.cumsum(way)])
+    count(repairs, INTEGRATED, 4)
+    return replace(log, values=values)
+
+
+def recorded_rates(w: Array, repairs: dict[str, int]) -> Array:
+    """Wheel rates (n, 4) of rows w (n, 8 or 12); NaN where there are none, or only 0 while wheels roll."""
+    if w.shape[1] < 12:
+        return np.full((len(w), 4), np.nan)
+    if not w[:, 8:12].any() and np.max(np.ptp(w[:, :4], axis=0)) > _ROLLED_RAD:
+        count(repairs, "columns of wheel rates (w) that are 0 throughout taken as not recorded", 4)
+        return np.full((len(w), 4), np.nan)
+    return np.array(w[:, 8:12])
+
+
+def credible(values: Array) -> Array:
+    """Numbers of a file, shape as given; NaN for what no quantity can be in any unit, and no sum can hold."""
+    return np.where(np.abs(values) < _CREDIBLE, values, np.nan)
+
+
+def increasing(t_s: Array) -> Array:
+    """Stamps (n,), s, made strictly increasing by pushing each at least 1 us past its predecessor."""
+    step = np.arange(len(t_s)) * _MIN_STEP_S
+    return np.asarray(np.maximum.accumulate(t_s - step) + step, dtype=np.float64)

@@ -1,0 +1,255 @@
+"""`Recording`: wheel log and ground truth of one run, checked and repaired, on one time axis.
+
+Whatever file a run came from (public CSV pair, plain CSV, MCAP), calibration and evaluation see this
+type. `build_recording` repairs what can be repaired, counts each repair, and refuses the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from hil.core.errors import DataError
+from hil.core.geometry import Array
+from hil.datasets.cleaning import Log, clean, count, count_gaps, emptiest, recorded_rates, with_angles
+from hil.datasets.frozen_truth import FROZEN, fresh_rows
+from hil.datasets.nominal import Nominal, lever_m
+from hil.datasets.segments import in_words, split
+from hil.datasets.truth_jumps import Bools, fastest_m_s, find_leaps
+from hil.datasets.unit_factors import Drive, check_rates, check_ways
+from hil.datasets.units import check_leaps, check_time, check_units, rolled_m
+from hil.datasets.wheel_turns import whole_turns
+
+_MIN_ROWS = 20
+_FROZEN_S = 0.5
+_WHEEL_COLUMNS = ("t", *(f"phi{i}" for i in range(1, 5)), *(f"delta{i}" for i in range(1, 5)))
+_TRUTH_COLUMNS = ("t", "x", "y", "theta")
+_MIN_SHARED = 2
+_ROTATION_RAD = 5.0
+_ROTATION_PATH_M = 0.3
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One run of the robot; wheel order FL, BL, BR, FR.
+
+    Attributes:
+        name: file or run name; `motion` groups repetitions; `sources` and `sha256` say where it is from.
+        t_s: (n,) strictly increasing, s; `truth_t_s` (m,) shares its axis.
+        wheel_angle_rad: (n, 4) cumulative; `steering_rad` (n, 4).
+        wheel_rate_rad_s: (n, 4) velocity register, NaN where the source has none.
+        truth_pose: (m, 3) m, m, rad unwrapped.
+        receive_s, truth_receive_s: receive stamps, kept for the paper's own preprocessing.
+        repairs: what was repaired, by name and count.
+        problems: what of its file could not be read.
+        nominal: robot that it was read for.
+        later: what follows where its stamps step back, recordings of their own.
+        derived: what was computed from the recording alone, by a name; copies with other rows begin anew.
+    """
+
+    name: str
+    motion: str
+    t_s: Array
+    wheel_angle_rad: Array
+    steering_rad: Array
+    wheel_rate_rad_s: Array
+    truth_t_s: Array
+    truth_pose: Array
+    receive_s: Array
+    truth_receive_s: Array
+    sources: tuple[str, ...] = ()
+    sha256: tuple[str, ...] = ()
+    repairs: Mapping[str, int] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()
+    nominal: Nominal = field(default_factory=Nominal)
+    later: tuple[Recording, ...] = ()
+    derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    @property
+    def has_rates(self) -> bool:
+        """Whether the velocity register was recorded."""
+        return bool(np.all(np.isfinite(self.wheel_rate_rad_s)))
+
+    def warnings(self) -> tuple[str, ...]:
+        """What was lost and what was repaired in words, one line each."""
+        of = f"its figures are of {self.t_s[-1] - self.t_s[0]:.1f} s that were read"
+        return (
+            *(f"{self.name}: {what}; {of}" for what in self.problems),
+            *(f"{self.name}: {count} {what}" for what, count in sorted(self.repairs.items())),
+        )
+
+
+def build_recording(
+    name: str,
+    wheels: Log,
+    truth: Log,
+    *,
+    motion: str = "",
+    sources: tuple[str, ...] = (),
+    sha256: tuple[str, ...] = (),
+    nominal: Nominal | None = None,
+    repairs: Mapping[str, int] | None = None,
+) -> Recording:
+    """Repair and check the two logs of a run; where stamps step back a part follows (`Recording.later`).
+
+    Args:
+        name: what to call it in messages.
+        wheels: columns phi_1..4, delta_1..4 and, optionally, wheel rates 1..4.
+        truth: columns x, y, theta (theta may be wrapped).
+        motion: group name; classified from the ground truth when empty.
+        sources: files it was read from.
+        sha256: digests of those files, in the same order.
+        nominal: robot that units and motion are judged by, the CAD model by default.
+        repairs: what the reader has repaired, by name and count.
+
+    Raises:
+        DataError: too short, no ground truth, no overlap in time, units that cannot be right, or wheel
+            angles that leap or whose turns nobody knows.
+    """
+    where, robot = sources[0] if sources else name, nominal if nominal is not None else Nominal()
+    parts, problems, refusals = list[Recording](), list[str](), list[DataError]()
+    logs = split(where, wheels, truth)
+    for k, (own_wheels, own_truth) in enumerate(logs, start=1):
+        called = name if len(logs) == 1 else f"{name} part {k}"
+        try:
+            parts.append(_build(called, where, own_wheels, own_truth, motion, robot, dict(repairs or {})))
+        except DataError as error:
+            refusals.append(error)
+            problems.append(f"part {k} of it is left out ({error.message.removeprefix(f'{where}: ')})")
+    if not parts:
+        raise refusals[0]
+    parts = [replace(part, sources=sources, sha256=sha256) for part in parts]
+    if len(logs) == 1:
+        return parts[0]
+    told = {**parts[0].repairs, in_words(wheels): len(logs) - 1}
+    return replace(parts[0], repairs=told, problems=tuple(problems), later=tuple(parts[1:]))
+
+
+def _build(
+    name: str, where: str, wheels: Log, truth: Log, motion: str, robot: Nominal, repairs: dict[str, int]
+) -> Recording:
+    """One recording of logs whose stamps go on; see `build_recording`."""
+    check_time(where, wheels.t_s)
+    t_s, w, receive_s = clean(with_angles(wheels, repairs), 8, "wheel", repairs)
+    truth_t_s, pose, truth_receive_s = clean(truth, 3, "ground-truth", repairs)
+    if len(t_s) < _MIN_ROWS:
+        raise DataError(
+            where,
+            f"only {len(t_s)} usable wheel rows{emptiest(wheels, _WHEEL_COLUMNS)}",
+            expected=f"at least {_MIN_ROWS}",
+        )
+    if len(truth_t_s) < _MIN_ROWS:
+        raise DataError(
+            where,
+            f"only {len(truth_t_s)} usable ground-truth rows{emptiest(truth, _TRUTH_COLUMNS)}",
+            expected="x, y and theta from motion capture",
+            remedy="a run without ground truth can be replayed but not evaluated or calibrated",
+        )
+    begin_s, end_s = max(t_s[0], truth_t_s[0]), min(t_s[-1], truth_t_s[-1])
+    if end_s - begin_s < 1.0:
+        shared_s = max(end_s - begin_s, 0.0)
+        raise DataError(where, f"wheels and ground truth share {shared_s:.2f} s", expected=">= 1 s")
+    for stamps in (t_s, truth_t_s):
+        check_leaps(where, stamps)
+    rate = recorded_rates(w, repairs)
+    turns = whole_turns(where, t_s, w[:, :4], rate)
+    angle = turns.angle
+    repairs.update(turns.repairs)
+    fresh = fresh_rows(truth_t_s, pose, t_s, angle)
+    truth_t_s, pose, truth_receive_s = truth_t_s[fresh], pose[fresh], truth_receive_s[fresh]
+    frozen_s = end_s - truth_t_s[-1]
+    count(repairs, FROZEN, np.count_nonzero(~fresh))
+    if len(truth_t_s) < _MIN_ROWS or frozen_s > _FROZEN_S:
+        raise DataError(
+            where,
+            f"the ground truth repeats its last pose for {frozen_s:.1f} s while the wheels roll",
+            expected="a source that goes on to the end",
+            remedy="look at what the capture system sent",
+        )
+    keep = _without_leaps(where, truth_t_s, pose, fastest_m_s(t_s, angle, robot.radius_m), robot, repairs)
+    truth_t_s, pose, truth_receive_s = truth_t_s[keep], pose[keep], truth_receive_s[keep]
+    count_gaps(repairs, t_s, "wheel gaps over {:g} s bridged")
+    count_gaps(repairs, truth_t_s, "ground-truth gaps over {:g} s, in which nothing is compared")
+    heading = pose[:, 2]
+    pose = np.column_stack([pose[:, :2], np.unwrap(heading)])
+    by_wheels, by_truth = ((t >= begin_s) & (t <= end_s) for t in (t_s, truth_t_s))
+    if min(np.count_nonzero(by_wheels), np.count_nonzero(by_truth)) < _MIN_SHARED:
+        raise DataError(
+            where, "wheels and ground truth have no rows in the time they share", expected="rows of both"
+        )
+    check_ways(where, Drive(t_s, w[:, :4], truth_t_s, np.column_stack([pose[:, :2], heading])), robot)
+    if turns.refusal is not None:
+        raise turns.refusal
+    check_units(
+        where,
+        angle[by_wheels],
+        w[by_wheels, 4:8],
+        truth_t_s[by_truth],
+        pose[by_truth],
+        heading[by_truth],
+        robot,
+    )
+    check_rates(where, t_s, angle, rate)
+    return Recording(
+        name=name,
+        motion=motion or classify(angle, pose, robot.radius_m),
+        t_s=t_s,
+        wheel_angle_rad=angle,
+        steering_rad=w[:, 4:8].copy(),
+        wheel_rate_rad_s=rate,
+        truth_t_s=truth_t_s,
+        truth_pose=pose,
+        receive_s=receive_s,
+        truth_receive_s=truth_receive_s,
+        repairs=repairs,
+        nominal=robot,
+    )
+
+
+def _without_leaps(
+    where: str, t_s: Array, pose: Array, speed_m_s: float, robot: Nominal, repairs: dict[str, int]
+) -> Bools:
+    """Which rows (m,) of a ground truth stay; raises `DataError` where that is not even half of them."""
+    found = find_leaps(t_s, pose, speed_m_s, lever_m(robot.geometry))
+    dropped = np.count_nonzero(~found.keep)
+    if 2 * dropped > len(t_s):
+        raise DataError(
+            where,
+            f"the ground truth (x, y, theta) leaps: {dropped} of {len(t_s)} rows are out of reach",
+            expected="a path that the robot can have driven",
+            remedy="look at what the capture system tracked",
+        )
+    count(repairs, "ground-truth rows that leap away and back dropped", dropped)
+    if found.lasting:
+        at_s, leap_m = found.lasting[0]
+        what = (
+            f"ground-truth leaps that last left as they are (first {at_s:.1f} s after its begin, by "
+            f"{leap_m:.2g} m): leave the recording out, or cut it there"
+        )
+        count(repairs, what, len(found.lasting))
+    return found.keep
+
+
+def classify(angle: Array, pose: Array, radius_m: float) -> str:
+    """Motion name from what the robot did: one of the paper's six, or `other`.
+
+    Args:
+        angle: (n, 4) cumulative wheel angles, rad.
+        pose: (m, 3) ground truth, m, m, rad unwrapped.
+        radius_m: of the wheels.
+    """
+    turn = float(pose[-1, 2] - pose[0, 2])
+    path_m = rolled_m(angle, radius_m)
+    sense = "ccw" if turn > 0 else "cw"
+    if abs(turn) > _ROTATION_RAD:
+        span_m = float(np.max(np.ptp(pose[:, :2], axis=0)))
+        return f"rotation_{sense}" if span_m < _ROTATION_PATH_M else f"circle_{sense}"
+    c, s = np.cos(pose[0, 2]), np.sin(pose[0, 2])
+    moved = pose[-1, :2] - pose[0, :2]
+    ahead, left = abs(c * moved[0] + s * moved[1]), abs(-s * moved[0] + c * moved[1])
+    if abs(turn) < 1.0 and max(ahead, left) > 0.5 * path_m > 0.05:
+        return "line_x" if ahead > left else "line_y"
+    return "other"

@@ -1,0 +1,165 @@
+"""Plain CSV: `t,phi1..phi4,delta1..delta4,x,y,theta[,w1..w4]`, one file a run, SI units.
+
+Ground truth may be empty or NaN in any row, and so may wheels where there is ground truth. The motion is the
+file name without `_K`, the number of a repetition.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from hil.core.errors import DataError
+from hil.core.geometry import Array
+from hil.datasets.cleaning import Log
+from hil.datasets.dataset import Recording, build_recording
+from hil.datasets.nominal import Nominal
+from hil.datasets.number_table import numbers_at_once
+from hil.datasets.public_csv import read_bytes
+from hil.datasets.recording_names import motion_of
+from hil.datasets.sampling import truth_at
+
+WHEEL_COLUMNS = tuple(f"phi{i}" for i in range(1, 5)) + tuple(f"delta{i}" for i in range(1, 5))
+TRUTH_COLUMNS = ("x", "y", "theta")
+RATE_COLUMNS = tuple(f"w{i}" for i in range(1, 5))
+_SHOWN = 40
+_MCAP = b"\x89MCAP"
+"""What every MCAP file begins with."""
+TRUTH_GAP_S = 0.1
+"""Longest time between two samples of ground truth across which the robot's way is known."""
+
+
+def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
+    """Read one run of a robot, the CAD model by default.
+
+    Raises:
+        DataError: columns that are missing or there twice, damaged file, no usable rows.
+    """
+    data = read_bytes(path)
+    header, _, body = data.partition(b"\n")
+    _check_text(path, data, header)
+    columns = [c.strip() for c in header.decode("utf-8", "replace").lstrip("\ufeff").split(",")]
+    needed = ("t", *WHEEL_COLUMNS, *TRUTH_COLUMNS)
+    rates = all(c in columns for c in RATE_COLUMNS)
+    missing = [c for c in needed if c not in columns and not (rates and c in WHEEL_COLUMNS[:4])]
+    if missing:
+        raise DataError(str(path), f"lacks the columns {', '.join(missing)}", expected=",".join(needed))
+    twice = [c for c in (*needed, *RATE_COLUMNS) if columns.count(c) > 1]
+    if twice:
+        raise DataError(
+            str(path),
+            f"has the columns {', '.join(twice)} more than once",
+            expected="each once",
+            remedy="delete the one that is not meant",
+        )
+    table = _table(path, data, body, columns)
+    if len(table) == 0:
+        raise DataError(str(path), "has a header but no rows")
+    if not set(WHEEL_COLUMNS) <= set(columns):
+        absent = [c for c in WHEEL_COLUMNS if c not in columns]
+        columns += absent
+        table = np.column_stack([table, np.full((len(table), len(absent)), np.nan)])
+    wheels = [columns.index(c) for c in (*WHEEL_COLUMNS, *(RATE_COLUMNS if rates else ()))]
+    truth = [columns.index(c) for c in TRUTH_COLUMNS]
+    t_s = table[:, columns.index("t")]
+    seen = np.any(np.isfinite(table[:, truth]), axis=1)
+    read = np.any(np.isfinite(table[:, wheels]), axis=1) | ~seen
+    stem = path.name.removesuffix(".gz").removesuffix(".csv")
+    return build_recording(
+        stem,
+        Log(t_s[read], table[read][:, wheels]),
+        Log(t_s[seen], table[seen][:, truth]),
+        motion=motion_of(stem),
+        sources=(str(path),),
+        sha256=(hashlib.sha256(data).hexdigest(),),
+        nominal=nominal,
+    )
+
+
+def _check_text(path: Path, data: bytes, header: bytes) -> None:
+    """Name what spreadsheets make of a table, what a torn one may have, and another file of this name."""
+    if data.startswith(_MCAP):
+        raise DataError(
+            str(path), "is an MCAP recording", expected="CSV", remedy="give it a name that ends with .mcap"
+        )
+    if b"\0" in header:
+        raise DataError(str(path), "is not UTF-8 text", expected="CSV as UTF-8, not UTF-16 or a spreadsheet")
+    if b"\r" in data and b"\n" not in data:
+        raise DataError(str(path), "has lines that end with \\r alone", expected="\\n or \\r\\n")
+    if b"," not in header and (b";" in header or b"\t" in header):
+        raise DataError(str(path), "has no comma in its header", expected="columns that commas separate")
+    if b'"' in data:
+        for number, line in enumerate(data.split(b"\n"), start=1):
+            if line.count(b'"') % 2:
+                raise DataError(str(path), f"line {number} has a quote that is not closed")
+
+
+def _table(path: Path, data: bytes, body: bytes, columns: list[str]) -> Array:
+    """Rows (n, one number for each column) of a file, whose `body` is what stands below its header."""
+    width = len(columns)
+    found = numbers_at_once(body.replace(b"\r\n", b"\n"), width)
+    if found is not None:
+        return found
+    rows = []
+    for number, fields in enumerate(_lines(path, data), start=2):
+        if not fields:
+            continue
+        if len(fields) != width:
+            raise DataError(str(path), f"line {number} has {len(fields)} fields", expected=str(width))
+        row = []
+        for name, field in zip(columns, fields, strict=True):
+            try:
+                row.append(_number(field))
+            except ValueError:
+                raise DataError(
+                    str(path),
+                    f"line {number} holds text in the column {name}: {field[:_SHOWN]!r}",
+                    expected="numbers, or nothing",
+                ) from None
+        rows.append(row)
+    return np.array(rows, dtype=np.float64).reshape(-1, width)
+
+
+def _number(field: str) -> float:
+    """Raises `ValueError` also for what only Python takes for a number: `1_0`, digits of other scripts."""
+    if not field.strip():
+        return np.nan
+    if "_" in field or not field.isascii():
+        raise ValueError(field)
+    return float(field)
+
+
+def _lines(path: Path, data: bytes) -> Iterator[list[str]]:
+    """Fields of every line after the header."""
+    reader = csv.reader(io.StringIO(data.decode("utf-8", "replace"), newline=""))
+    try:
+        next(reader)
+        yield from reader
+    except csv.Error as error:
+        raise DataError(
+            str(path), f"line {reader.line_num + 1} is not CSV ({error})", expected="lines that end with \\n"
+        ) from None
+
+
+def write_plain(path: Path, recording: Recording) -> None:
+    """Write a recording; ground truth is interpolated to the wheel rows, but not across a gap in it.
+
+    Outside of it the first and the last pose count for as long as such a gap may be.
+    """
+    truth = truth_at(
+        recording.t_s, recording.truth_t_s, recording.truth_pose, longest_s=TRUTH_GAP_S, edge_s=TRUTH_GAP_S
+    )
+    columns = [recording.t_s, *recording.wheel_angle_rad.T, *recording.steering_rad.T, *truth.T]
+    names = ["t", *WHEEL_COLUMNS, *TRUTH_COLUMNS]
+    if recording.has_rates:
+        columns += list(recording.wheel_rate_rad_s.T)
+        names += RATE_COLUMNS
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(names)
+        writer.writerows([f"{value:.9g}" for value in row] for row in np.column_stack(columns).tolist())

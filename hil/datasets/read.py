@@ -1,0 +1,248 @@
+"""Which reader reads what: turns the paths of a command line into recordings."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from hil.core.errors import DataError
+from hil.core.wrong_path_hint import meant
+from hil.datasets import export, plain_csv, public_csv, rosbag
+from hil.datasets.copies import without_copies
+from hil.datasets.coverage import covered
+from hil.datasets.dataset import Recording
+from hil.datasets.nominal import Nominal
+from hil.datasets.recording_names import named_apart
+from hil.datasets.signs import check_signs
+from hil.datasets.topic_map import TopicMap, read_topic_map
+from hil.datasets.unpacking import PACKED
+from hil.recording.mcap_reader import NEEDS_TOPICS
+from hil.recording.mcap_records import COPY_AGAIN
+from hil.support.atomic_files import check_name
+
+_READERS = 2
+_OTHERS = (".py", ".toml", ".json", ".html")
+"""Files of this project that hold no recording."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run to be read.
+
+    Attributes:
+        files: what it is read from.
+        read: reads it.
+        given: which of the files were named, by themselves or by their folder.
+    """
+
+    files: tuple[Path, ...]
+    read: Callable[[], Recording]
+    given: tuple[Path, ...]
+
+    @property
+    def identity(self) -> tuple[Path, ...]:
+        """The same for the same run, whatever path leads to it."""
+        return tuple(file.resolve() for file in self.files)
+
+
+def find_recordings(
+    paths: Sequence[str | Path], topics: str | Path | None = None, nominal: Nominal | None = None
+) -> list[Job]:
+    """Readers for every run under the given files and folders, in a fixed order.
+
+    Args:
+        paths: files and folders.
+        topics: topic mapping of another robot; every `.mcap` and `.db3` file and rosbag2 folder is then one
+            of its bags.
+        nominal: robot that they are read for, see `build_recording`.
+
+    Raises:
+        DataError: a path that does not exist or holds no recording.
+        ConfigError: the topic mapping is wrong.
+        UsageError: no file can have such a name.
+    """
+    mapping = None if topics is None else read_topic_map(topics)
+    jobs: list[Job] = []
+    for given in paths:
+        path = Path(given)
+        check_name(path)
+        found = _folder(path, mapping, nominal) if path.is_dir() else [_file(path, mapping, nominal)]
+        if not found:
+            raise DataError(
+                str(path),
+                "holds no recording",
+                expected="odom_N.csv + abs_N.csv pairs, plain .csv files, .mcap recordings or rosbag2 bags",
+                remedy=_below(path),
+            )
+        jobs += found
+    if not jobs:
+        raise DataError("", "no data given", expected="at least one file or folder")
+    return jobs
+
+
+def read_recordings(
+    paths: Sequence[str | Path],
+    progress: Callable[[int, int], None] | None = None,
+    *,
+    topics: str | Path | None = None,
+    nominal: Nominal | None = None,
+    unusable: dict[str, str] | None = None,
+) -> list[Recording]:
+    """Read every run under the given files and folders; `progress(done, total)` after each.
+
+    What is there more than once counts once, and a repair says so: a file that is named by itself and by its
+    folder, and a copy at another place, whatever its line ends or compression. It would count twice, and its
+    twin would stay among the others when it is left out. What was read of a damaged recording counts; its
+    `problems` name the damage.
+
+    Args:
+        paths: files and folders.
+        progress: called after each.
+        topics: see `find_recordings`.
+        nominal: robot that they are read for, see `build_recording`.
+        unusable: takes the files of recordings that cannot be used, and why, as long as more can. The others
+            are then refused only for signs that are wrong in most of them. Without it the first one that
+            cannot be used ends the reading.
+
+    Returns:
+        The recordings, in a fixed order, with names that differ.
+
+    Raises:
+        DataError: see `find_recordings`, `build_recording`, `covered` and `check_signs`.
+    """
+    robot = nominal if nominal is not None else Nominal()
+    found = find_recordings(paths, topics, nominal)
+    jobs = dict[tuple[Path, ...], list[Job]]()
+    for job in found:
+        jobs.setdefault(job.identity, []).append(job)
+    out, refused = [], list[DataError]()
+    for number, (job, read) in enumerate(_at_once([same[0] for same in jobs.values()], robot), start=1):
+        if progress is not None:
+            progress(number, len(jobs))
+        if isinstance(read, DataError):
+            refused.append(read)
+            if unusable is None or 2 * len(refused) >= len(jobs):
+                raise refused[0]
+            unusable[str(job.files[0])] = str(read).removeprefix(f"{job.files[0]}: ")
+            continue
+        times = _times_given(jobs[job.identity])
+        more = {f"mentions of {job.files[0]} beyond the first left out": times - 1} if times > 1 else {}
+        out += [replace(read[0], repairs={**read[0].repairs, **more}), *read[1:]]
+    out = named_apart(without_copies(out))
+    check_signs(out, robot, of_all=unusable is not None)
+    return out
+
+
+Parts = tuple[Recording, ...]
+
+
+def _at_once(jobs: Iterable[Job], robot: Nominal) -> Iterator[tuple[Job, Parts | DataError]]:
+    """Read some recordings at a time, in order: unpacking and reading of numbers leave Python to others."""
+    readers = ThreadPoolExecutor(_READERS)
+    try:
+        read = [(job, readers.submit(_read, job, robot)) for job in jobs]
+        for job, recording in read:
+            yield job, recording.result()
+    finally:
+        readers.shutdown(cancel_futures=True)
+
+
+def _read(job: Job, robot: Nominal) -> Parts | DataError:
+    """A recording in its parts, or why it cannot be used."""
+    try:
+        first = job.read()
+        return tuple(covered(replace(part, later=()), robot) for part in (first, *first.later))
+    except DataError as error:
+        return error
+
+
+def _times_given(same: Sequence[Job]) -> int:
+    """How often one run was named: both halves of a pair, each by itself, name it once."""
+    return max(Counter(file.resolve() for job in same for file in job.given).values())
+
+
+def _of(path: Path, read: Callable[[], Recording]) -> Job:
+    """A run of one file, or of a folder that is one recording."""
+    return Job((path,), read, (path,))
+
+
+def _below(folder: Path) -> str:
+    """Which folders in this one hold recordings."""
+    kinds = ("*.csv", "*.csv.gz", "*.mcap", "*.db3")
+    holders = sorted({found.parent for kind in kinds for found in folder.glob(f"*/{kind}")})
+    return "name the folder that does: " + ", ".join(map(str, holders[:3])) if holders else ""
+
+
+def _folder(folder: Path, mapping: TopicMap | None, nominal: Nominal | None) -> list[Job]:
+    if rosbag.is_bag(folder):
+        return [_bag(folder, mapping, nominal)]
+    pairs = public_csv.find_pairs(folder)
+    paired = {file for pair in pairs for file in pair}
+    bags = rosbag.bags_in(folder)
+    tables = {f for kind in ("*.csv", "*.csv.gz") for f in folder.glob(kind)} - paired
+    own = folder.glob("*.mcap") if mapping is None else ()
+    foreign = bags if mapping is not None else [b for b in bags if b.suffix != ".mcap"]
+    jobs = [_pair(odom, absolute, nominal, (odom, absolute)) for odom, absolute in pairs]
+    jobs += [_file(f, mapping, nominal) for f in sorted([*tables, *own])]
+    if foreign and mapping is None:
+        names = ", ".join(b.name for b in foreign)
+        raise DataError(
+            str(folder), f"holds rosbag2 recordings of another robot ({names})", remedy=NEEDS_TOPICS
+        )
+    return jobs + [_bag(b, mapping, nominal) for b in foreign]
+
+
+def _bag(path: Path, mapping: TopicMap | None, nominal: Nominal | None) -> Job:
+    if mapping is None:
+        raise DataError(str(path), "is a rosbag2 recording of another robot", remedy=NEEDS_TOPICS)
+    return _of(path, lambda: rosbag.read_bag(path, mapping, nominal))
+
+
+def _whole_or_not(path: Path, nominal: Nominal | None) -> Recording:
+    """One of our recordings as far as it can be read."""
+    problems: list[str] = []
+    try:
+        return replace(export.to_recording(path, problems, nominal), problems=tuple(problems))
+    except DataError as error:
+        if not problems:
+            raise
+        why = error.message.removeprefix(f"{path}: ")
+        raise DataError(
+            str(path),
+            f"{'; '.join(problems)}; what could be read does not do: {why}",
+            expected=error.expected,
+            remedy=COPY_AGAIN,
+        ) from None
+
+
+def _pair(odom: Path, absolute: Path, nominal: Nominal | None, given: tuple[Path, ...]) -> Job:
+    return Job((odom, absolute), lambda: public_csv.read_pair(odom, absolute, nominal), given)
+
+
+def _file(path: Path, mapping: TopicMap | None, nominal: Nominal | None) -> Job:
+    if not path.exists():
+        raise DataError(str(path), "does not exist", expected="a recording, or a folder of them")
+    if path.suffix in _OTHERS:
+        raise DataError(str(path), "is no recording", remedy=meant(path))
+    if path.suffix in PACKED and mapping is None:
+        raise DataError(
+            str(path),
+            "is packed as a whole",
+            expected="a recording as it was written",
+            remedy=f"unpack it with `zstd -d {path}`; bags of other robots are read packed, with --topics",
+        )
+    if path.suffix != ".mcap" and rosbag.is_bag(path):
+        return _bag(path, mapping, nominal)
+    if path.suffix == ".mcap" and mapping is not None:
+        return _bag(path, mapping, nominal)
+    if path.suffix == ".mcap":
+        return _of(path, lambda: _whole_or_not(path, nominal))
+    if public_csv.is_pair_file(path):
+        odom = path.with_name(path.name.replace("abs_", "odom_", 1))
+        if not odom.exists():
+            raise DataError(str(path), "has no odometry file", expected=f"{odom.name} beside it")
+        return _pair(odom, public_csv.partner(odom), nominal, (path,))
+    return _of(path, lambda: plain_csv.read_plain(path, nominal))

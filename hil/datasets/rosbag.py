@@ -1,0 +1,225 @@
+"""Reads rosbag2 recordings (MCAP or SQLite) of a real robot through a topic mapping in TOML.
+
+`hil.datasets.topic_map` says what stands in it. Stamps are those of the message headers; where all of a
+topic are 0, it has none and the log times count.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.core.clock import NS_PER_S
+from hil.core.errors import DataError, HilError
+from hil.core.geometry import Array
+from hil.datasets.bag_check import CONVERT, check_bag
+from hil.datasets.cleaning import Log
+from hil.datasets.dataset import Recording, build_recording
+from hil.datasets.joint_rows import JointRows
+from hil.datasets.nominal import Nominal
+from hil.datasets.recording_names import motion_of
+from hil.datasets.topic_map import TopicMap, WheelTopic
+from hil.datasets.transform_tree_check import broken_frames
+from hil.datasets.truth_poses import TruthPoses
+from hil.datasets.unpacking import PACKED, unpacked
+
+LOG = logging.getLogger(__name__)
+
+_JOINTS = "sensor_msgs/msg/JointState"
+_POSES = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "nav_msgs/msg/Odometry",
+)
+_STORAGES = (".mcap", ".db3")
+_CDR, _MOST_SAID = "cdr", 200
+_REPAIR = {".mcap": CONVERT, ".db3": "repair it with `sqlite3 FILE .recover`"}
+_REINDEX = "write its metadata.yaml afresh with `ros2 bag reindex`"
+_DAY_NS = 86_400 * NS_PER_S
+
+
+@dataclass(frozen=True)
+class _Stamp:
+    """When a message was: `number` in the bag, by its header and by the log, ns."""
+
+    number: int
+    header_ns: int
+    log_ns: int
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path looks like a rosbag2 recording: a folder with its metadata, or a storage file."""
+    return (path / "metadata.yaml").exists() if path.is_dir() else _storage(path) in _STORAGES
+
+
+def _storage(path: Path) -> str:
+    """Ending of a storage file, without that of its packing."""
+    return Path(path.stem).suffix if path.suffix in PACKED else path.suffix
+
+
+def bags_in(folder: Path) -> list[Path]:
+    """Bags of a folder, by name: itself if it is one, else those that lie in it."""
+    return [folder] if is_bag(folder) else sorted(p for p in folder.iterdir() if is_bag(p))
+
+
+def read_bag(path: str | Path, topics: TopicMap, nominal: Nominal | None = None) -> Recording:
+    """Wheels and ground truth of a bag: a rosbag2 folder, or a `.mcap` or `.db3` file of one.
+
+    Raises:
+        DataError: unreadable, a topic or joint is missing, or the data cannot be used.
+    """
+    file = Path(path)
+    if file.is_dir() and not is_bag(file):
+        _refuse_folder(file)
+    with unpacked(file) as plain:
+        try:
+            found = _read(plain, topics, nominal)
+        except DataError as error:
+            if plain == file:
+                raise
+            raise DataError(
+                str(file),
+                error.message.removeprefix(f"{plain}: "),
+                expected=error.expected,
+                remedy=error.remedy,
+            ) from None
+    digest = (hashlib.sha256(file.read_bytes()).hexdigest(),) if file.is_file() else ()
+    parts = [replace(part, sources=(str(file),), sha256=digest) for part in (found, *found.later)]
+    return replace(parts[0], later=tuple(parts[1:]))
+
+
+def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
+    wheels, truth = topics.wheels, topics.truth
+    joints, poses = JointRows(file, wheels.topic, wheels.joints), TruthPoses(file, truth)
+    stamps: dict[str, list[_Stamp]] = {wheels.topic: [], truth.topic: []}
+    for topic, stamp, message in _messages(file, (wheels.topic, truth.topic)):
+        stamps[topic].append(stamp)
+        (poses if topic == truth.topic else joints).add(message)
+    times = _times(file, stamps)
+    wheel_s, rows = joints.rows(times[wheels.topic])
+    known, planar, repairs = poses.rows()
+    for problem in broken_frames(file):
+        LOG.warning("%s: %s", file, problem)
+    return build_recording(
+        file.stem,
+        Log(wheel_s, _signed(wheels, rows)),
+        Log(times[truth.topic][known], planar),
+        motion=motion_of(file.stem),
+        sources=(str(file),),
+        nominal=nominal,
+        repairs=repairs,
+    )
+
+
+def _refuse_folder(folder: Path) -> None:
+    """Raises `DataError` for a folder that is no bag, with the bags that lie in it."""
+    names = [p.name for p in bags_in(folder)]
+    if names:
+        raise DataError(
+            str(folder), f"is a folder of {len(names)} recordings ({', '.join(names)})", remedy="name one"
+        )
+    raise DataError(
+        str(folder),
+        "is a folder without a rosbag2 recording",
+        expected="metadata.yaml with its files, or a .mcap or .db3 file",
+    )
+
+
+def _times(path: Path, stamps: Mapping[str, Sequence[_Stamp]]) -> dict[str, Array]:
+    """Times (n,) of the messages of each topic, s since the first message of all."""
+    taken_ns = {}
+    for topic, found in stamps.items():
+        stamped = any(one.header_ns for one in found)
+        if stamped:
+            _check_stamps(path, topic, found)
+        taken_ns[topic] = [one.header_ns if stamped else one.log_ns for one in found]
+    firsts = [(found[0].number, taken_ns[topic][0]) for topic, found in stamps.items() if found]
+    origin_ns = min(firsts)[1] if firsts else 0
+    return {
+        topic: np.array([(t_ns - origin_ns) / NS_PER_S for t_ns in all_ns], dtype=np.float64)
+        for topic, all_ns in taken_ns.items()
+    }
+
+
+def _check_stamps(path: Path, topic: str, stamps: Sequence[_Stamp]) -> None:
+    """Raises `DataError` for a stamp a day or more from where the log times and the other stamps put it."""
+    behind_ns = [one.log_ns - one.header_ns for one in stamps]
+    usual_ns = sorted(behind_ns)[len(behind_ns) // 2]
+    off = [k for k, behind in enumerate(behind_ns) if abs(behind - usual_ns) > _DAY_NS]
+    if not off:
+        return
+    k = off[0]
+    at_s = (stamps[k].log_ns - stamps[0].log_ns) / NS_PER_S
+    others = f"; {len(off) - 1} more are" if len(off) > 1 else ""
+    raise DataError(
+        str(path),
+        f"{topic}: message {k + 1} of {len(stamps)}, recorded {at_s:.2f} s after the first, is stamped "
+        f"{stamps[k].header_ns / NS_PER_S:.3f} s, {(usual_ns - behind_ns[k]) / NS_PER_S:.3g} s from where it "
+        f"belongs{others}",
+        expected="header.stamp of one clock in all messages of a topic",
+        remedy="take it out, or cut the bag before or behind it (`mcap filter`, `ros2 bag convert`)",
+    )
+
+
+def _messages(path: Path, wanted: tuple[str, ...]) -> Iterator[tuple[str, _Stamp, Any]]:
+    """Topic, stamp and message, of the wanted topics."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    check_bag(path)
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
+            there = {c.topic for c in bag.connections}
+            missing = [t for t in wanted if t not in there]
+            if missing:
+                raise DataError(
+                    str(path),
+                    f"has no topic {', '.join(missing)}",
+                    expected=f"one of {', '.join(sorted(there))}",
+                )
+            chosen = [c for c in bag.connections if c.topic in wanted]
+            for connection in chosen:
+                _check_encoding(path, connection)
+                _check_type(path, connection.topic, connection.msgtype, joints=connection.topic == wanted[0])
+            for number, (connection, log_ns, raw) in enumerate(bag.messages(connections=chosen)):
+                message: Any = bag.deserialize(raw, connection.msgtype)
+                at = message.header.stamp
+                yield connection.topic, _Stamp(number, at.sec * NS_PER_S + at.nanosec, log_ns), message
+    except HilError:
+        raise
+    except Exception as error:  # a library that reads foreign files may raise anything
+        why = " ".join(str(error).split())[:_MOST_SAID]
+        raise DataError(
+            str(path),
+            f"is not a readable rosbag2 recording ({why or type(error).__name__})",
+            remedy=_REPAIR.get(path.suffix, _REINDEX),
+        ) from None
+
+
+def _check_encoding(path: Path, connection: Any) -> None:
+    """Raises `DataError` for messages that are not those of ROS 2, byte for byte."""
+    encoding = getattr(connection.ext, "serialization_format", _CDR)
+    if encoding != _CDR:
+        raise DataError(
+            str(path), f"{connection.topic} is encoded as {encoding!r}", expected=_CDR, remedy=CONVERT
+        )
+
+
+def _check_type(path: Path, topic: str, kind: str, *, joints: bool) -> None:
+    """Raises `DataError` for a topic of a type that cannot be wheels or ground truth."""
+    expected = (_JOINTS,) if joints else _POSES
+    if kind not in expected:
+        raise DataError(str(path), f"{topic} is of another type ({kind})", expected=" or ".join(expected))
+
+
+def _signed(wheels: WheelTopic, rows: Array) -> Array:
+    """Rows (n, 12) with the signs and zeros of the mapping."""
+    drive_sign = np.array(wheels.drive_sign)
+    steering = np.array(wheels.steer_sign) * (rows[:, 4:8] - np.array(wheels.steer_zero_rad))
+    return np.column_stack([drive_sign * rows[:, :4], steering, drive_sign * rows[:, 8:]])

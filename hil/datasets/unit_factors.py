@@ -1,0 +1,235 @@
+"""Which unit a column is in, told by a factor: wheels against ground truth, wheel rates against wheel angles.
+
+In stretches of half a second: how far did each wheel roll, how far did ground truth move it, how far did it
+turn by its rate? Slip, noise and tolerances change such a way by tenths, or in single stretches; another unit
+changes it by 6 times or more, in all of them. Raw columns are converted before they are unwrapped, so that a
+counter which wraps at its own whole turn counts too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.core.errors import DataError
+from hil.core.geometry import Array
+from hil.datasets.nominal import Nominal
+from hil.robot.kinematics import WheelGeometry
+
+_STRETCH_S = 0.5
+_ROLLING = 0.2
+_WORTH_M = 0.1
+_OWN = 0.3
+_MOST = 0.7
+_WRONG, _RIGHT = float(np.log(2.5)), float(np.log(1.5))
+_FEWEST = 3
+_SLOWEST_RAD_S = 0.2
+_DISAGREE, _SAME_UNIT = float(np.log(2.0)), 0.2
+
+
+@dataclass(frozen=True)
+class _Unit:
+    """A unit that a column may be in by mistake; `to_si` is what its numbers must be multiplied by."""
+
+    column: str
+    name: str
+    to_si: float
+
+    @property
+    def truth(self) -> tuple[float, float]:
+        """Factors of positions and headings that convert the ground truth."""
+        return (self.to_si if self.column == "x, y" else 1.0, self.to_si if self.column == "theta" else 1.0)
+
+    @property
+    def alone(self) -> tuple[float, float]:
+        """The same with nothing but what is converted: a column that says little cannot be blamed."""
+        return (self.to_si, 0.0) if self.column == "x, y" else (0.0, self.to_si)
+
+
+_WAYS = (
+    _Unit("phi", "revolutions", 2.0 * np.pi),
+    _Unit("phi", "degrees", np.pi / 180.0),
+    _Unit("phi", "steps of 4096 a turn", 2.0 * np.pi / 4096.0),
+    _Unit("x, y", "millimetres", 1e-3),
+    _Unit("x, y", "centimetres", 1e-2),
+    _Unit("theta", "degrees", np.pi / 180.0),
+    _Unit("theta", "revolutions", 2.0 * np.pi),
+)
+_RATES = (
+    _Unit("w", "revolutions per minute", 2.0 * np.pi / 60.0),
+    _Unit("w", "revolutions per second", 2.0 * np.pi),
+    _Unit("w", "degrees per second", np.pi / 180.0),
+    _Unit("w", "steps of 0.229 revolutions per minute", 0.229 * 2.0 * np.pi / 60.0),
+)
+_SI = {
+    "phi": ("wheel angles (phi) seem", "rad"),
+    "x, y": ("positions (x, y) seem", "m"),
+    "theta": ("the heading (theta) seems", "rad"),
+}
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Wheels and ground truth of one recording as its file has them.
+
+    Attributes:
+        t_s: (n,) times of the wheel rows, s, increasing.
+        angle: (n, 4) wheel angles.
+        truth_t_s: (m,) times of the ground truth, s, increasing.
+        pose: (m, 3) ground truth x, y, theta.
+    """
+
+    t_s: Array
+    angle: Array
+    truth_t_s: Array
+    pose: Array
+
+
+def check_ways(where: str, drive: Drive, nominal: Nominal) -> None:
+    """Refuse a column that is in another unit: as it stands ways differ by far, converted they agree.
+
+    As it stands, wheels and ground truth differ by 2.5 times or more in seven tenths of the stretches in
+    which wheels roll; converted, by less than 1.5 times in as many. One slide, spin or leap does not decide.
+    Where a column that says little of the way would mend it too, as positions in turns on the spot do where
+    the mark is far from the middle of the robot, nothing is refused.
+
+    Args:
+        where: the file, for messages.
+        drive: the recording before any unwrapping.
+        nominal: robot whose wheels rolled.
+
+    Raises:
+        DataError: names column, unit and factor.
+    """
+    start_s, end_s = max(drive.t_s[0], drive.truth_t_s[0]), min(drive.t_s[-1], drive.truth_t_s[-1])
+    edges_s, wheels = np.arange(start_s, end_s, _STRETCH_S), nominal.geometry
+    rolled, moved = _rolled(drive, edges_s, wheels), _moved(drive, edges_s, wheels)
+    if _share(rolled, moved, _WRONG) > 1.0 - _MOST:
+        return
+    fits = []
+    for unit in _WAYS:
+        way, true = rolled, _moved(drive, edges_s, wheels, *unit.truth)
+        if unit.column == "phi":
+            way = _rolled(drive, edges_s, wheels, unit.to_si)
+        if min(way.sum(), true.sum()) < _WORTH_M or _share(way, true, _RIGHT) < _MOST:
+            continue
+        if unit.column != "phi" and _moved(drive, edges_s, wheels, *unit.alone).sum() < _OWN * way.sum():
+            return
+        fits.append((float(np.median(_logs(way, true))), unit))
+    if not fits:
+        return
+    unit = min(fits, key=lambda fit: fit[0])[1]
+    label, si = _SI[unit.column]
+    other_robot = (
+        f"; or, where it is in {si}, name the robot's bench file with --bench: here wheels have a radius of "
+        f"{1e3 * nominal.radius_m:.3g} mm ({nominal.source})"
+    )
+    raise DataError(
+        where,
+        f"{label} to be in {unit.name}: wheels rolled {rolled.sum():.3g} m but ground truth moved "
+        f"{moved.sum():.3g} m, and both agree once {unit.column} is converted",
+        expected=f"{unit.column} in {si}",
+        remedy=f"multiply {unit.column} by {unit.to_si:.6g}{other_robot if unit.column == 'phi' else ''}",
+    )
+
+
+def _rolled(drive: Drive, edges_s: Array, wheels: WheelGeometry, factor: float = 1.0) -> Array:
+    """Way (s,) that wheels rolled between edges (s + 1,), mean of the four, m, by angles times a factor."""
+    angle = np.unwrap(drive.angle * factor, axis=0)
+    turned = np.diff([np.interp(edges_s, drive.t_s, column) for column in angle.T])
+    return np.asarray(np.mean(np.abs(turned) * wheels.radius_m[:, None], axis=0), dtype=np.float64)
+
+
+def _moved(
+    drive: Drive, edges_s: Array, wheels: WheelGeometry, position: float = 1.0, heading: float = 1.0
+) -> Array:
+    """Way (s,) that ground truth moved the wheels, mean of the four, m, by poses times two factors."""
+    x, y, theta = (drive.pose * (position, position, heading)).T
+    x, y, theta = (np.interp(edges_s, drive.truth_t_s, column) for column in (x, y, np.unwrap(theta)))
+    turn, middle = np.diff(theta), 0.5 * (theta[1:] + theta[:-1])
+    c, s = np.cos(middle), np.sin(middle)
+    ahead, left = c * np.diff(x) + s * np.diff(y), c * np.diff(y) - s * np.diff(x)
+    ways = np.hypot(ahead - wheels.y_m[:, None] * turn, left + wheels.x_m[:, None] * turn)
+    return np.asarray(ways.mean(axis=0), dtype=np.float64)
+
+
+def _logs(rolled: Array, moved: Array) -> Array:
+    """How far apart ways (s,) are, as logarithms, in the stretches in which the wheels clearly roll."""
+    if not len(rolled) or not rolled.any():
+        return np.empty(0)
+    rolls = rolled > _ROLLING * np.percentile(rolled, 90.0)
+    return np.asarray(np.abs(np.log(np.maximum(moved[rolls], 1e-12) / rolled[rolls])), dtype=np.float64)
+
+
+def _share(rolled: Array, moved: Array, within: float) -> float:
+    """Share of the stretches whose ways agree within a logarithm; all of them where there are too few."""
+    logs = _logs(rolled, moved)
+    return float(np.mean(logs < within)) if len(logs) >= _FEWEST else 1.0
+
+
+def check_rates(where: str, t_s: Array, angle: Array, rate: Array) -> None:
+    """Refuse wheel rates that are not the rates of the wheel angles, in rad/s.
+
+    A wheel counts where it turns at 0.2 rad/s or more, by either, in three stretches or more: a register that
+    counts in steps reads slower ones badly. It disagrees where seven tenths of them are off by twice or more,
+    or turn the other way. Where all wheels turn the other way, `hil.datasets.signs` says so.
+
+    Args:
+        where: the file, for messages.
+        t_s: (n,) times, s, increasing.
+        angle: (n, 4) wheel angles, rad, unwrapped.
+        rate: (n, 4) wheel rates; not checked where one is no number.
+
+    Raises:
+        DataError: names the columns, and the unit where the factor tells it.
+    """
+    if not np.all(np.isfinite(rate)):
+        return
+    edges_s = np.arange(t_s[0], t_s[-1], _STRETCH_S)
+    way = np.vstack([np.zeros(4), np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t_s)[:, None], axis=0)])
+    pairs = (np.diff([np.interp(edges_s, t_s, c) for c in columns.T]) for columns in (angle, way))
+    ratios = [_ratios(turned, said) for turned, said in zip(*pairs, strict=True)]
+    heard = [r for r in ratios if len(r)]
+    if heard and all(np.median(r) < 0.0 for r in heard):
+        return
+    wrong = [i for i, r in enumerate(ratios) if len(r) and np.mean(_agrees(r)) <= 1.0 - _MOST]
+    if not wrong:
+        return
+    factor = float(np.median(np.concatenate([ratios[i] for i in wrong])))
+    names = ", ".join(f"w{i + 1}" for i in wrong)
+    unit = _rate_unit(factor)
+    if unit is None:
+        raise DataError(
+            where,
+            f"wheel rates ({names}) disagree with the wheel angles (phi): {factor:.3g} times their rates",
+            expected="w in rad/s, the rate at which phi grows",
+            remedy="correct the columns, or leave out w1 to w4, which only the signal velocity needs",
+        )
+    raise DataError(
+        where,
+        f"wheel rates ({names}) seem to be in {unit.name}: {factor:.3g} times the rates of the angles (phi)",
+        expected="w in rad/s",
+        remedy=f"multiply w by {unit.to_si:.6g}",
+    )
+
+
+def _ratios(turned: Array, said: Array) -> Array:
+    """What the rate of one wheel says over what its angle does, by stretch; empty where too few count."""
+    turns = np.maximum(np.abs(turned), np.abs(said)) > _SLOWEST_RAD_S * _STRETCH_S
+    if np.count_nonzero(turns) < _FEWEST:
+        return np.empty(0)
+    held = np.where(np.abs(turned) < 1e-9, 1e-9, turned)
+    return np.asarray(said[turns] / held[turns], dtype=np.float64)
+
+
+def _agrees(ratio: Array) -> Array:
+    return np.asarray(np.abs(np.log(np.maximum(ratio, 1e-12))) < _DISAGREE)
+
+
+def _rate_unit(factor: float) -> _Unit | None:
+    """The unit whose numbers are `factor` times rad/s, None where none is near."""
+    if factor <= 0.0:
+        return None
+    off, unit = min(((abs(np.log(factor * unit.to_si)), unit) for unit in _RATES), key=lambda found: found[0])
+    return unit if off < _SAME_UNIT else None

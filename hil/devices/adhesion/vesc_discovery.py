@@ -1,0 +1,46 @@
+"""VESCs on CAN buses that were named, or that the system has: for discovery."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+from hil.config.adhesion import VescConfig
+from hil.config.can_bus import SEARCH_S, CanConfig
+from hil.core.device import Search
+from hil.core.errors import HilError
+
+C = TypeVar("C", bound=CanConfig)
+
+
+def controllers(search: Search, buses: Iterable[C]) -> Iterator[tuple[C, list[int]]]:
+    """Each bus with the ids of those that answer a ping or report, where there are any.
+
+    Where a fan or propellers are kept running, the bus is only listened to.
+    """
+    from hil.drivers.adhesion.keeper.door import bus_of, keepers
+    from hil.drivers.adhesion.vesc_identity import ask_who
+    from hil.drivers.adhesion.vesc_settings import Answers
+    from hil.drivers.links.can_bus import CanLink
+
+    for bus in buses:
+        kept = bus.bus in map(bus_of, keepers())
+        search.say(f"{'listening' if kept else 'asking'} for VESCs on {bus.interface}:{bus.channel}")
+        asked = VescConfig(
+            interface=bus.interface,
+            channel=bus.channel,
+            bitrate=bus.bitrate,
+            options=bus.options,
+            open_timeout_s=SEARCH_S,
+        )
+        link = CanLink("adhesion", asked, search.clock)
+        try:
+            link.open()
+            seen = ask_who(link, asked, search.clock, Answers(), silent=kept)
+        except HilError as error:
+            search.say(str(error))
+            continue
+        finally:
+            link.close()
+        if ids := sorted({*seen.pongs, *seen.statuses}):
+            yield bus, ids

@@ -1,0 +1,56 @@
+"""A fan behind a VESC on CAN."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from hil.config.adhesion import VescConfig
+from hil.core.device import Found, Search, loaded
+from hil.devices.adhesion.vesc_discovery import controllers
+from hil.devices.link_models import CanModel
+
+
+class KeptFan(CanModel):
+    """A fan that the fan daemon commands. It is not looked for, unless a model says how."""
+
+    dbc: ClassVar[str] = ""
+
+    def emulate(self, request: Any) -> Any:
+        """The controller on a bus of its own, commanded from its world."""
+        from hil.devices.adhesion.emulated_keeper import kept_on_can
+        from hil.devices.emulated_can import channel_of
+
+        channel = channel_of(request)
+        node = loaded(self.chip).build(request, channel)
+        dbc = loaded(self.dbc) if self.dbc else ""
+        return kept_on_can(request, channel, [node], subnet=self.subnet, dbc=dbc, told=self.printed)
+
+    def search(self, search: Search) -> Found | None:
+        """None: to ask such a bus is to take part in it."""
+        return None
+
+    @property
+    def can_search(self) -> bool:
+        """Whether a model says how."""
+        return type(self).search is not KeptFan.search
+
+
+class Vesc(KeptFan):
+    """VESC."""
+
+    kind, name, title = "adhesion", "vesc", "a ducted fan on a VESC"
+    config, subnet, printed = VescConfig, 164, ("controller_id",)
+    driver, chip = "hil.drivers.adhesion.vesc_fan:VescFan", "hil.fakes.adhesion:VescNode"
+    dbc = "hil.drivers.adhesion.vesc:DBC"
+
+    def search(self, search: Search) -> Found | None:
+        """Ping the controllers on the CAN buses that were named, or that the system has."""
+        from hil.drivers.links.can_bus import detected
+
+        named = [c for c in search.given.get("adhesion", ()) if isinstance(c, VescConfig)]
+        for config, ids in controllers(search, named or detected(VescConfig)):
+            wanted = VescConfig().controller_id
+            own = wanted if wanted in ids else ids[0]
+            notes = (f"controllers {', '.join(map(str, ids))}: {own} is taken for the fan's",)
+            return Found(config.table(controller_id=own), notes if len(ids) > 1 else ())
+        return None

@@ -1,0 +1,104 @@
+"""What `hil doctor` asks of a device that it has watched for a while, and what most devices are asked."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from hil.core.clock import Clock
+from hil.core.device import DeviceKind
+from hil.core.finding import Finding, Level
+from hil.core.signals import Status, worst
+
+LOSS_WARNING, LOSS_FAILURE = 0.02, 0.2
+SUPPLY = "check its supply and cable"
+"""What to do about a device that starts over."""
+MORE_WARNING, MORE_FAILURE = 0.05, 0.2
+"""Share of samples beyond those that are due: data sheets let the rate of MEMS sensors be off by up to 3 %;
+clocks and their adjustment are off by less than 0.1 %."""
+_AT_THE_ENDS = 2
+"""Samples that a short watch may have beyond that, one at each end."""
+_NO_MORE = f"at most {MORE_WARNING:.0%} more than the rate allows"
+_WHY_MORE = "set the device to the rate of the bench file, or mend a driver that delivers samples twice"
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A device that was read at the loop rate for a while.
+
+    Attributes:
+        kind: of the device.
+        config: its table of the bench file.
+        device: its driver, open.
+        samples: what it delivered.
+        watch_s: for how long it was read.
+        clock: the bench clock.
+        loop_hz: loop rate.
+    """
+
+    kind: DeviceKind
+    config: Any
+    device: Any
+    samples: Sequence[Any]
+    watch_s: float
+    clock: Clock
+    loop_hz: float
+
+    @property
+    def not_measured(self) -> tuple[str, ...]:
+        """Fields of the sample that its model does not measure."""
+        return self.kind.model(self.config.model).not_measured
+
+    @property
+    def due(self) -> int:
+        """Samples that a healthy device would have delivered; as many as came where its rate is open."""
+        rate_hz = self.kind.rate_hz(self.config, self.loop_hz)
+        return len(self.samples) if math.isnan(rate_hz) else max(1, round(self.watch_s * rate_hz))
+
+    def losses(self, remedy: str) -> Iterator[Finding]:
+        """How many of the samples that were due are good; `remedy` for when many are missing."""
+        yield losses(self.kind.name, (worst(sample) for sample in self.samples), self.due, remedy)
+
+
+def surplus(count: int, due: float) -> float:
+    """Share by which samples are more than a rate allows; 0 or less where they are not.
+
+    Args:
+        count: of all samples, good or bad.
+        due: how many a healthy device delivers.
+    """
+    return (count - _AT_THE_ENDS) / due - 1.0 if due else 0.0
+
+
+def losses(name: str, statuses: Iterable[Status], due: int, remedy: str) -> Finding:
+    """How many of the samples that were due are good, what the others lack, and whether too many came.
+
+    A device that starts over while it is watched is a failure, however many samples are good.
+
+    Args:
+        name: of the device.
+        statuses: one for each sample.
+        due: how many there should be.
+        remedy: what to do when many are missing.
+    """
+    seen = Counter(statuses)
+    count, good = sum(seen.values()), seen.pop(Status.OK, 0)
+    seen.pop(Status.STARTING, None)
+    more = surplus(count, due)
+    if more > MORE_WARNING:
+        level: Level = "failure" if more > MORE_FAILURE else "warning"
+        return Finding(name, "samples", level, f"{count} samples where {due} are due", _NO_MORE, _WHY_MORE)
+    if again := restarted(seen[Status.RESET], count):
+        return Finding(name, "samples", "failure", again, "none", SUPPLY)
+    loss = 1.0 - good / due if due else 1.0
+    level = "failure" if loss > LOSS_FAILURE else "warning" if loss > LOSS_WARNING else "ok"
+    told = ", ".join(f"{count} {status.value}" for status, count in seen.most_common()) or "no bad samples"
+    return Finding(name, "samples", level, f"{good} of {due} good ({told})", "nearly all good", remedy)
+
+
+def restarted(again: int, count: int) -> str:
+    """What is to be said where samples (`again` of `count`) tell of a restart; empty where none does."""
+    return f"{again} of {count} samples say that it has restarted" if again else ""

@@ -1,0 +1,88 @@
+"""How an emulated device is built and connected: in this process for virtual time, or at the wire.
+
+A model's `emulate` takes an `EmulationRequest` and gives an `EmulatedDevice`. Most are a chip behind a serial
+line (`on_serial_line`) or on a CAN bus (`hil.devices.emulated_can`); the others state how they are reached.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from hil.core.device import Connection
+from hil.fakes.emulation_request import EmulationRequest
+from hil.fakes.serial_chip import SerialChip
+from hil.fakes.serial_line import SerialLine
+from hil.fakes.serial_pty import SerialPty
+from hil.fakes.server import Face
+
+__all__ = ["EmulatedDevice", "EmulationRequest", "Face", "Wired", "on_serial_line"]
+
+
+class EmulatedDevice(Protocol):
+    """An emulated device that nothing is connected to yet. Either of the two is called, once."""
+
+    @abstractmethod
+    def connect(self) -> Connection:
+        """Make it reachable in this process, on the virtual clock."""
+
+    @abstractmethod
+    def serve(self) -> Face:
+        """Make it reachable for any client, in real time."""
+
+
+@dataclass
+class Wired(EmulatedDevice):
+    """An emulated device that is reached in two ways, each a function."""
+
+    connecting: Callable[[], Connection]
+    serving: Callable[[], Face]
+
+    def connect(self) -> Connection:
+        """As `EmulatedDevice.connect`."""
+        return self.connecting()
+
+    def serve(self) -> Face:
+        """As `EmulatedDevice.serve`."""
+        return self.serving()
+
+
+@dataclass
+class SerialWired(EmulatedDevice):
+    """A chip at the far end of a serial line: `hil://NAME`, or a PTY."""
+
+    line: SerialLine
+    told: Mapping[str, object] = field(default_factory=dict)
+
+    def connect(self) -> Connection:
+        """A pyserial URL."""
+        self.line.chip.begin_in_use()
+        line = self.line.open()
+        return Connection({"port": f"hil://{line.name}"}, close=line.close)
+
+    def serve(self) -> Face:
+        """A PTY."""
+        return SerialPty(self.line, dict(self.told))
+
+
+def on_serial_line(
+    request: EmulationRequest,
+    chip: SerialChip,
+    *,
+    latency_s: float = 0.001,
+    told: Mapping[str, object] | None = None,
+) -> EmulatedDevice:
+    """A chip behind a USB serial adapter.
+
+    Args:
+        request: where it is built.
+        chip: what is at the far end of the line.
+        latency_s: latency timer of the adapter.
+        told: what `hil emulate` prints beside the port; the table's baud rate by default.
+    """
+    line = SerialLine(request.world, chip, name=request.name, latency_s=latency_s)
+    if told is None:
+        told = {"baud": request.config.baud} if hasattr(request.config, "baud") else {}
+    return SerialWired(line, told)

@@ -1,0 +1,207 @@
+"""The emulated MicroStrain sensor at the end of a serial line: power, filter, streams, its own clock.
+
+It starts silent (`boot_s`), then answers commands (`commands`); its filter initialises and runs. Settings
+are lost with the power unless they were saved. Data leave `processing_s` after they were measured, stamped
+by a clock that runs `clock_ppm` fast. A wrong baud rate is noise to both sides.
+"""
+
+from __future__ import annotations
+
+import math
+
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.geometry import Four, Three, conjugated, multiplied, rotated
+from hil.devices.imu.microstrain import mip_fields as f
+from hil.devices.imu.microstrain.emulated_commands import Commands, Settings
+from hil.devices.imu.microstrain.emulated_faults import SUPPORTED_FAULTS, MicrostrainFaults
+from hil.devices.imu.microstrain.emulated_sensing import Fused, MicrostrainTruthOptions, Sensing
+from hil.devices.imu.microstrain.mip_packets import Field, Packet, PacketParser, encode
+from hil.fakes.emulation_request import EmulationRequest
+from hil.fakes.serial_chip import Reply, SerialChip
+from hil.fakes.world import NEVER_NS, World
+
+__all__ = ["SUPPORTED_FAULTS", "MicrostrainChip"]
+
+_BAUD_TOLERANCE = 0.03
+_PATIENCE_NS = 100_000_000
+_FIRMWARE = 1007
+_STABLE = 1
+_HEADING_NS = NS_PER_S
+
+
+class MicrostrainChip(SerialChip):
+    """One sensor, switched on long before the world begins.
+
+    Args:
+        world: truth, seed and faults.
+        name: device name, also of its faults.
+        options: true imperfections.
+        mount_rotation_wxyz: sensor axes in the body that the bench assumes.
+        baud: that the sensor is set to.
+        model: first digits of its model number.
+        saved: settings that it has after power-up.
+    """
+
+    Options = MicrostrainTruthOptions
+
+    @classmethod
+    def build(cls, request: EmulationRequest) -> MicrostrainChip:
+        """The sensor of a table of the bench file."""
+        config = request.config
+        return cls(
+            request.world,
+            options=request.options(cls.Options, position_m=config.mount_position_m),
+            mount_rotation_wxyz=config.mount_rotation_wxyz,
+            baud=config.baud,
+        )
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        name: str = "imu",
+        options: MicrostrainTruthOptions | None = None,
+        mount_rotation_wxyz: Four = (0.0, 1.0, 0.0, 0.0),
+        baud: int = 115_200,
+        model: str = "6286",
+        saved: Settings | None = None,
+    ) -> None:
+        self.name, self.supported_faults = name, SUPPORTED_FAULTS
+        self._world, self._baud = world, baud
+        self._options = options = options if options is not None else MicrostrainTruthOptions()
+        rng = world.rng(name)
+        self.sensing = Sensing(options, rng, options.mount_rotation_wxyz or mount_rotation_wxyz)
+        serial = f"{model}.{int(rng.integers(1000, 999_999)):06d}"
+        info = f.DeviceInfo(
+            _FIRMWARE, f.MODELS.get(model, "other"), f"{model}-9960", serial, "I042Y", "8g, 300dps"
+        )
+        self.commands = Commands(info, options.base_rate_hz, saved if saved is not None else Settings())
+        self._parser = PacketParser(_PATIENCE_NS)
+        self._faults = MicrostrainFaults(world.faults, name, rng)
+        world.faults.declare(name, SUPPORTED_FAULTS)
+        self._stretch = 1.0 + 1e-6 * options.clock_ppm
+        self._initialisation_ns = nanoseconds(options.initialisation_s)
+        self._boot(-nanoseconds(options.boot_s) - self._initialisation_ns - _HEADING_NS)
+
+    def reset(self, t_ns: int) -> None:
+        """Power was cycled."""
+        self._boot(t_ns)
+
+    def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
+        """Answer commands; at a wrong baud rate, while starting or without power there is silence."""
+        wrong = abs(baud - self._baud) > _BAUD_TOLERANCE * self._baud
+        if self._power(t_ns) or wrong:
+            self._parser.reset()
+            return []
+        replies = []
+        for packet in self._parser.feed(data, t_ns):
+            answer = self._faults.spoil(self._obey(packet, t_ns), t_ns)
+            if answer:
+                replies.append(Reply(t_ns + nanoseconds(self._options.answer_s), answer))
+        return replies
+
+    def next_poll_ns(self) -> int:
+        """When it measures next; never while it has nothing to send."""
+        return self._next_ns
+
+    def poll(self, t_ns: int) -> list[Reply]:
+        """Measure, and send what the message format asks for at this tick of the filter."""
+        if t_ns < self._next_ns:
+            return []
+        tick = self._tick
+        self._plan(t_ns)
+        if self._power(t_ns) or self.commands.idle:
+            return []
+        data = self._faults.spoil(self._measured(tick, t_ns), t_ns)
+        ready_ns = t_ns + nanoseconds(self._options.processing_s) + self._faults.lateness_ns(t_ns)
+        return [Reply(ready_ns, data)] if data else []
+
+    def _boot(self, t_ns: int) -> None:
+        """Power comes on at `t_ns`."""
+        self.commands.power_up()
+        self._boot_ns = self._filter_ns = t_ns + nanoseconds(self._options.boot_s)
+        self._parser.reset()
+        self.sensing.restart()
+        self._tick = 0
+        self._plan(max(self._boot_ns, self._world.now_ns))
+
+    def _power(self, t_ns: int) -> bool:
+        """Follow power faults; True while the sensor has no power or is starting."""
+        if self._faults.dead or not self._faults.none:
+            boot_ns = self._faults.boot_at_ns(t_ns)
+            if boot_ns is not None:
+                self._boot(boot_ns)
+        return self._faults.dead or t_ns < self._boot_ns
+
+    def _obey(self, packet: Packet, t_ns: int) -> bytes:
+        """The reply to commands, which take effect at once."""
+        commands = self.commands
+        before, filter_resets, soft_resets = commands.settings, commands.filter_resets, commands.soft_resets
+        reply = commands.answer(packet)
+        if commands.settings is not before:
+            self._plan(t_ns)
+        if commands.filter_resets > filter_resets:
+            self._filter_ns = t_ns
+            self.sensing.restart()
+        if commands.soft_resets > soft_resets:
+            self._boot(t_ns)
+        return reply
+
+    def _plan(self, t_ns: int) -> None:
+        """The next tick of the filter at which something is sent, counted from the one at `t_ns`."""
+        entries = self.commands.sent()
+        if not entries:
+            self._next_ns = NEVER_NS
+            return
+        ticks = min(decimation - self._tick % decimation for _, decimation in entries)
+        self._tick += ticks
+        period_ns = NS_PER_S / self._options.base_rate_hz / self._stretch
+        self._next_ns = t_ns + round(ticks * period_ns * self._faults.slowness(t_ns))
+
+    def _measured(self, tick: int, t_ns: int) -> bytes:
+        """The packet of this tick."""
+        due = [descriptor for descriptor, decimation in self.commands.sent() if tick % decimation == 0]
+        if not due:
+            return b""
+        settings = self.commands.settings
+        self.sensing.heading_error_rad += self._faults.jump_rad(t_ns)
+        truth = self._world.plant.truth()
+        fused = self._faults.distort(self.sensing.sense(truth, drifts=not settings.magnetometer), t_ns)
+        fused = _turned(fused, settings.transform_rad)
+        state = self._state(t_ns)
+        valid = int(state >= f.FIRST_RUNNING_STATE)
+        values: dict[int, tuple[float, ...]] = {
+            f.REFERENCE_TIME: (max(0, round((t_ns - self._boot_ns) * self._stretch)),),
+            f.STATUS: (state, f.DYNAMICS_MODE, _STABLE * valid),
+            f.QUATERNION: (*fused.quaternion, valid),
+            f.ANGULAR_RATE: (*fused.rate, valid),
+            f.LINEAR_ACCELERATION: (*fused.linear, valid),
+            f.GRAVITY: (*fused.gravity, valid),
+        }
+        return encode(f.FILTER_DATA, (Field(key, f.LAYOUTS[key].pack(*values[key])) for key in due))
+
+    def _state(self, t_ns: int) -> int:
+        """Of the filter: initialising, vertical gyro, or AHRS once the magnetometer has had its time."""
+        running_ns = t_ns - self._filter_ns - self._initialisation_ns
+        if running_ns < 0:
+            return f.FIRST_RUNNING_STATE - 1
+        has_heading = self.commands.settings.magnetometer and running_ns > _HEADING_NS
+        return f.FIRST_RUNNING_STATE + has_heading
+
+
+def _turned(fused: Fused, transform_rad: Three) -> Fused:
+    """In the vehicle's axes, which yaw, pitch and roll turn away from the sensor's, in this order."""
+    if transform_rad == (0.0, 0.0, 0.0):
+        return fused
+    roll, pitch, yaw = (0.5 * angle for angle in transform_rad)
+    turn = multiplied(
+        multiplied((math.cos(yaw), 0.0, 0.0, math.sin(yaw)), (math.cos(pitch), 0.0, math.sin(pitch), 0.0)),
+        (math.cos(roll), math.sin(roll), 0.0, 0.0),
+    )
+    back = conjugated(turn)
+    return Fused(
+        multiplied(fused.quaternion, turn),
+        rotated(back, fused.rate),
+        rotated(back, fused.linear),
+        rotated(back, fused.gravity),
+    )

@@ -1,0 +1,54 @@
+"""The emulated propellers behind VESCs: each a controller and a motor of its own, which push together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hil.devices.thrust.vesc.config import VescThrustConfig
+from hil.fakes.adhesion import AdhesionTruthOptions
+from hil.fakes.adhesion.forces_on_robot import Load
+from hil.fakes.adhesion.motor_controller import FAN_FAULTS
+from hil.fakes.adhesion.vesc_node import VescNode
+from hil.fakes.body_interface import HoldingForces
+from hil.fakes.can_channel import CanChannel
+from hil.fakes.fault import Supported
+from hil.fakes.world import World
+
+PROPELLER_FAULTS: Supported = {kind: opts for kind, opts in FAN_FAULTS.items() if kind != "adhesion_loss"}
+
+
+@dataclass(frozen=True)
+class VescThrustTruthOptions(AdhesionTruthOptions):
+    """As of the fan's VESC.
+
+    Attributes:
+        rated_input_a: battery current of each controller at full speed.
+        rpm_per_v: of the motors, unloaded.
+    """
+
+    spin_up_s: float = 0.1
+    spin_down_s: float = 0.3
+    rated_input_a: float = 10.0
+    rpm_per_v: float = 900.0
+
+
+class PropellerNode(VescNode):
+    """One controller with its propellers."""
+
+    Options = VescThrustTruthOptions
+    supported_faults = PROPELLER_FAULTS
+
+
+def propellers(
+    world: World, channel: CanChannel, config: VescThrustConfig, options: VescThrustTruthOptions
+) -> tuple[PropellerNode, ...]:
+    """All controllers of a robot, on its bus."""
+    point = world.plant.working_point or HoldingForces(0.0, 0.0)
+    count = len(config.controller_ids)
+    load = Load(point.thrust_n, point.propeller_gain, world.plant.set_thrust, motors=count)
+    ratings = {"rated_input_a": options.rated_input_a, "rpm_per_v": options.rpm_per_v}
+    motors = [motor.model_copy(update=ratings) for motor in config.motors()]
+    return tuple(
+        PropellerNode(world, channel, motor, options, "thrust", load=load, motor=number)
+        for number, motor in enumerate(motors)
+    )

@@ -1,0 +1,130 @@
+"""Faults of the emulated visual-inertial computer and of the network behind it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from hil.devices.tracker.mavlink.emulated_odometry import Estimate
+from hil.fakes.active_faults import DeviceFaults, FaultPlan
+from hil.fakes.fault import PERIODIC, STRIKES, Fault, Supported
+from hil.fakes.tracker.t265_faults import seen_drift_m, seen_scale
+
+SUPPORTED_FAULTS: Supported = {
+    "off": (),
+    "stuck": (),
+    "garbage": ("nan", "clock", "packets"),
+    "wrong": ("scale", "drift_x_m_s", "drift_y_m_s", "quality", "frame"),
+    "slow": ("factor",),
+    "delayed": ("delay_s",),
+    "intermittent": PERIODIC,
+    "drop": STRIKES,
+    "corrupt": STRIKES,
+    "truncate": STRIKES,
+    "duplicate": STRIKES,
+    "unplug": (),
+    "jump": ("distance_m", "announced"),
+    "reset": (),
+}
+
+_JUMP_M = 0.1
+_LATEST_US = 1 << 62
+
+
+class ComputerFaults(DeviceFaults):
+    """What is wrong with computer and network.
+
+    Options: `wrong,scale=` on every step, `wrong,quality=` in percent or `wrong,frame=` with a number of
+    MAV_FRAME; `jump,distance_m=` once, with `announced=0` without a new reset count; `slow,factor=`;
+    `delayed,delay_s=`; `intermittent,period_s=,duty=`; `drop`, `corrupt`, `truncate` and `duplicate` with
+    `probability=`; `garbage` makes random poses, with `nan=1` NaN, with `clock=1` random time stamps, with
+    `packets=1` random packets. `off` and `reset` start it again, `unplug` is its cable.
+    """
+
+    def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
+        super().__init__(plan, name, rng)
+        self._frozen: Estimate | None = None
+        plan.declare(name, SUPPORTED_FAULTS)
+
+    def silent(self, t_ns: int) -> bool:
+        """Whether it says nothing now."""
+        if self.find("off", t_ns) is not None:
+            return True
+        fault = self.find("intermittent", t_ns)
+        return fault is not None and fault.interrupts(t_ns)
+
+    def cut_off(self, t_ns: int) -> bool:
+        """Whether nothing gets in or out."""
+        return self.find("unplug", t_ns) is not None
+
+    def jump(self, t_ns: int) -> tuple[float, bool]:
+        """Distance of a jump that is due, once per fault, and whether the reset count tells of it."""
+        fault = self.news("jump", t_ns)
+        if fault is None:
+            return 0.0, False
+        return fault.option("distance_m", _JUMP_M), bool(fault.option("announced", 1.0))
+
+    def scale(self, t_ns: int) -> float:
+        """Factor on the steps seen."""
+        return seen_scale(self.find("wrong", t_ns))
+
+    def drift_m(self, t_ns: int, dt_s: float) -> tuple[float, float]:
+        """Way in the wall's axes that is seen in a step and was not gone."""
+        return seen_drift_m(self.find("wrong", t_ns), dt_s)
+
+    def distort(self, estimate: Estimate, t_ns: int) -> Estimate:
+        """The estimate as the computer takes it to be."""
+        if self.find("stuck", t_ns) is None:
+            self._frozen = None
+        else:
+            self._frozen = self._frozen or estimate
+            estimate = dataclasses.replace(self._frozen, time_us=estimate.time_us)
+        wrong = self.find("wrong", t_ns)
+        if wrong is not None:
+            quality, frame = wrong.options.get("quality"), wrong.options.get("frame")
+            estimate = dataclasses.replace(
+                estimate,
+                quality=estimate.quality if quality is None else int(quality),
+                frame_id=estimate.frame_id if frame is None else int(frame),
+            )
+        garbage = self.find("garbage", t_ns)
+        return estimate if garbage is None else self._garbage(estimate, garbage)
+
+    def spoil(self, packet: bytes, t_ns: int) -> tuple[bytes, ...]:
+        """A datagram as it arrives: not at all, damaged, once or twice."""
+        if self.none:
+            return (packet,)
+        if self.cut_off(t_ns) or self._hit("drop", t_ns):
+            return ()
+        if self._hit("corrupt", t_ns):
+            damaged = bytearray(packet)
+            damaged[int(self._rng.integers(0, len(packet)))] ^= int(self._rng.integers(1, 256))
+            packet = bytes(damaged)
+        if self._hit("truncate", t_ns):
+            packet = packet[: int(self._rng.integers(0, len(packet)))]
+        return (packet, packet) if self._hit("duplicate", t_ns) else (packet,)
+
+    def scramble(self, packet: bytes, t_ns: int) -> bytes:
+        """A packet as the computer sends it: random bytes where it has gone mad."""
+        garbage = self.find("garbage", t_ns)
+        if garbage is None or not garbage.option("packets", 0.0):
+            return packet
+        return self._rng.bytes(len(packet))
+
+    def _garbage(self, estimate: Estimate, fault: Fault) -> Estimate:
+        if fault.option("packets", 0.0):
+            return estimate
+        if fault.option("clock", 0.0):
+            return dataclasses.replace(estimate, time_us=int(self._rng.integers(0, _LATEST_US)))
+        values = [math.nan] * 13
+        if not fault.option("nan", 0.0):
+            values = [float(v) for v in self._rng.integers(0, 256, 52, dtype=np.uint8).view(np.float32)]
+        return dataclasses.replace(
+            estimate,
+            position_m=tuple(values[:3]),
+            quaternion_wxyz=tuple(values[3:7]),
+            velocity_m_s=tuple(values[7:10]),
+            rates_rad_s=tuple(values[10:]),
+        )

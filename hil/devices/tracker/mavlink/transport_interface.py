@@ -1,0 +1,54 @@
+"""The shape of what carries packets between a sender of odometry and its driver."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import NamedTuple, Protocol, TypeAlias
+
+from hil.core.clock import Clock
+from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
+
+Address: TypeAlias = tuple[str, int]
+
+
+class Arrival(NamedTuple):
+    """Bytes, when they arrived on the bench clock, and where answers go."""
+
+    data: bytes
+    arrived_ns: int
+    sender: Address
+
+
+class Link(Protocol):
+    """A way to the sender, open.
+
+    Attributes:
+        datagrams: whether what arrives at once belongs together.
+        peer: whom to speak to before anybody has spoken; None where that is not known.
+        trouble: why nothing can arrive any more; empty while all is well.
+        gone: whether that has lasted for so long that only opening it again helps.
+        overflowed: arrivals lost because nobody took them.
+    """
+
+    datagrams: bool
+    peer: Address | None
+    trouble: str
+    gone: bool = False
+    overflowed: int
+
+    @abstractmethod
+    def send(self, data: bytes, address: Address) -> None:
+        """Send to somebody; what cannot leave is lost."""
+
+    @abstractmethod
+    def receive(self) -> Arrival | None:
+        """The oldest bytes that have arrived, or None; never waits."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go. Idempotent; never raises."""
+
+
+LinkFactory: TypeAlias = Callable[[MavlinkTrackerConfig, Clock, str], Link]
+"""(configuration, bench clock, device name) -> an open link; raises `DeviceError`."""

@@ -1,0 +1,152 @@
+"""A fan behind a motor controller on CAN: a force as what it is told, and its reports as samples."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from abc import abstractmethod
+from typing import Any, NamedTuple, TypeVar
+
+import can
+
+from hil.config.adhesion import MotorConfig
+from hil.core.clock import Clock
+from hil.core.errors import HilError, UsageError
+from hil.core.signals import AdhesionSample, Stamp, Status
+from hil.drivers.adhesion.can_motor import KeptMotor
+from hil.drivers.adhesion.keeper.kept import Keep
+from hil.drivers.adhesion.speed_trim import Trim
+from hil.drivers.links.silence_limit import Usefulness
+from hil.drivers.links.stuck_values import StuckTest
+
+_FASTEST = 3.0
+"""Times the rated speed: no fan turns so fast."""
+_VOLTS, _CELSIUS = (0.0, 150.0), (-60.0, 250.0)
+"""Battery and transistors: beyond, a report is damaged and tells nothing of them."""
+_STUCK_S = 0.5
+_RUNNING_RPM = 1000.0
+
+C = TypeVar("C", bound=MotorConfig)
+
+
+class Figures(NamedTuple):
+    """What a report says of the fan, NaN where it does not: as in `AdhesionSample`, in its order."""
+
+    speed_rpm: float
+    duty: float
+    motor_a: float
+    input_a: float
+    input_v: float
+    fet_c: float
+    motor_c: float
+
+
+class MotorFan(KeptMotor[C, AdhesionSample]):
+    """One fan.
+
+    Args:
+        config: bus, id, ratings.
+        clock: the bench clock.
+        keep: makes who keeps the fan running, of (spec, clock).
+    """
+
+    name = "adhesion"
+    noun = "the fan"
+
+    def __init__(self, config: C, clock: Clock, keep: Keep | None = None) -> None:
+        self._fastest_rpm = _FASTEST * config.rated_rpm
+        super().__init__(config, clock, keep)
+
+    def _forget(self) -> None:
+        super()._forget()
+        self._usefulness = Usefulness(self._config.fail_after_s)
+        self._usefulness.begin(self._clock.now_ns())
+        self._stuck = StuckTest(_STUCK_S)
+        self._trim: Trim | None = None
+        self._latest: AdhesionSample | None = None
+
+    def read(self) -> tuple[AdhesionSample, ...]:
+        """One sample for each report of speed.
+
+        Raises:
+            DeviceTimeoutError: the controller has been silent for `fail_after_s`.
+        """
+        kept = self._must_be_open()
+        samples: list[AdhesionSample] = self._link.heard()
+        now_ns = self._clock.now_ns()
+        if lost_ns := self._usefulness.lost_ns(bool(samples), now_ns):
+            raise self._silence("the fan's controller", lost_ns, "it lets go of the motor")
+        if samples:
+            self._latest = samples[-1]
+            self._link.error = ""
+            if self._trim is not None:
+                point = self._trim.better(samples[-1], kept.status)
+                if point is not None:
+                    kept.set(point)
+        return tuple(samples)
+
+    def _meaning(self, t_ns: int, message: can.Message, now_ns: int) -> AdhesionSample | None:
+        said, kept = self._report(message), self._kept
+        figures = None if said is None else self._figures(said, t_ns)
+        if figures is None or t_ns <= self._latest_ns:
+            return None
+        self._latest_ns = t_ns
+        return self._sample(figures, said, t_ns, now_ns, "" if kept is None else kept.trouble())
+
+    def _sample(self, figures: Figures, raw: object, t_ns: int, now_ns: int, trouble: str) -> AdhesionSample:
+        """A report as a sample; `raw` is what never stays the same while a fan runs."""
+        status, speed_rpm = Status.OK, abs(figures.speed_rpm)
+        if speed_rpm > self._fastest_rpm or abs(figures.duty) > 1.05:
+            status = Status.IMPLAUSIBLE
+        elif self._stuck.stuck(raw, t_ns) and speed_rpm > _RUNNING_RPM:
+            status = Status.FROZEN
+        self._sequence += 1
+        if status is not Status.OK:
+            figures = figures._replace(speed_rpm=math.nan, duty=math.nan, motor_a=math.nan)
+        if not _VOLTS[0] <= figures.input_v <= _VOLTS[1]:
+            figures = figures._replace(input_v=math.nan)
+        if not _CELSIUS[0] <= figures.fet_c <= _CELSIUS[1]:
+            figures = figures._replace(fet_c=math.nan)
+        stamp = Stamp(t_ns, now_ns, self._sequence)
+        return AdhesionSample(stamp, *figures, status, trouble)
+
+    def set_force_n(self, force_n: float) -> None:
+        """Ask for a force; the speed that gives it is kept up whatever the battery does.
+
+        Raises:
+            UsageError: not a force that the fan may give; nothing is sent.
+        """
+        highest_n = self._config.highest_force_n
+        if not (math.isfinite(force_n) and 0.0 < force_n <= highest_n):
+            raise UsageError(
+                f"{self.name}: a force of {force_n:g} N",
+                expected=f"above 0, at most {highest_n:g} N (adhesion.highest_force_n)",
+                remedy="`hil adhesion off` lets the fan come to rest",
+            )
+        kept = self._must_be_open()
+        trim = Trim(self._config, self._config.speed_for_rpm(force_n), self._input_v(), self._latest)
+        kept.set(trim.point)
+        self._trim = trim
+
+    def set_duty(self, duty: float) -> None:
+        """Ask for a duty as it is; raises `UsageError`."""
+        point = self._duty(duty)
+        self._must_be_open().set(point)
+        self._trim = None
+
+    def brace(self) -> None:
+        """Ask for the highest force that is allowed; never raises."""
+        with contextlib.suppress(HilError):
+            self.set_force_n(self._config.highest_force_n)
+
+    @abstractmethod
+    def _report(self, message: can.Message) -> Any:
+        """What a frame of the fan's controller reports; None for any other."""
+
+    @abstractmethod
+    def _figures(self, said: Any, t_ns: int) -> Figures | None:
+        """What a report of speed says, with what others have said; None for another report."""
+
+    @abstractmethod
+    def _input_v(self) -> float:
+        """Battery voltage as it was reported last; NaN where it was not."""

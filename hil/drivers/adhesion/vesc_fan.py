@@ -1,0 +1,96 @@
+"""The fan behind a VESC: who it is, how it is set, and its reports as samples."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import cast
+
+import can
+
+from hil.config.adhesion import VescConfig
+from hil.core.clock import Clock, nanoseconds
+from hil.core.finding import Finding
+from hil.drivers.adhesion.can_fan import Figures, MotorFan
+from hil.drivers.adhesion.keeper.kept import Keep, finding
+from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.vesc import Packet, Status, Status4, Status5, address, decode
+from hil.drivers.adhesion.vesc_identity import Seen, ask_who
+from hil.drivers.adhesion.vesc_settings import Answers
+
+_SLOW_REPORTS_NS = nanoseconds(1.5)
+Report = Status | Status4 | Status5
+_READ = (Packet.STATUS, Packet.STATUS_4, Packet.STATUS_5)
+
+
+@dataclass
+class _Slow:
+    """The reports that come at the slower rate; NaN before, and when they stay out."""
+
+    input_a: float = math.nan
+    fet_c: float = math.nan
+    motor_c: float = math.nan
+    input_v: float = math.nan
+    seen_4_ns: int = -_SLOW_REPORTS_NS
+    seen_5_ns: int = -_SLOW_REPORTS_NS
+
+    def take(self, said: Status4 | Status5, t_ns: int) -> None:
+        """A report that has come."""
+        if isinstance(said, Status5):
+            self.input_v, self.seen_5_ns = said.input_v, t_ns
+        else:
+            self.input_a, self.fet_c, self.motor_c = said.input_a, said.fet_c, said.motor_c
+            self.seen_4_ns = t_ns
+
+
+class VescFan(MotorFan[VescConfig]):
+    """One fan; arguments as of any."""
+
+    def __init__(self, config: VescConfig, clock: Clock, keep: Keep | None = None) -> None:
+        self._answers, self._seen = Answers(), Seen()
+        self._reports = {address(packet, config.controller_id) for packet in _READ}
+        super().__init__(config, clock, keep)
+
+    def _forget(self) -> None:
+        super()._forget()
+        self._slow = _Slow()
+
+    def _greet(self, spec: Spec) -> dict[str, str]:
+        self._answers = Answers()
+        self._seen = ask_who(self._link, self._config, self._clock, self._answers)
+        self._seen.check(self.name, self._link, self._config, self._answers, spec)
+        return {
+            "model": "VESC",
+            "port": f"{self._link.port}, controller {self._config.controller_id}",
+            "firmware": self._answers.firmware or "not told",
+        }
+
+    def _input_v(self) -> float:
+        return self._slow.input_v
+
+    def _report(self, message: can.Message) -> Report | None:
+        if message.arbitration_id not in self._reports or not message.is_extended_id:
+            return None
+        return cast("Report | None", decode(message.arbitration_id, message.data))
+
+    def _figures(self, said: Report, t_ns: int) -> Figures | None:
+        slow = self._slow
+        if not isinstance(said, Status):
+            slow.take(said, t_ns)
+            return None
+        old_ns = t_ns - _SLOW_REPORTS_NS
+        current_4, current_5 = slow.seen_4_ns > old_ns, slow.seen_5_ns > old_ns
+        return Figures(
+            said.erpm / self._config.pole_pairs,
+            said.duty,
+            said.current_a,
+            slow.input_a if current_4 else math.nan,
+            slow.input_v if current_5 else math.nan,
+            slow.fet_c if current_4 else math.nan,
+            slow.motor_c if current_4 else math.nan,
+        )
+
+    def diagnose(self) -> tuple[Finding, ...]:
+        """What the doctor wants to know of how the controller is set and kept."""
+        set_so = self._seen.findings(self.name, self._config, self._answers)
+        return (*set_so, finding(self.name, self._kept))

@@ -1,0 +1,324 @@
+"""The four steering encoders as a sensor: frames drained from python-can, put together, judged."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import deque
+from collections.abc import Mapping
+
+import can
+import numpy as np
+
+from hil.config.encoders import EncodersConfig
+from hil.core.clock import NS_PER_S, Clock, nanoseconds
+from hil.core.errors import DeviceError, DeviceTimeoutError
+from hil.core.interfaces import Sensor
+from hil.core.signals import EncoderSample, Stamp
+from hil.drivers.encoders.as5045_word import decode_words
+from hil.drivers.encoders.frame_layout import FrameLayout, load_layout
+from hil.drivers.encoders.node_clock import NodeTimeline
+from hil.drivers.encoders.node_status import NodeStatus
+from hil.drivers.links.can_arrival_times import ArrivalClock
+from hil.drivers.links.can_bus import BUS_ERRORS, GONE_NS, open_bus, receiver, remedy_of_silence, shut
+from hil.drivers.links.rate_limited_log import Seldom
+from hil.drivers.links.silence_limit import Usefulness, used_while_closed
+
+_LOG = logging.getLogger(__name__)
+
+_array = np.array  # in a name of our own: looking it up in numpy takes longer
+_MOST_FRAMES = 1024
+_MOST_PASSED_OVER = 256
+_ERROR_COUNTS = 16
+_WAIT_S = 0.02
+_OVER_NS = 100_000_000
+"""So long after its first frame no more is expected of a set; longer where sets are rarer than that."""
+_OPEN_SETS = 3
+_MOST_LISTED = 8
+_OFTEN, _TOGETHER_NS = 4, 1_000_000_000
+"""A clock that leaps so often within so much is that of two nodes: none restarts in a quarter of a second."""
+
+
+class As5045Encoders(Sensor[EncoderSample]):
+    """Four AS5045 behind one CAN node.
+
+    Args:
+        config: python-can interface, DBC, signals.
+        clock: the bench clock.
+
+    Attributes:
+        malformed: frames of the right identifier and the wrong length since `open`.
+        incomplete: sample sets that lacked a frame since `open`.
+        error_frames: error frames seen on the bus since `open`.
+        passed_over: frames of no use since `open`: of others, malformed, repeated, and failures of the bus.
+        restarted: when the node's clock leapt lately, ns: a restart, or another node that sends as this one.
+        floods: reads that met more frames, or more of no use, than they look at; the rest waits.
+        node_status: what the node says of itself, known within about a second of `open`.
+    """
+
+    name = "encoders"
+
+    def __init__(self, config: EncodersConfig, clock: Clock) -> None:
+        self._config, self._clock = config, clock
+        self._bus: can.BusABC | None = None
+        self._bus_error = ""
+        self._resumed_at = 0
+        self._identity: dict[str, str] = {}
+        self._usefulness, self._yellow_mode = Usefulness(config.fail_after_s), config.yellow_mode
+        self._over_ns = max(_OVER_NS, nanoseconds(1.0 / config.rate_hz))
+        self._forget()
+
+    def _forget(self) -> None:
+        self.malformed = self.incomplete = self.error_frames = self.passed_over = self.floods = 0
+        self.restarted: deque[int] = deque(maxlen=_OFTEN)
+        self._say_restarted, self._say_malformed = Seldom(_LOG), Seldom(_LOG)
+
+    def open(self) -> None:
+        """Load the DBC, open the bus and wait for complete sample sets.
+
+        Raises:
+            DataError: the DBC cannot be used.
+            DeviceTimeoutError: the bus is silent.
+            DeviceError: the bus cannot be opened, or what it carries does not match the DBC.
+        """
+        self.close()
+        self._layout = load_layout(self._config)
+        self.node_status = NodeStatus(self._config)
+        first = next(iter(self._layout.values()))
+        self._timeline = NodeTimeline(first.sequence.mask, first.time.mask, first.time_lsb_s)
+        self._arrivals = ArrivalClock()
+        self._forget()
+        self._told_layout = False
+        self._sequence: int | None = None
+        self._finished = -1
+        self._words = [-1] * 4
+        self._time_raw = 0
+        self._discard = self._config.startup_discard
+        self._bus = open_bus(self.name, self._config)
+        try:
+            self._await_first_set()
+        except BaseException:
+            self.close()
+            raise
+        self._usefulness.begin(self._clock.now_ns())
+        self._bus_error = ""
+        self._identity = {
+            "model": "AS5045",
+            "port": self._port,
+            "dbc": str(self._config.dbc_path),
+            "frames": ", ".join(f"0x{i:X} {f.name}" for i, f in self._layout.items()),
+        }
+
+    def reopen(self) -> None:
+        """As `open`, after the bus or the node was away: sample sets go on counting."""
+        self._resumed_at = max(self._resumed_at, self._timeline.sequence)
+        self.open()
+        self._timeline.sequence = max(self._resumed_at, self._timeline.sequence)
+
+    @property
+    def port_gone(self) -> bool:
+        """Whether the CAN interface itself fails, and nothing has come for a while."""
+        return bool(self._bus_error) and self._clock.now_ns() - self._usefulness.good_ns > GONE_NS
+
+    def close(self) -> None:
+        """Let go of the bus. Idempotent; never raises."""
+        self._identity = {}
+        bus, self._bus = self._bus, None
+        shut(self.name, bus)
+
+    def identity(self) -> Mapping[str, str]:
+        """Bus, DBC and frames in use, and the node's firmware once it has told it; empty while closed."""
+        if not self._identity or not self.node_status.heard:
+            return self._identity
+        return {**self._identity, "firmware": self.node_status.firmware}
+
+    @property
+    def bus_error(self) -> str:
+        """What the CAN interface reported last (bus off, error frames, lost interface); empty for nothing."""
+        return self._bus_error
+
+    @property
+    def two_nodes(self) -> str:
+        """Says that a second node sends with our identifiers, as it seems; empty where none does."""
+        often = len(self.restarted) == _OFTEN and self.restarted[-1] - self.restarted[0] < _TOGETHER_NS
+        identifiers = ", ".join(f"0x{i:X}" for i in self._layout)
+        return (
+            f"two nodes with one identifier: the counters of {identifiers} leap back and forth"
+            if often
+            else ""
+        )
+
+    def read(self) -> tuple[EncoderSample, ...]:
+        """All sample sets received since the last call, oldest first.
+
+        Raises:
+            DeviceError: it is closed.
+            DeviceTimeoutError: no sample set for `fail_after_s`.
+        """
+        if self._bus is None:
+            raise used_while_closed(self.name, self._port)
+        now_ns = self._clock.now_ns()
+        samples = self._received(self._bus, now_ns)
+        if lost_ns := self._usefulness.lost_ns(bool(samples), now_ns):
+            raise self._silent(lost_ns / NS_PER_S)
+        if samples:
+            self._bus_error = ""
+        return tuple(samples)
+
+    def _received(self, bus: can.BusABC, now_ns: int) -> list[EncoderSample]:
+        """Sample sets of the frames that wait; anybody on the bus may send, so their number is bounded."""
+        samples: list[EncoderSample] = []
+        most, take = self.passed_over + _MOST_PASSED_OVER, receiver(bus)
+        for _ in range(_MOST_FRAMES):
+            if self.passed_over >= most:
+                break
+            try:
+                message = take()
+            except BUS_ERRORS as error:
+                self._bus_error = str(error)
+                self.passed_over += _ERROR_COUNTS
+                continue
+            if message is None:
+                if self._sequence is not None and now_ns - self._arrival_ns > self._over_ns:
+                    sample = self._cut_short(now_ns)
+                    samples += () if sample is None else (sample,)
+                return samples
+            sample = self._take(message, now_ns)
+            if sample is not None:
+                samples.append(sample)
+        self.floods += not self._bus_error
+        if self.floods == 1:
+            _LOG.warning("%s: frames flood %s; a read takes only some of them", self.name, self._port)
+        return samples
+
+    @property
+    def _port(self) -> str:
+        return f"{self._config.interface}:{self._config.channel}"
+
+    def _silent(self, duration_s: float) -> DeviceTimeoutError:
+        seen = f", {self.error_frames} error frames" * bool(self.error_frames)
+        seen += f", {self._bus_error}" * bool(self._bus_error)
+        seen += f"; {self.two_nodes}" * bool(self.two_nodes)
+        return DeviceTimeoutError(
+            self.name,
+            f"no sample set for {duration_s:.1f} s{seen}",
+            port=self._port,
+            expected=f"{self._config.rate_hz:g} sets per second",
+            remedy=remedy_of_silence(self.name, self._config, "the encoders' node"),
+        )
+
+    def _await_first_set(self) -> None:
+        """Return once complete sets have been seen; explain what was seen instead."""
+        assert self._bus is not None
+        deadline_ns = self._clock.now_ns() + nanoseconds(self._config.open_timeout_s)
+        silences = math.ceil(self._config.open_timeout_s / _WAIT_S) + 1
+        sets_left = _OPEN_SETS
+        others: dict[int, int] = {}
+        wrong: dict[int, int] = {}
+        self._bus_error = ""
+        while silences > 0 and self._clock.now_ns() < deadline_ns:
+            try:
+                message = self._bus.recv(_WAIT_S)
+            except BUS_ERRORS as error:
+                self._bus_error = str(error)
+                silences -= 1
+                self._clock.sleep_until_ns(self._clock.now_ns() + nanoseconds(_WAIT_S))
+                continue
+            if message is None:
+                silences -= 1
+                continue
+            layout = self._layout.get(message.arbitration_id)
+            if message.is_error_frame:
+                self.error_frames += 1
+                continue
+            if layout is None or message.is_extended_id:
+                others[message.arbitration_id] = message.dlc
+            elif len(message.data) != layout.length:
+                wrong[message.arbitration_id] = len(message.data)
+            self._take(message, self._clock.now_ns())
+            if layout is not None and self._finished >= 0 and -1 not in self._words:
+                sets_left -= 1
+            if not sets_left:
+                return
+        raise self._not_seen(others, wrong)
+
+    def _not_seen(self, others: Mapping[int, int], wrong: Mapping[int, int]) -> DeviceError:
+        expected = ", ".join(f"0x{i:X} ({f.length} bytes)" for i, f in self._layout.items())
+        if wrong or others:
+            seen = list((wrong or others).items())[:_MOST_LISTED]
+            return DeviceError(
+                self.name,
+                "the frames do not match the DBC: seen " + ", ".join(f"0x{i:X} ({n} bytes)" for i, n in seen),
+                port=self._port,
+                expected=expected,
+                remedy="check encoders.dbc and encoders.node_id",
+            )
+        return self._silent(self._config.open_timeout_s)
+
+    def _take(self, message: can.Message, host_ns: int) -> EncoderSample | None:
+        """Use one frame; returns a sample set when that completes or cuts short one."""
+        layout = self._layout.get(message.arbitration_id)
+        data, strange = (
+            message.data,
+            message.is_extended_id or message.is_remote_frame or message.is_error_frame,
+        )
+        if layout is None or strange or len(data) != layout.length:
+            self._pass_over(message, layout, host_ns)
+            return None
+        sequence, time_raw, words = layout.decode(data)
+        if sequence == self._finished:
+            self.passed_over += 1
+            return None
+        sample = None
+        arrival_ns = self._arrivals.arrival_ns(message.timestamp, host_ns)
+        if sequence != self._sequence:
+            if self._sequence is not None:
+                sample = self._cut_short(host_ns)
+            self._sequence, self._arrival_ns, self._words = sequence, arrival_ns, [-1] * 4
+        known = self._words
+        for wheel, word in words:
+            known[wheel] = word
+        self._time_raw = time_raw
+        return sample if -1 in known else self._finish(host_ns)
+
+    def _warn_of_layout(self) -> None:
+        if not self._told_layout and (other := self.node_status.other_layout):
+            self._told_layout = True
+            _LOG.warning("%s at %s sends %s", self.name, self._port, other)
+
+    def _pass_over(self, message: can.Message, layout: FrameLayout | None, host_ns: int) -> None:
+        """A frame without words of ours: the node's status, or of no use."""
+        if self.node_status.take(message):
+            self._warn_of_layout()
+            return
+        self.passed_over += 1
+        if message.is_error_frame:
+            self.error_frames += 1
+        elif layout is not None and not (message.is_extended_id or message.is_remote_frame):
+            self.malformed += 1
+            told = f"frame 0x{message.arbitration_id:X} has {len(message.data)} bytes, not {layout.length}"
+            self._say_malformed.warn(host_ns, f"{self.name} at {self._port}: {told}")
+
+    def _cut_short(self, host_ns: int) -> EncoderSample | None:
+        """As `_finish`, of a set of which nothing more is to come."""
+        self.incomplete += 1
+        return self._finish(host_ns)
+
+    def _finish(self, host_ns: int) -> EncoderSample | None:
+        """The sample of the present set; None while start-up garbage is dropped."""
+        assert self._sequence is not None
+        self._finished, words = self._sequence, self._words
+        self._sequence = None
+        t_ns, node_ns, restarted = self._timeline.update(self._finished, self._time_raw, self._arrival_ns)
+        if restarted:
+            self._discard = self._config.startup_discard
+            self.restarted.append(host_ns)
+            told = self.two_nodes or "has restarted"
+            self._say_restarted.warn(host_ns, f"{self.name} at {self._port}: {told}")
+        if self._discard > 0:
+            self._discard -= 1
+            return None
+        angles, status = decode_words(words, yellow_mode=self._yellow_mode)
+        return EncoderSample(
+            Stamp(t_ns, host_ns, self._timeline.sequence, node_ns), _array(angles), status, tuple(words)
+        )

@@ -1,0 +1,31 @@
+"""Log messages of drivers that may come with every frame: told once a second at most, with a count."""
+
+from __future__ import annotations
+
+import logging
+
+from hil.core.clock import NS_PER_S
+
+_EVERY_NS = NS_PER_S
+
+
+class Seldom:
+    """One kind of warning.
+
+    Args:
+        log: where it goes.
+    """
+
+    def __init__(self, log: logging.Logger) -> None:
+        self._log = log
+        self._told_ns: int | None = None
+        self._untold = 0
+
+    def warn(self, now_ns: int, message: str) -> None:
+        """Tell it, unless it was told less than a second ago; the next one then says how often it came."""
+        if self._told_ns is not None and 0 <= now_ns - self._told_ns < _EVERY_NS:
+            self._untold += 1
+            return
+        also = f" ({self._untold} times more since the last message)" if self._untold else ""
+        self._log.warning("%s%s", message, also)
+        self._told_ns, self._untold = now_ns, 0

@@ -1,0 +1,28 @@
+"""Tells a quantity that happens to rest from one that is not measured any more: real ones have noise."""
+
+from __future__ import annotations
+
+from hil.core.clock import nanoseconds
+
+
+class StuckTest:
+    """Whether readings have been the same to the last bit for too long.
+
+    Args:
+        after_s: how long they may be.
+    """
+
+    def __init__(self, after_s: float) -> None:
+        self._after_ns = nanoseconds(after_s)
+        self.reset(0)
+
+    def reset(self, now_ns: int) -> None:
+        """Forget the last reading."""
+        self._last: object = None
+        self._changed_ns = now_ns
+
+    def stuck(self, reading: object, t_ns: int) -> bool:
+        """Take a reading of `t_ns`."""
+        if reading != self._last:
+            self._last, self._changed_ns = reading, t_ns
+        return t_ns - self._changed_ns > self._after_ns

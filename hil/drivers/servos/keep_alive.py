@@ -1,0 +1,73 @@
+"""Who looks after the servos while nobody talks to them: after a stop, between motions, during a prompt.
+
+A robot on a wall hangs by the torque of its servos. A servo that restarts comes back without torque and
+says nothing; a program that has stopped its loop would not ask. So from `enable` until `release` or
+`close` somebody always asks: the loop in its cycles, and in between the caretaker.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+from hil.core.clock import Clock, nanoseconds
+from hil.core.errors import HilError
+
+_LOG = logging.getLogger(__name__)
+
+_LONGEST_ALONE_S = 0.1
+_SHARE = 0.8
+"""Of the watchdog's time: the servos hear from the caretaker before the watchdog stops them."""
+_CALM_NS, _ALERT_NS = nanoseconds(0.05), nanoseconds(0.02)
+
+
+class Caretaker:
+    """Visits the servos when they have been left alone.
+
+    Args:
+        clock: the bench clock.
+        lock: held by whoever talks to the servos, not re-entrant; the caretaker never waits for it.
+        visit: one visit, called with the lock held; whether all is well.
+        watchdog_s: of the servos; 0 without one.
+    """
+
+    def __init__(
+        self, clock: Clock, lock: threading.Lock, visit: Callable[[], bool], *, watchdog_s: float
+    ) -> None:
+        self._clock, self._lock, self._visit = clock, lock, visit
+        longest_s = min(watchdog_s or _LONGEST_ALONE_S, _LONGEST_ALONE_S)
+        self._alone_ns = nanoseconds(_SHARE * longest_s)
+        self._end: Callable[[], None] | None = None
+        self._attended_ns = 0
+
+    def attended(self, now_ns: int) -> None:
+        """Somebody else has just talked to the servos."""
+        self._attended_ns = now_ns
+
+    def begin(self) -> None:
+        """From now on the servos are not left alone. Idempotent."""
+        if self._end is None:
+            self._attended_ns = self._clock.now_ns()
+            self._end = self._clock.schedule(self._look_in, self._attended_ns + self._alone_ns)
+
+    def end(self) -> None:
+        """Nobody needs to be held any more. Idempotent."""
+        if self._end is not None:
+            self._end()
+            self._end = None
+
+    def _look_in(self, now_ns: int) -> int:
+        due_ns = self._attended_ns + self._alone_ns
+        if now_ns < due_ns:
+            return due_ns
+        if not self._lock.acquire(blocking=False):
+            return now_ns + _ALERT_NS
+        try:
+            well = self._visit()
+        except HilError as error:
+            _LOG.warning("while nobody else talked to the servos: %s", error)
+            well = False
+        finally:
+            self._lock.release()
+        return self._clock.now_ns() + (_CALM_NS if well else _ALERT_NS)

@@ -1,0 +1,297 @@
+"""RAM of the servos: what is written at open, checked now and then, and restored after a restart.
+
+A servo that has restarted (brown-out, reboot) is without torque, gains, goal map and watchdog, and
+says so only when asked. A tripped bus watchdog refuses goals in silence. Both are found by the audit,
+a small group read through indirect data, and put right with the robot held where it is.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+
+from hil.config.servo_models import shared_register
+from hil.config.servo_models.codes import hardware_error_text
+from hil.config.servos import ServosConfig
+from hil.core.errors import DeviceError
+from hil.core.signals import SERVOS, Status
+from hil.drivers.servos import packets
+from hil.drivers.servos.bus import Bus
+from hil.drivers.servos.cyclic_read import Reading
+from hil.drivers.servos.packets import GoalWrite, GroupRead
+from hil.drivers.servos.register_map import AUDIT_LENGTH, FULL_LEVEL, RegisterMap
+
+_LOG = logging.getLogger(__name__)
+
+ANSWERING = (Status.OK, Status.RESET, Status.HARDWARE_ERROR)
+"""Of a servo that is heard."""
+_ATTEMPTS = 3
+_ATTEMPTS_ON = 12
+"""A computer that is busy starting programs may be deaf for a quarter of a second."""
+
+
+def acknowledge_all(bus: Bus, ids: Sequence[int]) -> None:
+    """Have servos of any model answer reads and writes, whatever Status Return Level they were left with."""
+    level = bytes((FULL_LEVEL,))
+    bus.send(packets.sync_write(shared_register("status_return_level").address, 1, [(i, level) for i in ids]))
+
+
+class Upkeep:
+    """Knows what RAM should hold, and makes it so.
+
+    Args:
+        bus: open bus.
+        config: IDs, registers and watchdog of the bench.
+        registers: of the servos' model.
+        device: name in errors and logs.
+        fast: use fast sync reads.
+
+    Attributes:
+        mapped: whether goals go through indirect data (one sync write) or by bulk write.
+        torque: whether torque should be on.
+        released: whether it was on and has been switched off.
+        hardware_error: (8,) Hardware Error Status as last read.
+    """
+
+    def __init__(
+        self, bus: Bus, config: ServosConfig, registers: RegisterMap, device: str, *, fast: bool
+    ) -> None:
+        self._bus, self._config, self._device, self._fast = bus, config, device, fast
+        self._ids, self._map = config.ids, registers
+        self._goal_addresses = [registers.goal_velocity] * 4 + [registers.goal_position] * 4
+        drive, steer = registers.encoded(config.drive_registers), registers.encoded(config.steer_registers)
+        self._registers = [drive] * 4 + [steer] * 4
+        self.mapped = True
+        self.torque = self.released = False
+        self.hardware_error = [0] * 8
+
+    def goal_write(self) -> GoalWrite:
+        """The cheapest write that serves drives and steers."""
+        return GoalWrite(self._ids, self._map.goal_data if self.mapped else self._goal_addresses)
+
+    def prepare(self, blocks: Sequence[bytes]) -> None:
+        """Write RAM at open; a robot that is held by torque stays held.
+
+        Raises:
+            DeviceError: a servo refused or did not acknowledge.
+        """
+        torque = [self._map.from_block(b, "torque_enable") for b in blocks]
+        self.hardware_error = [self._map.from_block(b, "hardware_error_status") for b in blocks]
+        self.mapped = self._map_goals(torque)
+        for joint, servo_id in enumerate(self._ids):
+            self._bus.demand(servo_id, self._map.watchdog, b"\x00", "bus watchdog")
+            if joint < 4:
+                self._bus.demand(servo_id, self._map.goal_velocity, bytes(4), "zero goal velocity")
+            for address, data in self._registers[joint]:
+                self._bus.demand(servo_id, address, data, f"register at {address}")
+
+    def _map_goals(self, torque: Sequence[int]) -> bool:
+        """Set indirect addresses 1..7, which a servo with torque on does not allow."""
+        for joint, servo_id in enumerate(self._ids):
+            wanted = self._map.indirect_map(self._goal_addresses[joint])
+            answer = self._bus.read(servo_id, self._map.indirect_address, len(wanted))
+            if answer.data == wanted:
+                continue
+            if torque[joint]:
+                _LOG.warning("%s: %s has torque on and no goal map: bulk writes", self._device, SERVOS[joint])
+                return False
+            self._bus.demand(servo_id, self._map.indirect_address, wanted, "indirect addresses")
+        return True
+
+    def switch_on(self, hold: bytes, ids: Sequence[int]) -> None:
+        """Hold, arm the watchdog, torque on; checked.
+
+        Args:
+            hold: packet of goals at which nothing moves.
+            ids: servos that answer.
+
+        Raises:
+            DeviceError: a servo has not taken its torque.
+        """
+        count = bytes((self._config.watchdog_count,))
+        self.torque = True
+        for _ in range(_ATTEMPTS_ON):
+            self._bus.send(hold)
+            self._bus.send(packets.sync_write(self._map.watchdog, 1, [(i, count) for i in self._ids]))
+            self._bus.send(packets.sync_write(self._map.torque, 1, [(i, b"\x01") for i in self._ids]))
+            state = self.audit(ids)
+            off = [SERVOS[j] for j, (torque, _) in state.items() if not torque]
+            off += [f"{name} (no answer)" for j, name in enumerate(SERVOS) if j not in state]
+            if not off:
+                return
+        raise DeviceError(
+            self._device,
+            "torque did not come on: " + ", ".join(off),
+            port=self._config.port,
+            expected="Torque Enable 1",
+            remedy="look for hardware errors with `hil doctor`",
+        )
+
+    def switch_off(self, ids: Sequence[int]) -> None:
+        """Torque off, then the watchdog; checked.
+
+        Raises:
+            DeviceError: a servo still has its torque, or does not say.
+        """
+        self.released |= self.torque
+        self.torque = False
+        for _ in range(_ATTEMPTS):
+            self._bus.send(packets.sync_write(self._map.torque, 1, [(i, b"\x00") for i in self._ids]))
+            self._bus.send(packets.sync_write(self._map.watchdog, 1, [(i, b"\x00") for i in self._ids]))
+            state = self.audit(ids)
+            left = [SERVOS[j] for j, (torque, _) in state.items() if torque]
+            asked = [self._ids.index(i) for i in ids]
+            left += [f"{SERVOS[j]} (no answer)" for j in asked if j not in state]
+            if state and not left:
+                return
+        raise DeviceError(
+            self._device,
+            "torque is not off: " + (", ".join(left) if state else "nobody answers"),
+            port=self._config.port,
+            expected="Torque Enable 0",
+            remedy="cut the servos' supply",
+        )
+
+    def audit(self, ids: Sequence[int]) -> dict[int, tuple[int, int]]:
+        """(torque, watchdog) by joint, of those among `ids` that answer; remembers hardware errors.
+
+        Waits longer than a cycle may, when the host is busy.
+        """
+        if not ids:
+            return {}
+        where = self._map
+        address, length = (
+            (where.audit_data, AUDIT_LENGTH)
+            if self.mapped
+            else (where.direct_audit, where.direct_audit_length)
+        )
+        group = GroupRead(ids, address, length, fast=self._fast)
+        delays = 1 if self._fast else len(ids)
+        with self._bus.port.patient():
+            timeout_s = self._bus.port.reply_s(len(group.request), group.expected, delays)
+        answers = group.answers(self._bus.exchange(group, timeout_s).data)
+        state = {}
+        for servo_id, answer in answers.items():
+            if answer.status is Status.OK:
+                joint = self._ids.index(servo_id)
+                torque, watchdog, self.hardware_error[joint] = where.audit_values(answer.data)
+                state[joint] = (torque, watchdog)
+        return state
+
+    def judge(self, reading: Reading) -> dict[int, tuple[int, int]]:
+        """(torque, watchdog) by joint from a full look; a lost map reads as none of both."""
+        state = {}
+        rows = reading.registers
+        for joint, status in enumerate(reading.status):
+            if status is Status.OK:
+                self.hardware_error[joint] = rows["error"][joint]
+                state[joint] = (rows["torque"][joint], rows["watchdog"][joint])
+            elif status is Status.RESET:
+                self.hardware_error[joint] = 0
+                state[joint] = (0, 0)
+        return state
+
+    def repair(
+        self, state: Mapping[int, tuple[int, int]], goals: Sequence[int], *, paused: bool = False
+    ) -> tuple[int, ...]:
+        """Put right what an audit found; the joints that had lost torque or were stopped.
+
+        Args:
+            state: of `audit`.
+            goals: (8,) raw goals at which the robot is held.
+            paused: nobody talked for longer than the watchdog waits: that it tripped was to be expected.
+        """
+        if not self.torque:
+            return ()
+        armed = self._config.watchdog_count
+        repaired, tripped, restarted = [], [], []
+        for joint, (torque, watchdog) in state.items():
+            if torque and watchdog == armed:
+                continue
+            if self.hardware_error[joint]:
+                continue
+            if torque:
+                tripped.append(SERVOS[joint])
+            else:
+                restarted.append(SERVOS[joint])
+                self.restore(joint)
+            self._resume(joint, goals[joint])
+            repaired.append(joint)
+        if tripped:
+            level = logging.DEBUG if paused else logging.WARNING
+            _LOG.log(level, "%s: bus watchdogs tripped, armed again: %s", self._device, ", ".join(tripped))
+        if restarted:
+            _LOG.warning("%s: restarted, set up again: %s", self._device, ", ".join(restarted))
+        return tuple(repaired)
+
+    def insist(self, status: Sequence[Status]) -> None:
+        """Torque on for those that are not heard: who has restarted may hear, though its answers are lost.
+
+        It holds by what it wakes up with, goals at which it stands still, until it can be set up again.
+        """
+        unheard = [i for i, s in zip(self._ids, status, strict=True) if s not in ANSWERING]
+        if self.torque and unheard:
+            self._bus.send(packets.sync_write(self._map.torque, 1, [(i, b"\x01") for i in unheard]))
+
+    def trouble(self, reading: Reading) -> dict[str, str]:
+        """What keeps a servo from holding, by name, from a full look that `judge` has seen."""
+        armed, rows, found = self._config.watchdog_count, reading.registers, {}
+        for joint, status in enumerate(reading.status):
+            reason = ""
+            if status is Status.RESET:
+                reason = "restarted, torque is off"
+            elif status is not Status.OK:
+                reason = status.value
+            elif self.hardware_error[joint]:
+                reason = f"hardware error: {hardware_error_text(self.hardware_error[joint])}"
+            elif not rows["torque"][joint]:
+                reason = "torque is off"
+            elif rows["watchdog"][joint] != armed:
+                reason = "its bus watchdog has tripped"
+            if reason:
+                found[SERVOS[joint]] = f"ID {self._ids[joint]}: {reason}"
+        return found
+
+    def restore(self, joint: int) -> None:
+        """Write map and registers again into a servo that has restarted; torque and watchdog stay off.
+
+        One that got its torque with the others' in the same instant would refuse the map for ever.
+        """
+        servo_id = self._ids[joint]
+        if self.mapped:
+            self._bus.send(packets.sync_write(self._map.torque, 1, [(servo_id, b"\x00")]))
+            wanted = self._map.indirect_map(self._goal_addresses[joint])
+            self._bus.send(packets.sync_write(self._map.indirect_address, len(wanted), [(servo_id, wanted)]))
+        for address, data in self._registers[joint]:
+            self._bus.send(packets.sync_write(address, len(data), [(servo_id, data)]))
+
+    def _resume(self, joint: int, goal: int) -> None:
+        """Clear the watchdog, hold at a goal, arm, torque on."""
+        servo_id = self._ids[joint]
+        data = (goal & 0xFFFFFFFF).to_bytes(4, "little")
+        for address, value in (
+            (self._map.watchdog, b"\x00"),
+            (self._goal_addresses[joint], data),
+            (self._map.watchdog, bytes((self._config.watchdog_count,))),
+            (self._map.torque, b"\x01"),
+        ):
+            self._bus.send(packets.sync_write(address, len(value), [(servo_id, value)]))
+
+    def read_hardware_error(self, joint: int) -> int:
+        """Hardware Error Status of one servo; what was known before if it does not answer."""
+        answer = self._bus.read(self._ids[joint], self._map.hardware_error, 1, attempts=1)
+        if answer.status is Status.OK:
+            self.hardware_error[joint] = answer.data[0]
+        return self.hardware_error[joint]
+
+    def refuse_hardware_errors(self) -> None:
+        """Raise `DeviceError` that lists servos with a hardware error."""
+        found = {SERVOS[j]: hardware_error_text(e) for j, e in enumerate(self.hardware_error) if e}
+        if found:
+            raise DeviceError(
+                self._device,
+                "hardware errors: " + ", ".join(f"{k} ({v})" for k, v in found.items()),
+                port=self._config.port,
+                expected="none",
+                remedy="remove the cause, then reboot the servo (power off and on)",
+            )

@@ -1,0 +1,131 @@
+"""From a read of the bus to a sample: positions that count on, restarts and hardware errors looked into."""
+
+from __future__ import annotations
+
+import logging
+import struct
+from collections.abc import Sequence
+from operator import sub
+
+import numpy as np
+
+from hil.config.servo_models.codes import hardware_error_text
+from hil.core.clock import Clock
+from hil.core.geometry import Array
+from hil.core.signals import SERVOS, ServoSample, Stamp, Status
+from hil.drivers.servos.cyclic_read import ALL_OK, Reading
+from hil.drivers.servos.multi_turn import EVERYBODY, NOBODY, MultiTurnCounter
+from hil.drivers.servos.recovery import Upkeep
+from hil.drivers.servos.register_map import RegisterMap
+
+_LOG = logging.getLogger(__name__)
+
+_NO_ALERT: tuple[int, ...] = (0,) * 8
+_floats, _DOUBLES = np.frombuffer, struct.Struct("24d").pack
+
+
+class Samples:
+    """Makes samples out of readings, and remembers what they have in common.
+
+    Args:
+        registers: of the servos' model.
+        blocks: what they held when they were read at open.
+        upkeep: knows the hardware errors.
+        clock: for the time at which a sample had arrived.
+        device: name in logs.
+
+    Attributes:
+        turns: positions across restarts.
+        doubtful: whether the latest sample wants a closer look: a servo has started over, or is back.
+    """
+
+    def __init__(
+        self, registers: RegisterMap, blocks: Sequence[bytes], upkeep: Upkeep, clock: Clock, device: str
+    ) -> None:
+        self._upkeep, self._clock, self._device = upkeep, clock, device
+        model, read = registers.model, registers.from_block
+        self._scales = np.repeat((model.rad_per_count, model.rad_s_per_count, model.a_per_count), 8)
+        self._zeros = (model.zero_counts,) * 8
+        self.turns, self.doubtful = MultiTurnCounter(model), False
+        self._registers: Sequence[int] = [read(b, "present_position") for b in blocks]
+        self._alert = [0] * 8
+        self._sequence = 0
+
+    def registers(self, reading: Reading | None = None) -> np.ndarray:
+        """(8,) position registers as last known, with those of a reading that is not yet sampled."""
+        return np.array(self._registers if reading is None else self._known(reading), dtype=np.int64)
+
+    def _known(self, reading: Reading) -> Sequence[int]:
+        """Position registers (8,) of a reading; of who has not answered, as last known."""
+        now = reading.registers["position"]
+        if reading.status is ALL_OK:
+            return now
+        seen = _seen(reading).tolist()
+        return [new if there else old for new, there, old in zip(now, seen, self._registers, strict=True)]
+
+    def sample(self, reading: Reading, restarted: tuple[int, ...]) -> ServoSample:
+        """The sample of a reading.
+
+        Args:
+            reading: of the bus.
+            restarted: joints that were found to have started over, and have been set up again.
+        """
+        self._sequence += 1
+        stamp = Stamp(reading.taken_ns, self._clock.now_ns(), self._sequence)
+        counts, jumped = self._follow(reading)
+        values = self._in_si(counts, reading)
+        position, velocity, current = values[0:8], values[8:16], values[16:24]
+        status, alert = reading.status, _NO_ALERT
+        self.doubtful = bool(reading.revived)
+        if status is not ALL_OK or restarted or jumped is not NOBODY or any(self._alert):
+            status, alert = self._judge(reading, restarted, jumped)
+            bad = np.array([s is not Status.OK for s in status])
+            position[bad] = velocity[bad] = current[bad] = np.nan
+        return ServoSample(stamp, position, velocity, current, status, alert)
+
+    def position(self, reading: Reading) -> Array:
+        """(8,) rad of a reading that becomes no sample; NaN where a servo did not answer."""
+        counts, _ = self._follow(reading)
+        position = self._in_si(counts, reading)[0:8]
+        position[~_seen(reading)] = np.nan
+        return position
+
+    def _in_si(self, counts: Sequence[int], reading: Reading) -> Array:
+        """(24,) positions in rad, velocities in rad/s, currents in A."""
+        rows = reading.registers
+        from_zero = map(sub, counts, self._zeros)
+        values: Array = _floats(_DOUBLES(*from_zero, *rows["velocity"], *rows["current"])) * self._scales
+        return values
+
+    def _follow(self, reading: Reading) -> tuple[Sequence[int], np.ndarray]:
+        """Positions (8,) in counts that go on, and which servos have started over."""
+        rows = reading.registers
+        self._registers = self._known(reading)
+        return self.turns.follow(rows["position"], rows["velocity"], _seen(reading), reading.taken_ns)
+
+    def _judge(
+        self, reading: Reading, restarted: tuple[int, ...], jumped: np.ndarray
+    ) -> tuple[tuple[Status, ...], tuple[int, ...]]:
+        """Status and alert byte per servo, with restarts and hardware errors looked into."""
+        status = list(reading.status)
+        for j, flag in enumerate(reading.alert):
+            if status[j] is not Status.OK:
+                continue
+            if not flag:
+                self._alert[j] = 0
+            elif not self._alert[j]:
+                self._alert[j] = self._upkeep.read_hardware_error(j) or 0x80
+                _LOG.warning("%s: %s: %s", self._device, SERVOS[j], hardware_error_text(self._alert[j]))
+            if flag:
+                status[j] = Status.HARDWARE_ERROR
+            elif jumped[j] or j in restarted or j in reading.revived:
+                status[j] = Status.RESET
+                self.doubtful |= bool(jumped[j])
+        return tuple(status), tuple(self._alert)
+
+
+def _seen(reading: Reading) -> np.ndarray:
+    """(8,) who answered."""
+    if reading.status is ALL_OK:
+        return EVERYBODY
+    return np.array([s is Status.OK for s in reading.status])

@@ -1,0 +1,169 @@
+"""The propellers behind a Teensy: lines `THR<0..180>`, which nobody confirms.
+
+Opening the port changes nothing. Once a throttle was asked for it is sent again and again, so that a line
+that got lost, the firmware's way down after one that got damaged, and a restart do not last. Whoever reads
+sends it; while nobody reads, after a stop or between motions, the driver does so by itself.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from hil.config.thrust import STEPS, TeensyConfig
+from hil.core.clock import Clock, nanoseconds
+from hil.core.errors import DeviceTimeoutError, UsageError
+from hil.core.interfaces import Holding
+from hil.core.signals import Stamp, Status, ThrustSample
+from hil.drivers.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
+from hil.drivers.links.silence_limit import used_while_closed
+
+_LOG = logging.getLogger(__name__)
+
+_SLACK_NS = 1_000_000
+_ALONE = 1.2
+"""So many times the period after which a throttle is sent again, nobody reads."""
+
+
+class TeensyThrust(Holding[ThrustSample]):
+    """All propellers, by one throttle.
+
+    Args:
+        config: port and full force.
+        clock: the bench clock.
+    """
+
+    name = "thrust"
+
+    def __init__(self, config: TeensyConfig, clock: Clock) -> None:
+        self._config, self._clock = config, clock
+        self._port: Any = None
+        self._identity: dict[str, str] = {}
+        self._repeat_ns = nanoseconds(config.repeat_s)
+        self._step: int | None = None
+        self._next_ns = self._failing_ns = self._sent_ns = 0
+        self._sequence = 0
+        self._talking = threading.Lock()
+        self._end: Callable[[], None] | None = None
+        self._told = self._alone = False
+
+    def open(self) -> None:
+        """Open the port; raises `DeviceError`. Nothing can tell whether a Teensy listens."""
+        self.close()
+        config = self._config
+        try:
+            self._port = open_serial(
+                config.port,
+                baud=config.baud,
+                timeout_s=0.0,
+                write_timeout_s=config.write_timeout_s,
+                shared=True,
+            )
+        except PORT_ERRORS as error:
+            expected = "the Teensy of the propellers at a serial port or pyserial URL"
+            raise cannot_open(self.name, config.port, error, expected=expected) from None
+        self._next_ns = self._clock.now_ns()
+        self._failing_ns, self._step, self._alone = 0, None, False
+        self._identity = {"model": "Teensy", "port": config.port, "baud": str(config.baud)}
+
+    def close(self) -> None:
+        """Let go of the port; the propellers go on. Idempotent; never raises."""
+        if self._end is not None:
+            self._end()
+            self._end = None
+        self._identity, self._next_ns = {}, 0
+        with self._talking:
+            port, self._port = self._port, None
+        let_go(port)
+
+    def identity(self) -> Mapping[str, str]:
+        """Model, port and baud rate; empty while closed."""
+        return self._identity
+
+    def read(self) -> tuple[ThrustSample, ...]:
+        """Send the throttle again where it is due; one sample each time.
+
+        Raises:
+            DeviceTimeoutError: the port has taken nothing for half a second.
+        """
+        now_ns = self._clock.now_ns()
+        if now_ns < self._next_ns - _SLACK_NS:
+            return ()
+        self._must_be_open()
+        self._next_ns = max(self._next_ns + self._repeat_ns, now_ns - self._repeat_ns)
+        sent = self._alone or self._step is None or self._send(self._step)
+        status = Status.OK if sent else Status.TIMEOUT
+        throttle = math.nan if self._step is None or status is not Status.OK else self._step / STEPS
+        self._sequence += 1
+        return (ThrustSample(Stamp(now_ns, now_ns, self._sequence), throttle, math.nan, status),)
+
+    def set_force_n(self, force_n: float) -> None:
+        """Ask for a force; raises `UsageError` for one that no throttle gives."""
+        full_n = self._config.full_force_n
+        if not (math.isfinite(force_n) and 0.0 <= force_n <= full_n):
+            raise UsageError(
+                f"{self.name}: a force of {force_n:g} N",
+                expected=f"0 to {full_n:g} N (thrust.full_force_n)",
+                remedy="ask for less, or correct thrust.full_force_n",
+            )
+        self.set_duty(self._config.throttle_for(force_n))
+
+    def set_duty(self, duty: float) -> None:
+        """Ask for a throttle 0..1; raises `UsageError`, or `DeviceError` where the port takes nothing."""
+        if not (math.isfinite(duty) and 0.0 <= duty <= 1.0):
+            raise UsageError(
+                f"{self.name}: a throttle of {duty:g}", expected="0 to 1", remedy="a share of full throttle"
+            )
+        self._must_be_open()
+        self._step = round(STEPS * duty)
+        self._send(self._step)
+        if self._end is None:
+            self._end = self._clock.schedule(self._repeat, self._due_ns())
+
+    def leave_alone(self, alone: bool) -> None:
+        """Do not repeat the throttle while `alone`: the firmware goes on as it was told last."""
+        self._alone = alone
+
+    def _due_ns(self) -> int:
+        """When the throttle has been left alone for too long."""
+        return self._sent_ns + round(_ALONE * self._repeat_ns)
+
+    def _repeat(self, now_ns: int) -> int:
+        """Send the throttle again if nobody else has; when to look again."""
+        if now_ns >= self._due_ns() and self._step is not None and not self._alone:
+            try:
+                if self._send(self._step):
+                    self._told = False
+            except DeviceTimeoutError as error:
+                if not self._told:
+                    _LOG.warning("while nobody read: %s", error)
+                self._told = True
+        return max(self._due_ns(), now_ns + self._repeat_ns // 2)
+
+    def _send(self, step: int) -> bool:
+        now_ns = self._sent_ns = self._clock.now_ns()
+        try:
+            with self._talking:
+                if self._port is None:
+                    return False
+                self._port.write(b"THR%d\n" % step)
+        except PORT_ERRORS as error:
+            self._failing_ns = self._failing_ns or now_ns
+            if now_ns - self._failing_ns > nanoseconds(0.5):
+                raise DeviceTimeoutError(
+                    self.name,
+                    f"the port takes nothing ({error}): the propellers go on as told last",
+                    port=self._config.port,
+                    expected="a port that takes a line",
+                    remedy="plug it in again; secure the robot first",
+                ) from None
+            return False
+        self._failing_ns = 0
+        return True
+
+    def _must_be_open(self) -> None:
+        if self._port is None:
+            raise used_while_closed(self.name, self._config.port)

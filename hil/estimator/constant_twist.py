@@ -1,0 +1,149 @@
+"""Where a constant body twist takes the state, and the derivatives of that.
+
+One twist moves two poses: that in the wall frame, and that in the camera's own frame, (1 + scale) as far.
+The derivative by the scale is taken at what the wheels say of the velocity (`nominal`, (2,), m/s, body
+frame), not at the estimate: this carries the noise of the very camera samples that the next one is compared
+with, and with it the scale would drift whatever the truth (docs/decisions/0024). In the mean the estimate
+counts.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TypeAlias
+
+import numpy as np
+
+from hil.core.geometry import Array
+from hil.estimator.state_vector import (
+    OMEGA,
+    SCALE,
+    SIGHT_THETA,
+    SIGHT_X,
+    SIGHT_Y,
+    SLIP_X,
+    SLIP_Y,
+    STATES,
+    THETA,
+    V_X,
+    V_Y,
+    X,
+    Y,
+)
+from hil.support.numba_jit import inner
+
+Slopes: TypeAlias = tuple[float, float, float, float]
+"""Derivatives of a displacement by heading, speed ahead, speed to the left and yaw rate."""
+
+
+@inner
+def sinc(h: float) -> float:
+    """sin(h) / h."""
+    if abs(h) < 1e-3:
+        return 1.0 - h * h / 6.0 + h * h * h * h / 120.0
+    return math.sin(h) / h
+
+
+@inner
+def sinc_slope(h: float) -> float:
+    """Derivative of sin(h) / h; the series is used where the closed form cancels."""
+    if abs(h) < 1e-2:
+        return -h / 3.0 + h * h * h / 30.0 - h * h * h * h * h / 840.0
+    return (math.cos(h) - math.sin(h) / h) / h
+
+
+@inner
+def shift(theta: float, ahead: float, left: float, omega: float, dt_s: float) -> tuple[float, float]:
+    """Displacement at heading `theta` by a body twist (ahead, left, omega) in `dt_s`."""
+    h = 0.5 * omega * dt_s
+    k = sinc(h) * dt_s
+    c, s = math.cos(theta + h), math.sin(theta + h)
+    return k * (c * ahead - s * left), k * (s * ahead + c * left)
+
+
+@inner
+def shift_slopes(theta: float, ahead: float, left: float, omega: float, dt_s: float) -> tuple[Slopes, Slopes]:
+    """Derivative of both numbers of `shift` by heading and twist."""
+    h = 0.5 * omega * dt_s
+    k = sinc(h) * dt_s
+    c, s = math.cos(theta + h), math.sin(theta + h)
+    east, north = c * ahead - s * left, s * ahead + c * left
+    slope = 0.5 * dt_s * dt_s * sinc_slope(h)
+    return (
+        (-k * north, k * c, -k * s, slope * east - 0.5 * dt_s * k * north),
+        (k * east, k * s, k * c, slope * north + 0.5 * dt_s * k * east),
+    )
+
+
+@inner
+def times(size: float, a: Slopes) -> Slopes:
+    """Each derivative `size` times as large."""
+    return size * a[0], size * a[1], size * a[2], size * a[3]
+
+
+@inner
+def wall_shift(x: Array, dt_s: float) -> tuple[float, float]:
+    """Displacement of the pose in the wall frame of a state (20,)."""
+    return shift(x[THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
+
+
+@inner
+def sight_shift(x: Array, dt_s: float, scaled: float, scale: float, nominal: Array) -> tuple[float, float]:
+    """Displacement of the second pose of x (20,); `scale`: of the mean, points differ; nominal (2,)."""
+    east, north = shift(x[SIGHT_THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
+    far_east, far_north = shift(x[SIGHT_THETA], nominal[0], nominal[1], x[OMEGA], dt_s)
+    size, more = 1.0 + scaled * scale, scaled * (x[SCALE] - scale)
+    return size * east + more * far_east, size * north + more * far_north
+
+
+@inner
+def fade(x: Array, dt_s: float, decay: float) -> None:
+    """Headings and slip velocity of the state (20,) after `dt_s`: what moves linearly."""
+    x[THETA] += x[OMEGA] * dt_s
+    x[SIGHT_THETA] += x[OMEGA] * dt_s
+    x[SLIP_X] *= decay
+    x[SLIP_Y] *= decay
+
+
+@inner
+def go(x: Array, wall: tuple[float, float], sight: tuple[float, float], dt_s: float, decay: float) -> None:
+    """Move both poses of the state (20,) by their displacements, and what moves linearly."""
+    x[X] += wall[0]
+    x[Y] += wall[1]
+    x[SIGHT_X] += sight[0]
+    x[SIGHT_Y] += sight[1]
+    fade(x, dt_s, decay)
+
+
+@inner
+def move(x: Array, dt_s: float, slip_s: float, scaled: float, scale: float, nominal: Array) -> None:
+    """State (20,) after `dt_s`: SE(2) exponential of the body twist, decay of the slip velocity."""
+    wall, sight = wall_shift(x, dt_s), sight_shift(x, dt_s, scaled, scale, nominal)
+    go(x, wall, sight, dt_s, math.exp(-dt_s / slip_s))
+
+
+@inner
+def slopes(
+    x: Array, dt_s: float, scaled: float, nominal: Array
+) -> tuple[Slopes, Slopes, Slopes, Slopes, tuple[float, float]]:
+    """Derivatives of what moves x (20,): wall x, y, sight x, y, and sight by the scale; nominal (2,)."""
+    a, b = shift_slopes(x[THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
+    c, d = shift_slopes(x[SIGHT_THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
+    far = shift(x[SIGHT_THETA], scaled * nominal[0], scaled * nominal[1], x[OMEGA], dt_s)
+    size = 1.0 + scaled * x[SCALE]
+    return a, b, times(size, c), times(size, d), far
+
+
+@inner
+def transition(x: Array, dt_s: float, slip_s: float, scaled: float, nominal: Array) -> Array:
+    """Derivative (20, 20) of `move` by the state."""
+    f = np.eye(STATES)
+    a, b, c, d, far = slopes(x, dt_s, scaled, nominal)
+    f[X, THETA], f[X, V_X], f[X, V_Y], f[X, OMEGA] = a
+    f[Y, THETA], f[Y, V_X], f[Y, V_Y], f[Y, OMEGA] = b
+    f[SIGHT_X, SIGHT_THETA], f[SIGHT_X, V_X], f[SIGHT_X, V_Y], f[SIGHT_X, OMEGA] = c
+    f[SIGHT_Y, SIGHT_THETA], f[SIGHT_Y, V_X], f[SIGHT_Y, V_Y], f[SIGHT_Y, OMEGA] = d
+    f[SIGHT_X, SCALE], f[SIGHT_Y, SCALE] = far
+    f[THETA, OMEGA] = f[SIGHT_THETA, OMEGA] = dt_s
+    f[SLIP_X, SLIP_X] = f[SLIP_Y, SLIP_Y] = math.exp(-dt_s / slip_s)
+    return f

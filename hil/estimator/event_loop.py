@@ -1,0 +1,191 @@
+"""The event loop of the filter: predict to each sample's stamp, compare, condition, remember.
+
+`run` is the only kernel that a control cycle calls: it goes through every event from the first new one on.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.core.geometry import Array
+from hil.core.named_records import Records
+from hil.estimator.kalman_update import Compared, condition, guard, joint_nis
+from hil.estimator.kernel_layout import EventRow, Events, Memory, Parameters, States
+from hil.estimator.matrix_loops import put, put_rows, seen
+from hil.estimator.pose_correction import carry, follow, is_lost, is_unsure, lean, settle
+from hil.estimator.process_model import advance_linear
+from hil.estimator.sensors import (
+    BENT,
+    GATED_TOGETHER,
+    MARK,
+    account,
+    admit,
+    innovation,
+    jacobian,
+    let_in,
+    new_frame,
+    observe,
+    predicted,
+    remember,
+)
+from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
+from hil.estimator.sensors.wheels import nominal
+from hil.estimator.state_vector import STATES
+from hil.estimator.unscented import Points, advance_unscented, moments_unscented
+from hil.support.numba_jit import inner, kernel
+
+NONE_ACCEPTED = -1.0
+"""A gate that no row passes."""
+
+
+@inner
+def advance(x: Array, p: Array, dt_s: float, par: Parameters, points: Points, nominal: Array) -> None:
+    """Prediction of a state (20,) and its covariance (20, 20) by `dt_s` >= 0, in place; `nominal` (2,)."""
+    if dt_s <= 0.0:
+        return
+    if points is None or is_lost(p, dt_s):
+        advance_linear(x, p, dt_s, par.process, nominal)
+    else:
+        advance_unscented(x, p, dt_s, par, points, nominal)
+
+
+@inner
+def moments(number: int, x: Array, p: Array, par: Parameters, points: Points, count: int) -> None:
+    """Rows that the state predicts, and their covariances; linear rows need no sigma points.
+
+    Args:
+        number: of the sensor.
+        x: (20,) state.
+        p: (20, 20) covariance.
+        par: of all kernels; `observe` has filled `aux` of its `work`. There, `mean`, `cross` and `own` are
+            filled.
+        points: of the UKF.
+        count: number of rows.
+    """
+    if points is not None and BENT[number] and not is_lost(p, 0.0):
+        moments_unscented(number, x, p, par, points, count)
+        return
+    w = par.work
+    predicted(number, x, w.aux[:], par, w.mean[:])
+    h = w.h[:]
+    h[:, :] = 0.0
+    jacobian(number, x, w.aux[:], par, h)
+    seen(p, h, count, w.cross[:], w.own[:])
+
+
+@inner
+def compare(
+    number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters, points: Points
+) -> None:
+    """Update with one sample at its own time; the state is already there.
+
+    Args:
+        number: of the sensor.
+        t_ns: stamp since the start.
+        x: (20,) state, and
+        p: (20, 20) its covariance, and
+        m: memory; all three changed in place.
+        row: the sample.
+        par: of all kernels.
+        points: of the UKF.
+    """
+    w = par.work
+    z, var, aux, nu, nis, before = w.z[:], w.var[:], w.aux[:], w.nu[:], w.nis[:], w.before[:]
+    mean, shown, rows = w.mean[:], w.shown[:], Compared(nu, w.cross[:], w.own[:], var, nis)
+    z[:], var[:], aux[:] = 0.0, 0.0, 0.0
+    count = observe(number, t_ns, m, row, par, z, var, aux)
+    if count == 0:
+        return
+    nis[:] = -1.0
+    put(before, x)
+    linear = points is None or is_lost(p, 0.0)
+    unsure = linear and is_unsure(number, p)
+    if unsure:
+        spread = np.zeros((STATES, STATES))
+        settle(number, before, p, count, par, x, spread)
+    else:
+        mean[:] = 0.0
+        moments(number, x, p, par, points, count)
+        innovation(number, z, mean, var, count, nu)
+    put(shown, nu)
+    gate = par.filter.gate_row
+    if GATED_TOGETHER[number]:
+        gate = math.inf
+        if joint_nis(rows, count) > par.filter.gate_pose:
+            gate = NONE_ACCEPTED
+    if gate <= 0.0:
+        put(x, before)
+    elif unsure:
+        point, toward = x.copy(), np.zeros(STATES)
+        put_rows(p, spread)
+        condition(toward, p, rows, count, gate)
+        lean(before, point, toward, -1.0)
+        put(x, before + toward)
+        follow(before, x)
+        carry(point, x, p)
+    else:
+        condition(x, p, rows, count, gate)
+        if linear:
+            follow(before, x)
+            carry(before, x, p)
+    m.accepted += account(number, m, shown, nis, var, count, gate, par.filter.samples)
+
+
+@kernel
+def run(
+    events: Events,
+    states: States,
+    start: int,
+    zero_ns: int,
+    pars: Records,
+    points: Points,
+    now_ns: int,
+    now: States,
+) -> None:
+    """Go through the events of a ring from `start` on, and predict the newest state to `now_ns`.
+
+    Args:
+        events: what is gone through.
+        states: after each event, in its place; filled from `start` on.
+        start: first event to go through, at least 1.
+        zero_ns: stamp that sensor memory counts from.
+        pars: (1,) parameters of all kernels.
+        points: of the UKF; None makes this the EKF, in machine code of its own.
+        now_ns: where this is later than the newest event, the state is predicted to it.
+        now: filled with the newest state, its memory an array (1,).
+    """
+    (marks, t_ns, numbers, rows), (x, p, m), (now_x, now_p, now_m) = events, states, now
+    first, count, capacity, par = marks[0], marks[1], t_ns.shape[0], pars[0]
+    rolling = par.work.rolling[:]
+    for k in range(start, count):
+        i, j = (first + k) % capacity, (first + k - 1) % capacity
+        put(x[i], x[j])
+        put_rows(p[i], p[j])
+        m[i] = m[j]
+        number, stamp = numbers[i], float(t_ns[i] - zero_ns)
+        nominal(stamp, x[i], m[i].wheels, par.wheels, rolling)
+        advance(x[i], p[i], (t_ns[i] - t_ns[j]) * 1e-9, par, points, rolling)
+        if number == MARK:
+            continue
+        use = admit(number, stamp, m[i], rows[i], par)
+        if use == DUPLICATE:
+            m[i].duplicates += 1.0
+        if use == USED:
+            compare(number, stamp, x[i], p[i], m[i], rows[i], par, points)
+            if let_in(number, par.filter.limit, stamp, p[i], m[i], par):
+                use = NEW_FRAME
+        if use == NEW_FRAME:
+            new_frame(number, stamp, x[i], p[i], m[i], rows[i], par)
+        if use in (USED, NEW_FRAME):
+            remember(number, stamp, x[i], p[i], m[i], rows[i], par)
+            m[i].guarded += guard(p[i])
+    last = (first + count - 1) % capacity
+    put(now_x, x[last])
+    put_rows(now_p, p[last])
+    now_m[0] = m[last]
+    ahead_ns = now_ns - t_ns[last]
+    if ahead_ns > 0:
+        nominal(float(now_ns - zero_ns), now_x, m[last].wheels, par.wheels, rolling)
+        advance(now_x, now_p, ahead_ns / 1e9, par, points, rolling)

@@ -1,0 +1,112 @@
+"""What may enter the filter: measurements of a cycle turned into event rows, bad ones refused by name.
+
+Each sensor packs its own samples. Counts are by reason and part of the diagnostics: `rejected_not_finite`,
+`rejected_late`, ...
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from operator import attrgetter
+
+import numpy as np
+
+from hil.config.estimator import EstimatorConfig
+from hil.core.clock import nanoseconds
+from hil.core.named_records import FLOAT_BYTES, part_of
+from hil.core.signals import Measurements, Stamp
+from hil.estimator.clock_drift import SensorClock
+from hil.estimator.kernel_layout import ROW, ROW_FLOATS, Samples
+from hil.estimator.sensors import SENSORS
+from hil.estimator.sensors.sensor import Sensor
+
+REASONS = ("not_finite", "implausible", "shape", "late", "future", "duplicate")
+_ROOM = 64
+_ROW_BYTES = FLOAT_BYTES * ROW_FLOATS
+
+
+class Staged:
+    """Room for the usable samples of one cycle, in the order in which they came.
+
+    Attributes:
+        count: how many there are.
+        samples: the room.
+        memory: of its four arrays, to write into: a number takes a fifth of the time that it takes numpy.
+    """
+
+    def __init__(self, room: int) -> None:
+        self.count = 0
+        t_ns, numbers, seqs = np.zeros((3, room), np.int64)
+        self.samples = Samples(t_ns, numbers, seqs, np.zeros((room, ROW_FLOATS)))
+        self.memory = tuple(array.data for array in self.samples)
+
+    def doubled(self) -> Staged:
+        """Twice the room, with what is in this one."""
+        other = Staged(2 * len(self.samples.t_ns))
+        for to, of in zip(other.samples, self.samples, strict=True):
+            to[: len(of)] = of
+        return other
+
+
+class Intake:
+    """Checks samples and puts them into rows; stamps pass the sensor clocks."""
+
+    def __init__(self, config: EstimatorConfig) -> None:
+        self._future_ns = nanoseconds(config.time.future_s)
+        self._estimated = config.time.clock == "estimated"
+        self._sensors = [
+            (number, sensor.NAME, attrgetter(sensor.NAME), sensor.pack, _filling(sensor))
+            for number, sensor in enumerate(SENSORS, start=1)
+            if sensor.is_used(config)
+        ]
+        self._staged = Staged(_ROOM)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget counts, which are numbers as figures are, and clocks."""
+        self.refused = dict.fromkeys(REASONS, 0.0)
+        self.clocks: Mapping[str, SensorClock] = {sensor.NAME: SensorClock() for sensor in SENSORS}
+        self.last_ns: dict[str, int] = {}
+
+    def stage(self, measurements: Measurements, oldest_ns: int) -> Staged:
+        """Usable samples of a cycle; good until the next call."""
+        staged, count = self._staged, 0
+        stamps, numbers, seqs, rows = staged.memory
+        newest_ns, last_ns = measurements.t_ns + self._future_ns, self.last_ns
+        for number, name, samples, pack, fill in self._sensors:
+            for sample in samples(measurements):
+                row = pack(sample)
+                if isinstance(row, str):
+                    self.refused[row] += 1.0
+                    continue
+                stamp = sample.stamp
+                t_ns = self._corrected_ns(name, stamp) if self._estimated else stamp.t_ns
+                if t_ns <= oldest_ns:
+                    self.refused["late"] += 1.0
+                elif t_ns > newest_ns:
+                    self.refused["future"] += 1.0
+                else:
+                    if t_ns > last_ns.get(name, t_ns - 1):
+                        last_ns[name] = t_ns
+                    if count == len(stamps):
+                        staged = self._staged = staged.doubled()
+                        stamps, numbers, seqs, rows = staged.memory
+                    stamps[count], numbers[count], seqs[count] = t_ns, number, stamp.seq
+                    fill(rows, count * _ROW_BYTES, *row)
+                    count += 1
+        staged.count = count
+        return staged
+
+    def _corrected_ns(self, name: str, stamp: Stamp) -> int:
+        """A stamp as the host's clock would have it; the sensor's clock is followed by it."""
+        clock = self.clocks[name]
+        clock.add(stamp.t_ns, stamp.host_ns)
+        return stamp.t_ns + clock.correction_ns(stamp.t_ns)
+
+
+def _filling(sensor: Sensor) -> Callable[..., None]:
+    """What writes a sensor's floats into memory as a whole event row, which is zero elsewhere."""
+    part = part_of(ROW, sensor.NAME)
+    before, behind = FLOAT_BYTES * part.start, FLOAT_BYTES * (ROW_FLOATS - part.stop)
+    return struct.Struct(f"{before}x{part.stop - part.start}d{behind}x").pack_into

@@ -1,0 +1,197 @@
+"""Process model: constant body twist on SE(2) with random accelerations, and slowly changing nuisances.
+
+`hil.estimator.constant_twist` has where the twist takes the state; here is what becomes of the covariance.
+"""
+
+from __future__ import annotations
+
+import math
+
+from hil.config.estimator import EstimatorConfig
+from hil.core.geometry import Array
+from hil.core.named_records import Record
+from hil.estimator.constant_twist import go, sight_shift, slopes, wall_shift
+from hil.estimator.matrix_loops import check_size
+from hil.estimator.state_vector import (
+    BIAS,
+    CREEP_X,
+    CREEP_Y,
+    OMEGA,
+    SCALE,
+    SIGHT_THETA,
+    SIGHT_X,
+    SIGHT_Y,
+    SLIP_X,
+    SLIP_Y,
+    STATES,
+    THETA,
+    V_X,
+    V_Y,
+    YAW_SLIP,
+    X,
+    Y,
+)
+from hil.support.numba_jit import inner
+
+FADING = (THETA, SIGHT_THETA, SLIP_X, SLIP_Y)
+MOVING = (X, Y, THETA, SIGHT_X, SIGHT_Y, SIGHT_THETA, SLIP_X, SLIP_Y)
+"""Rows of the covariance that a prediction changes: by what moves linearly, and in all."""
+
+
+class ProcessParameters(Record):
+    """Noise of the process: variance per second, per rolled metre, or (slip) in the long run.
+
+    Attributes:
+        acceleration, angular_acceleration: power densities, m^2/s^3 and rad^2/s^3.
+        slip_x, slip_y: stationary variance of the slip velocity, m^2/s^2; `slip_s` is its time constant.
+        creep_x, creep_y: of the slip per rolled metre, 1/m.
+        yaw_slip: of the turn per rolled metre, rad^2/m^3.
+        bias: of the gyro bias, rad^2/s^3.
+        sight_per_m, sight_per_s, sight_turn: drift of the camera, m^2/m, m^2/s and rad^2/s.
+        scaled: 1 where the state's scale error is that of the camera, else 0.
+    """
+
+    acceleration: float
+    angular_acceleration: float
+    slip_x: float
+    slip_y: float
+    slip_s: float
+    creep_x: float
+    creep_y: float
+    yaw_slip: float
+    bias: float
+    sight_per_m: float
+    sight_per_s: float
+    sight_turn: float
+    scaled: float
+
+
+def process_values(config: EstimatorConfig, surface: str) -> dict[str, float]:
+    """Values of `ProcessParameters`."""
+    slip, camera, noise = config.slip(surface), config.tracker, config.process
+    drifts = camera.use == "relative"
+    walk_x, walk_y = (
+        slip.creep_per_sqrt_m * (part / slip.creep if slip.creep > 0 else 0.0)
+        for part in (slip.creep, slip.creep_across)
+    )
+    return {
+        "acceleration": noise.acceleration_m_s2_sqrt_hz**2,
+        "angular_acceleration": noise.angular_acceleration_rad_s2_sqrt_hz**2,
+        "slip_x": slip.slip_m_s**2,
+        "slip_y": slip.slip_across_m_s**2,
+        "slip_s": slip.slip_time_s,
+        "creep_x": walk_x**2,
+        "creep_y": walk_y**2,
+        "yaw_slip": slip.yaw_per_sqrt_m**2,
+        "bias": config.gyro.bias_rad_s_sqrt_s**2,
+        "sight_per_m": camera.drift_per_sqrt_m**2 * drifts,
+        "sight_per_s": camera.drift_per_sqrt_s**2 * drifts,
+        "sight_turn": camera.yaw_drift_per_sqrt_s**2 * drifts,
+        "scaled": camera.scale_sigma > 0,
+    }
+
+
+@inner
+def _add_motion(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None:
+    """Noise of the twist in both poses: what moves them is one and the same."""
+    q, turn = par.acceleration, par.angular_acceleration
+    half, third = 0.5 * dt_s * dt_s, dt_s * dt_s * dt_s / 3.0
+    size = 1.0 + par.scaled * x[SCALE]
+    p[V_X, V_X] += q * dt_s
+    p[V_Y, V_Y] += q * dt_s
+    p[OMEGA, OMEGA] += turn * dt_s
+    for place, theta, scale in ((X, THETA, 1.0), (SIGHT_X, SIGHT_THETA, size)):
+        c, s = scale * math.cos(x[theta]), scale * math.sin(x[theta])
+        p[place, place] += scale * scale * q * third
+        p[place + 1, place + 1] += scale * scale * q * third
+        p[theta, theta] += turn * third
+        p[theta, OMEGA] += turn * half
+        p[OMEGA, theta] += turn * half
+        for i, j, value in ((0, V_X, c), (1, V_X, s), (0, V_Y, -s), (1, V_Y, c)):
+            p[place + i, j] += value * q * half
+            p[j, place + i] += value * q * half
+    between = x[SIGHT_THETA] - x[THETA]
+    c, s = size * q * third * math.cos(between), size * q * third * math.sin(between)
+    for i, j, value in ((0, 0, c), (0, 1, s), (1, 0, -s), (1, 1, c)):
+        p[X + i, SIGHT_X + j] += value
+        p[SIGHT_X + j, X + i] += value
+    p[THETA, SIGHT_THETA] += turn * third
+    p[SIGHT_THETA, THETA] += turn * third
+
+
+@inner
+def add_noise(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None:
+    """Add the process noise of a step that began at state x (20,) to p (20, 20), exact in its length."""
+    rolled = math.sqrt(x[V_X] * x[V_X] + x[V_Y] * x[V_Y]) * dt_s
+    _add_motion(x, p, dt_s, par)
+    p[BIAS, BIAS] += par.bias * dt_s
+    p[YAW_SLIP, YAW_SLIP] += par.yaw_slip * rolled
+    renewed = 1.0 - math.exp(-2.0 * dt_s / par.slip_s)
+    p[SLIP_X, SLIP_X] += par.slip_x * renewed
+    p[SLIP_Y, SLIP_Y] += par.slip_y * renewed
+    p[CREEP_X, CREEP_X] += par.creep_x * rolled
+    p[CREEP_Y, CREEP_Y] += par.creep_y * rolled
+    drift = par.sight_per_m * rolled + par.sight_per_s * dt_s
+    p[SIGHT_X, SIGHT_X] += drift
+    p[SIGHT_Y, SIGHT_Y] += drift
+    p[SIGHT_THETA, SIGHT_THETA] += par.sight_turn * dt_s
+
+
+@inner
+def mirror(p: Array, rows: tuple[int, ...]) -> None:
+    """Make p (20, 20) symmetric by some of its rows, in rising order; of two the upper one counts."""
+    check_size(p)
+    for i in rows:
+        for j in rows:
+            if j < i:
+                p[i, j] = p[j, i]
+    for i in rows:
+        for j in range(STATES):
+            p[j, i] = p[i, j]
+
+
+@inner
+def fade_covariance(p: Array, dt_s: float, decay: float) -> None:
+    """F P F' of what `fade` does, p (20, 20) in place: rows that change, then columns, of these rows only."""
+    check_size(p)
+    for j in range(STATES):
+        p[THETA, j] += dt_s * p[OMEGA, j]
+        p[SIGHT_THETA, j] += dt_s * p[OMEGA, j]
+        p[SLIP_X, j] *= decay
+        p[SLIP_Y, j] *= decay
+    for i in FADING:
+        p[i, THETA] += dt_s * p[i, OMEGA]
+        p[i, SIGHT_THETA] += dt_s * p[i, OMEGA]
+        p[i, SLIP_X] *= decay
+        p[i, SLIP_Y] *= decay
+    mirror(p, FADING)
+
+
+@inner
+def advance_linear(x: Array, p: Array, dt_s: float, par: ProcessParameters, nominal: Array) -> None:
+    """Extended Kalman prediction of x (20,), p (20, 20), in place: F P F' by rows and columns that change."""
+    check_size(p)
+    a, b, c, d, (e, f) = slopes(x, dt_s, par.scaled, nominal)
+    wall, sight = wall_shift(x, dt_s), sight_shift(x, dt_s, par.scaled, x[SCALE], nominal)
+    decay = math.exp(-dt_s / par.slip_s)
+    for j in range(STATES):
+        turned, seen, ahead, left = p[THETA, j], p[SIGHT_THETA, j], p[V_X, j], p[V_Y, j]
+        spun, scale = p[OMEGA, j], p[SCALE, j]
+        p[X, j] += a[0] * turned + a[1] * ahead + a[2] * left + a[3] * spun
+        p[Y, j] += b[0] * turned + b[1] * ahead + b[2] * left + b[3] * spun
+        p[SIGHT_X, j] += c[0] * seen + c[1] * ahead + c[2] * left + c[3] * spun + e * scale
+        p[SIGHT_Y, j] += d[0] * seen + d[1] * ahead + d[2] * left + d[3] * spun + f * scale
+        p[THETA, j], p[SIGHT_THETA, j] = turned + dt_s * spun, seen + dt_s * spun
+        p[SLIP_X, j], p[SLIP_Y, j] = decay * p[SLIP_X, j], decay * p[SLIP_Y, j]
+    for i in MOVING:
+        turned, seen, ahead, left = p[i, THETA], p[i, SIGHT_THETA], p[i, V_X], p[i, V_Y]
+        spun, scale = p[i, OMEGA], p[i, SCALE]
+        p[i, X] += a[0] * turned + a[1] * ahead + a[2] * left + a[3] * spun
+        p[i, Y] += b[0] * turned + b[1] * ahead + b[2] * left + b[3] * spun
+        p[i, SIGHT_X] += c[0] * seen + c[1] * ahead + c[2] * left + c[3] * spun + e * scale
+        p[i, SIGHT_Y] += d[0] * seen + d[1] * ahead + d[2] * left + d[3] * spun + f * scale
+        p[i, THETA], p[i, SIGHT_THETA] = turned + dt_s * spun, seen + dt_s * spun
+        p[i, SLIP_X], p[i, SLIP_Y] = decay * p[i, SLIP_X], decay * p[i, SLIP_Y]
+    mirror(p, MOVING)
+    add_noise(x, p, dt_s, par)
+    go(x, wall, sight, dt_s, decay)

@@ -1,0 +1,65 @@
+"""The state vector of the filter: which number stands where. The covariance goes by the same names.
+
+Twenty states: pose in the wall frame (m, m, rad); body twist (m/s, m/s, rad/s); pose in the tracking camera's
+own frame, as long as its scale makes it; scale error (of the camera or of the wheels); gyro bias (rad/s); yaw
+slip per rolled metre (rad/m); slip velocity (wall axes, m/s); creep, the slip per rolled metre (wall axes,
+m/m); offset of the gravity heading (rad); pose cloned at the last servo read.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.config.estimator import EstimatorConfig
+from hil.core.geometry import Array
+
+STATES = 20
+(
+    X,
+    Y,
+    THETA,
+    V_X,
+    V_Y,
+    OMEGA,
+    SIGHT_X,
+    SIGHT_Y,
+    SIGHT_THETA,
+    SCALE,
+    BIAS,
+    YAW_SLIP,
+    SLIP_X,
+    SLIP_Y,
+    CREEP_X,
+    CREEP_Y,
+    OFFSET,
+    CLONE_X,
+    CLONE_Y,
+    CLONE_THETA,
+) = range(STATES)
+
+POSE = slice(X, THETA + 1)
+TWIST = slice(V_X, OMEGA + 1)
+CLONE = slice(CLONE_X, CLONE_THETA + 1)
+MOTION = OMEGA + 1
+"""How many states, the leading ones, are pose and twist: those that others are told."""
+CURVED = SCALE + 1
+"""How many, the leading ones, the nonlinear part of the process model has to do with."""
+
+ROWS = 8
+"""Most rows that one sample compares with the state."""
+AUX = 5
+"""Most figures that the prediction of a sample's rows needs beside the state."""
+
+
+def prior_variances(config: EstimatorConfig, surface: str) -> Array:
+    """Initial variances (20,) of what a start state does not bring; pose and twist are left at zero."""
+    slip = config.slip(surface)
+    sigma = np.zeros(STATES)
+    sigma[BIAS] = config.gyro.bias_rad_s
+    sigma[YAW_SLIP] = slip.yaw_rad_m
+    sigma[SLIP_X], sigma[SLIP_Y] = slip.slip_m_s, slip.slip_across_m_s
+    sigma[CREEP_X], sigma[CREEP_Y] = slip.creep, slip.creep_across
+    sigma[SCALE] = max(config.tracker.scale_sigma, config.wheel_scale_sigma)
+    if config.gyro.use_gravity and surface == "wall":
+        sigma[OFFSET] = config.gyro.gravity_offset_rad
+    return sigma**2

@@ -1,0 +1,200 @@
+"""A fan's motor controller as a part of the world: power, time-out and physics, whatever language it speaks.
+
+After `timeout_s` without a command the motor is released. The force that the fan gives goes to the plant; a
+robot that it has carried once falls when it stops.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import TYPE_CHECKING
+
+import can
+
+from hil.config.adhesion import MotorConfig
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.fakes.active_faults import DeviceFaults
+from hil.fakes.adhesion.fan_physics import Demand, Fan
+from hil.fakes.adhesion.fan_truth import AdhesionTruthOptions
+from hil.fakes.adhesion.forces_on_robot import Load
+from hil.fakes.body_interface import HoldingForces
+from hil.fakes.can_channel import WIRE_FAULTS, CanChannel, CanFrame
+from hil.fakes.emulation_request import EmulationRequest
+from hil.fakes.fault import PERIODIC, STRIKES, Supported
+from hil.fakes.tether import Start
+from hil.fakes.world import NEVER_NS, Scheduled, World
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+FAN_FAULTS: Supported = {
+    "off": (),
+    "stuck": (),
+    "garbage": (),
+    "wrong": ("factor",),
+    "slow": ("factor",),
+    "delayed": ("delay_s",),
+    "intermittent": PERIODIC,
+    "corrupt": STRIKES,
+    "brownout": (),
+    "reset": (),
+    "jump": ("speed_rpm",),
+    "adhesion_loss": ("factor", "over_s"),
+    **WIRE_FAULTS,
+}
+_TICK_NS, _QUICK_NS = 20_000_000, 5_000_000
+_BOOT_NS = 500_000_000
+JUMP_RPM = 5000.0
+
+
+class MotorNode(Scheduled):
+    """A part of the world with a motor, on a CAN channel.
+
+    Args:
+        world: plant, seed and faults; the node registers itself.
+        channel: the bus.
+        config: where it is, and the ratings of the fan.
+        options: how it is set, and physics.
+        name: of its faults.
+        load: what it does to the robot, together with others; the fan's by default.
+        motor: which of those it is.
+    """
+
+    Options = AdhesionTruthOptions
+    supported_faults = FAN_FAULTS
+    tells = True
+
+    @classmethod
+    def build(cls, request: EmulationRequest, channel: CanChannel) -> Self:
+        """The controller of a table of the bench file."""
+        config = request.config
+        return cls(request.world, channel, config, request.options(cls.Options, timeout_s=config.timeout_s))
+
+    def __init__(
+        self,
+        world: World,
+        channel: CanChannel,
+        config: MotorConfig,
+        options: AdhesionTruthOptions,
+        name: str = "adhesion",
+        *,
+        load: Load | None = None,
+        motor: int = 0,
+    ) -> None:
+        self.name, self._world, self._channel = name, world, channel
+        self._config, self._options = config, options
+        known = world.plant.working_point
+        point = HoldingForces(config.rated_force_n, 0.0) if known is None else known
+        self._load = load or Load(point.adhesion_n, point.fan_gain, world.plant.set_adhesion)
+        self._motor = motor
+        self.fan = Fan(config, options, self._load.gain)
+        stream = f"{name}.{motor}" if motor else name
+        self._rng = world.rng(stream)
+        self._faults = DeviceFaults(world.faults, name, world.rng(f"{stream}.faults"))
+        world.faults.declare(name, self.supported_faults)
+        self._queue = channel.listen(lambda: world.changed(self))
+        self._timeout_ns = nanoseconds(options.timeout_s)
+        self._commanded_ns = 0
+        self._booted_ns = 0
+        self._dead = False
+        self._turns = 0.0
+        self._seen_ns = 0
+        self._offset_rpm = 0.0
+        phase_ns = int(self._rng.integers(1, _TICK_NS))
+        self._tick_ns = phase_ns
+        rates = ((options.rate_1_hz, options.messages_1), (options.rate_2_hz, options.messages_2))
+        self._due_ns = [phase_ns if rate_hz > 0.0 and which else NEVER_NS for rate_hz, which in rates]
+        self._periods_ns = [round(NS_PER_S / rate_hz) if rate_hz > 0.0 else NEVER_NS for rate_hz, _ in rates]
+        self.begin("tethered" if options.start == "by use" else options.start)
+        world.add(self)
+
+    def begin(self, start: Start) -> None:
+        """How the robot hangs when the world begins."""
+        self._load.begin(start)
+        if start == "running":
+            self.fan.begin(self._config.speed_for_rpm(self._load.nominal_n))
+        self._press()
+
+    def begin_in_use(self) -> None:
+        """The bench in this process has kept the fan running, unless the options say otherwise."""
+        self.alone = True  # nobody in this world waits for its frames
+        if self._options.start == "by use":
+            self.begin("running")
+
+    def next_due_ns(self) -> int:
+        """Time of the next command that arrives, report, time-out or step of the physics."""
+        due_ns = min(self._tick_ns, self._due_ns[0], self._due_ns[1])
+        return min(due_ns, self._queue[0][0]) if self._queue else due_ns
+
+    def on_due(self, t_ns: int) -> None:
+        """Do everything that is due."""
+        self._advance(t_ns)
+        if not self._faults.none:
+            self._power(t_ns)
+        while self._queue and self._queue[0][0] <= t_ns:
+            self._take(self._queue.popleft()[1], t_ns)
+        if self._timeout_ns and t_ns - self._commanded_ns >= self._timeout_ns:
+            self.fan.demand = Demand()
+        for rate in (0, 1):
+            if self._due_ns[rate] <= t_ns:
+                self._report(rate, t_ns)
+        if self._tick_ns <= t_ns:
+            quick = not self.fan.settled or self.fan.strength < 1.0
+            self._tick_ns = t_ns + (_QUICK_NS if quick else _TICK_NS)
+            if self._timeout_ns and self.fan.demand.mode != "released":
+                self._tick_ns = min(self._tick_ns, self._commanded_ns + self._timeout_ns)
+        self._press()
+
+    def _advance(self, t_ns: int) -> None:
+        """Physics up to now."""
+        turns = (t_ns - self._seen_ns) / NS_PER_S * self.fan.speed_rpm / 60.0
+        self._turns += turns
+        self._seen_ns = t_ns
+        self.fan.strength = self._strength(t_ns)
+        self.fan.advance(t_ns)
+
+    def _strength(self, t_ns: int) -> float:
+        """What a fault has left of the motor's power."""
+        fault = self._faults.find("adhesion_loss", t_ns)
+        if fault is None:
+            return 1.0
+        return fault.faded(t_ns, fault.option("factor", 0.0), fault.option("over_s", 0.0))
+
+    def _press(self) -> None:
+        self._load.set(self._motor, self.fan.force_n)
+
+    def _power(self, t_ns: int) -> None:
+        """Follow faults of the supply: without it the motor is free, with it the controller starts anew."""
+        was_dead, self._dead = self._dead, any(self._faults.find(k, t_ns) for k in ("off", "brownout"))
+        if self._dead:
+            self.fan.demand = Demand()
+        elif was_dead or self._faults.news("reset", t_ns):
+            self._booted_ns, self.fan.demand = t_ns + _BOOT_NS, Demand()
+        if (fault := self._faults.news("jump", t_ns)) is not None:
+            self._offset_rpm += fault.option("speed_rpm", JUMP_RPM)
+
+    def _asleep(self, t_ns: int) -> bool:
+        return self._dead or t_ns < self._booted_ns
+
+    def _silenced(self, t_ns: int) -> bool:
+        """Whether its reports stay out now."""
+        fault = self._faults.find("intermittent", t_ns)
+        return self._asleep(t_ns) or (fault is not None and fault.interrupts(t_ns))
+
+    def _next_report(self, rate: int, t_ns: int) -> None:
+        """When the reports of one of the two rates are due again."""
+        slow = self._faults.find("slow", t_ns)
+        self._due_ns[rate] += round(self._periods_ns[rate] * (1.0 if slow is None else slow.slowness))
+
+    @abstractmethod
+    def _take(self, message: CanFrame | can.Message, t_ns: int) -> None:
+        """A frame from the bus."""
+
+    @abstractmethod
+    def _report(self, rate: int, t_ns: int) -> None:
+        """The reports of one of the two rates, and when they are due again."""
+
+    def _send(self, frame_id: int, data: bytes, t_ns: int) -> None:
+        """Put a frame on the bus, once for every controller that has this id."""
+        for _ in range(1 + self._options.twins):
+            self._channel.transmit(frame_id, data, t_ns, extended=True, sender=self._queue)

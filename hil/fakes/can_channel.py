@@ -1,0 +1,294 @@
+"""The emulated CAN bus: in process in virtual time as python-can interface `hil`.
+
+`CanChannel` is the wire. `can.Bus(interface="hil", channel=NAME)` opens a `WorldBus` on a channel that
+has been put into the registry by `CanChannel.open`. Across processes it is served by `hil.fakes.can_server`.
+
+Parts of the world and our own drivers have a `CanFrame`, which everybody who hears it shares; a `can.Message`
+is made of it for whoever calls `recv`, because that takes several times as long.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from copy import copy
+from typing import Any, NamedTuple
+
+import can
+
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.errors import UsageError
+from hil.fakes.fault import STRIKES, Supported
+from hil.fakes.world import NEVER_NS, World
+
+WIRE_FAULTS: Supported = {
+    "drop": STRIKES,
+    "truncate": STRIKES,
+    "duplicate": STRIKES,
+    "bus_off": (),
+    "unplug": (),
+    "baud_mismatch": (),
+}
+
+_QUEUE, _MOST_BYTES = 4096, 64
+_OVERHEAD_BITS, _STUFFING = 47, 1.1
+
+_CHANNELS: dict[str, CanChannel] = {}
+
+
+class CanFrame(NamedTuple):
+    """A data frame that has crossed the wire, with the names of `can.Message`.
+
+    Attributes:
+        timestamp: arrival on the world's clock, s.
+        arbitration_id, data, is_extended_id, is_remote_frame, is_error_frame: as of `can.Message`.
+    """
+
+    timestamp: float
+    arbitration_id: int
+    data: bytes
+    is_extended_id: bool
+    is_remote_frame: bool = False
+    is_error_frame: bool = False
+
+    @property
+    def dlc(self) -> int:
+        """Number of bytes."""
+        return len(self.data)
+
+
+Heard = tuple[int, CanFrame | can.Message]
+"""Arrival in ns, and what arrived: a message as it was sent where a client of the channel has sent it."""
+
+
+class CanChannel:
+    """One bus: frames queue behind each other at the bit rate and reach every listener.
+
+    Args:
+        world: time, seed and faults.
+        name: channel name for `can.Bus`.
+        device: device name of the wire faults.
+    """
+
+    def __init__(
+        self, world: World, name: str = "hil", *, bitrate: int = 500_000, device: str = "encoders"
+    ) -> None:
+        self.world, self.name, self.bitrate, self._device = world, name, bitrate, device
+        self._takes_ns = [
+            [_takes_ns(extended, dlc, bitrate) for dlc in range(_MOST_BYTES + 1)]
+            for extended in (False, True)
+        ]
+        self.faults = world.faults.of(device)
+        self._listeners: list[tuple[deque[Heard], Callable[[], None] | None]] = []
+        self._rng = world.rng(f"can.{device}")
+        self._free_ns = 0
+        self._told_bus_off = False
+
+    def open(self) -> CanChannel:
+        """Make the channel known to `can.Bus`; raises `UsageError` if the name is taken."""
+        if _CHANNELS.setdefault(self.name, self) is not self:
+            raise UsageError(
+                f"CAN channel {self.name!r} exists already", remedy="close it or use another name"
+            )
+        return self
+
+    def close(self) -> None:
+        """Forget the channel. Idempotent."""
+        if _CHANNELS.get(self.name) is self:
+            del _CHANNELS[self.name]
+
+    def listen(self, told: Callable[[], None] | None = None) -> deque[Heard]:
+        """A new queue of (arrival time, frame); the oldest frames are lost when nobody reads.
+
+        Args:
+            told: called when frames have been added.
+        """
+        queue: deque[Heard] = deque(maxlen=_QUEUE)
+        self._listeners.append((queue, told))
+        return queue
+
+    def leave(self, queue: deque[Heard]) -> None:
+        """Stop filling a queue."""
+        self._listeners = [(q, told) for q, told in self._listeners if q is not queue]
+
+    def transmit(
+        self,
+        frame_id: int,
+        data: bytes,
+        t_ns: int,
+        *,
+        extended: bool = False,
+        sender: deque[Heard] | None = None,
+    ) -> None:
+        """Put a data frame on the bus, not before `t_ns`; everybody but the sender hears it."""
+        if not self.faults.empty:
+            message = can.Message(arbitration_id=frame_id, data=data, is_extended_id=extended)
+            self.send(message, t_ns, sender=sender)
+            return
+        arrival_ns = self._crossed_ns(extended, len(data), t_ns)
+        frame = CanFrame(arrival_ns / NS_PER_S, frame_id, data, extended, False, False)
+        for queue, told in self._listeners:
+            if queue is not sender:
+                queue.append((arrival_ns, frame))
+                if told is not None:
+                    told()
+
+    def send(self, message: can.Message, t_ns: int, *, sender: deque[Heard] | None = None) -> None:
+        """Put any frame on the bus, which is the channel's from now on; everybody but the sender hears it."""
+        arrival_ns = self._crossed_ns(message.is_extended_id, message.dlc, t_ns)
+        copies = 1
+        if not self.faults.empty:
+            spoilt = self._spoil(message, t_ns)
+            if spoilt is None:
+                return
+            message, copies = spoilt
+        self._hand_out(message, arrival_ns, sender)
+        if copies > 1:
+            again = copy(message)
+            self._hand_out(again, self._crossed_ns(again.is_extended_id, again.dlc, arrival_ns), sender)
+
+    def _hand_out(self, message: can.Message, arrival_ns: int, sender: deque[Heard] | None) -> None:
+        message.timestamp = arrival_ns / NS_PER_S
+        for queue, told in self._listeners:
+            if queue is not sender:
+                queue.append((arrival_ns, message))
+                if told is not None:
+                    told()
+
+    def _crossed_ns(self, extended: bool, dlc: int, t_ns: int) -> int:
+        """When a frame that is sent now has crossed the bus."""
+        begins_ns = t_ns if t_ns > self._free_ns else self._free_ns
+        self._free_ns = begins_ns + self._takes_ns[extended][dlc]
+        return self._free_ns
+
+    def check_plugged(self) -> None:
+        """Raise as a CAN adapter does that has been pulled out."""
+        if not self.faults.empty and self.faults.find(self._device, "unplug", self.world.now_ns):
+            raise can.CanOperationError("the CAN adapter is gone")
+
+    def _spoil(self, message: can.Message, t_ns: int) -> tuple[can.Message, int] | None:
+        """The frame as it arrives and how often, or None when it does not."""
+        faults = {f.kind: f for f in self.faults.active(self._device, t_ns)}
+        if "bus_off" in faults or "baud_mismatch" in faults:
+            if self._told_bus_off:
+                return None
+            self._told_bus_off = True
+            return can.Message(is_error_frame=True, dlc=8, data=bytes(8)), 1
+        self._told_bus_off = False
+
+        def hit(kind: str) -> bool:
+            fault = faults.get(kind)
+            return fault is not None and fault.strikes(self._rng)
+
+        if "unplug" in faults or hit("drop"):
+            return None
+        if hit("truncate"):
+            short = bytes(message.data[: int(self._rng.integers(0, 8))])
+            message = can.Message(
+                arbitration_id=message.arbitration_id, data=short, is_extended_id=message.is_extended_id
+            )
+        return message, 2 if hit("duplicate") else 1
+
+
+class WorldBus(can.BusABC):
+    """python-can bus on a `CanChannel`; waiting moves the world, and stamps are on its clock.
+
+    Args:
+        channel: name of the channel.
+        can_filters: as of `can.BusABC`.
+        receive_own_messages: whether what is sent here is heard here, too.
+        kwargs: for other interfaces.
+    """
+
+    def __init__(
+        self, channel: Any, can_filters: Any = None, *, receive_own_messages: bool = False, **kwargs: object
+    ) -> None:
+        found = _CHANNELS.get(str(channel))
+        if found is None:
+            self._is_shutdown = True
+            raise can.CanInitializationError(
+                f"no emulated CAN channel {channel!r}; open ones: {', '.join(_CHANNELS) or 'none'}"
+            )
+        self._channel = found
+        self._queue = found.listen()
+        self._hears_itself = receive_own_messages
+        self.channel_info = f"emulated CAN channel {found.name}"
+        self._can_protocol = can.CanProtocol.CAN_20
+        super().__init__(channel, can_filters=can_filters, **kwargs)
+
+    def take(self) -> CanFrame | can.Message | None:
+        """As `recv` without waiting, for whoever leaves the frame as it is.
+
+        Raises:
+            can.CanOperationError: unplugged.
+        """
+        world, queue = self._channel.world, self._queue
+        if not self._channel.faults.empty:
+            self._channel.check_plugged()
+        while queue and queue[0][0] <= world.now_ns:
+            frame = queue.popleft()[1]
+            if self._filters is None or self._matches_filters(message_of(frame)):
+                return frame
+        return None
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Next frame that has arrived; waits on world time. Raises `can.CanOperationError` if unplugged."""
+        world, queue = self._channel.world, self._queue
+        deadline_ns = None if timeout == 0 else _deadline_ns(world.now_ns, timeout)
+        while True:
+            frame = self.take()
+            if frame is not None:
+                return message_of(frame)
+            if deadline_ns is None or world.now_ns >= deadline_ns:
+                return None
+            step_ns = min(deadline_ns, world.next_due_ns(), queue[0][0] if queue else NEVER_NS)
+            if step_ns >= NEVER_NS:
+                raise can.CanOperationError("nothing will ever arrive on this channel")
+            world.advance_to(step_ns)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        return self.recv(timeout), True
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send a copy of a frame to everybody else on the channel, and here if it is wanted here, too."""
+        self._channel.check_plugged()
+        sender = None if self._hears_itself else self._queue
+        self._channel.send(_copied(msg), self._channel.world.now_ns, sender=sender)
+
+    def shutdown(self) -> None:
+        """Leave the channel."""
+        if not self._is_shutdown:
+            self._channel.leave(self._queue)
+        super().shutdown()
+
+    def __del__(self) -> None:
+        """It holds nothing that outlives it: the keeper of an emulated fan goes with its world."""
+
+    @staticmethod
+    def _detect_available_configs() -> list[Any]:
+        return [{"interface": "hil", "channel": name} for name in _CHANNELS]
+
+
+def _takes_ns(extended: bool, dlc: int, bitrate: int) -> int:
+    """How long a frame is on the bus."""
+    bits = (_OVERHEAD_BITS + 20 * extended + 8 * dlc) * _STUFFING
+    return round(bits * 1e9 / bitrate)
+
+
+def message_of(frame: CanFrame | can.Message) -> can.Message:
+    """What python-can's clients get: an object of their own."""
+    if isinstance(frame, can.Message):
+        return _copied(frame)
+    return can.Message(frame.timestamp, frame.arbitration_id, frame.is_extended_id, data=frame.data)
+
+
+def _copied(message: can.Message) -> can.Message:
+    """A frame of one's own; `deepcopy` does the same in three times as long."""
+    own = copy(message)
+    if own.data:
+        own.data = bytearray(own.data)
+    return own
+
+
+def _deadline_ns(now_ns: int, timeout_s: float | None) -> int:
+    return NEVER_NS if timeout_s is None else now_ns + nanoseconds(timeout_s)

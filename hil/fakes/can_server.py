@@ -1,0 +1,145 @@
+"""The emulated CAN bus across processes: a channel's frames in real time on another python-can interface.
+
+By default that is UDP multicast among the programs of this host.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections import deque
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import can
+
+from hil.core.errors import DeviceError
+from hil.fakes.can_channel import CanChannel, message_of
+from hil.fakes.emulated_can_group import DEFAULT_GROUP
+from hil.fakes.free_port import free_udp_port
+from hil.fakes.server import Face
+from hil.fakes.world import NEVER_NS
+from hil.support.emulated_can_mark import Mark, bus_name
+from hil.support.host_multicast import HostMulticastBus
+
+_ECHOES = 256
+
+
+class CanFace(Face):
+    """A channel's frames in real time on another python-can interface, for any client.
+
+    Args:
+        channel: the emulated wire.
+        interface, address: python-can interface and channel that clients open too.
+        dbc: path told to clients.
+        device: name in errors.
+        listens: whether somebody on the emulated bus hears what clients send.
+        told: what clients are told besides.
+        options: further keyword arguments of the interface. Multicast without a `port` has a free one,
+            because python-can's own bus hears every group at the port that it listens to.
+        at_close: is called when the face is closed.
+
+    Raises:
+        DeviceError: the interface cannot be opened.
+    """
+
+    def __init__(
+        self,
+        channel: CanChannel,
+        *,
+        interface: str = "udp_multicast",
+        address: str = DEFAULT_GROUP,
+        dbc: Path | str = "",
+        device: str = "encoders",
+        listens: bool = False,
+        told: Mapping[str, object] | None = None,
+        options: Mapping[str, Any] | None = None,
+        at_close: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._at_close = at_close
+        self._channel, self._dbc, self._listens = channel, str(dbc), listens
+        self._told = dict(told or {})
+        self._echoes: deque[tuple[int, bytes]] = deque(maxlen=_ECHOES)
+        self._interface, self._address, self._options = interface, address, dict(options or {})
+        if interface == "udp_multicast" and "port" not in self._options:
+            self._options["port"] = free_udp_port()
+        try:
+            self._bus: can.BusABC | None = self._opened()
+        except (can.CanError, OSError, ValueError, TypeError) as error:
+            at_close()
+            raise DeviceError(
+                device,
+                f"the emulated CAN bus cannot be served ({error})",
+                port=f"{interface}:{address}",
+                remedy="choose another python-can interface or address",
+            ) from None
+        self._mark = Mark(bus_name(interface, address, self._options), channel.bitrate)
+        self._queue = channel.listen()
+        self.sent = self.lost = 0
+
+    def _opened(self) -> can.BusABC:
+        """The bus as the emulated devices have it: multicast is heard from this host only."""
+        if self._interface == "udp_multicast":
+            return HostMulticastBus(self._address, **self._options)
+        return can.Bus(interface=self._interface, channel=self._address, **self._options)
+
+    def next_due_ns(self) -> int:
+        """When the next frame has crossed the emulated wire."""
+        return self._queue[0][0] if self._queue else NEVER_NS
+
+    def on_due(self, t_ns: int) -> None:
+        """Send what has crossed; a frame that the interface refuses is lost and counted."""
+        while self._queue and self._queue[0][0] <= t_ns:
+            message = message_of(self._queue.popleft()[1])
+            if self._bus is None:
+                continue
+            try:
+                self._bus.send(message)
+                self.sent += 1
+                if self._listens:
+                    self._echoes.append((message.arbitration_id, bytes(message.data)))
+            except (can.CanError, OSError):
+                self.lost += 1
+
+    def filenos(self) -> list[int]:
+        """Descriptor of the interface where it has one."""
+        if self._bus is None:
+            return []
+        with contextlib.suppress(NotImplementedError, OSError):
+            descriptor = self._bus.fileno()
+            return [descriptor] if descriptor >= 0 else []
+        return []
+
+    def on_readable(self, fd: int, t_ns: int) -> None:
+        """Take one frame, and throw it away where nobody listens; multicast hears itself, too."""
+        message = None
+        if self._bus is not None:
+            with contextlib.suppress(can.CanError, OSError):
+                message = self._bus.recv(0)
+        if message is None or not self._listens:
+            return
+        key = (message.arbitration_id, bytes(message.data))
+        if key in self._echoes:
+            self._echoes.remove(key)
+        else:
+            self._channel.send(message, t_ns, sender=self._queue)
+
+    def endpoint(self) -> dict[str, object]:
+        """How a client reaches the bus."""
+        return {
+            "interface": self._interface,
+            "channel": self._address,
+            "bitrate": self._channel.bitrate,
+            "dbc": self._dbc,
+            **self._told,
+            **{key: value for key, value in self._options.items() if key != "hop_limit"},
+        }
+
+    def close(self) -> None:
+        """Let go of the interface. Idempotent."""
+        if self._bus is not None:
+            self._channel.leave(self._queue)
+            self._bus.shutdown()
+            self._bus = None
+            self._at_close()
+        self._mark.close()

@@ -1,0 +1,118 @@
+"""Faults of the emulated BNO055 that arise in the chip itself; the serial line adds those of the wire."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from hil.core.clock import nanoseconds
+from hil.fakes.active_faults import DeviceFaults, FaultPlan
+from hil.fakes.fault import PERIODIC, Supported
+from hil.fakes.imu import bno055_uart
+from hil.fakes.imu.register_encoding import EMPTY
+from hil.fakes.imu.sensor_physics import Sensed
+
+SUPPORTED_FAULTS: Supported = {
+    "off": (),
+    "stuck": (),
+    "garbage": (),
+    "wrong": ("rate_rad_s",),
+    "slow": ("factor", "answer_s"),
+    "delayed": ("delay_s",),
+    "intermittent": (*PERIODIC, "code"),
+    "brownout": (),
+    "reset": (),
+    "jump": ("angle_rad",),
+}
+
+_WRONG_RATE_RAD_S = 0.1
+_JUMP_RAD = 0.5
+
+
+class InertialFaults(DeviceFaults):
+    """What goes wrong with any inertial sensor: it dies and comes back, turns its heading, measures wrongly.
+
+    Attributes:
+        dead: without power, as `boot_at_ns` has seen it last.
+    """
+
+    def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
+        super().__init__(plan, name, rng)
+        self.dead = False
+
+    def boot_at_ns(self, t_ns: int) -> int | None:
+        """When the sensor last came up because of a fault, if that is news; keeps `dead` up to date."""
+        was_dead = self.dead
+        self.dead = any(self.find(kind, t_ns) for kind in ("off", "brownout"))
+        if was_dead and not self.dead:
+            return t_ns
+        fault = self.news("reset", t_ns)
+        return None if fault is None else fault.start_ns
+
+    def jump_rad(self, t_ns: int) -> float:
+        """A heading step that is due now, once per fault."""
+        fault = self.news("jump", t_ns)
+        return 0.0 if fault is None else fault.option("angle_rad", _JUMP_RAD)
+
+    def wrong_rate_rad_s(self, t_ns: int) -> float:
+        """What is added to every gyro axis now."""
+        fault = self.find("wrong", t_ns)
+        return 0.0 if fault is None else fault.option("rate_rad_s", _WRONG_RATE_RAD_S)
+
+
+class ImuFaults(InertialFaults):
+    """What is wrong with the chip.
+
+    Options: `wrong,rate_rad_s=` added to every gyro axis; `slow,factor=` stretches the output period
+    and `answer_s=` delays answers;
+    `delayed,delay_s=` shows old data; `jump,angle_rad=` turns the fused heading once;
+    `intermittent,period_s=,duty=` is silent for that part of each period, or answers `code=` instead.
+    """
+
+    def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
+        super().__init__(plan, name, rng)
+        self._frozen: bytes | None = None
+
+    def delay_ns(self, t_ns: int) -> int:
+        """Extra time before an answer while slow."""
+        fault = self.find("slow", t_ns)
+        return 0 if fault is None else nanoseconds(fault.option("answer_s", 0.0))
+
+    def distort(self, sensed: Sensed, t_ns: int) -> Sensed:
+        """A sensor that measures wrongly."""
+        extra = self.wrong_rate_rad_s(t_ns)
+        if not extra:
+            return sensed
+        x, y, z = sensed.rate
+        return sensed._replace(rate=(x + extra, y + extra, z + extra))
+
+    def shown(self, block: bytes, history: Iterable[tuple[int, bytes]], t_ns: int) -> bytes:
+        """The data registers that a client gets to see."""
+        if self.find("stuck", t_ns) is not None:
+            if self._frozen is None:
+                self._frozen = block
+            return self._frozen
+        self._frozen = None
+        fault = self.find("delayed", t_ns)
+        if fault is None:
+            return block
+        until_ns = t_ns - fault.delay_ns()
+        old = EMPTY
+        for at_ns, candidate in history:
+            if at_ns > until_ns:
+                break
+            old = candidate
+        return old
+
+    def spoil(self, answer: bytes, t_ns: int) -> bytes:
+        """The answer as it leaves the chip."""
+        if not answer:
+            return answer
+        if self.find("garbage", t_ns) is not None:
+            return self._rng.bytes(len(answer))
+        fault = self.find("intermittent", t_ns)
+        if fault is None or not fault.interrupts(t_ns):
+            return answer
+        code = int(fault.option("code", 0))
+        return bno055_uart.status(code) if code else b""

@@ -1,0 +1,46 @@
+"""Encodes what the emulated BNO055 senses into its data registers 0x08..0x35, in the selected units."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+from hil.fakes.imu.bno055_registers import (
+    UNIT_ANDROID,
+    UNIT_EULER_RAD,
+    UNIT_FAHRENHEIT,
+    UNIT_MG,
+    UNIT_RAD_S,
+    Mode,
+)
+from hil.fakes.imu.output_sample import GRAVITY_M_S2, counts
+from hil.fakes.imu.sensor_physics import Sensed
+from hil.support.numba_jit import plain
+
+_BLOCK = struct.Struct("<22hbB")
+LENGTH = _BLOCK.size
+EMPTY = bytes(LENGTH)
+_ZERO, _NO_FUSION = (0, 0, 0), (0,) * 13
+
+ACC_LSB_PER_M_S2 = 100.0
+GYRO_LSB_PER_RAD_S = 16.0 * 180.0 / math.pi
+MAG_LSB_PER_UT = 16.0
+
+
+def encode(sensed: Sensed, mode: Mode, units: int, calibration: int, celsius: float) -> bytes:
+    """Register block 0x08..0x35; what the mode switches off reads zero."""
+    acc = 1000.0 / GRAVITY_M_S2 if units & UNIT_MG else ACC_LSB_PER_M_S2
+    gyro = 900.0 if units & UNIT_RAD_S else GYRO_LSB_PER_RAD_S
+    temperature = round((celsius * 1.8 + 32.0) / 2.0 if units & UNIT_FAHRENHEIT else celsius)
+    degree = 900.0 if units & UNIT_EULER_RAD else 16.0 * 180.0 / math.pi
+    counted: tuple[int, ...] = counts(
+        plain(sensed), acc, gyro, MAG_LSB_PER_UT, degree, bool(units & UNIT_ANDROID)
+    )
+    if not (mode.fusion and mode.accelerometer and mode.gyroscope):  # without magnetometer its field is 0
+        counted = (
+            *(counted[0:3] if mode.accelerometer else _ZERO),
+            *(counted[3:6] if mode.magnetometer else _ZERO),
+            *(counted[6:9] if mode.gyroscope else _ZERO),
+            *(counted[9:22] if mode.fusion else _NO_FUSION),
+        )
+    return _BLOCK.pack(*counted, temperature, calibration)

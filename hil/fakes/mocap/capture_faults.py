@@ -1,0 +1,110 @@
+"""Faults of the emulated capture server and of the network in front of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.fakes.active_faults import DeviceFaults, FaultPlan
+from hil.fakes.fault import PERIODIC, STRIKES, Fault, Supported
+from hil.fakes.mocap.camera_view import SeenBody
+
+SUPPORTED_FAULTS: Supported = {
+    "off": (),
+    "stuck": (),
+    "garbage": ("nan", "packets"),
+    "wrong": ("offset_m",),
+    "slow": ("factor",),
+    "delayed": ("delay_s",),
+    "intermittent": (*PERIODIC, "occlude"),
+    "drop": STRIKES,
+    "corrupt": STRIKES,
+    "truncate": STRIKES,
+    "duplicate": STRIKES,
+    "unplug": (),
+    "jump": (),
+    "reset": (),
+}
+
+_OFFSET_M = 0.1
+
+Bodies = tuple[SeenBody, SeenBody]
+
+
+class MocapFaults(DeviceFaults):
+    """What is wrong with server and network.
+
+    Options: `wrong,offset_m=` along x; `jump` exchanges the two bodies; `garbage` makes random poses,
+    with `nan=1` NaN, with `packets=1` random packets; `slow,factor=`; `delayed,delay_s=`;
+    `intermittent,period_s=,duty=` is silence, with `occlude=1` a hidden body; `drop`, `corrupt`,
+    `truncate` and `duplicate` with `probability=`. `off` and `reset` restart the server, `unplug` is
+    the network cable.
+    """
+
+    def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
+        super().__init__(plan, name, rng)
+        self._frozen: Bodies | None = None
+        plan.declare(name, SUPPORTED_FAULTS)
+
+    def cut_off(self, t_ns: int) -> bool:
+        """Whether no packet gets in or out."""
+        return self.find("off", t_ns) is not None or self.find("unplug", t_ns) is not None
+
+    def silent(self, t_ns: int) -> bool:
+        """Whether this frame is not sent."""
+        fault = self.find("intermittent", t_ns)
+        return fault is not None and not fault.option("occlude", 0.0) and fault.interrupts(t_ns)
+
+    def hidden(self, t_ns: int) -> bool:
+        """Whether the body is out of sight."""
+        fault = self.find("intermittent", t_ns)
+        return fault is not None and bool(fault.option("occlude", 0.0)) and fault.interrupts(t_ns)
+
+    def distort(self, bodies: Bodies, t_ns: int) -> Bodies:
+        """The bodies as the server takes them to be."""
+        other, body = bodies
+        if self.find("jump", t_ns) is not None:
+            other, body = _at(other, body), _at(body, other)
+        wrong = self.find("wrong", t_ns)
+        if wrong is not None:
+            x, y, z = body.position_m
+            body = body._replace(position_m=(x + wrong.option("offset_m", _OFFSET_M), y, z))
+        garbage = self.find("garbage", t_ns)
+        if garbage is not None:
+            body = self._garbage(body, garbage)
+        if self.find("stuck", t_ns) is None:
+            self._frozen = None
+            return other, body
+        self._frozen = self._frozen or (other, body)
+        return self._frozen
+
+    def spoil(self, packet: bytes, t_ns: int) -> tuple[bytes, ...]:
+        """A packet as it arrives: not at all, damaged, once or twice."""
+        if self._hit("drop", t_ns):
+            return ()
+        garbage = self.find("garbage", t_ns)
+        if garbage is not None and garbage.option("packets", 0.0):
+            packet = self._rng.bytes(len(packet))
+        if self._hit("corrupt", t_ns):
+            damaged = bytearray(packet)
+            damaged[int(self._rng.integers(0, len(packet)))] ^= int(self._rng.integers(1, 256))
+            packet = bytes(damaged)
+        if self._hit("truncate", t_ns):
+            packet = packet[: int(self._rng.integers(0, len(packet)))]
+        return (packet, packet) if self._hit("duplicate", t_ns) else (packet,)
+
+    def _garbage(self, body: SeenBody, fault: Fault) -> SeenBody:
+        bits = self._rng.integers(0, 256, 28, dtype=np.uint8)
+        if fault.option("nan", 0.0):
+            bits[:] = 255
+        x, y, z, qx, qy, qz, qw = (float(v) for v in bits.view(np.float32))
+        return body._replace(position_m=(x, y, z), rotation_xyzw=(qx, qy, qz, qw))
+
+
+def _at(body: SeenBody, place: SeenBody) -> SeenBody:
+    """A body that is taken for the one at another place."""
+    return body._replace(
+        position_m=place.position_m,
+        rotation_xyzw=place.rotation_xyzw,
+        markers_m=place.markers_m,
+        tracked=place.tracked,
+    )

@@ -1,0 +1,76 @@
+"""From a configuration to a robot in MuJoCo: its true parameters are drawn as those of the own plant are.
+
+One seed is one robot in both worlds: geometry, masses, motors, fan and propellers deviate alike. What the
+engines do not share, how wheels touch the surface, is drawn from the same stream behind everything else.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from hil.config.robot import RobotConfig
+from hil.config.servo_models import ServoModel
+from hil.core.geometry import ArrayLike
+from hil.fakes.active_faults import FaultPlan
+from hil.fakes.mujoco_plant.contact import CONTACTS, ContactSetting
+from hil.fakes.mujoco_plant.model import build_model
+from hil.fakes.mujoco_plant.robot import MujocoRobot
+from hil.fakes.plant.robot import true_parameters
+from hil.fakes.plant.surfaces import Surface, find_surface
+
+
+def make_mujoco_plant(
+    robot: RobotConfig,
+    *,
+    surface: str | Surface = "melamine",
+    contact: str | ContactSetting = "creep",
+    tilt_rad: float = math.pi / 2.0,
+    start_pose: ArrayLike = (0.0, 0.0, 0.0),
+    servos: ServoModel | None = None,
+    rng: np.random.Generator,
+    randomise_truth: bool = True,
+    geometry_share: float = 1.0,
+    faults: FaultPlan | None = None,
+    mjcf: Path | None = None,
+    step_s: float | None = None,
+    by_hand: bool = False,
+) -> MujocoRobot:
+    """The robot of a configuration on a surface.
+
+    Args:
+        robot: nominal robot.
+        surface: preset (`floor`, `concrete`, `melamine`, `patchy`) or one of your own; friction and patches.
+        contact: `creep`, `holding`, or one of your own.
+        tilt_rad: 0 floor to pi/2 wall and beyond; the fan is off on `floor`.
+        start_pose: (3,) in the wall frame.
+        servos: whose motors drive and steer it; XH430-W210 where it is left out.
+        rng: source of the truth's deviations from nominal.
+        randomise_truth: whether the truth deviates at all.
+        geometry_share: see `hil.fakes.plant.parameters.draw`.
+        faults: see `SteppedBody`.
+        mjcf: the user's own robot: masses and places of wheels are the file's.
+        step_s: internal step; that of the user's file, or 1 ms.
+        by_hand: see `SteppedBody`.
+
+    Raises:
+        ConfigError: MuJoCo is missing, or the file describes no such robot.
+        UsageError: unknown surface or impossible pose.
+    """
+    ground = find_surface(surface) if isinstance(surface, str) else surface
+    touch = CONTACTS[contact] if isinstance(contact, str) else contact
+    share = geometry_share if randomise_truth else None
+    truth = true_parameters(robot, ground, tilt_rad, servos, rng, share)
+    if randomise_truth:
+        touch = touch.drawn(rng)
+    return MujocoRobot(
+        build_model(truth, touch, robot, mjcf, step_s),
+        truth,
+        patches=ground.patches,
+        tilt_rad=tilt_rad,
+        start_pose=start_pose,
+        faults=faults,
+        by_hand=by_hand,
+    )

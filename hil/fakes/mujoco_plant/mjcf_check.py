@@ -1,0 +1,156 @@
+"""A robot's MJCF is read: what keeps MuJoCo from reading it, or is no robot on four wheels, is named."""
+
+from __future__ import annotations
+
+import logging
+import re
+from pathlib import Path
+from typing import Any
+
+from hil.core.errors import ConfigError, did_you_mean
+from hil.core.signals import WHEELS
+from hil.fakes.mujoco_plant.mjcf_generation import describe_robot
+from hil.fakes.plant.parameters import TrueParameters
+from hil.support.extras import how_to_install, lacks
+
+_log = logging.getLogger(__name__)
+JOINTS = (*(f"drive_{w}" for w in WHEELS), *(f"steer_{w}" for w in WHEELS))
+LONGEST_STEP_S = 0.002
+_ROUND = ("SPHERE", "ELLIPSOID", "CYLINDER", "CAPSULE")
+_PARSER = re.compile(r"XML_ERROR_(\w+)")
+_LINE = re.compile(r"line (?:number=)?([1-9]\d*)", re.IGNORECASE)
+_ELEMENT = re.compile(r"Element (?:name )?'(\w+)'")
+
+
+def load_mujoco() -> Any:
+    """The engine; raises `ConfigError` with the line that installs it, or with what its import says."""
+    why = lacks("mujoco")
+    if why:
+        raise ConfigError(
+            f"emulation.plant = 'mujoco' needs the extra mujoco: {why}", remedy=how_to_install("mujoco")
+        )
+    try:
+        import mujoco
+
+        silent = mujoco.get_mju_user_warning() is None
+    except Exception as error:  # whatever a broken installation raises: a library, a module in its way
+        raise ConfigError(
+            f"emulation.plant = 'mujoco': `import mujoco` fails: {type(error).__name__}: {error}",
+            remedy=f"see that nothing else here is called mujoco, then {how_to_install('mujoco')}",
+        ) from error
+    if silent:  # it would write MUJOCO_LOG.TXT where the user stands
+        mujoco.set_mju_user_warning(_log.warning)
+    return mujoco
+
+
+def read_robot(mj: Any, p: TrueParameters, mjcf: Path | None) -> Any:
+    """The description as MuJoCo's `MjSpec`: that of the file, or the generated one.
+
+    Raises:
+        ConfigError: the file cannot be read, or is not one robot on four wheels.
+    """
+    if mjcf is not None and not mjcf.is_file():
+        raise ConfigError(f"emulation.mjcf = {mjcf}: no such file", expected="an MJCF file")
+    try:
+        spec = mj.MjSpec.from_string(describe_robot(p)) if mjcf is None else mj.MjSpec.from_file(str(mjcf))
+    except (ValueError, OSError) as error:
+        raise _unreadable(named(mjcf), str(error)) from None
+    _check(mj, spec, named(mjcf))
+    return spec
+
+
+def named(mjcf: Path | None) -> str:
+    """What the robot is read from, for messages."""
+    return "the generated robot" if mjcf is None else str(mjcf)
+
+
+def compiled(spec: Any, source: str) -> Any:
+    """The model of a description; raises `ConfigError` for one that MuJoCo cannot make."""
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise _unreadable(source, str(error)) from None
+
+
+def _unreadable(source: str, said: str) -> ConfigError:
+    """What MuJoCo says of a file, with the line and the element that it names."""
+    what = re.sub(r"^(XML )?(Error: )+", "", said.strip().splitlines()[0])
+    parser, line, element = (pattern.search(said) for pattern in (_PARSER, _LINE, _ELEMENT))
+    if parser is not None:
+        what = f"no well-formed XML ({parser[1].lower().replace('_', ' ')})"
+    at = (f", line {line[1]}" if line else "") + (f", {element[1]}" if element else "")
+    return ConfigError(
+        f"emulation.mjcf = {source}{at}: {what}",
+        remedy="correct the file; docs/wall.md has a robot to begin with",
+    )
+
+
+def wheel_geoms(joint: Any) -> list[Any]:
+    """Geoms of a drive's body that could touch the surface."""
+    return [g for g in joint.parent.geoms if _collides(g) and g.type.name[7:] in _ROUND]
+
+
+def _collides(geom: Any) -> bool:
+    return bool(geom.contype or geom.conaffinity)
+
+
+def _check(mj: Any, spec: Any, source: str) -> None:
+    """Refuse a file that is not one robot on four wheels, naming everything that is wrong with it."""
+    free = [j for j in spec.joints if j.type == mj.mjtJoint.mjJNT_FREE]
+    problems = [*_joints(mj, spec, free), *_surroundings(spec, free)]
+    if spec.actuators:
+        problems.append(f"{len(spec.actuators)} actuators; expected none: the bench brings motors and fan")
+    step = spec.option.timestep
+    if not 0.0 < step <= LONGEST_STEP_S:
+        problems.append(
+            f"option timestep = {step:g} s is unstable with servos; expected {LONGEST_STEP_S:g} or less"
+        )
+    refuse(source, problems)
+
+
+def refuse(source: str, problems: list[str]) -> None:
+    """Raise `ConfigError` when there are any."""
+    if problems:
+        raise ConfigError(f"emulation.mjcf = {source}: {len(problems)} problem(s)", problems=tuple(problems))
+
+
+def _joints(mj: Any, spec: Any, free: list[Any]) -> list[str]:
+    """What is wrong with the joints, and with the wheels that hang on them."""
+    problems: list[str] = []
+    known = {joint.name: joint for joint in spec.joints}
+    for name in JOINTS:
+        if name not in known:
+            near = did_you_mean(name, [j for j in known if j and j not in JOINTS])
+            problems.append(f"joint {name} is missing{'; ' + near if near else ''}")
+        elif known[name].type != mj.mjtJoint.mjJNT_HINGE:
+            problems.append(f"joint {name} is not a hinge")
+        elif name.startswith("drive") and len(wheel_geoms(known[name])) != 1:
+            problems.append(
+                f"the body of joint {name} has {len(wheel_geoms(known[name]))} geoms that can collide; "
+                f"expected one, its wheel ({', '.join(_ROUND).lower()}); others get contype=conaffinity=0"
+            )
+    if len(free) != 1:
+        problems.append(f"{len(free)} free joints; expected one, <freejoint/> in the robot's body")
+    others = [
+        j.name or "a joint without a name" for j in spec.joints if j not in free and j.name not in JOINTS
+    ]
+    if others:
+        problems.append(f"joints beside the eight of four wheels: {', '.join(others)}; fix them or weld them")
+    return problems
+
+
+def _surroundings(spec: Any, free: list[Any]) -> list[str]:
+    """What else could touch the robot: the bench brings its surface, and nothing stands on that."""
+    problems: list[str] = []
+    if len(free) == 1:
+        robots = free[0].parent
+        mine = [robots, *robots.find_all("body")]
+        strange = [g for g in spec.geoms if _collides(g) and g.parent not in mine]
+        problems += [
+            f"geom {g.name or 'without a name'} ({g.type.name[7:].lower()}) is not of the robot: the bench "
+            "brings the surface, and nothing stands on it; take it out, or give it contype=conaffinity=0"
+            for g in strange
+        ]
+    if spec.pairs:
+        problems.append(f"{len(spec.pairs)} contact pairs; expected none: the bench says what touches what")
+    return problems

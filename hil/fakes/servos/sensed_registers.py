@@ -1,0 +1,77 @@
+"""The registers that change by themselves: what a servo senses and shows, with the faults of its sensor."""
+
+from __future__ import annotations
+
+from hil.fakes.servos.sensing import Sensing
+from hil.fakes.servos.servo import Servo
+from hil.fakes.servos.servo_faults import ServoFaults
+from hil.fakes.servos.thermal_load import ThermalModel
+
+
+class LiveRegisters:
+    """Brings a servo's measurements up to date when somebody looks.
+
+    Args:
+        sensing: encoders, velocities and currents of all servos.
+        thermal: voltage and temperatures.
+        faults: of the sensors.
+    """
+
+    def __init__(self, sensing: Sensing, thermal: ThermalModel, faults: ServoFaults) -> None:
+        self._sensing, self._thermal, self._faults = sensing, thermal, faults
+        self._stamp = (-1, -1)
+        self._holding = False
+        self._all: list[list[int]] = []
+        self._duty_stamp, self._duty = (-1, -1.0), [0.0] * 8
+
+    def hold(self) -> None:
+        """Measure now; from the first call on, this is what the servos know until the next."""
+        self._holding = True
+        self._measure()
+
+    def sense(self, servo: Servo, t_ns: int) -> tuple[int, int]:
+        """Let a servo sense; its velocity and current counts in the joint's direction."""
+        sensing, faults, j = self._sensing, self._faults, servo.joint
+        self._renew(t_ns)
+        all_counts, all_velocities, all_currents = self._all
+        counts, velocity, current = all_counts[j], all_velocities[j], all_currents[j]
+        if not faults.none:
+            age_ns = faults.age_ns(j, t_ns)
+            if age_ns:
+                counts, velocity = sensing.counts(age_ns)[j], sensing.velocity(age_ns)[j]
+            counts, velocity, current = faults.measured(j, t_ns, (counts, velocity, current))
+        servo.sense(counts, velocity)
+        return velocity, current
+
+    def refresh(self, servo: Servo, address: int, length: int, t_ns: int) -> None:
+        """Put what a read of this range may see into the servo's table."""
+        end, layout = address + length, servo.table.layout
+        measured, motion = layout.measured, layout.motion
+        if end <= measured.address or (address >= measured.end and end <= layout.first_indirect):
+            return
+        velocity, current = self.sense(servo, t_ns)
+        if address >= motion.address and end <= motion.end:
+            values = servo.motion(servo.axis.position.encoder, velocity, current)
+            servo.table.put_row(motion, motion.pack(*values))
+            return
+        thermal, j = self._thermal, servo.joint
+        servo.show(
+            t_ns, velocity, current, self._duties(t_ns)[j], int(thermal.volts * 10), int(thermal.celsius[j])
+        )
+
+    def _duties(self, t_ns: int) -> list[float]:
+        """Duty cycles (8,) of the motors now."""
+        stamp = (t_ns, self._thermal.volts)
+        if self._duty_stamp != stamp:
+            self._duty_stamp, self._duty = stamp, self._sensing.duty(self._thermal.volts).tolist()
+        return self._duty
+
+    def _renew(self, t_ns: int) -> None:
+        """Measure, if time has passed since all eight did so last."""
+        stamp = (t_ns, self._sensing.ticks)
+        if self._stamp != stamp and not self._holding:
+            self._stamp = stamp
+            self._measure()
+
+    def _measure(self) -> None:
+        self._all = self._sensing.measure().tolist()

@@ -1,0 +1,166 @@
+"""Chips that send unasked: their rhythm, their supply, and the faults that all of them have."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any, ClassVar
+
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.fakes.active_faults import DeviceFaults
+from hil.fakes.emulation_request import EmulationRequest
+from hil.fakes.fault import PERIODIC, Fault, Supported
+from hil.fakes.serial_chip import Reply, SerialChip
+from hil.fakes.world import NEVER_NS
+
+COMMON_FAULTS: Supported = {
+    "off": (),
+    "brownout": (),
+    "reset": (),
+    "stuck": (),
+    "garbage": (),
+    "slow": ("factor",),
+    "delayed": ("delay_s",),
+    "intermittent": PERIODIC,
+}
+"""Faults that every such chip has without a line of its own; serial line and CAN bus add theirs."""
+
+
+class StreamingChip:
+    """Base of `SerialStreamingChip` and `hil.fakes.can_node.CanStreamingNode`: give `measure`, `encode`.
+
+    Args:
+        request: world, table of the bench file, `[emulation.KIND]`.
+
+    Attributes:
+        Options: frozen dataclass of what is true of it, `[emulation.KIND]`.
+        own_faults: faults beside the common ones, and the options that each takes; `fault` finds one.
+        boot_s: silence after its supply comes back.
+        delay_s: from measurement to the wire.
+        world: plant, clock, faults and random streams.
+        config: its table of the bench file.
+        options: an instance of `Options`.
+        rng: its random numbers.
+        faults: those that are planned for it.
+        rate_hz: measurements per second; 0 for none unasked.
+    """
+
+    Options: ClassVar[Any]
+    own_faults: ClassVar[Supported] = {}
+    boot_s: ClassVar[float] = 0.3
+    delay_s: ClassVar[float] = 0.0
+
+    def __init__(self, request: EmulationRequest) -> None:
+        self.name, self.world, self.config = request.kind, request.world, request.config
+        self.options: Any = request.options(type(self).Options)
+        self.rng = self.world.rng(self.name)
+        self.faults = DeviceFaults(self.world.faults, self.name, self.rng)
+        self.rate_hz: float = self.config.rate_hz
+        self._due_ns = self.world.now_ns + self._period_ns()
+        self._ready_ns = 0
+        self._frozen: Any = None
+        self._was_off = False
+
+    @abstractmethod
+    def measure(self, t_ns: int) -> Any:
+        """One measurement, as the chip believes it."""
+
+    def restart(self, t_ns: int) -> None:
+        """Power has come back: settings as after power-up."""
+        return
+
+    def fault(self, kind: str, t_ns: int) -> Fault | None:
+        """The fault of this kind that acts on it now."""
+        return self.faults.find(kind, t_ns)
+
+    def fault_option(self, kind: str, option: str, default: float) -> float:
+        """Option of a fault of this kind, or `default` where it has none; 0 where no such fault acts."""
+        fault = self.fault(kind, self.world.now_ns)
+        return 0.0 if fault is None else fault.option(option, default)
+
+    def wake(self) -> None:
+        """It sends again after `rate_hz` was 0."""
+        self._due_ns = self.world.now_ns + self._period_ns()
+
+    def reset(self, t_ns: int) -> None:
+        """Power was cycled."""
+        self.restart(t_ns)
+        self._ready_ns = self._due_ns = t_ns + nanoseconds(self.boot_s)
+
+    def _period_ns(self) -> int:
+        return round(NS_PER_S / self.rate_hz) if self.rate_hz else 0
+
+    def _next(self, t_ns: int) -> Any:
+        """Its measurement of now, as faults leave it; None where it sends nothing."""
+        off = any(self.fault(kind, t_ns) is not None for kind in ("off", "brownout"))
+        was_off, self._was_off = self._was_off, off
+        if (was_off and not off) or self.faults.news("reset", t_ns) is not None:
+            self.reset(t_ns)
+        self._due_ns = t_ns + round(self._period_ns() * self.faults.slowness(t_ns))
+        return None if self._is_down(t_ns) else self._shown(t_ns)
+
+    def _shown(self, t_ns: int) -> Any:
+        measured = self.measure(t_ns)
+        stuck = self.fault("stuck", t_ns) is not None
+        self._frozen = (self._frozen or measured) if stuck else None
+        silent = self.fault("intermittent", t_ns)
+        return None if silent is not None and silent.interrupts(t_ns) else self._frozen or measured
+
+    def _delay_ns(self, t_ns: int) -> int:
+        return nanoseconds(self.delay_s) + self.faults.lateness_ns(t_ns)
+
+    def _spoilt(self, data: bytes, t_ns: int) -> bytes:
+        return self.rng.bytes(len(data)) if self.fault("garbage", t_ns) is not None else data
+
+    def _is_down(self, t_ns: int) -> bool:
+        return t_ns < self._ready_ns or self._was_off
+
+
+class SerialStreamingChip(StreamingChip, SerialChip):
+    """A chip at the far end of a serial line; give `measure`, `encode`, and `answer` where it can be asked.
+
+    At another baud rate than its own both ends hear noise.
+    """
+
+    def __init__(self, request: EmulationRequest) -> None:
+        super().__init__(request)
+        self.uart_baud: int | None = self.config.baud
+        self.supported_faults = {**COMMON_FAULTS, **self.own_faults}
+
+    @classmethod
+    def build(cls, request: EmulationRequest) -> SerialStreamingChip:
+        """The chip of a table of the bench file."""
+        return cls(request)
+
+    @abstractmethod
+    def encode(self, measured: Any) -> bytes:
+        """A measurement as bytes."""
+
+    def answer(self, data: bytes, t_ns: int) -> bytes:
+        """Answer to bytes that were heard, in any pieces; none by default."""
+        return b""
+
+    def next_poll_ns(self) -> int:
+        """When the next measurement is due."""
+        return self._due_ns if self.rate_hz else NEVER_NS
+
+    def poll(self, t_ns: int) -> list[Reply]:
+        """One measurement, if it has power."""
+        measured = self._next(t_ns)
+        return [] if measured is None else self._reply(measured, t_ns)
+
+    def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
+        """Answer; while starting and without power there is silence.
+
+        Raises:
+            TypeError: `answer` gave no bytes.
+        """
+        answer = b"" if self._is_down(t_ns) else self.answer(data, t_ns)
+        if not isinstance(answer, bytes):
+            raise TypeError(f"answer() gave {answer!r:.60}, expected bytes")
+        return [Reply(t_ns + nanoseconds(0.001), answer)] if answer else []
+
+    def _reply(self, measured: Any, t_ns: int) -> list[Reply]:
+        data = self.encode(measured)
+        if not isinstance(data, bytes):
+            raise TypeError(f"encode() gave {data!r:.60}, expected bytes")
+        return [Reply(t_ns + self._delay_ns(t_ns), self._spoilt(data, t_ns))]

@@ -1,0 +1,113 @@
+"""Faults of the emulated T265."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.fakes.active_faults import DeviceFaults, FaultPlan
+from hil.fakes.fault import PERIODIC, STRIKES, Fault, Supported
+from hil.fakes.tracker.librealsense_frames import PoseFrame
+from hil.fakes.tracker.visual_odometry import CameraPose, Quaternion, Vector
+
+SUPPORTED_FAULTS: Supported = {
+    "off": (),
+    "stuck": (),
+    "garbage": ("nan", "clock"),
+    "wrong": ("scale", "drift_x_m_s", "drift_y_m_s", "confidence"),
+    "slow": ("factor",),
+    "delayed": ("delay_s",),
+    "intermittent": PERIODIC,
+    "drop": STRIKES,
+    "duplicate": STRIKES,
+    "unplug": (),
+    "jump": ("distance_m",),
+    "reset": (),
+}
+
+_WRONG_SCALE, _JUMP_M = 1.2, 0.1
+_DRIFTS = ("drift_x_m_s", "drift_y_m_s")
+_NAN = math.nan
+_NO_VECTOR = Vector(_NAN, _NAN, _NAN)
+_NOT_A_POSE = CameraPose(_NO_VECTOR, _NO_VECTOR, Quaternion(_NAN, _NAN, _NAN, _NAN), _NO_VECTOR)
+
+
+class TrackerFaults(DeviceFaults):
+    """What is wrong with the camera.
+
+    Options: `wrong,scale=` on every step, `wrong,drift_x_m_s=,drift_y_m_s=` along the wall's axes, or
+    `wrong,confidence=`; `jump,distance_m=` once;
+    `slow,factor=`; `delayed,delay_s=`; `intermittent,period_s=,duty=`; `drop` and `duplicate` with
+    `probability=`; `garbage,nan=1` for poses of NaN instead of random numbers, `garbage,clock=1` for
+    random time stamps. `off` is silence, after which tracking starts anew; `unplug` ends the stream.
+    """
+
+    def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
+        super().__init__(plan, name, rng)
+        self._frozen: PoseFrame | None = None
+        plan.declare(name, SUPPORTED_FAULTS)
+
+    def silent(self, t_ns: int) -> bool:
+        """Whether no pose is made now."""
+        if self._off:
+            return True
+        fault = self.find("intermittent", t_ns)
+        return fault is not None and fault.interrupts(t_ns)
+
+    def jump_m(self, t_ns: int) -> float:
+        """Distance of a jump that is due, once per fault."""
+        fault = self.news("jump", t_ns)
+        return 0.0 if fault is None else fault.option("distance_m", _JUMP_M)
+
+    def scale(self, t_ns: int) -> float:
+        """Factor on the steps seen."""
+        return seen_scale(self.find("wrong", t_ns))
+
+    def drift_m(self, t_ns: int, dt_s: float) -> tuple[float, float]:
+        """Way in the wall's axes that is seen in a step and was not gone."""
+        return seen_drift_m(self.find("wrong", t_ns), dt_s)
+
+    def spoil(self, frame: PoseFrame, t_ns: int) -> tuple[PoseFrame, ...]:
+        """The frame as it arrives: not at all, once or twice."""
+        if self._hit("drop", t_ns):
+            return ()
+        if self.find("stuck", t_ns) is None:
+            self._frozen = None
+        else:
+            self._frozen = self._frozen or frame
+            frame = frame._replace(pose=self._frozen.pose, confidence=self._frozen.confidence)
+        wrong = self.find("wrong", t_ns)
+        if wrong is not None and "confidence" in wrong.options:
+            frame = frame._replace(confidence=int(wrong.options["confidence"]))
+        garbage = self.find("garbage", t_ns)
+        if garbage is not None:
+            frame = self._garbage(frame, garbage)
+        return (frame, frame) if self._hit("duplicate", t_ns) else (frame,)
+
+    def _garbage(self, frame: PoseFrame, fault: Fault) -> PoseFrame:
+        if fault.option("clock", 0.0):
+            return frame._replace(timestamp_ms=float(self._rng.uniform(0.0, 1e13)))
+        if fault.option("nan", 0.0):
+            return frame._replace(pose=_NOT_A_POSE)
+        bits = self._rng.integers(0, 256, 52, dtype=np.uint8)
+        values = [float(v) for v in bits.view(np.float32)]
+        pose = CameraPose(
+            Vector(*values[:3]), Vector(*values[3:6]), Quaternion(*values[6:10]), Vector(*values[10:])
+        )
+        return frame._replace(pose=pose, confidence=int(self._rng.integers(0, 4)))
+
+
+def seen_scale(fault: Fault | None) -> float:
+    """Factor of a `wrong` fault on the steps seen; 1 where it is wrong in something else."""
+    if fault is None or ("scale" not in fault.options and fault.options):
+        return 1.0
+    return fault.option("scale", _WRONG_SCALE)
+
+
+def seen_drift_m(fault: Fault | None, dt_s: float) -> tuple[float, float]:
+    """Way of a `wrong` fault that is seen in a step and was not gone."""
+    if fault is None:
+        return 0.0, 0.0
+    x_m_s, y_m_s = (fault.option(name, 0.0) for name in _DRIFTS)
+    return x_m_s * dt_s, y_m_s * dt_s

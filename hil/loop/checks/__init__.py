@@ -1,0 +1,1 @@
+"""What stops the robot: each check, with what it sees."""

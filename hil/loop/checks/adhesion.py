@@ -1,0 +1,377 @@
+"""Watches what presses the robot on its wall: measured force against what is needed, and who measures it.
+
+The force is what the load cells say without their zeros, and what a fan of this speed gives; the smaller one
+counts, and the two are held against each other and against what the battery gives. The robot stops while
+there is still a margin to stop with: at a limit above the need, and earlier where the force is falling.
+Propellers that turn faster than they are to push less than their speed says: that stops it, too.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.interfaces import Blame
+from hil.core.signals import WHEELS, AdhesionSample, Event, Inputs, LoadCellSample, Status, ThrustSample
+from hil.loop.checks.force_trend import ForceTrend
+from hil.loop.cycle import Check, Cycle, go_on
+from hil.robot.statics import Statics
+
+_FALLING_N_S = -3.0
+_AHEAD_S = 0.5
+"""A force that will be below its limit so soon stops the robot now: wheels take 0.15 s to rest."""
+_DISAGREE_NS, DISAGREE_N, DISAGREE_SHARE = nanoseconds(0.25), 3.0, 0.1
+_POWER_OF_SPEED = 3.0
+_SAME_SHARE, _SAME_RAD = 0.005, 0.002
+_WEAK_PUSH = 0.85
+"""Share of the push that propellers are to give below which a stop speaks of them."""
+_EXCESS_SHARE, _LEAST_EXCESS = 0.15, 0.02
+"""Push beyond what propellers are to give that is too much: as a share of that, at least of full push."""
+_OK = Status.OK
+LETTING_GO = ("adhesion", "utilisation", "thrust_disagree")
+"""Reasons to stop for which more force is what helps."""
+
+
+@dataclass(frozen=True)
+class AdhesionLimits:
+    """What the watch of one bench knows.
+
+    Attributes:
+        statics: robot and surface, as on paper.
+        reserve: the measured force exceeds the need by this share, at least.
+        utilisation: no wheel uses more of its friction.
+        nominal_thrust_n, full_thrust_n: push of the propellers where nobody reports a throttle, and at full.
+        wanted_n: what the fan is asked for at rest: all of the margin is what that is above the need.
+        rated_n, rated_rpm, rated_w: force and battery power of the fan at a speed; NaN without one.
+        low_input_v, hot_fet_c: of the fan's battery and controller.
+        zero_n: of the load cells, their sum; None without cells.
+        reports_thrust: whether the propellers' controllers report their speed.
+        stale_s: silence after which fan, cells or such propellers are no longer trusted.
+    """
+
+    statics: Statics
+    reserve: float = 0.25
+    utilisation: float = 0.8
+    nominal_thrust_n: float = 0.0
+    full_thrust_n: float = 0.0
+    wanted_n: float = math.nan
+    rated_n: float = math.nan
+    rated_rpm: float = math.nan
+    rated_w: float = math.nan
+    low_input_v: float = 0.0
+    hot_fet_c: float = math.inf
+    zero_n: float | None = None
+    reports_thrust: bool = False
+    stale_s: float = 0.25
+
+    @property
+    def has_fan(self) -> bool:
+        """Whether a fan reports its speed."""
+        return math.isfinite(self.rated_rpm)
+
+    def limit_n(self, thrust_n: float, heading_rad: float) -> float:
+        """Force below which no wheel may move."""
+        needed_n = (1.0 + self.reserve) * self.statics.needed_n(thrust_n, heading_rad)
+        return max(needed_n, self.statics.force_for_n(self.utilisation, thrust_n, heading_rad))
+
+    def cells_n(self, sample: LoadCellSample) -> float:
+        """Force by the cells, without their zeros; NaN where one cannot be used."""
+        first_n, second_n = sample.force_n.tolist()
+        return float(first_n + second_n) - (self.zero_n or 0.0)
+
+    def speed_n(self, sample: AdhesionSample) -> float:
+        """Force by the fan's speed."""
+        return self.rated_n * (sample.speed_rpm / self.rated_rpm) ** 2
+
+    def push_n(self, sample: ThrustSample) -> float:
+        """Push by the propellers' speed; NaN where they do not tell it."""
+        if sample.status is not _OK:
+            return math.nan
+        return self.full_thrust_n * sample.throttle**2
+
+    def pushes_too_much(self, push_n: float) -> bool:
+        """Whether propellers report so much more push than they are to give that it cannot be the push.
+
+        A propeller turns faster than it is asked to when nothing brakes it, or when its speed is miscounted.
+        """
+        wanted_n = self.nominal_thrust_n
+        too_much_n = wanted_n + max(_EXCESS_SHARE * wanted_n, _LEAST_EXCESS * self.full_thrust_n)
+        return self.reports_thrust and push_n > too_much_n
+
+    def power_n(self, sample: AdhesionSample) -> float:
+        """Force by what the battery gives: power goes with the cube of the speed."""
+        watts = sample.input_a * sample.input_v
+        return self.rated_n * math.pow(max(watts / self.rated_w, 0.0), 2.0 / _POWER_OF_SPEED)
+
+
+class AdhesionWatch(Check):
+    """Follows fan, propellers and cells of one run.
+
+    Args:
+        limits: of the bench.
+        can_fall: whether it hangs on a wall without a tether; elsewhere nothing stops it.
+
+    Attributes:
+        heading_rad: of the body, as estimated last.
+        figures: for the robot's state: force, need, margin and what each wheel uses of its friction.
+    """
+
+    def __init__(self, limits: AdhesionLimits, *, can_fall: bool) -> None:
+        self.limits, self._can_fall = limits, can_fall
+        self._has_fan, self._has_cells = limits.has_fan, limits.zero_n is not None
+        self._stale_ns = nanoseconds(limits.stale_s)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self.heading_rad = 0.0
+        self.figures: dict[str, float] = {}
+        self._thrust_n = self._reported_push_n = self.limits.nominal_thrust_n
+        self._cells_n = self._speed_n = math.nan
+        self._worked_out_at = (math.nan, math.nan, math.nan)
+        self._needed_n = self._most = 0.0
+        self._used: dict[str, float] = {}
+        self._cells_ns: int | None = None
+        self._fan_ns: int | None = None
+        self._thrust_ns: int | None = None
+        self._began_ns: int | None = None
+        self._cells_trend, self._speed_trend = ForceTrend(), ForceTrend()
+        self._apart_ns: int | None = None
+        self._excess_ns: int | None = None
+        self._trouble = ""
+        self._fan: AdhesionSample | None = None
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """Fan, propellers and load cells; their figures go into the robot's state."""
+        self.heading_rad = cycle.last.heading_rad
+        self.judge(cycle.inputs, cycle.events, cycle.stop)
+        cycle.diagnostics.update(self.figures)
+
+    def judge(self, inputs: Inputs, events: list[Event], stop: Blame) -> None:
+        """Look at one cycle's samples; what is noticed is added to `events` or handed to `stop`.
+
+        The force is judged with every report of the fan, 50 times a second.
+        """
+        if self._began_ns is None:
+            self._began_ns = inputs.t_ns
+        self._take(inputs, events)
+        fresh = self._fresh(inputs.t_ns, stop if self._can_fall else go_on)
+        if not (inputs.adhesion if self._has_fan else inputs.load_cells):
+            return
+        force_n = self._smaller()
+        self._figure(force_n)
+        if not self._can_fall or not math.isfinite(force_n) or not fresh:
+            return
+        self._judge_force(force_n, stop)
+        self._compare(inputs.t_ns, stop)
+        self._judge_push(stop)
+        if self._fan is not None:
+            self._judge_controller(self._fan, force_n, stop)
+
+    def _smaller(self) -> float:
+        """The smaller of what is measured; NaN where nothing is."""
+        cells_n, speed_n = self._cells_n, self._speed_n
+        if not math.isfinite(cells_n):
+            return speed_n if math.isfinite(speed_n) else math.nan
+        return min(cells_n, speed_n) if math.isfinite(speed_n) else cells_n
+
+    def _take(self, inputs: Inputs, events: list[Event]) -> None:
+        """Newest force by each measure."""
+        for sample in inputs.load_cells:
+            if sample.status[0] is _OK and sample.status[1] is _OK:
+                self._cells_n, self._cells_ns = self.limits.cells_n(sample), sample.stamp.t_ns
+                self._cells_trend.follow(self._cells_ns, self._cells_n)
+        for fan in inputs.adhesion:
+            if fan.trouble != self._trouble:
+                self._trouble = fan.trouble
+                told = fan.trouble or "the fan is kept running as it should be again"
+                events.append(Event(inputs.t_ns, "warning" if fan.trouble else "info", "adhesion", told))
+            if fan.status is _OK and self._has_fan:
+                self._fan, self._fan_ns = fan, fan.stamp.t_ns
+                self._speed_n = self.limits.speed_n(fan)
+                self._speed_trend.follow(self._fan_ns, self._speed_n)
+        for push in inputs.thrust:
+            push_n = self.limits.push_n(push)
+            if math.isfinite(push_n):
+                self._take_push(push_n, push.stamp.t_ns)
+
+    def _take_push(self, push_n: float, t_ns: int) -> None:
+        """What the propellers report; more than they are to give holds nothing."""
+        self._reported_push_n, self._thrust_ns = push_n, t_ns
+        if not self.limits.pushes_too_much(push_n):
+            self._thrust_n, self._excess_ns = push_n, None
+            return
+        self._thrust_n = self.limits.nominal_thrust_n
+        if self._excess_ns is None:
+            self._excess_ns = t_ns
+
+    def _fresh(self, t_ns: int, stop: Blame) -> bool:
+        """Whether everybody who measures the force has been heard lately."""
+        oldest_ns = t_ns - self._stale_ns
+        if (self._began_ns or 0) >= oldest_ns:
+            return True
+        fresh = True
+        if self._has_fan and (self._fan_ns or 0) < oldest_ns:
+            fresh = self._silent("adhesion", "fan's controller", self._fan_ns, t_ns, stop)
+        if self._has_cells and (self._cells_ns or 0) < oldest_ns:
+            fresh = self._silent("load_cells", "load cells", self._cells_ns, t_ns, stop)
+        if self.limits.reports_thrust and (self._thrust_ns or 0) < oldest_ns:
+            fresh = self._silent("thrust", "propellers' controllers", self._thrust_ns, t_ns, stop)
+        return fresh
+
+    def _silent(self, name: str, noun: str, last_ns: int | None, t_ns: int, stop: Blame) -> bool:
+        """Stop for want of somebody who measures the force; False, as nothing fresh is known."""
+        silent_s = (t_ns - max(last_ns or 0, self._began_ns or 0)) / NS_PER_S
+        stop(
+            f"stale_{name}",
+            f"nothing usable from the {noun} for {silent_s:.2f} s: whether the robot is pressed on the wall "
+            "is not known; check its bus (bit rate, wiring, adapter) and its supply",
+        )
+        return False
+
+    def _figure(self, force_n: float) -> None:
+        """Figures for the state; statics are worked out anew where force or heading have changed."""
+        self._work_out(force_n)
+        self.figures = {
+            "adhesion_n": force_n,
+            "adhesion_needed_n": self._needed_n,
+            "adhesion_margin_n": force_n - self._needed_n,
+            **self._used,
+        }
+        if math.isfinite(self._cells_n):
+            self.figures["adhesion_cells_n"] = self._cells_n
+        if math.isfinite(self._speed_n):
+            self.figures["adhesion_fan_n"] = self._speed_n
+
+    def _work_out(self, force_n: float) -> None:
+        """What holds the robot, and what each wheel uses of its friction."""
+        at_n, at_thrust_n, at_rad = self._worked_out_at
+        if (
+            abs(force_n - at_n) <= _SAME_SHARE * at_n
+            and abs(self.heading_rad - at_rad) <= _SAME_RAD
+            and abs(self._thrust_n - at_thrust_n) <= _SAME_SHARE * at_thrust_n
+        ):
+            return
+        self._worked_out_at = (force_n, self._thrust_n, self.heading_rad)
+        statics = self.limits.statics
+        self._needed_n = statics.needed_n(self._thrust_n, self.heading_rad)
+        self._used = {}
+        if math.isfinite(force_n):
+            used = statics.utilisation(force_n, self._thrust_n, self.heading_rad)
+            self._used = {f"utilisation_{w}": u for w, u in zip(WHEELS, used, strict=True)}
+        self._most = max(self._used.values(), default=0.0)
+
+    def _judge_force(self, force_n: float, stop: Blame) -> None:
+        """The force against its limit, now and soon, and the friction that the wheels use."""
+        limit_n = (1.0 + self.limits.reserve) * self._needed_n
+        measure, rate_n_s = "", 0.0
+        for name, trend in (("load cells", self._cells_trend), ("fan's speed", self._speed_trend)):
+            if (slope := trend.slope_n_s()) < rate_n_s:
+                measure, rate_n_s = name, slope
+        falling = rate_n_s < _FALLING_N_S
+        soon_n = force_n + _AHEAD_S * rate_n_s if falling else force_n
+        if soon_n >= limit_n and self._most <= self.limits.utilisation:
+            return
+        told = f"{force_n:.1f} N of adhesion{self._by_whom()}, {self._left(force_n)}"
+        if falling:
+            left_s = max((force_n - self._needed_n) / -rate_n_s, 0.0)
+            told += f", falling by {-rate_n_s:.1f} N/s by the {measure}: {left_s:.1f} s are left "
+            told += "until the robot slides"
+        if force_n < limit_n:
+            least = f"{limit_n:.1f} N are the least on this surface ({self._needed_n:.1f} needed)"
+            stop("adhesion", f"{told}; {least}{self._weak_push()}")
+        elif soon_n < limit_n:
+            stop("adhesion", f"{told}; look at fan, battery and seal{self._weak_push()}")
+        if self._most > self.limits.utilisation:
+            wheel = max(WHEELS, key=lambda w: self._used[f"utilisation_{w}"])
+            stop(
+                "utilisation",
+                f"wheel {wheel} uses {100 * self._most:.0f} % of its friction, more than "
+                f"{100 * self.limits.utilisation:.0f} %: {told}{self._weak_push()}{self._way_out()}",
+            )
+
+    def _way_out(self) -> str:
+        """What follows a stop that raises the fan."""
+        if not self.limits.has_fan:
+            return ""
+        return (
+            "; the fan is raised now, and the next session leaves it so: turn the robot back to upright, or "
+            "bring it down; once it is secured, `hil adhesion on --tethered` lowers the force"
+        )
+
+    def _by_whom(self) -> str:
+        """Who says so, where another says otherwise: it may be that one that is wrong."""
+        if not apart(self._cells_n, self._speed_n):
+            return ""
+        told = [(self._cells_n, "the load cells"), (self._speed_n, "the fan's speed")]
+        (_, low), (other_n, high) = sorted(told)
+        return f" by {low} ({other_n:.1f} N by {high}: one of them is wrong, or air leaks under the robot)"
+
+    def _weak_push(self) -> str:
+        """What propellers that report their speed give too little of: less push needs more adhesion."""
+        wanted_n = self.limits.nominal_thrust_n
+        if not self.limits.reports_thrust or self._thrust_n >= _WEAK_PUSH * wanted_n:
+            return ""
+        return (
+            f"; the propellers report {self._thrust_n:.1f} N of the {wanted_n:.1f} N that they are to give: "
+            "look at their controllers, battery and blades"
+        )
+
+    def _left(self, force_n: float) -> str:
+        """What is left of the margin that the wanted force has, in words."""
+        margin_n, whole_n = force_n - self._needed_n, self.limits.wanted_n - self._needed_n
+        share = f" ({100.0 * max(margin_n, 0.0) / whole_n:.0f} %)" if whole_n > 0.0 else ""
+        return f"{margin_n:.1f} N of margin left{share}"
+
+    def _compare(self, t_ns: int, stop: Blame) -> None:
+        """Cells against the fan's speed; its power says which of the two is believed."""
+        if not apart(self._cells_n, self._speed_n):
+            self._apart_ns = None
+            return
+        if self._apart_ns is None:
+            self._apart_ns = t_ns
+        if t_ns - self._apart_ns < _DISAGREE_NS or self._fan is None:
+            return
+        power_n = self.limits.power_n(self._fan)
+        told = f"the load cells say {self._cells_n:.1f} N, the fan's speed {self._speed_n:.1f} N"
+        if not math.isfinite(power_n):
+            told += "; its current is not reported"
+        elif abs(power_n - self._speed_n) < abs(power_n - self._cells_n):
+            told += f", its power {power_n:.1f} N: the cells lie, or air leaks under the robot"
+        else:
+            told += f", its power {power_n:.1f} N: the reported speed is wrong"
+        stop("adhesion_disagree", f"{told}; `hil run adhesion_check` at rest")
+
+    def _judge_push(self, stop: Blame) -> None:
+        """Propellers that have reported too much push for a while: what they give is not known."""
+        if self._excess_ns is None or (self._thrust_ns or 0) - self._excess_ns < _DISAGREE_NS:
+            return
+        stop(
+            "thrust_disagree",
+            f"the propellers report {self._reported_push_n:.1f} N of push, more than the "
+            f"{self.limits.nominal_thrust_n:.1f} N that they are to give: they turn faster than asked, and "
+            "what they really give is not known; look for a lost blade or a loose propeller, then at the "
+            "motors' speed sensing, and at what else commands their controllers",
+        )
+
+    def _judge_controller(self, fan: AdhesionSample, force_n: float, stop: Blame) -> None:
+        """Battery and heat of the fan."""
+        limits = self.limits
+        if fan.input_v < limits.low_input_v:
+            stop(
+                "battery_low",
+                f"the fan's battery has {fan.input_v:.1f} V under load, less than {limits.low_input_v:g}: "
+                f"{self._left(force_n)}; bring the robot down",
+            )
+        if fan.fet_c > limits.hot_fet_c:
+            stop(
+                "fan_hot",
+                f"the fan's controller is at {fan.fet_c:.0f} degC, more than {limits.hot_fet_c:g}: it will "
+                f"slow the fan down by itself; {self._left(force_n)}",
+            )
+
+
+def apart(cells_n: float, speed_n: float) -> bool:
+    """Whether two measures of one force contradict each other; False where one is NaN."""
+    return abs(cells_n - speed_n) > max(DISAGREE_N, DISAGREE_SHARE * abs(speed_n))

@@ -1,0 +1,186 @@
+"""Where the wheels alone, and the gyro alone, have the robot: dead reckoning that knows its past.
+
+Camera poses come tens of milliseconds late; to compare them, what the others say must be known for then.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections import deque
+
+import numpy as np
+
+from hil.core.clock import NS_PER_S
+from hil.core.signals import GyroMeasurement, WheelMeasurement
+from hil.robot.kinematics import WheelGeometry
+
+_KEPT = 256
+_GYRO_GAP_NS = 100_000_000
+_WHEEL_NS = 28_000_000
+STEP_RAD, FASTEST_RAD_S = 0.2, 6.5
+"""A joint turns by no more than this and that rate in a step: beyond it an encoder has slipped. The rate is
+faster than an XH430 without load at 12 V; the angle is that of a stamp that is 30 ms off at that rate."""
+
+Kept = tuple[complex, ...]
+
+
+class Track:
+    """Values over time, the newest `_KEPT` of them.
+
+    Attributes:
+        newest_ns: time of the newest values; None without any.
+    """
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the past."""
+        self._kept: deque[tuple[int, Kept]] = deque(maxlen=_KEPT)
+        self.newest_ns: int | None = None
+
+    def put(self, t_ns: int, values: Kept) -> None:
+        """Add the newest values."""
+        self._kept.append((t_ns, values))
+        self.newest_ns = t_ns
+
+    def covers(self, t_ns: int) -> bool:
+        """Whether it is without a break since then."""
+        return bool(self._kept) and self._kept[0][0] <= t_ns
+
+    def at(self, t_ns: int) -> Kept | None:
+        """Values at a time, between two known ones; None outside them."""
+        if self.newest_ns is None or t_ns > self.newest_ns:
+            return None
+        later_ns, later = self._kept[-1]
+        for at_ns, values in reversed(self._kept):
+            if at_ns == t_ns:
+                return values
+            if at_ns < t_ns:
+                part = (t_ns - at_ns) / (later_ns - at_ns)
+                return tuple([a + part * (b - a) for a, b in zip(values, later, strict=True)])
+            later_ns, later = at_ns, values
+        return None
+
+
+def moved(before: Kept, now: Kept) -> tuple[complex, float]:
+    """Way (m, complex) in the body's axes at its beginning, and turn (rad), from one place to another.
+
+    Args:
+        before: place (m, complex) and heading (rad) come first in it.
+        now: as `before`.
+    """
+    return (now[0] - before[0]) * cmath.rect(1.0, -before[1].real), (now[1] - before[1]).real
+
+
+def rolled(before: Kept, now: Kept) -> tuple[float, float]:
+    """Rolled way and contradiction (m) between two values of a `WheelTrack`."""
+    return (now[2] - before[2]).real, (now[3] - before[3]).real
+
+
+class WheelTrack(Track):
+    """Keeps place (m, complex), heading (rad), rolled way (m) and contradiction (m): all sums.
+
+    The contradiction is by how much the wheel that fits worst disagrees with the body's motion: by that much
+    the body may have moved otherwise.
+
+    Args:
+        geometry: of the wheels.
+    """
+
+    def __init__(self, geometry: WheelGeometry) -> None:
+        super().__init__()
+        forward = np.linalg.pinv(geometry.projection())
+        along, turn = forward[0] + 1j * forward[1], forward[2]
+        self._wheels: list[tuple[float, float, complex, complex, float, float, complex]] = [
+            (radius, zero, *along[2 * i : 2 * i + 2].tolist(), *turn[2 * i : 2 * i + 2].tolist(), 1j * place)
+            for i, (radius, zero, place) in enumerate(
+                zip(
+                    geometry.radius_m.tolist(),
+                    geometry.steering_zero_rad.tolist(),
+                    (geometry.x_m + 1j * geometry.y_m).tolist(),
+                    strict=True,
+                )
+            )
+        ]
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the way and where the wheels were."""
+        self.clear()
+        self._last: tuple[int, list[float], list[float]] | None = None
+        self._now: Kept = (0j, 0.0, 0.0, 0.0)
+
+    def take(self, sample: WheelMeasurement) -> None:
+        """Go on by one sample of all four wheels; incomplete ones are bridged.
+
+        After a step that no motor can have made in that time (a servo's encoder has slipped) it begins anew.
+        """
+        t_ns, last = sample.stamp.t_ns, self._last
+        if last is not None and t_ns - last[0] < _WHEEL_NS:
+            return
+        angles: list[float] = sample.wheel_angle_rad.tolist()
+        steering: list[float] = sample.steering_rad.tolist()
+        if not (all(sample.valid) and math.isfinite(sum(angles) + sum(steering))):
+            return
+        self._last = (t_ns, angles, steering)
+        if last is not None:
+            possible = FASTEST_RAD_S * (t_ns - last[0]) / NS_PER_S + STEP_RAD
+            if max([abs(a - b) for a, b in zip(angles, last[1], strict=True)]) > possible:
+                self.clear()
+            else:
+                self._go(angles, steering, last[1], last[2])
+        self.put(t_ns, self._now)
+
+    def _go(
+        self, angles: list[float], steering: list[float], before: list[float], steered: list[float]
+    ) -> None:
+        """One step from wheel and steering angles (4,) to others."""
+        place, heading, rolled, contradiction = self._now
+        step, turn, way, u = 0j, 0.0, 0.0, []
+        for i, (radius, zero, along, across, turn_along, turn_across, _) in enumerate(self._wheels):
+            length, angle = (angles[i] - before[i]) * radius, 0.5 * (steering[i] + steered[i]) - zero
+            ahead, left = length * math.cos(angle), length * math.sin(angle)
+            step += along * ahead + across * left
+            turn += turn_along * ahead + turn_across * left
+            way += abs(length)
+            u.append(complex(ahead, left))
+        worst = max([abs(u[i] - step - turn * wheel[6]) for i, wheel in enumerate(self._wheels)])
+        middle = heading.real + 0.5 * turn
+        self._now = (
+            place + step * complex(math.cos(middle), math.sin(middle)),
+            heading + turn,
+            rolled + 0.25 * way,
+            contradiction + worst,
+        )
+
+
+class GyroTrack(Track):
+    """Keeps the angle about the surface normal, rad; a gap ends it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._last: tuple[int, float, float] | None = None
+
+    def reset(self) -> None:
+        """Forget the past and the newest rate."""
+        self.clear()
+        self._last = None
+
+    def take(self, sample: GyroMeasurement) -> None:
+        """Go on by one sample."""
+        t_ns, rate, last = sample.stamp.t_ns, sample.yaw_rate_rad_s, self._last
+        if not math.isfinite(rate) or (last is not None and t_ns <= last[0]):
+            return
+        angle = 0.0
+        if last is not None and t_ns - last[0] <= _GYRO_GAP_NS:
+            angle = last[2] + 0.5 * (rate + last[1]) * (t_ns - last[0]) / NS_PER_S
+        else:
+            self.clear()
+        self._last = (t_ns, rate, angle)
+        self.put(t_ns, (angle,))

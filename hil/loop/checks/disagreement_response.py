@@ -1,0 +1,87 @@
+"""What follows from the comparison of all that tells of motion: a warning, a device less, or a stop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from hil.core.signals import Event
+from hil.core.suspects import together
+from hil.loop.checks.disagreement import Doubt
+from hil.loop.checks.exclusion import LeftOut
+from hil.loop.checks.fall import look_at
+from hil.loop.checks.motion_agreement import MotionCheck
+from hil.loop.checks.servos import ServoWatch
+from hil.loop.cycle import Check, Cycle
+from hil.loop.safety import Checks
+
+
+class AgreementCheck(Check):
+    """Camera, wheels, gyro and motion capture against each other: whom to believe, and whether to stop.
+
+    Args:
+        motion: what compares them.
+        checks: of the bench.
+        servos: knows a wheel that does not turn.
+        excluded: takes devices that are not believed any more.
+        holders: what keeps the robot on its surface: by kind, as sentences call it.
+
+    Attributes:
+        doubted: devices whose word on how the robot moves was in doubt since `reset`, and whether others
+            agreed against them.
+    """
+
+    def __init__(
+        self,
+        motion: MotionCheck,
+        checks: Checks,
+        servos: ServoWatch,
+        excluded: LeftOut,
+        holders: Mapping[str, str],
+    ) -> None:
+        self._motion, self._checks, self._servos = motion, checks, servos
+        self._excluded, self._holders = excluded, holders
+        self.doubted: dict[str, bool] = {}
+
+    def reset(self) -> None:
+        """Forget the run."""
+        self._motion.reset()
+        self.doubted.clear()
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """Stops with `sensors_disagree`, and `blocked` beside it."""
+        checks = self._checks
+        for doubt in self._motion.update(cycle.measurements):
+            self._note(doubt)
+            if checks.wheels is not None and doubt.may_slide:
+                checks.wheels.doubt()
+            if not doubt.grave:
+                if doubt.unseen and checks.needs_camera:
+                    cycle.inflate(*doubt.inflation)
+                cycle.events.append(self._event(doubt, cycle.inputs.t_ns))
+            elif checks.stops_by_steering and self._excluded.can_do_without(doubt):
+                self._motion.leave_out(doubt.source)
+                self._excluded.take(doubt, cycle)
+            elif checks.needs_camera:
+                standing = self._servos.standing(cycle.inputs.t_ns)
+                if standing and "blocked" not in cycle.stops:
+                    cycle.stop("blocked", standing)
+                event = self._event(doubt, cycle.inputs.t_ns)
+                cycle.stop("sensors_disagree", event.message, event.suspects)
+
+    def _event(self, doubt: Doubt, t_ns: int) -> Event:
+        """Of one device, or of both where it is not known which is wrong, and of what holds the robot."""
+        names, message = [doubt.source, *([] if doubt.confirmed else [doubt.against])], doubt.message
+        if doubt.may_slide:
+            names += self._holders
+            message += look_at(self._holders, "if it slides, look")
+        return Event(t_ns, "warning", together(names), message)
+
+    def _note(self, doubt: Doubt) -> None:
+        """Both of two are in doubt, until others agree against one of them."""
+        if doubt.confirmed:
+            sure = {name for name, known in self.doubted.items() if known}
+            self.doubted.clear()
+            self.doubted.update(dict.fromkeys((*sure, doubt.source), True))
+        else:
+            for name in (doubt.source, doubt.against):
+                self.doubted.setdefault(name, False)

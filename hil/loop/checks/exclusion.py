@@ -1,0 +1,58 @@
+"""Devices that are not believed any more in this run, because two others agree against them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hil.core.signals import Event, Measurements
+from hil.loop.checks.disagreement import Doubt
+from hil.loop.cycle import Cycle
+
+_MEASURED = {"tracker": "tracker", "imu": "gyro", "mocap": "mocap"}
+"""Fields of `Measurements` by device."""
+
+
+class LeftOut:
+    """Of one run.
+
+    Args:
+        estimated: devices whose measurements the estimators use.
+        on_wall: whether gravity pulls along the surface.
+    """
+
+    def __init__(self, estimated: frozenset[str], *, on_wall: bool) -> None:
+        self._estimated, self._on_wall = estimated, on_wall
+        self.reset()
+
+    def reset(self) -> None:
+        """Believe everybody again."""
+        self._names: set[str] = set()
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def can_do_without(self, doubt: Doubt) -> bool:
+        """Whether two others agree against a device, and are enough on this surface.
+
+        On a wall all that the estimate uses has to remain: wheels do not see what the robot slides by, and
+        only gravity says which way is up.
+        """
+        needed = self._on_wall and doubt.source in self._estimated
+        return doubt.confirmed and doubt.source in _MEASURED and not needed
+
+    def take(self, doubt: Doubt, cycle: Cycle) -> None:
+        """Believe the source of a doubt no more."""
+        name = doubt.source
+        self._names.add(name)
+        if name in self._estimated:
+            cycle.inflate(*doubt.inflation)
+        cycle.events.append(
+            Event(cycle.inputs.t_ns, "warning", name, f"left out from now on: {doubt.message}")
+        )
+
+    def believed(self, measurements: Measurements) -> Measurements:
+        """Measurements without those of devices that were left out."""
+        if not self._names:
+            return measurements
+        nothing: dict[str, tuple[()]] = {_MEASURED[name]: () for name in self._names}
+        return replace(measurements, **nothing)  # type: ignore[arg-type]

@@ -1,0 +1,65 @@
+"""Sees that the robot has come off or slides, by what it feels and by what the camera sees."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from hil.core.interfaces import Blame
+from hil.core.signals import Inputs, Status
+from hil.loop.cycle import Check, Cycle
+
+_OK = Status.OK
+_SAMPLES = 3
+_SEEN_BY = {"adhesion": "imu", "sliding": "tracker"}
+"""The kind whose samples show that the robot comes off, or slides."""
+
+
+def look_at(holders: Mapping[str, str], begin: str) -> str:
+    """The advice to look at what holds the robot, to be appended; empty where nothing is known to hold it."""
+    return f"; {begin} at the {' and the '.join(holders.values())}" if holders else ""
+
+
+class FallWatch(Check):
+    """Follows one run: a robot that has come off is weightless; one that slides is faster than it can drive.
+
+    Args:
+        lightest_m_s2: specific force below which it is falling.
+        fastest_m_s: speed that the camera may see.
+        holders: what keeps the robot on its surface: by kind, as sentences call it.
+    """
+
+    def __init__(
+        self, lightest_m_s2: float, fastest_m_s: float, holders: Mapping[str, str] | None = None
+    ) -> None:
+        self._lightest_m_s2, self._fastest_m_s = lightest_m_s2, fastest_m_s
+        self._holders = holders or {}
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._weightless = self._sliding = 0
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """IMU and camera; whatever holds the robot may be the cause."""
+
+        def stop(reason: str, message: str) -> None:
+            suspects = (*self._holders, _SEEN_BY[reason])
+            cycle.stop(reason, message + look_at(self._holders, "look"), suspects)
+
+        self.judge(cycle.inputs, stop)
+
+    def judge(self, inputs: Inputs, stop: Blame) -> None:
+        """Look at one cycle's samples; `stop` is called with the reason to stop."""
+        for imu in inputs.imu:
+            if imu.status is _OK:
+                light = math.hypot(*imu.specific_force_m_s2.tolist()) < self._lightest_m_s2
+                self._weightless = self._weightless + 1 if light else 0
+        for tracker in inputs.tracker:
+            if tracker.status is _OK:
+                fast = math.hypot(*tracker.velocity_m_s.tolist()) > self._fastest_m_s
+                self._sliding = self._sliding + 1 if fast else 0
+        if self._weightless >= _SAMPLES:
+            stop("adhesion", "the accelerometer feels less than the weight: adhesion is lost")
+        if self._sliding >= _SAMPLES:
+            stop("sliding", f"the camera sees more than {self._fastest_m_s:g} m/s: no hold")

@@ -1,0 +1,112 @@
+"""What the estimator could not believe: a sensor that it refused for long, or that fits badly on the whole.
+
+Deterministic: depends on the states seen since `reset` and on nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+
+from hil.core.signals import Event, RobotState
+from hil.loop.cycle import Check, Cycle
+
+_MOST, _CALM = 2.5, 1.5
+"""Mean normalised innovation squared that is told, and below which it may be told again; honest sensors on
+both plants stay below 1.2."""
+
+
+class _Refusals:
+    """How often the filter has refused a sensor, and begun its frame anew.
+
+    Args:
+        name: what the filter calls its samples.
+        device: what they come from.
+        others: what they are held against.
+    """
+
+    def __init__(self, name: str, device: str, others: str) -> None:
+        self._began, self._refused = f"reanchored_{name}", f"rejected_{name}"
+        self._device, self._others = device, others
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was refused."""
+        self._before = (0.0, 0.0)
+
+    def news(self, state: RobotState, events: list[Event]) -> tuple[bool, bool]:
+        """Whether its frame began anew in this cycle, and whether a sample was refused."""
+        figures, before = state.diagnostics, self._before
+        counts = figures.get(self._began, 0.0), figures.get(self._refused, 0.0)
+        if counts == before:
+            return False, False
+        self._before = counts
+        anew, refused = counts[0] > before[0], counts[1] > before[1]
+        if anew and refused:
+            sigma_mm = 1e3 * math.sqrt(max(*state.covariance.diagonal()[:2].tolist(), 0.0))
+            said = f"did not fit {self._others} for long: the estimate is unsure by {sigma_mm:.1f} mm now"
+            events.append(Event(state.t_ns, "warning", self._device, said))
+        return anew, refused
+
+
+class FilterWatch(Check):
+    """Follows the estimate of one run."""
+
+    def __init__(self) -> None:
+        self._wheels = _Refusals("wheels", "servos", "what camera and IMU tell")
+        self._camera = _Refusals("tracker", "tracker", "what servos and IMU tell")
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was refused."""
+        self._wheels.reset()
+        self._camera.reset()
+        self._misfit, self._largest_m, self._mean = False, 0.0, 1.0
+        self._off = (0.0, 0.0)
+
+    def take_off(self) -> tuple[float, float]:
+        """By how much the estimate may be off (m, rad) by what was found since the last call."""
+        off, self._off = self._off, (0.0, 0.0)
+        return off
+
+    def on_estimate(self, cycle: Cycle) -> None:
+        """What the filter refused, and how well its samples fit."""
+        assert cycle.state is not None
+        self.judge(cycle.state, cycle.events)
+        cycle.inflate_next(self.take_off())
+
+    def judge(self, state: RobotState, events: list[Event]) -> None:
+        """Look at one cycle's estimate; what is noticed is added to `events`.
+
+        A camera's frame that began anew because a pose has leapt refused nothing, and its driver tells of it.
+        """
+        self._wheels.news(state, events)
+        self._judge_fit(state, events, *self._camera.news(state, events))
+
+    def _judge_fit(self, state: RobotState, events: list[Event], anew: bool, refused: bool) -> None:
+        """Whether the camera's poses fit the rest: single ones may pass the gate while all of them do not.
+
+        Poses that are refused one after the other end in a new frame, which forgets them: that is told above.
+
+        Args:
+            state: the estimate.
+            events: what is noticed is added to them.
+            anew: whether the camera's frame began anew in this cycle.
+            refused: whether one of its poses was refused in this cycle.
+        """
+        figures = state.diagnostics
+        misfit, before = figures.get("nis_mean_tracker", 1.0), self._mean
+        self._mean = misfit
+        innovation_m = figures.get("innovation_tracker_m", 0.0)
+        if innovation_m > self._largest_m:
+            self._largest_m = innovation_m
+        if anew or misfit < _CALM:
+            self._misfit, self._largest_m = anew, 0.0
+        if misfit == before or refused or self._misfit:  # the same: no pose has come
+            return
+        if misfit > _MOST:
+            self._misfit, self._off = True, (self._largest_m, 0.0)
+            said = (
+                f"camera and wheels do not fit (mean NIS {misfit:.1f}, expected 1): one of them is late or "
+                f"wrong; the estimate is unsure by {1e3 * self._largest_m:.1f} mm more"
+            )
+            events.append(Event(state.t_ns, "warning", "tracker", said))

@@ -1,0 +1,38 @@
+"""Sensors that are gone while the robot is driven."""
+
+from __future__ import annotations
+
+from hil.loop.checks.exclusion import LeftOut
+from hil.loop.checks.sensor_status import SampleWatch
+from hil.loop.cycle import Check, Cycle
+from hil.loop.safety import Checks
+
+
+class LostCheck(Check):
+    """A robot that is driven does not wait for a sensor that is to come back, nor drives past a blind camera.
+
+    Args:
+        samples: ages of all samples.
+        checks: `needs_camera` and `lost_after_s`.
+        excluded: devices that are not believed any more.
+    """
+
+    def __init__(self, samples: SampleWatch, checks: Checks, excluded: LeftOut) -> None:
+        self._samples, self._checks, self._excluded = samples, checks, excluded
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """Stops with `stale_tracker` or `lost_KIND`."""
+        t_ns = cycle.inputs.t_ns
+        followed = self._checks.needs_camera and "tracker" not in self._excluded
+        silence = self._samples.silence("tracker", t_ns) if followed else ""
+        if silence:
+            cycle.stop(
+                "stale_tracker",
+                f"no usable pose of the camera {silence}, which the estimate that is followed needs: check "
+                "its lens, light and cable, or follow odometry",
+            )
+        for name, limit_s in self._checks.lost_after_s.items():
+            away_s = self._samples.away_s(name, t_ns)
+            if away_s > limit_s:
+                remedy = "check its cable and power, then start the motion again"
+                cycle.stop(f"lost_{name}", f"nothing from {name} for {away_s:.1f} s: {remedy}")

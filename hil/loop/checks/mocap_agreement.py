@@ -1,0 +1,178 @@
+"""Motion capture against camera and wheels: who of the three is alone with the way that it tells.
+
+Motion capture sees neither scale nor slip, so a camera beside it may differ by its scale only, and wheels by
+what they creep. It stays a witness: what it says goes into no estimate here. Deterministic: depends on what
+was taken since `reset` and on nothing else.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from hil.core.clock import NS_PER_S
+from hil.core.signals import PoseMeasurement
+from hil.loop.checks.dead_reckoning import Kept, Track, WheelTrack, moved, rolled
+from hil.loop.checks.disagreement import CAMERA, STEP_NS, WHEELS, Party, Relocalisation, Sum
+
+CAPTURE = Party("mocap", "motion capture")
+GAP_NS = 300_000_000
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What camera and wheels may differ by from motion capture.
+
+    Attributes:
+        scale: m per metre along the way: the camera's scale, 1 to 2 % where it has not been measured.
+        across: m per metre across it: how far the axes of the rigid body may be turned against the robot's.
+        lever_m: m per radian turned: where the origin of the rigid body lies.
+        rest_m_s: drift of a camera while nothing moves.
+        told_m, stop_m: sums that are told, and at which the robot must not go on: a camera that is late by
+            50 ms unnoticed differs by 6 mm after every start and stop at 0.12 m/s.
+        path: m per rolled metre by which wheels differ: radii (1 %), wheels that are not parallel (3 %).
+        slipped_told_m, slipped_stop_m: as above, of the wheels.
+    """
+
+    scale: float = 0.03
+    across: float = 0.05
+    lever_m: float = 0.05
+    rest_m_s: float = 0.001
+    told_m: float = 0.007
+    stop_m: float = 0.01
+    path: float = 0.04
+    slipped_told_m: float = 0.006
+    slipped_stop_m: float = 0.009
+
+
+class PoseTrack(Track):
+    """Keeps place (m, complex) and heading (rad) of a body; a pose that is not valid, and a gap, end it."""
+
+    def take(self, poses: Iterable[PoseMeasurement]) -> None:
+        """Go on by what has been measured."""
+        for pose in poses:
+            t_ns, last_ns = pose.stamp.t_ns, self.newest_ns
+            x_m, y_m, heading_rad = pose.pose.tolist()
+            if not (pose.valid and math.isfinite(x_m + y_m + heading_rad)):
+                self.clear()
+            elif last_ns is None or t_ns > last_ns:
+                if last_ns is not None and t_ns - last_ns > GAP_NS:
+                    self.clear()
+                self.put(t_ns, (complex(x_m, y_m), heading_rad))
+
+
+class CaptureCheck:
+    """Sums of motion capture's way against those of camera and wheels.
+
+    Args:
+        wheels: their way, kept by somebody else.
+        seen: what honest ones differ by.
+        creep: m per rolled metre by which a robot gets lower than its wheels roll.
+
+    Attributes:
+        camera, rolled: the two sums.
+        ways_m: over which the two have been compared since `reset`.
+        allowed: what honest ones differ by.
+        track: motion capture's poses of late.
+    """
+
+    def __init__(self, wheels: WheelTrack, seen: Seen, *, creep: float) -> None:
+        self._wheels, self.allowed, self._creep = wheels, seen, creep
+        self.camera = Sum(CAMERA, CAPTURE, seen.told_m, seen.stop_m)
+        self.rolled = Sum(CAPTURE, WHEELS, seen.slipped_told_m, seen.slipped_stop_m)
+        self._camera_track, self.track = PoseTrack(), PoseTrack()
+        self._leaps = (Relocalisation(), Relocalisation())
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was seen."""
+        for part in (self.camera, self.rolled, self._camera_track, self.track, *self._leaps):
+            part.reset()
+        self._last: list[tuple[int, Kept, Kept] | None] = [None, None]
+        self.ways_m = [0.0, 0.0]
+        self._ways, self._errors, self._crept = [0j, 0j], [0j, 0j], 0j
+
+    def take(self, camera: tuple[PoseMeasurement, ...], capture: tuple[PoseMeasurement, ...]) -> None:
+        """Take the poses of one cycle."""
+        self._camera_track.take(camera)
+        self.track.take(capture)
+
+    def compare(self) -> bool:
+        """Add a step of each pair, where enough time has passed; whether there was something to compare."""
+        camera, wheels = self._step(0, self._camera_track), self._step(1, self._wheels)
+        if camera is not None:
+            self._add_camera(*camera)
+        if wheels is not None:
+            self._add_wheels(*wheels)
+        return not (camera is None and wheels is None)
+
+    def unseen(self, pair: Sum) -> bool:
+        """Whether a pair is of wheels that may have slipped while the camera did not look yet."""
+        return pair is self.rolled and not self._camera_track.covers(pair.since_ns)
+
+    def ways(self) -> tuple[complex, complex]:
+        """How far camera and wheels have gone since `reset` (m, motion capture's axes), where it saw them."""
+        camera, wheels = self._ways
+        return camera, wheels
+
+    def errors(self) -> tuple[complex, complex]:
+        """By how much that is off what motion capture saw (m); of wheels without what they may creep."""
+        camera, wheels = self._errors
+        most = abs(self._crept)
+        if not most:
+            return camera, wheels
+        up = self._crept / most
+        crept = min(max((wheels / up).real, 0.0), most)
+        return camera, wheels - crept * up
+
+    def _go(self, pair: int, heading: complex, way: complex, true: complex) -> None:
+        """A step in the body's axes, whose heading motion capture knows."""
+        axes = cmath.rect(1.0, heading.real)
+        self._ways[pair] += way * axes
+        self._errors[pair] += (way - true) * axes
+
+    def _step(self, pair: int, other: Track) -> tuple[int, float, Kept, Kept, Kept, Kept] | None:
+        """Beginning, length (s), and values of another track and of motion capture, before and after."""
+        newest, others = self.track.newest_ns, other.newest_ns
+        if newest is None or others is None:
+            self._last[pair] = None
+            return None
+        t_ns, before = min(newest, others), self._last[pair]
+        if before is not None and 0 <= t_ns - before[0] < STEP_NS:
+            return None
+        now, seen = other.at(t_ns), self.track.at(t_ns)
+        if now is None or seen is None:
+            return None
+        self._last[pair] = (t_ns, now, seen)
+        if before is None or not 0 < t_ns - before[0] < GAP_NS:
+            return None
+        began_ns = before[0]
+        if not (self.track.covers(began_ns) and other.covers(began_ns)):
+            return None
+        return began_ns, (t_ns - began_ns) / NS_PER_S, before[1], now, before[2], seen
+
+    def _add_camera(self, t_ns: int, dt_s: float, before: Kept, now: Kept, was: Kept, seen: Kept) -> None:
+        h = self.allowed
+        way, turn = moved(before, now)
+        true, turned = moved(was, seen)
+        if self._leaps[0].jumped(t_ns, abs(way - true), abs(turn - turned)):
+            return
+        self.ways_m[0] += abs(true)
+        self._go(0, was[1], way, true)
+        allowed = h.lever_m * abs(turned) + h.rest_m_s * dt_s
+        self.camera.add(t_ns, way, true, allowed, cmath.rect(1.0, -turned), way=(h.scale, h.across))
+
+    def _add_wheels(self, t_ns: int, dt_s: float, before: Kept, now: Kept, was: Kept, seen: Kept) -> None:
+        h = self.allowed
+        true, turned = moved(was, seen)
+        rolling, turning = moved(before, now)
+        far, loose = rolled(before, now)
+        if self._leaps[1].jumped(t_ns, abs(true - rolling), abs(turned - turning)):
+            return
+        self.ways_m[1] += far
+        self._go(1, was[1], rolling, true)
+        self._crept += self._creep * far * cmath.rect(1.0, was[1].real)
+        allowed = h.path * far + h.lever_m * abs(turning) + h.rest_m_s * dt_s + loose
+        self.rolled.add(t_ns, true, rolling, allowed, cmath.rect(1.0, -turning), self._creep * far)

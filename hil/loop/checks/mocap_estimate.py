@@ -1,0 +1,197 @@
+"""The estimate that is followed against motion capture, over the whole run: a slow lie adds up there.
+
+Camera, wheels and motion capture may differ by some per cent of every step without anybody being in doubt
+(`hil.loop.checks.mocap_agreement`), and the estimate that is made of two of them may lean on the wrong one.
+Here its
+way since the start of the run is held against motion capture's, which stays a witness. By how far they lie
+apart the estimate is taken to be unsure, so that its sigmas cover the truth; where it grows, the robot stops.
+Deterministic: depends on what was judged since `reset` and on nothing else.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Container
+
+from hil.core.interfaces import Blame
+from hil.core.signals import Event, RobotState
+from hil.loop.checks.dead_reckoning import Kept, Track
+from hil.loop.checks.disagreement import CAMERA, STEP_NS, WHEELS, Party, Relocalisation
+from hil.loop.checks.mocap_agreement import CAPTURE, GAP_NS, CaptureCheck
+from hil.loop.cycle import Check, Cycle
+
+_SIGMAS, _SLACK_M, _TOLD_M, _QUIET_M = 3.0, 0.0043, 0.006, 0.002
+"""The estimate covers what is within so many of its sigmas and so much beside (5 mm are promised). It is told
+at so much beside, as robots as delivered come to 5.2 mm; until then it is quietly unsure by so much more."""
+_STOP_M = 0.015
+"""So much beyond that, the robot must not go on: the path error by which every lie is to be found."""
+_KEPT_NS = 38_000_000
+"""Estimates are kept no closer than this: between two of them the way is straight to 0.04 mm."""
+_LEANS = 0.5
+"""Share of the estimate's error that a device must have to be the cause."""
+
+
+class EstimateWatch(Check):
+    """Follows the estimate of one run.
+
+    Args:
+        capture: keeps motion capture's poses, and how far camera and wheels have gone beside it.
+        follows: whether the robot steers by this estimate; else it is told only.
+
+    Attributes:
+        witness: the device whose word is needed.
+        accused: devices that may be wrong where the robot stops.
+        excluded: devices that are not believed any more in this run.
+        advice: ends the message of a stop: where else to look.
+        holders: devices that hold the robot, which may slide.
+    """
+
+    witness = CAPTURE.name
+    accused: tuple[str, ...] = ()
+    excluded: Container[str] = ()
+    advice = ""
+    holders: tuple[str, ...] = ()
+
+    def __init__(self, capture: CaptureCheck, *, follows: bool) -> None:
+        self._capture, self._follows = capture, follows
+        self._states, self._leap = Track(), Relocalisation()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the run."""
+        self._states.reset()
+        self._leap.reset()
+        self._last: tuple[int, Kept, Kept] | None = None
+        self._gone = self._true = 0j
+        self._turn_rad = self._turn_sigma_rad = self._turned_rad = 0.0
+        self._off_m = self._widened_m2 = 0.0
+        self._known = False
+
+    def take_off(self) -> tuple[float, float]:
+        """By how much the estimate may be off (m, rad) by what was found since the last call."""
+        off_m, self._off_m = self._off_m, 0.0
+        self._widened_m2 += off_m**2
+        return off_m, 0.0
+
+    def on_estimate(self, cycle: Cycle) -> None:
+        """The estimate against motion capture, while that is believed."""
+        assert cycle.state is not None
+        if self.witness not in self.excluded:
+            self.judge(cycle.state, cycle.events, lambda reason, message: self._stop(cycle, reason, message))
+            cycle.inflate_next(self.take_off())
+
+    def _stop(self, cycle: Cycle, reason: str, message: str) -> None:
+        cycle.stop(reason, message + self.advice, (*self.accused, *self.holders))
+
+    def judge(self, state: RobotState, events: list[Event], stop: Blame) -> None:
+        """Look at one cycle's estimate; what is noticed is added to `events` or handed to `stop`.
+
+        What is told widens the estimate so far that it covers what may come until the robot stops.
+        """
+        kept_ns = self._states.newest_ns
+        if kept_ns is not None and state.t_ns - kept_ns < _KEPT_NS:
+            return
+        x_m, y_m, heading_rad = state.pose_body_in_wall.tolist()
+        self._states.put(state.t_ns, (complex(x_m, y_m), heading_rad))
+        if self._step(state):
+            self._compare(state, events, stop)
+
+    def _step(self, state: RobotState) -> bool:
+        """Go on by what both have gone; whether enough time has passed, and both were seen.
+
+        Behind a gap the body may be another: the axes are matched anew, and nothing is added for the gap.
+        """
+        track, before = self._capture.track, self._last
+        newest_ns = track.newest_ns
+        if newest_ns is None:
+            return False
+        t_ns = min(newest_ns, state.t_ns)
+        if before is not None and 0 <= t_ns - before[0] < STEP_NS:
+            return False
+        now, seen = self._states.at(t_ns), track.at(t_ns)
+        if now is None or seen is None:
+            return False
+        self._last = (t_ns, now, seen)
+        if before is None or not 0 < t_ns - before[0] < GAP_NS or not track.covers(before[0]):
+            self._turn_rad = (now[1] - seen[1]).real
+            self._turn_sigma_rad = math.sqrt(max(state.covariance.item(2, 2), 0.0))
+            return False
+        step = now[0] - before[1][0]
+        true = (seen[0] - before[2][0]) * cmath.rect(1.0, self._turn_rad)
+        turned = (seen[1] - before[2][1]).real
+        if abs(true) > abs(step) and self._leap.jumped(t_ns, abs(true - step), 0.0):
+            return False
+        self._gone, self._true = self._gone + step, self._true + true
+        self._turned_rad += turned
+        return True
+
+    def _compare(self, state: RobotState, events: list[Event], stop: Blame) -> None:
+        """The estimate's way against motion capture's.
+
+        Along the wall's axes it is whether sigmas cover it, along and across the way whether to stop.
+        Lengths do not depend on how the axes are turned against each other. Across, what that may make is
+        told as unsure, and is no reason to stop.
+        """
+        way_m, seen, off = abs(self._true), self._capture.allowed, self._gone - self._true
+        unit = self._true / way_m if way_m else 1.0 + 0j
+        c, s = abs(unit.real), abs(unit.imag)
+        variances = [max(state.covariance.item(k, k), 0.0) for k in (0, 1)]
+        own = [_SIGMAS * math.sqrt(max(v - self._widened_m2, 0.0)) for v in variances]
+        now = [_SIGMAS * math.sqrt(v) for v in variances]
+        beside = seen.lever_m * 2.0 * abs(math.sin(0.5 * self._turned_rad))
+        leaned_m = 0.0 if self._known else _SIGMAS * self._turn_sigma_rad * way_m
+        left = abs(off.real) - beside - leaned_m * s, abs(off.imag) - beside - leaned_m * c
+        uncovered = max(left[0] - now[0], left[1] - now[1]) > _SLACK_M
+        found = max(left[0] - own[0], left[1] - own[1]) > _TOLD_M
+        along_m = abs(abs(self._gone) - way_m) - c * own[0] - s * own[1]
+        across_m = abs((self._gone / unit).imag) - seen.across * way_m - s * own[0] - c * own[1]
+        beyond_m = max(along_m, across_m) - beside - _SLACK_M
+        if found and (uncovered or not self._known):
+            self._known, self._off_m = True, max(abs(off), (abs(off) + _STOP_M) / _SIGMAS)
+            party = self._whom(off)
+            more = f"; the estimate is unsure by {1e3 * self._off_m:.0f} mm more"
+            said = self._told(off / unit, beyond_m, party) + more
+            events.append(Event(state.t_ns, "warning", party.name, said))
+        elif uncovered:
+            self._off_m = _QUIET_M
+        if beyond_m > _STOP_M and self._follows and (party := self._whom(off)) is not CAPTURE:
+            self.accused = (party.name, CAPTURE.name)
+            stop("sensors_disagree", self._told(off / unit, beyond_m, party))
+
+    def _whom(self, off: complex) -> Party:
+        """Who has led the estimate astray, by what each has gone beside motion capture.
+
+        Where camera and wheels are both off as the estimate is, they agree against motion capture.
+        """
+        size_m2 = max(abs(off) ** 2, 1e-12)
+        axes = cmath.rect(1.0, self._turn_rad)
+        camera, wheels = (
+            ((error * axes) * off.conjugate()).real / size_m2 for error in self._capture.errors()
+        )
+        if min(camera, wheels) > _LEANS:
+            return CAPTURE
+        return CAMERA if camera > wheels else WHEELS
+
+    def _told(self, off: complex, beyond_m: float, party: Party) -> str:
+        """What each has gone.
+
+        Args:
+            off: by what the estimate is off along the way and across it.
+            beyond_m: how far it is off beyond what turned axes explain.
+            party: who may be wrong.
+        """
+        gone_m, true_m = abs(self._gone), abs(self._true)
+        camera_m, wheels_m = (abs(way) for way in self._capture.ways())
+        told = f"the estimate has gone {gone_m:.3f} m, motion capture {true_m:.3f} m"
+        if abs(off.imag) > abs(off.real):
+            told += f" and {1e3 * abs(off.imag):.0f} mm further aside"
+        told += f" (the camera {camera_m:.3f} m, the wheels {wheels_m:.3f} m)"
+        if beyond_m <= 0.0:
+            return (
+                f"{told}: camera or wheels drift, or the axes of motion capture's rigid body are turned "
+                "against the robot's; align them"
+            )
+        if party is CAPTURE:
+            return f"{told}: camera and wheels agree against motion capture"
+        return f"{told}: {party.called} may be wrong, or motion capture is"

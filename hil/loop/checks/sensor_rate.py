@@ -1,0 +1,114 @@
+"""Whether a sensor's samples come as often and as soon as those of a healthy one: what is late, lost or slow.
+
+A lost packet is not worth a word; a share of them is, told once until it is over. Deterministic: depends on
+the inputs seen since `reset` and on nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.signals import Event, Inputs, Status, samples_of, worst
+from hil.loop.cycle import Check, Cycle
+
+_OK = Status.OK
+_WINDOW_NS = 1_000_000_000
+_NEVER_NS = 1 << 62
+_HOST_SHARE = 0.85
+"""Of what a healthy sensor delivers: a host that is busy besides loses some by itself."""
+_PUNCTUAL = 0.97
+_SETTLED_NS = 700_000_000
+"""After its first good sample: a camera is less sure of itself until then."""
+
+
+@dataclass(frozen=True)
+class Healthy:
+    """What a healthy sensor of a kind does.
+
+    Attributes:
+        rate_hz: samples per second; NaN where its owner chooses.
+        delivered: least share of them that are good.
+        age_s: how old a sample may be when it is read.
+        loop_hz: how often it is read. A second in which the loop itself was late says nothing of a sensor.
+    """
+
+    rate_hz: float
+    delivered: float
+    age_s: float
+    loop_hz: float
+
+
+class _Stream:
+    """Counts of one sensor in the present window."""
+
+    def __init__(self, name: str, healthy: Healthy) -> None:
+        self.name, self.healthy, self.among = name, healthy, samples_of(name)
+        self.punctual = _PUNCTUAL * healthy.loop_hz
+        self.settled_ns = _NEVER_NS
+        self.learns = math.isnan(healthy.rate_hz)
+        self.most = 0.0 if self.learns else healthy.rate_hz * _WINDOW_NS / NS_PER_S
+        self.sparse = self.late = False
+        self.begin(_NEVER_NS)
+
+    def begin(self, t_ns: int) -> None:
+        """A new window."""
+        self.good, self.cycles, self.ends_ns = 0, 0, t_ns + _WINDOW_NS
+        self.youngest_ns = _NEVER_NS
+
+
+class StreamWatch(Check):
+    """Follows the streams of one run.
+
+    Args:
+        healthy: by sensor.
+    """
+
+    def __init__(self, healthy: Mapping[str, Healthy]) -> None:
+        self._healthy = healthy
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was counted."""
+        self._streams = [_Stream(name, healthy) for name, healthy in self._healthy.items()]
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """Rates and delays."""
+        self.judge(cycle.inputs, cycle.events)
+
+    def judge(self, inputs: Inputs, events: list[Event]) -> None:
+        """Look at one cycle's samples; what is noticed is added to `events`."""
+        t_ns = inputs.t_ns
+        for stream in self._streams:
+            for sample in stream.among(inputs):
+                if sample.status is _OK or worst(sample) is _OK:
+                    age_ns = t_ns - sample.stamp.t_ns
+                    if t_ns >= stream.settled_ns:
+                        stream.good += 1
+                        if age_ns < stream.youngest_ns:
+                            stream.youngest_ns = age_ns
+                    elif stream.settled_ns == _NEVER_NS:
+                        stream.settled_ns = t_ns + _SETTLED_NS
+                        stream.begin(stream.settled_ns)
+            stream.cycles += 1
+            if t_ns >= stream.ends_ns:
+                if stream.cycles >= stream.punctual:
+                    self._conclude(stream, t_ns, events)
+                stream.begin(t_ns)
+
+    def _conclude(self, stream: _Stream, t_ns: int, events: list[Event]) -> None:
+        """The end of a window."""
+        name, healthy = stream.name, stream.healthy
+        sparse = stream.good < _HOST_SHARE * healthy.delivered * stream.most
+        late = stream.good > 0 and stream.youngest_ns > nanoseconds(healthy.age_s)
+        if sparse and not stream.sparse and stream.good:
+            said = f"sends {stream.good} good samples a second instead of {stream.most:.0f}"
+            events.append(Event(t_ns, "warning", name, said))
+        if late and not stream.late:
+            said = f"its samples are {stream.youngest_ns / NS_PER_S:.3f} s old or more when they arrive"
+            events.append(Event(t_ns, "warning", name, said))
+        stream.sparse, stream.late = sparse, late
+        if stream.learns:
+            stream.most = max(stream.most, stream.good)

@@ -1,0 +1,160 @@
+"""What becomes of the sensors' samples: who falls silent, who sends what cannot be used, told once each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.nonfinite import unsaid_holes
+from hil.core.registry import further, kinds
+from hil.core.signals import Event, Inputs, Status, samples_of, worst
+from hil.loop.cycle import Check, Cycle
+
+_OK = Status.OK
+_FORGOTTEN_NS = 1_000_000_000
+_TOLD = {
+    Status.FROZEN: "repeats the same values to the last bit: frozen; not used",
+    Status.IMPLAUSIBLE: "sends values that cannot be; not used",
+    Status.NOT_FINITE: "sends values that are no numbers; not used",
+    Status.JUMP: "has jumped; not used until it goes on steadily",
+    Status.RESET: "has started again",
+    Status.HARDWARE_ERROR: "reports a hardware error; not used",
+    Status.MAGNET: "reports a magnet that is too near or too far",
+}
+"""Statuses that are worth a word at once; a lost packet is not, only a silence is."""
+
+
+class SampleWatch(Check):
+    """Follows the samples of one run.
+
+    Args:
+        stale_s: by sensor, time without a good sample after which it counts as silent.
+        gap_s: by sensor, longest time without one that is still healthy; a longer one is told of a sensor
+            that has been heard.
+        brought: sensors that other packages bring, and fields that they do not measure; in all other fields
+            of their samples numbers that are none are looked for.
+    """
+
+    def __init__(
+        self,
+        stale_s: Mapping[str, float],
+        gap_s: Mapping[str, float] | None = None,
+        brought: Mapping[str, Collection[str]] | None = None,
+    ) -> None:
+        self._stale_ns = {name: nanoseconds(limit_s) for name, limit_s in stale_s.items()}
+        told_s = {**stale_s, **{k: min(gap, stale_s.get(k, gap)) for k, gap in (gap_s or {}).items()}}
+        self._told_ns = {name: nanoseconds(limit_s) for name, limit_s in told_s.items()}
+        known = kinds()
+        self._channels = [
+            (kind.name, samples_of(kind.name), kind.labels, kind.name in self._told_ns)
+            for kind in (known[name] for name in (*known, *further(self._told_ns)))
+            if not kind.moves_robot
+        ]
+        self._brought = brought or {}
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget ages and what was told."""
+        self._last_ok_ns: dict[str, int] = {}
+        self._last_bad: dict[str, Status] = {}
+        self._last_any_ns: dict[str, int] = {}
+        self._silent: set[str] = set()
+        self._heard: set[str] = set()
+        self._last_gap_ns: dict[str, int] = {}
+        self._last_told_ns: dict[tuple[str, Status], int] = {}
+        self._holes: set[tuple[str, str]] = set()
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """Statuses and ages."""
+        self.judge(cycle.inputs, cycle.events)
+
+    def judge(self, inputs: Inputs, events: list[Event]) -> None:
+        """Look at one cycle's samples; what is noticed is added to `events`."""
+        t_ns = inputs.t_ns
+        for name, among, labels, ages in self._channels:
+            good, samples = False, among(inputs)
+            if not samples and not ages:
+                continue
+            for sample in samples:
+                if sample.status is _OK:
+                    good = True
+                elif not labels:
+                    self._last_bad[name] = sample.status
+                    self._look(name, "", sample.status, t_ns, events)
+                elif worst(sample) is _OK:
+                    good = True
+                else:
+                    for label, status in zip(labels, sample.status, strict=True):
+                        self._look(name, f"{label} ", status, t_ns, events)
+            if name in self._brought:
+                self._search(name, samples, t_ns, events)
+            if ages:
+                self._age(name, good, t_ns, events)
+            if samples:
+                last_ns, self._last_any_ns[name] = self._last_any_ns.get(name, t_ns), t_ns
+                if not ages and t_ns - last_ns > _FORGOTTEN_NS:
+                    events.append(Event(t_ns, "info", name, _again(t_ns - last_ns)))
+
+    def _search(self, name: str, samples: Sequence[Any], t_ns: int, events: list[Event]) -> None:
+        """Tell once of each field with numbers that are none, where the status says otherwise."""
+        for sample in samples:
+            for field in unsaid_holes(kinds()[name], sample, self._brought[name]):
+                if (name, field) not in self._holes:
+                    self._holes.add((name, field))
+                    said = f"NaN or infinity in {field} with status ok: mend the driver of its package"
+                    events.append(Event(t_ns, "warning", name, said))
+
+    def silence(self, name: str, t_ns: int) -> str:
+        """For how long a sensor that counts as silent has sent nothing good, and what instead; else empty."""
+        duration_ns = t_ns - self._last_ok_ns.get(name, t_ns)
+        if name not in self._stale_ns or duration_ns <= self._stale_ns[name]:
+            return ""
+        duration_s = duration_ns / NS_PER_S
+        bad = self._last_bad.get(name)
+        return f"for {duration_s:.1f} s" + (" (nothing arrives)" if bad is None else f" ({bad.value})")
+
+    def away_s(self, name: str, t_ns: int) -> float:
+        """For how long a sensor has sent nothing at all, good or bad, since its first sample; else 0."""
+        return (t_ns - self._last_any_ns.get(name, t_ns)) / NS_PER_S
+
+    def _look(self, name: str, part: str, status: Status, t_ns: int, events: list[Event]) -> None:
+        if status in _TOLD:
+            self._tell(name, part, status, t_ns, events)
+
+    def _tell(self, name: str, part: str, status: Status, t_ns: int, events: list[Event]) -> None:
+        key = (name + part, status)
+        last_ns = self._last_told_ns.get(key)
+        self._last_told_ns[key] = t_ns
+        if last_ns is None or t_ns - last_ns > _FORGOTTEN_NS:
+            events.append(Event(t_ns, "warning", name, part + _TOLD[status]))
+
+    def _limit_ns(self, name: str) -> float:
+        """Silence that is told: a gap of a sensor that has been heard, a longer time of one that has not."""
+        limits = self._told_ns if name in self._heard else self._stale_ns
+        return limits.get(name, math.inf)
+
+    def _age(self, name: str, good: bool, t_ns: int, events: list[Event]) -> None:
+        last_ns = self._last_ok_ns.setdefault(name, t_ns)
+        if good:
+            self._heard.add(name)
+            self._last_ok_ns[name] = t_ns
+            self._last_bad.pop(name, None)
+            if name in self._silent:
+                self._silent.discard(name)
+                events.append(Event(t_ns, "info", name, _again(t_ns - last_ns)))
+        elif (
+            t_ns - last_ns > self._limit_ns(name) and name not in self._silent and self._may_tell(name, t_ns)
+        ):
+            self._silent.add(name)
+            self._last_gap_ns[name] = t_ns
+            events.append(Event(t_ns, "warning", name, f"stale for {(t_ns - last_ns) / NS_PER_S:.3f} s"))
+
+    def _may_tell(self, name: str, t_ns: int) -> bool:
+        """Gaps that come again and again are told once a second."""
+        return t_ns - self._last_gap_ns.get(name, -_FORGOTTEN_NS) >= _FORGOTTEN_NS
+
+
+def _again(gap_ns: int) -> str:
+    return f"answers again, after {gap_ns / NS_PER_S:.2f} s"

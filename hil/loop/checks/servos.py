@@ -1,0 +1,185 @@
+"""What the servos themselves give away: silence, alerts, wheels that do not turn, encoders that slip.
+
+Names the servo, its bus ID where known, what it did and what to do.
+"""
+
+from __future__ import annotations
+
+import math
+
+from hil.config.servo_models.codes import hardware_error_text
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.geometry import wrap
+from hil.core.interfaces import Blame
+from hil.core.signals import SERVOS, WHEELS, EncoderSample, Event, Inputs, ServoSample, Status
+from hil.loop.checks.dead_reckoning import FASTEST_RAD_S, STEP_RAD
+from hil.loop.cycle import Check, Cycle
+
+_BLOCKED_NS, _STANDING_NS = 500_000_000, 150_000_000
+_BLOCKED_RATE_RAD_S, _BLOCKED_RAD = 0.5, 0.05
+_TOLD_NS = 50_000_000
+"""From event to stop."""
+_ALL_OK = (Status.OK,) * 8
+_REMEDIES = {
+    Status.HARDWARE_ERROR: "remove the cause, then reboot it",
+    Status.RESET: "it has restarted: check its supply",
+    Status.CRC: "what it sends arrives damaged: check cable, ground and baud rate",
+    Status.PROTOCOL: "check that no two servos have the same ID",
+    Status.TIMEOUT: "check its cable, its supply and its ID",
+}
+"""What tells most comes first: one that is damaged takes along, as silent, those behind it in the chain."""
+
+
+class ServoWatch(Check):
+    """Follows the servos of one run.
+
+    Args:
+        stale_s: longest time without a complete read; None where there are no servos to be heard of.
+        ids: bus IDs in the order of `SERVOS`; empty when unknown.
+
+    Attributes:
+        asked_rad_s: (4,) wheel rates that were commanded last.
+    """
+
+    def __init__(self, stale_s: float | None, ids: tuple[int, ...] = ()) -> None:
+        self._stale_ns = None if stale_s is None else nanoseconds(stale_s)
+        self._names = tuple(f"{s} (ID {i})" for s, i in zip(SERVOS, ids, strict=True)) if ids else SERVOS
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self.asked_rad_s = [0.0] * 4
+        self._asked_since_ns: list[int | None] = [None] * 4
+        self._asked_at_rad = [0.0] * 4
+        self._complete_ns: int | None = None
+        self._missed: dict[int, tuple[int, Status]] = {}
+        self._last_rad, self._last_ns = [math.nan] * 8, [0] * 8
+        self._outside = [math.nan] * 4
+        self._slipped: tuple[int, str] | None = None
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """Alerts, wheels that do not turn, steps, silence."""
+        self.asked_rad_s = cycle.last.wheel_rate_rad_s
+        self.judge(cycle.inputs, cycle.events, cycle.stop)
+        self.check_silence(cycle.inputs, cycle.stop)
+
+    def judge(self, inputs: Inputs, events: list[Event], stop: Blame) -> None:
+        """Look at one cycle's reads; what is noticed is added to `events` or handed to `stop`.
+
+        Args:
+            inputs: samples of this cycle.
+            events: receives what is noticed.
+            stop: called with the reason to stop.
+        """
+        outside, self._outside = self._outside, _outside(inputs.encoders, self._outside)
+        for sample in inputs.servos:
+            if any(sample.alert):
+                stop("hardware_error", self._alerts(sample.alert))
+            angles: list[float] = sample.position_rad.tolist()
+            self._check_turning(angles, inputs.t_ns, stop)
+            self._check_steps(sample, angles, outside, events)
+        if self._slipped is not None and inputs.t_ns - self._slipped[0] > _TOLD_NS:
+            stop("servo_jump", f"{self._slipped[1]}: no motor turns so fast, the servo's encoder has slipped")
+
+    def check_silence(self, inputs: Inputs, stop: Blame) -> None:
+        """Whether all eight have answered together lately."""
+        if self._stale_ns is None:
+            return
+        if self._complete_ns is None:
+            self._complete_ns = inputs.t_ns
+        for sample in inputs.servos:
+            if sample.status == _ALL_OK:
+                self._complete_ns, self._missed = inputs.t_ns, {}
+                continue
+            for j, status in enumerate(sample.status):
+                if status is not Status.OK:
+                    self._missed[j] = (self._missed.get(j, (0, status))[0] + 1, status)
+        silent_ns = inputs.t_ns - self._complete_ns
+        if silent_ns > self._stale_ns:
+            stop("stale_servos", f"no complete servo read for {silent_ns / NS_PER_S:.3f} s: {self._who()}")
+
+    def _who(self) -> str:
+        """Servos that missed most reads since the last complete one, with status and what to do.
+
+        One that is silent takes others of its chain along for a read or two.
+        """
+        most = max((count for count, _ in self._missed.values()), default=0)
+        missed = {j: status for j, (count, status) in sorted(self._missed.items()) if 2 * count > most}
+        kinds = set(missed.values())
+        if not missed or (len(missed) == len(SERVOS) and kinds == {Status.TIMEOUT}):
+            return (
+                "none of the eight answers in time; check the servos' supply, the bus cable, the adapter and "
+                "the baud rate; one that answers late holds up all (a look after the stop names it)"
+            )
+        found = ", ".join(f"{self._names[j]}: {status.value}" for j, status in missed.items())
+        known = [remedy for status, remedy in _REMEDIES.items() if status in kinds]
+        return "; ".join((found, *known[:1]))
+
+    def _alerts(self, alert: tuple[int, ...]) -> str:
+        found = ", ".join(f"{self._names[j]}: {hardware_error_text(a)}" for j, a in enumerate(alert) if a)
+        return f"servo alert of {found}; remove the cause, then reboot the servo"
+
+    def _check_turning(self, angles: list[float], t_ns: int, stop: Blame) -> None:
+        """A wheel that is asked to turn and reports the same angle is blocked, or its servo is stuck."""
+        blocked, all_since_ns, at_rad = False, self._asked_since_ns, self._asked_at_rad
+        for i, asked_rad_s in enumerate(self.asked_rad_s):
+            since_ns, angle = all_since_ns[i], angles[i]
+            if -_BLOCKED_RATE_RAD_S < asked_rad_s < _BLOCKED_RATE_RAD_S or not math.isfinite(angle):
+                all_since_ns[i] = None
+            elif since_ns is None or abs(angle - at_rad[i]) > _BLOCKED_RAD:
+                all_since_ns[i], at_rad[i] = t_ns, angle
+            elif t_ns - since_ns > _BLOCKED_NS:
+                blocked = True
+        if blocked:
+            stop("blocked", self.standing(t_ns, _BLOCKED_NS))
+
+    def standing(self, t_ns: int, longer_than_ns: int = _STANDING_NS) -> str:
+        """Which wheels have been asked to turn for that long and told the same angle; empty for none."""
+        found = [
+            f"wheel {WHEELS[i]} is asked for {self.asked_rad_s[i]:.2f} rad/s and has not turned for "
+            f"{(t_ns - since_ns) / NS_PER_S:.1f} s"
+            for i, since_ns in enumerate(self._asked_since_ns)
+            if since_ns is not None and t_ns - since_ns > longer_than_ns
+        ]
+        return f"{', '.join(found)}: blocked, or its servo repeats itself" if found else ""
+
+    def _check_steps(
+        self, sample: ServoSample, angles: list[float], outside: list[float], events: list[Event]
+    ) -> None:
+        """A servo that reports a step which no motor can make has an encoder that slips."""
+        t_ns, last_rad = sample.stamp.t_ns, self._last_rad
+        if sample.status == _ALL_OK:
+            for j in range(8):
+                if not -STEP_RAD <= angles[j] - last_rad[j] <= STEP_RAD:
+                    break
+            else:
+                self._last_rad, self._last_ns = angles, [t_ns] * 8
+                return
+        for j in range(8):
+            if sample.status[j] is Status.OK:
+                step_rad = angles[j] - last_rad[j]
+                dt_s = max(t_ns - self._last_ns[j], 0) / NS_PER_S
+                self._last_rad[j], self._last_ns[j] = angles[j], t_ns
+                if abs(step_rad) > STEP_RAD + FASTEST_RAD_S * dt_s:
+                    self._leapt(j, step_rad, dt_s, t_ns, outside, events)
+
+    def _leapt(
+        self, j: int, step_rad: float, dt_s: float, t_ns: int, outside: list[float], events: list[Event]
+    ) -> None:
+        """Tell of a leap, beside what the external encoder of a steering axis did since `outside`."""
+        said = f"{self._names[j]} reports a step of {step_rad:+.2f} rad in {1e3 * dt_s:.0f} ms"
+        if j >= 4 and math.isfinite(turned := self._outside[j - 4] - outside[j - 4]):
+            said += f"; the external encoder {WHEELS[j - 4]} turned by {abs(wrap(turned)):.2f} rad"
+        events.append(Event(t_ns, "warning", "servos", said))
+        before = f"{self._slipped[1]}, " if self._slipped is not None else ""
+        self._slipped = (t_ns, before + said)
+
+
+def _outside(samples: tuple[EncoderSample, ...], before: list[float]) -> list[float]:
+    """Newest known external angles (4,)."""
+    if not samples:
+        return before
+    angles: list[float] = samples[-1].angle_rad.tolist()
+    if math.isfinite(sum(angles)):
+        return angles
+    return [a if math.isfinite(a) else b for a, b in zip(angles, before, strict=True)]

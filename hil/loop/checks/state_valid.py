@@ -1,0 +1,104 @@
+"""Whether an estimate can be used at all: it is a number, says how sure it is, and is of this cycle.
+
+What compares an estimate with others weighs it by its variances and by its time: with a variance that is not
+a number, or a time that stands still, nothing would ever be found to differ.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.errors import SafetyStop
+from hil.core.signals import Event, RobotState
+from hil.loop.cycle import Check, Cycle
+
+_OLD_NS = nanoseconds(0.1)
+"""As old as the servos' angles may be that it is made of."""
+_ROUNDING = -1e-9
+"""m^2 and the like: a variance of zero may come out so far below it."""
+_OF = ("x", "y", "heading", "speed along x", "speed along y", "turn rate")
+_REMEDY = "mend the estimator, or follow another (feedback: odometry, ekf or ukf)"
+
+
+def must_be_usable(state: RobotState, now_ns: int | None) -> None:
+    """Refuse an estimate that nobody can judge.
+
+    Args:
+        state: the estimate.
+        now_ns: time of the cycle; None where none was judged before.
+
+    Raises:
+        SafetyStop: `not_finite`, `negative_variance` or `stale_estimate`.
+    """
+    if found := _unusable(state, now_ns):
+        reason, told, remedy = found
+        raise SafetyStop(reason, f"{told}; {remedy}" if remedy else told)
+
+
+class UsableCheck(Check):
+    """Whether the estimate that is followed can be judged at all."""
+
+    def on_estimate(self, cycle: Cycle) -> None:
+        """Finite, with variances that can be, and of this cycle."""
+        assert cycle.state is not None
+        must_be_usable(cycle.state, cycle.inputs.t_ns)
+
+
+class ObserverCheck(Check):
+    """Whether estimates that are not followed are usable: each kind of trouble once per estimator and run.
+
+    Attributes:
+        checked: names of the observers that are checked.
+    """
+
+    checked: tuple[str, ...] = ()
+
+    def on_estimate(self, cycle: Cycle) -> None:
+        """Each of them."""
+        for name in self.checked:
+            cycle.events += self.judge(name, cycle.observers[name], cycle.inputs.t_ns)
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was noticed."""
+        self._known: set[tuple[str, str]] = set()
+
+    def judge(self, name: str, state: RobotState, now_ns: int) -> tuple[Event, ...]:
+        """A warning where the estimate of the observer `name` has become unusable in a new way."""
+        found = _unusable(state, now_ns)
+        if found is None or (name, found[0]) in self._known:
+            return ()
+        self._known.add((name, found[0]))
+        return (Event(now_ns, "warning", name, f"observer {name}: {found[1]}; warned of once"),)
+
+
+def _unusable(state: RobotState, now_ns: int | None) -> tuple[str, str, str] | None:
+    """Reason, message and remedy; None for an estimate that can be used."""
+    values = state.pose_body_in_wall.tolist() + state.twist_body.tolist()
+    if not math.isfinite(sum(values)):
+        return "not_finite", "the estimated state is not finite", ""
+    variances: list[float] = state.covariance.diagonal().tolist()
+    if not math.isfinite(sum(variances)):
+        told = (
+            f"the estimate does not say how sure it is: its variance of {_named(variances, math.isfinite)} "
+            "is not finite"
+        )
+        return "not_finite", told, _REMEDY
+    if min(variances) < _ROUNDING:
+        whose = _named(variances, _ROUNDING.__le__)
+        told = f"the estimate's variance of {whose} is negative, expected 0 or more"
+        return "negative_variance", told, _REMEDY
+    if now_ns is not None and abs(now_ns - state.t_ns) > _OLD_NS:
+        off_s = (state.t_ns - now_ns) / NS_PER_S
+        when = f"{abs(off_s):.3f} s {'ahead of' if off_s > 0.0 else 'behind'}"
+        told = f"the estimate's time is {when} that of the cycle, expected at most {_OLD_NS / NS_PER_S:g} s"
+        return "stale_estimate", told, _REMEDY
+    return None
+
+
+def _named(variances: list[float], good: Callable[[float], bool]) -> str:
+    return ", ".join(name for name, value in zip(_OF, variances, strict=True) if not good(value))

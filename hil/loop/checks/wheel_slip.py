@@ -1,0 +1,176 @@
+"""Which wheel contradicts the other three: its hub slips, or its servo lies.
+
+The motion of the body has three unknowns and the wheels tell eight: any three say how far the fourth has
+to roll. Honest wheels of a driven robot keep to that within 0.6 mm in 0.4 s, on both plants, because all four
+are told to roll by one motion. A wheel that begins to slip leaves it by millimetres for as long as its motor
+needs to come back to its speed; after that nothing is seen of it while it goes on to slip, so that the
+estimate is unsure from then on by a share of the way. A wheel that has slipped from the start is not found.
+Deterministic: depends on what was judged since `reset` and on nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from hil.core.clock import NS_PER_S
+from hil.core.geometry import Array
+from hil.core.signals import SERVOS, WHEELS, Event, WheelMeasurement
+from hil.loop.checks.dead_reckoning import FASTEST_RAD_S, STEP_RAD
+from hil.loop.cycle import Check, Cycle
+from hil.robot.kinematics import WheelGeometry
+
+_STEP_NS, _WINDOW_NS = 78_000_000, 400_000_000
+_APART_M, _APART_SHARE, _AGAIN = 0.0008, 0.02, 2
+"""More than honest wheels contradict each other by (0.05 mm straight on, 0.55 mm where an arc begins or
+ends), per metre more, and how often in a row it is to be seen. Directions of steered wheels come late."""
+_SWUNG_RAD = 0.1
+"""A wheel that is swung by so much in a step goes to another direction: what it rolls then does not count."""
+_AT_ONCE_M, _WAY_SHARE, _WIDEN_M = 0.003, 0.05, 0.003
+"""What the estimate is unsure by where one wheel of four slips, then per metre, and in which steps: its error
+grows by a tenth of the way, whatever the share by which the hub slips."""
+
+
+class WheelWatch(Check):
+    """Follows the wheels of one run.
+
+    Args:
+        geometry: of the wheels.
+        ids: bus IDs in the order of `SERVOS`; empty when unknown.
+    """
+
+    def __init__(self, geometry: WheelGeometry, ids: tuple[int, ...] = ()) -> None:
+        named = [f", ID {i}" for i in ids[:4]] or [""] * 4
+        self._names = [f"wheel {w} ({s}{i})" for w, s, i in zip(WHEELS, SERVOS[:4], named, strict=True)]
+        self._radius_m = geometry.radius_m.tolist()
+        self._zero_rad = geometry.steering_zero_rad.tolist()
+        self._others = _by_the_others(np.asarray(geometry.projection()))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the run."""
+        self._forget()
+        self._told = self._doubted = False
+        self._way_m = self._since_m = self._sigma_m = self._off_m = 0.0
+
+    def _forget(self) -> None:
+        """Nothing is known of the wheels."""
+        self._last: tuple[int, list[float], list[float]] | None = None
+        self._steps: deque[tuple[int, list[float], list[float], float]] = deque()
+        self._rolled_m, self._said_m, self._loose_m = [0.0] * 4, [0.0] * 4, 0.0
+        self._suspect, self._seen = -1, 0
+
+    def take_off(self) -> tuple[float, float]:
+        """By how much the estimate may be off (m, rad) by what was found since the last call."""
+        off_m, self._off_m = self._off_m, 0.0
+        return off_m, 0.0
+
+    def doubt(self) -> None:
+        """Other sensors say that wheels slip, and not since when: perhaps since the start of the run."""
+        self._doubted = True
+
+    def on_samples(self, cycle: Cycle) -> None:
+        """Each wheel against the other three."""
+        self.judge(cycle.inputs.t_ns, cycle.measurements.wheels, cycle.events)
+        cycle.inflate_next(self.take_off())
+
+    def judge(self, t_ns: int, samples: tuple[WheelMeasurement, ...], events: list[Event]) -> None:
+        """Look at one cycle's wheels; what is noticed is added to `events`."""
+        for sample in samples:
+            if self._take(sample):
+                self._compare(t_ns, events)
+                self._widen()
+
+    def _take(self, sample: WheelMeasurement) -> bool:
+        """Go on by one sample; whether enough time has passed. Incomplete ones are bridged."""
+        t_ns, last = sample.stamp.t_ns, self._last
+        if last is not None and t_ns - last[0] < _STEP_NS:
+            return False
+        angles: list[float] = sample.wheel_angle_rad.tolist()
+        steering: list[float] = sample.steering_rad.tolist()
+        if not (all(sample.valid) and math.isfinite(sum(angles) + sum(steering))):
+            return False
+        if last is None:
+            self._last = (t_ns, angles, steering)
+            return False
+        possible = FASTEST_RAD_S * (t_ns - last[0]) / NS_PER_S + STEP_RAD
+        turned = [a - b for a, b in zip(angles + steering, last[1] + last[2], strict=True)]
+        if max(turned) > possible or min(turned) < -possible:
+            self._forget()
+        else:
+            middle = [0.5 * (a + b) - z for a, b, z in zip(steering, last[2], self._zero_rad, strict=True)]
+            rolled_m = [a * r for a, r in zip(turned[:4], self._radius_m, strict=True)]
+            loose_m = max(abs(r * a) for r, a in zip(rolled_m, turned[4:], strict=True))
+            if max(turned[4:]) > _SWUNG_RAD or min(turned[4:]) < -_SWUNG_RAD:
+                loose_m += max(map(abs, rolled_m))
+            self._roll(t_ns, rolled_m, middle, loose_m)
+        self._last = (t_ns, angles, steering)
+        return True
+
+    def _roll(self, t_ns: int, rolled_m: list[float], angle_rad: list[float], loose_m: float) -> None:
+        """Add a step (4,) along these directions to the window, and drop what is too old.
+
+        Args:
+            t_ns: end of the step.
+            rolled_m: (4,).
+            angle_rad: (4,) directions.
+            loose_m: what the turning of these directions leaves open.
+        """
+        c, s = [math.cos(a) for a in angle_rad], [math.sin(a) for a in angle_rad]
+        u = [part * r for r, *parts in zip(rolled_m, c, s, strict=True) for part in parts]
+        said = (self._others @ u).tolist()
+        said_m = [x * ci + y * si for x, y, ci, si in zip(said[::2], said[1::2], c, s, strict=True)]
+        self._steps.append((t_ns, rolled_m, said_m, loose_m))
+        self._add(rolled_m, said_m, loose_m, 1.0)
+        while self._steps[0][0] <= t_ns - _WINDOW_NS:
+            _, old_m, was_m, open_m = self._steps.popleft()
+            self._add(old_m, was_m, open_m, -1.0)
+        self._way_m += 0.25 * sum(map(abs, rolled_m))
+
+    def _add(self, rolled_m: list[float], said_m: list[float], loose_m: float, sign: float) -> None:
+        self._loose_m += sign * loose_m
+        self._rolled_m = [a + sign * b for a, b in zip(self._rolled_m, rolled_m, strict=True)]
+        self._said_m = [a + sign * b for a, b in zip(self._said_m, said_m, strict=True)]
+
+    def _compare(self, t_ns: int, events: list[Event]) -> None:
+        """The wheel that is farthest from what the other three say."""
+        apart = [abs(a - b) for a, b in zip(self._rolled_m, self._said_m, strict=True)]
+        worst = max(range(4), key=apart.__getitem__)
+        if apart[worst] <= _APART_M + _APART_SHARE * abs(self._said_m[worst]) + self._loose_m:
+            self._suspect, self._seen = -1, 0
+            return
+        self._seen = self._seen + 1 if worst == self._suspect else 1
+        self._suspect = worst
+        if self._told or self._seen < _AGAIN:
+            return
+        self._told = True
+        if not self._doubted:
+            self._doubted, self._since_m = True, self._way_m
+        rolled_mm, said_mm = 1e3 * self._rolled_m[worst], 1e3 * self._said_m[worst]
+        share = f" ({100.0 * rolled_mm / said_mm:.0f} %)" if abs(said_mm) > 1.0 else ""
+        said = (
+            f"{self._names[worst]} rolled {rolled_mm:.1f} mm in {_WINDOW_NS / NS_PER_S:.1f} s and the other "
+            f"three say {said_mm:.1f} mm{share}: it slips or its servo lies, look at its hub and horn; the "
+            f"estimate is unsure by {1e3 * _AT_ONCE_M:.0f} mm and {100.0 * _WAY_SHARE:.0f} % of the way more"
+        )
+        events.append(Event(t_ns, "warning", "servos", said))
+
+    def _widen(self) -> None:
+        """Have the estimate as unsure as it is, in steps."""
+        if not self._doubted:
+            return
+        wanted_m = _AT_ONCE_M + _WAY_SHARE * (self._way_m - self._since_m)
+        if wanted_m >= self._sigma_m + _WIDEN_M:
+            self._off_m = math.sqrt(self._off_m**2 + wanted_m**2 - self._sigma_m**2)
+            self._sigma_m = wanted_m
+
+
+def _by_the_others(projection: Array) -> Array:
+    """(8, 8): displacements (x, y) of each wheel, of those of the three others."""
+    found = np.zeros((8, 8))
+    for i in range(4):
+        rows = [k for k in range(8) if k // 2 != i]
+        found[2 * i : 2 * i + 2, rows] = projection[2 * i : 2 * i + 2] @ np.linalg.pinv(projection[rows])
+    return found

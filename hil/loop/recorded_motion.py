@@ -1,0 +1,112 @@
+"""One driven or observed stretch of time: its cycle records, and the arrays that people ask of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.core.clock import NS_PER_S
+from hil.core.errors import UsageError, did_you_mean
+from hil.core.geometry import Array
+from hil.core.interpolation import between_samples
+from hil.core.signals import CycleRecord, Event
+
+LONGEST_GAP_S = 0.25
+"""Gap between samples of motion capture that is still interpolated.
+
+Sound capture systems lose the body for up to 0.2 s. A straight line across 0.25 s is off by at most 1.6 mm
+where references are followed (0.2 m/s^2).
+"""
+HELD_S = 0.1
+"""For how long the last sample counts: a frame on its way, a cycle, and a common gap (0.08 s) before it."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Records of one run of the loop; arrays have one row per cycle, poses are (x m, y m, theta rad)."""
+
+    records: tuple[CycleRecord, ...]
+
+    @property
+    def t_s(self) -> Array:
+        """Time since the first cycle, shape (n,), s."""
+        t_ns = np.array([r.inputs.t_ns for r in self.records], dtype=np.int64)
+        return np.asarray((t_ns - t_ns[:1]) / NS_PER_S, dtype=np.float64)
+
+    @property
+    def reference(self) -> Array:
+        """Reference poses in the wall frame, shape (n, 3); NaN while only observing."""
+        return _rows([r.reference.pose_in_wall if r.reference else None for r in self.records], 3)
+
+    @property
+    def estimate(self) -> Array:
+        """Estimated poses of the body in the wall frame, shape (n, 3)."""
+        return _rows([r.state.pose_body_in_wall for r in self.records], 3)
+
+    @property
+    def twist(self) -> Array:
+        """Estimated body twist, shape (n, 3)."""
+        return _rows([r.state.twist_body for r in self.records], 3)
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of pose and twist, shape (n, 6, 6)."""
+        return np.array([r.state.covariance for r in self.records]).reshape(-1, 6, 6)
+
+    @property
+    def mocap(self) -> Array:
+        """Motion-capture poses interpolated to the cycle times, shape (n, 3); NaN where it saw nothing.
+
+        That is before the first sample, inside gaps longer than `LONGEST_GAP_S`, and from `HELD_S` after the
+        last sample on.
+        """
+        found = [m for r in self.records for m in r.measurements.mocap if m.valid]
+        at_ns = np.array([m.stamp.t_ns for m in found], dtype=np.float64)
+        poses = np.array([m.pose for m in found], dtype=np.float64).reshape(-1, 3)
+        order = np.argsort(at_ns, kind="stable")
+        wanted = np.array([r.inputs.t_ns for r in self.records], dtype=np.float64)
+        return between_samples(
+            wanted, at_ns[order], poses[order], longest=LONGEST_GAP_S * NS_PER_S, after=HELD_S * NS_PER_S
+        )
+
+    @property
+    def wheels(self) -> Array:
+        """Aligned wheel angles then steering angles, shape (n, 8), rad; NaN where not read."""
+        rows = [
+            np.r_[r.measurements.wheels[-1].wheel_angle_rad, r.measurements.wheels[-1].steering_rad]
+            if r.measurements.wheels
+            else None
+            for r in self.records
+        ]
+        return _rows(rows, 8)
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """All events in order."""
+        return tuple(e for r in self.records for e in r.events)
+
+    def diagnostic(self, name: str) -> Array:
+        """One estimator diagnostic over time, shape (n,); NaN where absent."""
+        return np.array([r.state.diagnostics.get(name, np.nan) for r in self.records])
+
+    def observer(self, name: str) -> Array:
+        """Poses of a further estimator that ran beside the one in the loop, (n, 3).
+
+        Raises:
+            UsageError: none of that name ran.
+        """
+        ran = dict.fromkeys(one for r in self.records for one in r.observers)
+        if self.records and name not in ran:
+            raise UsageError(
+                f"no observer {name!r} ran beside this motion",
+                expected="one of " + ", ".join(ran) if ran else "",
+                remedy=did_you_mean(name, ran) or f"drive with observers=({name!r},)",
+            )
+        states = [r.observers.get(name) for r in self.records]
+        return _rows([None if state is None else state.pose_body_in_wall for state in states], 3)
+
+
+def _rows(values: list[Array | None], width: int) -> Array:
+    missing = np.full(width, np.nan)
+    return np.array([missing if v is None else v for v in values], dtype=np.float64).reshape(-1, width)

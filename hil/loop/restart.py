@@ -1,0 +1,109 @@
+"""Going on after the loop stood still for longer than the servos wait: gently, from where the robot is.
+
+Meanwhile the servos' bus watchdogs have stopped the wheels. So the reference waits, too, and starts again
+from rest; no wheel is told to go faster than the limit of acceleration takes it there, nor much faster
+than it really turns. Deterministic: depends on the times of the cycles and on the measured wheels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.geometry import Array, rotation2
+from hil.core.signals import Reference, WheelMeasurement, WheelSetpoint
+
+_LAGS = 2.0
+"""A wheel may be told to go as much faster than it goes as its acceleration gives in so many servo lags."""
+
+
+class Restart:
+    """Follows the cycles of one run.
+
+    Args:
+        after_s: of silence on their bus, after which the servos stop the wheels.
+        acceleration_m_s2: limit of any wheel.
+        speed_m_s: the same of its speed.
+        lag_s: of the servos.
+        radius_m: (4,) of the wheels.
+
+    Attributes:
+        waited_ns: by how much the reference is behind the clock since `reset`.
+    """
+
+    def __init__(
+        self, after_s: float, acceleration_m_s2: float, speed_m_s: float, lag_s: float, radius_m: Array
+    ) -> None:
+        self._after_ns, self._radius_m = nanoseconds(after_s), radius_m
+        self._acceleration_m_s2, self._per_s = acceleration_m_s2, acceleration_m_s2 / speed_m_s
+        self._ahead_m_s = _LAGS * lag_s * acceleration_m_s2
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self.waited_ns = 0
+        self._last_ns: int | None = None
+        self._pace, self._quicker, self._step_s = 1.0, 0.0, 0.0
+        self._most_m_s: float | None = None
+
+    def judge(self, t_ns: int) -> None:
+        """Take the time of a cycle."""
+        step_ns = 0 if self._last_ns is None else t_ns - self._last_ns
+        self._last_ns, self._step_s = t_ns, step_ns / NS_PER_S
+        if step_ns > self._after_ns:
+            self.waited_ns += step_ns - self._after_ns
+            self._pace, self._quicker, self._step_s = 0.0, self._per_s, 0.0
+            self._most_m_s = 0.0
+        elif self._pace < 1.0:
+            pace = min(1.0, self._pace + self._per_s * self._step_s)
+            self.waited_ns += round(step_ns * (1.0 - 0.5 * (self._pace + pace)))
+            self._pace = pace
+        elif self._quicker:
+            self._quicker = 0.0
+
+    def paced(self, sample: Callable[[float], Reference]) -> Callable[[float], Reference]:
+        """A reference that waits, and starts again from rest.
+
+        Args:
+            sample: the reference by seconds since the first cycle, without a pause.
+        """
+
+        def reference(t_s: float) -> Reference:
+            if not self.waited_ns:
+                return sample(t_s)
+            found, pace = sample(t_s - self.waited_ns / NS_PER_S), self._pace
+            if not self._quicker:
+                return found
+            along = found.twist_body.copy()
+            along[:2] = rotation2(float(found.pose_in_wall[2])) @ along[:2]
+            return replace(
+                found,
+                twist_body=pace * found.twist_body,
+                acceleration_wall=pace**2 * found.acceleration_wall + self._quicker * along,
+            )
+
+        return reference
+
+    def limit(self, setpoint: WheelSetpoint, wheels: WheelMeasurement | None) -> WheelSetpoint:
+        """The setpoint, all wheels slowed alike where one would go faster than it can after a pause.
+
+        Args:
+            setpoint: of the controller.
+            wheels: newest aligned wheels; None where none were read.
+        """
+        if self._most_m_s is None:
+            return setpoint
+        most_m_s = self._most_m_s + self._acceleration_m_s2 * self._step_s
+        if wheels is not None and np.isfinite(wheels.wheel_rate_rad_s).all():
+            turning_m_s = float(np.abs(wheels.wheel_rate_rad_s * self._radius_m).max())
+            most_m_s = min(most_m_s, turning_m_s + self._ahead_m_s)
+        self._most_m_s = most_m_s
+        fastest_m_s = float(np.abs(setpoint.wheel_rate_rad_s * self._radius_m).max())
+        if fastest_m_s > most_m_s:
+            return WheelSetpoint(setpoint.wheel_rate_rad_s * (most_m_s / fastest_m_s), setpoint.steering_rad)
+        if self._pace >= 1.0:
+            self._most_m_s = None
+        return setpoint

@@ -1,0 +1,77 @@
+"""Limits of a bench, and which checks it has."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from hil.loop.checks.adhesion import AdhesionWatch
+from hil.loop.checks.mocap_estimate import EstimateWatch
+from hil.loop.checks.motion_agreement import MotionCheck
+from hil.loop.checks.sensor_rate import Healthy
+from hil.loop.checks.steering_encoders import SteeringWatch
+from hil.loop.checks.wheel_slip import WheelWatch
+from hil.loop.cycle import Check
+
+
+@dataclass(frozen=True)
+class SafetyLimits:
+    """Limits of one bench; time-outs in s, angles in rad. `heading_limit_rad` counts on a wall only.
+
+    `stale_s` is the time without a good sample after which a kind of device counts as silent, for those
+    whose silence matters; `servo_ids` are the bus IDs in the order of `SERVOS`, for messages, empty when
+    unknown.
+    """
+
+    stale_s: Mapping[str, float] = field(default_factory=lambda: {"servos": 0.1})
+    wheel_rate_limit_rad_s: float = 4.9
+    steering_limit_rad: float = 2.0944
+    heading_limit_rad: float = math.radians(15.0)
+    tracking_error_limit_m: float = 0.5
+    body_speed_limit_m_s: float = 0.5
+    adhesion_limit_m_s2: float = 5.0
+    on_wall: bool = True
+    servo_ids: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Checks:
+    """Which sensors are held against each other, and whether the robot stops by it.
+
+    Where the robot does not steer by what is in doubt, it is told only: a script that turns single wheels
+    follows no pose, and odometry needs no camera.
+
+    Attributes:
+        motion: camera against wheels and gyro; None without.
+        estimate: the estimate against motion capture; None where nobody is a witness.
+        wheels: each wheel against the other three; None where they are not told to roll by one motion.
+        needs_camera: whether the estimate that is followed uses the camera: the robot stops where that is
+            in doubt or silent.
+        steering: external encoders against the servos; None without.
+        stops_by_steering: whether a pose is followed.
+        estimated: devices whose measurements the estimators use.
+        holders: what keeps the robot on its surface: by kind, as sentences call it.
+        healthy: how often and how soon the samples of sensors should come.
+        gap_s: by sensor, longest time without a good sample that is still healthy.
+        brought: sensors that other packages bring, and fields of their samples that they do not measure.
+        hold: what presses the robot on its surface; None where nobody measures it.
+        lost_after_s: by sensor, how long it may send nothing at all before a robot that follows a pose stops;
+            a sensor that can be plugged in again is waited for longer than that.
+        added: checks that kinds of devices bring, by kind.
+    """
+
+    motion: MotionCheck | None = None
+    estimate: EstimateWatch | None = None
+    wheels: WheelWatch | None = None
+    needs_camera: bool = False
+    steering: SteeringWatch | None = None
+    stops_by_steering: bool = False
+    estimated: frozenset[str] = frozenset(("tracker", "imu"))
+    hold: AdhesionWatch | None = None
+    holders: Mapping[str, str] = field(default_factory=dict)
+    healthy: Mapping[str, Healthy] = field(default_factory=dict)
+    gap_s: Mapping[str, float] = field(default_factory=dict)
+    brought: Mapping[str, Collection[str]] = field(default_factory=dict)
+    lost_after_s: Mapping[str, float] = field(default_factory=dict)
+    added: Mapping[str, Sequence[Check]] = field(default_factory=dict)

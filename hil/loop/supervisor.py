@@ -1,0 +1,166 @@
+"""Safety: judges data before they are used and setpoints before they are sent.
+
+Stale, implausible or faulty data are reported as events; a condition under which the robot must not
+go on raises `SafetyStop`, which the loop answers with `stop()` (wheels at rest, torque on). All checks
+of a stage run first, and what they find is named together. Deterministic: depends on the inputs seen since
+`reset` and on nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from hil.core.errors import SafetyStop
+from hil.core.signals import Event, Inputs, Measurements, WheelSetpoint
+from hil.core.suspects import together
+from hil.loop.checks.disagreement import WHEELS
+from hil.loop.checks.disagreement_response import AgreementCheck
+from hil.loop.checks.exclusion import LeftOut
+from hil.loop.checks.fall import FallWatch, look_at
+from hil.loop.checks.filter_fit import FilterWatch
+from hil.loop.checks.loop_pause import PaceWatch
+from hil.loop.checks.lost_sensor import LostCheck
+from hil.loop.checks.path import PathCheck
+from hil.loop.checks.sensor_rate import StreamWatch
+from hil.loop.checks.sensor_status import SampleWatch
+from hil.loop.checks.servos import ServoWatch
+from hil.loop.checks.state_valid import ObserverCheck, UsableCheck
+from hil.loop.cycle import NO_INFLATION, Check, Cycle, LastCycle
+from hil.loop.safety import Checks, SafetyLimits
+
+
+class Supervisor:
+    """Runs the checks of one bench in their order, and keeps setpoints within limits.
+
+    Args:
+        limits: of the bench.
+        checks: of sensors against each other.
+
+    Attributes:
+        in_order: the checks, the gravest first: the first reason to stop names the stop.
+        left_out: devices that are not believed any more.
+        observers: of estimates that are not followed.
+        last: what the cycle before has left to this one.
+    """
+
+    def __init__(self, limits: SafetyLimits, *, checks: Checks | None = None) -> None:
+        self.limits, self.checks = limits, checks if checks is not None else Checks()
+        own, stale_s = self.checks, dict(limits.stale_s)
+        self._holders = own.holders if limits.on_wall else {}
+        self._widest_rad = limits.steering_limit_rad + 1e-9
+        self.left_out = LeftOut(own.estimated, on_wall=limits.on_wall)
+        servos = ServoWatch(stale_s.pop("servos", None), limits.servo_ids)
+        samples = SampleWatch(stale_s, own.gap_s, own.brought)
+        self._pace, self.observers = PaceWatch(), ObserverCheck()
+        self._agreement = (
+            None
+            if own.motion is None
+            else AgreementCheck(own.motion, own, servos, self.left_out, self._holders)
+        )
+        if own.estimate is not None:
+            own.estimate.excluded, own.estimate.holders = self.left_out, tuple(self._holders)
+            own.estimate.advice = look_at(self._holders, "if it slides, look")
+        found: list[Check | None] = [
+            FallWatch(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s, self._holders),
+            own.hold,
+            self._pace,
+            servos,
+            samples,
+            StreamWatch(own.healthy),
+            LostCheck(samples, own, self.left_out),
+            own.wheels,
+            own.steering,
+            self._agreement,
+            UsableCheck(),
+            FilterWatch(),
+            PathCheck(limits),
+            own.estimate,
+            self.observers,
+        ]
+        self.in_order: list[tuple[str, Check]] = [("", check) for check in found if check is not None]
+        self.in_order += [(kind, check) for kind, added in own.added.items() for check in added]
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the run."""
+        self.last = LastCycle()
+        self.left_out.reset()
+        for _, check in self.in_order:
+            check.reset()
+
+    def begin(self, inputs: Inputs, measurements: Measurements) -> Cycle:
+        """A cycle of these inputs and measurements (aligned), with what the one before has left."""
+        inflation, self.last.inflation = self.last.inflation, NO_INFLATION
+        return Cycle(inputs, measurements, self.last, inflation=inflation)
+
+    def check_samples(self, cycle: Cycle) -> None:
+        """Judge what the devices delivered.
+
+        Raises:
+            SafetyStop: `adhesion`, those of `hil.loop.checks.adhesion`, `sliding`, `hardware_error`,
+            `stale_servos`,
+                `held_up`, `blocked`, `servo_jump`, `horn_slip`, `sensors_disagree`, `stale_tracker`,
+                `lost_*`, or the reason of a check that a kind of device brings; the message names everything
+                that came together. A silent IMU is an event, and so is a silent camera where nothing that is
+                followed needs it; a silence that lasts is their driver's `DeviceTimeoutError`.
+        """
+        for cycle.source, check in self.in_order:
+            check.on_samples(cycle)
+        cycle.must_go_on(self._pace.beside(cycle.inputs.t_ns))
+
+    def check_estimate(self, cycle: Cycle) -> None:
+        """Judge the estimate of a cycle that has one.
+
+        Raises:
+            SafetyStop: `not_finite`, `negative_variance`, `stale_estimate`, `heading`, `tracking`,
+                `sensors_disagree` with motion capture, or the reason of a check that a kind brings.
+        """
+        assert cycle.state is not None
+        before = len(cycle.events)
+        for cycle.source, check in self.in_order:
+            check.on_estimate(cycle)
+        heading_rad = cycle.state.pose_body_in_wall.item(2)
+        self.last = LastCycle(heading_rad, self.last.wheel_rate_rad_s, cycle.next_inflation)
+        cycle.must_go_on(self._pace.beside(cycle.state.t_ns))
+        cycle.events[before:] = map(self._may_slide, cycle.events[before:])
+
+    def _may_slide(self, event: Event) -> Event:
+        """The same of wheels that tell more or less than others: they may slip, because the robot slides."""
+        if event.source != WHEELS.name or not self._holders:
+            return event
+        message = event.message + look_at(self._holders, "if it slides, look")
+        return replace(event, source=together((event.source, *self._holders)), message=message)
+
+    @property
+    def doubted(self) -> Mapping[str, bool]:
+        """Devices whose word on how the robot moves was in doubt, and whether others agreed against them."""
+        return {} if self._agreement is None else self._agreement.doubted
+
+    @property
+    def agreed(self) -> frozenset[str]:
+        """Devices that have told of a way since `reset` as others did."""
+        return frozenset() if self.checks.motion is None else self.checks.motion.agreed
+
+    def limit(self, setpoint: WheelSetpoint) -> WheelSetpoint:
+        """Setpoint within command limits; scaling keeps the centre of rotation.
+
+        Raises:
+            SafetyStop: `not_finite` or `steering_limit`.
+        """
+        rates: list[float] = setpoint.wheel_rate_rad_s.tolist()
+        angles: list[float] = setpoint.steering_rad.tolist()
+        if not math.isfinite(sum(rates) + sum(angles)):
+            raise SafetyStop("not_finite", "a setpoint is not finite")
+        if max(angles) > self._widest_rad or min(angles) < -self._widest_rad:
+            told_deg = np.degrees(angles).round(1).tolist()
+            raise SafetyStop("steering_limit", f"steering setpoint {told_deg} deg")
+        fastest = self.limits.wheel_rate_limit_rad_s
+        if max(rates) > fastest or min(rates) < -fastest:
+            slowed = setpoint.wheel_rate_rad_s * (fastest / max(map(abs, rates)))
+            setpoint, rates = WheelSetpoint(slowed, setpoint.steering_rad), slowed.tolist()
+        self.last.wheel_rate_rad_s = rates
+        return setpoint

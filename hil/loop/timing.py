@@ -1,0 +1,116 @@
+"""How punctual a loop is: durations of its sections, cycles late and skipped, in a fixed amount of memory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hil.core.clock import Clock
+
+_BIN = math.log(1.01)
+_BINS = round(math.log(1e11) / _BIN)
+
+
+class Distribution:
+    """Mean, worst value and quantiles (to 1 %) of durations in ns, in a fixed amount of memory.
+
+    Attributes:
+        count: how many were counted.
+        worst_ns: the longest, 0 when empty.
+    """
+
+    def __init__(self) -> None:
+        self._counts = [0] * _BINS
+        self._total_ns = self.worst_ns = self.count = 0
+
+    def add(self, value_ns: int, times: int = 1) -> None:
+        """Count a duration, as often as it came; below 1 ns counts as 1 ns."""
+        place = min(int(math.log(max(1, value_ns)) / _BIN), _BINS - 1)
+        self._counts[place] += times
+        self._total_ns += times * value_ns
+        self.count += times
+        self.worst_ns = max(self.worst_ns, value_ns)
+
+    @property
+    def mean_ns(self) -> float:
+        """Mean of what was counted."""
+        return self._total_ns / max(1, self.count)
+
+    def quantile_ns(self, share: float) -> float:
+        """Duration that a share (0 to 1) of what was counted does not exceed; 0 when empty."""
+        if not self.count:
+            return 0.0
+        place = int(np.searchsorted(np.cumsum(self._counts), share * self.count))
+        return min(math.exp((place + 1) * _BIN), float(self.worst_ns))
+
+
+@dataclass
+class LoopStatistics:
+    """Punctuality of a run.
+
+    Attributes:
+        late: cycles that began more than the allowed time after their deadline.
+        overruns: cycles that were not done when the next was due.
+        skipped: deadlines that had passed entirely.
+    """
+
+    cycles: int = 0
+    late: int = 0
+    overruns: int = 0
+    skipped: int = 0
+    _sections: dict[str, Distribution] = field(default_factory=dict, init=False, repr=False)
+    _last_ns: Mapping[str, int] = field(default_factory=dict, init=False, repr=False)
+    _again: int = field(default=0, init=False, repr=False)
+
+    @property
+    def sections(self) -> Mapping[str, Distribution]:
+        """Durations of `read estimate control write sinks`, of all of them (`work`), and `lateness`."""
+        self._count_last()
+        return self._sections
+
+    def add(self, timing_ns: Mapping[str, int]) -> None:
+        """Note one cycle, of which nothing changes any more. In virtual time most are as the one before."""
+        if timing_ns != self._last_ns:
+            self._count_last()
+            self._last_ns = timing_ns
+        self._again += 1
+
+    def _count_last(self) -> None:
+        """Put the latest durations where they belong, as often as they came."""
+        times, self._again = self._again, 0
+        for name, value_ns in self._last_ns.items() if times else ():
+            found = self._sections.get(name)
+            if found is None:
+                found = self._sections[name] = Distribution()
+            found.add(value_ns, times)
+
+    def summary(self) -> dict[str, float]:
+        """Counts, and mean, 99th percentile and worst per section (ms)."""
+        out: dict[str, float] = {
+            "cycles": self.cycles,
+            "late": self.late,
+            "overruns": self.overruns,
+            "skipped": self.skipped,
+        }
+        for name, found in self.sections.items():
+            out[f"{name}_mean_ms"] = found.mean_ns / 1e6
+            out[f"{name}_p99_ms"] = found.quantile_ns(0.99) / 1e6
+            out[f"{name}_worst_ms"] = found.worst_ns / 1e6
+        return out
+
+
+class Laps:
+    """Stopwatch of one cycle: how long each section took, ns."""
+
+    def __init__(self, clock: Clock, start_ns: int) -> None:
+        self._now_ns, self._last_ns = clock.now_ns, start_ns
+        self.timing_ns: dict[str, int] = {}
+
+    def done(self, section: str) -> None:
+        """A section is done."""
+        now_ns = self._now_ns()
+        self.timing_ns[section] = now_ns - self._last_ns
+        self._last_ns = now_ns

@@ -1,0 +1,173 @@
+"""Controllers and estimators of one's own: what they are called, what they are given, and what they return.
+
+What they are given cannot be written to: the other estimators see it, too, and it is recorded. What they
+return is checked in every cycle and copied, because they may keep it and change it later. A wrong result
+would otherwise end the run much later, in code that its author does not know. Parts of this package are
+asked as they are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from copy import copy
+from dataclasses import replace
+from functools import lru_cache, partial
+from typing import Any, NoReturn, TypeVar
+
+import numpy as np
+
+from hil.core.errors import UsageError
+from hil.core.geometry import Array
+from hil.core.interfaces import Controller, Estimator
+from hil.core.signals import Measurements, Reference, RobotState, WheelMeasurement, WheelSetpoint
+
+T = TypeVar("T")
+_SETPOINT = {"wheel_rate_rad_s": (4,), "steering_rad": (4,)}
+_STATE = {"pose_body_in_wall": (3,), "twist_body": (3,), "covariance": (6, 6)}
+_ROUNDING = 1e-6
+"""How far a covariance may be from symmetric, in its largest number."""
+_BITS = 63
+"""Of a time, as recordings hold it."""
+_NUMBERS = (float, int, np.floating, np.integer, np.bool_)
+
+
+def own_name(part: Any) -> str:
+    """Module and class of a part that is not of this package; empty for ours, and for none."""
+    kind: Any = type(part)
+    return "" if part is None else _name_of(kind)
+
+
+@lru_cache(maxsize=256)
+def _name_of(kind: type[Any]) -> str:
+    ours = kind.__module__.partition(".")[0] == "hil"
+    return "" if ours else f"{kind.__module__}.{kind.__qualname__}"
+
+
+def reset_estimator(estimator: Estimator, state: RobotState) -> None:
+    """Start an estimator from a state; one's own gets a copy, which it may go on with."""
+    estimator.reset(_copied(state, _STATE) if own_name(estimator) else state)
+
+
+def asked(estimator: Estimator) -> Callable[[Measurements], RobotState]:
+    """What takes one cycle's measurements and returns what the estimator makes of them.
+
+    It raises `UsageError` where one's own returns no state, or one whose fields are not what they should be.
+    """
+    return partial(_checked, estimator) if own_name(estimator) else estimator.update
+
+
+def _checked(estimator: Estimator, measurements: Measurements) -> RobotState:
+    given = replace(
+        measurements,
+        wheels=_sealed(measurements.wheels),
+        gyro=_sealed(measurements.gyro),
+        tracker=_sealed(measurements.tracker),
+        mocap=_sealed(measurements.mocap),
+    )
+    found = estimator.update(given)
+    wrong = _wrong_arrays(found, RobotState, _STATE) or _wrong_state(found)
+    if wrong is not None:
+        _refuse("estimator", estimator, measurements.cycle, *wrong)
+    figures = {name: float(value) for name, value in found.diagnostics.items()}
+    return _copied(found, _STATE, t_ns=int(found.t_ns), diagnostics=figures)
+
+
+def controlled(
+    controller: Controller, cycle: int, state: RobotState, reference: Reference, wheels: WheelMeasurement
+) -> WheelSetpoint:
+    """What a controller of one's own makes of one cycle.
+
+    Raises:
+        UsageError: it has returned no wheel setpoints, or wrong ones.
+    """
+    found = controller.update(*_sealed((state, reference, wheels)))
+    wrong = _wrong_arrays(found, WheelSetpoint, _SETPOINT)
+    if wrong is not None:
+        _refuse("controller", controller, cycle, *wrong)
+    return _copied(found, _SETPOINT)
+
+
+def _sealed(records: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Records whose arrays are the same ones and cannot be written to through them."""
+    return tuple(map(_sealed_one, records))
+
+
+def _sealed_one(record: T) -> T:
+    sealed = copy(record)
+    for name, value in vars(record).items():
+        if isinstance(value, np.ndarray):
+            seen = value.view()
+            seen.flags.writeable = False
+            sealed.__dict__[name] = seen
+    return sealed
+
+
+def _copied(record: T, arrays: Iterable[str], **others: object) -> T:
+    """The record with copies of its arrays; what a derived class has beside its fields stays as it is."""
+    copied = copy(record)
+    copies = {name: np.array(getattr(record, name), order="C") for name in arrays}
+    copied.__dict__.update(copies, **others)
+    return copied
+
+
+def _wrong_arrays(
+    found: object, kind: type[Any], shapes: Mapping[str, tuple[int, ...]]
+) -> tuple[str, str] | None:
+    """What was returned and what is expected, where it is not of a kind with arrays of these shapes."""
+    wanted = " and ".join(f"{name} {shape}" for name, shape in shapes.items())
+    expected = f"a {kind.__name__} with numpy arrays of float64: {wanted}"
+    if not isinstance(found, kind):
+        return _in_words(found), expected
+    for name, shape in shapes.items():
+        values = getattr(found, name)
+        right = isinstance(values, np.ndarray) and values.shape == shape and values.dtype == np.float64
+        if not right:
+            return f"a {kind.__name__} whose {name} is {_in_words(values)}", expected
+    return None
+
+
+def _wrong_state(found: RobotState) -> tuple[str, str] | None:
+    """As `_wrong_arrays`, of what a state has beside its arrays, and whether its covariance is symmetric."""
+    t_ns, figures = found.t_ns, found.diagnostics
+    if not isinstance(t_ns, (int, np.integer)) or int(t_ns).bit_length() > _BITS:
+        return f"a RobotState whose t_ns is {_in_words(t_ns)}", "whole nanoseconds"
+    if not isinstance(figures, Mapping):
+        return f"a RobotState whose diagnostics are {_in_words(figures)}", "a mapping of names to numbers"
+    for name, value in figures.items():
+        if not isinstance(name, str):
+            return f"a RobotState whose diagnostics have a name {_in_words(name)}", "texts as names"
+        if not isinstance(value, _NUMBERS) or math.isinf(value):
+            told = f"a RobotState whose diagnostics[{name!r}] is {_in_words(value)}"
+            return told, "a finite number, or NaN where there is none"
+    off = _asymmetry(found.covariance)
+    if off is not None:
+        (i, k), here, there = off
+        told = f"a RobotState whose covariance[{i}, {k}] is {here:g}, and [{k}, {i}] is {there:g}"
+        return told, "a symmetric covariance"
+    return None
+
+
+def _asymmetry(p: Array) -> tuple[tuple[int, int], float, float] | None:
+    """Where a covariance (6, 6) is least symmetric, beyond rounding: place, number, number opposite.
+
+    Numbers that are not finite are no matter of symmetry: `hil.loop.checks.state_valid` judges them.
+    """
+    if (p == p.T).all() or not np.isfinite(p).all():
+        return None
+    apart = np.abs(p - p.T)
+    if apart.max() <= _ROUNDING * np.abs(p).max():
+        return None
+    i, k = divmod(int(apart.argmax()), len(p))
+    return (i, k), float(p[i, k]), float(p[k, i])
+
+
+def _in_words(value: object) -> str:
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape} and type {value.dtype}"
+    return "None" if value is None else f"of type {type(value).__name__}: {value!r:.60}"
+
+
+def _refuse(role: str, part: object, cycle: int, found: str, expected: str) -> NoReturn:
+    told = f"{role} {type(part).__name__}: update() returned {found} (from cycle {cycle} on)"
+    raise UsageError(told, expected=expected)

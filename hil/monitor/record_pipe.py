@@ -1,0 +1,77 @@
+"""What goes through the pipe from the loop's process to the monitor's: pieces, each of them a pickle.
+
+The first piece is the scene. Every other one is a list of what is to be shown, oldest first: cycle records
+and paths. An empty piece is the end. Before each stands how many cycles were not shown so far.
+"""
+
+from __future__ import annotations
+
+import copyreg
+import io
+import pickle
+import struct
+from collections.abc import Sequence
+from typing import IO, Any, TypeAlias
+
+import numpy as np
+
+from hil.core.geometry import Array
+from hil.core.signals import CycleRecord
+
+Shown: TypeAlias = "CycleRecord | Array"
+"""A cycle, or a path that the robot is going to follow."""
+
+READY = b"hil monitor ready\n"
+"""What the monitor's process says when it has loaded Rerun."""
+
+_HEAD = struct.Struct("<IQ")
+_DOUBLE = np.dtype(np.float64)
+
+
+def _array(shape: tuple[int, ...], raw: bytes) -> Array:
+    found: Array = np.ndarray(shape, _DOUBLE, bytearray(raw))
+    return found
+
+
+def _reduced(array: Any) -> Any:
+    """An array of doubles by its bytes; a record has forty, and numpy's own way takes twice the time."""
+    if array.dtype == _DOUBLE:
+        return _array, (array.shape, array.tobytes())
+    return array.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
+
+
+_REDUCED: dict[Any, Any] = {**copyreg.dispatch_table, np.ndarray: _reduced}
+
+
+def packed(shown: Sequence[Shown]) -> bytes:
+    """The payload of a piece."""
+    buffer = io.BytesIO()
+    pickler = pickle.Pickler(buffer, pickle.HIGHEST_PROTOCOL)
+    pickler.dispatch_table = _REDUCED
+    pickler.dump(shown)
+    return buffer.getvalue()
+
+
+def put(pipe: IO[bytes], payload: bytes, dropped: int = 0) -> None:
+    """Write one piece; waits while the pipe is full.
+
+    Args:
+        pipe: to the monitor's process.
+        payload: of the piece; empty for the end.
+        dropped: cycles that were not shown so far.
+
+    Raises:
+        OSError, ValueError: nobody reads, or the pipe is closed.
+    """
+    pipe.write(_HEAD.pack(len(payload), dropped) + payload)
+    pipe.flush()
+
+
+def taken(pipe: IO[bytes]) -> tuple[bytes, int]:
+    """Payload of the next piece, empty at the end and when the parent is gone; cycles that were not shown."""
+    head = pipe.read(_HEAD.size)
+    if len(head) < _HEAD.size:
+        return b"", 0
+    length, dropped = _HEAD.unpack(head)
+    payload = pipe.read(length)
+    return (payload, dropped) if len(payload) == length else (b"", 0)

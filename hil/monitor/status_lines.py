@@ -1,0 +1,91 @@
+"""Figures of the running loop twice a second, for a program that watches: pose, wheels, devices, events.
+
+No Rerun and no thread: what is due is passed on within the cycle, as plain values.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from hil.core.clock import NS_PER_S, Clock
+from hil.core.interfaces import HELD_NOTE, Sink
+from hil.core.registry import heard_in
+from hil.core.signals import CycleRecord, Status, worst
+
+_EVERY_NS = NS_PER_S // 2
+_MOST_EVENTS = 20
+
+Tell = Callable[[str, Mapping[str, Any]], None]
+
+
+class StatusStream(Sink):
+    """Passes on where the robot is and how its devices do; a bench in virtual time goes by the host's clock.
+
+    Args:
+        tell: receives `("live", figures)`, and `("held", how)` when a bench is closed.
+        clock: the host's.
+    """
+
+    def __init__(self, tell: Tell, clock: Clock) -> None:
+        self._tell, self._clock = tell, clock
+        self._next_ns = 0
+        self._begun_ns: int | None = None
+        self._counts: dict[str, int] = {}
+        self._status: dict[str, Status] = {}
+        self._events: list[str] = []
+
+    def write(self, record: CycleRecord) -> None:
+        """Count what one cycle brought; tell when it is time."""
+        if self._begun_ns is None:
+            self._begun_ns = record.inputs.t_ns
+        for name in heard_in(record.inputs):
+            samples = record.inputs.of(name)
+            if samples:
+                self._counts[name] = self._counts.get(name, 0) + len(samples)
+                self._status[name] = worst(samples[-1])
+        for event in record.events[: _MOST_EVENTS - len(self._events)]:
+            self._events.append(f"{event.source}: {event.message}")
+        now_ns = self._clock.now_ns()
+        if now_ns >= self._next_ns:
+            self._next_ns = now_ns + _EVERY_NS
+            self._tell("live", self._figures(record))
+            self._counts, self._events = dict.fromkeys(self._counts, 0), []
+
+    def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
+        """Pass on how the robot was left."""
+        if kind == HELD_NOTE:
+            self._tell(HELD_NOTE, data)
+
+    def close(self) -> None:
+        """The next bench has a time axis of its own."""
+        self._begun_ns = None
+
+    def _figures(self, record: CycleRecord) -> dict[str, Any]:
+        state, wheels = record.state, record.measurements.wheels
+        since_ns = record.inputs.t_ns - (self._begun_ns or 0)
+        return {
+            "t_s": round(since_ns / NS_PER_S, 3),
+            "pose": _plain(state.pose_body_in_wall),
+            "twist": _plain(state.twist_body),
+            "reference": None if record.reference is None else _plain(record.reference.pose_in_wall),
+            "wheel_rad_s": _plain(wheels[-1].wheel_rate_rad_s) if wheels else None,
+            "steering_rad": _plain(wheels[-1].steering_rad) if wheels else None,
+            "adhesion_n": _number(state.diagnostics.get("adhesion_n")),
+            "adhesion_needed_n": _number(state.diagnostics.get("adhesion_needed_n")),
+            "devices": {
+                name: {"samples": count, "status": self._status[name].value}
+                for name, count in self._counts.items()
+            },
+            "events": self._events,
+        }
+
+
+def _plain(values: Sequence[float] | Any) -> list[float | None]:
+    return [_number(value) for value in values]
+
+
+def _number(value: float | None) -> float | None:
+    """A figure as JSON has it; None for what is unknown."""
+    return None if value is None or not math.isfinite(value) else round(float(value), 6)

@@ -1,0 +1,208 @@
+"""Runs the cases of a campaign in parallel on Dask: worker processes here, or a cluster elsewhere.
+
+Processes here share the files of this computer. A cluster is sent what it needs, and shares none.
+Dask restarts a worker that dies and runs its case again; a case that kills its worker over and over is
+given up and the others go on.
+"""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import signal
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from multiprocessing.resource_tracker import ensure_running
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from hil.core.errors import Aborted, UsageError
+from hil.procedure.campaign.cancellation import Strikes, close_once, take_back
+from hil.procedure.campaign.worker_files import Parcel
+from hil.support.extras import how_to_install
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+J = TypeVar("J")
+R = TypeVar("R")
+
+_RETRIES = 2
+_UNWATCHED = {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "1s"}
+"""Dask looks at the stack of each worker a hundred times a second, for a page that nobody opens here."""
+
+
+@dataclass(frozen=True)
+class Unable:
+    """What `work` returns on a worker of a cluster that can do no job, because its disk is full for example.
+
+    Attributes:
+        worker: its address.
+        reason: in words, with the address.
+    """
+
+    worker: str
+    reason: str
+
+
+def spread(
+    work: Callable[[J], R | Unable],
+    jobs: Sequence[J],
+    *,
+    lost: Callable[[J, str], R],
+    done: Callable[[R], None],
+    workers: int = 2,
+    scheduler: str = "",
+    parcel: Parcel | None = None,
+) -> None:
+    """Do all jobs; results come in the order in which they end.
+
+    A worker of a cluster that is `Unable` is named and leaves, and another one does its job.
+
+    Args:
+        work: what to do; must be importable by name, and raise nothing that is expected.
+        jobs: what to do it with; sent to the workers.
+        lost: result of a job whose worker died or that raised, or that no worker could do, with the reason.
+        done: called here with every result.
+        workers: processes on this computer; 0 works in this one, without Dask.
+        scheduler: address of a Dask scheduler to use instead.
+        parcel: files that its workers have until the end (`hil.procedure.campaign.remote_workers.luggage`).
+
+    Raises:
+        UsageError: Dask is not installed, the scheduler does not answer, or a worker is of another make.
+        Aborted: no worker has room for the files, or the scheduler has gone; results that came before have
+            been given to `done`.
+    """
+    if workers == 0 and not scheduler:
+        for job in jobs:
+            done(_settled(work(job), job, lost))
+        return
+    check_dask()
+    with _client(min(workers, len(jobs)), scheduler) as client, Strikes() as strikes, ExitStack() as stack:
+        from distributed import as_completed
+
+        if scheduler:
+            _make_ready(client, scheduler, parcel, stack)
+        futures = {client.submit(work, job, retries=_RETRIES, pure=False): job for job in jobs}
+        try:
+            ended = as_completed(list(futures))
+            while True:
+                with strikes.heard():
+                    future = next(ended, None)
+                if future is None:
+                    break
+                if future.cancelled():
+                    raise Aborted(f"Dask scheduler {scheduler!r} has gone", remedy="go on with --resume")
+                job, error = futures[future], future.exception()
+                result = future.result() if error is None else lost(job, _reason(error))
+                if isinstance(result, Unable) and _left_to_others(client, result):
+                    again = client.submit(work, job, retries=_RETRIES, pure=False)
+                    futures[again] = job
+                    ended.add(again)
+                else:
+                    done(_settled(result, job, lost))
+                future.release()
+        except BaseException:
+            take_back(client, list(futures))
+            raise
+
+
+def _settled(result: R | Unable, job: J, lost: Callable[[J, str], R]) -> R:
+    """The result of a job that nobody else can do again."""
+    return lost(job, result.reason) if isinstance(result, Unable) else result
+
+
+def _left_to_others(client: Client, unable: Unable) -> bool:
+    from hil.procedure.campaign.remote_workers import do_without
+
+    return do_without(client, unable.worker, unable.reason)
+
+
+def _make_ready(client: Client, scheduler: str, parcel: Parcel | None, stack: ExitStack) -> None:
+    """Hold the workers of a cluster against this computer, and send them the files until `stack` ends."""
+    from hil.procedure.campaign.remote_workers import carried, check_workers, tell_of_refused
+
+    try:
+        check_workers(client, scheduler)
+        tell_of_refused(client)
+        if parcel is not None:
+            stack.enter_context(carried(client, parcel))
+    except OSError as error:
+        raise UsageError(f"Dask scheduler {scheduler!r} has gone ({error})") from None
+
+
+def _reason(error: BaseException) -> str:
+    if type(error).__name__ == "KilledWorker":
+        return "its worker process died, again and again"
+    return f"{type(error).__name__}: {error}"
+
+
+def check_dask() -> None:
+    """Raises `UsageError` with what to do where Dask is not installed."""
+    try:
+        importlib.import_module("distributed")
+    except ImportError:
+        raise UsageError(
+            "a campaign in parallel needs Dask, which is not installed",
+            remedy=f"{how_to_install('campaign')}; or use --workers 0",
+        ) from None
+
+
+@contextmanager
+def _client(workers: int, scheduler: str) -> Iterator[Client]:
+    for name in ("distributed", "distributed.client"):  # Dask gives both a level of their own
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    with ExitStack() as stack:
+        client = _connected(scheduler, stack) if scheduler else _with_workers(workers, stack)
+        try:
+            yield client
+        finally:
+            close_once(stack)
+
+
+def _connected(scheduler: str, stack: ExitStack) -> Client:
+    """A client of a cluster elsewhere, until `stack` ends."""
+    from distributed import Client
+
+    try:
+        return stack.enter_context(Client(scheduler, timeout=10))
+    except (OSError, ValueError) as error:
+        raise UsageError(
+            f"Dask scheduler {scheduler!r} does not answer ({error})",
+            remedy="start `dask scheduler`, and give the address that it prints",
+        ) from None
+
+
+def _with_workers(workers: int, stack: ExitStack) -> Client:
+    """A client of processes here, until `stack` ends."""
+    from dask import config
+    from distributed import Client, LocalCluster
+
+    options: dict[str, Any] = {
+        "n_workers": workers,
+        "threads_per_worker": 1,
+        "processes": True,
+        "host": "127.0.0.1",
+        "dashboard_address": "127.0.0.1:0",
+        "silence_logs": logging.CRITICAL,
+        "memory_limit": 0,
+    }
+    folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hil-campaign-"))
+    try:
+        with _interrupts_put_off(), config.set(_UNWATCHED):
+            cluster = stack.enter_context(LocalCluster(local_directory=folder, **options))
+            return stack.enter_context(Client(cluster))
+    except (RuntimeError, OSError) as error:  # a worker that was killed before it had begun
+        raise Aborted(f"the workers did not start ({error})", remedy="go on with --resume") from None
+
+
+@contextmanager
+def _interrupts_put_off() -> Iterator[None]:
+    """Ctrl-C waits; threads and processes that begin meanwhile, and theirs, never hear of it."""
+    ensure_running()  # whoever starts Python's own tracker hears of Ctrl-C again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

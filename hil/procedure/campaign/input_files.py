@@ -1,0 +1,67 @@
+"""What the runs of a campaign read from files here: packed for workers elsewhere, told apart by content."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import tomli_w
+
+from hil.config.loading import bench_files, find_bench, path_keys
+from hil.procedure.campaign.cases import Case
+from hil.procedure.campaign.run_case import Setup
+from hil.procedure.campaign.worker_files import Parcel, digest, names, parcel
+from hil.procedure.declaration import Procedure
+from hil.procedure.procedure_lookup import file_and_name, modules_beside
+from hil.support.file_reading import put_dotted
+
+
+def files_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> Parcel:
+    """Everything that the cases read from files here, packed for workers that do not see them.
+
+    Raises:
+        ConfigError: a file that cannot be read, or more than workers are sent.
+    """
+    named = _named(setup, cases)
+    beside = {text: modules_beside(path) for text, path in _script(setup).items()}
+    bench = setup.bench or proc.bench
+    if not Path(bench).is_file():
+        return parcel(named, beside=beside)
+    tree, _ = find_bench(bench)
+    inner = bench_files(tree, Path(bench).parent)
+    named |= {str(path.absolute()): path.absolute() for path in inner.values()}
+    packed = names(named)
+    for key, path in inner.items():
+        put_dotted(tree, key, packed[str(path.absolute())], "path")
+    return parcel(named, {bench: tomli_w.dumps(tree)}, beside)
+
+
+def contents_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> dict[str, str]:
+    """Absolute path of every file or folder that the cases read -> digest of what it holds.
+
+    Raises:
+        ConfigError: a file that cannot be read.
+    """
+    read, bench = list(_named(setup, cases).values()), Path(setup.bench or proc.bench)
+    read += [path for script in _script(setup).values() for path in modules_beside(script)]
+    if bench.is_file():
+        tree, _ = find_bench(bench)
+        read += [bench, *bench_files(tree, bench.parent).values()]
+    return {str(path.absolute()): digest(path.absolute()) for path in read}
+
+
+def _named(setup: Setup, cases: Sequence[Case]) -> dict[str, Path]:
+    """Texts of the command line that name a file or folder -> where it lies; without the bench file."""
+    texts = [setup.calibration, setup.answers, *_script(setup)]
+    for case in {case.settings: case for case in cases}.values():
+        _, overrides = setup.split(case)
+        keys = path_keys(key.partition(".")[0] for key in overrides)
+        texts += [str(overrides[key]) for key in keys if key in overrides]
+        texts += [fault for fault in setup.all_faults(case) if fault.endswith(".toml")]
+    return {text: Path(text).absolute() for text in texts if text}
+
+
+def _script(setup: Setup) -> dict[str, Path]:
+    """The procedure's own file by the text that names it; nothing for a shipped one."""
+    script = file_and_name(setup.script)[0]
+    return {script: Path(script).absolute()} if Path(script).is_file() else {}

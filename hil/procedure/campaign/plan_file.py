@@ -1,0 +1,115 @@
+"""The plan of a campaign, in its folder: who goes on with it must mean the same, files and versions too."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from hil.core.errors import ConfigError, UsageError, reason_of
+from hil.core.result_files import PLAN, RUNS
+from hil.procedure.campaign.cases import Case
+from hil.procedure.campaign.input_files import contents_of
+from hil.procedure.campaign.run_case import Setup
+from hil.procedure.declaration import Procedure
+from hil.support.atomic_files import make_folder, put_whole
+from hil.support.file_reading import read_json
+from hil.support.versions import make
+
+SCHEMA = 1
+_NOT_COMPARED = ("answers", "keep", "places")
+
+
+def keep_plan(out: Path, proc: Procedure, setup: Setup, cases: Sequence[Case], *, resume: bool) -> None:
+    """Write the plan of a new campaign, or hold it against that of the one to go on with.
+
+    Raises:
+        ConfigError: there is a campaign, or none to go on with; other options, or a file that has changed.
+    """
+    shared = {key: value for key, value in vars(setup).items() if key not in _NOT_COMPARED}
+    plan = json.loads(json.dumps({"schema": SCHEMA, "procedure": proc.name, **shared}))
+    held = {
+        "contents": contents_of(replace(setup, answers=None), proc, cases),
+        "make": make(),
+        "cases": [case.name for case in cases],
+    }
+    path = out / PLAN
+    if resume:
+        held = _held_against(path, plan, held)
+    elif (out / RUNS).exists():
+        raise ConfigError(f"{out}: holds a campaign", remedy="choose another --out, or --resume")
+    try:
+        put_whole(path, (json.dumps({**plan, **held}, indent=1) + "\n").encode())
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be written ({reason_of(error)})") from None
+
+
+@contextmanager
+def alone_in(out: Path, *, resume: bool) -> Iterator[None]:
+    """Keep every other campaign out of a folder, where its file system has locks; a new one's folder is made.
+
+    Raises:
+        UsageError: one is at work there.
+        ConfigError: the folder cannot be made.
+    """
+    try:
+        if not resume:
+            make_folder(out)
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be written ({reason_of(error)})") from None
+    with ExitStack() as stack:
+        with suppress(OSError):
+            folder = os.open(out, os.O_RDONLY)
+            stack.callback(os.close, folder)
+            try:
+                fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise UsageError(
+                    f"{out}: a campaign is at work there", remedy="wait for its end, or choose another --out"
+                ) from None
+        yield
+
+
+def _held_against(path: Path, plan: dict[str, Any], held: dict[str, Any]) -> dict[str, Any]:
+    """Make of the runs and contents of the files of both, once the plan there is this one."""
+    if not path.exists():
+        raise ConfigError(f"{path}: there is no campaign to resume", remedy="without its plan, start anew")
+    before = read_json(path)
+    if not (isinstance(before, dict) and all(isinstance(before.get(k, v), type(v)) for k, v in held.items())):
+        raise ConfigError(f"{path}: is not the plan of a campaign")
+    if before.get("schema") != SCHEMA:
+        raise ConfigError(f"{path}: another version of the package made it", remedy="start anew")
+    kept, contents = before.get("contents", {}), held["contents"]
+    if left := set(before.get("cases", [])).difference(held["cases"]):
+        raise ConfigError(
+            f"{path}: the campaign has {len(left)} more cases, {min(left)} among them",
+            remedy="give the same --seeds and --vary, or more of them",
+        )
+    other = [
+        f"{name} {was}, now {held['make'].get(name)}"
+        for name, was in before.get("make", {}).items()
+        if held["make"].get(name) != was
+    ]
+    if other:
+        raise ConfigError(
+            f"{path}: the campaign was begun with {', '.join(other)}; its runs could not be compared",
+            remedy="install what it was begun with, or start anew with another --out",
+        )
+    different = [key for key in plan if before.get(key) != plan[key]]
+    if different:
+        raise ConfigError(
+            f"{path}: the campaign differs in {', '.join(different)}",
+            remedy="resume with the same options (--seeds and --vary may grow), or start anew",
+        )
+    changed = [name for name, held in contents.items() if kept.get(name, held) != held]
+    if changed:
+        raise ConfigError(
+            f"{path}: {', '.join(changed)} changed since the campaign began; its runs could not be compared",
+            remedy="take back the change, or start anew with another --out",
+        )
+    return {**held, "contents": {**kept, **contents}}

@@ -1,0 +1,277 @@
+"""The runs of a campaign: what they share, one of them in a worker, its row."""
+
+from __future__ import annotations
+
+import errno
+import itertools
+import os
+import shlex
+import sys
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from hil.config.loading import path_keys
+from hil.core.clock import MonotonicClock, local_time
+from hil.core.errors import EXIT_ABORTED, ConfigError, HilError, RecordingError
+from hil.core.result_files import JOURNAL, LOST
+from hil.procedure.bench_request import BenchSource
+from hil.procedure.campaign.cases import Case
+from hil.procedure.campaign.dask_run import Unable
+from hil.procedure.campaign.log import named_in_log
+from hil.procedure.campaign.table import Row, missing
+from hil.procedure.campaign.worker_files import packed, unpacked
+from hil.procedure.declaration import Procedure
+from hil.procedure.operator import Answers, Terminal, tell
+from hil.procedure.parameters import split_settings
+from hil.procedure.procedure_lookup import file_and_name, load_procedure
+from hil.procedure.result_files import KEEPING
+from hil.procedure.run_journal import read_journal
+from hil.procedure.run_outputs import Keep
+from hil.procedure.runner import RunOptions, run_procedure
+from hil.procedure.stop_requests import PATIENCE_S, Interrupts
+from hil.report.result_file import read_result
+from hil.report.run_page import write_run_page
+
+FINISHED = ("PASS", "MARGINAL", "FAIL", "ERROR")
+_FULL = tuple(os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT, errno.EROFS))
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What all cases share; texts as given on the command line.
+
+    Attributes:
+        keep: `all` of a run, or its `results` without recordings and figures.
+        places: text that names a file -> where the file lies for whoever runs the case; texts that are
+            not in it name files by themselves.
+    """
+
+    script: str
+    bench: str | None
+    emulate: str | None
+    settings: tuple[str, ...]
+    faults: tuple[str, ...]
+    calibration: str | None
+    answers: str | None
+    keep: Keep = "all"
+    places: Mapping[str, str] = field(default_factory=dict)
+
+    def source(self, proc: Procedure, case: Case) -> tuple[BenchSource, dict[str, str]]:
+        """Bench and parameters of one case."""
+        parameters, overrides = self.split(case)
+        for key in set(path_keys(key.partition(".")[0] for key in overrides)) & set(overrides):
+            overrides[key] = self.at(str(overrides[key]))
+        source = BenchSource(
+            self.at(self.bench or proc.bench),
+            emulate=self.emulate,
+            seed=case.seed,
+            faults=tuple(map(self.at, self.all_faults(case))),
+            overrides=overrides,
+            calibration=Path(self.at(self.calibration)) if self.calibration else None,
+        )
+        return source, parameters
+
+    def at(self, text: str) -> str:
+        """Where a file lies here."""
+        return self.places.get(text, text)
+
+    def split(self, case: Case) -> tuple[dict[str, str], dict[str, object]]:
+        """Parameters and bench overrides of one case."""
+        return split_settings(self.all_settings(case))
+
+    def all_settings(self, case: Case) -> tuple[str, ...]:
+        """Settings of one case, as `key=value`."""
+        return (*self.settings, *(f"{key}={value}" for key, value in case.settings if key != "fault"))
+
+    def all_faults(self, case: Case) -> tuple[str, ...]:
+        """Faults of one case: specs, and files of timelines."""
+        return (*self.faults, *(v for key, v in case.settings if key == "fault" and v != "none"))
+
+    def command(self, case: Case) -> str:
+        """The line that runs one case again, by itself."""
+        options = [("bench", self.bench), ("emulate", self.emulate), ("calibration", self.calibration)]
+        options += [("set", text) for text in self.all_settings(case)]
+        options += [("fault", text) for text in self.all_faults(case)]
+        options += [("answers", self.answers), ("seed", str(case.seed))]
+        given = [part for name, text in options if text for part in (f"--{name}", text)]
+        return shlex.join(["hil", "run", self.script, *given])
+
+
+@dataclass(frozen=True)
+class Job:
+    """One case with everything that a worker needs to run it.
+
+    Attributes:
+        folder: of its results.
+        luggage: name of the parcel in which a worker elsewhere finds the files; empty here.
+    """
+
+    setup: Setup
+    case: Case
+    folder: str
+    luggage: str = ""
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """A run that was done elsewhere: its row, and the packed files of its results folder."""
+
+    row: Row
+    content: bytes = b""
+
+
+def run_case(job: Job) -> Row:
+    """One case to its results folder (in a worker)."""
+    try:
+        tree = _result(job)
+    except HilError as error:
+        if _is_unwritten(error, job.folder):
+            return lost(job, str(error))
+        return _failed(job, "ERROR", str(error), error.exit_code)
+    if reason := _unwritten(tree, job.folder):
+        return lost(job, reason)
+    return _row(job, tree)
+
+
+def run_case_elsewhere(job: Job) -> Delivery | Unable:
+    """One case in a worker that shares no files with the campaign; where its disk is full, another has to."""
+    from distributed import Reschedule, get_worker
+
+    from hil.procedure.campaign.remote_workers import address, lacking, luggage
+
+    def lost_here(reason: object) -> Delivery | Unable:
+        told = f"worker {address()}: {reason}"
+        full = any(words in told for words in _FULL)
+        return Unable(address(), told) if full else Delivery(lost(job, told))
+
+    here = luggage(job.luggage)
+    if not here.exists():
+        if why := lacking(job.luggage, get_worker()):
+            return Unable(address(), why)
+        raise Reschedule  # to another worker: this one is of another make, and about to leave
+    try:
+        with tempfile.TemporaryDirectory(prefix="run-", dir=here.parent) as folder:
+            places = {text: str(here / name) for text, name in job.setup.places.items()}
+            own = replace(
+                job, setup=replace(job.setup, places=places), folder=str(Path(folder) / job.case.name)
+            )
+            try:
+                tree = _result(own)
+            except HilError as error:
+                if _is_unwritten(error, folder):
+                    return lost_here(error)
+                return Delivery(_failed(job, "ERROR", str(error), error.exit_code))
+            if reason := _unwritten(tree, own.folder):
+                return lost_here(reason)
+            return Delivery(_row(job, tree), packed(Path(own.folder)))
+    except OSError as error:
+        return lost_here(error)
+    finally:
+        _forget_modules(here)
+
+
+def _forget_modules(folder: Path) -> None:
+    """Let a later campaign in this process import its own modules of the same names."""
+    for name, module in tuple(sys.modules.items()):
+        if str(getattr(module, "__file__", None) or "").startswith(str(folder)):
+            del sys.modules[name]
+    sys.path[:] = [place for place in sys.path if not place.startswith(str(folder))]
+
+
+def _is_unwritten(error: HilError, folder: str) -> bool:
+    """Whether a run ended because its results could not be written: the computer's fault, not the robot's."""
+    return isinstance(error, RecordingError) or folder in str(error)
+
+
+def _unwritten(tree: Mapping[str, Any], folder: str) -> str:
+    """Why the results of a run could not be written, by its `result.json`; empty where they were."""
+    from hil.procedure.result_files import KEEPING
+
+    first, late = tree.get("error"), tree.get("teardown_errors", ())
+    for error in ([first] if first else []) + [e for e in late if e["step"] == KEEPING]:
+        own = error["type"] == "DataError" and str(error["message"]).startswith(folder)
+        if own or error["type"] == "RecordingError":
+            return str(error["message"])
+    return ""
+
+
+def arrived(delivery: Delivery) -> Row:
+    """The row of a run that was done elsewhere, once its results lie where they belong."""
+    if delivery.content:
+        unpacked(delivery.content, Path(delivery.row.folder))
+    return delivery.row
+
+
+def _result(job: Job) -> dict[str, Any]:
+    """Run one case; gives the tree of its `result.json`."""
+    setup, folder = job.setup, Path(job.folder)
+    script, name = file_and_name(setup.script)
+    proc = load_procedure(":".join(filter(None, (setup.at(script), name))))
+    source, parameters = setup.source(proc, job.case)
+    operator = Terminal() if setup.answers is None else Answers(Path(setup.at(setup.answers)))
+    options = RunOptions(
+        folder=folder,
+        clock=MonotonicClock(),
+        parameters=parameters,
+        operator=operator,
+        started=local_time(),
+        resume=_begun(folder),
+        keep=setup.keep,
+        interrupts=Interrupts(tell, PATIENCE_S),
+    )
+    with named_in_log(job.case.name):
+        result = run_procedure(proc, source, options)
+    if not any(error.step == KEEPING for error in result.teardown_errors):
+        write_run_page(folder)
+    return result.to_json()
+
+
+def _begun(folder: Path) -> bool:
+    """Whether a run that can go on to the same end is there; another is put aside, and begins anew."""
+    if not folder.exists() or not any(folder.iterdir()):
+        return False
+    try:
+        past = read_journal(folder / JOURNAL)
+    except ConfigError:
+        past = None
+    if past is None or past.left_behind:
+        places = (folder.with_name(f"{folder.name}.damaged-{k}") for k in itertools.count(1))
+        folder.rename(next(place for place in places if not place.exists()))
+        return False
+    return True
+
+
+def finished(job: Job) -> Row | None:
+    """The row of a case that has run to its verdict before; None for one that lacked room, or has not."""
+    try:
+        tree = read_result(Path(job.folder))
+    except HilError:
+        return None
+    return _row(job, tree) if tree["verdict"] in FINISHED and not _unwritten(tree, job.folder) else None
+
+
+def _row(job: Job, tree: dict[str, Any]) -> Row:
+    kept = ("unit", "value", "outcome", "low", "high")
+    error = tree.get("error") or next(iter(tree.get("teardown_errors", [])), None)
+    return Row(
+        job.case,
+        job.folder,
+        tree["verdict"],
+        tree["exit_code"],
+        tree.get("duration_s") or 0.0,
+        {row["name"]: {k: row[k] for k in kept} | {"missing": missing(row)} for row in tree["measurements"]},
+        "" if error is None else f"{error['type']} in {error['step']!r}: {error['message']}",
+        tuple(tree["faults_not_begun"]),
+    )
+
+
+def _failed(job: Job, verdict: str, reason: str, code: int) -> Row:
+    return Row(job.case, job.folder, verdict, code, 0.0, {}, reason)
+
+
+def lost(job: Job, reason: str) -> Row:
+    """The row of a case whose worker did not come back, or had no room for its results."""
+    return _failed(job, LOST, reason, EXIT_ABORTED)

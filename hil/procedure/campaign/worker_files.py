@@ -1,0 +1,129 @@
+"""Files on their way between a campaign and its workers: what runs need, and the results that they leave."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from uuid import uuid4
+
+from hil.core.errors import ConfigError, reason_of
+from hil.support.atomic_files import staged
+
+MOST_BYTES = 256 << 20
+
+
+@dataclass(frozen=True)
+class Parcel:
+    """Files for all runs of a campaign.
+
+    Attributes:
+        content: packed files.
+        places: text by which the campaign names a file -> its name among the packed ones.
+    """
+
+    content: bytes
+    places: Mapping[str, str]
+
+    @cached_property
+    def name(self) -> str:
+        """Of the folder in which a worker keeps it; each campaign takes away its own, and no other's."""
+        return f"hil-{uuid4().hex[:16]}"
+
+
+def names(named: Mapping[str, Path]) -> dict[str, str]:
+    """The same texts -> what each file or folder is called in a parcel."""
+    return {text: f"{number}/{path.name}" for number, (text, path) in enumerate(named.items())}
+
+
+def parcel(
+    named: Mapping[str, Path],
+    written: Mapping[str, str] | None = None,
+    beside: Mapping[str, Sequence[Path]] | None = None,
+) -> Parcel:
+    """Pack the files of a campaign.
+
+    Args:
+        named: text by which the campaign names a file or folder -> where it lies here.
+        written: texts that name a bench file -> what the workers are to read instead of it.
+        beside: texts of `named` -> what is to lie beside them.
+
+    Raises:
+        ConfigError: a file that cannot be read, or more than workers are sent.
+    """
+    places = names(named)
+    files = {k: v for text, path in named.items() for k, v in _contents(path, places[text])}
+    for text, others in (beside or {}).items():
+        near = Path(places[text]).parent
+        files |= {k: v for path in others for k, v in _contents(path, f"{near}/{path.name}")}
+    for number, (text, content) in enumerate((written or {}).items()):
+        places[text] = f"bench_{number}.toml"
+        files[places[text]] = content.encode()
+    if sum(map(len, files.values())) > MOST_BYTES:
+        raise ConfigError(
+            f"the files of this campaign take more than {MOST_BYTES >> 20} MiB",
+            remedy="use smaller meshes or recordings, or --workers on one computer",
+        )
+    return Parcel(_packed(files), places)
+
+
+def _contents(path: Path, name: str) -> Iterator[tuple[str, bytes]]:
+    """Name and content of a file with those that a model in it names, or of all files in a folder."""
+    try:
+        if path.is_dir():
+            for inner in sorted(p for p in path.rglob("*") if p.is_file()):
+                yield f"{name}/{inner.relative_to(path).as_posix()}", inner.read_bytes()
+            return
+        yield name, path.read_bytes()
+        for inner in _of_model(path):
+            yield f"{Path(name).parent}/{inner.relative_to(path.parent).as_posix()}", inner.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{error.filename or path}: cannot be read ({reason_of(error)})") from None
+    except ValueError:
+        raise ConfigError(f"{path}: names files outside its folder, which workers cannot be sent") from None
+
+
+def _of_model(path: Path) -> list[Path]:
+    """Meshes and further files of a MuJoCo model; none for another file."""
+    if path.suffix != ".xml":
+        return []
+    import mujoco
+
+    found = (Path(name).absolute() for name in mujoco.mju_getXMLDependencies(str(path)))
+    return [file for file in found if file != path]
+
+
+def digest(path: Path) -> str:
+    """Of the content of a file with those that a model in it names, or of all files in a folder.
+
+    Raises:
+        ConfigError: a file that cannot be read.
+    """
+    told = hashlib.sha256()
+    for name, content in _contents(path, path.name):
+        told.update(f"{name} {len(content)} ".encode() + content)
+    return told.hexdigest()
+
+
+def packed(folder: Path) -> bytes:
+    """All files of a folder; raises `OSError` for one that cannot be read."""
+    files = (p for p in sorted(folder.rglob("*")) if p.is_file())
+    return _packed({p.relative_to(folder).as_posix(): p.read_bytes() for p in files})
+
+
+def _packed(files: Mapping[str, bytes]) -> bytes:
+    held = io.BytesIO()
+    with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return held.getvalue()
+
+
+def unpacked(content: bytes, folder: Path) -> None:
+    """Put packed files into a folder, all of them or none; raises `DataError` where that cannot be."""
+    with staged(folder) as parts, zipfile.ZipFile(io.BytesIO(content)) as archive:
+        archive.extractall(parts)

@@ -1,0 +1,109 @@
+"""What a procedure that has passed rests on: keys of the bench file, and its parts in the robot's record.
+
+A commissioning that is resumed repeats what rests on something that is other than it was: people mend the
+bench file between a failure and the next attempt, and take versions of the record back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from hil.config.bench import BenchConfig
+from hil.config.recorded import changed_since
+from hil.config.robot_record import Part, RobotRecord
+from hil.config.robot_record.parts import digest_of
+from hil.core.registry import kinds
+from hil.procedure.bench_request import BenchSource
+from hil.procedure.commission.stages import Stage
+
+_OF_A_SENSOR: Mapping[str, tuple[str, ...]] = {
+    "imu": ("bring_up", "imu_calibration", "latency", "surface_identification", "wall_ablation"),
+    "tracker": ("bring_up", "tracker_extrinsics", "latency", "surface_identification", "wall_ablation"),
+}
+"""Procedures that rest on a device. All rest on servos, encoders, motion capture, and what is no device."""
+_NOTHING_RESTS_ON = ("monitor", "record")
+_NAMED = 3
+
+
+def as_its_file_says(source: BenchSource) -> BenchConfig:
+    """The configuration of a bench without what the record of the robot lays over it."""
+    return source.changed(overrides={"record.folder": None}).config
+
+
+def parts_in(record: Path) -> Mapping[str, Part]:
+    """The parts of the version in place; none without a record. Raises `ConfigError` where it is damaged."""
+    robot = RobotRecord(record)
+    return robot.read().parts if robot.exists() else {}
+
+
+def rests_on(
+    config: BenchConfig, parts: Mapping[str, Part], left: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """What to remember of a procedure that has passed, as JSON values.
+
+    Args:
+        config: of the bench, as its file says.
+        parts: that are in the record now.
+        left: `record` of the run's result: which of them it left; None for none.
+    """
+    names = () if left is None else left["parts"]
+    return {
+        "bench": config.model_dump(mode="json", by_alias=True),
+        "parts": {name: _digest(parts[name]) for name in names if name in parts},
+    }
+
+
+def why_again(
+    stage: Stage, before: Mapping[str, Any] | None, config: BenchConfig, parts: Mapping[str, Part]
+) -> str:
+    """Why a procedure that has passed is to be repeated; empty where all that it rests on is as it was.
+
+    Args:
+        stage: that has passed.
+        before: what `rests_on` said then; None where that was not noted.
+        config: of the bench, as its file says now.
+        parts: that are in the record now.
+    """
+    if before is None:
+        return "it passed under an older version, which did not note what it rests on"
+    return "; ".join(
+        (*_of_the_record(before["parts"], parts), *_of_the_bench(stage, before["bench"], config))
+    )
+
+
+def _of_the_record(left: Mapping[str, str], parts: Mapping[str, Part]) -> Iterator[str]:
+    for name, digest in left.items():
+        if name not in parts:
+            yield f"its part {name} is no longer in the record"
+        elif _digest(parts[name]) != digest:
+            yield f"the part {name} in the record, of {parts[name].measured}, is another than it had left"
+
+
+def _of_the_bench(stage: Stage, then: Mapping[str, Any], config: BenchConfig) -> Iterator[str]:
+    now = config.model_dump(mode="json", by_alias=True)
+    changed = [key for key in changed_since(then, config) if _matters(stage, key)]
+    if changed:
+        told = [f"{key} ({_at(then, key)!r} then, {_at(now, key)!r} now)" for key in changed[:_NAMED]]
+        more = f" and {len(changed) - _NAMED} more" if len(changed) > _NAMED else ""
+        yield f"the bench file has changed in {', '.join(told)}{more}"
+
+
+def _matters(stage: Stage, key: str) -> bool:
+    """Whether a procedure rests on a key of the bench file; `[emulation.KIND]` is of that device."""
+    table = key.removeprefix("emulation.").split(".")[0]
+    kind = kinds().get(table)
+    if kind is not None and (kind.holds_robot or kind.guards_hold):
+        return stage.place == "wall"  # on the floor neither fan nor propellers run
+    return table not in _NOTHING_RESTS_ON and stage.name in _OF_A_SENSOR.get(table, (stage.name,))
+
+
+def _at(tree: Any, key: str) -> Any:
+    for word in filter(None, key.split(".")):
+        tree = tree.get(word) if isinstance(tree, Mapping) else None
+    return tree
+
+
+def _digest(part: Part) -> str:
+    return digest_of(part.model_dump(mode="json"))

@@ -1,0 +1,111 @@
+"""How far a commissioning is, on disk: written whole after every procedure, so that it can be resumed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hil.core.errors import ConfigError, DataError, reason_of
+from hil.core.result_files import COMMISSIONING_TABLE, PASSED
+from hil.support.atomic_files import put_whole
+from hil.support.file_reading import read_json
+
+DONE = (*PASSED, "SKIPPED")
+"""Verdicts of a procedure after which the next one may begin."""
+
+
+@dataclass
+class State:
+    """What was commissioned how, and what became of each procedure.
+
+    Attributes:
+        folder: of the commissioning.
+        options: bench, seed, form and the like; a resumed one must have the same.
+        done: by procedure: `verdict`, `folder` (within this one), `why` of one that was left out or repeated.
+        rests_on: by procedure that has passed, what it rests on (`resting.rests_on`).
+    """
+
+    folder: Path
+    options: dict[str, Any]
+    done: dict[str, dict[str, Any]] = field(default_factory=dict)
+    rests_on: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def passed(self, name: str) -> bool:
+        """Whether a procedure was run and has passed; one that was left out may have to run by now."""
+        return self.done.get(name, {}).get("verdict") in PASSED
+
+    def forget(self, name: str) -> None:
+        """That a procedure has passed: it no longer holds."""
+        self.done.pop(name, None)
+        self.rests_on.pop(name, None)
+
+    def keep(self, name: str, rests_on: dict[str, Any] | None = None, **facts: Any) -> None:
+        """Note what became of a procedure.
+
+        Args:
+            name: of the procedure.
+            rests_on: what it rests on, if it has passed.
+            facts: JSON values.
+
+        Raises:
+            DataError: the disk does not take it.
+        """
+        self.forget(name)
+        self.done[name] = facts
+        if rests_on is not None:
+            self.rests_on[name] = rests_on
+        path = self.folder / COMMISSIONING_TABLE
+        text = json.dumps({"options": self.options, "done": self.done, "rests_on": self.rests_on}, indent=1)
+        try:
+            put_whole(path, text.encode())
+        except OSError as error:
+            raise DataError(str(path), f"cannot be written ({reason_of(error)})") from None
+
+
+def state_of(folder: Path, options: dict[str, Any], *, resume: bool) -> State:
+    """A new commissioning, or the interrupted one in a folder.
+
+    Raises:
+        ConfigError: the folder holds another one; or there is none to resume, or with other options.
+    """
+    path = folder / COMMISSIONING_TABLE
+    if not path.exists():
+        if resume:
+            raise ConfigError(f"{folder}: no commissioning to resume there", remedy="leave --resume out")
+        return State(folder, options)
+    if not resume:
+        raise ConfigError(
+            f"{folder}: holds a commissioning", remedy="choose another --out, or --resume to continue it"
+        )
+    tree = read_json(path)
+    if not isinstance(tree, dict) or not isinstance(tree.get("done"), dict):
+        raise ConfigError(f"{path}: is no state of a commissioning", remedy="start anew with another --out")
+    before = tree.get("options")
+    told = before if isinstance(before, dict) else {}
+    told = {"settings": {}, **told}
+    different = [
+        f"{key} ({told.get(key)!r} then, {options[key]!r} now)"
+        for key in options
+        if told.get(key) != options[key]
+    ]
+    if different:
+        raise ConfigError(
+            f"{path}: the interrupted commissioning differs in {', '.join(different)}",
+            remedy="resume with the same options, or start anew",
+        )
+    return State(folder, options, tree["done"], _whole(tree.get("rests_on")))
+
+
+def _whole(rests_on: object) -> dict[str, dict[str, Any]]:
+    """By procedure, what was noted whole; nothing of what an older version left, or what cannot be read."""
+    if not isinstance(rests_on, dict):
+        return {}
+    return {
+        name: entry
+        for name, entry in rests_on.items()
+        if isinstance(entry, dict)
+        and isinstance(entry.get("bench"), dict)
+        and isinstance(entry.get("parts"), dict)
+    }

@@ -1,0 +1,164 @@
+"""The cells of a fault campaign: what strikes, when, in which world."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.core.errors import UsageError, did_you_mean
+
+DURATION_S = 2.4
+"""Of the climb."""
+BEGUN_S = 0.45
+"""World time at which the devices of a shipped profile are open."""
+MOMENTS: Mapping[str, str] = {
+    "open": "@0.05",
+    "motion": "@1.3",
+    "stop": f"@{BEGUN_S + DURATION_S:g}",
+    "second": "@1.3+1",
+}
+"""When each begins, and, for one second, how long it lasts."""
+PLANTS = ("own", "mujoco")
+QUICK = (
+    ("servos", "brownout", "second"),
+    ("servo.steer_FL", "jump", "motion"),
+    ("tracker", "wrong", "motion"),
+    ("plant", "adhesion_loss", "motion"),
+    ("adhesion", "bus_off", "open"),
+)
+"""One of each way in which a robot was once let go, or led astray."""
+_OF_EIGHT = re.compile(r"servo\.(?:\d+|drive_[^F].|steer_[^F].|\w+_FR)|encoder\.(?:BL|BR|FR)")
+"""Names of single devices that stand for the same thing as another one does."""
+_MOST_FAULTS = 4
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One run.
+
+    Attributes:
+        device, fault: what strikes; of several, joined by `+`.
+        moment: of `MOMENTS`, or `random`.
+        seed: of the emulated world.
+        plant: which physics.
+        specs: as `hil run --fault` takes them.
+    """
+
+    device: str
+    fault: str
+    moment: str
+    seed: int
+    plant: str
+    specs: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """As progress and failures name it."""
+        return f"{self.device}:{self.fault} {self.moment} seed {self.seed} {self.plant}"
+
+
+def _cell(device: str, fault: str, moment: str, seed: int, plant: str) -> Cell:
+    return Cell(device, fault, moment, seed, plant, (f"{device}:{fault}{MOMENTS[moment]}",))
+
+
+def stands_for_itself(device: str) -> bool:
+    """Whether a device, by its fault name, is none of those for which another servo or encoder stands."""
+    return not _OF_EIGHT.fullmatch(device)
+
+
+def cells_of(
+    supported: Mapping[str, Iterable[str]],
+    *,
+    seeds: Sequence[int],
+    plants: Sequence[str],
+    moments: Sequence[str] = tuple(MOMENTS),
+    only: Sequence[str] = (),
+) -> tuple[Cell, ...]:
+    """Every fault of every device, at every moment, in every world.
+
+    Of eight servos and four encoders one of each kind stands for the others, unless `only` names another.
+
+    Args:
+        supported: kinds of faults by device.
+        seeds: of the worlds.
+        plants: physics.
+        moments: of `MOMENTS`.
+        only: `DEVICE`, `DEVICE:FAULT` or `DEVICE:FAULT@MOMENT`, to restrict it to.
+
+    Raises:
+        UsageError: `only` names what there is not.
+    """
+    pairs = [(device, fault) for device, faults in supported.items() for fault in faults]
+    wanted = (
+        list(_wanted(only, pairs, moments))
+        if only
+        else [(d, fault, moment) for d, fault in pairs if stands_for_itself(d) for moment in moments]
+    )
+    return tuple(
+        _cell(device, fault, moment, seed, plant)
+        for plant, seed, (device, fault, moment) in itertools.product(plants, seeds, wanted)
+    )
+
+
+def _wanted(
+    only: Sequence[str], pairs: Sequence[tuple[str, str]], moments: Sequence[str]
+) -> Iterator[tuple[str, str, str]]:
+    for text in only:
+        name, _, moment = text.partition("@")
+        device, _, kind = name.partition(":")
+        found = [pair for pair in pairs if pair[0] == device and kind in ("", pair[1])]
+        if not found or (moment and moment not in MOMENTS):
+            names = [*{d for d, _ in pairs}, *(f"{d}:{k}" for d, k in pairs)]
+            raise UsageError(
+                f"--only {text!r}: there is no such cell",
+                expected="DEVICE, DEVICE:FAULT or DEVICE:FAULT@MOMENT, with a moment of "
+                + ", ".join(MOMENTS),
+                remedy=did_you_mean(name, names) or "see docs/faults.md",
+            )
+        for device_name, fault in found:
+            for each in (moment,) if moment else moments:
+                yield device_name, fault, each
+
+
+def quick_cells(seeds: Sequence[int], plants: Sequence[str]) -> tuple[Cell, ...]:
+    """The short form: a handful of cells in each world."""
+    return tuple(_cell(*given, seed, plant) for plant, seed, given in itertools.product(plants, seeds, QUICK))
+
+
+def random_cells(
+    supported: Mapping[str, Iterable[str]], *, count: int, seeds: Sequence[int], plants: Sequence[str]
+) -> tuple[Cell, ...]:
+    """Runs with one to four faults at random moments, the same for the same arguments.
+
+    Args:
+        supported: kinds of faults by device.
+        count: how many runs.
+        seeds: of the worlds, in turn; the first also decides the draw.
+        plants: physics, in turn.
+    """
+    rng = np.random.default_rng([count, *seeds])
+    pairs = [(d, f) for d, faults in supported.items() for f in faults if not re.fullmatch(r"servo\.\d+", d)]
+    cells = []
+    for k in range(count):
+        drawn = [
+            pairs[i] for i in rng.choice(len(pairs), int(rng.integers(1, _MOST_FAULTS + 1)), replace=False)
+        ]
+        specs = []
+        for device, fault in drawn:
+            lasts = f"+{rng.uniform(0.05, 1.5):.2f}" if rng.random() < 0.6 else ""
+            specs.append(f"{device}:{fault}@{rng.uniform(0.0, BEGUN_S + DURATION_S):.2f}{lasts}")
+        cells.append(
+            Cell(
+                "+".join(d for d, _ in drawn),
+                "+".join(f for _, f in drawn),
+                "random",
+                seeds[k % len(seeds)],
+                plants[k % len(plants)],
+                tuple(specs),
+            )
+        )
+    return tuple(cells)

@@ -1,0 +1,120 @@
+"""Drives one cell: a short climb with a fault in it, and what was seen of it."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hil.bench import Bench, open_bench
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.errors import HilError
+from hil.core.geometry import Array
+from hil.procedure.faults.cases import DURATION_S, Cell
+from hil.procedure.faults.judge import CellVerdict, judge
+from hil.procedure.faults.movement_bounds import WATCHED_S
+from hil.procedure.faults.observation import Seen, ended_by
+from hil.recording.mcap_reader import read_cycles
+from hil.recording.mcap_writer import McapRecorder
+from hil.robot.trajectories import line
+
+if TYPE_CHECKING:
+    from hil.core.signals import CycleRecord
+
+_LOOK_NS = nanoseconds(0.02)
+START, WAY_M, HOLD_S = np.zeros(3), 0.12, 0.3
+"""Control at the end."""
+_LOOKS = 10
+"""At a robot that the bench has left."""
+
+
+def run_cell(cell: Cell, bench: str = "emulated") -> CellVerdict:
+    """One cell on a bench that is emulated as a whole."""
+    with tempfile.TemporaryDirectory(prefix="hil-faults-") as folder:
+        path = Path(folder) / "run.mcap"
+        seen = _drive(cell, bench, path)
+        seen.unreadable = _unreadable(path) if seen.cycles else ""
+    return judge(cell, seen)
+
+
+def _drive(cell: Cell, name: str, path: Path) -> Seen:
+    seen = Seen()
+    bench = open_bench(name, seed=cell.seed, faults=cell.specs, overrides={"emulation.plant": cell.plant})
+    bench.tells_held = False
+    stopped, end = START[:2], _follow(bench, seen)
+    try:
+        with bench:
+            bench.add_sink(McapRecorder(str(path), bench.header(), lossless=True))
+            _climb(bench, seen)
+            stopped = _place(bench)
+            seen.stopped_s = bench.clock.now_ns() / NS_PER_S
+    except HilError as error:
+        seen.error = ended_by(error)
+    except Exception as error:  # what no device may raise is what the campaign looks for
+        seen.foreign = f"{type(error).__name__}: {error}"
+    seen.held, seen.looked_s = bench.held if bench.held.opened else None, bench.clock.now_ns() / NS_PER_S
+    seen.moved_m = float(np.hypot(*(_place(bench) - stopped)))
+    _watch(bench, seen)
+    end()
+    return seen
+
+
+def _place(bench: Bench) -> Array:
+    """Where the robot truly is, (2,) in m; a bench that did not open leaves it hanging there all the same."""
+    truth = bench.truth()
+    assert truth is not None
+    place: Array = truth.pose_body_in_wall[:2].copy()
+    return place
+
+
+def _follow(bench: Bench, seen: Seen) -> Callable[[], None]:
+    """Keep the least force that truly holds the robot from now on; gives what ends that."""
+
+    def look(t_ns: int) -> int:
+        truth = bench.truth()
+        if truth is not None:
+            seen.adhesion_n = min(seen.adhesion_n, truth.adhesion_n)
+            seen.thrust_n = min(seen.thrust_n, truth.thrust_n)
+            seen.fallen = seen.fallen or truth.fallen
+        return t_ns + _LOOK_NS
+
+    return bench.clock.schedule(look, bench.clock.now_ns())
+
+
+def _climb(bench: Bench, seen: Seen) -> None:
+    """Drive up; whatever ends it, the robot has been asked to stop."""
+
+    def look(record: CycleRecord) -> None:
+        seen.cycles += 1
+        seen.events += [event.suspects for event in record.events]
+        truth = bench.truth()
+        if truth is not None:
+            seen.off_m = np.abs(truth.pose_body_in_wall - record.state.pose_body_in_wall)[:2]
+            seen.sigma_m = np.sqrt(np.diag(record.state.covariance)[:2])
+
+    way = line(START, [WAY_M, 0.0, 0.0], duration_s=DURATION_S)
+    try:
+        bench.drive(way, start_pose=START, hold_s=HOLD_S, on_cycle=look)
+    except HilError as error:
+        seen.stop = ended_by(error)
+
+
+def _watch(bench: Bench, seen: Seen) -> None:
+    """What the robot truly does once the bench has closed."""
+    clock, left = bench.clock, _place(bench)
+    for _ in range(_LOOKS):
+        clock.sleep_until_ns(clock.now_ns() + nanoseconds(WATCHED_S / _LOOKS))
+        seen.crept_m = max(seen.crept_m, float(np.hypot(*(_place(bench) - left))))
+
+
+def _unreadable(path: Path) -> str:
+    """Why a recording cannot be read; empty where it can."""
+    try:
+        problems: list[str] = []
+        count = sum(1 for _ in read_cycles(path, problems))
+    except HilError as error:
+        return str(error)
+    return "; ".join(problems) if problems or count else "it holds no cycle"

@@ -1,0 +1,155 @@
+"""What is right of one cell, and what is not: held, accused, recovered, recorded, honest.
+
+Judged by data: which kinds of devices a stop or an event accuses, and what the robot truly did. What is said
+in words is shown and not read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.procedure.faults.cases import Cell
+from hil.procedure.faults.movement_bounds import (
+    MOST_OFF_M,
+    SIGMAS,
+    SLACK_M,
+    farthest_m,
+    kind_of,
+    let_go,
+    need_not_be_held,
+    still_m,
+    struck,
+)
+from hil.procedure.faults.observation import Ended, Seen
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Figures of a cell for the page, ways in m.
+
+    Attributes:
+        moved_m: after the stop, until the bench said how the robot is.
+        most_m: that it may have moved.
+        crept_m: from then on.
+        off_m: error of the estimate of a run that came to its end.
+        fell: whether the robot fell.
+    """
+
+    moved_m: float = 0.0
+    most_m: float = 0.0
+    crept_m: float = 0.0
+    off_m: float = 0.0
+    fell: bool = False
+
+
+@dataclass(frozen=True)
+class CellVerdict:
+    """Of one cell.
+
+    Attributes:
+        cell: which.
+        why: what is wrong; empty for a cell that passes.
+        ended: `went on`, or the reason of the stop.
+        told: whether stop or events accuse the device; of several all of them.
+        held: what the bench said of the robot at last.
+        others: kinds of devices that are accused without one that was struck.
+        measured: what was measured.
+        opened: whether the bench opened.
+    """
+
+    cell: Cell
+    why: tuple[str, ...]
+    ended: str
+    told: bool
+    held: str
+    others: tuple[str, ...] = ()
+    measured: Measured = Measured()
+    opened: bool = True
+
+
+def lost(cell: Cell, reason: str) -> CellVerdict:
+    """Of a cell whose worker died."""
+    return CellVerdict(cell, (reason,), "lost", False, "")
+
+
+def judge(cell: Cell, seen: Seen) -> CellVerdict:
+    """The verdict on what was seen of a cell."""
+    by = struck(cell)
+    evidence = [_kinds(names) for names in (*seen.events, *(e.suspects for e in _ends(seen)))]
+    others = {name for one in evidence if not one & by for name in one}
+    ends = _ends(seen)
+    measured = Measured(
+        moved_m=seen.moved_m,
+        most_m=farthest_m(cell, seen.stopped_s, seen.looked_s),
+        crept_m=seen.crept_m,
+        off_m=float(np.hypot(*seen.off_m)) if seen.cycles and not ends else 0.0,
+        fell=seen.fallen,
+    )
+    return CellVerdict(
+        cell,
+        why=tuple(_wrong(cell, seen, measured)),
+        ended=ends[0].reason if ends else "went on",
+        told=by <= {name for one in evidence for name in one},
+        held=seen.state,
+        others=tuple(sorted(others)),
+        measured=measured,
+        opened=seen.cycles > 0,
+    )
+
+
+def _ends(seen: Seen) -> list[Ended]:
+    """What ended the drive, and what opening and closing raised."""
+    return [end for end in (seen.stop, seen.error) if end is not None]
+
+
+def _kinds(names: tuple[str, ...]) -> frozenset[str]:
+    """Kinds of devices by their names; who is no device is nobody."""
+    return frozenset(kind_of(name).name for name in names if name not in ("supervisor", "outside"))
+
+
+def _wrong(cell: Cell, seen: Seen, measured: Measured) -> Iterator[str]:
+    """Everything that is not as promised."""
+    if seen.foreign:
+        yield f"an exception of another kind: {seen.foreign}"
+    if seen.unreadable:
+        yield f"the recording: {seen.unreadable}"
+    for end in _ends(seen):
+        if not _kinds(end.suspects) & struck(cell):
+            accused = ", ".join(sorted(_kinds(end.suspects))) or "nobody"
+            yield f"{end.reason} accuses {accused} and not what was struck: {end.text}"
+    yield from _wrong_of_hold(cell, seen, measured)
+    yield from _wrong_of_estimate(cell, seen)
+
+
+def _wrong_of_hold(cell: Cell, seen: Seen, measured: Measured) -> Iterator[str]:
+    """What is not as promised of how the robot was held."""
+    gone, moved_mm, crept_mm = _gone(cell, seen), 1e3 * seen.moved_m, 1e3 * seen.crept_m
+    if seen.fallen and not gone:
+        yield "the robot fell, and what was struck had not let it go"
+    if seen.state == "HELD" and (seen.fallen or not seen.crept_m <= still_m(cell)):
+        yield f"said to be held, and moved by {crept_mm:.1f} mm{', and it fell' if seen.fallen else ''}"
+    if seen.cycles and seen.state not in ("HELD", "not needed") and not (gone or need_not_be_held(cell)):
+        yield f"not held: {seen.held.why if seen.held is not None else 'nothing was said'}"
+    if not gone and not seen.moved_m <= measured.most_m:
+        yield f"moved by {moved_mm:.1f} mm after the stop, more than {1e3 * measured.most_m:.1f} mm"
+    if not seen.cycles and not gone and not seen.crept_m <= measured.most_m:
+        yield f"did not open, and moved by {crept_mm:.1f} mm, more than {1e3 * measured.most_m:.1f} mm"
+
+
+def _wrong_of_estimate(cell: Cell, seen: Seen) -> Iterator[str]:
+    """What is not as promised of the estimate of a run that came to its end."""
+    if not seen.cycles or _ends(seen) or (seen.state != "HELD" and _gone(cell, seen)):
+        return
+    off_m, sigma_m = float(np.hypot(*seen.off_m)), float(np.hypot(*seen.sigma_m))
+    if not (np.all(seen.off_m <= SIGMAS * seen.sigma_m + SLACK_M) and off_m <= MOST_OFF_M):
+        yield (
+            f"went on to its end {1e3 * off_m:.0f} mm beside its estimate, which says {1e3 * sigma_m:.0f} mm"
+        )
+
+
+def _gone(cell: Cell, seen: Seen) -> bool:
+    """Whether what was struck truly let the robot go."""
+    return let_go(cell, seen.adhesion_n, seen.thrust_n)

@@ -1,0 +1,100 @@
+"""The matrix of a fault campaign as Markdown: devices and faults down, moments across."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hil.procedure.faults.movement_bounds import MOST_OFF_M, SIGMAS, SLACK_M, STILL_M, WATCHED_S
+from hil.support.atomic_files import write_text
+
+_HEAD = """# Reliability
+
+Faults of the emulated devices during a climb of 12 cm on the shipped bench. There are four moments: while it
+opens, in motion, where it ends, and for one second in motion. These are the cells that this command judges:
+
+```sh
+{command}
+```
+
+A cell passes when a stop accuses the kind of device that was struck, when the robot moves no farther than
+is promised for its class of faults, when what is said to be held moves by less than {still_mm:g} mm in the
+{watched_s:g} s after the bench has closed, when servos that come back are held again, when the recording can
+be read, and when a run that ends well is wrong by less than {sigmas:g} of its sigmas plus {slack_mm:g} mm,
+and by less than {most_mm:g} mm. A bench that does not open is watched like any other. How it ended: `on` the
+run went on, `stop` the robot was stopped, `none` the bench did not open. A star: nothing accuses the device,
+the run went on as if nothing had been; the last table says why. Of eight servos and four encoders one of each
+kind stands for the others.
+
+What the bench does not protect from: a fan whose power ends or whose controller restarts, propellers that
+lose power or do not understand their commands, a wall that gives way, a computer that dies while servos
+restart, and errors that look like an honest robot, such as a camera that drifts down the wall by 3 mm/s
+([wall.md](wall.md#what-stops-the-robot)). Independent fall protection stays the lab's.
+
+{counts}
+"""
+
+
+def matrix_page(told: Mapping[str, Any]) -> str:
+    """The whole page, of `hil.procedure.faults.summary`."""
+    counts = (
+        f"{told['cells']} cells, {len(told['failed'])} failed, "
+        f"{told['quiet_cells']} passed without a word about the device."
+        if told["cells"]
+        else "No cells."
+    )
+    if told["cells"] < told["planned"]:
+        counts += f" Ended early: {told['planned']} cells were asked for; `--resume` goes on with the others."
+    parts = [
+        _HEAD.format(
+            command=told["command"],
+            counts=counts,
+            watched_s=WATCHED_S,
+            sigmas=SIGMAS,
+            still_mm=1e3 * STILL_M,
+            slack_mm=1e3 * SLACK_M,
+            most_mm=1e3 * MOST_OFF_M,
+        )
+    ]
+    if told["classes"]:
+        parts.append("\n## What is promised, and the worst that was measured\n\n")
+        parts.append("| faults of | promised after the stop | measured | cells | failed |\n")
+        parts.append("|---|---|---|---|---|\n")
+    parts += [
+        f"| {c['name']} | {c['promise']} | {c['measured']} | {c['cells']} | {c['failed']} |\n"
+        for c in told["classes"]
+    ]
+    for plant in told["plants"]:
+        parts.append(f"\n## Plant `{plant['plant']}`, seeds {', '.join(map(str, plant['seeds']))}\n\n")
+        parts += _table(plant)
+    if told["failed"]:
+        parts.append("\n## Failed\n\n| cell | why |\n|---|---|\n")
+        parts += [f"| `{f['cell']}` | {_plain(f['why'])} |\n" for f in told["failed"]]
+    if told["quiet"]:
+        parts.append("\n## Without a word\n\n| device | fault | moments | why |\n|---|---|---|---|\n")
+    parts += [
+        f"| `{q['device']}` | `{q['fault']}` | {', '.join(q['moments'])} | {q['why']} |\n"
+        for q in told["quiet"]
+    ]
+    return "".join(parts)
+
+
+def _table(plant: Mapping[str, Any]) -> list[str]:
+    moments = plant["moments"]
+    lines = [f"| device | fault | {' | '.join(moments)} | how it was left |\n"]
+    lines.append("|---|---|" + "---|" * len(moments) + "---|\n")
+    for row in plant["rows"]:
+        marks = " | ".join(f"**{m}**" if m.startswith("FAILED") else m for m in row["marks"])
+        lines.append(f"| `{row['device']}` | `{row['fault']}` | {marks} | {row['measured']} |\n")
+    return lines
+
+
+def _plain(text: str) -> str:
+    """Text that is safe in a table."""
+    return " ".join(text.replace("|", "/").split())[:300]
+
+
+def write_page(path: Path, told: Mapping[str, Any]) -> None:
+    """Write the page."""
+    write_text(path, matrix_page(told))

@@ -1,0 +1,121 @@
+"""Finds a procedure: a Python file anywhere, or the name of a shipped one."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import pkgutil
+import sys
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from types import ModuleType
+
+import hil
+from hil.core.errors import ConfigError, did_you_mean
+from hil.core.registry import kinds
+from hil.core.wrong_path_hint import is_tests, meant
+from hil.procedure.declaration import Procedure
+from hil.support.atomic_files import check_name
+from hil.support.script_file import run_file
+
+SHIPPED = "hil.procedures"
+SHIPPED_FOLDER = (Path(hil.__file__).resolve().parent / "procedures").resolve()
+"""Where they lie: in a checkout the top-level folder `procedures/`, to which `hil/procedures` is a link."""
+
+
+def shipped_names() -> tuple[str, ...]:
+    """Names of the procedures that come with the package: the modules of the folder, not what they share."""
+    found = pkgutil.iter_modules([str(SHIPPED_FOLDER)])
+    return tuple(sorted(m.name for m in found if not m.ispkg))
+
+
+def _shipped(name: str) -> ModuleType:
+    return importlib.import_module(f"{SHIPPED}.{name}")
+
+
+def file_and_name(script: str) -> tuple[str, str]:
+    """The file of a script, and of `mine.py:name` the name of the procedure in it, else nothing."""
+    file, _, name = script.partition(".py:")
+    return (f"{file}.py", name) if name else (script, "")
+
+
+def load_procedure(script: str) -> Procedure:
+    """The procedure of a file (`path/to/mine.py`, `mine.py:name` for one of several) or of a name.
+
+    Raises:
+        ConfigError: no such file or name, a script that fails, or not exactly one procedure in it.
+        UsageError: no file can have that name.
+    """
+    target, wanted = file_and_name(script)
+    path = Path(target)
+    check_name(path)
+    if path.suffix == ".py":
+        if not path.is_file():
+            raise ConfigError(f"script {path}: no such file", expected=_known(), remedy=_near(str(path)))
+        module = _from_file(path)
+    elif target in shipped_names():
+        module = _shipped(target)
+    else:
+        raise ConfigError(
+            f"procedure {script!r} is unknown", expected=_known(), remedy=meant(path) or _near(target)
+        )
+    return _choose(module, wanted, script)
+
+
+def _known() -> str:
+    return "a path to a .py file, or one of " + ", ".join(shipped_names())
+
+
+def _near(target: str) -> str:
+    """What was probably meant: a shipped procedure, or a script where one was looked for."""
+    folder = Path(target).parent
+    with suppress(OSError):
+        scripts = [str(folder / found.name) for found in folder.glob("*.py") if found.is_file()]
+        return did_you_mean(target, [*shipped_names(), *scripts])
+    return did_you_mean(target, shipped_names())
+
+
+def _from_file(path: Path) -> ModuleType:
+    if path.resolve().parent == SHIPPED_FOLDER:
+        return _shipped(path.stem)
+    kinds()  # a device package that cannot be used is not the script's fault
+    return run_file(path)
+
+
+_real = lru_cache(maxsize=None)(os.path.realpath)  # thousands of modules, looked through more than once
+
+
+def modules_beside(script: Path) -> tuple[Path, ...]:
+    """Files and folders beside a script from which modules have been imported; no installed ones."""
+    itself, package = script.resolve(), Path(hil.__file__).resolve().parent
+    folder, found = itself.parent, set()
+    installed = [Path(sys.prefix).resolve(), Path(sys.base_prefix).resolve(), package, SHIPPED_FOLDER]
+    for module in tuple(sys.modules.values()):
+        file = getattr(module, "__file__", None)
+        if not file or not _real(file).startswith(f"{folder}{os.sep}"):
+            continue
+        path = Path(_real(file))
+        if path != itself and not any(place in path.parents for place in installed):
+            found.add(folder / path.relative_to(folder).parts[0])
+    return tuple(sorted(found))
+
+
+def _choose(module: ModuleType, wanted: str, script: str) -> Procedure:
+    found = {p.name: p for p in vars(module).values() if isinstance(p, Procedure)}
+    if wanted and wanted not in found:
+        raise ConfigError(
+            f"{script}: declares no procedure {wanted!r}",
+            expected=f"one of {', '.join(found)}" if found else "a function decorated with @procedure",
+            remedy=did_you_mean(wanted, found),
+        )
+    if wanted:
+        found = {wanted: found[wanted]}
+    if not found and not wanted and is_tests(path := Path(script)):
+        raise ConfigError(f"{script}: holds no procedure", remedy=meant(path))
+    if len(found) != 1:
+        raise ConfigError(
+            f"{script}: declares {len(found)} procedures ({', '.join(found) or 'none'})",
+            expected="one function decorated with @procedure, or FILE.py:NAME",
+        )
+    return next(iter(found.values()))

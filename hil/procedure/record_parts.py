@@ -1,0 +1,131 @@
+"""What a procedure found out about the robot: a part of its record, kept there once the run has passed.
+
+Each part is also left as a file of its own, `part_NAME.toml`, once the run has ended, so that a bench
+without a record can take it later (`hil robot apply RECORD --from part_camera.toml`). It says of which robot
+it is and how the run ended, and so does `bench_fragment.toml`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from datetime import date, timedelta
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from hil.config.robot_record import Figure, NewPart, Part, RobotRecord, Spread
+from hil.config.robot_record.overlay import identity, known_parts
+from hil.core.errors import HilError
+from hil.core.result_files import PASSED
+from hil.procedure.bench_fragment import seal_fragment
+from hil.procedure.context import Context
+from hil.procedure.measurements import Verdict
+from hil.support.atomic_files import write_text
+
+__all__ = ["keep_parts", "known_parts", "leave_part"]
+
+_PIECE = 1 << 20
+
+
+def leave_part(
+    ctx: Context,
+    name: str,
+    *,
+    values: Mapping[str, Any] | None = None,
+    figures: Mapping[str, Figure] | None = None,
+    files: Mapping[str, Path] | None = None,
+    covariance: Spread | None = None,
+    surface: str = "",
+) -> None:
+    """Leave a part of the robot's record; it gets there when the run passes. Values must be finite.
+
+    Args:
+        ctx: of the run.
+        name: of the part (`hil.config.robot_record.PARTS`).
+        values: dotted keys of the bench file -> value.
+        figures: measured numbers by name.
+        files: paths of files that the bench file is to name, by key.
+        covariance: of some of the figures.
+        surface: that it holds for; empty for everywhere.
+    """
+    config = ctx.source.config
+    part = Part(
+        procedure=ctx.procedure,
+        verdict="PASS",
+        measured=ctx.started,
+        bench=config.name,
+        surface=surface,
+        until=_until(ctx.started, config.record.valid_days),
+        values=dict(values or {}),
+        figures=dict(figures or {}),
+        covariance=covariance,
+    )
+    ctx.findings.learned[name] = NewPart(part, dict(files or {}))
+
+
+def _write_part(ctx: Context, name: str, one: NewPart, verdict: Verdict) -> None:
+    """The part as a file of its own."""
+    tree = one.part.model_dump(mode="json", exclude_none=True, exclude={"files", "made_with"})
+    tree["values"] |= {key: str(path.relative_to(ctx.folder)) for key, path in one.files.items()}
+    robot = identity(ctx.source.config, ctx.source.seed).model_dump(mode="json", exclude_none=True)
+    tree |= {"part": name, "verdict": verdict.value, "robot": robot}
+    text = f"# For `hil robot apply RECORD --from` this file.\n{tomli_w.dumps(tree)}"
+    ctx.attach(f"part {name} of the record", write_text(ctx.folder / f"part_{name}.toml", text))
+
+
+def _until(started: str, days: int | None) -> str:
+    return "" if days is None else (date.fromisoformat(started[:10]) + timedelta(days=days)).isoformat()
+
+
+def keep_parts(ctx: Context, verdict: Verdict) -> tuple[dict[str, Any] | None, HilError | None]:
+    """Put what a run has left into the record of its bench, if it passed, and into files of its folder.
+
+    Returns:
+        For `result.json`: folder, version and names of the parts that are new, and of those that went because
+        they were measured on top of what is new; None without a record or anything to keep. And the error, if
+        the record does not take it: the version that was in place stays.
+    """
+    config, learned = ctx.source.config, ctx.findings.learned
+    ended = verdict in (*PASSED, Verdict.FAIL)
+    try:
+        seal_fragment(ctx.folder, verdict.value)
+        for name, one in learned.items() if ended else ():
+            _write_part(ctx, name, one, verdict)
+    except HilError as error:
+        return None, error if ended else None
+    if config.record.folder is None or not learned:
+        return None, None
+    if verdict not in PASSED:
+        ctx.note(f"The record {config.record.folder} was left as it is: the run ended in {verdict.value}.")
+        return None, None
+    recordings = _digests(ctx)
+    parts = {
+        name: NewPart(
+            one.part.model_copy(update={"verdict": verdict.value, "recordings": recordings}), one.files
+        )
+        for name, one in learned.items()
+    }
+    record = RobotRecord(Path(config.record.folder))
+    try:
+        gone = record.add(parts, identity(config, ctx.source.seed), created=ctx.started, why=ctx.procedure)
+        version = record.read().version
+    except HilError as error:
+        return None, error
+    words = f"; without {', '.join(gone)}, measured on top of what changed" if gone else ""
+    ctx.note(f"{record.folder} is now version {version}, with {', '.join(parts)} of this run{words}.")
+    return {"folder": str(record.folder), "version": version, "parts": list(parts), "gone": list(gone)}, None
+
+
+def _digests(ctx: Context) -> dict[str, str]:
+    found = {}
+    for name in ctx.findings.recordings:
+        path = ctx.folder / name
+        if path.is_file():
+            digest = hashlib.sha256()
+            with path.open("rb") as file:
+                while piece := file.read(_PIECE):
+                    digest.update(piece)
+            found[name] = digest.hexdigest()
+    return found

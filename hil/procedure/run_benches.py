@@ -1,0 +1,189 @@
+"""The benches of a run: opened in turn or in other processes, recorded, and how they left the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from typing import TYPE_CHECKING
+
+from hil.core.errors import ConfigError, RecordingError
+from hil.procedure import hold_history, path_history
+from hil.procedure.bench_request import BenchSource
+from hil.procedure.hold_record import LeftBenches
+from hil.procedure.operator import go_ahead
+from hil.procedure.parallel_drives import Driven, Errand, Result, Sent, driven
+from hil.procedure.run_journal import PastRun
+from hil.procedure.run_options import RunOptions
+from hil.procedure.run_outputs import Notebook
+from hil.procedure.run_recordings import Recordings
+from hil.procedure.step_timer import LoopGuard
+from hil.procedure.worker_processes import Workers
+
+if TYPE_CHECKING:
+    from hil.bench import Bench
+
+
+class RunBenches:
+    """The benches that a run has opened.
+
+    Args:
+        source, past: as in the attributes.
+        results: of the run: takes recordings, notes and figures.
+        options: of the run.
+
+    Attributes:
+        source: which bench, to open it again (`reopen`) or in another process.
+        past: the interrupted run that this one goes on with; None for a new one.
+        opened: the bench if it is open.
+        left_behind: whether a checkpoint that is not repeated has left the emulated robot elsewhere.
+        guard: ends a loop that runs too long, or when a signal came.
+        left: how the benches that were closed left the robot.
+        world_ns: how far the emulated world has come when its bench was closed; of several, the one that has
+            come farthest.
+        looked_ns: the same when the look at the stopped robot was over.
+        lost: devices that ended runs of the loop, in words.
+    """
+
+    def __init__(
+        self, source: BenchSource, results: Notebook, options: RunOptions, past: PastRun | None
+    ) -> None:
+        self.source, self.past = source, past
+        self.guard = LoopGuard(options.interrupts)
+        self._results, self._operator, self._interrupts = results, options.operator, options.interrupts
+        self._recordings = Recordings(results, options.interrupts, options.on_recording_failure)
+        self._hold_history = hold_history.HoldHistory()
+        self._path_history = path_history.PathHistory()
+        self.opened: Bench | None = None
+        self._bench_name = ""
+        self.left_behind = False
+        before, finished = (past.held, past.checkpoints) if past else ((), ())
+        self.left = LeftBenches(results.journal, self.guard, before, finished)
+        self.world_ns = self.looked_ns = 0
+        self.lost: list[str] = []
+
+    @property
+    def bench(self) -> Bench:
+        """As `Context.bench`; raises `ConfigError`."""
+        if self.left_behind:
+            raise ConfigError(
+                "the emulated robot is no longer where the run that was cut off had left it",
+                expected="each checkpoint to begin with ctx.reopen(), or on a bench of its own",
+                remedy="start the run anew, without --resume",
+            )
+        return self.opened if self.opened is not None else self.reopen(self.source)
+
+    def reopen(self, source: BenchSource, label: str = "", prompt: str = "") -> Bench:
+        """As `Context.reopen`; `source` is that of the run with what is to be different."""
+        again, self.left_behind = self.opened is not None, False
+        self.close()
+        if source.real and (again or prompt):
+            question = prompt or "put the robot back to its start pose, then press Enter"
+            self._results.note_answer(question, go_ahead(self._operator, question))
+        bench = source.open()
+        self._bench_name = self.left.begin(label)
+        bench.tells_held = False
+        try:
+            self._recordings.record(bench, label, lossless=source.virtual)
+            bench.add_sink(self.guard)
+            for history in (self._hold_history, self._path_history) if self._results.keep == "all" else ():
+                bench.add_sink(history)
+            with self._interrupts.deferred():
+                bench.__enter__()
+                self.opened = bench
+                self.guard.watch(bench.clock, virtual=source.virtual)
+            if bench.pressed and bench.pressed not in self._results.findings.notes and not again:
+                self._results.note(bench.pressed)
+        except BaseException:
+            self.guard.leave()
+            bench.close()
+            self._leave(bench)
+            raise
+        self._interrupts.stop_here()
+        return bench
+
+    def close(self) -> None:
+        """Hold the robot and close the bench, if it is open."""
+        bench, self.opened = self.opened, None
+        self.guard.leave()
+        if bench is not None:
+            try:
+                with self._interrupts.deferred():
+                    bench.__exit__(None, None, None)
+            finally:
+                self._leave(bench)
+                self._recordings.finish()
+                for warning in bench.warnings:
+                    self._results.note_in_any_case(warning)
+
+    def _leave(self, bench: Bench) -> None:
+        self._came(bench.world_ns, bench.looked_ns)
+        self.lost += bench.lost
+        if bench.held.opened:
+            self.left.add(self._bench_name, bench.held, tethered=bench.config.safety.tethered)
+
+    def _came(self, world_ns: int, looked_ns: int) -> None:
+        self.world_ns, self.looked_ns = max(self.world_ns, world_ns), max(self.looked_ns, looked_ns)
+
+    def at_once(self, errands: Sequence[Errand[Result]], workers: Workers) -> Generator[Result, None, None]:
+        """As `Context.at_once`."""
+        sent: list[Sent[Result]] = []
+        for errand in errands:
+            taken = [s.recording for s in sent]
+            path = self._recordings.path(errand.label, taken) if errand.label else None
+            sent.append(Sent(errand, path, self._recordings.on_failure))
+        from hil.bench.hold.result import abandoned
+
+        waiting = [(self.left.begin(one.errand.label), one.recording) for one in sent]
+        failed = False
+        try:
+            for found in workers.at_once(driven, sent):
+                name, recording = waiting.pop(0)
+                if recording is not None and recording.exists():
+                    self._recordings.add(recording)
+                failed = found.error is not None
+                self._take_over(found, name)
+                yield found.result
+        finally:
+            for _, recording in waiting:
+                if recording is not None and recording.exists():
+                    self._recordings.add(recording)
+            if waiting and not failed:
+                on_wall = self.source.config.environment.on_wall
+                held = abandoned("the process that drove it was ended with the run", on_wall=on_wall)
+                self.left.add(waiting[0][0], held, tethered=False)
+
+    def _take_over(self, found: Driven, name: str) -> None:
+        self.guard.add(found.driven_s)
+        self._came(found.world_ns, found.looked_ns)
+        self.lost += found.failed
+        self._hold_history.follow(found.hold)
+        self._path_history.follow(found.path)
+        if found.pressed and self.left.held is None:
+            self._results.note(found.pressed)
+        if found.held.opened:
+            self.left.add(name, found.held, tethered=found.tethered)
+        if found.lost:
+            self._results.note_in_any_case(found.lost)
+        if found.objection is not None:
+            self._recordings.object(found.objection)
+        if found.error is not None:
+            raise found.error
+
+    def show_histories(self) -> None:
+        """Leave figures of the path, where the procedure left none at all, and of how the robot was held."""
+        if self._results.keep == "results":
+            return
+        path = None if self._results.findings.figures else self._path_history.figure()
+        if path is not None:
+            self._results.draw(path, "Path", path_history.CAPTION)
+        hold = self._hold_history.figure()
+        if hold is not None:
+            self._results.draw(hold, "Adhesion", hold_history.CAPTION)
+
+    def unrecorded(self) -> RecordingError | None:
+        """What the run has to end with when cycles are missing from its recordings; None if it need not."""
+        return self._recordings.objection()
+
+    def world_at(self) -> tuple[int, int] | None:
+        """Which emulated world the run has open, and its time; None for none."""
+        bench = self.opened
+        return None if bench is None or self.source.real else (id(bench), bench.clock.now_ns())

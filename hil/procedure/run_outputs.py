@@ -1,0 +1,291 @@
+"""What a run leaves for its reader: measurements, tables, figures, files and notes, each kept at once.
+
+Everything goes into the journal before it counts, so that a run that was struck down can be resumed.
+"""
+
+from __future__ import annotations
+
+import filecmp
+import json
+import re
+import shutil
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from hil.config.robot_record import NewPart
+from hil.core.errors import HilError, UsageError
+from hil.procedure.measurements import Measurement, Verdict, worst
+from hil.procedure.run_journal import Entry, Journal
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Keep = Literal["all", "results"]
+"""What stays of a run: `all`, or `results` without recordings and figures."""
+_TOLD = 6
+"""Of how many values of a measurement that was set again a note tells."""
+
+
+@dataclass
+class Findings:
+    """What a run has left so far; the lists hold JSON values, `learned` parts of the robot's record.
+
+    `earlier` has what a measurement was set to before, where it was set to something else again.
+    """
+
+    values: dict[str, float] = field(default_factory=dict)
+    earlier: dict[str, list[float]] = field(default_factory=dict)
+    measured_in: dict[str, str] = field(default_factory=dict)
+    steps: list[Entry] = field(default_factory=list)
+    tables: list[Entry] = field(default_factory=list)
+    figures: list[Entry] = field(default_factory=list)
+    attachments: list[Entry] = field(default_factory=list)
+    data: dict[str, Any] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    recordings: list[str] = field(default_factory=list)
+    learned: dict[str, NewPart] = field(default_factory=dict)
+
+
+class Notebook:
+    """The open pages of one run.
+
+    Args:
+        folder, declared, journal, keep: as in the attributes.
+
+    Attributes:
+        folder: results folder of the run.
+        declared: measurements that may be left.
+        journal: where everything that is left is noted.
+        keep: whether there are figures.
+        findings: what has been left so far.
+        titles: of the steps that have begun and not ended, the inmost last.
+    """
+
+    def __init__(
+        self, folder: Path, declared: Sequence[Measurement], journal: Journal, keep: Keep = "all"
+    ) -> None:
+        self.folder, self.declared, self.journal, self.keep = folder, tuple(declared), journal, keep
+        self.findings = Findings()
+        self.titles: list[str] = []
+        self._by_name = {m.name: m for m in declared}
+
+    @property
+    def where(self) -> str:
+        """Title of the current step."""
+        return self.titles[-1] if self.titles else "start"
+
+    def add_step(self, title: str, outcome: str, **passed_s: float) -> Entry:
+        """Count a step within those that have begun; how it goes on is put into what this returns."""
+        entry: Entry = {"title": title, "depth": len(self.titles), "outcome": outcome, **passed_s}
+        self.findings.steps.append(entry)
+        return entry
+
+    def measure(self, name: str, value: float | bool) -> None:
+        """As `Context.measure`, which a script calls; raises `UsageError`."""
+        if name not in self._by_name:
+            raise UsageError(
+                f"measurement {name!r} is not declared", expected="one of " + ", ".join(self._by_name)
+            )
+        number = _one_number(value)
+        if number is None:
+            script = sys._getframe(2)
+            raise UsageError(
+                f"measurement {name!r} was set to {_what(value)} "
+                f"({Path(script.f_code.co_filename).name}, line {script.f_lineno})",
+                expected="one number",
+                remedy="measure one element of it, its mean or its largest",
+            )
+        self.journal.add("measure", {"name": name, "value": number})
+        self._keep_value(name, number, self.where)
+
+    def _keep_value(self, name: str, value: float, where: str) -> None:
+        before = self.findings.values.get(name)
+        if before is not None and repr(before) != repr(value):  # NaN is NaN
+            self.findings.earlier.setdefault(name, []).append(before)
+        self.findings.values[name] = value
+        self.findings.measured_in[name] = where
+
+    def verdict(self) -> Verdict:
+        """The worst outcome of what has been measured so far."""
+        values = self.findings.values
+        return worst(m.judge(values[n]) for n, m in self._by_name.items() if n in values)
+
+    def set_again(self) -> list[str]:
+        """A sentence about each measurement that was set to one thing and then to another."""
+        said = []
+        for name, before in self.findings.earlier.items():
+            measurement, every = self._by_name[name], [*before, self.findings.values[name]]
+            told = [
+                f"{value:.6g} {measurement.unit}".rstrip()
+                + f" ({measurement.judge(value).value})" * measurement.limited
+                for value in every
+            ]
+            if len(told) > _TOLD:
+                told[_TOLD - 1 : -1] = ["..."]
+            said.append(f"{name} was set {len(every)} times: {', '.join(told)}. The last one counts.")
+        return said
+
+    def table(
+        self, title: str, head: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""
+    ) -> None:
+        """As `Context.table`; raises `UsageError`."""
+        self._must_be_new("table", title, self.findings.tables)
+        cells = [[_cell(v) for v in row] for row in rows]
+        for number, row in enumerate(cells, start=1):
+            if len(row) != len(head):
+                raise UsageError(
+                    f"table {title!r}: row {number} has {len(row)} cells",
+                    expected=f"{len(head)}, one for each label of the head",
+                )
+        entry = {"title": title, "head": [str(h) for h in head], "rows": cells, "note": note}
+        self.journal.add("table", entry)
+        self.findings.tables.append(entry)
+
+    def figure(self, figure: Figure | Callable[[], Figure], title: str, caption: str = "") -> None:
+        """As `Context.figure`; raises `UsageError`."""
+        if self.keep == "results":
+            return
+        self._must_be_new("figure", title, self.findings.figures)
+        self.draw(figure, title, caption)
+
+    def _must_be_new(self, what: str, title: str, others: Sequence[Entry]) -> None:
+        if any(other["title"] == title for other in others):
+            raise UsageError(f"{what} {title!r} exists twice", expected="a title of its own")
+
+    def draw(self, figure: Figure | Callable[[], Figure], title: str, caption: str) -> None:
+        """Save a figure, whatever its title; raises `UsageError` for what is none."""
+        from matplotlib.figure import Figure
+
+        from hil.report.page_figures import save_figure
+
+        drawn: object = figure() if callable(figure) else figure
+        if not isinstance(drawn, Figure):
+            raise UsageError(
+                f"figure {title!r} is a {type(drawn).__name__}",
+                expected="a matplotlib Figure, or a function that returns one",
+            )
+        path = self.folder / "figures" / f"{len(self.findings.figures) + 1:02d}_{slug(title)}.svg"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_figure(drawn, path)
+        entry = {"title": title, "caption": caption, "path": str(path.relative_to(self.folder))}
+        self.journal.add("figure", entry)
+        self.findings.figures.append(entry)
+
+    def attach(self, name: str, path: Path) -> Path:
+        """As `Context.attach`."""
+        inside = path if path.is_relative_to(self.folder) else self._place_of(path)
+        if inside != path:
+            inside.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, inside)
+        entry = {"name": name, "path": str(inside.relative_to(self.folder))}
+        self.journal.add("attach", entry)
+        self.findings.attachments.append(entry)
+        return inside
+
+    def _place_of(self, path: Path) -> Path:
+        """Where the copy of a file goes: nothing that is there already, but for the same content."""
+        inside, number = self.folder / "attachments" / path.name, 1
+        while inside.exists() and not filecmp.cmp(path, inside, shallow=False):
+            number += 1
+            inside = inside.with_name(f"{path.stem}-{number}{path.suffix}")
+        return inside
+
+    def leave_data(self, name: str, value: Any) -> None:
+        """As `Context.leave_data`; raises `UsageError`."""
+        found = as_json(f"data {name!r}", value, default=_plain)
+        self.journal.add("data", {"name": name, "value": found})
+        self.findings.data[name] = found
+
+    def note(self, text: str) -> None:
+        """Leave a sentence for the reader of the report."""
+        self.journal.add("note", {"text": text})
+        self.findings.notes.append(text)
+
+    def note_in_any_case(self, text: str) -> None:
+        """A note that is left even where the journal does not take it."""
+        with suppress(HilError):
+            self.journal.add("note", {"text": text})
+        self.findings.notes.append(text)
+
+    def note_answer(self, question: str, answer: str) -> str:
+        """Keep what the operator has said, and give it back."""
+        self.journal.add("answer", {"question": question, "answer": answer})
+        return answer
+
+    def take_again(self, entries: Sequence[Entry], title: str) -> None:
+        """Count what a checkpoint has left in the journal of an earlier run."""
+        lists = {
+            "table": self.findings.tables,
+            "figure": self.findings.figures,
+            "attach": self.findings.attachments,
+        }
+        for entry in entries:
+            kind, data = entry["kind"], {k: v for k, v in entry.items() if k != "kind"}
+            if kind == "measure":
+                self._keep_value(data["name"], data["value"], title)
+            elif kind in lists:
+                lists[kind].append(data)
+            elif kind == "data":
+                self.findings.data[data["name"]] = data["value"]
+            elif kind == "note":
+                self.findings.notes.append(data["text"])
+
+
+def slug(text: str) -> str:
+    """A text as part of a file name."""
+    return re.sub(r"[^a-zA-Z0-9]+", "_", text).strip("_").lower()[:60] or "unnamed"
+
+
+def as_json(what: str, value: Any, default: Callable[[Any], Any] | None = None) -> Any:
+    """A value as JSON gives it back: tuples become lists, keys texts.
+
+    Args:
+        what: it is, for the error.
+        value: of numbers, texts, lists and dictionaries.
+        default: makes such of what is none; raises `TypeError` where it cannot.
+
+    Raises:
+        UsageError: JSON cannot hold it.
+    """
+    try:
+        return json.loads(json.dumps(value, default=default))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise UsageError(
+            f"{what} is what JSON cannot hold ({error})",
+            expected="numbers, texts, lists and dictionaries",
+            remedy="put the rest into a file",
+        ) from None
+
+
+def _plain(value: Any) -> Any:
+    """A number or an array of numpy as JSON has them."""
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    raise TypeError(f"a {type(value).__name__}")
+
+
+def _one_number(value: Any) -> float | None:
+    """A number as `float`; None for an array, a text and whatever else is not one."""
+    try:
+        return None if isinstance(value, str) or np.ndim(value) else float(value)
+    except (TypeError, ValueError):
+        return None
+
+
+def _what(value: object) -> str:
+    """A wrong value in words: an array by its shape, else what it is."""
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape}"
+    return f"a {type(value).__name__}, {value!r:.60}"
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

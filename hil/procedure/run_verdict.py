@@ -1,0 +1,133 @@
+"""What a run comes to: its errors by name and step, the verdict, and the facts of `result.json`."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+from typing import Any
+
+from hil.bench.hold.result import untouched
+from hil.bench.unreached_faults import not_begun, not_begun_in_words
+from hil.core.call_chain import as_json, chain_of, place_of
+from hil.core.errors import EXIT_ABORTED, EXIT_DEVICE, EXIT_USAGE, Aborted, HilError
+from hil.procedure.context import Context
+from hil.procedure.measurements import Verdict, worst
+from hil.procedure.parameters import as_dict
+from hil.procedure.result_files import Failure, Result, git_revision, judge
+from hil.procedure.run_benches import RunBenches
+
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
+
+
+def failure(problem: BaseException, context: Context, where: str = "") -> Failure:
+    """What ended a step, and the exit code that it asks for; `where` names it, else it is the last step."""
+    step, finished = (where, False) if where else _place(context)
+    if isinstance(problem, HilError):
+        code = EXIT_ABORTED if isinstance(problem, Aborted) else problem.exit_code
+        frames = () if code == EXIT_ABORTED else as_json(chain_of(problem))
+        return Failure(type(problem).__name__, str(problem), step, code, finished, tuple(frames))
+    no_room = isinstance(problem, OSError) and problem.errno in _NO_ROOM
+    code = EXIT_ABORTED if no_room or isinstance(problem, KeyboardInterrupt) else EXIT_USAGE
+    frames = as_json(chain_of(problem, shipped=True))
+    said = f"{problem} ({place_of(problem)})"
+    return Failure(type(problem).__name__, said, step, code, finished, tuple(frames))
+
+
+def _place(context: Context) -> tuple[str, bool]:
+    """The step that failed, else the last one, which was finished; `start` before the first."""
+    steps = context.findings.steps
+    failed = [s["title"] for s in steps if s["outcome"] == "failed"]
+    if failed:
+        return failed[-1], False
+    return (steps[-1]["title"], True) if steps else (context.where, False)
+
+
+def not_held(context: Context, known: Failure | None) -> list[Failure]:
+    """A robot that should be held and is not is an error of a run that knows of no other.
+
+    Where another error counts, and the run had several benches, notes say of which the robot was not held.
+    """
+    lost = [(bench.name, bench.held.why) for bench in context.benches.left.not_held]
+    if known is None:
+        return [Failure("NotHeld", f"{name}: {why}", "closing the bench", EXIT_DEVICE) for name, why in lost]
+    if context.benches.left.opened > 1:
+        context.findings.notes += [f"NOT HELD: {name}: {why}" for name, why in lost]
+    return []
+
+
+def conclude(context: Context, error: Failure | None, late: list[Failure], facts: dict[str, Any]) -> Result:
+    """The verdict: an abort or an error before everything, else the worst measurement.
+
+    Args:
+        context: as the body left it.
+        error: what ended the body early.
+        late: errors of teardown.
+        facts: further entries of `result.json`.
+    """
+    findings = context.findings
+    declared = context.results.declared
+    rows = judge(declared, findings.values, findings.earlier, findings.measured_in, error is None)
+    verdict = worst(Verdict(r["outcome"]) for r in rows if r["outcome"] != "NOT MEASURED")
+    if late:
+        verdict = Verdict.ERROR
+    if error is not None:
+        verdict = Verdict.ABORTED if error.exit_code == EXIT_ABORTED else Verdict.ERROR
+    return Result(context.procedure, verdict, context.folder, rows, facts, error, tuple(late))
+
+
+def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str, Any]:
+    """What `result.json` tells beside verdict and measurements.
+
+    Args:
+        context: as the body left it.
+        wall_s: how long the body and the teardown took, in s.
+        error: what ended the body early; another device that failed is told in a note.
+    """
+    from hil.bench import planned_faults
+    from hil.support.versions import versions
+
+    proc, benches, past = context.proc, context.benches, context.benches.past
+    findings, source = context.findings, context.source
+    missed: tuple[str, ...] = ()
+    if past is None:  # of a run that was cut off nobody has kept how far its world had come
+        missed = not_begun(planned_faults(source.config, source.faults), benches.world_ns)
+    told = [not_begun_in_words(missed, benches.world_ns, benches.looked_ns)] if missed else []
+    known = "" if error is None else error.message
+    header = source.header()
+    calibration = header["calibration"] or {}
+    if calibration.get("verdict") == "FAIL":
+        told.append(
+            f"The calibration {calibration['path']}, version {calibration['version']}, failed its validation "
+            "run (verdict FAIL); failed_calibration in the bench file asks for its use."
+        )
+    told += [f"A drive or a watch was ended early: {s}" for s in dict.fromkeys(benches.lost) if s != known]
+    return {
+        "summary": proc.summary,
+        "headline": proc.said(findings.values),
+        "bench": source.config.name,
+        "emulated": list(source.config.emulated()),
+        "virtual_time": source.virtual,
+        "parameters": as_dict(context.parameters),
+        **header,
+        "versions": versions(),
+        "git_revision": git_revision(proc.file.parent if proc.file else Path.cwd()),
+        "started": context.started,
+        "duration_s": wall_s,
+        "bench_duration_s": context.guard.driven_s,
+        "resumed": 0 if past is None else past.resumed + 1,
+        "steps": findings.steps,
+        "tables": findings.tables,
+        "figures": findings.figures,
+        "attachments": findings.attachments,
+        "recordings": (past.recordings if past else []) + findings.recordings,
+        "data": findings.data,
+        "faults_not_begun": list(missed),
+        "notes": findings.notes + context.results.set_again() + told,
+        "held": _held(benches),
+    }
+
+
+def _held(benches: RunBenches) -> dict[str, object]:
+    if benches.left.held is not None:
+        return benches.left.held.to_json()
+    return untouched("no device was opened: the robot is as it was before").to_json()

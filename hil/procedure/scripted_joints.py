@@ -1,0 +1,48 @@
+"""Drives the joints by a script instead of a trajectory, through the same loop, supervisor and sinks.
+
+What a procedure needs that examines single joints (turn one steering servo, roll one wheel) or that
+wants to know exactly what was commanded when. The robot stands before and after.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hil.bench import Bench
+from hil.controller.joint_script import SCRIPT, JointScript, Stretch
+from hil.core.clock import nanoseconds
+from hil.core.geometry import Array, ArrayLike
+from hil.core.signals import CycleRecord
+from hil.loop.recorded_motion import Motion
+from hil.recording.runs import RunStart
+
+__all__ = ["Stretch", "play"]
+
+_FEEDBACK = "odometry"
+
+
+def play(bench: Bench, stretches: Sequence[Stretch], start_pose: ArrayLike, steering_rad: Array) -> Motion:
+    """Enable, run through a script of joint commands, hold; the robot's pose is followed by odometry.
+
+    Args:
+        bench: open.
+        stretches: one after the other.
+        start_pose: where the robot stands, (3,); the supervisor's limits on heading and distance count.
+        steering_rad: (4,) where the steering stands.
+
+    Raises:
+        SafetyStop, DeviceError: in each case the robot is stopped.
+    """
+    script = JointScript(stretches, start_pose, steering_rad)
+    bench.rig.actuators().enable()
+    brain = bench.make_brain(script, feedback=_FEEDBACK)
+    start = RunStart(bench.start_state(script.pose), _FEEDBACK, SCRIPT, trajectory=script.to_mapping())
+    end_ns = bench.clock.now_ns() + nanoseconds(script.duration_s)
+    records: list[CycleRecord] = []
+
+    def until(record: CycleRecord) -> bool:
+        records.append(record)
+        return record.start_ns >= end_ns
+
+    bench.run(brain, start, until, drop_old=False)
+    return Motion(tuple(records))

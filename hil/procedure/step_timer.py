@@ -1,0 +1,184 @@
+"""Sinks that a run puts on its bench: the recording, and a guard that ends a step in time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+
+from hil.core.clock import Clock, nanoseconds, seconds
+from hil.core.errors import HilError, StepTimeoutError
+from hil.core.interfaces import Sink
+from hil.core.signals import CycleRecord
+from hil.procedure.stop_requests import Interrupts
+from hil.recording.mcap_writer import McapRecorder, OnFailure
+
+_GAP_NS = nanoseconds(10.0)
+_LOOP_FIRST_NS = nanoseconds(1.0)
+"""For how long a loop that runs may be the first to end a step, between two cycles."""
+
+
+class LoopGuard(Sink):
+    """Ends the loop from within: when a step's time is over, or when a stop was asked for.
+
+    The time of a step is that of the bench's clock while a bench is open, whether its loop runs or not. In
+    virtual time the clock itself ends a step that waits without a loop; in real time that is found out when
+    the step ends.
+
+    Attributes:
+        driven_ns: bench time that the loop has run, over all benches of the run.
+    """
+
+    def __init__(self, interrupts: Interrupts) -> None:
+        self._interrupts = interrupts
+        self._last_ns: int | None = None
+        self._limits: list[tuple[str, float, int]] = []
+        self._clock: Clock | None = None
+        self._virtual = False
+        self._since_ns = self._before_ns = 0
+        self._forget_alarm: Callable[[], None] = _nothing
+        self.driven_ns = 0
+
+    def watch(self, clock: Clock, *, virtual: bool) -> None:
+        """Count the time of a bench that was opened.
+
+        Args:
+            clock: of the bench.
+            virtual: its time moves only while somebody waits for it.
+        """
+        self._clock, self._virtual, self._since_ns = clock, virtual, clock.now_ns()
+        self._set_alarm()
+
+    def leave(self) -> None:
+        """Count no more: the bench is about to be closed, which no limit cuts short. Idempotent."""
+        self._before_ns, self._clock = self._passed_ns, None
+        self._set_alarm()
+
+    def add(self, driven_s: float) -> None:
+        """Count the time, s, of a bench that another process has driven."""
+        self.driven_ns += nanoseconds(driven_s)
+        self._before_ns += nanoseconds(driven_s)
+        self._set_alarm()
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Count nothing while a person is asked."""
+        begin_ns = self._passed_ns
+        try:
+            yield
+        finally:
+            self._before_ns -= self._passed_ns - begin_ns
+
+    def push_limit(self, what: str, limit_s: float) -> None:
+        """From now on allow `limit_s` of bench time, within the limits that already hold."""
+        self._limits.append((what, limit_s, self._passed_ns + nanoseconds(limit_s)))
+        self._set_alarm()
+
+    def pop_limit(self) -> None:
+        """Take back the last limit."""
+        self._limits.pop()
+        self._set_alarm()
+
+    def must_be_in_time(self) -> None:
+        """Raise `StepTimeoutError` if a limit has passed."""
+        late = self._late()
+        if late is not None:
+            raise late
+
+    @property
+    def passed_s(self) -> float:
+        """Bench time that has passed while a bench was open, s."""
+        return seconds(self._passed_ns)
+
+    @property
+    def _passed_ns(self) -> int:
+        return self._before_ns + (0 if self._clock is None else self._clock.now_ns() - self._since_ns)
+
+    def _late(self) -> StepTimeoutError | None:
+        passed_ns = self._passed_ns
+        over = ((what, limit_s) for what, limit_s, end_ns in self._limits if passed_ns > end_ns)
+        return next((StepTimeoutError(what, limit_s) for what, limit_s in over), None)
+
+    def _set_alarm(self) -> None:
+        """Have the virtual clock end whoever sleeps on it for long beyond the nearest limit, once."""
+        self._forget_alarm()
+        self._forget_alarm = _nothing
+        if self._clock is not None and self._virtual and self._limits:
+            left_ns = min(end_ns for _, _, end_ns in self._limits) - self._passed_ns
+            due_ns = self._clock.now_ns() + max(left_ns, 0) + _LOOP_FIRST_NS
+            self._forget_alarm = self._clock.schedule(self._alarm, due_ns)
+
+    def _alarm(self, now_ns: int) -> int:
+        self._forget_alarm()
+        self.must_be_in_time()
+        return now_ns
+
+    @property
+    def driven_s(self) -> float:
+        """Bench time that the loop has run, s."""
+        return seconds(self.driven_ns)
+
+    def write(self, record: CycleRecord) -> None:
+        """Count the time of one cycle."""
+        if self._last_ns is not None:
+            self.driven_ns += min(max(0, record.start_ns - self._last_ns), _GAP_NS)
+        self._last_ns = record.start_ns
+
+    def objection(self) -> HilError | None:
+        """`Aborted` or `StepTimeoutError`, which the loop stops the robot with."""
+        stopping = self._interrupts.stopping()
+        if stopping is not None:
+            return stopping
+        return self._late()
+
+    def close(self) -> None:
+        """Forget the last bench's time axis."""
+        self._last_ns = None
+
+
+def _nothing() -> None:
+    """What forgets an alarm that was not set."""
+
+
+class RunRecorder(McapRecorder):
+    """A recorder that no signal interrupts in the middle of a record.
+
+    Args:
+        path: of the recording.
+        header: JSON values.
+        interrupts: held off while a record is written.
+        lossless: drop nothing, for virtual time.
+        on_failure: what a disk that takes no more means for the run.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        header: Mapping[str, object],
+        interrupts: Interrupts,
+        *,
+        lossless: bool,
+        on_failure: OnFailure,
+    ) -> None:
+        self._interrupts = interrupts
+        super().__init__(path, header, lossless=lossless, on_failure=on_failure)
+
+    def write(self, record: CycleRecord) -> None:
+        """Take one record."""
+        with self._interrupts.deferred():
+            super().write(record)
+
+    def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
+        """Keep a note.
+
+        Args:
+            t_ns: bench time, ns.
+            kind: what the note is about.
+            data: JSON values.
+        """
+        with self._interrupts.deferred():
+            super().note(t_ns, kind, data)
+
+    def close(self) -> None:
+        """Write the rest."""
+        with self._interrupts.deferred():
+            super().close()

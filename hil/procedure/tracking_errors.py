@@ -1,0 +1,216 @@
+"""Figures of one tracked motion: errors of the true pose against the reference, and series to draw."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hil.bench.settings import geometry_of, motion_limits
+from hil.config.bench import BenchConfig
+from hil.core.geometry import Array, wrap_array
+from hil.loop.recorded_motion import Motion
+from hil.report.plot_style import (
+    MOST_POINTS,
+    PALETTE,
+    SERIES,
+    kept_rows,
+    legend,
+    new_figure,
+    share_scale,
+    style,
+)
+from hil.robot.motion_limits import check
+from hil.robot.trajectories import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hil.bench import Bench
+
+REFERENCE_M = 1.5
+"""Length of the lines on the wall that limits of accuracy are given for."""
+STAGGER_S = 0.13
+"""How much longer each repetition rests at first, so that worlds of one seed do not repeat their noise."""
+_END_S = 0.3
+_LEAST_SEEN = 0.9
+COLOURS = dict(zip(("odometry", "ekf", "ukf", "optimal"), SERIES, strict=False))
+LABELS = {"odometry": "odometry", "ekf": "EKF", "ukf": "UKF", "optimal": "EKF, optimal law"}
+_DASHES: dict[str, Any] = {"ukf": (0, (4, 3)), "optimal": (0, (1, 1.5))}
+
+
+def refuse_what_cannot_be_followed(config: BenchConfig, references: Iterable[Trajectory]) -> None:
+    """Hold every reference of a run against the bench's limits before anything is opened or moved.
+
+    Raises:
+        TrajectoryError: with the first offending time and value.
+    """
+    for trajectory in references:
+        check(trajectory, geometry_of(config).projection(), motion_limits(config))
+
+
+def stand(bench: Bench, duration_s: float = 0.5) -> Array:
+    """Take hold of the wall and return where the robot stands, (3,)."""
+    bench.rig.actuators().enable()
+    return bench.settle(duration_s)
+
+
+def tracking_errors(motion: Motion) -> dict[str, float]:
+    """Truth (motion capture) against reference: errors in mm and deg, ends after the hold.
+
+    Keys: `rmse_x`, `rmse_y`, `rmse_heading` over the motion, `worst` (distance), `end_x`, `end_y`,
+    `end_heading` (truth minus reference), `saturated_s`, `steering_travel` (rad, mean of the wheels), `seen`
+    (share of the motion that motion capture saw). RMSE and `worst` are NaN where that is less than 0.9, ends
+    where motion capture did not see the last 0.3 s.
+    """
+    error = motion.mocap - motion.reference
+    error[:, 2] = wrap_array(error[:, 2])
+    moving = np.array([r.reference is not None and not r.reference.done for r in motion.records])
+    known = np.all(np.isfinite(error), axis=1)
+    t_s = motion.t_s
+    ending = known & (t_s > t_s[-1] - _END_S)
+    seen = float(np.mean(known[moving])) if np.any(moving) else 0.0
+    scale = np.array([1e3, 1e3, np.degrees(1.0)])
+    rmse, worst, end = np.full(3, np.nan), np.nan, np.full(3, np.nan)
+    if seen >= _LEAST_SEEN:
+        rmse = np.sqrt(np.mean(error[known & moving] ** 2, axis=0)) * scale
+        worst = np.hypot(error[known, 0], error[known, 1]).max() * 1e3
+    if np.any(ending):
+        end = error[ending].mean(axis=0) * scale
+    rates = np.array([np.max(np.abs(r.setpoint.wheel_rate_rad_s)) for r in motion.records])
+    steering = motion.wheels[:, 4:]
+    travel = np.nansum(np.abs(np.diff(steering, axis=0)), axis=0).mean()
+    values = (
+        *rmse,
+        worst,
+        *end,
+        np.count_nonzero(rates > 0.995 * 4.8) * float(np.median(np.diff(t_s))),
+        travel,
+        seen,
+    )
+    return dict(zip(_KEYS, map(float, values), strict=True))
+
+
+_KEYS = (
+    "rmse_x",
+    "rmse_y",
+    "rmse_heading",
+    "worst",
+    "end_x",
+    "end_y",
+    "end_heading",
+    "saturated_s",
+    "steering_travel",
+    "seen",
+)
+
+
+def unseen(errors: Mapping[str, float]) -> str:
+    """What `tracking_errors` could not tell for want of motion capture, in a sentence; empty for nothing."""
+    said = []
+    if errors["seen"] < _LEAST_SEEN:
+        said.append(
+            f"saw {100.0 * errors['seen']:.0f} % of the motion (RMSE needs {100.0 * _LEAST_SEEN:.0f} %)"
+        )
+    if math.isnan(errors["end_x"]):
+        said.append(f"did not see its last {_END_S:g} s (errors at the end need them)")
+    if not said:
+        return ""
+    return f"motion capture {' and '.join(said)}. Look at its cameras, and drive again."
+
+
+def series(motion: Motion) -> dict[str, Any]:
+    """Time, reference, truth and estimate, thinned, as JSON values; the largest errors stay."""
+    errors = np.hstack([motion.mocap - motion.reference, motion.estimate - motion.mocap])
+    errors[:, [2, 5]] = wrap_array(errors[:, [2, 5]])
+    rows = kept_rows(*errors.T, most=2 * MOST_POINTS)
+    columns = (motion.t_s, *motion.reference.T, *motion.mocap.T, *motion.estimate.T)
+    rounded = [np.round(c[rows], 5).tolist() for c in columns]
+    return {"t": rounded[0], "reference": rounded[1:4], "truth": rounded[4:7], "estimate": rounded[7:10]}
+
+
+def path_figure(runs: dict[str, dict[str, Any]]) -> Figure:
+    """Where the robot went, by feedback, beside the reference; X up the wall, Y to the left.
+
+    What a line's reference hardly moves in is enlarged, in mm below 5 cm.
+    """
+    first = next(iter(runs.values()))["reference"]
+    extent = [np.ptp(np.array(first[k], dtype=np.float64)) for k in range(2)]
+    factor, unit = zip(*((1e3, "mm") if w < 0.05 else (1.0, "m") for w in extent), strict=True)
+    figure = new_figure(5.2, 3.4)
+    axes = style(figure.add_subplot(), f"Y, left ({unit[1]})", f"X, up the wall ({unit[0]})")
+    for name, run in {"reference": {"truth": first}, **runs}.items():
+        x, y = (np.array(run["truth"][k], dtype=np.float64) * factor[k] for k in range(2))
+        axes.plot(y, x, color=_colour(name), ls=_DASHES.get(name, "-"), lw=1.5, label=LABELS.get(name, name))
+    axes.invert_xaxis()
+    if unit[0] == unit[1]:
+        share_scale(axes, *extent)
+    legend(axes)
+    return figure
+
+
+def belief_figure(runs: dict[str, dict[str, Any]]) -> Figure:
+    """Estimate minus truth in x, y and heading against time: what each feedback believes wrongly."""
+    return _differences(runs, "estimate", "truth")
+
+
+def coverage_figure(runs: dict[str, dict[str, Any]], seen: Array, start: Array, length_m: float) -> Figure:
+    """Seen cells (along X, along Y) of a scanned rectangle from its corner `start`, and the paths.
+
+    Args:
+        runs: name of the feedback to its `series`.
+        seen: (along X, along Y), whether a cell was seen.
+        start: (3,) pose at the rectangle's corner, wall frame.
+        length_m: of the rectangle along X.
+    """
+    from matplotlib.colors import ListedColormap
+
+    figure = new_figure(4.3, 4.9)
+    axes = style(figure.add_subplot(), "Y, left (m)", "X, up the wall (m)")
+    y_m = start[1] + np.arange(seen.shape[1] + 1) * length_m / seen.shape[0]
+    x_m = start[0] + np.arange(seen.shape[0] + 1) * length_m / seen.shape[0]
+    shade = np.where(seen, 1.0, np.nan)
+    fill = ListedColormap([PALETTE["c3"]])
+    axes.pcolormesh(y_m, x_m, shade, cmap=fill, alpha=0.2, vmin=0.0, vmax=1.0, rasterized=True)
+    first = next(iter(runs.values()))["reference"]
+    for name, run in {"reference": {"truth": first}, **runs}.items():
+        x, y = (np.array(run["truth"][k], dtype=np.float64) for k in range(2))
+        axes.plot(
+            y, x, color=_colour(name), lw=2.2 if name == "reference" else 1.3, label=LABELS.get(name, name)
+        )
+    axes.invert_xaxis()
+    axes.set_aspect("equal", adjustable="datalim")
+    legend(axes)
+    return figure
+
+
+def error_figure(runs: dict[str, dict[str, Any]]) -> Figure:
+    """Truth minus reference in x, y and heading against time, all feedbacks together."""
+    return _differences(runs, "truth", "reference")
+
+
+def _differences(runs: dict[str, dict[str, Any]], which: str, against: str) -> Figure:
+    figure = new_figure(5.2, 4.6)
+    units = (("x error (mm)", 1e3), ("y error (mm)", 1e3), ("heading error (deg)", np.degrees(1.0)))
+    for k, (label, factor) in enumerate(units):
+        axes = style(figure.add_subplot(3, 1, k + 1), "time (s)" if k == 2 else "", label)
+        axes.axhline(0.0, color=PALETTE["reference"], lw=1.0)
+        for name, run in runs.items():
+            error = np.array(run[which][k], dtype=np.float64) - np.array(run[against][k], np.float64)
+            axes.plot(
+                run["t"],
+                (wrap_array(error) if k == 2 else error) * factor,
+                color=_colour(name),
+                ls=_DASHES.get(name, "-"),
+                lw=1.3,
+                label=LABELS.get(name, name),
+            )
+        if k == 0:
+            legend(axes, columns=len(runs))
+    return figure
+
+
+def _colour(name: str) -> str:
+    return PALETTE["reference"] if name == "reference" else COLOURS.get(name, SERIES[4])

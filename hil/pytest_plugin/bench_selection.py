@@ -1,0 +1,237 @@
+"""Which bench a test runs on, whether it can run there, and what its report says about it."""
+
+from __future__ import annotations
+
+import numbers
+import shlex
+from collections.abc import Generator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from hil.config.several_devices import meant
+from hil.core.errors import HilError, UsageError
+from hil.core.registry import kind_of, kinds
+from hil.procedure.bench_request import BenchSource
+
+if TYPE_CHECKING:
+    from hil.bench import Bench, Fault
+
+_SOURCE = pytest.StashKey[BenchSource]()
+
+
+def source_of(config: pytest.Config) -> BenchSource:
+    """The bench of a session: `--bench` as it is, else the ini key or the shipped profile, all emulated."""
+    found = config.stash.get(_SOURCE, None)
+    if found is None:
+        given = config.getoption("bench")
+        base = config.invocation_params.dir if given else config.rootpath
+        name = given or config.getini("hil_bench") or "emulated"
+        is_file = Path(name).suffix == ".toml" or (base / name).is_file()
+        found = config.stash[_SOURCE] = BenchSource(
+            base / name if is_file else name,
+            emulate=config.getoption("emulate") if given else "all",
+            seed=config.getoption("hil_seed"),
+            realtime=config.getoption("hil_realtime"),
+        )
+    return found
+
+
+def use_source(config: pytest.Config, source: BenchSource) -> None:
+    """Let tests that begin from now on have another bench."""
+    config.stash[_SOURCE] = source
+
+
+def check_session(config: pytest.Config) -> None:
+    """Raise `pytest.UsageError` for a bench that cannot be read or be shared by xdist's workers."""
+    if hasattr(config, "workerinput"):
+        return
+    try:
+        real = source_of(config).real
+    except HilError as error:
+        raise pytest.UsageError(str(error)) from None
+    if real and in_several_processes(config):
+        raise pytest.UsageError(
+            f"--bench {config.getoption('bench')}: {', '.join(real)} are real and cannot be shared by "
+            "several processes; leave -n and --dist out, or add --emulate"
+        )
+
+
+def in_several_processes(config: pytest.Config) -> bool:
+    """Whether xdist hands the tests to processes of their own (`-n`, or `--dist` with `--tx`)."""
+    return config.pluginmanager.has_plugin("dsession")
+
+
+def describe(config: pytest.Config) -> str:
+    """One line about the bench for the head of the terminal report."""
+    source = source_of(config)
+    emulated = ", ".join(source.config.emulated()) or "none"
+    real = ", ".join(source.real) or "none"
+    return f"hil: bench {source.config.name}, seed {source.seed}; emulated: {emulated}; real: {real}"
+
+
+def properties(source: BenchSource) -> list[tuple[str, object]]:
+    """Properties of a test case in JUnit XML, named as in the reports of procedures."""
+    calibration = source.describe_calibration()
+    return [
+        ("bench", source.config.name),
+        ("calibration_version", "none" if calibration is None else calibration["version"]),
+        ("seed", source.seed),
+        ("emulated", ",".join(source.config.emulated()) or "none"),
+        *(("fault", spec) for spec in source.faults),
+    ]
+
+
+def skip_where_impossible(item: pytest.Item) -> None:
+    """Mark a test as skipped, with the reason, where the bench of the session cannot run it.
+
+    Raises:
+        pytest.fail.Exception: a marker is wrong.
+    """
+    with plainly():
+        _must_have_bench(item)
+        source = source_of(item.config)
+        reason = _impossible(item, source)
+        if reason:
+            item.user_properties.extend(properties(source))
+            item.add_marker(pytest.mark.skip(reason=reason), append=False)
+
+
+def _must_have_bench(item: pytest.Item) -> None:
+    """Refuse faults of a test that has no fixture `bench`: nothing would apply them."""
+    faults = faults_of(item)
+    if faults and "bench" not in getattr(item, "fixturenames", ()):
+        raise UsageError(
+            f"marker fault for {', '.join(faults)}: the test does not use the fixture `bench`, and the "
+            "marker acts through it only",
+            expected="`bench` (or `world`, `clock`, `loop`) among the test's arguments",
+            remedy="a bench of hil.open_bench takes faults=[...]",
+        )
+
+
+def _impossible(item: pytest.Item, source: BenchSource) -> str:
+    config = source.config
+    devices, emulated, labels = config.devices(), config.emulated(), config.labels()
+    needed = tuple(meant(name, labels) for name in _needed(item))
+    missing = [name for name in needed if name not in devices]
+    if missing:
+        return f"needs {', '.join(missing)}, which bench {config.name} lacks"
+    if item.get_closest_marker("real_only"):
+        fake = [name for name in (needed or devices) if name in emulated]
+        if fake:
+            return f"real_only: bench {config.name} emulates {', '.join(fake)}"
+    for fault in _faults(item):
+        device = meant(_device(fault.device.partition(".")[0]), labels)
+        told = f"fault {fault.device}:{fault.kind}: "
+        if device in kinds() and device not in devices:
+            return f"{told}bench {config.name} lacks {device}"
+        if device in source.real or not emulated:
+            return f"{told}{device} of bench {config.name} is real"
+    return ""
+
+
+@contextmanager
+def opened(item: pytest.Item) -> Generator[Bench, None, None]:
+    """The bench for one test, with the faults of its markers; its name goes into the test's report."""
+    with ExitStack() as stack:
+        with plainly():
+            faults = tuple(faults_of(item))
+            source = source_of(item.config)
+            source = replace(source, faults=(*source.faults, *faults))
+            item.user_properties.extend(properties(source))
+            bench = source.open()
+            bench.tells_held = False
+            stack.enter_context(bench)
+        yield bench
+
+
+def how_to_repeat(item: pytest.Item, bench: Bench) -> str:
+    """What a reader of a failure needs to have it again."""
+    config, options = item.config, [f"--hil-seed={bench.seed}"]
+    for option, name in (("--bench", "bench"), ("--emulate", "emulate")):
+        if given := config.getoption(name):
+            options.append(f"{option}={given}")
+    if config.getoption("hil_realtime"):
+        options.append("--hil-realtime")
+    for given in config.getoption("override_ini") or ():
+        if given.partition("=")[0].strip() == "hil_bench":
+            options += ["-o", given]
+    faults = "".join(f", fault {spec}" for spec in faults_of(item))
+    return (
+        f"bench {bench.config.name}{faults}, at {bench.clock.now_ns() * 1e-9:.3f} s of its clock\n"
+        f"repeat with {shlex.join(options)}"
+    )
+
+
+def _device(name: str) -> str:
+    kind = kind_of(name)
+    return name if kind is None else kind.name
+
+
+def _needed(item: pytest.Item) -> tuple[str, ...]:
+    marks = list(item.iter_markers("needs"))
+    if empty := [mark for mark in marks if not mark.args or mark.kwargs]:
+        raise UsageError(f"marker {_written(empty[0])}", expected='needs("kind of device", ...)')
+    names = [_device(str(n)) for mark in marks for n in mark.args]
+    for name in names:
+        if name not in kinds():
+            raise UsageError(
+                f"marker needs({name!r})",
+                expected="some of " + ", ".join(kinds()),
+                remedy="install the package that adds this kind of device, or correct the name",
+            )
+    return tuple(dict.fromkeys(names))
+
+
+def _faults(item: pytest.Item) -> tuple[Fault, ...]:
+    """Faults of all markers of a test, the outermost first."""
+    return tuple(_fault(mark) for mark in reversed(list(item.iter_markers("fault"))))
+
+
+def faults_of(item: pytest.Item) -> list[str]:
+    """The faults of a test as the command line writes them."""
+    from hil.bench import describe_fault
+
+    return [describe_fault(fault) for fault in _faults(item)]
+
+
+def _fault(mark: pytest.Mark) -> Fault:
+    from hil.bench import check_fault_kind, make_fault
+
+    texts = [a for a in mark.args if isinstance(a, str)]
+    wrong = [
+        f"{k}={v!r}" for k, v in mark.kwargs.items() if not _is_number(v) and (k, v) != ("duration", None)
+    ]
+    if len(texts) != 2 or len(mark.args) != 2 or wrong:
+        told = f"{', '.join(wrong)} of the marker {_written(mark)}" if wrong else f"marker {_written(mark)}"
+        raise UsageError(
+            told, expected='fault("device", "kind", at=seconds, duration=seconds, option=number)'
+        )
+    device, kind = texts
+    check_fault_kind(f"marker {_written(mark)}: {kind!r} is no kind of fault", kind)
+    given: dict[str, Any] = {
+        key: None if value is None else float(value) for key, value in mark.kwargs.items()
+    }
+    return make_fault(_device(device), kind, **given)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
+
+
+def _written(mark: pytest.Mark) -> str:
+    """A marker as its author wrote it."""
+    given = [*map(repr, mark.args), *(f"{key}={value!r}" for key, value in mark.kwargs.items())]
+    return f"{mark.name}({', '.join(given)})"
+
+
+@contextmanager
+def plainly() -> Generator[None, None, None]:
+    """Our own errors as one line: a traceback through the bench says nothing to the author of a test."""
+    try:
+        yield
+    except HilError as error:
+        raise pytest.fail.Exception(str(error), pytrace=False) from None

@@ -1,0 +1,295 @@
+"""Other estimators on a recording, and how far each is from motion capture and from what it says of itself.
+
+`compare` runs estimators, `smoothed` the smoother on the recorded measurements; `errors` and `consistency`
+hold them against motion capture (`truth_of`) and against what they say of themselves; `fitting` chooses the
+filters by the sensors that were heard.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+
+from hil.bench.model import Blueprint
+from hil.config.estimator import EstimatorConfig
+from hil.core.choices import COMPARED, ESTIMATORS
+from hil.core.clock import NS_PER_S
+from hil.core.errors import DataError
+from hil.core.geometry import Array, wrap_array
+from hil.core.interfaces import Estimator
+from hil.core.package_errors import of_a_script
+from hil.core.signals import CycleRecord, RobotState, heard
+from hil.datasets.sampling import beside_rows, is_slow
+from hil.estimator.consistency import autocorrelation, nees
+from hil.loop.recorded_motion import HELD_S, Motion
+from hil.loop.user_parts import asked, reset_estimator
+from hil.recording.runs import RecordedRun
+from hil.robot.kinematics import WheelGeometry
+from hil.robot.odometry import displacements, sample_path
+
+SENSORS = {"wheels": "wheels", "gyro": "IMU", "tracker": "camera", "mocap": "motion capture"}
+"""Names of sensors by their fields of `Measurements`."""
+REST_RAD_S, REST_S = 0.04, 0.1
+"""A robot rests whose wheels turn slower than this (1 mm/s on wheels of 25 mm) for so long."""
+
+
+def rest_on_wheels(sensors: Iterable[str]) -> bool:
+    """Whether nothing but the wheels says how the robot moved; motion capture is the truth."""
+    return not {"gyro", "tracker"} & set(sensors)
+
+
+def fitting(bench: Blueprint, sensors: Iterable[str]) -> Blueprint:
+    """The bench with filters that suit the sensors that were heard."""
+    return (
+        bench.with_estimator(bench.config.estimator.on_wheels_alone()) if rest_on_wheels(sensors) else bench
+    )
+
+
+def told_of_sensors(bench: Blueprint, sensors: Sequence[str]) -> str:
+    """Which sensors a run has, and what filters make of a run of wheels alone."""
+    absent = [word for name, word in SENSORS.items() if name not in sensors]
+    text = "sensors: " + ", ".join(SENSORS[name] for name in sensors)
+    if absent:
+        text += f"; no {', no '.join(absent)}"
+    if rest_on_wheels(sensors):
+        noise = fitting(bench, sensors).config.estimator.process
+        along, turning = noise.acceleration_m_s2_sqrt_hz, noise.angular_acceleration_rad_s2_sqrt_hz
+        text += (
+            ": the filters rest on the wheels alone, with a process noise of "
+            f"{along:g} m/s^2 and {turning:g} rad/s^2 per root Hz"
+        )
+    return text
+
+
+def estimate(records: Sequence[CycleRecord], estimator: Estimator, start: RobotState) -> Motion:
+    """The run with the states of another estimator, fed with the recorded measurements.
+
+    Raises:
+        UsageError: an estimator of one's own has returned no state, or a wrong one.
+    """
+    reset_estimator(estimator, start)
+    estimate = asked(estimator)
+    return Motion(tuple(_with_state(r, estimate(r.measurements)) for r in records))
+
+
+def _with_state(r: CycleRecord, state: RobotState) -> CycleRecord:
+    """As `dataclasses.replace`, which takes four times as long."""
+    return CycleRecord(
+        r.cycle,
+        r.deadline_ns,
+        r.start_ns,
+        r.inputs,
+        r.measurements,
+        state,
+        r.reference,
+        r.setpoint,
+        r.command,
+        r.events,
+        r.observers,
+        r.timing_ns,
+        r.truth,
+    )
+
+
+def smoothed(
+    records: Sequence[CycleRecord],
+    config: EstimatorConfig,
+    geometry: WheelGeometry,
+    surface: str,
+    start: RobotState,
+) -> Motion:
+    """The run with the states of the smoother, which knows all measurements at every cycle."""
+    from hil.estimator.smoother import smooth
+
+    states = smooth(config, geometry, surface, [r.measurements for r in records], start)
+    return Motion(tuple(map(_with_state, records, states)))
+
+
+def compare_run(
+    run: RecordedRun,
+    bench: Blueprint,
+    kinds: Sequence[str] = COMPARED,
+    *,
+    own: Mapping[str, Estimator] = MappingProxyType({}),
+    source: str = "the recording",
+    recorded: bool = True,
+) -> dict[str, Motion]:
+    """A run as it was estimated then (`recorded`), and as estimators see it, by kind or name.
+
+    An observer of the user's own is there as it was recorded (`recorded NAME`): a recording has no code.
+    Where there is neither gyro nor camera the filters are those of `fitting`.
+
+    Args:
+        run: from its first cycle.
+        bench: of its making; makes the filters and says what the smoother needs.
+        kinds: any of `COMPARED`.
+        own: estimators of the user's own by name.
+        source: what to name where the run cannot be used.
+        recorded: whether the recording has estimates of its own; a foreign one has not.
+
+    Raises:
+        ConfigError: an estimator of one's own has raised something.
+        DataError: the recording does not say how the run began.
+        UsageError: an estimator of one's own has returned no state, or a wrong one.
+    """
+    if run.start is None:
+        raise DataError(source, "does not say how its run began")
+    bench = fitting(bench, heard(r.measurements for r in run.records))
+    start, config = run.start.state, bench.config
+    filters = {kind: bench.make_estimator(kind) for kind in kinds if kind != "smoother"}
+    motions = compare(run.records, filters, start)
+    if "smoother" in kinds:
+        motions["smoother"] = smoothed(
+            run.records, config.estimator, bench.geometry, config.environment.kind, start
+        )
+    for name, estimator in own.items():
+        with of_a_script(f"estimator {name}"):
+            motions[name] = estimate(run.records, estimator, start)
+    if not recorded:
+        del motions["recorded"]
+        return motions
+    return {"recorded": motions.pop("recorded"), **_own_observers(run.records), **motions}
+
+
+def _own_observers(records: Sequence[CycleRecord]) -> dict[str, Motion]:
+    """What was recorded of observers that nobody can make again, those of the user's own, by row."""
+    names = dict.fromkeys(name for r in records for name in r.observers if name not in ESTIMATORS)
+    return {
+        f"recorded {name}": Motion(
+            tuple(_with_state(r, r.observers.get(name) or _nothing(r.measurements.t_ns)) for r in records)
+        )
+        for name in names
+    }
+
+
+def _nothing(t_ns: int) -> RobotState:
+    return RobotState(t_ns, np.full(3, np.nan), np.full(3, np.nan), np.full((6, 6), np.nan))
+
+
+def table(motions: Mapping[str, Motion]) -> dict[str, dict[str, float | None]]:
+    """`errors` and `consistency` of motions of one run by name; None for figures that there are not."""
+    truth = truth_of(next(iter(motions.values()))) if motions else None
+    return {
+        name: {
+            key: value if math.isfinite(value) else None
+            for key, value in (errors(motion) | consistency(motion, truth)).items()
+        }
+        for name, motion in motions.items()
+    }
+
+
+def truth_of(motion: Motion) -> Array:
+    """Motion capture at the cycles, (n, 3): interpolated between samples, NaN where nobody knows.
+
+    The last sample counts for the cycles after it (`Motion.mocap`) only while the wheels rest: of a robot
+    that drives it says where it has been. Samples that come slowly count for the cycle next to each.
+    """
+    at_s, poses = _samples(motion)
+    if not len(at_s):
+        return motion.mocap
+    if is_slow(at_s):
+        return beside_rows(motion.t_s, at_s, poses)
+    truth = motion.mocap
+    age_s = motion.t_s - at_s[-1]
+    since = int(np.argmax(age_s > -REST_S))
+    angles = Motion(motion.records[since:]).wheels[:, :4]
+    turned = np.fmax.accumulate(angles) - np.fmin.accumulate(angles)
+    held_s = age_s[since:]
+    at_rest = (turned <= REST_RAD_S * (REST_S + held_s)[:, None]).all(axis=1)
+    truth[since:][(held_s > 0.0) & ~at_rest] = np.nan
+    return truth
+
+
+def _samples(motion: Motion) -> tuple[Array, Array]:
+    """Valid samples of motion capture: s since the first cycle (m,) and poses (m, 3), in order of time."""
+    found = [m for r in motion.records for m in r.measurements.mocap if m.valid]
+    begin_ns = motion.records[0].inputs.t_ns if motion.records else 0
+    at_s = np.array([(m.stamp.t_ns - begin_ns) / NS_PER_S for m in found], dtype=np.float64)
+    order = np.argsort(at_s, kind="stable")
+    return at_s[order], np.array([m.pose for m in found], dtype=np.float64).reshape(-1, 3)[order]
+
+
+def consistency(motion: Motion, truth: Array | None = None) -> dict[str, float]:
+    """How sure an estimator was against how wrong it was; `truth` (n, 3) as for `errors`.
+
+    Returns:
+        `nees_pose`, mean of e' P^-1 e over the cycles (3 is ideal, more is over-confident); running means
+        of the normalised innovations at the end (1 is ideal); correlation of the gyro's innovations from one
+        cycle to the next (0 is ideal); how many rows each sensor's gates left out; NaN where there is
+        no such figure.
+    """
+    difference = motion.estimate - (truth_of(motion) if truth is None else truth)
+    difference[:, 2] = wrap_array(difference[:, 2])
+    values = nees(difference, motion.covariance[:, :3, :3]) if len(motion.records) else np.zeros(0)
+    last = motion.records[-1].state.diagnostics if motion.records else {}
+    known = values[np.isfinite(values)]
+    sensors = heard(r.measurements for r in motion.records)
+    out = {"nees_pose": float(known.mean()) if len(known) else np.nan}
+    for name in ("wheels", "gyro", "tracker", "gravity"):
+        out[f"nis_{name}"] = _mean_nis(last, name)
+    series = motion.diagnostic("innovation_gyro_rad_s")
+    series = series[np.isfinite(series)]
+    enough = "gyro" in sensors and len(series) > 2
+    out["lag1_gyro"] = float(autocorrelation(series, 1)[0]) if enough else np.nan
+    for name in ("wheels", "gyro", "tracker"):
+        out[f"rejected_{name}"] = float(last.get(f"rejected_{name}", np.nan)) if name in sensors else np.nan
+    return out
+
+
+def _mean_nis(figures: Mapping[str, float], name: str) -> float:
+    """NaN where no sample was ever compared: the mean then is the ideal that it began with."""
+    mean, latest = figures.get(f"nis_mean_{name}", np.nan), figures.get(f"nis_{name}", 0.0)
+    return float("nan") if mean == 1.0 and latest == 0.0 else float(mean)
+
+
+def errors(motion: Motion) -> dict[str, float]:
+    """Errors against motion capture at its own samples, as `hil evaluate` has them; NaN without it.
+
+    Between two cycles the estimate goes on with constant twist. The error at the end is that of the last
+    sample; NaN where that is `HELD_S`, and more than two samples take, before the end.
+
+    Returns:
+        `rmse_position_m`, `rmse_theta_rad`, `final_position_m`, `max_position_m`.
+    """
+    at_s, poses = _samples(motion)
+    cycles_s, estimate = motion.t_s, motion.estimate
+    inside = (at_s >= 0.0) & (at_s <= cycles_s[-1]) if len(cycles_s) > 1 else at_s < at_s
+    at_s, poses = at_s[inside], poses[inside]
+    difference = np.empty((0, 3))
+    if len(at_s):
+        difference = sample_path(at_s, cycles_s, estimate, displacements(estimate)) - poses
+    known = np.flatnonzero(np.isfinite(difference).all(axis=1))
+    if not len(known):
+        return dict.fromkeys(
+            ("rmse_position_m", "rmse_theta_rad", "final_position_m", "max_position_m"), np.nan
+        )
+    distance_m: Array = np.hypot(difference[known, 0], difference[known, 1])
+    apart_s = float(np.median(np.diff(at_s))) if len(at_s) > 1 else 0.0
+    saw_end = cycles_s[-1] - at_s[known[-1]] < max(HELD_S, 2.0 * apart_s)
+    return {
+        "rmse_position_m": float(np.sqrt(np.mean(distance_m**2))),
+        "rmse_theta_rad": float(np.sqrt(np.mean(wrap_array(difference[known, 2]) ** 2))),
+        "final_position_m": float(distance_m[-1]) if saw_end else np.nan,
+        "max_position_m": float(distance_m.max()),
+    }
+
+
+def compare(
+    records: Sequence[CycleRecord], estimators: Mapping[str, Estimator], start: RobotState
+) -> dict[str, Motion]:
+    """The run as recorded and as each estimator sees it, by name."""
+    motions = {"recorded": Motion(tuple(records))}
+    for name, estimator in estimators.items():
+        motions[name] = estimate(records, estimator, start)
+    return motions
+
+
+def beside(motions: Mapping[str, Motion]) -> Iterator[CycleRecord]:
+    """Records of the first motion, with the estimates of all the others as observers."""
+    first, *others = motions.items()
+    for k, record in enumerate(first[1].records):
+        yield replace(record, observers={name: motion.records[k].state for name, motion in others})

@@ -1,0 +1,346 @@
+"""Finds what a folder of results holds: runs, campaigns, commissionings, acceptances, others.
+
+A folder of results may hold anything. Whatever cannot be read as a result is shown as what it is, with the
+reason: a run that did not finish, the result of another version, a page or a file from elsewhere.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timezone
+from html import unescape
+from pathlib import Path
+from typing import Any
+
+from hil.core.errors import DataError, reason_of
+from hil.core.result_files import (
+    ACCEPTANCE_TABLE,
+    CAMPAIGN_TABLE,
+    COMMISSIONING_TABLE,
+    FAULTS_CELLS,
+    FAULTS_TABLE,
+    JOURNAL,
+    PASSED,
+    PLAN,
+    RESULT,
+    RESULT_SCHEMA,
+)
+from hil.report.result_file import read_result
+from hil.support.file_reading import json_object, read_json
+
+RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE = "run", "campaign", "commissioning", "acceptance"
+FAULTS, UNFINISHED, FOREIGN = "faults", "unfinished", "foreign"
+OURS = (RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE, FAULTS, UNFINISHED)
+"""Kinds that `hil` itself has written, and may delete."""
+_DEEPEST = 8
+_MOST_LINE_BYTES = 4 << 20
+_PAGE_BYTES = 1 << 16
+
+
+@dataclass(frozen=True)
+class Kept:
+    """One thing in a folder of results.
+
+    Attributes:
+        folder: where it lies.
+        name: that folder within the folder of results; what a user calls it.
+        kind: `run`, `campaign`, `commissioning`, `acceptance`, `faults`, `unfinished`, `foreign`.
+        what: name of the procedure; of a page its title.
+        when: when it began; of what does not say so, when it was last changed.
+        bench: name of the bench.
+        where: on which devices: `hardware`, `emulated`, or which of them were emulated.
+        verdict: `PASS`, `FAIL` and so on; empty where there is none.
+        why: what is wrong with it, or what it holds; empty for a run.
+        result: `result.json` of a run, checked.
+        within: name of the campaign or commissioning that it belongs to; empty for one by itself.
+        of_campaign: whether that is a campaign.
+    """
+
+    folder: Path
+    name: str
+    kind: str
+    what: str
+    when: datetime
+    bench: str = ""
+    where: str = ""
+    verdict: str = ""
+    why: str = ""
+    result: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
+    within: str = ""
+    of_campaign: bool = False
+
+
+def find_results(root: Path) -> list[Kept]:
+    """Everything in a folder of results, the latest first. Symbolic links are not followed.
+
+    Raises:
+        DataError: there is no such folder, or it cannot be read.
+    """
+    if not root.is_dir():
+        what = "is a file" if root.exists() else "there is no such folder"
+        raise DataError(
+            str(root),
+            what,
+            expected="a folder of results",
+            remedy="name one with --in, or run a procedure first",
+        )
+    found: dict[Path, Kept] = {}
+    for folder, files in _folders(root):
+        owner = next((found[p] for p in folder.parents if p in found and p != root), None)
+        if owner is not None and owner.kind not in (CAMPAIGN, COMMISSIONING):
+            continue  # figures and attachments of that one
+        kept = _look(root, folder, files)
+        if kept is not None and owner is not None:
+            kept = replace(kept, within=owner.name, of_campaign=owner.kind == CAMPAIGN)
+        if kept is not None:
+            found[folder] = kept
+    return sorted(found.values(), key=lambda k: (k.when, k.name), reverse=True)
+
+
+def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
+    """Folders from the top down, each before what it holds."""
+
+    def refused(error: OSError) -> None:
+        if Path(error.filename or "") == root:
+            raise DataError(str(root), f"cannot be read ({reason_of(error)})")
+
+    for place, folders, files in os.walk(root, onerror=refused):
+        depth = len(Path(place).relative_to(root).parts)
+        folders[:] = sorted(folders) if depth < _DEEPEST else []
+        yield Path(place), files
+
+
+def _look(root: Path, folder: Path, files: Sequence[str]) -> Kept | None:
+    """What a folder is; None for one that only holds others."""
+    name = folder.relative_to(root).as_posix()
+    for mark, reader in _READERS.items():
+        if mark in files and (folder / mark).is_file():
+            return reader(folder, name)
+    pages = sorted(f for f in files if f.endswith(".html") and (folder / f).is_file())
+    if not pages or folder == root:
+        return None
+    page = _foreign(folder, name, pages[0], f"pages that belong to no run: {', '.join(pages[:3])}")
+    return replace(page, what=_title(folder / pages[0]) or pages[0])
+
+
+def _foreign(folder: Path, name: str, file: str, why: str) -> Kept:
+    return Kept(folder, name, FOREIGN, "", _changed(folder / file), why=why)
+
+
+def _run(folder: Path, name: str) -> Kept:
+    try:
+        tree = read_result(folder)
+    except DataError as error:
+        return _foreign(folder, name, RESULT, _not_ours(folder, error))
+    return Kept(
+        folder,
+        name,
+        RUN,
+        tree["procedure"],
+        _moment(tree["started"]) or _changed(folder / RESULT),
+        bench=tree["bench"] or "",
+        where=_where(tree),
+        verdict=tree["verdict"],
+        result=tree,
+    )
+
+
+def _not_ours(folder: Path, error: DataError) -> str:
+    """Why a `result.json` is none that this version can read."""
+    tree, problem = _object(folder / RESULT)
+    schema = tree.get("schema")
+    if isinstance(schema, int) and schema != RESULT_SCHEMA and "procedure" in tree:
+        return f"written by another version of hil (schema {schema}; this one reads {RESULT_SCHEMA})"
+    return problem or error.message.removeprefix(f"{folder / RESULT}: ")
+
+
+def _where(tree: Mapping[str, Any]) -> str:
+    if tree["virtual_time"]:
+        return "emulated"
+    emulated = ", ".join(tree["emulated"])
+    return f"real time, emulated: {emulated}" if emulated else "hardware"
+
+
+def _campaign(folder: Path, name: str) -> Kept:
+    tree, problem = _object(folder / CAMPAIGN_TABLE)
+    what, planned = tree.get("procedure"), tree.get("planned", tree.get("cases"))
+    if problem or not isinstance(what, str):
+        return _foreign(folder, name, CAMPAIGN_TABLE, problem or f"{CAMPAIGN_TABLE} is of no campaign")
+    return Kept(
+        folder,
+        name,
+        CAMPAIGN,
+        what,
+        _changed(folder / CAMPAIGN_TABLE),
+        bench=str(tree.get("bench", "")),
+        where="emulated",
+        verdict=str(tree.get("verdict", "")),
+        why=f"{tree.get('cases')} runs" + (f" of {planned}" if planned != tree.get("cases") else ""),
+    )
+
+
+def _commissioning(folder: Path, name: str) -> Kept:
+    tree, problem = _object(folder / COMMISSIONING_TABLE)
+    done, options = tree.get("done"), tree.get("options")
+    if problem or not isinstance(done, dict):
+        return _foreign(
+            folder, name, COMMISSIONING_TABLE, problem or "commission.json is of no commissioning"
+        )
+    verdicts = {k: str(v.get("verdict", "")) for k, v in done.items() if isinstance(v, dict)}
+    bad = next(((k, v) for k, v in verdicts.items() if v not in (*PASSED, "SKIPPED")), None)
+    return Kept(
+        folder,
+        name,
+        COMMISSIONING,
+        "commissioning",
+        _changed(folder / COMMISSIONING_TABLE),
+        bench=str(options.get("bench", "")) if isinstance(options, dict) else "",
+        verdict=bad[1] if bad else "",
+        why=f"{len(verdicts)} procedures" + (f", stopped at {bad[0]}" if bad else ""),
+    )
+
+
+def _acceptance(folder: Path, name: str) -> Kept:
+    """What `hil accept` left: a page that is signed, and its data."""
+    tree, problem = _object(folder / ACCEPTANCE_TABLE)
+    verdict, stages, devices = tree.get("verdict"), tree.get("stages"), tree.get("devices")
+    if problem or not (isinstance(verdict, str) and isinstance(stages, list) and isinstance(devices, dict)):
+        return _foreign(folder, name, ACCEPTANCE_TABLE, problem or "accept.json is of no acceptance")
+    real = any(isinstance(d, dict) and d.get("backend") == "real" for d in devices.values())
+    whys = [f"{s.get('name')}: {s['why']}" for s in stages if isinstance(s, dict) and s.get("why")]
+    when = _moment(tree.get("began")) or _changed(folder / ACCEPTANCE_TABLE)
+    return Kept(
+        folder,
+        name,
+        ACCEPTANCE,
+        "acceptance",
+        when,
+        bench=str(tree.get("bench", "")),
+        where="hardware" if real else "emulated",
+        verdict=verdict,
+        why="; ".join(whys),
+    )
+
+
+def _faults(folder: Path, name: str) -> Kept:
+    """What `hil faults` left."""
+    tree, problem = _object(folder / FAULTS_TABLE)
+    verdict, cells, failed = tree.get("verdict"), tree.get("cells"), tree.get("failed")
+    if problem or not (isinstance(verdict, str) and isinstance(cells, int) and isinstance(failed, list)):
+        return _foreign(folder, name, FAULTS_TABLE, problem or f"{FAULTS_TABLE} is of no fault campaign")
+    when = _moment(tree.get("began")) or _changed(folder / FAULTS_TABLE)
+    planned = tree.get("planned", cells)
+    of = f" of {planned}" if planned != cells else ""
+    return Kept(
+        folder,
+        name,
+        FAULTS,
+        "fault campaign",
+        when,
+        bench=str(tree.get("bench", "")),
+        where="emulated",
+        verdict=verdict,
+        why=f"{cells} runs with faults{of}, {len(failed)} failed",
+    )
+
+
+def _unfinished_faults(folder: Path, name: str) -> Kept:
+    """A fault campaign that has not come to its end."""
+    why = "a fault campaign without its table; --resume continues it"
+    return Kept(folder, name, UNFINISHED, "fault campaign", _changed(folder / FAULTS_CELLS), why=why)
+
+
+def _unfinished(folder: Path, name: str) -> Kept:
+    """A run that was struck down before it could write its result."""
+    path = folder / JOURNAL
+    try:
+        with path.open("rb") as file:
+            head = json_object(file.readline(_MOST_LINE_BYTES))
+    except (OSError, ValueError) as error:
+        return _foreign(folder, name, JOURNAL, f"journal.jsonl cannot be read ({error})")
+    config, what = head.get("config"), head.get("procedure")
+    if head.get("kind") != "run" or not isinstance(what, str):
+        return _foreign(folder, name, JOURNAL, "journal.jsonl is not the journal of a run")
+    state = "still running" if in_use(folder) else "struck down before its result; --resume continues it"
+    return Kept(
+        folder,
+        name,
+        UNFINISHED,
+        what,
+        _moment(head.get("started")) or _changed(path),
+        bench=str(config.get("name", "")) if isinstance(config, dict) else "",
+        why=state,
+    )
+
+
+def _unfinished_campaign(folder: Path, name: str) -> Kept | None:
+    tree, _ = _object(folder / PLAN)
+    what = tree.get("procedure")
+    if not isinstance(what, str):
+        return None
+    why = "a campaign without its table; --resume continues it"
+    return Kept(folder, name, UNFINISHED, what, _changed(folder / PLAN), why=why)
+
+
+_READERS: Mapping[str, Callable[[Path, str], Kept | None]] = {
+    RESULT: _run,
+    CAMPAIGN_TABLE: _campaign,
+    COMMISSIONING_TABLE: _commissioning,
+    ACCEPTANCE_TABLE: _acceptance,
+    FAULTS_TABLE: _faults,
+    JOURNAL: _unfinished,
+    PLAN: _unfinished_campaign,
+    FAULTS_CELLS: _unfinished_faults,
+}
+"""What a file of this name says of its folder, the strongest first."""
+
+
+def in_use(folder: Path) -> bool:
+    """Whether a run goes on in a folder or below it: it holds a lock on its journal."""
+    for journal in folder.rglob(JOURNAL):
+        try:
+            with journal.open("rb") as file:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:
+            continue
+    return False
+
+
+def _object(path: Path) -> tuple[dict[str, Any], str]:
+    """A JSON object, and why there is none."""
+    try:
+        tree = read_json(path)
+    except DataError as error:
+        return {}, str(error).removeprefix(f"{path}: ")
+    return (tree, "") if isinstance(tree, dict) else ({}, f"{path.name} is not a JSON object")
+
+
+def _title(page: Path) -> str:
+    try:
+        with page.open("rb") as file:
+            text = file.read(_PAGE_BYTES).decode("utf-8", "replace")
+    except OSError:
+        return ""
+    found = re.search(r"<title[^>]*>(.*?)</title", text, re.DOTALL | re.IGNORECASE)
+    return " ".join(unescape(found[1]).split())[:80] if found else ""
+
+
+def _moment(text: object) -> datetime | None:
+    """A date and time, ISO 8601; without an offset it counts as local time."""
+    try:
+        return datetime.fromisoformat(str(text)).astimezone(timezone.utc)
+    except (ValueError, OverflowError):
+        return None
+
+
+def _changed(path: Path) -> datetime:
+    try:
+        return datetime.fromtimestamp(path.stat().st_mtime, timezone.utc)
+    except (OSError, ValueError, OverflowError):
+        return datetime.fromtimestamp(0, timezone.utc)

@@ -1,0 +1,94 @@
+"""Which of the results a user means: by words that are in them, by the name of one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from hil.core.errors import UsageError, did_you_mean
+from hil.report.history.index import OURS, UNFINISHED, Kept
+from hil.support.file_reading import dotted
+
+LAST = "last"
+
+
+def chosen(
+    found: Sequence[Kept],
+    *,
+    procedure: str = "",
+    bench: str = "",
+    verdict: str = "",
+    since: datetime | None = None,
+    words: Sequence[str] = (),
+    within: bool = False,
+) -> list[Kept]:
+    """Those that fit everything that is asked for, in their order.
+
+    Args:
+        found: to choose from.
+        procedure: its name; empty for any.
+        bench: the same.
+        verdict: the same, in any case.
+        since: not older than this.
+        words: all of them occur, in any case, in what the result says of itself.
+        within: whether runs of a campaign or a commissioning count by themselves.
+    """
+    return [
+        kept
+        for kept in found
+        if (not procedure or kept.what == procedure)
+        and (not bench or kept.bench == bench)
+        and (not verdict or kept.verdict == verdict.upper())
+        and (since is None or kept.when >= since)
+        and (within or not kept.within)
+        and all(word.casefold() in _text(kept) for word in words)
+    ]
+
+
+def _text(kept: Kept) -> str:
+    """What a search looks through: names, verdict, errors, notes, faults; as KEY=VALUE seed, parameters."""
+    tree: Mapping[str, Any] = kept.result
+    parts = [kept.name, kept.kind, kept.what, kept.bench, kept.where, kept.verdict, kept.why]
+    parts += [str(kept.when), tree.get("summary", ""), *tree.get("notes", ()), *tree.get("faults", ())]
+    problems = [tree.get("error"), *tree.get("teardown_errors", ())]
+    parts += [f"{p['type']} {p['step']} {p['message']}" for p in problems if p]
+    parts += [f"{row['name']} {row['outcome']}" for row in tree.get("measurements", ())]
+    parts += [f"{key}={value}" for key, value in dotted(tree.get("parameters", {}))]
+    parts += [f"seed={tree['seed']}"] if tree.get("seed") is not None else []
+    parts += [f"{key} {value}" for key, value in dotted(tree.get("versions", {}))]
+    if tree.get("calibration"):
+        parts.append("calibration {path} version {version}".format(**tree["calibration"]))
+    return "\n".join(map(str, parts)).casefold()
+
+
+def named(found: Sequence[Kept], name: str, *, whole: bool = False) -> Kept:
+    """The one that a user calls by this name.
+
+    Args:
+        found: to choose from, the latest first.
+        name: as `hil results list` shows it, or its folder; unless `whole`, also a part of the name of one
+            alone, and `last` for the latest of ours, finished if there is one.
+        whole: whether a part does not do.
+
+    Raises:
+        UsageError: none, or several, are called so.
+    """
+    if name == LAST and not whole:
+        ours = [k for k in found if k.kind in OURS and not k.within]
+        latest = next((k for k in ours if k.kind != UNFINISHED), next(iter(ours), None))
+        if latest is None:
+            raise UsageError("there is no result yet", remedy="run a procedure first")
+        return latest
+    there = Path(name).resolve()
+    near = [k for k in found if name and (k.name == name.rstrip("/") or k.folder.resolve() == there)]
+    if not near and name and not whole:
+        near = [k for k in found if name in k.name]
+    if len(near) == 1:
+        return near[0]
+    if near:
+        few = ", ".join(k.name for k in near[:4])
+        raise UsageError(f"{name!r} names {len(near)} results: {few}", expected="one of them")
+    hint = did_you_mean(name, [k.name for k in found]) or "see hil results list"
+    raise UsageError(f"no result is called {name!r}", remedy=hint)
