@@ -181,7 +181,7 @@ class TimeConfig(Strict):
         history_s: late samples younger than this rewind; older ones are counted and dropped.
         future_s: a stamp further ahead of the cycle than this is refused.
         clock: `stamp` trusts each sample's own stamp; `estimated` also follows offset and drift of each
-            sensor's clock against the host's (`hil.estimator.clock_drift`).
+            sensor's clock against the host's (`hil.estimator.measurement_queue`).
         nis_samples: length of the running mean of each sensor's normalised innovation.
     """
 

@@ -2,12 +2,42 @@
 
 from __future__ import annotations
 
+import keyword
+import re
 from copy import copy
 from dataclasses import fields, is_dataclass
 
 from hil.core.device import DeviceKind, DeviceModel
 from hil.core.errors import ConfigError, did_you_mean
-from hil.core.kind_names import NAME_RULE, after_clash, is_name
+
+NAME_RULE = (
+    "lower case letters, digits and _ that starts with a letter and is none of all, plant, or Python's words"
+)
+_NAME = re.compile("[a-z][a-z0-9_]*")
+_TAKEN = ("all", "plant", "none")
+
+
+def is_name(name: object) -> bool:
+    """Whether a kind may be called so: `--emulate all` and the fault `plant:...` mean something else."""
+    return (
+        isinstance(name, str)
+        and _NAME.fullmatch(name) is not None
+        and name not in _TAKEN
+        and not keyword.iskeyword(name)
+    )
+
+
+def after_clash(package: str, what: str) -> str:
+    """What to do where the name of a kind or model is taken.
+
+    Args:
+        package: that has the name already.
+        what: `kind` or `model`.
+    """
+    if package == "hil":
+        return f"give the {what} another name: this one is taken by the package hil"
+    return f"uninstall one of the two packages, or give the {what} another name"
+
 
 _OF_A_KIND = ("name", "noun", "sample", "models")
 _OF_A_MODEL = ("kind", "name", "title", "config", "driver")

@@ -23,12 +23,12 @@ from hil.datasets.public_csv import read_pair
 from hil.datasets.topic_map import read_topic_map
 from hil.drivers.imu.bno055_calibration import ImuCalibration
 from hil.fakes.fault_files import read_faults
+from hil.live.reference_files import read_waypoints
 from hil.procedure.operator import Answers
 from hil.procedure.parameters import split_settings
 from hil.procedure.run_journal import read_journal
 from hil.report.result_file import read_result
 from hil.report.run_page import write_run_page
-from hil.robot.waypoints import read_waypoints
 from hil.support.file_reading import json_value, read_json, toml_tables
 
 BOUNDED = settings(

@@ -13,7 +13,7 @@ TWIN = """
 from typing import Literal
 
 from hil.config.imu import Bno055Config
-from hil.devices.imu.bno055_model import Bno055
+from hil.devices.imu import Bno055
 
 
 class Config(Bno055Config):

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from hil.config.imu import Bno055Config
-from hil.devices.imu.bno055_model import Bno055
+from hil.devices.imu import Bno055
 from hil.drivers.imu import Bno055Imu
 
 

@@ -20,7 +20,7 @@ from hil.cli import main
 from hil.config.loading import load_bench
 from hil.core.errors import ConfigError, DeviceError, FaultNotSupportedError, SafetyStop
 from hil.core.signals import Status
-from hil.datasets.plugin_columns import added_columns
+from hil.datasets.export import added_columns
 from hil.fakes.world import VirtualClock
 from hil.loop.cycle import LastingCheck
 from hil.monitor.plot_series import SeriesCollector, conditions

@@ -6,8 +6,7 @@ import pytest
 
 from hil.config.encoders import SHIPPED_DBC, EncodersConfig
 from hil.devices.doctor_watch import Watched
-from hil.devices.encoders import KIND
-from hil.devices.encoders.doctor_check import look
+from hil.devices.encoders import KIND, look
 from hil.drivers.encoders.node_status import NodeStatus
 
 DATABASE = cantools.database.load_file(SHIPPED_DBC)

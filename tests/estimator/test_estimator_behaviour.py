@@ -23,7 +23,7 @@ from simulated_sensors import (
 from hil.config.estimator import EstimatorConfig
 from hil.core.signals import GyroMeasurement, Measurements, PoseMeasurement, Stamp, WheelMeasurement
 from hil.estimator import make_estimator
-from hil.estimator.clock_drift import SensorClock
+from hil.estimator.measurement_queue import SensorClock
 from hil.robot.kinematics import WheelGeometry
 
 ROOT = FilePath(__file__).parents[2]

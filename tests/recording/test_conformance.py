@@ -20,7 +20,7 @@ from hil.config.loading import load_bench
 from hil.core.clock import NS_PER_S, WallOffset
 from hil.core.registry import kinds
 from hil.core.signals import KINDS, AdhesionSample, LoadCellSample, Status, ThrustSample
-from hil.datasets.transform_tree_check import broken_frames, problems_of
+from hil.datasets.rosbag import broken_frames, problems_of
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.topics import topics_with
 from hil.recording.transform_tree import describe_clock

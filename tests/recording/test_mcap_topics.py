@@ -12,7 +12,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from hil.cli import main
-from hil.datasets.transform_tree_check import broken_frames
+from hil.datasets.rosbag import broken_frames
 from hil.robot.kinematics import NOMINAL_RADIUS_M
 
 RATE_HZ = 50

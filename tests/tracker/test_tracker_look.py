@@ -6,8 +6,7 @@ import pytest
 
 from hil.core.signals import Status
 from hil.devices.doctor_watch import Watched
-from hil.devices.tracker import KIND
-from hil.devices.tracker.doctor_check import look
+from hil.devices.tracker import KIND, look
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
 
 

@@ -10,8 +10,7 @@ from travelling_plant import TravellingPlant
 
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
 from hil.devices.tracker.mavlink.driver import MavlinkTracker
-from hil.devices.tracker.mavlink.emulated_computer import VisualInertialComputer
-from hil.devices.tracker.mavlink.emulated_truth import IDEAL
+from hil.devices.tracker.mavlink.emulated_computer import IDEAL, VisualInertialComputer
 from hil.devices.tracker.mavlink.transport_interface import Arrival, Link
 from hil.devices.tracker.mavlink.virtual_network import ComputerLink
 from hil.fakes.active_faults import FaultPlan

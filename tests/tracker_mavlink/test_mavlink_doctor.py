@@ -7,7 +7,7 @@ import re
 import pytest
 from following import follow
 
-from hil.devices.tracker.mavlink.emulated_truth import IDEAL
+from hil.devices.tracker.mavlink.emulated_computer import IDEAL
 from hil.devices.tracker.mavlink.odometry_messages import dialect
 from hil.devices.tracker.mavlink.virtual_network import WorldLink
 

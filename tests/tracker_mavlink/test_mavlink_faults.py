@@ -12,8 +12,8 @@ from hil.core.errors import ConfigError, DeviceError, DeviceTimeoutError, FaultN
 from hil.core.signals import Status
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
 from hil.devices.tracker.mavlink.driver import MavlinkTracker
+from hil.devices.tracker.mavlink.emulated_computer import IDEAL, ComputerTruthOptions
 from hil.devices.tracker.mavlink.emulated_faults import SUPPORTED_FAULTS
-from hil.devices.tracker.mavlink.emulated_truth import IDEAL, ComputerTruthOptions
 from hil.fakes.fault import parse_fault
 
 

@@ -11,7 +11,7 @@ from following import follow
 from hil.core.geometry import between, quat_from_rotvec, quat_rotate, yaw_of_quat
 from hil.core.signals import Inputs, Status
 from hil.devices.tracker.mavlink import odometry_messages
-from hil.devices.tracker.mavlink.emulated_truth import IDEAL, ComputerTruthOptions
+from hil.devices.tracker.mavlink.emulated_computer import IDEAL, ComputerTruthOptions
 from hil.loop.alignment import Alignment, AlignmentParameters, Mount
 from tests.selected import every
 

@@ -14,8 +14,8 @@ from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.signals import Status
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
 from hil.devices.tracker.mavlink.driver import MavlinkTracker
+from hil.devices.tracker.mavlink.emulated_computer import ComputerTruthOptions
 from hil.devices.tracker.mavlink.emulated_serial import SerialComputer
-from hil.devices.tracker.mavlink.emulated_truth import ComputerTruthOptions
 from hil.devices.tracker.mavlink.emulated_udp import MavlinkFace
 from hil.fakes.free_port import free_udp_port
 from hil.fakes.serial_line import SerialLine

@@ -15,8 +15,8 @@ from hil.core.device import Search
 from hil.core.errors import ConfigError
 from hil.core.registry import kinds
 from hil.core.signals import Status
+from hil.devices.tracker.mavlink.emulated_computer import ComputerTruthOptions
 from hil.devices.tracker.mavlink.emulated_serial import SerialComputer
-from hil.devices.tracker.mavlink.emulated_truth import ComputerTruthOptions
 from hil.devices.tracker.mavlink.emulated_udp import MavlinkFace
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty

@@ -8,7 +8,7 @@ from following import follow, kinds
 
 from hil.core.errors import DeviceTimeoutError
 from hil.core.signals import Status
-from hil.devices.tracker.mavlink.emulated_truth import IDEAL
+from hil.devices.tracker.mavlink.emulated_computer import IDEAL
 from hil.devices.tracker.mavlink.timesync import TimeSync
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")

@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.errors import TrajectoryError
+from hil.live.reference_files import MOST_WAYPOINTS
 from hil.robot import trajectories as tr
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits, check
 from hil.robot.paths import Segment, Straight
-from hil.robot.waypoints import MOST_WAYPOINTS
 
 CAD = WheelGeometry.nominal().projection()
 

@@ -9,11 +9,11 @@ import pytest
 from hil.core.errors import DataError, TrajectoryError, UsageError
 from hil.core.geometry import rotation2
 from hil.core.signals import Reference
+from hil.live.reference_files import MOST_WAYPOINTS, read_waypoints
 from hil.robot import trajectories as tr
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits, check, slowed
 from hil.robot.paths import Segment, Straight
-from hil.robot.waypoints import MOST_WAYPOINTS, read_waypoints
 
 CAD = WheelGeometry.nominal().projection()
 ORIGIN = np.zeros(3)

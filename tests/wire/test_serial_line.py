@@ -14,10 +14,10 @@ from hil.fakes.active_faults import FaultPlan
 from hil.fakes.fault import parse_fault
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.serial_line import SerialLine, find_line
+from hil.fakes.serial_line import heard as heard_by_a_uart
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World
-from hil.fakes.wrong_baud import heard as heard_by_a_uart
 
 
 class Still:

@@ -9,11 +9,91 @@ from hil.core.device import DeviceKind, Topic
 from hil.core.finding import Finding
 from hil.core.signals import SERVOS, WHEELS, EncoderSample
 from hil.devices.doctor_watch import Watched
-from hil.devices.encoders.as5045_model import As5045
-from hil.devices.encoders.doctor_check import look
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker
+from dataclasses import replace
+from pathlib import Path
+
+from hil.config.encoders import EncodersConfig
+from hil.core.finding import Level
+from hil.devices.doctor_watch import losses
+from hil.devices.link_models import CanModel
+
+
+def look(watched: Watched) -> Iterator[Finding]:
+    """Findings about encoders that were watched."""
+    config: EncodersConfig = watched.config
+    encoders = watched.device
+    link = Path("/sys/class/net") / config.channel / "operstate"
+    down = config.interface == "socketcan" and link.exists() and link.read_text().strip() == "down"
+    broken = encoders.bus_error or f"{config.channel} is down" * down
+    level: Level = "failure" if broken else "warning" if encoders.error_frames else "ok"
+    yield Finding(
+        "encoders",
+        "CAN state",
+        level,
+        broken or f"{encoders.error_frames} error frames",
+        "no error frames",
+        f"check bit rate ({config.bitrate}), termination (60 ohm) and wiring; "
+        f"sudo ip link set {config.channel} up type can bitrate {config.bitrate} restart-ms 100",
+    )
+    yield _node(watched)
+    yield from _frames(watched)
+    for i, wheel in enumerate(WHEELS):
+        statuses = (sample.status[i] for sample in watched.samples)
+        found = losses("encoders", statuses, watched.due, "check magnet distance and CAN wiring")
+        yield replace(found, check=f"{wheel} samples")
+
+
+def _frames(watched: Watched) -> Iterator[Finding]:
+    """Frames that bear our identifiers and are not as this node sends them."""
+    encoders, bus = watched.device, watched.config.bus
+    if encoders.two_nodes:
+        yield Finding(
+            "encoders",
+            "identifiers",
+            "failure",
+            encoders.two_nodes,
+            f"one node of each identifier on {bus}",
+            "set the address switch of one of them otherwise, and encoders.node_id to that of ours",
+        )
+    if encoders.malformed:
+        yield Finding(
+            "encoders",
+            "frame length",
+            "warning",
+            f"{encoders.malformed} frames of a wrong length",
+            f"frames as in {watched.config.dbc_path.name}",
+            "look which other node sends with these identifiers, or name the node's DBC in encoders.dbc",
+        )
+
+
+def _node(watched: Watched) -> Finding:
+    """What the node says of itself; nodes that say nothing are accepted."""
+    status, config = watched.device.node_status, watched.config
+    expected = f"frames as in {config.dbc_path.name}, {config.rate_hz:g} Hz"
+    remedy = "flash the firmware of this version (firmware/as5045_node), or name its DBC in encoders.dbc"
+    if status.other_layout:
+        return Finding("encoders", "node", "failure", status.other_layout, expected, remedy)
+    if status.heard and abs(status.rate_hz - config.rate_hz) > 0.5:  # it says whole numbers
+        found = f"{status}, {status.rate_hz:g} Hz"
+        return Finding(
+            "encoders", "node", "warning", found, expected, f"set encoders.rate_hz to {status.rate_hz:g}"
+        )
+    if status.counted:
+        remedy = "check the chips' wiring for wrong parity, the CAN wiring and its termination for the rest"
+        return Finding("encoders", "node", "warning", f"{status}: {status.counted}", "no errors", remedy)
+    return Finding("encoders", "node", "ok", str(status))
+
+
+class As5045(CanModel):
+    """ams AS5045, one on each steering axis."""
+
+    kind, name, title = "encoders", "as5045", "four AS5045 on a CAN node"
+    config, subnet = EncodersConfig, 163
+    driver, chip = "hil.drivers.encoders:As5045Encoders", "hil.fakes.encoders:EncoderNode"
+
 
 __all__ = ["KIND", "encoder_state"]
 

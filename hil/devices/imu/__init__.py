@@ -10,12 +10,54 @@ from hil.core.finding import Finding
 from hil.core.geometry import Array
 from hil.core.signals import ImuSample, Status
 from hil.devices.doctor_watch import Watched
-from hil.devices.imu.bno055_model import Bno055
-from hil.devices.imu.doctor_check import look
 from hil.devices.imu.microstrain import MicroStrain
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker
+import numpy as np
+
+from hil.config.imu import Bno055Config
+from hil.core.finding import Level
+from hil.devices.doctor_watch import losses
+from hil.devices.link_models import SerialModel
+from hil.robot.statics import GRAVITY_M_S2
+
+_TOLERANCE_M_S2 = 0.5
+
+
+def look(watched: Watched) -> Iterator[Finding]:
+    """Findings about an inertial unit that was watched."""
+    yield losses("imu", (s.status for s in watched.samples), watched.due, "check wiring and baud rate")
+    good = [s for s in watched.samples if s.status is Status.OK]
+    if not good:
+        return
+    if good[-1].calibration:
+        system, gyro, accelerometer, magnetometer = good[-1].calibration
+        calibrated: Level = "ok" if min(gyro, accelerometer) >= 2 else "warning"
+        yield Finding(
+            "imu",
+            "calibration",
+            calibrated,
+            f"system {system} gyro {gyro} accelerometer {accelerometer} magnetometer {magnetometer}",
+            "gyro and accelerometer 2 or more",
+            "hil run imu_calibration, or rest and tilt the robot",
+        )
+    norm = float(np.mean([np.linalg.norm(s.gravity_m_s2) for s in good]))
+    level: Level = "ok" if abs(norm - GRAVITY_M_S2) < _TOLERANCE_M_S2 else "failure"
+    yield Finding(
+        "imu", "gravity", level, f"{norm:.2f} m/s^2", f"{GRAVITY_M_S2:.2f} m/s^2", "check the axis remap"
+    )
+
+
+class Bno055(SerialModel):
+    """Bosch BNO055."""
+
+    kind, name, title = "imu", "bno055", "BNO055 on its UART"
+    config = Bno055Config
+    driver, chip = "hil.drivers.imu:Bno055Imu", "hil.fakes.imu:Bno055Chip"
+    probe_order, probe_bauds = 1, (115_200,)
+    probe_writes = "a request for the identity of a BNO055, at 115200 baud"
+
 
 __all__ = ["KIND", "imu_message"]
 

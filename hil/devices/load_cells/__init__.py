@@ -9,11 +9,82 @@ from hil.core.device import DeviceKind, Figures, Plot, Topic
 from hil.core.finding import Finding
 from hil.core.signals import Inputs, LoadCellSample
 from hil.devices.doctor_watch import Watched
-from hil.devices.load_cells.doctor_check import look
-from hil.devices.load_cells.hx711_model import Hx711Can, Hx711Line
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker
+from dataclasses import replace
+
+import numpy as np
+
+from hil.config.load_cells import CanCellsConfig, LineCellsConfig, LoadCellsConfig
+from hil.core.finding import Level
+from hil.core.signals import Status
+from hil.devices.doctor_watch import losses
+from hil.devices.link_models import CanModel, SerialModel
+
+
+class Hx711Can(CanModel):
+    """Counts on CAN."""
+
+    kind, name, title = "load_cells", "hx711_can", "two load cells on a CAN node"
+    config, subnet = CanCellsConfig, 165
+    driver, chip = "hil.drivers.load_cells:CanCells", "hil.fakes.load_cells:CellNode"
+
+
+class Hx711Line(SerialModel):
+    """Counts as lines."""
+
+    kind, name, title = "load_cells", "hx711_line", "two load cells on a serial line"
+    config = LineCellsConfig
+    driver, chip = "hil.drivers.load_cells:LineCells", "hil.fakes.load_cells:CellLine"
+
+
+_NEGATIVE_N, _NOISE_N = -2.0, 1.0
+
+
+def look(watched: Watched) -> Iterator[Finding]:
+    """Findings about cells that were watched."""
+    config = watched.config
+    assert isinstance(config, LoadCellsConfig)
+    if malformed := getattr(watched.device, "malformed", 0):
+        yield Finding(
+            "load_cells",
+            "frames",
+            "warning",
+            f"{malformed} frames or lines that are no conversion",
+            "conversions only",
+            "look what else sends there, and at load_cells.dbc or load_cells.baud",
+        )
+    for i, label in enumerate(watched.kind.labels):
+        statuses = (sample.status[i] for sample in watched.samples)
+        found = losses("load_cells", statuses, watched.due, "check the cell's cable and its converter")
+        yield replace(found, check=f"{label} samples")
+    good = [s.force_n for s in watched.samples if all(status is Status.OK for status in s.status)]
+    if not good:
+        return
+    forces_n = np.array(good) - np.array(config.zero_n)
+    noise_n, total_n = float(forces_n.std(axis=0).max()), float(forces_n.mean(axis=0).sum())
+    noisy: Level = "ok" if noise_n < _NOISE_N else "warning"
+    yield Finding(
+        "load_cells",
+        "noise",
+        noisy,
+        f"{noise_n:.2f} N",
+        f"below {_NOISE_N:g} N at rest",
+        "screen the cells' cables; keep them away from the fan's",
+    )
+    found_once = config.zero_n != (0.0, 0.0)
+    level: Level = "failure" if total_n < _NEGATIVE_N else "ok" if found_once else "warning"
+    told = f"{total_n:.1f} N now" + ("" if found_once else "; no zero was ever found")
+    yield Finding(
+        "load_cells",
+        "zero",
+        level,
+        told,
+        "a force >= 0, and load_cells.zero_n of a fan at rest",
+        "hil run adhesion_check",
+    )
+
 
 __all__ = ["CELLS", "KIND", "cell_state"]
 

@@ -11,11 +11,93 @@ from hil.core.finding import Finding
 from hil.core.geometry import Array
 from hil.core.signals import MocapSample, Status
 from hil.devices.doctor_watch import Watched
-from hil.devices.mocap.doctor_check import look
-from hil.devices.mocap.natnet_model import NatNet
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker
+from itertools import pairwise
+
+import numpy as np
+
+from hil.config.mocap import MocapConfig
+from hil.core.clock import nanoseconds
+from hil.core.device import Connection, DeviceModel, Found, Search, opens
+from hil.core.finding import Level
+from hil.devices.doctor_watch import LOSS_FAILURE
+
+_MOTIVE_PORTS = {"command_port": 1510, "data_port": 1511}
+_MOTIVE_GROUP = "239.255.42.99"
+
+
+class NatNet(DeviceModel):
+    """It is reached by UDP at several ports, and in one process by datagrams: no serial port, no CAN bus."""
+
+    kind, name, title = "mocap", "natnet", "OptiTrack Motive over NatNet"
+    config = MocapConfig
+    driver, chip = "hil.drivers.mocap:NatNetMocap", "hil.fakes.mocap:NatNetServer"
+
+    def emulate(self, request: Any) -> Any:
+        """A server of its own."""
+        from hil.devices.emulated_device import Wired
+        from hil.fakes.mocap import NatNetFace, NatNetServer
+
+        server, config = NatNetServer.build(request), request.config
+        if request.standard_ports:
+            server.offered_group = _MOTIVE_GROUP
+        chosen = {key: getattr(config, key) for key in _MOTIVE_PORTS if key in config.model_fields_set}
+        ports = _MOTIVE_PORTS if request.standard_ports else chosen
+        return Wired(
+            lambda: Connection(parts={"datagrams": server.datagrams}), lambda: NatNetFace(server, **ports)
+        )
+
+    def connection(self, endpoint: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Server and ports."""
+        where = {key: endpoint[key] for key in ("server", "command_port", "data_port", "multicast")}
+        return {**where, "local_address": endpoint["server"]}
+
+    def search(self, search: Search) -> Found | None:
+        """Ask the capture servers that were named."""
+        for config in search.given.get("mocap", ()):
+            search.say(f"asking the capture server {config.server}")
+            if opens(self.make_driver(config, search.clock)):
+                return Found(config.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
+        return None
+
+
+_LATE_S, _GAP_S = 0.05, 0.3
+
+
+def look(watched: Watched) -> Iterator[Finding]:
+    """Findings about motion capture that was watched."""
+    samples, watch_s = watched.samples, watched.watch_s
+    tracked = [s for s in samples if s.tracking_valid and s.status is Status.OK]
+    share = len(tracked) / len(samples) if samples else 0.0
+    now_ns = watched.clock.now_ns()
+    seen_ns = [now_ns - nanoseconds(watch_s), *(s.stamp.host_ns for s in tracked), now_ns]
+    gap_s = 1e-9 * max(b - a for a, b in pairwise(seen_ns))
+    level: Level = "ok" if share > 1.0 - LOSS_FAILURE and gap_s < _GAP_S else "failure"
+    told = (
+        f"{len(tracked)} of {len(samples)} frames, {len(samples) / watch_s:.0f} Hz, longest gap {gap_s:.2f} s"
+    )
+    yield Finding(
+        "mocap",
+        "tracking",
+        level,
+        told,
+        f"nearly all frames tracked, gaps below {_GAP_S:g} s",
+        "check markers, occlusion and the rigid body's definition",
+    )
+    if tracked:
+        latency_s = float(np.median([s.latency_s for s in tracked]))
+        late = not math.isfinite(latency_s) or latency_s > _LATE_S
+        yield Finding(
+            "mocap",
+            "latency",
+            "warning" if late else "ok",
+            f"{latency_s * 1e3:.1f} ms",
+            f"below {_LATE_S * 1e3:g} ms",
+            "use a wired network",
+        )
+
 
 __all__ = ["KIND"]
 

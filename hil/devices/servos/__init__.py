@@ -10,11 +10,96 @@ from hil.core.finding import Finding
 from hil.core.geometry import Array
 from hil.core.signals import SERVOS, Inputs, ServoSample
 from hil.devices.doctor_watch import Watched
-from hil.devices.servos.doctor_check import look
-from hil.devices.servos.dynamixel_model import Dynamixel
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker
+import numpy as np
+
+from hil.config.servo_models.codes import hardware_error_text
+from hil.config.servos import ServosConfig
+from hil.core.clock import Clock, nanoseconds
+from hil.core.device import Found, loaded
+from hil.core.signals import worst
+from hil.devices.doctor_watch import losses
+from hil.devices.link_models import SerialModel
+
+
+class Dynamixel(SerialModel):
+    """Eight servos on one bus; discovery looks for each of them, at every baud rate."""
+
+    kind, name, title = "servos", "dynamixel", "Dynamixel X servos on RS-485 or TTL"
+    config, probe_order = ServosConfig, 9
+    driver, chip = "hil.drivers.servos:DynamixelServos", "hil.fakes.servos:ServoBus"
+    probe_writes = "a ping of all Dynamixel servos, at each of their baud rates"
+
+    def emulate(self, request: Any) -> Any:
+        """The bus behind an adapter whose latency is that of the table."""
+        from hil.devices.emulated_device import on_serial_line
+
+        config: ServosConfig = request.config
+        told = {"baud": config.baud, "ids": list(config.ids)}
+        bus = loaded(self.chip).build(request)
+        return on_serial_line(request, bus, latency_s=config.usb_latency_s, told=told)
+
+    def probe(self, port: str, clock: Clock) -> Found | None:
+        """Which servos answer."""
+        from hil.devices.servos.discovery import ask
+
+        return ask(port, clock)
+
+
+_HOT_C = 70.0
+
+
+def look(watched: Watched) -> Iterator[Finding]:
+    """Findings about servos that were watched."""
+    statuses = (worst(sample) for sample in watched.samples)
+    yield losses("servos", statuses, watched.due, "check cables, termination and supply; lower the baud rate")
+    alerts = {
+        SERVOS[i]: hardware_error_text(code)
+        for s in watched.samples
+        for i, code in enumerate(s.alert)
+        if code
+    }
+    yield Finding(
+        "servos",
+        "hardware errors",
+        "failure" if alerts else "ok",
+        ", ".join(f"{servo}: {error}" for servo, error in alerts.items()) or "none",
+        "none",
+        "remove the cause, then switch the servos' supply off and on",
+    )
+    yield from _health(watched, watched.device)
+
+
+def _health(watched: Watched, servos: Any) -> Iterator[Finding]:
+    clock = watched.clock
+    clock.sleep_until_ns(clock.now_ns() + nanoseconds(watched.config.health_period_s))
+    servos.read()
+    found = servos.read_health()
+    if not found:
+        yield Finding("servos", "health", "warning", "voltage and temperature were not answered")
+        return
+    volts, celsius = found[-1].voltage_v, found[-1].temperature_c
+    low_v: float = servos.model.low_supply_v
+    low, hot = np.nanmin(volts) < low_v, np.nanmax(celsius) > _HOT_C
+    yield Finding(
+        "servos",
+        "supply",
+        "warning" if low else "ok",
+        f"{np.nanmin(volts):.1f} to {np.nanmax(volts):.1f} V",
+        f"at least {low_v:g} V",
+        "charge or replace the battery; check the wiring",
+    )
+    yield Finding(
+        "servos",
+        "temperature",
+        "warning" if hot else "ok",
+        f"up to {np.nanmax(celsius):.0f} C",
+        f"below {_HOT_C:g} C",
+        "let the servos cool; look for a jam",
+    )
+
 
 __all__ = ["KIND", "joint_state"]
 

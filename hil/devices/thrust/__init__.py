@@ -13,11 +13,26 @@ from hil.core.device import DeviceKind, Figures, Force, Plot, Topic
 from hil.core.finding import Finding
 from hil.core.signals import Inputs, Status, ThrustSample
 from hil.devices.doctor_watch import Watched
-from hil.devices.thrust.teensy_model import Teensy
 from hil.devices.thrust.vesc import VescPropellers
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker
+from hil.config.thrust import TeensyConfig
+from hil.devices.link_models import SerialModel
+
+_PJRC = 0x16C0
+_PRODUCTS = (0x0483, 0x0487, 0x0489, 0x048A, 0x048B, 0x048C)
+"""Teensyduino's USB types with a serial port."""
+
+
+class Teensy(SerialModel):
+    """Lines to a Teensy, pulses to the propellers' controllers."""
+
+    kind, name, title = "thrust", "teensy", "propellers on a Teensy"
+    config = TeensyConfig
+    driver, chip = "hil.drivers.thrust:TeensyThrust", "hil.fakes.thrust:TeensyChip"
+    usb = tuple((_PJRC, product) for product in _PRODUCTS)
+
 
 __all__ = ["KIND", "propeller_state"]
 

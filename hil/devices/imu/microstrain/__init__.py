@@ -7,13 +7,76 @@ state and the sensor's own time, from 100 to 1000 times a second.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from itertools import pairwise
+from typing import TYPE_CHECKING
 
-from hil.core.finding import Finding
-from hil.devices.doctor_watch import Watched
+from hil.core.finding import Finding, Level
+from hil.core.signals import Status
+from hil.devices.doctor_watch import LOSS_FAILURE, LOSS_WARNING, Watched
+from hil.devices.imu.microstrain import mip_fields as f
 from hil.devices.imu.microstrain.config import MicrostrainConfig
-from hil.devices.imu.microstrain.doctor_check import look
 from hil.devices.link_models import SerialModel
+
+if TYPE_CHECKING:
+    from hil.devices.imu.microstrain.driver import MicrostrainImu
+
+_LOST_PERIODS = 1.5
+_RATE_SHARE = 0.03
+_LATE_S = 0.03
+
+
+def look(watched: Watched) -> Iterator[Finding]:
+    """Findings about its filter, its rate, and whether samples come late."""
+    imu: MicrostrainImu = watched.device
+    if imu.latest is not None:
+        yield _filter(imu.latest)
+    good = [s for s in watched.samples if s.status is Status.OK]
+    if len(good) < 2:
+        return
+    period_s = [1e-9 * (b.stamp.device_ns - a.stamp.device_ns) for a, b in pairwise(good)]
+    lost = sum(p * imu.rate_hz > _LOST_PERIODS for p in period_s)
+    usual_hz = 1.0 / sorted(period_s)[len(period_s) // 2]
+    right = abs(usual_hz - imu.rate_hz) < _RATE_SHARE * imu.rate_hz
+    yield Finding(
+        "imu",
+        "rate",
+        "ok" if right and not lost else "warning",
+        f"{usual_hz:.1f} Hz, {lost} gaps",
+        f"{imu.rate_hz:.1f} Hz without gaps",
+        "set the adapter's latency timer to 1 ms; raise the baud rate",
+    )
+    due_s = watched.config.delay_s + 1.0 / watched.loop_hz + _LATE_S
+    late = sum(1e-9 * (s.stamp.host_ns - s.stamp.t_ns) > due_s for s in good)
+    share = late / len(good)
+    level: Level = "failure" if share > LOSS_FAILURE else "warning" if share > LOSS_WARNING else "ok"
+    yield Finding(
+        "imu",
+        "late samples",
+        level,
+        f"{late} of {len(good)}",
+        f"nearly none later than {due_s * 1e3:.0f} ms",
+        "use a port of its own, not a hub; set the adapter's latency timer to 1 ms",
+    )
+
+
+def _filter(data: f.FilterData) -> Finding:
+    """What the sensor's own filter says of itself."""
+    state = f.FILTER_STATES.get(data.state, f"state {data.state}")
+    condition = f.CONDITIONS.get(data.flags & f.CONDITION_MASK, "condition unknown")
+    doubts = [text for bit, text in f.WARNINGS.items() if data.flags & bit]
+    broken = bool(data.flags & f.SOLUTION_ERROR) or data.state < f.FIRST_RUNNING_STATE
+    level: Level = "failure" if broken else "warning" if doubts or condition == "unstable" else "ok"
+    told = f"{state}, {condition}" + (f", it warns of {' and '.join(doubts)}" if doubts else "")
+    return Finding(
+        "imu",
+        "filter",
+        level,
+        told,
+        "vertical gyro or AHRS, stable",
+        "let the robot rest for some seconds; else switch the sensor off and on",
+    )
+
 
 _HERE = "hil.devices.imu.microstrain"
 

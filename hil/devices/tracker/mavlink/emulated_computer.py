@@ -10,17 +10,51 @@ import heapq
 import itertools
 import math
 from abc import abstractmethod
+from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
 from hil.core.clock import NS_PER_S, nanoseconds
+from hil.devices.tracker.mavlink.config import MavlinkId, PoseFrame
 from hil.devices.tracker.mavlink.emulated_faults import ComputerFaults
 from hil.devices.tracker.mavlink.emulated_odometry import estimate_of
-from hil.devices.tracker.mavlink.emulated_truth import ComputerTruthOptions
 from hil.devices.tracker.mavlink.odometry_messages import Parser, dialect
 from hil.fakes.body_interface import BodyMotion
 from hil.fakes.emulation_request import EmulationRequest
+from hil.fakes.tracker.t265_truth import IDEAL as IDEAL_CAMERA
+from hil.fakes.tracker.t265_truth import TrackerTruthOptions
 from hil.fakes.tracker.visual_odometry import VisualOdometry
 from hil.fakes.world import Scheduled, World
+
+
+@dataclass(frozen=True)
+class ComputerTruthOptions(TrackerTruthOptions):
+    """What one computer does wrong, beside what every tracking camera does.
+
+    Attributes:
+        rate_hz: poses per second.
+        network_s: time that a datagram takes, one way.
+        settle_s: time with quality -1 (failed), then 10, then 35, before it is 90.
+        system_id, component_id: MAVLink ids; component 197 is visual-inertial odometry.
+        frame: of the poses.
+        twist_in_body: whether the twist is given in BODY_FRD, not in the frame of the pose.
+        sends_covariance, sends_quality, sends_heartbeat, answers_timesync: whether it does.
+    """
+
+    rate_hz: float = 100.0
+    network_s: float = 0.0003
+    system_id: MavlinkId = 1
+    component_id: MavlinkId = 197
+    frame: PoseFrame = "LOCAL_FRD"
+    twist_in_body: bool = True
+    sends_covariance: bool = True
+    sends_quality: bool = True
+    sends_heartbeat: bool = True
+    answers_timesync: bool = True
+
+
+IDEAL = ComputerTruthOptions(**{f.name: getattr(IDEAL_CAMERA, f.name) for f in fields(IDEAL_CAMERA)})
+"""A computer without errors: 20 ms late, otherwise true to single precision."""
+
 
 _HEARTBEAT_NS = NS_PER_S
 _ANSWER_NS = 100_000
