@@ -37,13 +37,15 @@ PLACES = {
     "drivers": (1.0, 4),
     "fakes": (2.0, 4),
     "recording": (3.0, 4),
-    "calibration": (3.0, 5),
+    "calibration": (4.4, 3),
+    "datasets": (5.4, 3.5),
     "estimator": (3.98, 5),
     "controller": (4.96, 5),
-    "ring": (6.0, 5.4),
+    "loop": (6.0, 5.4),
     "config": (2.6, 6.4),
     "robot": (2.6, 7.4),
-    "vocabulary": (2.6, 8.4),
+    "core": (2.6, 8.4),
+    "support": (4.0, 8.4),
 }
 """Column and row of each room: chosen so that no arrow runs behind a box."""
 NEW = (5.6, 0)

@@ -16,7 +16,8 @@ _NEAR_M, _NEAR_RAD = 0.02, math.radians(5.0)
 with 0.1 m/s, below the fastest that wheels are asked for (`control.wheel_speed_m_s`, 0.122 m/s)."""
 _REMEDY = (
     "begin where it stands: in Python with start = hil.procedure.tracking_errors.stand(bench) and "
-    "line(start, ...), or put the robot there; where no motion capture sees it, say where it stands (--start x,y,theta)"
+    "line(start, ...), or put the robot there; where no motion capture sees it, say where it stands "
+    "(--start x,y,theta)"
 )
 
 

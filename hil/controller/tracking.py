@@ -1,4 +1,4 @@
-"""The controller of the ring: law, module layer, goal tolerance, and refusal of nonsense."""
+"""The controller of the loop: law, module layer, goal tolerance, and refusal of nonsense."""
 
 from __future__ import annotations
 

@@ -295,7 +295,7 @@ class DeviceKind:
         return None
 
     def check(self, watched: Any) -> Iterator[Finding]:
-        """Findings of `hil doctor`, of a `hil.devices.doctor_watch.Watched`: by default good samples count."""
+        """Findings of `hil doctor`, of a `hil.devices.doctor_watch.Watched`: good samples by default."""
         yield from watched.losses("check cable, supply and settings")
 
     def model(self, name: str) -> DeviceModel:

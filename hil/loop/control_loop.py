@@ -1,4 +1,4 @@
-"""The ring: one control cycle from devices to devices, and the deterministic part of it by itself.
+"""The control loop: one cycle from devices to devices, and the deterministic part of it by itself.
 
 `Brain.decide` is all that lies between reading and sending: a function of the inputs and its own state, so
 a recording's inputs fed back through it reproduce the recorded setpoints exactly (`hil replay`).
@@ -279,7 +279,7 @@ class ControlLoop:
             self._rest()
 
     def cycle(self, deadline_ns: int) -> CycleRecord:
-        """One pass through the ring; `timing_ns["sinks"]` of a record is the previous cycle's."""
+        """One pass through the loop; `timing_ns["sinks"]` of a record is the previous cycle's."""
         start_ns = self.clock.now_ns()
         laps = Laps(self.clock, start_ns)
         lap = laps.done

@@ -1,4 +1,4 @@
-"""The estimator's promises to the ring: deterministic, in any arrival order, and never NaN."""
+"""The estimator's promises to the loop: deterministic, in any arrival order, and never NaN."""
 
 import itertools
 import math

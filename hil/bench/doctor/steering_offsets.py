@@ -40,7 +40,7 @@ def encoder_minus_servo(
 
 
 def expected_offsets_rad(config: BenchConfig) -> tuple[float, ...] | None:
-    """(4,) what encoder less steering angle should be, zeros applied, as the ring compares them.
+    """(4,) what encoder less steering angle should be, zeros applied, as the loop compares them.
 
     None where the record keeps nothing of it.
     """
