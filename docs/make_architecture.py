@@ -37,17 +37,17 @@ PLACES = {
     "drivers": (1.0, 4),
     "fakes": (2.0, 4),
     "recording": (3.0, 4),
-    "calibration": (4.4, 3),
-    "datasets": (5.4, 3.5),
-    "estimator": (3.98, 5),
-    "controller": (4.96, 5),
-    "loop": (6.0, 5.4),
+    "calibration": (4.15, 2.7),
+    "datasets": (3.6, 3.35),
+    "estimator": (5.05, 4.4),
+    "controller": (6.0, 4.4),
+    "loop": (4.2, 5.5),
     "config": (2.6, 6.4),
     "robot": (2.6, 7.4),
     "core": (2.6, 8.4),
-    "support": (4.0, 8.4),
+    "support": (4.2, 7.4),
 }
-"""Column and row of each room: chosen so that no arrow runs behind a box."""
+"""Column and row of each room: chosen so that few arrows run behind a box."""
 NEW = (5.6, 0)
 """Place of a room that has none yet."""
 STYLE = """
@@ -106,9 +106,7 @@ def svg(rooms: Sequence[str], edges: Edges) -> str:
             f'<rect x="{x - BOX / 2:g}" y="{y - TALL / 2:g}" width="{BOX}" height="{TALL}" rx="5"/>'
             f'<text x="{x:g}" y="{y + 5:g}">{room}</text>'
         )
-    told = (
-        "Rooms of hil, from the command line above to the vocabulary below; arrows lead to what is imported"
-    )
+    told = "Rooms of hil, from the command line above to the core below; arrows lead to what is imported"
     head = (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
         f'aria-label="{told}">'

@@ -13,8 +13,8 @@ from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.options import JSON, OUT, results_folder
 from hil.cli.progress import reporting
 from hil.core.clock import local_time
+from hil.core.errors import shown_path
 from hil.core.result_files import ACCEPTANCE_TABLE
-from hil.support.atomic_files import shown
 
 
 @click.command()
@@ -81,7 +81,7 @@ def _text(told: dict[str, Any]) -> str:
                 lines.append(f"       {hints}")
     written = "the page to sign could not be written"
     if told["page"]:
-        page, data = (shown(Path(told[key])) for key in ("page", "data"))
+        page, data = (shown_path(Path(told[key])) for key in ("page", "data"))
         written = f"the page to sign is {page}, its data {data}"
     lines.append(f"{told['verdict']}: {written}")
     return "\n".join(lines)

@@ -18,9 +18,17 @@ from hil.cli.ended_early import shown_when_ended
 from hil.cli.options import FILE, JSON, OUT
 from hil.cli.output import kept_for_json
 from hil.cli.progress import reporting
-from hil.core.errors import EXIT_ABORTED, EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, DataError, UsageError
+from hil.core.errors import (
+    EXIT_ABORTED,
+    EXIT_LIMIT_FAILED,
+    EXIT_PASS,
+    Aborted,
+    DataError,
+    UsageError,
+    shown_path,
+)
 from hil.core.result_files import CAMPAIGN_CSV, CAMPAIGN_PAGE, CAMPAIGN_TABLE, LOST, ROWS, RUNS
-from hil.support.atomic_files import check_name, shown, write_text
+from hil.support.atomic_files import check_name, write_text
 
 if TYPE_CHECKING:
     from hil.procedure.campaign import Case, Row
@@ -141,7 +149,7 @@ def command(
         click.echo(json.dumps(tree, allow_nan=False))
     else:
         click.echo(_text(tree))
-        click.echo(f"page: {shown(out / CAMPAIGN_PAGE)}")
+        click.echo(f"page: {shown_path(out / CAMPAIGN_PAGE)}")
     return exit_code(rows)
 
 

@@ -15,8 +15,8 @@ from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.options import JSON, OUT, results_folder
 from hil.cli.progress import reporting
 from hil.core.clock import local_time
+from hil.core.errors import shown_path
 from hil.core.result_files import COMMISSIONING_TABLE
-from hil.support.atomic_files import shown
 
 DEFAULT = "emulated_delivered"
 
@@ -107,6 +107,6 @@ def _text(told: dict[str, Any]) -> str:
         lines.append(f"what to do: {stopped['do']}")
     if told["stopped"] is None and not told["wall"]:
         lines.append("no line was driven on a wall: what the record brings is not verified")
-    page = f"the page {shown(Path(told['page']))}" if told["page"] else "the page could not be written"
-    lines.append(f"{told['verdict']}: the record of the robot is {shown(Path(told['robot']))}, {page}")
+    page = f"the page {shown_path(Path(told['page']))}" if told["page"] else "the page could not be written"
+    lines.append(f"{told['verdict']}: the record of the robot is {shown_path(Path(told['robot']))}, {page}")
     return "\n".join(lines)

@@ -18,9 +18,9 @@ from hil.cli.completion_types import FAULT
 from hil.cli.ended_early import shown_when_ended
 from hil.cli.options import JSON, OUT
 from hil.cli.progress import reporting
-from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, did_you_mean
+from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, did_you_mean, shown_path
 from hil.core.result_files import FAULTS_MATRIX, FAULTS_PAGE
-from hil.support.atomic_files import check_file, shown
+from hil.support.atomic_files import check_file
 
 if TYPE_CHECKING:
     from hil.procedure.faults import Cell, CellVerdict, KeptVerdicts
@@ -110,14 +110,14 @@ def command(
         def finished() -> str:
             return f"{len(judged())} of {len(cells)} cells are judged"
 
-        with shown_when_ended(finished, lambda: shown(write()) if judged() else ""):
+        with shown_when_ended(finished, lambda: shown_path(write()) if judged() else ""):
             _judge(missing(cells, kept.there), there, where, workers, kept)
     verdicts, page = judged(), write()
     failed = [v for v in verdicts if v.why]
     if as_json:
         click.echo(json.dumps(_json(verdicts, out / FAULTS_MATRIX, page), allow_nan=False))
     else:
-        click.echo(f"{len(verdicts)} cells, {len(failed)} failed; page: {shown(page)}")
+        click.echo(f"{len(verdicts)} cells, {len(failed)} failed; page: {shown_path(page)}")
     return EXIT_LIMIT_FAILED if failed else EXIT_PASS
 
 

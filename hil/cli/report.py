@@ -9,8 +9,8 @@ import click
 
 from hil.cli.completion_types import RESULTS
 from hil.cli.options import JSON, OUT
+from hil.core.errors import shown_path
 from hil.core.result_files import COMPARISON
-from hil.support.atomic_files import shown
 
 
 @click.command()
@@ -34,7 +34,7 @@ def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:
         page = write_run_page(folders[0], out)
         tree = read_result(folders[0])
         found = {"report": str(page), "procedure": tree["procedure"], "verdict": tree["verdict"]}
-        click.echo(json.dumps(found) if as_json else printable(f"{tree['verdict']}: {shown(page)}"))
+        click.echo(json.dumps(found) if as_json else printable(f"{tree['verdict']}: {shown_path(page)}"))
         return 0
     page = out if out is not None else own_file(folders[0], COMPARISON)
     if any(map(is_campaign, folders)):
@@ -43,7 +43,7 @@ def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:
     write_compare_page(page, table)
     click.echo(json.dumps({**table, "report": str(page)}) if as_json else printable(comparison_text(table)))
     if not as_json:
-        click.echo(f"page: {shown(page)}")
+        click.echo(f"page: {shown_path(page)}")
     return 0
 
 
@@ -59,5 +59,5 @@ def _campaigns(folders: tuple[Path, ...], page: Path, as_json: bool) -> int:
     write_campaigns_page(page, table)
     click.echo(json.dumps({**table, "report": str(page)}) if as_json else printable(campaigns_text(table)))
     if not as_json:
-        click.echo(f"page: {shown(page)}")
+        click.echo(f"page: {shown_path(page)}")
     return 0

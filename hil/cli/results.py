@@ -12,9 +12,8 @@ import click
 
 from hil.cli.completion_types import PROCEDURE, RUN
 from hil.cli.options import FILE, JSON, OUT, SuggestingGroup
-from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS
+from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, shown_path
 from hil.core.result_files import TRENDS
-from hil.support.atomic_files import shown
 
 if TYPE_CHECKING:
     from hil.report.history.index import Kept
@@ -213,7 +212,7 @@ def open_result(run: str, where: Path, browser: bool | None, as_json: bool) -> i
     if browser is None:
         screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         browser = bool(screen) and sys.stdout.isatty() and not as_json
-    click.echo(json.dumps({**_as_json(kept), "page": str(page)}) if as_json else shown(page))
+    click.echo(json.dumps({**_as_json(kept), "page": str(page)}) if as_json else shown_path(page))
     if browser:
         click.launch(str(page))
     return EXIT_PASS
@@ -257,7 +256,7 @@ def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bo
             for series in urgent:
                 click.echo(printable(f"    {series.name} {series.in_words()}"))
         click.echo(
-            f"page: {shown(page)}" if page else f"No page was written: {where} holds nothing to follow."
+            f"page: {shown_path(page)}" if page else f"No page was written: {where} holds nothing to follow."
         )
     alarmed = any(s.state in ALARMS for g in found for s in g.series)
     return EXIT_LIMIT_FAILED if strict and alarmed else EXIT_PASS

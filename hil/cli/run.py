@@ -16,9 +16,8 @@ from hil.cli.options import JSON, OUT, on_recording_failure_option, results_fold
 from hil.cli.output import kept_for_json, tell_calls, tell_the_end
 from hil.cli.progress import reporting
 from hil.core.clock import local_time
-from hil.core.errors import HilError
+from hil.core.errors import HilError, shown_path
 from hil.core.result_files import JOURNAL
-from hil.support.atomic_files import shown
 
 if TYPE_CHECKING:
     from hil.procedure.result_files import Result
@@ -142,7 +141,7 @@ def command(
             tell_the_end(json.dumps(tree, allow_nan=False), result.facts["held"])
         else:
             tell_the_end(text_of(result), result.facts["held"])
-            click.echo(f"report: {shown(Path(page)) if page else 'could not be written'}")
+            click.echo(f"report: {shown_path(Path(page)) if page else 'could not be written'}")
     return code
 
 
@@ -205,5 +204,5 @@ def text_of(result: Result) -> str:
     lines.append(held_in_words(result.facts["held"]))
     said = f"It ended early, {result.error.place}." if result.error else result.to_json()["said"]
     lines.append(f"{result.verdict.value}: {result.procedure}. {said}".strip())
-    lines.append(f"results: {shown(result.folder)}")
+    lines.append(f"results: {shown_path(result.folder)}")
     return printable("\n".join(lines))

@@ -16,9 +16,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hil.core.errors import HilError, told
+from hil.core.errors import HilError, shown_path, told
 from hil.core.registry import GROUP
-from hil.support.atomic_files import shown
 
 _PACKAGE = os.path.realpath(Path(__file__).parents[1])
 _SHIPPED = os.path.realpath(os.path.join(_PACKAGE, "procedures"))
@@ -116,7 +115,7 @@ def _own(error: BaseException, shipped: bool) -> Iterator[Frame]:
     own = [frame for frame in every if _is_users(frame.filename, shipped)]
     for (file, line, function), same in groupby(own, key=lambda s: (s.filename, s.lineno, s.name)):
         alike = list(same)
-        yield Frame(shown(Path(file)), line or 0, function, alike[0].line or "", len(alike))
+        yield Frame(shown_path(Path(file)), line or 0, function, alike[0].line or "", len(alike))
 
 
 @lru_cache(maxsize=512)

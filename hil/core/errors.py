@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 from collections.abc import Iterable
 from numbers import Real
+from pathlib import Path
 
 from hil.core.digits import digits_apart
 from hil.core.suspects import suspects_of
@@ -220,3 +222,13 @@ class StepTimeoutError(HilError, TimeoutError):
     def __init__(self, what: str, limit_s: float) -> None:
         self.what, self.limit_s = what, limit_s
         super().__init__(f"{what} took longer than {limit_s:g} s")
+
+
+def shown_path(path: Path) -> str:
+    """A path as it is printed and kept: below the current folder relative to it, else absolute."""
+    try:
+        here = os.getcwd()
+    except OSError:  # it has been removed
+        return str(path)
+    whole = os.path.normpath(os.path.join(here, path))
+    return os.path.relpath(whole, here) if whole.startswith(here.rstrip(os.sep) + os.sep) else whole

@@ -19,16 +19,6 @@ _REMEDY = "choose a folder that exists and has room"
 _NOT_YOURS = "choose a folder that you may write"
 
 
-def shown(path: Path) -> str:
-    """A path as it is printed and kept: below the current folder relative to it, else absolute."""
-    try:
-        here = os.getcwd()
-    except OSError:  # it has been removed
-        return str(path)
-    whole = os.path.normpath(os.path.join(here, path))
-    return os.path.relpath(whole, here) if whole.startswith(here.rstrip(os.sep) + os.sep) else whole
-
-
 def check_name(path: Path, whose: str = "") -> None:
     """Make sure that a file or folder can have this name, whether it is there or not.
 
