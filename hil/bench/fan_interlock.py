@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench.drivers import make_rig
+from hil.bench.drivers import make_device_set
 from hil.bench.hold.tilt import tilt_rad
 from hil.bench.settings import adhesion_limits, can_fall, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig, MotorConfig
@@ -98,7 +98,7 @@ def seen_off_the_wall(config: BenchConfig) -> str:
         UsageError: something says that it may hang, or nobody can see.
     """
     table = fan_of(config)
-    rig, clock = make_rig(config, MonotonicClock(), {}), MonotonicClock()
+    rig, clock = make_device_set(config, MonotonicClock(), {}), MonotonicClock()
     seen: dict[str, list[Any]] = {}
     for name in ("imu", "load_cells", DEVICE):
         device = rig.get(name)

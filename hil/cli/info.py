@@ -35,7 +35,7 @@ def _compile(report: Report) -> None:
     def bench_with(plant: str) -> None:
         with open_bench("emulated", overrides={"emulation.plant": plant}) as bench:
             bench.observe(0.1, feedback="odometry")
-            bench.make_brain(line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0)))
+            bench.make_pipeline(line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0)))
 
     plants = ("own",) if lacks("mujoco") else ("own", "mujoco")
     steps: tuple[Callable[[], None], ...] = (

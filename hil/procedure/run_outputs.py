@@ -52,7 +52,7 @@ class Findings:
     learned: dict[str, NewPart] = field(default_factory=dict)
 
 
-class Notebook:
+class RunOutputs:
     """The open pages of one run.
 
     Args:

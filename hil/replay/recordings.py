@@ -1,4 +1,4 @@
-"""Recordings played back through the brain: the bench they were made on, and the runs they hold."""
+"""Recordings played back through the pipeline: the bench they were made on, and the runs they hold."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.bench.settings import geometry_of, nominal_of, with_wheel_model
 from hil.calibration.calibration_file import read_calibration
 from hil.calibration.excitation import mismatch
@@ -52,7 +52,7 @@ class OpenedRecording:
     """
 
     path: Path
-    bench: Blueprint
+    bench: BenchModel
     header: dict[str, Any]
     foreign: bool
     problems: list[str]
@@ -206,7 +206,7 @@ def _bench(
     *,
     recorded: bool = False,
     known: bool = True,
-) -> tuple[Blueprint, str]:
+) -> tuple[BenchModel, str]:
     """The bench of a configuration, and a sentence where the calibration failed its own validation run.
 
     A recorded configuration names every value, chosen by somebody or not. Where the bench is not `known` its
@@ -220,4 +220,4 @@ def _bench(
         failed, geometry = failed_validation(found, str(calibration)), found.geometry
         config = with_wheel_model(config, found.model, given=False if recorded else None)
     geometry = geometry_of(config) if geometry is None else geometry
-    return Blueprint(config, geometry=geometry, seed=int(header.get("seed", 0))), failed
+    return BenchModel(config, geometry=geometry, seed=int(header.get("seed", 0))), failed

@@ -17,7 +17,7 @@ import pytest
 from kills import end_keeper, keeper_pid
 
 from hil.bench import fan_commands, fan_interlock
-from hil.bench.drivers import make_rig
+from hil.bench.drivers import make_device_set
 from hil.bench.fan_commands import keeper_spec, kept_specs
 from hil.cli import main
 from hil.config.loading import load_bench
@@ -135,7 +135,7 @@ def test_propellers_on_vescs_are_kept_told_of_and_stopped_too(served, hil):
     config = load_bench(str(served))
     spec = kept_specs(config)["thrust"]
     assert is_emulated(spec.bus), "so that their keeper ends with the emulator"
-    propellers = make_rig(config, MonotonicClock(), {}).get("thrust")
+    propellers = make_device_set(config, MonotonicClock(), {}).get("thrust")
     propellers.open()
     try:
         propellers.set_force_n(10.0)
@@ -340,7 +340,7 @@ def test_without_witnesses_only_the_operator_can_say_it(monkeypatch):
 def asked_of(monkeypatch, *, up, cells_n, rpm, **asked):
     """What `switch_on` asked of the fan since it opened it last."""
     config, given = robot(monkeypatch, up=up, cells_n=cells_n, rpm=rpm), []
-    fan = fan_commands.make_rig(None, None, None)["adhesion"]
+    fan = fan_commands.make_device_set(None, None, None)["adhesion"]
     sample = SimpleNamespace(
         status=Status.OK, speed_rpm=rpm, duty=rpm / 36_000.0, input_v=22.0, trouble="", stamp=None
     )

@@ -21,7 +21,7 @@ from hil.bench.drivers import model_of
 from hil.bench.hold.tilt import tilt_finding
 from hil.bench.settings import wheel_model
 from hil.bench.third_party.added_checks import checks_of
-from hil.bench.third_party.contract_findings import broken_promises
+from hil.bench.third_party.contract_findings import find_contract_breaks
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.config.load_cells import LoadCellsConfig
@@ -172,7 +172,7 @@ def _looks(
     samples = seen[name] = _watch(bench, device, watch_s, waits_s)
     watched = Watched(kind, config, device, samples, watch_s, bench.clock, bench.config.loop.rate_hz)
     if model.package != OURS:
-        yield from broken_promises(watched, waits_s)
+        yield from find_contract_breaks(watched, waits_s)
     package = model.package if kind.package == OURS else kind.package
     yield from asked(name, package, "its check or rate_hz", lambda: list(kind.check(watched)))
     yield from asked(name, model.package, "its check", lambda: list(model.check(watched)))

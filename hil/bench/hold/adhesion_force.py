@@ -26,7 +26,7 @@ from hil.core.registry import kinds
 from hil.core.signals import LoadCellSample, Status, worst
 from hil.loop.checks.adhesion import AdhesionLimits
 from hil.loop.checks.force_trend import ForceTrend
-from hil.loop.device_set import Rig
+from hil.loop.device_set import DeviceSet
 
 RUN_DOWN_S = 1.0
 """A fan without current has lost more force than any reserve by then."""
@@ -49,7 +49,7 @@ def measured_n(limits: AdhesionLimits, samples: Iterable[Any]) -> Iterator[tuple
             yield who, sample.stamp.t_ns, force_n
 
 
-class PressWatch:
+class AdhesionForceCheck:
     """Follows fan and load cells of a robot that has been stopped on a wall.
 
     Args:
@@ -67,7 +67,7 @@ class PressWatch:
 
     def __init__(
         self,
-        rig: Rig,
+        rig: DeviceSet,
         limits: AdhesionLimits | None,
         fan: KeptMotorConfig | None,
         alone: LeftAlone,
@@ -246,7 +246,7 @@ def _to_be_seen(left_s: float) -> str:
     return "nobody sees whether it slides, or knows how long they would need to let it"
 
 
-def press_watch(config: BenchConfig, rig: Rig) -> PressWatch:
+def press_watch(config: BenchConfig, rig: DeviceSet) -> AdhesionForceCheck:
     """That of a bench: it looks at what presses a robot that hangs on a wall without a tether.
 
     What is in another world than the servos presses another robot, or none.
@@ -259,4 +259,4 @@ def press_watch(config: BenchConfig, rig: Rig) -> PressWatch:
     own, asked_n = config.of(ThrustConfig), thrust_wanted_n(config)
     carried = can_fall(config) and asked_n > 0.0 and "thrust" in config.devices()
     carried = carried and not isinstance(own, KeptMotorConfig)
-    return PressWatch(rig, limits, kept, LeftAlone(rig, own, asked_n), carried, pretended)
+    return AdhesionForceCheck(rig, limits, kept, LeftAlone(rig, own, asked_n), carried, pretended)

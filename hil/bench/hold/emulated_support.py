@@ -19,7 +19,7 @@ _RESTS_M_S = 0.001
 _FAR_M = 10.0
 
 
-class OnItsWall:
+class EmulatedSupport:
     """Looks at the emulated robot itself, not at what clients have asked of it.
 
     Args:

@@ -17,7 +17,7 @@ from hil.core.errors import DeviceError, SafetyStop
 from hil.core.registry import kinds
 from hil.core.signals import Status
 from hil.loop.checks.adhesion import AdhesionLimits, apart
-from hil.loop.device_set import Rig
+from hil.loop.device_set import DeviceSet
 
 _STEP_NS = nanoseconds(0.01)
 _PATIENCE_NS = nanoseconds(12.0)
@@ -28,7 +28,7 @@ _PUSHES = 0.9
 _NO_SAMPLE_NS = nanoseconds(1.0)
 
 
-class Hanging:
+class Preload:
     """Fan and propellers of a bench on a wall.
 
     Args:
@@ -37,7 +37,7 @@ class Hanging:
         clock: the bench clock.
     """
 
-    def __init__(self, config: BenchConfig, rig: Rig, clock: Clock) -> None:
+    def __init__(self, config: BenchConfig, rig: DeviceSet, clock: Clock) -> None:
         self._config, self._rig, self._clock = config, rig, clock
         self._limits = adhesion_limits(config)
         self._seen_n: dict[str, float] = {}

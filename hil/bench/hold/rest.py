@@ -58,7 +58,7 @@ class Trail:
         return change
 
 
-class Travel:
+class MotionSinceStop:
     """How far the robot is from where it was stopped, by each that tells a place, and by its wheels.
 
     Args:

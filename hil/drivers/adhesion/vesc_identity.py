@@ -12,7 +12,7 @@ from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.finding import Finding, Level
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.drivers.adhesion.vesc import EVERYBODY, Pong, Status, Status4, Status5, decode, ping_frame
+from hil.drivers.adhesion.vesc import ALL_SERVOS, Pong, Status, Status4, Status5, decode, ping_frame
 from hil.drivers.adhesion.vesc_settings import QUESTIONS, SHORT, Answers, question
 from hil.drivers.links.can_bus import CanLink, remedy_of_silence
 
@@ -150,7 +150,7 @@ def ask_who(
     """
     seen = Seen()
     if not silent:
-        ping = ping_frame(EVERYBODY, config.own_id)
+        ping = ping_frame(ALL_SERVOS, config.own_id)
         link.send(ping.id, ping.data, extended=True)
     asked, own = 0, config.controller_id
     end_ns = clock.now_ns() + nanoseconds(config.open_timeout_s)
