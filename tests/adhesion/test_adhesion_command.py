@@ -295,7 +295,7 @@ def robot(monkeypatch, *, up, cells_n, rpm):
         "adhesion": Seen(SimpleNamespace(status=ok, speed_rpm=rpm)),
     }
     for module in (fan_commands, fan_interlock):
-        monkeypatch.setattr(module, "make_rig", lambda config, clock, connections: devices)
+        monkeypatch.setattr(module, "make_device_set", lambda config, clock, connections: devices)
         monkeypatch.setattr(module, "WATCH_S", 0.05)
     return load_bench("emulated").model_copy(
         update={

@@ -99,7 +99,7 @@ def test_an_estimator_that_says_it_never_moved_does_not_get_far(monkeypatch, est
             made.estimator = estimator
             return made
 
-        monkeypatch.setattr(bench, "make_brain", pipeline)
+        monkeypatch.setattr(bench, "make_pipeline", pipeline)
         with pytest.raises(SafetyStop) as stop:
             bench.drive(WAY, start_pose=np.zeros(3))
         assert stop.value.reason == reason
