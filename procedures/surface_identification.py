@@ -197,8 +197,8 @@ def _driven(ctx: Context, p: Parameters, numbers: Sequence[int]) -> Generator[Sl
         return
     for number in numbers:
         bench = ctx.reopen(f"lines {number}", overrides=overrides)
-        told = partial(ctx.progress, f"repetition {number}")
-        yield repetition(bench, p, number, told)
+        reported = partial(ctx.progress, f"repetition {number}")
+        yield repetition(bench, p, number, reported)
 
 
 def _filtered(config: BenchConfig) -> bool:

@@ -62,5 +62,5 @@ def with_wheel_sigma(config: BenchConfig) -> BenchConfig:
     speed_m_s, rate_hz = config.control.wheel_speed_m_s, config.loop.rate_hz
     step_m2 = 0.25 * (noise.step_m**2 + noise.per_sqrt_m**2 * speed_m_s / rate_hz)
     sigma_m_s = math.sqrt(step_m2 * rate_hz**2 + (slip.creep * speed_m_s) ** 2)
-    told = camera.model_copy(update={"wheel_sigma_m_s": min(max(sigma_m_s, 1e-4), 0.1)})
-    return config.model_copy(update={"tracker": told})
+    reported = camera.model_copy(update={"wheel_sigma_m_s": min(max(sigma_m_s, 1e-4), 0.1)})
+    return config.model_copy(update={"tracker": reported})

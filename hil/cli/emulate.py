@@ -151,20 +151,20 @@ def _end_when_asked(stop: Callable[[], None], *, only_by_sigterm: bool) -> None:
 @contextlib.contextmanager
 def _told_of(robot: EmulatedSupport) -> Iterator[None]:
     """How the robot is held on its wall is said on stderr, at the start and at the end."""
-    if told := robot.at_the_start():
-        click.echo(told, err=True)
+    if reported := robot.at_the_start():
+        click.echo(reported, err=True)
     try:
         yield
     finally:
-        if told := robot.at_the_end():
-            click.echo(told, err=True)
+        if reported := robot.at_the_end():
+            click.echo(reported, err=True)
 
 
 @contextlib.contextmanager
 def _linked(links: PortLinks) -> Iterator[None]:
     """Ports that the bench file names lead to the terminals; one that cannot is named on stderr."""
-    for told in links.make():
-        click.echo(told, err=True)
+    for reported in links.make():
+        click.echo(reported, err=True)
     try:
         yield
     finally:

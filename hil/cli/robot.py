@@ -48,7 +48,7 @@ def show(record: Path, version: int | None, page: Path | None, as_json: bool) ->
     if page is not None:
         write_robot_page(page, found, date.today())
     if as_json:
-        told = {
+        reported = {
             "record": str(record),
             "version": file.version,
             "created": file.created,
@@ -58,7 +58,7 @@ def show(record: Path, version: int | None, page: Path | None, as_json: bool) ->
             "versions": [_described(v) for v in history.versions],
             "damaged": [{"path": str(path), "why": why} for path, why in history.damaged],
         }
-        click.echo(json.dumps(told, allow_nan=False))
+        click.echo(json.dumps(reported, allow_nan=False))
         return 0
     click.echo(f"{file.robot.name}: version {file.version} of {record}, {file.created}, by {file.why}")
     for row in rows:

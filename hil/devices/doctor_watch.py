@@ -95,8 +95,8 @@ def losses(name: str, statuses: Iterable[Status], due: int, remedy: str) -> Find
         return Finding(name, "samples", "failure", again, "none", SUPPLY)
     loss = 1.0 - good / due if due else 1.0
     level = "failure" if loss > LOSS_FAILURE else "warning" if loss > LOSS_WARNING else "ok"
-    told = ", ".join(f"{count} {status.value}" for status, count in seen.most_common()) or "no bad samples"
-    return Finding(name, "samples", level, f"{good} of {due} good ({told})", "nearly all good", remedy)
+    message = ", ".join(f"{count} {status.value}" for status, count in seen.most_common()) or "no bad samples"
+    return Finding(name, "samples", level, f"{good} of {due} good ({message})", "nearly all good", remedy)
 
 
 def restarted(again: int, count: int) -> str:

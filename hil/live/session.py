@@ -197,11 +197,11 @@ class LiveSession:
     def _cycle(self, pipeline: ControlPipeline, trajectory: Trajectory | None, pose: Array) -> None:
         bench, plan = self.bench, self.plan
         law = None if trajectory is None else plan.controller or bench.config.control.law
-        told = None if trajectory is None else trajectory.to_mapping()
-        if told is not None and plan.commands is not None:
-            told["references"] = "recorded"
+        reported = None if trajectory is None else trajectory.to_mapping()
+        if reported is not None and plan.commands is not None:
+            reported["references"] = "recorded"
         bench.add_sink(self._samples)
-        start = RunStart(self.bench.start_state(pose), plan.feedback, law, plan.observers, told)
+        start = RunStart(self.bench.start_state(pose), plan.feedback, law, plan.observers, reported)
         bench.run(pipeline, start, self._is_over(pipeline, trajectory))
         if self._stop.name:
             raise Aborted(f"ended by {self._stop.name}")

@@ -122,7 +122,7 @@ def accept(asked: Acceptance) -> tuple[dict[str, Any], int]:
     except Aborted as aborted:
         ended_by = aborted.message
         run.current.end(Verdict.ABORTED, aborted.message)
-    told = {
+    reported = {
         "verdict": run.verdict().value,
         "bench": config.name,
         "robot": config.robot.name,
@@ -138,7 +138,7 @@ def accept(asked: Acceptance) -> tuple[dict[str, Any], int]:
         "held": run.held,
         "stages": [stage.to_json() for stage in run.stages.values()],
     }
-    return told, run.exit_code()
+    return reported, run.exit_code()
 
 
 class _Running:

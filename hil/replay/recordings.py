@@ -81,12 +81,12 @@ class OpenedRecording:
             return failed
         from hil.calibration.warnings import told_by
 
-        told = told_by(self.tables)
+        reported = told_by(self.tables)
         assumed = [] if self.named or len(self.tables[0].sources) == _PAIR else [self._assumed()]
         robot = replace(self.robot, geometry=self.bench.geometry)
         found = mismatch(reduce_recordings(self.tables, _BLOCK_S), robot)
         doubted = f"{found}; {robot.in_words()}; name the robot's bench file with --bench"
-        return [*failed, *told, *assumed, *([doubted] if found else [])]
+        return [*failed, *reported, *assumed, *([doubted] if found else [])]
 
     def _assumed(self) -> str:
         surface = "a wall" if self.bench.config.environment.on_wall else "a floor"

@@ -188,10 +188,10 @@ def _foreign(start: RunStart) -> str:
     """Which parts of a run cannot be made again, because they are not of this package; empty for none."""
     laws = (start.controller,) if start.controller not in (None, SCRIPT, *LAWS) else ()
     filters = [name for name in (start.feedback, *start.observers) if name not in ESTIMATORS]
-    told = [*(f"controller {name}" for name in laws), *(f"estimator {name}" for name in filters)]
-    if not told:
+    reported = [*(f"controller {name}" for name in laws), *(f"estimator {name}" for name in filters)]
+    if not reported:
         return ""
-    return f"{' and '.join(told)}: not part of this package, so that replay cannot make it again"
+    return f"{' and '.join(reported)}: not part of this package, so that replay cannot make it again"
 
 
 def _are_recorded(pipeline: ControlPipeline) -> bool:

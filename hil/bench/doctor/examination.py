@@ -137,28 +137,28 @@ def _examine_one(
 ) -> Iterator[Finding]:
     """Findings about one device; `seen` receives what it delivered."""
     device = bench.rig.get(kind)
-    told = list(_latency_timer(bench, kind, host))
-    yield from told
+    reported = list(_latency_timer(bench, kind, host))
+    yield from reported
     try:
         device.open()
     except Aborted:
         raise  # whoever ended it: that says nothing of the device
     except HilError as error:
-        yield _slowness_first(told, _failure(device, "open", error))
+        yield _slowness_first(reported, _failure(device, "open", error))
         return
     try:
         identity = ", ".join(f"{key} {value}" for key, value in device.identity().items())
         yield Finding(device.name, "open", "ok", identity)
         own = [f for f in getattr(device, "diagnose", tuple)() if f.check not in _SHOWN_BY_SAMPLES]
-        told += own
+        reported += own
         yield from own
         _watch(bench, device, _SETTLE_S, [])
         for finding in _looks(bench, kind, device, watch_s, seen):
-            yield _slowness_first(told, finding)
+            yield _slowness_first(reported, finding)
     except Aborted:
         raise
     except HilError as error:
-        yield _slowness_first(told, _failure(device, "read", error))
+        yield _slowness_first(reported, _failure(device, "read", error))
     finally:
         device.close()
 

@@ -89,10 +89,10 @@ class Seen:
     def _absent(self, name: str, link: CanLink, config: VescConfig) -> DeviceError:
         others = sorted({*self.pongs, *self.statuses})[:_MOST_LISTED]
         if others:
-            told = ", ".join(map(str, others))
+            message = ", ".join(map(str, others))
             return DeviceError(
                 name,
-                f"no controller has the id {config.controller_id}; there: {told}",
+                f"no controller has the id {config.controller_id}; there: {message}",
                 port=link.port,
                 expected=f"controller {config.controller_id}",
                 remedy=f"set {name}.{self.key} to {others[0]} if that is the one",
@@ -122,8 +122,8 @@ class Seen:
             )
             sent = settings.sent
         level = "ok" if sent >= _NEEDED else "warning"
-        told = ", ".join(map(str, sorted(sent))) or "none"
-        yield Finding(name, "status messages", level, told, "1, 4 and 5", _MASKS)
+        message = ", ".join(map(str, sorted(sent))) or "none"
+        yield Finding(name, "status messages", level, message, "1, 4 and 5", _MASKS)
         yield self._firmware(name, answers.firmware)
 
     @staticmethod

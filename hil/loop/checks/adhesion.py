@@ -185,8 +185,8 @@ class AdhesionWatch(Check):
         for fan in inputs.adhesion:
             if fan.trouble != self._trouble:
                 self._trouble = fan.trouble
-                told = fan.trouble or "the fan is kept running as it should be again"
-                events.append(Event(inputs.t_ns, "warning" if fan.trouble else "info", "adhesion", told))
+                message = fan.trouble or "the fan is kept running as it should be again"
+                events.append(Event(inputs.t_ns, "warning" if fan.trouble else "info", "adhesion", message))
             if fan.status is _OK and self._has_fan:
                 self._fan, self._fan_ns = fan, fan.stamp.t_ns
                 self._speed_n = self.limits.speed_n(fan)
@@ -273,22 +273,22 @@ class AdhesionWatch(Check):
         soon_n = force_n + _AHEAD_S * rate_n_s if falling else force_n
         if soon_n >= limit_n and self._most <= self.limits.utilisation:
             return
-        told = f"{force_n:.1f} N of adhesion{self._by_whom()}, {self._left(force_n)}"
+        message = f"{force_n:.1f} N of adhesion{self._by_whom()}, {self._left(force_n)}"
         if falling:
             left_s = max((force_n - self._needed_n) / -rate_n_s, 0.0)
-            told += f", falling by {-rate_n_s:.1f} N/s by the {measure}: {left_s:.1f} s are left "
-            told += "until the robot slides"
+            message += f", falling by {-rate_n_s:.1f} N/s by the {measure}: {left_s:.1f} s are left "
+            message += "until the robot slides"
         if force_n < limit_n:
             least = f"{limit_n:.1f} N are the least on this surface ({self._needed_n:.1f} needed)"
-            stop("adhesion", f"{told}; {least}{self._weak_push()}")
+            stop("adhesion", f"{message}; {least}{self._weak_push()}")
         elif soon_n < limit_n:
-            stop("adhesion", f"{told}; look at fan, battery and seal{self._weak_push()}")
+            stop("adhesion", f"{message}; look at fan, battery and seal{self._weak_push()}")
         if self._most > self.limits.utilisation:
             wheel = max(WHEELS, key=lambda w: self._used[f"utilisation_{w}"])
             stop(
                 "utilisation",
                 f"wheel {wheel} uses {100 * self._most:.0f} % of its friction, more than "
-                f"{100 * self.limits.utilisation:.0f} %: {told}{self._weak_push()}{self._way_out()}",
+                f"{100 * self.limits.utilisation:.0f} %: {message}{self._weak_push()}{self._way_out()}",
             )
 
     def _way_out(self) -> str:
@@ -304,8 +304,8 @@ class AdhesionWatch(Check):
         """Who says so, where another says otherwise: it may be that one that is wrong."""
         if not apart(self._cells_n, self._speed_n):
             return ""
-        told = [(self._cells_n, "the load cells"), (self._speed_n, "the fan's speed")]
-        (_, low), (other_n, high) = sorted(told)
+        reported = [(self._cells_n, "the load cells"), (self._speed_n, "the fan's speed")]
+        (_, low), (other_n, high) = sorted(reported)
         return f" by {low} ({other_n:.1f} N by {high}: one of them is wrong, or air leaks under the robot)"
 
     def _weak_push(self) -> str:
@@ -334,14 +334,14 @@ class AdhesionWatch(Check):
         if t_ns - self._apart_ns < _DISAGREE_NS or self._fan is None:
             return
         power_n = self.limits.power_n(self._fan)
-        told = f"the load cells say {self._cells_n:.1f} N, the fan's speed {self._speed_n:.1f} N"
+        message = f"the load cells say {self._cells_n:.1f} N, the fan's speed {self._speed_n:.1f} N"
         if not math.isfinite(power_n):
-            told += "; its current is not reported"
+            message += "; its current is not reported"
         elif abs(power_n - self._speed_n) < abs(power_n - self._cells_n):
-            told += f", its power {power_n:.1f} N: the cells lie, or air leaks under the robot"
+            message += f", its power {power_n:.1f} N: the cells lie, or air leaks under the robot"
         else:
-            told += f", its power {power_n:.1f} N: the reported speed is wrong"
-        stop("adhesion_disagree", f"{told}; `hil run adhesion_check` at rest")
+            message += f", its power {power_n:.1f} N: the reported speed is wrong"
+        stop("adhesion_disagree", f"{message}; `hil run adhesion_check` at rest")
 
     def _judge_push(self, stop: ReportStop) -> None:
         """Propellers that have reported too much push for a while: what they give is not known."""

@@ -183,15 +183,15 @@ class MocapEstimate(Check):
         """
         gone_m, true_m = abs(self._gone), abs(self._true)
         camera_m, wheels_m = (abs(way) for way in self._capture.ways())
-        told = f"the estimate has gone {gone_m:.3f} m, motion capture {true_m:.3f} m"
+        message = f"the estimate has gone {gone_m:.3f} m, motion capture {true_m:.3f} m"
         if abs(off.imag) > abs(off.real):
-            told += f" and {1e3 * abs(off.imag):.0f} mm further aside"
-        told += f" (the camera {camera_m:.3f} m, the wheels {wheels_m:.3f} m)"
+            message += f" and {1e3 * abs(off.imag):.0f} mm further aside"
+        message += f" (the camera {camera_m:.3f} m, the wheels {wheels_m:.3f} m)"
         if beyond_m <= 0.0:
             return (
-                f"{told}: camera or wheels drift, or the axes of motion capture's rigid body are turned "
+                f"{message}: camera or wheels drift, or the axes of motion capture's rigid body are turned "
                 "against the robot's; align them"
             )
         if party is CAPTURE:
-            return f"{told}: camera and wheels agree against motion capture"
-        return f"{told}: {party.called} may be wrong, or motion capture is"
+            return f"{message}: camera and wheels agree against motion capture"
+        return f"{message}: {party.called} may be wrong, or motion capture is"

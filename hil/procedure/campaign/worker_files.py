@@ -103,10 +103,10 @@ def digest(path: Path) -> str:
     Raises:
         ConfigError: a file that cannot be read.
     """
-    told = hashlib.sha256()
+    reported = hashlib.sha256()
     for name, content in _contents(path, path.name):
-        told.update(f"{name} {len(content)} ".encode() + content)
-    return told.hexdigest()
+        reported.update(f"{name} {len(content)} ".encode() + content)
+    return reported.hexdigest()
 
 
 def packed(folder: Path) -> bytes:
