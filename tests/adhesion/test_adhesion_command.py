@@ -263,7 +263,7 @@ def test_propellers_that_need_no_keeper_are_told_what_does(at_wire, hil):
 def test_the_service_is_started_by_a_command_that_there_is():
     unit = configparser.ConfigParser(strict=False, interpolation=None)
     unit.optionxform = str
-    unit.read(ROOT / "examples" / "hil-fan_commands.service")
+    unit.read(ROOT / "examples" / "hil-adhesion.service")
     words = unit["Service"]["ExecStart"].split()
     assert words[1:4] == ["adhesion", "keep", "--bench"]
     assert unit["Unit"]["RefuseManualStop"] == "yes"
