@@ -1,4 +1,4 @@
-"""Which kinds of devices may be the cause of a stop, by its reason: data, beside what its message says."""
+"""Which kinds of devices may be the cause of a stop, by its reason, as data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`pytest --hil-blind-spots`: the suite against robots that are broken on purpose. What does nobody notice?
+"""`pytest --hil-blind-spots`: the suite against robots broken on purpose; undetected faults are named.
 
 First the suite runs on the robot as it should be, and has to pass. Then every broken robot meets its tests,
 the quick ones first, until one fails: it has noticed. A breakage that no test notices is a blind spot. The

@@ -1,4 +1,4 @@
-"""Other estimators on a recording, and how far each is from motion capture and from what it says of itself.
+"""Other estimators on a recording: error against motion capture, and consistency (NEES).
 
 `compare` runs estimators, `smoothed` the smoother on the recorded measurements; `errors` and `consistency`
 hold them against motion capture (`truth_of`) and against what they say of themselves; `fitting` chooses the

@@ -1,4 +1,4 @@
-"""Older files into the record of a robot: a calibration, a piece of a bench file, a part, another record."""
+"""Imports calibrations, bench-file fragments, parts or another record into a robot's record."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether what presses the robot on its wall is heard, and presses enough: a part of whether it is held.
+"""Whether the fan's force is measured and is enough to hold the robot: one condition of HELD.
 
 A robot whose fan has just died still stands still. A controller that nobody hears may have let go of its
 motor, or will when its time-out ends, and the fan takes a second to run down. So a silent fan is no longer

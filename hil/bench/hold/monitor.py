@@ -1,4 +1,4 @@
-"""Whether the robot is held: somebody looks after every stop, until it is true or time is up.
+"""Watches after every stop whether the robot is held, until it is or time is up.
 
 "Held" is a claim about the world, not about what was sent: all eight servos say that they have torque and
 that their watchdogs wait, the wheels rest, and nothing that can see the robot sees it move. Until then the

@@ -1,4 +1,4 @@
-"""Whether propellers that report nothing understand what they are told, and go on without the bench.
+"""Whether propellers without feedback obey their commands, and go on when the bench has ended.
 
 Nobody confirms their commands. A controller that does not understand them takes its throttle down, and the
 robot slides seconds later: they count once it has been seen at rest for as long as that. A bench that closes

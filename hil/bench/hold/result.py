@@ -1,4 +1,4 @@
-"""How a run left the robot: the bench's last word after a stop, as data and in words."""
+"""How a run left the robot, HELD or NOT HELD, as data and in words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whose robot a file speaks of that a procedure left, and how its run ended: asked before a record takes it.
+"""Checks before a result enters a robot's record: which robot it is of, and how its run ended.
 
 A part says both in tables of its own. A piece of a bench file says it in comments, so that it can still be
 copied into one. The `result.json` beside either has the last word on how the run ended.

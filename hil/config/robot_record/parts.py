@@ -1,4 +1,4 @@
-"""One version of a record as a model: whose it is, its parts, and what must hold among them.
+"""One version of a robot's record as a model: its owner, its parts, and their consistency.
 
 A part is what one procedure found: values for keys of the bench file, and figures for people and other
 procedures. `made_with` remembers what it was measured on top of, so that parts which do not belong together

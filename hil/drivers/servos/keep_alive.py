@@ -1,4 +1,4 @@
-"""Who looks after the servos while nobody talks to them: after a stop, between motions, during a prompt.
+"""Polls the servos while no loop runs (after a stop, between motions), so that their watchdog stays fed.
 
 A robot on a wall hangs by the torque of its servos. A servo that restarts comes back without torque and
 says nothing; a program that has stopped its loop would not ask. So from `enable` until `release` or

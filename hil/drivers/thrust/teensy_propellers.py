@@ -1,4 +1,4 @@
-"""The propellers behind a Teensy: lines `THR<0..180>`, which nobody confirms.
+"""The propellers behind a Teensy: lines `THR<0..180>`, without confirmation.
 
 Opening the port changes nothing. Once a throttle was asked for it is sent again and again, so that a line
 that got lost, the firmware's way down after one that got damaged, and a restart do not last. Whoever reads

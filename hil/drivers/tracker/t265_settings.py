@@ -1,4 +1,4 @@
-"""What a T265 is told before it streams, and while it does: how to treat its map, and what the wheels say.
+"""The settings of a T265 before and while it streams: map handling, wheel odometry.
 
 The velocity is that of the body's origin in the body's axes. Where these are is told once, in librealsense's
 JSON (its manual of the T265): `T` and `W` are place and rotation vector of the velocity sensor's frame in the

@@ -1,4 +1,4 @@
-"""Eight emulated servos on one half-duplex bus: who hears what, who answers when.
+"""Eight emulated servos on one half-duplex bus: addressing and the order of replies.
 
 Everything here is timing and addressing; what a servo does is in `servo.py` and `single.py`. The bus is
 a part of the world that ticks every 4 ms: measurement grid, profiles, bus watchdogs, and every 0.1 s

@@ -1,4 +1,4 @@
-"""Watches what presses the robot on its wall: measured force against what is needed, and who measures it.
+"""Measured fan force against the force that is needed, and agreement of its two measurements.
 
 The force is what the load cells say without their zeros, and what a fan of this speed gives; the smaller one
 counts, and the two are held against each other and against what the battery gives. The robot stops while

@@ -1,4 +1,4 @@
-"""Motion capture against camera and wheels: who of the three is alone with the way that it tells.
+"""Motion capture against camera and wheels: which of the three disagrees with the other two.
 
 Motion capture sees neither scale nor slip, so a camera beside it may differ by its scale only, and wheels by
 what they creep. It stays a witness: what it says goes into no estimate here. Deterministic: depends on what

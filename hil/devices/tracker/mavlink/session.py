@@ -1,4 +1,4 @@
-"""One conversation with the sender: who it is, its messages, heartbeats, and the time of its clock."""
+"""One MAVLink session with the odometry source: identity, messages, heartbeats, clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ways to the sender: a UDP port, or a serial port that is looked into often enough to tell the time."""
+"""Transports to the odometry source: UDP, or a serial port that is polled often enough for time stamps."""
 
 from __future__ import annotations
 
