@@ -84,7 +84,7 @@ class Acceptance:
     Attributes:
         source: the bench.
         now: date and time, ISO 8601.
-        on_stand: somebody has said that the wheels are free; otherwise the operator is asked.
+        on_stand: the operator has said that the wheels are free; otherwise the operator is asked.
         operator: who answers.
         report: progress.
         interrupts: signals.

@@ -156,7 +156,7 @@ def compare_run(
 
 
 def _own_observers(records: Sequence[CycleRecord]) -> dict[str, Motion]:
-    """What was recorded of observers that nobody can make again, those of the user's own, by row."""
+    """What was recorded of observers that nothing can make again, those of the user's own, by row."""
     names = dict.fromkeys(name for r in records for name in r.observers if name not in ESTIMATORS)
     return {
         f"recorded {name}": Motion(
@@ -183,7 +183,7 @@ def table(motions: Mapping[str, Motion]) -> dict[str, dict[str, float | None]]:
 
 
 def truth_of(motion: Motion) -> Array:
-    """Motion capture at the cycles, (n, 3): interpolated between samples, NaN where nobody knows.
+    """Motion capture at the cycles, (n, 3): interpolated between samples, NaN where it is unknown.
 
     The last sample counts for the cycles after it (`Motion.mocap`) only while the wheels rest: of a robot
     that drives it says where it has been. Samples that come slowly count for the cycle next to each.

@@ -44,7 +44,7 @@ def import_record(
         source: `part_NAME.toml`, `calibration.toml`, `bench_fragment.toml`, or the folder of a record.
         config: bench of the robot that they belong to.
         now: date and time, ISO 8601.
-        of_this_robot: somebody vouches for a file that does not say of which robot it is.
+        of_this_robot: the user vouches for a file that does not say of which robot it is.
 
     Returns:
         Names of the parts that had to go.

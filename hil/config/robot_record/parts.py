@@ -108,7 +108,7 @@ class _Model(BaseModel):
 
 
 class Figure(_Model):
-    """A measured number; `sigma` is its standard uncertainty, None where nobody knows it."""
+    """A measured number; `sigma` is its standard uncertainty, None where it is unknown."""
 
     value: float
     sigma: float | None = Field(None, ge=0)
@@ -184,7 +184,7 @@ class Part(_Model):
 class Identity(_Model):
     """Whose record it is: name, servos and wheels on paper, as the bench file has them.
 
-    `body` is the body behind it: `real`, or which emulated one; None where nobody said.
+    `body` is the body behind it: `real`, or which emulated one; None where it was not said.
     """
 
     name: str

@@ -304,7 +304,7 @@ class ServoBus(SerialChip, Scheduled):
 
 
 def _collided(replies: list[Reply]) -> list[Reply]:
-    """Servos with the same ID talk at once: what is left on the line is nobody's packet."""
+    """Servos with the same ID talk at once: what is left on the line is not a valid packet."""
     if len(replies) < 2:
         return replies
     return [Reply(replies[0].ready_ns, protocol.mixed([r.data for r in replies]))]

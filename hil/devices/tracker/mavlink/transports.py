@@ -54,7 +54,7 @@ class UdpLink(Link):
 
     @property
     def overflowed(self) -> int:  # type: ignore[override]
-        """Datagrams lost because nobody took them."""
+        """Datagrams lost because they were not taken in time."""
         return self._port.overflowed
 
     def send(self, data: bytes, address: Address) -> None:
