@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-from hil.bench.drivers import make_rig
+from hil.bench.drivers import make_device_set
 from hil.bench.fan_interlock import DEVICE, STEP_NS, WATCH_S, duty_n, fan_of, must_be_enough
 from hil.bench.settings import force_wanted_n
 from hil.config.adhesion import AdhesionConfig, MotorConfig
@@ -118,7 +118,7 @@ def switch_on(
     wanted_n = force_wanted_n(config) if force_n is None else force_n
     if isinstance(table, MotorConfig):
         _must_be_free(keeper_spec(config))
-    fan: Any = make_rig(config, clock, {}).get(DEVICE)
+    fan: Any = make_device_set(config, clock, {}).get(DEVICE)
     if not tethered:  # and closed again: nobody would command it while the others are looked at
         fan.open()
         with contextlib.closing(fan):

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench.drivers import make_rig
+from hil.bench.drivers import make_device_set
 from hil.bench.hold.tilt import tilt_rad
 from hil.bench.settings import adhesion_limits, can_fall, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig, MotorConfig
@@ -98,7 +98,7 @@ def seen_off_the_wall(config: BenchConfig) -> str:
         UsageError: something says that it may hang, or nobody can see.
     """
     table = fan_of(config)
-    rig, clock = make_rig(config, MonotonicClock(), {}), MonotonicClock()
+    rig, clock = make_device_set(config, MonotonicClock(), {}), MonotonicClock()
     seen: dict[str, list[Any]] = {}
     for name in ("imu", "load_cells", DEVICE):
         device = rig.get(name)
@@ -115,14 +115,14 @@ def seen_off_the_wall(config: BenchConfig) -> str:
     blows_n = max((table.force_at_n(s.speed_rpm) for s in seen[DEVICE]), default=math.nan)
     limit_n = max(_NO_FORCE * blows_n, _CELLS_REST_N)
     force_n = max((float(np.sum(s.force_n)) for s in seen["load_cells"]), default=math.nan)
-    told = f"tilted by {math.degrees(tilted_rad):.0f} deg, load cells {force_n:.1f} N"
+    message = f"tilted by {math.degrees(tilted_rad):.0f} deg, load cells {force_n:.1f} N"
     if not (tilted_rad <= _LEVEL_RAD and abs(force_n) <= limit_n):
         raise UsageError(
-            f"the robot may hang by its fan: {told}",
+            f"the robot may hang by its fan: {message}",
             expected=f"at most {math.degrees(_LEVEL_RAD):.0f} deg and {limit_n:.1f} N",
             remedy=_TETHERED,
         )
-    return f"seen off the wall: {told}"
+    return f"seen off the wall: {message}"
 
 
 def _watched(device: Any, clock: MonotonicClock) -> list[Any]:

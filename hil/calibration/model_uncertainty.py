@@ -45,8 +45,8 @@ def model_freedom(fit: Fit, inverse: Array) -> Array:
     cross, theirs = gram[:size, size:-1], gram[size:-1, size:-1]
     left = gram[size:-1, -1] - cross.T @ inverse @ (gram[:size, -1] + _pull(problem, z))
     noise = max(gram[-1, -1] / (_EFFECTIVE * max(problem.weights.sum(), 1.0)), _LEAST_NOISE)
-    told = (theirs - cross.T @ inverse @ cross) / noise
-    covariance = np.linalg.inv(told + np.eye(len(told)))
+    reported = (theirs - cross.T @ inverse @ cross) / noise
+    covariance = np.linalg.inv(reported + np.eye(len(reported)))
     share = -covariance @ left / noise
     shift = inverse @ cross
     return np.asarray(shift @ (covariance + np.outer(share, share)) @ shift.T, dtype=np.float64)

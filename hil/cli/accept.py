@@ -48,7 +48,7 @@ def command(
     interrupts = asked_to_end()
     with interrupts.installed(), interrupts.deferred():
         with reporting() as report:
-            told, code = accept(
+            reported, code = accept(
                 Acceptance(
                     request.source({}),
                     local_time,
@@ -59,11 +59,14 @@ def command(
                 )
             )
         try:
-            told = write_acceptance(folder, told)
+            reported = write_acceptance(folder, reported)
         except HilError as error:
             click.echo(f"hil: {error}", err=True)
-            told, code = {**told, "folder": str(folder), "page": None, "data": None}, code or EXIT_ABORTED
-        click.echo(json.dumps(told, allow_nan=False) if as_json else _text(told))
+            reported, code = (
+                {**reported, "folder": str(folder), "page": None, "data": None},
+                code or EXIT_ABORTED,
+            )
+        click.echo(json.dumps(reported, allow_nan=False) if as_json else _text(reported))
     return code
 
 

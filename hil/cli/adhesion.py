@@ -113,12 +113,12 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
         click.echo(json.dumps({**_told(specs, found), "confirmed_by": why}))
         return EXIT_PASS
     for kind, spec in specs.items():
-        status, told = found[kind], "it has no keeper; nothing was running that could be stopped"
+        status, message = found[kind], "it has no keeper; nothing was running that could be stopped"
         if status is not None:
-            told = f"off ({why})" + (
+            message = f"off ({why})" + (
                 f", by the keeper{other}" if (other := fan_commands.of_whom(status)) else ""
             )
-        click.echo(f"{spec.name}: {told}")
+        click.echo(f"{spec.name}: {message}")
     return EXIT_PASS
 
 
@@ -157,8 +157,8 @@ def _all_kept(found: Mapping[str, Status | DeviceError | None]) -> int:
     code = EXIT_PASS
     for kind, status in found.items():
         if status is None or isinstance(status, DeviceError):
-            code, told = EXIT_DEVICE, status or f"{kind} has no keeper: nobody commands it now"
-            click.echo(f"hil: {told}", err=True)
+            code, message = EXIT_DEVICE, status or f"{kind} has no keeper: nobody commands it now"
+            click.echo(f"hil: {message}", err=True)
     return code
 
 
@@ -182,11 +182,11 @@ def _how(spec: Spec, status: Status | DeviceError | None) -> str:
 def _show(spec: Spec, status: Status | DeviceError | None) -> None:
     from hil.bench import fan_commands
 
-    told = f"{spec.name}: {_how(spec, status)}"
+    message = f"{spec.name}: {_how(spec, status)}"
     if status is None:
         starter = "`hil adhesion on`" if spec.device == "adhesion" else "`hil run`"
-        told += f"; {starter} starts one"
-    click.echo(told)
+        message += f"; {starter} starts one"
+    click.echo(message)
     if status is None or isinstance(status, DeviceError):
         return
     since = time.strftime("%Y-%m-%d %H:%M", time.localtime(status["since"]))

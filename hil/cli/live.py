@@ -108,7 +108,7 @@ def command(
 
     Example: hil live --bench emulated --duration 20 --rerun spawn
     """
-    from hil.bench import plan_bench
+    from hil.bench import make_bench_model
     from hil.live import LivePlan, LiveSession, load_trajectory, open_commands
     from hil.support.stop_signals import StopRequest
 
@@ -117,7 +117,7 @@ def command(
     reference, known = None, None
     if source is not None:
         reference, known = load_trajectory(
-            source, plan_bench(bench.config, calibration=bench.calibration).check
+            source, make_bench_model(bench.config, calibration=bench.calibration).check
         )
     lines = open_commands(commands)
     if lines is not None:

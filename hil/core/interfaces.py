@@ -27,7 +27,7 @@ from hil.core.signals import (
 
 S_co = TypeVar("S_co", covariant=True)
 
-Blame = Callable[[str, str], None]
+ReportStop = Callable[[str, str], None]
 """Takes reason and message of a condition under which the robot must not go on."""
 
 

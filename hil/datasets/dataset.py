@@ -148,8 +148,8 @@ def build_recording(
     parts = [replace(part, sources=sources, sha256=sha256) for part in parts]
     if len(logs) == 1:
         return parts[0]
-    told = {**parts[0].repairs, in_words(wheels): len(logs) - 1}
-    return replace(parts[0], repairs=told, problems=tuple(problems), later=tuple(parts[1:]))
+    reported = {**parts[0].repairs, in_words(wheels): len(logs) - 1}
+    return replace(parts[0], repairs=reported, problems=tuple(problems), later=tuple(parts[1:]))
 
 
 def _build(

@@ -86,10 +86,10 @@ def whole_turns(where: str, t_s: Array, angle: Array, rate: Array) -> Turns:
     turns, wraps = _wrapped(angle, steps, far)
     unsure = (steps.reach >= np.pi)[:, None] & one_turn & np.any(wraps[:, one_turn])
     unsure &= np.any((size > _UNMOVED_RAD) | np.isfinite(steps.by_rate), axis=1, keepdims=True)
-    told, agrees = _told(steps)
+    reported, agrees = _told(steps)
     by_rate = unsure & agrees
     wraps &= ~unsure
-    turns = np.where(by_rate, told, np.where(wraps, turns, 0.0))
+    turns = np.where(by_rate, reported, np.where(wraps, turns, 0.0))
     restarts = np.any(size > np.minimum(steps.near, np.pi)[:, None], axis=1) & _as_at_first(angle)
     leaps = ((far & ~wraps) | restarts[:, None]) & ~unsure
     counts = {WRAPS: np.count_nonzero(wraps), BY_RATES: np.count_nonzero(by_rate)}

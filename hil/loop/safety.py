@@ -7,11 +7,11 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from hil.loop.checks.adhesion import AdhesionWatch
-from hil.loop.checks.mocap_estimate import EstimateWatch
+from hil.loop.checks.mocap_estimate import MocapEstimate
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.checks.sensor_rate import Healthy
 from hil.loop.checks.steering_encoders import SteeringWatch
-from hil.loop.checks.wheel_slip import WheelWatch
+from hil.loop.checks.wheel_slip import WheelSlipCheck
 from hil.loop.cycle import Check
 
 
@@ -62,8 +62,8 @@ class Checks:
     """
 
     motion: MotionCheck | None = None
-    estimate: EstimateWatch | None = None
-    wheels: WheelWatch | None = None
+    estimate: MocapEstimate | None = None
+    wheels: WheelSlipCheck | None = None
     needs_camera: bool = False
     steering: SteeringWatch | None = None
     stops_by_steering: bool = False

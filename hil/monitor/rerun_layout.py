@@ -89,7 +89,7 @@ def blueprint(sight: Sight | None = None, tab: str = TABS[0], further: Sequence[
     import rerun.blueprint as rrb
 
     log = rrb.TextLogView(origin="/events", name="Faults and events")
-    return rrb.Blueprint(
+    return rrb.BenchModel(
         rrb.Horizontal(
             rrb.Vertical(rrb.Tabs(*_views_of_the_robot(sight), active_tab=0), log, row_shares=[5, 1]),
             rrb.Tabs(*_plots(further), active_tab=TABS.index(tab)),

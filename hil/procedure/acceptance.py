@@ -26,7 +26,7 @@ from hil.bench.contract import (
     punctuality,
     without_restart,
 )
-from hil.bench.doctor.degraded_bench import open_what_can_be
+from hil.bench.doctor.degraded_bench import open_degraded
 from hil.bench.doctor.examination import examine
 from hil.core.errors import EXIT_ABORTED, EXIT_DEVICE, EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, HilError
 from hil.core.finding import Finding
@@ -122,7 +122,7 @@ def accept(asked: Acceptance) -> tuple[dict[str, Any], int]:
     except Aborted as aborted:
         ended_by = aborted.message
         run.current.end(Verdict.ABORTED, aborted.message)
-    told = {
+    reported = {
         "verdict": run.verdict().value,
         "bench": config.name,
         "robot": config.robot.name,
@@ -138,7 +138,7 @@ def accept(asked: Acceptance) -> tuple[dict[str, Any], int]:
         "held": run.held,
         "stages": [stage.to_json() for stage in run.stages.values()],
     }
-    return told, run.exit_code()
+    return reported, run.exit_code()
 
 
 class _Running:
@@ -193,7 +193,7 @@ class _Running:
 
     def _opened(self) -> tuple[Bench, list[Finding]]:
         source = self._asked.source
-        return open_what_can_be(
+        return open_degraded(
             source.bench,
             emulate=source.emulate,
             seed=source.seed,

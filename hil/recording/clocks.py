@@ -92,9 +92,9 @@ def _time_of(fd: int) -> int:
 def recorded_ptp(header: Mapping[str, Any]) -> tuple[PtpOffset, ...]:
     """Offsets of hardware clocks in a header; none where there were none."""
     clock = header.get("clock")
-    told = clock.get("ptp", ()) if isinstance(clock, Mapping) else ()
+    reported = clock.get("ptp", ()) if isinstance(clock, Mapping) else ()
     numbers = PtpOffset._fields[1:]
-    return tuple(PtpOffset(str(one["device"]), *(int(one[key]) for key in numbers)) for one in told)
+    return tuple(PtpOffset(str(one["device"]), *(int(one[key]) for key in numbers)) for one in reported)
 
 
 def shift_between(first: str | Path, second: str | Path) -> Shift:

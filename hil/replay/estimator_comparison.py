@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.config.estimator import EstimatorConfig
 from hil.core.choices import COMPARED, ESTIMATORS
 from hil.core.clock import NS_PER_S
@@ -42,14 +42,14 @@ def rest_on_wheels(sensors: Iterable[str]) -> bool:
     return not {"gyro", "tracker"} & set(sensors)
 
 
-def fitting(bench: Blueprint, sensors: Iterable[str]) -> Blueprint:
+def fitting(bench: BenchModel, sensors: Iterable[str]) -> BenchModel:
     """The bench with filters that suit the sensors that were heard."""
     return (
         bench.with_estimator(bench.config.estimator.on_wheels_alone()) if rest_on_wheels(sensors) else bench
     )
 
 
-def told_of_sensors(bench: Blueprint, sensors: Sequence[str]) -> str:
+def told_of_sensors(bench: BenchModel, sensors: Sequence[str]) -> str:
     """Which sensors a run has, and what filters make of a run of wheels alone."""
     absent = [word for name, word in SENSORS.items() if name not in sensors]
     text = "sensors: " + ", ".join(SENSORS[name] for name in sensors)
@@ -111,7 +111,7 @@ def smoothed(
 
 def compare_run(
     run: RecordedRun,
-    bench: Blueprint,
+    bench: BenchModel,
     kinds: Sequence[str] = COMPARED,
     *,
     own: Mapping[str, Estimator] = MappingProxyType({}),

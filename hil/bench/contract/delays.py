@@ -46,12 +46,12 @@ def delays_at_rest(subject: Subject) -> str:
     age_ms = np.array([s.host_ns - s.t_ns for s in stamps]) * 1e-6
     median, late = float(np.median(age_ms)), float(np.percentile(age_ms, 95))
     read = 1e3 * float(np.percentile(watched.took_s, 99))
-    told = f"{median:.2f} ms old (95 %: {late:.2f} ms), read in {read:.2f} ms (99 %)"
+    message = f"{median:.2f} ms old (95 %: {late:.2f} ms), read in {read:.2f} ms (99 %)"
     if median >= 1e3 * limit_s:
         raise Broken(
-            told, f"younger than {1e3 * limit_s:.3g} ms", "look at USB latency timer, hub and network"
+            message, f"younger than {1e3 * limit_s:.3g} ms", "look at USB latency timer, hub and network"
         )
-    return told
+    return message
 
 
 def punctuality(config: BenchConfig) -> Finding:

@@ -34,7 +34,7 @@ class _Found:
     origin: Origin
 
 
-def absorb(
+def import_record(
     record: RobotRecord, source: Path, config: BenchConfig, now: str, *, of_this_robot: bool = False
 ) -> tuple[str, ...]:
     """Take the parts that a file or another record holds, as a new version.

@@ -26,7 +26,7 @@ from hil.core.registry import kinds
 from hil.core.signals import LoadCellSample, Status, worst
 from hil.loop.checks.adhesion import AdhesionLimits
 from hil.loop.checks.force_trend import ForceTrend
-from hil.loop.device_set import Rig
+from hil.loop.device_set import DeviceSet
 
 RUN_DOWN_S = 1.0
 """A fan without current has lost more force than any reserve by then."""
@@ -49,7 +49,7 @@ def measured_n(limits: AdhesionLimits, samples: Iterable[Any]) -> Iterator[tuple
             yield who, sample.stamp.t_ns, force_n
 
 
-class PressWatch:
+class AdhesionForceCheck:
     """Follows fan and load cells of a robot that has been stopped on a wall.
 
     Args:
@@ -67,7 +67,7 @@ class PressWatch:
 
     def __init__(
         self,
-        rig: Rig,
+        rig: DeviceSet,
         limits: AdhesionLimits | None,
         fan: KeptMotorConfig | None,
         alone: LeftAlone,
@@ -117,9 +117,9 @@ class PressWatch:
         fresh = self._fresh(now_ns)
         push_n, without = self._counted_push(now_ns, sees_slide, moves, fresh)
         least_n = self._limits.statics.needed_n(push_n, self.heading_rad)
-        told = ", ".join(f"{force_n:.1f} N by {name}" for name, force_n in fresh.items())
+        message = ", ".join(f"{force_n:.1f} N by {name}" for name, force_n in fresh.items())
         if not fresh or not min(fresh.values()) >= least_n:  # NaN is not enough either
-            told = told or "nobody measures it"
+            message = message or "nobody measures it"
             whole_n = self._limits.statics.needed_n(self._limits.nominal_thrust_n, self.heading_rad)
             self.waits = self._alone.begun and min(fresh.values(), default=0.0) >= whole_n
             if self.waits:
@@ -127,13 +127,15 @@ class PressWatch:
             else:
                 self._enough_since_ns = None
             needed = f"{least_n:.1f} N are needed{without}"
-            return f"what presses the robot on the wall: {told}; {needed}: secure the robot"
+            return f"what presses the robot on the wall: {message}; {needed}: secure the robot"
         for name, force_n in fresh.items():
             falling_n_s = -self._trends[name].slope_n_s()
             if not force_n - RUN_DOWN_S * falling_n_s >= least_n:
-                return f"the force by {name} falls by {falling_n_s:.0f} N/s; {told} so far: secure the robot"
+                return (
+                    f"the force by {name} falls by {falling_n_s:.0f} N/s; {message} so far: secure the robot"
+                )
         if not self._outlasted(now_ns, fresh):
-            return f"the fan's controller is silent, it may have let go; {told} so far: secure the robot"
+            return f"the fan's controller is silent, it may have let go; {message} so far: secure the robot"
         return ""
 
     def _outlasted(self, now_ns: int, fresh: Mapping[str, float]) -> bool:
@@ -218,14 +220,14 @@ class PressWatch:
             return ""
         fresh = self._fresh(now_ns)
         measures = {FAN: self._limits.has_fan, _CELLS: self._limits.zero_n is not None}
-        told = [
+        reported = [
             f"{fresh[name]:.1f} N by {name}" if name in fresh else f"nothing by {name}"
             for name, there in measures.items()
             if there
         ]
         if self._limits.nominal_thrust_n and not self._limits.reports_thrust:
-            told.append("the propellers report nothing")
-        return f"; pressed on the wall: {', '.join(told)}"
+            reported.append("the propellers report nothing")
+        return f"; pressed on the wall: {', '.join(reported)}"
 
     def _fresh(self, now_ns: int) -> dict[str, float]:
         """Forces (N) that have just been measured, by who did."""
@@ -246,7 +248,7 @@ def _to_be_seen(left_s: float) -> str:
     return "nobody sees whether it slides, or knows how long they would need to let it"
 
 
-def press_watch(config: BenchConfig, rig: Rig) -> PressWatch:
+def press_watch(config: BenchConfig, rig: DeviceSet) -> AdhesionForceCheck:
     """That of a bench: it looks at what presses a robot that hangs on a wall without a tether.
 
     What is in another world than the servos presses another robot, or none.
@@ -259,4 +261,4 @@ def press_watch(config: BenchConfig, rig: Rig) -> PressWatch:
     own, asked_n = config.of(ThrustConfig), thrust_wanted_n(config)
     carried = can_fall(config) and asked_n > 0.0 and "thrust" in config.devices()
     carried = carried and not isinstance(own, KeptMotorConfig)
-    return PressWatch(rig, limits, kept, LeftAlone(rig, own, asked_n), carried, pretended)
+    return AdhesionForceCheck(rig, limits, kept, LeftAlone(rig, own, asked_n), carried, pretended)

@@ -18,10 +18,10 @@ import numpy as np
 
 from hil.bench.hold.adhesion_force import press_watch
 from hil.bench.hold.frame_jumps import Leaps
-from hil.bench.hold.rest import JOINTS, WINDOW_NS, Trail, Travel
+from hil.bench.hold.rest import JOINTS, WINDOW_NS, MotionSinceStop, Trail
 from hil.bench.hold.result import Held, State, lacking_in_words, on_the_floor
 from hil.bench.hold.tilt import TiltWatch
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.bench.settings import can_fall
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import HilError
@@ -39,7 +39,7 @@ from hil.core.signals import (
     samples_of,
     worst,
 )
-from hil.loop.device_set import Rig
+from hil.loop.device_set import DeviceSet
 from hil.robot.statics import GRAVITY_M_S2
 
 LOG = logging.getLogger(__name__)
@@ -59,7 +59,7 @@ _FELT = 10
 """Samples of it that are averaged."""
 
 
-class HoldWatch(Sink):
+class HoldMonitor(Sink):
     """Sees the robot's cycles go by, so that it knows where the robot stood when it was stopped.
 
     Args:
@@ -72,7 +72,7 @@ class HoldWatch(Sink):
         last_state: as the latest cycle estimated it; None before.
     """
 
-    def __init__(self, model: Blueprint, rig: Rig, clock: Clock) -> None:
+    def __init__(self, model: BenchModel, rig: DeviceSet, clock: Clock) -> None:
         config, elsewhere = model.config, model.config.elsewhere()
         self.tilt = TiltWatch(config)
         self._press = press_watch(config, rig)
@@ -85,7 +85,7 @@ class HoldWatch(Sink):
         self._seeing = {name: kind for name, kind in able.items() if name not in elsewhere}
         self._blind = [k.noun for name, k in able.items() if name in elsewhere and k.measures_position]
         self._on_wall, self._can_fall = config.environment.on_wall, can_fall(config)
-        self._travel = Travel(self._seeing, float(np.mean(model.geometry.radius_m)))
+        self._travel = MotionSinceStop(self._seeing, float(np.mean(model.geometry.radius_m)))
         tellers = [(name, self._seeing[name]) for name in self._travel.names]
         self._tellers = [(n, samples_of(n), k.motion_value, k.measures_position) for n, k in tellers]
         self._doubted: dict[str, bool] = {}

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from hil.config.thrust import ThrustConfig
 from hil.core.clock import NS_PER_S, nanoseconds
-from hil.loop.device_set import Rig
+from hil.loop.device_set import DeviceSet
 from hil.robot.statics import Statics
 
 _UNTOLD_S = 0.6
@@ -34,7 +34,7 @@ class LeftAlone:
         asked_n: what they are asked for.
     """
 
-    def __init__(self, rig: Rig, propellers: ThrustConfig | None, asked_n: float) -> None:
+    def __init__(self, rig: DeviceSet, propellers: ThrustConfig | None, asked_n: float) -> None:
         self._rig, self._propellers, self._asked_n = rig, propellers, asked_n
         self._since_ns: int | None = None
         self._seen_ns = 0

@@ -58,7 +58,7 @@ class Trail:
         return change
 
 
-class Travel:
+class MotionSinceStop:
     """How far the robot is from where it was stopped, by each that tells a place, and by its wheels.
 
     Args:
@@ -133,14 +133,14 @@ class Travel:
             believed: whose word counts.
             slides: whether it may move without its wheels, so that they alone tell nothing.
         """
-        told = {
+        reported = {
             name: moved_m
             for name, moved_m in self._farthest_m.items()
             if name in believed and moved_m > self._coarse_m.get(name, -math.inf)
         }
-        if slides and not told.keys() - {JOINTS}:
+        if slides and not reported.keys() - {JOINTS}:
             return None
-        return max(told.values(), default=None)
+        return max(reported.values(), default=None)
 
 
 def _mean(seen: deque[tuple[int, Array]]) -> Array:

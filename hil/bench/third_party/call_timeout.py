@@ -71,7 +71,7 @@ def opening(timeouts_s: float = 0.0) -> Patience:
     )
 
 
-class OverdueError(PackageError):
+class CallTimeoutError(PackageError):
     """A call of a package's code did not come back, and was ended."""
 
 
@@ -106,7 +106,7 @@ _WATCHMEN: list[threading.Thread] = []
 
 
 @contextmanager
-def not_for_ever(kind: str, package: str, what: str, patience: Patience = IN_A_CYCLE) -> Iterator[None]:
+def with_time_limit(kind: str, package: str, what: str, patience: Patience = IN_A_CYCLE) -> Iterator[None]:
     """Run code of a package that is to come back soon.
 
     Args:
@@ -116,7 +116,7 @@ def not_for_ever(kind: str, package: str, what: str, patience: Patience = IN_A_C
         patience: how long it may take.
 
     Raises:
-        OverdueError: it has been ended.
+        CallTimeoutError: it has been ended.
         HilError: it has been left, with this (`leave`).
     """
     _watch()
@@ -130,7 +130,7 @@ def not_for_ever(kind: str, package: str, what: str, patience: Patience = IN_A_C
         if call.asked is not None:
             raise call.asked(str(call)) from None
         ran_s = time.monotonic() - call.began_s
-        raise OverdueError(
+        raise CallTimeoutError(
             kind,
             package,
             f"{what} had not come back after {ran_s:.1f} s and was ended",

@@ -92,8 +92,8 @@ def of_fragment(path: Path) -> Origin:
         text = read_text(path, MOST_TOML_BYTES)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: cannot be read ({reason_of(error)})") from None
-    told, verdict = _ROBOT.search(text), _VERDICT.search(text)
-    robot = None if told is None else _robot(path, told[1])
+    reported, verdict = _ROBOT.search(text), _VERDICT.search(text)
+    robot = None if reported is None else _robot(path, reported[1])
     return _by_the_result(path, Origin(robot, NOT_VERIFIED if verdict is None else verdict[1], FROM_A_FILE))
 
 

@@ -23,7 +23,7 @@ _MOTOR_OVER_INPUT = 1.25
 _NEAR = 0.15
 
 
-class Trim:
+class SpeedTrim:
     """Keeps a speed up.
 
     Args:

@@ -12,7 +12,7 @@ from hil.core.signals import SERVOS, Status
 from hil.drivers.servos.cyclic_read import ALL_OK
 
 
-class OutageWatch:
+class AnswerTimeouts:
     """Knows when each servo was last usable.
 
     Args:

@@ -18,7 +18,7 @@ from hil.config.servos import ServosConfig
 from hil.core.clock import NS_PER_S, Clock, nanoseconds
 from hil.core.signals import Status
 from hil.drivers.servos.bus import Bus, Exchange
-from hil.drivers.servos.latency_probe import RollCall
+from hil.drivers.servos.latency_probe import LatencyProbe
 from hil.drivers.servos.packets import NO_ANSWER, Answer, GroupRead
 from hil.drivers.servos.register_map import CYCLE_FIELDS, FULL_FIELDS, FULL_LEVEL, Fields, RegisterMap
 
@@ -104,7 +104,7 @@ class CycleReader:
         self._groups: dict[tuple[_Kind, tuple[int, ...]], tuple[GroupRead, float]] = {}
         self._kind, self._asked = self._cycle, _ALL[:0]
         self._thorough = self._incomplete = False
-        self._roll = RollCall(bus, config.ids, clock, watchdog_s=config.watchdog_s)
+        self._roll = LatencyProbe(bus, config.ids, clock, watchdog_s=config.watchdog_s)
 
     @property
     def live_ids(self) -> tuple[int, ...]:

@@ -15,7 +15,7 @@ _LOOKS = 4
 supervisor calls a wheel blocked after half a second."""
 
 
-class HealthWatch:
+class HealthSchedule:
     """Keeps the health of a full look every `health_period_s` until it is asked for."""
 
     def __init__(self, config: ServosConfig, model: ServoModel, clock: Clock) -> None:

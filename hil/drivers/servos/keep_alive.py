@@ -22,7 +22,7 @@ _SHARE = 0.8
 _CALM_NS, _ALERT_NS = nanoseconds(0.05), nanoseconds(0.02)
 
 
-class Caretaker:
+class KeepAlive:
     """Visits the servos when they have been left alone.
 
     Args:

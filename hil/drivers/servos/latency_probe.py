@@ -28,7 +28,7 @@ _PAUSE_NS = nanoseconds(1.0)
 """From one to the next: meanwhile the servos are looked after as usual."""
 
 
-class RollCall:
+class LatencyProbe:
     """Finds the late ones among the eight, and remembers them.
 
     Args:

@@ -36,7 +36,7 @@ def acknowledge_all(bus: Bus, ids: Sequence[int]) -> None:
     bus.send(packets.sync_write(shared_register("status_return_level").address, 1, [(i, level) for i in ids]))
 
 
-class Upkeep:
+class RamRecovery:
     """Knows what RAM should hold, and makes it so.
 
     Args:

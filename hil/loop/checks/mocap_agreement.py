@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from hil.core.clock import NS_PER_S
 from hil.core.signals import PoseMeasurement
 from hil.loop.checks.dead_reckoning import Kept, Track, WheelTrack, moved, rolled
-from hil.loop.checks.disagreement import CAMERA, STEP_NS, WHEELS, Party, Relocalisation, Sum
+from hil.loop.checks.disagreement import CAMERA, STEP_NS, WHEELS, MotionSource, Relocalisation, Sum
 
-CAPTURE = Party("mocap", "motion capture")
+CAPTURE = MotionSource("mocap", "motion capture")
 GAP_NS = 300_000_000
 
 
@@ -63,7 +63,7 @@ class PoseTrack(Track):
                 self.put(t_ns, (complex(x_m, y_m), heading_rad))
 
 
-class CaptureCheck:
+class MocapAgreement:
     """Sums of motion capture's way against those of camera and wheels.
 
     Args:

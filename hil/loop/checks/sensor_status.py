@@ -26,7 +26,7 @@ _TOLD = {
 """Statuses that are worth a word at once; a lost packet is not, only a silence is."""
 
 
-class SampleWatch(Check):
+class SensorStatus(Check):
     """Follows the samples of one run.
 
     Args:

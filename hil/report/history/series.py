@@ -136,11 +136,11 @@ class Group:
     @property
     def in_words(self) -> str:
         """Seed, faults and parameters that tell it from other runs of its procedure."""
-        told = []
+        reported = []
         for key, value in json.loads(self.settings).items():
             shown = ", ".join(map(str, value)) if isinstance(value, list) else value
-            told.append(f"{key} {shown}")
-        return "; ".join(told)
+            reported.append(f"{key} {shown}")
+        return "; ".join(reported)
 
 
 def groups(found: Sequence[Kept]) -> list[Group]:

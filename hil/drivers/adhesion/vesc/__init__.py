@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hil.drivers.adhesion.vesc.frames import (
-    EVERYBODY,
+    ALL_SERVOS,
     HIGHEST_ID,
     Frame,
     Message,
@@ -25,8 +25,8 @@ from hil.drivers.adhesion.vesc.frames import (
 )
 
 __all__ = [
+    "ALL_SERVOS",
     "DBC",
-    "EVERYBODY",
     "HIGHEST_ID",
     "Frame",
     "Message",
