@@ -76,7 +76,9 @@ SHARED = {
     "factor": f"{FACTOR:g}",
     "delay_s": f"{DELAY_S:g}",
 }
-_INHERITED = re.compile(r"from (hil[\w.]+_faults|hil\.fakes\.adhesion\.(?:vesc_node|motor_controller)) import")
+_INHERITED = re.compile(
+    r"from (hil[\w.]+_faults|hil\.fakes\.adhesion\.(?:vesc_node|motor_controller)) import"
+)
 _ASKED = re.compile(r'find\(\s*(?:[\w.]+,\s*)*"(\w+)"|\.option\("(\w+)",\s*([\w.]+)\)|delay_ns\((_\w+)\)')
 
 

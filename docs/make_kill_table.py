@@ -41,7 +41,10 @@ def table(kills: int = KILLS, both: int = BOTH) -> str:
         os.environ["XDG_STATE_HOME"] = folder
         with wall_trials.robot_on_the_wall(SEED) as robot:
             path = robot.bench_file(Path(folder))
-            runs = (("bench, driving", wall_trials.benches_killed), ("fan daemon", wall_trials.keepers_killed))
+            runs = (
+                ("bench, driving", wall_trials.benches_killed),
+                ("fan daemon", wall_trials.keepers_killed),
+            )
             for killed, run in runs:
                 found = run(robot, path, kills, SEED)
                 held = sum(kill.held for kill in found)
