@@ -1,4 +1,4 @@
-"""Lines and a scan on the wall with feedback from odometry, EKF and UKF: who corrects slip and sag?
+"""Lines and a scan on the wall with feedback from odometry, EKF and UKF: which corrects slip and sag?
 
 Every case starts from the same pose, in a world of the same seed. Truth is motion capture. The limits
 are those that the paper's experiments call for (arXiv 2509.04016). Limits on means hold for several seeds.

@@ -56,7 +56,7 @@ class Bench(HeldDevices):
         statistics: punctuality of the latest run.
         real_time: what the operating system was asked for; None in virtual time.
         pressed: the force with which a robot was pressed on its wall before its servos got torque, in words;
-            empty where nobody measures it.
+            empty where nothing measures it.
         held: what `look` or, at the end, `close` found last. A robot that was not checked since devices were
             opened or it was driven is NOT HELD, "not checked"; one whose servos were not opened is not
             `opened`.
@@ -64,7 +64,7 @@ class Bench(HeldDevices):
         tells_held: whether a warning is logged where it is left NOT HELD; whoever says so otherwise takes it
             back.
         waits_for_sensors: whether a lost sensor is waited for beyond its `fail_after_s`, in real time: for
-            those who watch a robot that nobody drives. Said before it is entered.
+            programs that watch a resting robot. Said before it is entered.
         lost: what devices failed of that ended one of its runs, in words.
         faults: planned for its emulated devices.
     """
@@ -322,7 +322,7 @@ class Bench(HeldDevices):
     def make_loop(self, pipeline: ControlPipeline, start: RunStart) -> ControlLoop:
         """A loop over this bench's devices, clock and sinks; its statistics become the bench's.
 
-        The pipeline is reset to the start, now, and the sinks get a note: without that note nobody could
+        The pipeline is reset to the start, now, and the sinks get a note: without that note nothing could
         repeat the run from its recording.
 
         Args:

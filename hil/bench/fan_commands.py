@@ -105,7 +105,7 @@ def switch_on(
         duty: asked for in place of a force.
         wait_s: how long it may take.
         say: told how far it is.
-        tethered: the robot is tethered or off the wall: somebody has looked.
+        tethered: the robot is tethered or off the wall: the operator has looked.
 
     Returns:
         The force that the fan's speed gives, N. The fan goes on, whatever ends this.
@@ -119,7 +119,7 @@ def switch_on(
     if isinstance(table, MotorConfig):
         _must_be_free(keeper_spec(config))
     fan: Any = make_device_set(config, clock, {}).get(DEVICE)
-    if not tethered:  # and closed again: nobody would command it while the others are looked at
+    if not tethered:  # and closed again: nothing would command it while the others are looked at
         fan.open()
         with contextlib.closing(fan):
             now = _first_report(fan, clock)
@@ -203,7 +203,7 @@ def switch_off(spec: Spec, confirmed_by: str, *, say: Say) -> Status | None:
         say: told how far it is.
 
     Raises:
-        UsageError: somebody has asked for the force again meanwhile.
+        UsageError: something has asked for the force again meanwhile.
     """
     connection = client.connect(spec)
     if connection is None:

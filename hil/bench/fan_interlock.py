@@ -57,7 +57,7 @@ def must_be_enough(config: BenchConfig, is_n: float, asked_n: float) -> None:
     Args:
         config: of the bench.
         is_n: what the fan gives now, N.
-        asked_n: what it is to give, N; NaN where nobody can tell.
+        asked_n: what it is to give, N; NaN where it cannot be told.
 
     Raises:
         UsageError: IMU and load cells do not say that the robot is off the wall.
@@ -95,7 +95,7 @@ def seen_off_the_wall(config: BenchConfig) -> str:
     Both have to say so, because either may lie.
 
     Raises:
-        UsageError: something says that it may hang, or nobody can see.
+        UsageError: something says that it may hang, or nothing can see.
     """
     table = fan_of(config)
     rig, clock = make_device_set(config, MonotonicClock(), {}), MonotonicClock()

@@ -1,4 +1,4 @@
-"""Faults that began only after a bench was closed, or never: nothing of what was tested has met them.
+"""Injected faults whose start time was never reached: the test has not met them.
 
 A closing bench stops the robot and looks at it. A fault that begins during that look may still cost the
 robot, but nothing that a test or a run did has been under it.

@@ -1,4 +1,4 @@
-"""What the forward model adds to the uncertainty: other laws of contact, other wheel loads and tyres.
+"""The uncertainty that the choice of model adds: other contact laws, wheel loads and tyres.
 
 A fit believes one law, one share of the weight on each wheel and one kind of tyre. Were another one true, its
 parameters would be off although its residuals look fine. How far is linear in how much another model reads

@@ -109,7 +109,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     With `--json` an error is told on stdout too, as the one object that is promised there. An exception that
-    nobody foresaw is told with its traceback.
+    was not foreseen is told with its traceback.
 
     Returns:
         The exit code: 0 pass, 1 a limit failed, 2 usage or configuration, 3 device, 4 aborted, or a defect.

@@ -30,7 +30,8 @@ def command(
     """Everything that supplier or lab sign on the first day, on one page.
 
     Doctor, the contract of every device and the age of its samples without motion. Then, when all of it is
-    right and somebody has said that the robot is on a stand, the contract of the servos with turning wheels,
+    right and the operator has said that the robot is on a stand, the contract of the servos with turning
+    wheels,
     and how late they turn. Ends with 0 if all passed, 3 if the doctor found a device that is wrong, 1 if a
     promise was broken, 4 if wheels were not allowed to turn, something ended it, or no page could be written.
 

@@ -126,7 +126,7 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
 @_BENCH
 @JSON
 def show_status(bench: str, as_json: bool) -> int:
-    """How fan and propellers run, and who keeps them; ends with 3 where nobody keeps one, or does not tell.
+    """How fan and propellers run, and who keeps them; ends with 3 where nothing keeps one, or does not tell.
 
     Example: hil adhesion status --bench my.toml
     """
@@ -238,7 +238,7 @@ def watch(bench: str, every_s: float, duration_s: float | None) -> int:
 def keep(bench: str, propellers: bool) -> int:
     """Be the fan's keeper, in the foreground: for a service of the robot's computer.
 
-    Takes over a fan that runs, else waits until somebody asks for it. Heeds no signal that can be caught.
+    Takes over a fan that runs, else waits until it is asked for. Heeds no signal that can be caught.
 
     Example: hil adhesion keep --bench my.toml
     """

@@ -189,7 +189,7 @@ def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
 
 
 def _dated() -> Path:
-    """Where a recording goes that nobody gave a name."""
+    """Where a recording goes without a name."""
     return Path("out", "live", f"{datetime.now():%Y%m%d-%H%M%S-%f}"[:-3]).with_suffix(".mcap")
 
 

@@ -41,7 +41,7 @@ UNTOLD = "ENDED"
 _HOLDS = {"progress": dict, "live": dict, "held": dict, "question": str, "answered": str}
 """What a line of standard error may be about, and what it then holds."""
 _BY_ITSELF = ("duration", "trajectory")
-"""Why a live loop ends that nobody and nothing has stopped."""
+"""Why a live loop ends that was not stopped."""
 _TAIL_BYTES = 1 << 17
 _MOST_TOLD = 30
 _STOPPING_S = 2.0
@@ -209,7 +209,7 @@ def answer(job: Job, question_id: int, text: str) -> str:
 
 
 def first(claim: Path) -> bool:
-    """Make an empty file; returns whether nobody else had, in whatever process. Raises `OSError`."""
+    """Make an empty file; returns whether nothing else had, in whatever process. Raises `OSError`."""
     try:
         os.close(os.open(claim, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
     except FileExistsError:

@@ -2,7 +2,7 @@
 
 A route is a function of a `Request` that returns a `Reply`. Nothing reaches it without the token, which comes
 once in the address that is printed and from then on as a cookie. The name of the host is checked, so that no
-name of somebody else's leads here, and whatever changes something must come from a page of this console.
+name of another site leads here, and whatever changes something must come from a page of this console.
 """
 
 from __future__ import annotations

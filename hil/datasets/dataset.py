@@ -131,7 +131,7 @@ def build_recording(
 
     Raises:
         DataError: too short, no ground truth, no overlap in time, units that cannot be right, or wheel
-            angles that leap or whose turns nobody knows.
+            angles that leap or with unknown turns.
     """
     where, robot = sources[0] if sources else name, nominal if nominal is not None else Nominal()
     parts, problems, refusals = list[Recording](), list[str](), list[DataError]()

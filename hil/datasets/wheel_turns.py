@@ -38,7 +38,7 @@ class Turns:
     Attributes:
         angle: (n, 4) cumulative, rad; what was refused is left in it.
         repairs: what was repaired, by name and count.
-        refusal: the first leap that is no wrap, or gap whose turns nobody knows.
+        refusal: the first leap that is no wrap, or gap with unknown turns.
     """
 
     angle: Array
@@ -143,7 +143,7 @@ def _wrapped(angle: Array, steps: _Steps, far: Bools) -> tuple[Array, Bools]:
 def _told(steps: _Steps) -> tuple[Array, Bools]:
     """Turns (n - 1, 4) by which angles go as far as the rates say, and where they do to a quarter turn.
 
-    A rate that changes by much within a long gap says too little: nobody knows when it did.
+    A rate that changes by much within a long gap says too little: it is not known when it did.
     """
     lacking = steps.by_rate - steps.moved
     turns = np.round(np.nan_to_num(lacking) / _TURN)

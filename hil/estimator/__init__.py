@@ -19,7 +19,7 @@ def make_estimator(
         config: `[estimator]` of the bench file.
         geometry: calibrated wheel parameters.
         surface: `wall` (gravity lies in the motion plane) or `floor`.
-        diagnostics: whether a filter's states carry them; an observer's are looked at by nobody.
+        diagnostics: whether a filter's states carry them; an observer's are not read.
 
     Raises:
         ConfigError: an unknown surface, or two free scales.

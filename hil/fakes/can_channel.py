@@ -98,7 +98,7 @@ class CanChannel:
             del _CHANNELS[self.name]
 
     def listen(self, told: Callable[[], None] | None = None) -> deque[Heard]:
-        """A new queue of (arrival time, frame); the oldest frames are lost when nobody reads.
+        """A new queue of (arrival time, frame); the oldest frames are lost when nothing reads.
 
         Args:
             told: called when frames have been added.

@@ -23,7 +23,7 @@ _MOST_BYTES = 16 << 20
 _FARTHEST = 1000.0
 """What a coordinate may be, m or rad: further than the longest motion goes."""
 _SAME = 1e-6
-"""Nobody drives a way of a micrometre, or turns by a microradian."""
+"""Nothing drives a way of a micrometre, or turns by a microradian."""
 
 
 def read_waypoints(path: Path) -> list[Array]:

@@ -1,4 +1,4 @@
-"""One session of the live loop: settle, follow or obey, until it is done or somebody ends it.
+"""One session of the live loop: settle, follow a reference or commands, until it is done or ended.
 
 Whatever ends it, the robot is stopped, and the summary says whether it is held.
 """

@@ -65,7 +65,7 @@ class Decision:
 
 
 def _untimed(section: str) -> None:
-    """Nobody measures how long the sections take."""
+    """Nothing measures how long the sections take."""
 
 
 class ControlPipeline:

@@ -135,7 +135,7 @@ class RealTime:
         self._undo.append(lambda: os.sched_setaffinity(0, before))
 
     def _go_first(self) -> None:
-        """Go before other programs where that is allowed; nobody asked for it, so a refusal is no warning."""
+        """Go before other programs where that is allowed; a refusal is no warning."""
         before = os.getpriority(os.PRIO_PROCESS, 0)
         with contextlib.suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, 0, min(before, _NICE))

@@ -44,7 +44,7 @@ class Checks:
 
     Attributes:
         motion: camera against wheels and gyro; None without.
-        estimate: the estimate against motion capture; None where nobody is a witness.
+        estimate: the estimate against motion capture; None where nothing is a witness.
         wheels: each wheel against the other three; None where they are not told to roll by one motion.
         needs_camera: whether the estimate that is followed uses the camera: the robot stops where that is
             in doubt or silent.
@@ -55,7 +55,7 @@ class Checks:
         healthy: how often and how soon the samples of sensors should come.
         gap_s: by sensor, longest time without a good sample that is still healthy.
         brought: sensors that other packages bring, and fields of their samples that they do not measure.
-        hold: what presses the robot on its surface; None where nobody measures it.
+        hold: what presses the robot on its surface; None where nothing measures it.
         lost_after_s: by sensor, how long it may send nothing at all before a robot that follows a pose stops;
             a sensor that can be plugged in again is waited for longer than that.
         added: checks that kinds of devices bring, by kind.

@@ -1,4 +1,4 @@
-"""Acceptance: is this bench, as it stands here today, what its file says, and does it keep its promises?
+"""Acceptance: whether a bench is as its file says and fulfils the device contract.
 
 Doctor, the contract of every device, how old their samples are; then, if a person says that the robot is on
 a stand, the contract of the servos with turning wheels and how late they turn. The same stages for emulated
@@ -84,7 +84,7 @@ class Acceptance:
     Attributes:
         source: the bench.
         now: date and time, ISO 8601.
-        on_stand: somebody has said that the wheels are free; otherwise the operator is asked.
+        on_stand: the operator has said that the wheels are free; otherwise the operator is asked.
         operator: who answers.
         report: progress.
         interrupts: signals.

@@ -1,4 +1,4 @@
-"""Which bench a test runs on, whether it can run there, and what its report says about it."""
+"""Which bench a test runs on, whether it can run there, and its entry in the report."""
 
 from __future__ import annotations
 

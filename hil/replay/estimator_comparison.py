@@ -1,4 +1,4 @@
-"""Other estimators on a recording, and how far each is from motion capture and from what it says of itself.
+"""Other estimators on a recording: error against motion capture, and consistency (NEES).
 
 `compare` runs estimators, `smoothed` the smoother on the recorded measurements; `errors` and `consistency`
 hold them against motion capture (`truth_of`) and against what they say of themselves; `fitting` chooses the
@@ -156,7 +156,7 @@ def compare_run(
 
 
 def _own_observers(records: Sequence[CycleRecord]) -> dict[str, Motion]:
-    """What was recorded of observers that nobody can make again, those of the user's own, by row."""
+    """What was recorded of observers that nothing can make again, those of the user's own, by row."""
     names = dict.fromkeys(name for r in records for name in r.observers if name not in ESTIMATORS)
     return {
         f"recorded {name}": Motion(
@@ -183,7 +183,7 @@ def table(motions: Mapping[str, Motion]) -> dict[str, dict[str, float | None]]:
 
 
 def truth_of(motion: Motion) -> Array:
-    """Motion capture at the cycles, (n, 3): interpolated between samples, NaN where nobody knows.
+    """Motion capture at the cycles, (n, 3): interpolated between samples, NaN where it is unknown.
 
     The last sample counts for the cycles after it (`Motion.mocap`) only while the wheels rest: of a robot
     that drives it says where it has been. Samples that come slowly count for the cycle next to each.

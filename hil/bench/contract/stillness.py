@@ -1,4 +1,4 @@
-"""Whether what says where the robot is (camera, motion capture) sees it stand while it stands."""
+"""Whether position sensors (camera, motion capture) see a resting robot rest."""
 
 from __future__ import annotations
 

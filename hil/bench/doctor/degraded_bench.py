@@ -1,4 +1,4 @@
-"""A bench for the doctor: without the devices that their packages cannot even build; each is told."""
+"""Opens a bench for the doctor without devices whose drivers cannot be made; each becomes a finding."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Whether what presses the robot on its wall is heard, and presses enough: a part of whether it is held.
+"""Whether the fan's force is measured and is enough to hold the robot: one condition of HELD.
 
-A robot whose fan has just died still stands still. A controller that nobody hears may have let go of its
+A robot whose fan has just died still stands still. A controller that nothing hears may have let go of its
 motor, or will when its time-out ends, and the fan takes a second to run down. So a silent fan is no longer
 trusted until the load cells have felt enough force for longer than that, and a force that falls quickly is
 doubted before it is lost. Propellers carry a part of the weight: they count by what they report. Those that
@@ -94,7 +94,7 @@ class AdhesionForceCheck:
         self._alone.begin(for_good=for_good)
 
     def end(self) -> None:
-        """Nobody looks any more: propellers that were left alone are told their force again."""
+        """Nothing looks any more: propellers that were left alone are told their force again."""
         self._alone.end()
         self.waits = False
 
@@ -103,7 +103,7 @@ class AdhesionForceCheck:
 
         Args:
             now_ns: time.
-            sees_slide: whether somebody who is believed sees places, and the robot at rest.
+            sees_slide: whether a trusted sensor sees places, and the robot at rest.
             moves: whether the robot is seen not to rest.
         """
         self.waits = False
@@ -148,7 +148,7 @@ class AdhesionForceCheck:
         return now_ns - self._enough_since_ns >= self._outlasts_ns
 
     def _nothing_real(self) -> str:
-        """What is said of a robot whose fan or propellers are emulated, and that nobody measures either."""
+        """What is said of a robot whose fan or propellers are emulated, and that nothing measures either."""
         if not self._pretended:
             return ""
         return (
@@ -158,7 +158,7 @@ class AdhesionForceCheck:
         )
 
     def _unmeasured(self, now_ns: int, sees_slide: bool, moves: bool) -> str:
-        """What is said where propellers that report nothing carry it, and nobody measures what presses it."""
+        """The message where propellers without feedback carry it and no sensor measures the force."""
         if not self._carried:
             return ""
         left_s = self._alone.left_s(now_ns, rests=sees_slide, moves=moves, least_n=0.0)
@@ -215,7 +215,7 @@ class AdhesionForceCheck:
         return _CELLS in self._fresh(now_ns)
 
     def in_words(self, now_ns: int) -> str:
-        """What presses it, by whom, and who is silent; empty where nobody measures it."""
+        """What presses it, by whom, and who is silent; empty where nothing measures it."""
         if self._limits is None:
             return ""
         fresh = self._fresh(now_ns)

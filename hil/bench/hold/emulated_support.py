@@ -1,4 +1,4 @@
-"""What `hil emulate` says of its robot: on a wall it is held by hand until a client enables torque.
+"""The messages of `hil emulate` on a wall: the robot is held by hand until a client enables torque.
 
 From then on it slides when it has none, as a real one does.
 """

@@ -1,4 +1,4 @@
-"""Steps that no robot makes: whoever tells them has begun to tell places in another frame.
+"""Detects jumps of a sensor's reference frame (body redefined, camera relocalised); they are not motion.
 
 Motion capture whose rigid body was defined anew, and a camera that corrects its map, say from one sample to
 the next that the robot is somewhere else. What they say from then on is no way that the robot has gone.

@@ -1,4 +1,4 @@
-"""Whether the robot is held: somebody looks after every stop, until it is true or time is up.
+"""Watches after every stop whether the robot is held, until it is or time is up.
 
 "Held" is a claim about the world, not about what was sent: all eight servos say that they have torque and
 that their watchdogs wait, the wheels rest, and nothing that can see the robot sees it move. Until then the
@@ -113,7 +113,7 @@ class HoldMonitor(Sink):
                 passed(name, t_ns, place)
 
     def passed_over(self, inputs: Inputs) -> None:
-        """Take what has piled up before a run and goes to nobody else."""
+        """Take what has piled up before a run and goes to nothing else."""
         self.tilt.saw(inputs.imu)
         for name, among, told_by, is_place in self._tellers:
             for sample in among(inputs) if is_place else ():
@@ -214,7 +214,8 @@ class HoldMonitor(Sink):
     def _places(self, seen: Collection[str]) -> list[str]:
         """Those of them who would see a slide, and are believed.
 
-        Of two that contradicted each other, nobody knows who, one is right: when both see it rest, it does.
+        Of two that contradicted each other, one of which is right: when both see it rest, it
+        does.
         """
         places = [name for name in seen if self._seeing[name].measures_position]
         undecided = [name for name in places if not self._doubted.get(name)]
@@ -242,7 +243,7 @@ class HoldMonitor(Sink):
         return self._verdict("NOT HELD", "torque was released, as exit.policy asks", wanted=False)
 
     def unseen(self, why: str, *, wanted: bool = True) -> Held:
-        """Nobody could look, or has not yet."""
+        """The robot could not be looked at, or not yet."""
         return replace(self._verdict("NOT HELD", f"not checked: {why}", wanted=wanted), moved_m=None)
 
     def _see(self, hold: ServoHold, trails: dict[str, Trail]) -> None:
@@ -330,7 +331,7 @@ class HoldMonitor(Sink):
         return f"{steeper}: secure the robot, and correct environment.tilt_rad" if steeper else ""
 
     def _nobody_sees_a_slide(self, seen: Collection[str]) -> str:
-        """Wheels and IMU do not: somebody has to who sees places, or measures the force."""
+        """Wheels and IMU do not: a sensor that sees places or measures the force has to."""
         doubted = [kinds()[name].noun for name in seen if self._seeing[name].measures_position]
         why = f" (what the {' and the '.join(doubted)} said before the stop is in doubt)" if doubted else ""
         if self._blind:

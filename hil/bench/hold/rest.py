@@ -92,7 +92,7 @@ class MotionSinceStop:
         self._latest[name].append((t_ns, place))
 
     def stopped(self, now_ns: int) -> None:
-        """The robot has been stopped: its way counts from here on, by whoever has just seen it."""
+        """The robot has been stopped: its way counts from here on, by the sensor that has just seen it."""
         fresh_ns = now_ns - _FRESH_NS
         latest = self._latest.items()
         self._from = {name: _mean(seen) for name, seen in latest if seen and seen[-1][0] >= fresh_ns}
@@ -127,7 +127,7 @@ class MotionSinceStop:
         self._farthest_m[name] = max(self._farthest_m.get(name, 0.0), moved_m)
 
     def moved_m(self, believed: Collection[str], *, slides: bool) -> float | None:
-        """Farthest that anybody says it went; None where nobody can tell, or the way is within the noise.
+        """Farthest that anything says it went; None where it cannot be told, or the way is within the noise.
 
         Args:
             believed: whose word counts.

@@ -3,7 +3,7 @@
 A driver that waits for ever would stop the loop without a word. A thread looks at what is running. It says
 what takes too long, and then interrupts the main thread by a signal, which reaches Python and system calls.
 Foreign code that heeds neither cannot be ended from here: that is said, too. Servos hold a robot meanwhile:
-their driver looks after them when nobody else does.
+their driver looks after them when nothing else does.
 
 Opening a device may take seconds, so it has limits of its own; and whoever has asked for the end of a run
 need not wait for all of them (`leave`).
@@ -36,7 +36,7 @@ _SIGNAL = signal.SIGUSR2
 
 @dataclass(frozen=True)
 class Patience:
-    """How long a call may take, in looks at it; while the process is stopped nobody looks.
+    """How long a call may take, in looks at it; while the process is stopped nothing looks.
 
     Attributes:
         told: after which it is told of.

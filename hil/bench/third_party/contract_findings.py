@@ -1,4 +1,4 @@
-"""What the doctor says of a device of another package whose samples break a promise of every sensor."""
+"""Findings of the doctor on samples of other packages that break the contract of every sensor."""
 
 from __future__ import annotations
 

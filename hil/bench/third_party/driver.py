@@ -105,7 +105,7 @@ class ThirdPartyDriver:
             raise
 
     def _check_emulated(self) -> None:
-        """Raise what the emulated device has raised: here somebody is told of it who can do something."""
+        """Raise what the emulated device has raised: here the caller learns of it and can act."""
         if self._kind.name in self._failures:
             raise self._failures[self._kind.name]
 

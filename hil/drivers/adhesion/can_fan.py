@@ -1,4 +1,4 @@
-"""A fan behind a motor controller on CAN: a force as what it is told, and its reports as samples."""
+"""A fan behind a motor controller on CAN: a force as a command, and reports as samples."""
 
 from __future__ import annotations
 

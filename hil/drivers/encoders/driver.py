@@ -166,7 +166,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         return tuple(samples)
 
     def _received(self, bus: can.BusABC, now_ns: int) -> list[EncoderSample]:
-        """Sample sets of the frames that wait; anybody on the bus may send, so their number is bounded."""
+        """Sample sets of the frames that wait; any node on the bus may send, so their number is bounded."""
         samples: list[EncoderSample] = []
         most, take = self.passed_over + _MOST_PASSED_OVER, receiver(bus)
         for _ in range(_MOST_FRAMES):

@@ -1,4 +1,4 @@
-"""What a check of an open bus tells: reply time, return delay, packets, hardware errors, limits."""
+"""Checks of an open servo bus: reply time, return delay, packets, hardware errors, limits."""
 
 from __future__ import annotations
 

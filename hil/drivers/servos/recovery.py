@@ -199,7 +199,7 @@ class RamRecovery:
         Args:
             state: of `audit`.
             goals: (8,) raw goals at which the robot is held.
-            paused: nobody talked for longer than the watchdog waits: that it tripped was to be expected.
+            paused: nothing talked for longer than the watchdog waits: that it tripped was to be expected.
         """
         if not self.torque:
             return ()

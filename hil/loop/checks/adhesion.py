@@ -1,4 +1,4 @@
-"""Watches what presses the robot on its wall: measured force against what is needed, and who measures it.
+"""Measured fan force against the force that is needed, and agreement of its two measurements.
 
 The force is what the load cells say without their zeros, and what a fan of this speed gives; the smaller one
 counts, and the two are held against each other and against what the battery gives. The robot stops while
@@ -41,7 +41,7 @@ class AdhesionLimits:
         statics: robot and surface, as on paper.
         reserve: the measured force exceeds the need by this share, at least.
         utilisation: no wheel uses more of its friction.
-        nominal_thrust_n, full_thrust_n: push of the propellers where nobody reports a throttle, and at full.
+        nominal_thrust_n, full_thrust_n: push of the propellers where nothing reports a throttle, and at full.
         wanted_n: what the fan is asked for at rest: all of the margin is what that is above the need.
         rated_n, rated_rpm, rated_w: force and battery power of the fan at a speed; NaN without one.
         low_input_v, hot_fet_c: of the fan's battery and controller.
@@ -221,7 +221,7 @@ class AdhesionWatch(Check):
         return fresh
 
     def _silent(self, name: str, noun: str, last_ns: int | None, t_ns: int, stop: ReportStop) -> bool:
-        """Stop for want of somebody who measures the force; False, as nothing fresh is known."""
+        """Stop for want of something who measures the force; False, as nothing fresh is known."""
         silent_s = (t_ns - max(last_ns or 0, self._began_ns or 0)) / NS_PER_S
         stop(
             f"stale_{name}",

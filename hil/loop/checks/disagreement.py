@@ -29,7 +29,7 @@ CAMERA, WHEELS = MotionSource("tracker", "the camera"), MotionSource("servos", "
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Somebody is wrong.
+    """Something is wrong.
 
     Attributes:
         source: the device that is alone with what it says, or the first of two.
@@ -200,7 +200,7 @@ class Relocalisation:
 
 
 def alone(pair: Sum, pairs: Sequence[Sum]) -> str:
-    """The device of a pair that others contradict more; the first when nobody knows.
+    """The device of a pair that others contradict more; the first when it is not known.
 
     Args:
         pair: of two devices.

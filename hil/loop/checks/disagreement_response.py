@@ -1,4 +1,4 @@
-"""What follows from the comparison of all that tells of motion: a warning, a device less, or a stop."""
+"""The response to sensors that disagree about motion: a warning, an excluded device, or a stop."""
 
 from __future__ import annotations
 

@@ -43,7 +43,8 @@ class LoopPause(Check):
 
         Args:
             t_ns: of the cycle.
-            stop: called with the reason to stop: nobody knows what the robot did during a long pause, and its
+            stop: called with the reason to stop: it is not known what the robot did during a long pause, and
+            its
                 servos' watchdogs have stopped it.
         """
         before_ns, self._last_ns = self._last_ns, t_ns

@@ -1,4 +1,4 @@
-"""Motion capture against camera and wheels: who of the three is alone with the way that it tells.
+"""Motion capture against camera and wheels: which of the three disagrees with the other two.
 
 Motion capture sees neither scale nor slip, so a camera beside it may differ by its scale only, and wheels by
 what they creep. It stays a witness: what it says goes into no estimate here. Deterministic: depends on what
@@ -67,7 +67,7 @@ class MocapAgreement:
     """Sums of motion capture's way against those of camera and wheels.
 
     Args:
-        wheels: their way, kept by somebody else.
+        wheels: their way, kept by something else.
         seen: what honest ones differ by.
         creep: m per rolled metre by which a robot gets lower than its wheels roll.
 

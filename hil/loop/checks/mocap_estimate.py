@@ -1,6 +1,6 @@
 """The estimate that is followed against motion capture, over the whole run: a slow lie adds up there.
 
-Camera, wheels and motion capture may differ by some per cent of every step without anybody being in doubt
+Camera, wheels and motion capture may differ by some per cent of every step without anything being in doubt
 (`hil.loop.checks.mocap_agreement`), and the estimate that is made of two of them may lean on the wrong one.
 Here its
 way since the start of the run is held against motion capture's, which stays a witness. By how far they lie

@@ -1,4 +1,4 @@
-"""Camera, wheels and gyro judge each other: motion that one of them tells and the others do not.
+"""Camera, wheels and gyro against each other: motion that one measures and the others do not.
 
 What two of them say of the same stretch is subtracted, step by step, and summed. From the sum each step
 takes what honest sensors may differ by in it (`Honest`), never below zero: honest ones stay near zero however
@@ -145,12 +145,12 @@ class MotionCheck:
         return self._doubts(measurements.t_ns) if looked else ()
 
     def leave_out(self, name: str) -> None:
-        """Compare nobody with this device any more."""
+        """Compare nothing with this device any more."""
         self._left_out.add(name)
 
     @property
     def agreed(self) -> frozenset[str]:
-        """Who has told of a way of 0.1 m as somebody else did."""
+        """Who has told of a way of 0.1 m as something else did."""
         ways = zip(self._ways, (self._way_m, *self.capture.ways_m), strict=True)
         agreed = [pair.names for pair, way_m in ways if way_m > _AGREE_M and not pair.suspicious]
         return frozenset(name for names in agreed for name in names) - self._left_out

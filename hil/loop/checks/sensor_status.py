@@ -1,4 +1,4 @@
-"""What becomes of the sensors' samples: who falls silent, who sends what cannot be used, told once each."""
+"""Sensors that fall silent or send unusable samples: one event each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether an estimate can be used at all: it is a number, says how sure it is, and is of this cycle.
+"""Whether an estimate is usable: finite, with a covariance, of this cycle.
 
 What compares an estimate with others weighs it by its variances and by its time: with a variance that is not
 a number, or a time that stands still, nothing would ever be found to differ.
@@ -23,7 +23,7 @@ _REMEDY = "mend the estimator, or follow another (feedback: odometry, ekf or ukf
 
 
 def must_be_usable(state: RobotState, now_ns: int | None) -> None:
-    """Refuse an estimate that nobody can judge.
+    """Refuse an estimate that nothing can judge.
 
     Args:
         state: the estimate.

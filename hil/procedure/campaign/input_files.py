@@ -1,4 +1,4 @@
-"""What the runs of a campaign read from files here: packed for workers elsewhere, told apart by content."""
+"""Input files of a campaign's runs: packed for workers elsewhere, identified by content."""
 
 from __future__ import annotations
 

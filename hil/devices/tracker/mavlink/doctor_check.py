@@ -1,4 +1,4 @@
-"""What can be said about a sender of odometry: who, how often, how well, and whether its clock is known."""
+"""The doctor's findings on a MAVLink odometry source: identity, rate, quality, clock."""
 
 from __future__ import annotations
 

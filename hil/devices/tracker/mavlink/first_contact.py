@@ -26,7 +26,7 @@ def await_sender(
 
     Raises:
         DeviceTimeoutError: no odometry arrives in time.
-        DeviceError: it comes from somebody else, or in frames that cannot be used.
+        DeviceError: it comes from another source, or in frames that cannot be used.
     """
     start_ns = clock.now_ns()
     deadline_ns = start_ns + nanoseconds(config.open_timeout_s)

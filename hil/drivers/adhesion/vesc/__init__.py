@@ -1,4 +1,4 @@
-"""What a VESC motor controller says and understands on CAN; `vesc.dbc` describes the same frames."""
+"""The CAN interface of a VESC motor controller; `vesc.dbc` describes the same frames."""
 
 from __future__ import annotations
 
