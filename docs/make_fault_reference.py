@@ -134,11 +134,11 @@ def _table(title: str, declared: dict[str, Supported], room: str) -> Iterator[st
 
 
 def _with_options(kind: str, options: tuple[str, ...], defaults: dict[tuple[str, str], str]) -> str:
-    told = [
+    shown = [
         f"`{option}{f'={value}' if (value := _default(kind, option, defaults)) else ''}`"
         for option in options
     ]
-    return f"`{kind}`" + (f" ({', '.join(told)})" if told else "")
+    return f"`{kind}`" + (f" ({', '.join(shown)})" if shown else "")
 
 
 def _default(kind: str, option: str, defaults: dict[tuple[str, str], str]) -> str:

@@ -53,8 +53,8 @@ def table(kills: int = KILLS, both: int = BOTH) -> str:
         with fan_on_the_wire() as (fan, spec):
             pairs = trials.keepers_killed(fan, spec, kills, SEED)
             went_on = sum(kill.lowest_duty == trials.HELD_DUTY for kill in pairs)
-            told = f"fan ran on {went_on} times: the bench took over"
-            rows.append(row("fan daemon and standby", [k.gap_s for k in pairs], told))
+            outcome = f"fan ran on {went_on} times: the bench took over"
+            rows.append(row("fan daemon and standby", [k.gap_s for k in pairs], outcome))
             trials.end_keeper(spec)
             released_s = trials.all_killed(fan, spec, both, SEED)
             rows.append(row("all three", released_s, "the controller let go of the motor"))
