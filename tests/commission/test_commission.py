@@ -18,7 +18,7 @@ from hil.core.clock import MonotonicClock
 from hil.core.errors import Aborted, ConfigError
 from hil.procedure import BenchSource
 from hil.procedure.ablation import EVERYTHING, NOTHING
-from hil.procedure.commission import Commission, commission, run, saved_state
+from hil.procedure.commission import Commission, commission, saved_state
 from hil.procedure.commission.reruns import rests_on, why_again
 from hil.procedure.commission.run import _Running, found_signs
 from hil.procedure.commission.saved_state import state_of
@@ -190,7 +190,7 @@ def test_a_signal_ends_it_while_a_person_is_asked_to_move_the_robot(tmp_path):
     there = Real(overrides={"record.folder": str(tmp_path / "robot")})
     run = _Running(replace(given, source=there), state_of(tmp_path, {}, resume=False), SOURCE.config)
     with interrupts.deferred(), pytest.raises(Aborted, match="SIGTERM"):
-        run._moved_to("wall")
+        commission_run._moved_to("wall")
 
 
 class Says:
@@ -233,7 +233,7 @@ def test_anything_else_is_asked_again_and_from_a_file_ends_it():
 def test_a_robot_that_nobody_has_placed_is_not_driven(tmp_path, monkeypatch):
     """ABORTED with its page, exit code 4, and nothing was opened."""
     monkeypatch.setattr(BenchSource, "real", ("servos",))
-    monkeypatch.setattr(run, "run_procedure", lambda *_: pytest.fail("something was run"))
+    monkeypatch.setattr(commission_run, "run_procedure", lambda *_: pytest.fail("something was run"))
     told, code = commission(asked(tmp_path / "out", operator=Says("no")))
     assert (told["verdict"], code, told["stopped"]["procedure"]) == ("ABORTED", 4, "tracker_extrinsics")
     assert "'no' was the answer" in told["stopped"]["why"]
@@ -292,7 +292,7 @@ def passing(monkeypatch):
         facts = {"data": {}, "record": {"parts": left} if left else None, "duration_s": 1.0, "held": None}
         return Result(proc.name, Verdict.PASS, options.folder, [], facts)
 
-    monkeypatch.setattr(run, "run_procedure", run)
+    monkeypatch.setattr(commission_run, "run_procedure", run)
     return ran
 
 
@@ -325,7 +325,7 @@ def test_a_procedure_is_given_those_faults_that_its_devices_can_have(tmp_path, m
         source.check_faults()
         return Result(proc.name, Verdict.PASS, options.folder, [], facts)
 
-    monkeypatch.setattr(run, "run_procedure", run)
+    monkeypatch.setattr(commission_run, "run_procedure", run)
     faults = ("load_cells:wrong@0", "imu:stuck@1000")
     assert commission(asked(tmp_path / "out", source=replace(SOURCE, faults=faults)))[1] == 0
     assert given == {"tracker_extrinsics": ("imu:stuck@1000",), "wall_ablation": faults}
@@ -357,7 +357,7 @@ def test_on_a_full_disk_it_ends_as_a_run_does(tmp_path, monkeypatch, capsys):
     def full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(run, "run_procedure", run)
+    monkeypatch.setattr(commission_run, "run_procedure", run)
     monkeypatch.setattr(saved_state, "put_whole", full)
     monkeypatch.setattr(commission_page, "put_whole", full)
     folder = tmp_path / "out"
