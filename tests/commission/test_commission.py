@@ -19,6 +19,7 @@ from hil.core.errors import Aborted, ConfigError
 from hil.procedure import BenchSource
 from hil.procedure.ablation import EVERYTHING, NOTHING
 from hil.procedure.commission import Commission, commission, saved_state
+from hil.procedure.commission import run as commission_run
 from hil.procedure.commission.reruns import rests_on, why_again
 from hil.procedure.commission.run import _Running, found_signs
 from hil.procedure.commission.saved_state import state_of
@@ -190,7 +191,7 @@ def test_a_signal_ends_it_while_a_person_is_asked_to_move_the_robot(tmp_path):
     there = Real(overrides={"record.folder": str(tmp_path / "robot")})
     run = _Running(replace(given, source=there), state_of(tmp_path, {}, resume=False), SOURCE.config)
     with interrupts.deferred(), pytest.raises(Aborted, match="SIGTERM"):
-        commission_run._moved_to("wall")
+        run._moved_to("wall")
 
 
 class Says:
