@@ -45,7 +45,7 @@ def unopened(monkeypatch):
     def opened(*_, **__):
         raise AssertionError("the bench was opened")
 
-    monkeypatch.setattr("hil.loop.device_set.Rig.open", opened)
+    monkeypatch.setattr("hil.loop.device_set.DeviceSet.open", opened)
     monkeypatch.setattr("hil.bench.opening.EmulatorProcess", opened)
     monkeypatch.setattr("hil.fakes.server.EmulationServer.run", opened)
 

@@ -77,7 +77,7 @@ print(n[at.HELD], sum(at.steer.stats.cache_hits.values()))
 
 
 def test_a_kernel_is_compiled_anew_when_a_function_in_another_file_changes(tmp_path):
-    for room in ("controller", "robot", "vocabulary"):
+    for room in ("controller", "robot", "core", "support"):
         shutil.copytree(ROOT / "hil" / room, tmp_path / "hil" / room)
     shutil.copy(ROOT / "hil" / "__init__.py", tmp_path / "hil")
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
@@ -92,7 +92,7 @@ def test_a_kernel_is_compiled_anew_when_a_function_in_another_file_changes(tmp_p
 
     assert says() == [0.5, 0.0]
     assert says() == [0.5, 1.0]
-    geometry = tmp_path / "hil" / "vocabulary" / "geometry.py"
+    geometry = tmp_path / "hil" / "core" / "geometry.py"
     text = geometry.read_text()
     assert text.count("return math.pi - (math.pi - angle_rad)") == 1
     geometry.write_text(text.replace("return math.pi - (math", "return 0.25 + math.pi - (math"))
