@@ -15,6 +15,9 @@ from hil.drivers.load_cells.can_cells import CanCells
 from hil.fakes.plant import make_plant
 from hil.fakes.world import VirtualClock, World
 
+PATIENT = CanCellsConfig(
+    interface="usb", channel="usb0", rate_hz=80.0, open_timeout_s=10.0, fail_after_s=10.0
+)
 FRAME_ID, COUNTS = 0x1B0, bytes((0, 1, 0, 0, 2, 0, 0, 3))
 
 
@@ -73,9 +76,7 @@ def test_it_says_that_its_interface_has_gone_and_goes_on_counting_when_opened_ag
 
 def test_the_bench_opens_it_again(adapters):
     clock = MonotonicClock()
-    sensor = Reconnecting(
-        CanCells(CanCellsConfig(interface="usb", channel="usb0", rate_hz=80.0), clock), clock
-    )
+    sensor = Reconnecting(CanCells(PATIENT, clock), clock)
     sensor.open()
     try:
         assert read_until(sensor, clock, lambda samples: samples)
