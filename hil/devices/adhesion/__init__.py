@@ -11,16 +11,16 @@ import numpy as np
 from hil.config.adhesion import AdhesionConfig
 from hil.config.robot import RobotConfig
 from hil.core.device import DeviceKind, Figures, Force, Plot, Topic
-from hil.core.finding import Finding
+from hil.core.finding import Finding, Level
 from hil.core.signals import AdhesionSample, Inputs, Status
 from hil.devices.adhesion.dronecan import DroneCan
 from hil.devices.adhesion.vesc_model import Vesc
-from hil.devices.doctor_watch import Watched
+from hil.devices.doctor_watch import Watched, losses
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker
-from hil.core.finding import Level
-from hil.devices.doctor_watch import losses
+
+__all__ = ["KIND", "fan_state"]
 
 
 def look(watched: Watched) -> Iterator[Finding]:
@@ -59,8 +59,6 @@ def _held(check: str, value: float, unit: str, right: bool, expected: str, remed
         "adhesion", check, level, f"{value:.1f} {unit}" if known else "not reported", expected, remedy
     )
 
-
-__all__ = ["KIND", "fan_state"]
 
 _RAD_S_PER_RPM = 2.0 * math.pi / 60.0
 

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hil.config.encoders import EncodersConfig
 from hil.core.device import DeviceKind, Topic
-from hil.core.finding import Finding
+from hil.core.finding import Finding, Level
 from hil.core.signals import SERVOS, WHEELS, EncoderSample
-from hil.devices.doctor_watch import Watched
+from hil.devices.doctor_watch import Watched, losses
+from hil.devices.link_models import CanModel
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker
-from dataclasses import replace
-from pathlib import Path
 
-from hil.config.encoders import EncodersConfig
-from hil.core.finding import Level
-from hil.devices.doctor_watch import losses
-from hil.devices.link_models import CanModel
+__all__ = ["KIND", "encoder_state"]
 
 
 def look(watched: Watched) -> Iterator[Finding]:
@@ -93,9 +92,6 @@ class As5045(CanModel):
     kind, name, title = "encoders", "as5045", "four AS5045 on a CAN node"
     config, subnet = EncodersConfig, 163
     driver, chip = "hil.drivers.encoders:As5045Encoders", "hil.fakes.encoders:EncoderNode"
-
-
-__all__ = ["KIND", "encoder_state"]
 
 
 def encoder_state(sample: EncoderSample, ros: MessageMaker) -> Any:

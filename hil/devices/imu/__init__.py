@@ -5,22 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from hil.core.device import DeviceKind, Topic
-from hil.core.finding import Finding
-from hil.core.geometry import Array
-from hil.core.signals import ImuSample, Status
-from hil.devices.doctor_watch import Watched
-from hil.devices.imu.microstrain import MicroStrain
-
-if TYPE_CHECKING:
-    from hil.recording.ros_types import MessageMaker
 import numpy as np
 
 from hil.config.imu import Bno055Config
-from hil.core.finding import Level
-from hil.devices.doctor_watch import losses
+from hil.core.device import DeviceKind, Topic
+from hil.core.finding import Finding, Level
+from hil.core.geometry import Array
+from hil.core.signals import ImuSample, Status
+from hil.devices.doctor_watch import Watched, losses
+from hil.devices.imu.microstrain import MicroStrain
 from hil.devices.link_models import SerialModel
 from hil.robot.statics import GRAVITY_M_S2
+
+if TYPE_CHECKING:
+    from hil.recording.ros_types import MessageMaker
+
+__all__ = ["KIND", "imu_message"]
+
 
 _TOLERANCE_M_S2 = 0.5
 
@@ -58,8 +59,6 @@ class Bno055(SerialModel):
     probe_order, probe_bauds = 1, (115_200,)
     probe_writes = "a request for the identity of a BNO055, at 115200 baud"
 
-
-__all__ = ["KIND", "imu_message"]
 
 _UNKNOWN = (0.0,) * 9
 """A covariance, as `sensor_msgs/Imu` has it where nothing is known of it."""

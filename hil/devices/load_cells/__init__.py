@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
-
-from hil.core.device import DeviceKind, Figures, Plot, Topic
-from hil.core.finding import Finding
-from hil.core.signals import Inputs, LoadCellSample
-from hil.devices.doctor_watch import Watched
-
-if TYPE_CHECKING:
-    from hil.recording.ros_types import MessageMaker
 from dataclasses import replace
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from hil.config.load_cells import CanCellsConfig, LineCellsConfig, LoadCellsConfig
-from hil.core.finding import Level
-from hil.core.signals import Status
-from hil.devices.doctor_watch import losses
+from hil.core.device import DeviceKind, Figures, Plot, Topic
+from hil.core.finding import Finding, Level
+from hil.core.signals import Inputs, LoadCellSample, Status
+from hil.devices.doctor_watch import Watched, losses
 from hil.devices.link_models import CanModel, SerialModel
+
+if TYPE_CHECKING:
+    from hil.recording.ros_types import MessageMaker
+
+__all__ = ["CELLS", "KIND", "cell_state"]
 
 
 class Hx711Can(CanModel):
@@ -85,8 +83,6 @@ def look(watched: Watched) -> Iterator[Finding]:
         "hil run adhesion_check",
     )
 
-
-__all__ = ["CELLS", "KIND", "cell_state"]
 
 CELLS = ("cell_1", "cell_2")
 

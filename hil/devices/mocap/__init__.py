@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
-
-from hil.core.device import DeviceKind, Topic
-from hil.core.finding import Finding
-from hil.core.geometry import Array
-from hil.core.signals import MocapSample, Status
-from hil.devices.doctor_watch import Watched
-
-if TYPE_CHECKING:
-    from hil.recording.ros_types import MessageMaker
 from itertools import pairwise
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from hil.config.mocap import MocapConfig
 from hil.core.clock import nanoseconds
-from hil.core.device import Connection, DeviceModel, Found, Search, opens
-from hil.core.finding import Level
-from hil.devices.doctor_watch import LOSS_FAILURE
+from hil.core.device import Connection, DeviceKind, DeviceModel, Found, Search, Topic, opens
+from hil.core.finding import Finding, Level
+from hil.core.geometry import Array
+from hil.core.signals import MocapSample, Status
+from hil.devices.doctor_watch import LOSS_FAILURE, Watched
+
+if TYPE_CHECKING:
+    from hil.recording.ros_types import MessageMaker
+
+__all__ = ["KIND"]
+
 
 _MOTIVE_PORTS = {"command_port": 1510, "data_port": 1511}
 _MOTIVE_GROUP = "239.255.42.99"
@@ -98,8 +97,6 @@ def look(watched: Watched) -> Iterator[Finding]:
             "use a wired network",
         )
 
-
-__all__ = ["KIND"]
 
 _OK = Status.OK
 

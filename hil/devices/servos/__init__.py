@@ -5,23 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from hil.core.device import DeviceKind, Figures, Plot, Topic
-from hil.core.finding import Finding
-from hil.core.geometry import Array
-from hil.core.signals import SERVOS, Inputs, ServoSample
-from hil.devices.doctor_watch import Watched
-
-if TYPE_CHECKING:
-    from hil.recording.ros_types import MessageMaker
 import numpy as np
 
 from hil.config.servo_models.codes import hardware_error_text
 from hil.config.servos import ServosConfig
 from hil.core.clock import Clock, nanoseconds
-from hil.core.device import Found, loaded
-from hil.core.signals import worst
-from hil.devices.doctor_watch import losses
+from hil.core.device import DeviceKind, Figures, Found, Plot, Topic, loaded
+from hil.core.finding import Finding
+from hil.core.geometry import Array
+from hil.core.signals import SERVOS, Inputs, ServoSample, worst
+from hil.devices.doctor_watch import Watched, losses
 from hil.devices.link_models import SerialModel
+
+if TYPE_CHECKING:
+    from hil.recording.ros_types import MessageMaker
+
+__all__ = ["KIND", "joint_state"]
 
 
 class Dynamixel(SerialModel):
@@ -99,9 +98,6 @@ def _health(watched: Watched, servos: Any) -> Iterator[Finding]:
         f"below {_HOT_C:g} C",
         "let the servos cool; look for a jam",
     )
-
-
-__all__ = ["KIND", "joint_state"]
 
 
 def joint_state(sample: ServoSample, ros: MessageMaker) -> Any:

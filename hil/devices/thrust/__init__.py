@@ -8,17 +8,19 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from hil.config.robot import RobotConfig
-from hil.config.thrust import ThrustConfig
+from hil.config.thrust import TeensyConfig, ThrustConfig
 from hil.core.device import DeviceKind, Figures, Force, Plot, Topic
 from hil.core.finding import Finding
 from hil.core.signals import Inputs, Status, ThrustSample
 from hil.devices.doctor_watch import Watched
+from hil.devices.link_models import SerialModel
 from hil.devices.thrust.vesc import VescPropellers
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker
-from hil.config.thrust import TeensyConfig
-from hil.devices.link_models import SerialModel
+
+__all__ = ["KIND", "propeller_state"]
+
 
 _PJRC = 0x16C0
 _PRODUCTS = (0x0483, 0x0487, 0x0489, 0x048A, 0x048B, 0x048C)
@@ -32,9 +34,6 @@ class Teensy(SerialModel):
     config = TeensyConfig
     driver, chip = "hil.drivers.thrust:TeensyThrust", "hil.fakes.thrust:TeensyChip"
     usb = tuple((_PJRC, product) for product in _PRODUCTS)
-
-
-__all__ = ["KIND", "propeller_state"]
 
 
 def propeller_state(sample: ThrustSample, ros: MessageMaker) -> Any:

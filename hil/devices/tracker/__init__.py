@@ -9,13 +9,15 @@ from hil.core.device import DeviceKind, Topic
 from hil.core.finding import Finding
 from hil.core.geometry import Array
 from hil.core.signals import Status, TrackerSample
-from hil.devices.doctor_watch import Watched
+from hil.devices.doctor_watch import Watched, losses
 from hil.devices.tracker.mavlink import Mavlink
 from hil.devices.tracker.t265_model import T265
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker
-from hil.devices.doctor_watch import losses
+
+__all__ = ["KIND"]
+
 
 _SLOWEST = 0.9
 _UNSURE = "clean the lenses, light the scene, look whether the camera is shaken"
@@ -40,8 +42,6 @@ def look(watched: Watched) -> Iterator[Finding]:
             "move the camera a little; the scene needs texture",
         )
 
-
-__all__ = ["KIND"]
 
 _OK = Status.OK
 

@@ -25,6 +25,9 @@ from hil.fakes.imu.bno055_faults import InertialFaults
 from hil.fakes.serial_chip import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, World
 
+__all__ = ["SUPPORTED_FAULTS", "MicrostrainChip"]
+
+
 SUPPORTED_FAULTS: Supported = {
     "off": (),
     "stuck": (),
@@ -72,8 +75,6 @@ class MicrostrainFaults(InertialFaults):
         fault = self.find("intermittent", t_ns)
         return b"" if fault is not None and fault.interrupts(t_ns) else data
 
-
-__all__ = ["SUPPORTED_FAULTS", "MicrostrainChip"]
 
 _BAUD_TOLERANCE = 0.03
 _PATIENCE_NS = 100_000_000
