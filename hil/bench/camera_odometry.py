@@ -41,12 +41,12 @@ class WheelFeed(Sink):
         """The camera goes on alone."""
 
 
-def wheel_feed(blueprint: BenchModel, rig: DeviceSet) -> tuple[Sink, ...]:
+def wheel_feed(model: BenchModel, rig: DeviceSet) -> tuple[Sink, ...]:
     """What tells the camera of the wheels, if `tracker.wheel_odometry` asks for it."""
-    camera = blueprint.config.of(T265Config)
+    camera = model.config.of(T265Config)
     if camera is None or not camera.wheel_odometry:
         return ()
-    return (WheelFeed(blueprint.make_estimator("odometry", diagnostics=False), rig.get("tracker")),)
+    return (WheelFeed(model.make_estimator("odometry", diagnostics=False), rig.get("tracker")),)
 
 
 def with_wheel_sigma(config: BenchConfig) -> BenchConfig:

@@ -95,7 +95,7 @@ class LiveSession:
         self._velocity: VelocityReference | None = None
         bench.waits_for_sensors = not self._moving
         here = np.array(bench.config.environment.start_pose, dtype=np.float64)
-        warm_up(self._brain(_standing(here) if self._moving else None), self.bench.start_state(here))
+        warm_up(self._pipeline(_standing(here) if self._moving else None), self.bench.start_state(here))
 
     def run(self) -> None:
         """Settle, then cycle until the end.
@@ -154,7 +154,7 @@ class LiveSession:
         rest = bench.observe(_SETTLE_S, feedback=plan.feedback, on_cycle=lambda _: self.end_if_asked())
         pose = self.bench.measured_pose(rest.mocap)
         trajectory = self._trajectory(pose) if self._moving else None
-        pipeline = self._brain(trajectory)
+        pipeline = self._pipeline(trajectory)
         if plan.commands is not None:
             self._velocity = self._obey(plan.commands, pose)
             pipeline.reference_at = self._velocity
@@ -164,7 +164,7 @@ class LiveSession:
     def _moving(self) -> bool:
         return self.plan.trajectory is not None or self.plan.commands is not None
 
-    def _brain(self, trajectory: Trajectory | None) -> ControlPipeline:
+    def _pipeline(self, trajectory: Trajectory | None) -> ControlPipeline:
         plan = self.plan
         return self.bench.make_pipeline(
             trajectory, controller=plan.controller, feedback=plan.feedback, observers=plan.observers

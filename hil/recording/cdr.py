@@ -34,16 +34,15 @@ def octets(payload: bytes) -> bytes:
     return _ENCODING + _LENGTHS.pack(0, 0, len(payload)) + payload
 
 
-def transforms(stamp: Stamp, frames: Iterable[tuple[tuple[str, str], Sequence[float]]]) -> bytes:
+def transforms(stamp: Stamp, frames: Sequence[tuple[tuple[str, str], Sequence[float]]]) -> bytes:
     """`tf2_msgs/TFMessage`.
 
     Args:
         stamp: of all.
         frames: names (parent, child) and (7,): position in m, quaternion with w last.
     """
-    given = list(frames)
-    data = _ENCODING + _LENGTH.pack(len(given))
-    for names, values in given:
+    data = _ENCODING + _LENGTH.pack(len(frames))
+    for names, values in frames:
         data += _STAMP.pack(*stamp) + _texts(names)
         data += bytes(_gap(len(data))) + struct.pack("<7d", *values)
     return data

@@ -13,7 +13,7 @@ from hil.core.device import DeviceKind
 from hil.core.geometry import Array
 from hil.core.signals import CycleRecord, Event, RobotState, samples_of
 from hil.recording import cdr
-from hil.recording.ros_types import MessageMaker, to_cdr
+from hil.recording.ros_types import MessageMaker, pose_numbers, to_cdr
 from hil.recording.transform_tree import BODY, WALL, Frame, FrameTree
 
 Message = tuple[str, int, bytes]
@@ -26,10 +26,7 @@ _PLANAR = (0, 1, 5, 6, 7, 11, 30, 31, 35)
 
 def transforms(t_ns: int, frames: Sequence[Frame], ros: MessageMaker) -> bytes:
     """`tf2_msgs/TFMessage`."""
-    placed = []
-    for frame in frames:
-        w, x, y, z = frame.quaternion_wxyz
-        placed.append(((frame.parent, frame.child), (*frame.position_m, x, y, z, w)))
+    placed = [((f.parent, f.child), pose_numbers(f.position_m, f.quaternion_wxyz)) for f in frames]
     return cdr.transforms(ros.stamp(t_ns), placed)
 
 
@@ -63,8 +60,7 @@ def _of_six(planar: Array) -> list[float]:
 def _odometry(state: RobotState, ros: MessageMaker) -> bytes:
     """`nav_msgs/Odometry` of an estimate: pose in the wall frame, twist in the body frame."""
     forward, left, spin = state.twist_body.tolist()
-    position_m, (w, x, y, z) = _place(state.pose_body_in_wall)
-    pose = (*position_m, x, y, z, w, *_of_six(state.covariance[:3, :3]))
+    pose = (*pose_numbers(*_place(state.pose_body_in_wall)), *_of_six(state.covariance[:3, :3]))
     twist = (forward, left, 0.0, 0.0, 0.0, spin, *_of_six(state.covariance[3:, 3:]))
     return ros.numbers(state.t_ns, (WALL, BODY), (*pose, *twist))
 

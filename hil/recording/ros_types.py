@@ -44,6 +44,17 @@ def from_cdr(data: bytes, kind: str) -> Any:
         raise ValueError(f"no {kind} ({error})") from None
 
 
+def pose_numbers(position_m: Sequence[float] | Array, q_wxyz: Sequence[float] | Array) -> tuple[float, ...]:
+    """(7,) of a pose as ROS 2 orders it: position m, quaternion with w last.
+
+    Args:
+        position_m: (3,).
+        q_wxyz: (4,), w first.
+    """
+    w, x, y, z = _floats(q_wxyz)
+    return (*_floats(position_m), x, y, z, w)
+
+
 def definition(kind: str) -> str:
     """Definition of a message type with those of its parts.
 
@@ -103,8 +114,7 @@ class MessageMaker:
         self, t_ns: int, frame: str, position_m: Sequence[float] | Array, q_wxyz: Sequence[float] | Array
     ) -> bytes:
         """`geometry_msgs/PoseStamped` of a position (3,) m and a quaternion (4,), w first, as CDR."""
-        w, x, y, z = _floats(q_wxyz)
-        return self.numbers(t_ns, (frame,), (*_floats(position_m), x, y, z, w))
+        return self.numbers(t_ns, (frame,), pose_numbers(position_m, q_wxyz))
 
     def numbers(self, t_ns: int, texts: tuple[str, ...], values: Sequence[float]) -> bytes:
         """A message of a header, texts (the header's frame, then others) and float64 values only, as CDR."""

@@ -153,12 +153,12 @@ class RunCheck:
         if start is None or problem:
             self._differs(problem)
             return
-        self._brain = rebuild(bench, start)
-        self._given = self._brain.reference_at if _are_recorded(self._brain) else None
-        if self._brain.reference_at is not None:
+        self._pipeline = rebuild(bench, start)
+        self._given = self._pipeline.reference_at if _are_recorded(self._pipeline) else None
+        if self._pipeline.reference_at is not None:
             self.result["references"] = "computed" if self._given is None else "recorded"
         self.result["verified"] = list(DECIDED)
-        self._brain.reset(start.state)
+        self._pipeline.reset(start.state)
 
     def take(self, record: CycleRecord) -> None:
         """Compare the next cycle with what the pipeline makes of it; after a difference only count."""
@@ -171,7 +171,7 @@ class RunCheck:
         self._latest = record.cycle
         if isinstance(self._given, RecordedReferences):
             self._given.add(record)
-        verdict, difference = verify_cycle(record, self._brain, self.agreement, exact=self._exact)
+        verdict, difference = verify_cycle(record, self._pipeline, self.agreement, exact=self._exact)
         if verdict == DIFFERS:
             self._differs(f"cycle {record.cycle}: {difference}")
             flip = self.agreement.flip

@@ -73,7 +73,7 @@ class Emulation:
 
     Args:
         name: as `bus_name` gives it.
-        known: something who has looked before says that it is emulated.
+        known: whether an earlier look has found that it is emulated.
 
     Attributes:
         known: whether it was emulated when this was made, or is known to have been.

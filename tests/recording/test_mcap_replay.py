@@ -68,11 +68,11 @@ class Proportional(Controller):
         return WheelSetpoint(np.full(4, error[0]), wheels.steering_rad * 0.5)
 
 
-def verify(cycles, the_brain, start=START):
+def verify(cycles, pipeline, start=START):
     """First cycle whose bits a pipeline does not decide again, and its first difference; None for none."""
-    the_brain.reset(start)
+    pipeline.reset(start)
     for cycle in cycles:
-        verdict, difference = verify_cycle(cycle, the_brain, Agreement(), exact=True)
+        verdict, difference = verify_cycle(cycle, pipeline, Agreement(), exact=True)
         if verdict == DIFFERS:
             return cycle.cycle, difference
         assert verdict == IDENTICAL
@@ -93,12 +93,12 @@ def pipeline(scale=1.0, reference=line, limits=None):
     )
 
 
-def run(cycles, the_brain, record_of=driving_record):
-    the_brain.reset(START)
+def run(cycles, pipeline, record_of=driving_record):
+    pipeline.reset(START)
     for k in range(cycles):
         source = record_of(k)
         try:
-            decision = the_brain.decide(source.inputs)
+            decision = pipeline.decide(source.inputs)
         except SafetyStop as stop:
             event = Event(source.inputs.t_ns, "error", "supervisor", str(stop))
             yield dataclasses.replace(source, events=(event,))

@@ -214,8 +214,7 @@ class HoldMonitor(Sink):
     def _places(self, seen: Collection[str]) -> list[str]:
         """Those of them who would see a slide, and are believed.
 
-        Of two that contradicted each other, one of which is right: when both see it rest, it
-        does.
+        Of two that contradicted each other one is right: when both see it rest, it rests.
         """
         places = [name for name in seen if self._seeing[name].measures_position]
         undecided = [name for name in places if not self._doubted.get(name)]

@@ -221,7 +221,7 @@ class AdhesionWatch(Check):
         return fresh
 
     def _silent(self, name: str, noun: str, last_ns: int | None, t_ns: int, stop: ReportStop) -> bool:
-        """Stop for want of something who measures the force; False, as nothing fresh is known."""
+        """Stop because no sensor measures the force; False, as nothing fresh is known."""
         silent_s = (t_ns - max(last_ns or 0, self._began_ns or 0)) / NS_PER_S
         stop(
             f"stale_{name}",
