@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -32,6 +32,7 @@ class BenchSource:
         overrides: dotted key -> value.
         calibration: file to apply.
         watch: sinks that every opening of it is shown to.
+        publish: makes one more sink from a bench's header, for every opening in this process; None for none.
     """
 
     bench: str | Path | BenchConfig = "emulated"
@@ -42,6 +43,11 @@ class BenchSource:
     overrides: Mapping[str, object] = field(default_factory=dict)
     calibration: Path | None = None
     watch: tuple[Sink, ...] = field(default=(), compare=False)
+    publish: Callable[[Mapping[str, Any]], Sink] | None = field(default=None, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What another process gets: it does not publish."""
+        return {**self.__dict__, "publish": None}
 
     @cached_property
     def config(self) -> BenchConfig:
@@ -84,7 +90,7 @@ class BenchSource:
         """A bench, to be used as a context manager; nothing is opened before it is entered."""
         from hil.bench import open_bench
 
-        return open_bench(
+        bench = open_bench(
             self.bench,
             emulate=self.emulate,
             seed=self.seed,
@@ -94,6 +100,13 @@ class BenchSource:
             sinks=(*self.watch, *sinks),
             calibration=self.calibration,
         )
+        if self.publish is not None:
+            try:
+                bench.add_sink(self.publish(bench.header()))
+            except BaseException:
+                bench.close()
+                raise
+        return bench
 
     def changed(
         self,

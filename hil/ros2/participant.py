@@ -1,0 +1,105 @@
+"""The bench's participant on DDS, with writers that take CDR bytes.
+
+To import this module loads cyclonedds and rosbags, which takes some tenths of a second.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+from typing import Any
+
+from cyclonedds.core import DDSException
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from hil.core.errors import UsageError
+from hil.ros2.message_types import sample_type
+from hil.ros2.network import Network
+
+LOG = logging.getLogger(__name__)
+LATCHED = ("/tf_static", "/robot_description")
+"""Topics whose last message also those get who subscribe later."""
+_DEPTH, _DEPTHS = 10, {"/tf": 100}
+_ENCODING = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
+"""What ROS 2 writes and reads: version 1 of CDR."""
+_LONGEST_BLOCK = duration(milliseconds=1)
+
+
+class Participant:
+    """One participant; its topics have the names that ROS 2 gives them.
+
+    Args:
+        network: where it can be found.
+
+    Attributes:
+        network: as given.
+        lost: messages that Cyclone DDS did not take.
+
+    Raises:
+        UsageError: the interface is not there, or the domain cannot be joined.
+    """
+
+    def __init__(self, network: Network) -> None:
+        self.network, self.lost = network, 0
+        self._writers: dict[str, tuple[Any, Any]] = {}
+        if network.interface and network.interface not in (
+            known := [name for _, name in socket.if_nameindex()]
+        ):
+            raise UsageError(
+                f"this computer has no network interface {network.interface!r}", expected=" or ".join(known)
+            )
+        try:
+            self._domain = Domain(network.domain, network.configuration())
+            self._participant = DomainParticipant(network.domain)
+        except DDSException as error:
+            raise UsageError(
+                f"ROS 2 {network.in_words()} cannot be joined ({error.msg or error})",
+                remedy="see that the interface is up, or take another domain (--ros2-domain)",
+            ) from None
+
+    def add_writer(self, name: str, kind: str) -> None:
+        """Offer a topic, unless it is offered.
+
+        Args:
+            name: of the ROS 2 topic, with a slash.
+            kind: of its messages.
+        """
+        if name in self._writers:
+            return
+        made = sample_type(kind)
+        topic = Topic(self._participant, f"rt{name}", made)
+        self._writers[name] = made, DataWriter(self._participant, topic, _quality(name))
+
+    def write(self, name: str, data: bytes) -> None:
+        """Send a message, as CDR; what is not taken is counted, and told once. Never raises."""
+        made, writer = self._writers[name]
+        try:
+            writer.write(made(data))
+        except DDSException as error:
+            if not self.lost:
+                LOG.warning("ROS 2 topic %s: a message was not sent (%s); more are only counted", name, error)
+            self.lost += 1
+
+    def readers(self, name: str) -> int:
+        """How many readers a topic has now."""
+        return len(self._writers[name][1].get_matched_subscriptions())
+
+    def close(self) -> None:
+        """Say goodbye: what was written is sent first, for at most a second. Idempotent; never raises."""
+        self._writers.clear()
+        self._participant = self._domain = None
+
+
+def _quality(name: str) -> Qos:
+    """As ROS 2's default; reliable, which readers of either kind take."""
+    latched = name in LATCHED
+    return Qos(
+        Policy.Reliability.Reliable(_LONGEST_BLOCK),
+        Policy.Durability.TransientLocal if latched else Policy.Durability.Volatile,
+        Policy.History.KeepLast(1 if latched else _DEPTHS.get(name, _DEPTH)),
+        _ENCODING,
+    )
