@@ -14,6 +14,7 @@ from hil.cli import start_question
 from hil.cli.answers import watching
 from hil.cli.completion_types import BENCH, DEVICES, FAULT, SETTING
 from hil.cli.options import FILE, SEED
+from hil.core.choices import HIGHEST_DOMAIN
 
 if TYPE_CHECKING:
     from hil.procedure.bench_request import BenchSource
@@ -54,6 +55,17 @@ _OPTIONS = {
         help="Fault, for example imu:stuck@2+3 (repeatable).",
     ),
     "calibration": _stated("--calibration", type=FILE, help="calibration.toml to apply."),
+    "ros2": _stated("--ros2", is_flag=True, help="Publish the bench as ROS 2 topics, on this computer only."),
+    "ros2_domain": _stated(
+        "--ros2-domain",
+        type=click.IntRange(0, HIGHEST_DOMAIN),
+        help="DDS domain of --ros2 [default: ROS_DOMAIN_ID, else 0].",
+    ),
+    "ros2_interface": _stated(
+        "--ros2-interface",
+        metavar="NAME",
+        help="Network interface that --ros2 uses beside loopback: other computers see the bench.",
+    ),
 }
 
 
@@ -70,6 +82,9 @@ class BenchRequest:
         realtime: emulated devices at the wire, in real time.
         faults: specs, and files of timelines.
         calibration: file to apply.
+        ros2: published as ROS 2 topics.
+        ros2_domain: DDS domain; None for that of the environment.
+        ros2_interface: network interface beside loopback; empty for none.
     """
 
     bench: str = ""
@@ -80,6 +95,9 @@ class BenchRequest:
     realtime: bool = False
     faults: tuple[str, ...] = ()
     calibration: Path | None = None
+    ros2: bool = False
+    ros2_domain: int | None = None
+    ros2_interface: str = ""
 
     def source(self, overrides: Mapping[str, object], *, otherwise: str = "") -> BenchSource:
         """The bench to open, which a program that reads the progress watches.

@@ -15,6 +15,7 @@ from hil.cli import start_question
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.options import FILE, JSON, FiniteRange, on_recording_failure_option, rerun_option, tell_view
 from hil.cli.output import Answered, tell_the_end, unreadable
+from hil.cli.ros2_options import published
 from hil.core.choices import ESTIMATORS, LAWS
 from hil.core.errors import EXIT_PASS, Aborted, DataError, DeviceError, HilError, UsageError, reason_of
 from hil.support.atomic_files import check_new_file
@@ -79,7 +80,7 @@ if TYPE_CHECKING:
 @click.option(
     "--replay", "repeated", type=FILE, help="Recording whose motion the emulated robot repeats, at the wire."
 )
-@bench_options("faults")
+@bench_options("faults", "ros2", "ros2_domain", "ros2_interface")
 @JSON
 def command(
     request: BenchRequest,
@@ -125,8 +126,8 @@ def command(
     plan = LivePlan(reference, lines, duration_s, feedback, observers, controller, dead_man_s, known)
     stop = StopRequest()
     with stop.noted():
-        with nullcontext() if lines is None else closing(lines):
-            opened = bench.open()
+        with published(request) as publish, nullcontext() if lines is None else closing(lines):
+            opened = replace(bench, publish=publish).open()
             opened.tells_held = False
             with closing(opened):
                 recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)

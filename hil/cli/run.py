@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from hil.cli.completion_types import SCRIPT
 from hil.cli.options import JSON, OUT, on_recording_failure_option, results_folder
 from hil.cli.output import kept_for_json, tell_calls, tell_the_end
 from hil.cli.progress import reporting
+from hil.cli.ros2_options import published
 from hil.core.clock import local_time
 from hil.core.errors import HilError, shown_path
 from hil.core.result_files import JOURNAL
@@ -74,6 +76,7 @@ class _WithParameters(click.Command):
         "repeatable. docs/faults.md lists devices, kinds and options."
     },
 )
+@bench_options("ros2", "ros2_domain", "ros2_interface")
 @click.option("--out", type=OUT, help="Results folder [default: out/NAME/TIME].")
 @click.option("--resume", is_flag=True, help="Continue an interrupted run (of --out, else the latest).")
 @click.option(
@@ -118,7 +121,7 @@ def command(
         return 0
     source = source.changed(overrides=start_question.asked_start(source.config))
     interrupts = asked_to_end()
-    with interrupts.installed(), interrupts.deferred():
+    with published(request) as publish, interrupts.installed(), interrupts.deferred():
         folder = results_folder(proc.name, out, JOURNAL if resume else None)
         with kept_for_json(as_json), reporting() as report:
             options = RunOptions(
@@ -132,7 +135,7 @@ def command(
                 on_recording_failure=on_failure,
                 interrupts=interrupts,
             )
-            result = run_procedure(proc, source, options)
+            result = run_procedure(proc, replace(source, publish=publish), options)
         for problem in filter(None, (result.error, *result.teardown_errors)):
             tell_calls(problem.frames, problem.place)
         page, code = _report_of(result)
