@@ -12,9 +12,9 @@ import click
 
 from hil.cli import start_question
 from hil.cli.answers import watching
-from hil.cli.completion_types import BENCH, DEVICES, FAULT, SETTING
+from hil.cli.completion_types import BENCH, CONTROLLER, DEVICES, FAULT, SETTING
 from hil.cli.options import FILE, SEED
-from hil.core.choices import HIGHEST_DOMAIN
+from hil.core.choices import HIGHEST_DOMAIN, LAWS
 
 if TYPE_CHECKING:
     from hil.procedure.bench_request import BenchSource
@@ -55,6 +55,13 @@ _OPTIONS = {
         help="Fault, for example imu:stuck@2+3 (repeatable).",
     ),
     "calibration": _stated("--calibration", type=FILE, help="calibration.toml to apply."),
+    "controller": _stated(
+        "--controller",
+        type=CONTROLLER,
+        metavar="LAW|FILE.py:NAME|MODULE:NAME",
+        help="Control law (nonlinear, optimal), or a class of your own, that drives every trajectory "
+        "[default: control.law].",
+    ),
     "ros2": _stated("--ros2", is_flag=True, help="Publish the bench as ROS 2 topics, on this computer only."),
     "ros2_domain": _stated(
         "--ros2-domain",
@@ -82,6 +89,7 @@ class BenchRequest:
         realtime: emulated devices at the wire, in real time.
         faults: specs, and files of timelines.
         calibration: file to apply.
+        controller: law, or class of the user's own; empty for what the file says.
         ros2: published as ROS 2 topics.
         ros2_domain: DDS domain; None for that of the environment.
         ros2_interface: network interface beside loopback; empty for none.
@@ -95,6 +103,7 @@ class BenchRequest:
     realtime: bool = False
     faults: tuple[str, ...] = ()
     calibration: Path | None = None
+    controller: str = ""
     ros2: bool = False
     ros2_domain: int | None = None
     ros2_interface: str = ""
@@ -107,10 +116,16 @@ class BenchRequest:
             otherwise: bench to open where none was named.
 
         Raises:
-            UsageError: `--start` is no pose.
+            UsageError: `--start` is no pose, or `--controller` is unknown.
+            ConfigError: the controller of the user's own cannot be loaded.
         """
         from hil.procedure.bench_request import BenchSource
+        from hil.procedure.user_controllers import check_named
 
+        own = "" if self.controller in LAWS else self.controller
+        if self.controller:
+            check_named(self.controller)
+            overrides = {**overrides, **({} if own else {"control.law": self.controller})}
         return BenchSource(
             self.bench or otherwise,
             emulate=self.emulate,
@@ -119,6 +134,7 @@ class BenchRequest:
             faults=self.faults,
             overrides={**overrides, **start_question.start_override(self.start_pose)},
             calibration=self.calibration,
+            controller=own,
             watch=watching(),
         )
 

@@ -16,7 +16,7 @@ from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.options import FILE, JSON, FiniteRange, on_recording_failure_option, rerun_option, tell_view
 from hil.cli.output import Answered, tell_the_end, unreadable
 from hil.cli.ros2_options import published
-from hil.core.choices import ESTIMATORS, LAWS
+from hil.core.choices import ESTIMATORS
 from hil.core.errors import EXIT_PASS, Aborted, DataError, DeviceError, HilError, UsageError, reason_of
 from hil.support.atomic_files import check_new_file
 
@@ -71,7 +71,7 @@ if TYPE_CHECKING:
     multiple=True,
     help="Estimators beside it (repeatable).",
 )
-@click.option("--controller", type=click.Choice(LAWS), help="Control law.")
+@bench_options("controller")
 @rerun_option("spawn, connect, serve, a rerun+http:// URL or a .rrd file; several with commas.")
 @click.option("--record", type=FILE, help="Recording to write, a new file [default: out/live/TIME.mcap].")
 @click.option("--no-record", "unrecorded", is_flag=True, help="Write no recording.")
@@ -90,7 +90,6 @@ def command(
     duration_s: float | None,
     feedback: str,
     observers: tuple[str, ...],
-    controller: str | None,
     view: str | None,
     record: Path | None,
     unrecorded: bool,
@@ -123,7 +122,7 @@ def command(
     lines = open_commands(commands)
     if lines is not None:
         click.echo(f"velocity commands: {lines.where}", err=True)
-    plan = LivePlan(reference, lines, duration_s, feedback, observers, controller, dead_man_s, known)
+    plan = LivePlan(reference, lines, duration_s, feedback, observers, dead_man_s, known)
     stop = StopRequest()
     with stop.noted():
         with published(request) as publish, nullcontext() if lines is None else closing(lines):

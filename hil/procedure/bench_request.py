@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from hil.calibration.usable import check_usable
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.core.interfaces import Sink
+from hil.procedure.user_controllers import make_own
 
 if TYPE_CHECKING:
     from hil.bench import Bench
@@ -31,6 +32,8 @@ class BenchSource:
         faults: fault specs.
         overrides: dotted key -> value.
         calibration: file to apply.
+        controller: class of the user's own that drives every trajectory, `FILE.py:NAME` or `MODULE:NAME`;
+            empty for the control law of the bench and the procedure.
         watch: sinks that every opening of it is shown to.
         publish: makes one more sink from a bench's header, for every opening in this process; None for none.
     """
@@ -42,6 +45,7 @@ class BenchSource:
     faults: tuple[str, ...] = ()
     overrides: Mapping[str, object] = field(default_factory=dict)
     calibration: Path | None = None
+    controller: str = ""
     watch: tuple[Sink, ...] = field(default=(), compare=False)
     publish: Callable[[Mapping[str, Any]], Sink] | None = field(default=None, compare=False)
 
@@ -100,6 +104,8 @@ class BenchSource:
             sinks=(*self.watch, *sinks),
             calibration=self.calibration,
         )
+        if self.controller:
+            bench.own_controller = partial(make_own, self.controller)
         if self.publish is not None:
             try:
                 bench.add_sink(self.publish(bench.header()))
@@ -157,4 +163,5 @@ class BenchSource:
             "seed": self.seed,
             "realtime": self.realtime,
             "faults": list(self.faults),
+            **({"controller": self.controller} if self.controller else {}),
         }

@@ -20,7 +20,7 @@ from hil.bench.unreached_faults import not_begun, not_begun_in_words
 from hil.controller.joint_script import JointScript
 from hil.core.clock import Clock
 from hil.core.errors import UsageError, check_number
-from hil.core.interfaces import HELD_NOTE, Sink
+from hil.core.interfaces import HELD_NOTE, Controller, Sink
 from hil.fakes.fault import Fault
 from hil.loop.control_loop import Brain
 from hil.loop.device_set import Rig
@@ -31,6 +31,7 @@ from hil.robot.trajectories import Trajectory
 LOG = logging.getLogger(__name__)
 _LOOK_S = 1.0
 Opened = TypeVar("Opened", bound="HeldRig")
+MakeController = Callable[[Blueprint], Controller]
 
 
 class HeldRig:
@@ -45,6 +46,7 @@ class HeldRig:
         self.held = untouched("no device was opened: the robot is as it was before")
         self.tells_held = True
         self.waits_for_sensors = False
+        self.own_controller: MakeController | None = None
         self.lost: list[str] = []
         self.faults = faults
         self._is_open = False
@@ -182,12 +184,18 @@ class HeldRig:
     ) -> Brain:
         """The deterministic part of the loop for one motion or script (also what replay runs).
 
+        Where the bench has a controller of the user's own, that drives every trajectory.
+
         Raises:
             UsageError: unknown feedback or controller.
+            ConfigError: the controller of the user's own cannot be made.
         """
-        return self.model.make_brain(
+        brain = self.model.make_brain(
             trajectory, controller=controller, feedback=feedback, observers=observers
         )
+        if self.own_controller is not None and isinstance(trajectory, Trajectory):
+            brain.controller = self.own_controller(self.model)
+        return brain
 
     def check(self, trajectory: Trajectory, *, known: Trajectory | None = None) -> None:
         """Refuse what the limits cannot follow.
