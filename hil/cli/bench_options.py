@@ -58,9 +58,9 @@ _OPTIONS = {
     "controller": _stated(
         "--controller",
         type=CONTROLLER,
-        metavar="LAW|FILE.py:NAME|MODULE:NAME",
+        metavar="LAW|FILE.py:NAME|MODULE:NAME|ros2:TOPIC",
         help="Control law (nonlinear, optimal), or a class of your own, that drives every trajectory "
-        "[default: control.law].",
+        "[default: control.law]. `hil live` takes Twist and TwistStamped from ROS 2, too.",
     ),
     "ros2": _stated("--ros2", is_flag=True, help="Publish the bench as ROS 2 topics, on this computer only."),
     "ros2_domain": _stated(
@@ -89,7 +89,7 @@ class BenchRequest:
         realtime: emulated devices at the wire, in real time.
         faults: specs, and files of timelines.
         calibration: file to apply.
-        controller: law, or class of the user's own; empty for what the file says.
+        controller: law, class of the user's own, or `ros2:` and a topic; empty for what the file says.
         ros2: published as ROS 2 topics.
         ros2_domain: DDS domain; None for that of the environment.
         ros2_interface: network interface beside loopback; empty for none.
@@ -108,6 +108,12 @@ class BenchRequest:
     ros2_domain: int | None = None
     ros2_interface: str = ""
 
+    @property
+    def ros2_topic(self) -> str:
+        """ROS 2 topic from which velocity commands come; empty for none."""
+        kind, _, topic = self.controller.partition(":")
+        return topic or "/" if kind == "ros2" else ""
+
     def source(self, overrides: Mapping[str, object], *, otherwise: str = "") -> BenchSource:
         """The bench to open, which a program that reads the progress watches.
 
@@ -122,8 +128,8 @@ class BenchRequest:
         from hil.procedure.bench_request import BenchSource
         from hil.procedure.user_controllers import check_named
 
-        own = "" if self.controller in LAWS else self.controller
-        if self.controller:
+        own = "" if self.controller in LAWS or self.ros2_topic else self.controller
+        if self.controller and not self.ros2_topic:
             check_named(self.controller)
             overrides = {**overrides, **({} if own else {"control.law": self.controller})}
         return BenchSource(

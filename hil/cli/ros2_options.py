@@ -3,31 +3,31 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from hil.cli.bench_options import BenchRequest
 from hil.core.errors import UsageError
-from hil.core.interfaces import Sink
 
-MakeSink = Callable[[Mapping[str, Any]], Sink]
+if TYPE_CHECKING:
+    from hil.ros2.publisher import Ros2Publisher
 
 
 @contextmanager
-def published(request: BenchRequest) -> Iterator[MakeSink | None]:
+def published(request: BenchRequest) -> Iterator[Ros2Publisher | None]:
     """Be on ROS 2, if that is asked for.
 
     Returns:
-        What makes a bench's sink from its header; None without `--ros2`.
+        What publishes benches; None without `--ros2` and without a controller on ROS 2.
 
     Raises:
         UsageError: options that mean nothing without `--ros2`, no such domain or interface.
         ConfigError: the extra is missing.
     """
-    if not request.ros2:
+    if not (request.ros2 or request.ros2_topic):
         beside = {
             "--ros2-domain": request.ros2_domain is not None,
             "--ros2-interface": request.ros2_interface,
@@ -46,10 +46,9 @@ def published(request: BenchRequest) -> Iterator[MakeSink | None]:
     try:
         click.echo(f"ROS 2: {network.in_words()}", err=True)
         if network.reaches_out:
-            click.echo(
-                f"hil: whoever reaches {network.interface} can read this bench: ROS 2 has no password",
-                err=True,
-            )
-        yield publisher.sink
+            does = "drive this robot" if request.ros2_topic else "read this bench"
+            told = f"hil: whoever reaches {network.interface} can {does}: ROS 2 has no password"
+            click.echo(told, err=True)
+        yield publisher
     finally:
         publisher.close()

@@ -18,7 +18,7 @@ from hil.cli.output import kept_for_json, tell_calls, tell_the_end
 from hil.cli.progress import reporting
 from hil.cli.ros2_options import published
 from hil.core.clock import local_time
-from hil.core.errors import HilError, shown_path
+from hil.core.errors import HilError, UsageError, shown_path
 from hil.core.result_files import JOURNAL
 
 if TYPE_CHECKING:
@@ -108,6 +108,12 @@ def command(
     from hil.procedure.procedure_lookup import load_procedure
     from hil.procedure.runner import RunOptions, run_procedure
 
+    if request.ros2_topic:
+        raise UsageError(
+            f"--controller {request.controller} drives no trajectory",
+            expected="a law, or FILE.py:NAME or MODULE:NAME of your own",
+            remedy="hil live takes velocity commands from a ROS 2 topic",
+        )
     with kept_for_json(as_json):
         proc = load_procedure(script)
     given, overrides = split_settings(request.settings)
@@ -121,7 +127,7 @@ def command(
         return 0
     source = source.changed(overrides=start_question.asked_start(source.config))
     interrupts = asked_to_end()
-    with published(request) as publish, interrupts.installed(), interrupts.deferred():
+    with published(request) as publisher, interrupts.installed(), interrupts.deferred():
         folder = results_folder(proc.name, out, JOURNAL if resume else None)
         with kept_for_json(as_json), reporting() as report:
             options = RunOptions(
@@ -135,7 +141,9 @@ def command(
                 on_recording_failure=on_failure,
                 interrupts=interrupts,
             )
-            result = run_procedure(proc, replace(source, publish=publish), options)
+            if publisher is not None:
+                source = replace(source, publish=publisher.sink)
+            result = run_procedure(proc, source, options)
         for problem in filter(None, (result.error, *result.teardown_errors)):
             tell_calls(problem.frames, problem.place)
         page, code = _report_of(result)

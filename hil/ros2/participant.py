@@ -1,4 +1,4 @@
-"""The bench's participant on DDS, with writers that take CDR bytes.
+"""The bench's participant on DDS, with writers and readers of CDR bytes.
 
 To import this module loads cyclonedds and rosbags, which takes some tenths of a second.
 """
@@ -13,6 +13,7 @@ from cyclonedds.core import DDSException
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
@@ -27,6 +28,36 @@ _DEPTH, _DEPTHS = 10, {"/tf": 100}
 _ENCODING = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
 """What ROS 2 writes and reads: version 1 of CDR."""
 _LONGEST_BLOCK = duration(milliseconds=1)
+
+
+class Reader:
+    """Messages of a topic, as CDR bytes.
+
+    Best effort, which takes from writers of either reliability.
+
+    Args:
+        participant: of Cyclone DDS.
+        name: of the ROS 2 topic, with a slash.
+        kind: of its messages.
+    """
+
+    def __init__(self, participant: Any, name: str, kind: str) -> None:
+        topic = Topic(participant, f"rt{name}", sample_type(kind))
+        quality = Qos(
+            Policy.Reliability.BestEffort,
+            Policy.Durability.Volatile,
+            Policy.History.KeepLast(_DEPTH),
+            _ENCODING,
+        )
+        self._reader = DataReader(participant, topic, quality)
+
+    def take(self) -> list[bytes]:
+        """What has come since the last call, oldest first; never blocks."""
+        return [s.data for s in self._reader.take(N=_DEPTH) if s.sample_info.valid_data]
+
+    def writers(self) -> int:
+        """How many writers the topic has now."""
+        return len(self._reader.get_matched_publications())
 
 
 class Participant:
@@ -46,6 +77,7 @@ class Participant:
     def __init__(self, network: Network) -> None:
         self.network, self.lost = network, 0
         self._writers: dict[str, tuple[Any, Any]] = {}
+        self._heard: list[Reader] = []
         if network.interface and network.interface not in (
             known := [name for _, name in socket.if_nameindex()]
         ):
@@ -84,6 +116,16 @@ class Participant:
                 LOG.warning("ROS 2 topic %s: a message was not sent (%s); more are only counted", name, error)
             self.lost += 1
 
+    def add_reader(self, name: str, kind: str) -> Reader:
+        """Listen to a topic.
+
+        Args:
+            name: of the ROS 2 topic, with a slash.
+            kind: of its messages.
+        """
+        self._heard.append(Reader(self._participant, name, kind))
+        return self._heard[-1]
+
     def readers(self, name: str) -> int:
         """How many readers a topic has now."""
         return len(self._writers[name][1].get_matched_subscriptions())
@@ -91,6 +133,7 @@ class Participant:
     def close(self) -> None:
         """Say goodbye: what was written is sent first, for at most a second. Idempotent; never raises."""
         self._writers.clear()
+        self._heard.clear()
         self._participant = self._domain = None
 
 
