@@ -46,7 +46,7 @@ class TwistCommands(CommandLines):
                 expected="the name of a ROS 2 topic, for example ros2:/cmd_vel",
                 remedy="letters, digits and underscores between slashes",
             )
-        self._topic, self._clock = topic, clock
+        self._topic, self._clock, self._participant = topic, clock, participant
         self._readers = {kind: participant.add_reader(topic, kind) for kind in TYPES}
         self._alone_ns: int | None = clock.now_ns()
         kinds = " or ".join(kind.rpartition("/")[2] for kind in TYPES)
@@ -94,10 +94,12 @@ class TwistCommands(CommandLines):
             self._alone_ns = None
         elif self._alone_ns is not None and self._clock.now_ns() - self._alone_ns > _PATIENCE_NS:
             self._alone_ns = None
+            others = ", ".join(self._participant.other_types(self._topic, TYPES))
             LOG.warning(
-                "nobody publishes %s; see that the node has this topic, type and ROS_DOMAIN_ID, and with "
+                "nothing publishes %s%s; see that the node has this topic, type and ROS_DOMAIN_ID, and with "
                 "rmw_cyclonedds of Humble set ROS_LOCALHOST_ONLY=1 there",
                 self.where,
+                f", but another type is published there: {others}" if others else "",
             )
 
     def _stop(self, what: str, remedy: str) -> None:

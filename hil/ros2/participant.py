@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import logging
 import socket
+from collections.abc import Sequence
 from typing import Any
 
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 from cyclonedds.core import DDSException
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.pub import DataWriter
@@ -25,6 +27,8 @@ LOG = logging.getLogger(__name__)
 LATCHED = ("/tf_static", "/robot_description")
 """Topics whose last message also those get who subscribe later."""
 _DEPTH, _DEPTHS = 10, {"/tf": 100}
+_MOST = 10_000
+"""Writers that are looked through."""
 _ENCODING = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
 """What ROS 2 writes and reads: version 1 of CDR."""
 _LONGEST_BLOCK = duration(milliseconds=1)
@@ -49,15 +53,19 @@ class Reader:
             Policy.History.KeepLast(_DEPTH),
             _ENCODING,
         )
-        self._reader = DataReader(participant, topic, quality)
+        self._reader: Any = DataReader(participant, topic, quality)
 
     def take(self) -> list[bytes]:
-        """What has come since the last call, oldest first; never blocks."""
+        """What has come since the last call, oldest first; never blocks. Not after `close`."""
         return [s.data for s in self._reader.take(N=_DEPTH) if s.sample_info.valid_data]
 
     def writers(self) -> int:
-        """How many writers the topic has now."""
+        """How many writers the topic has now. Not after `close`."""
         return len(self._reader.get_matched_publications())
+
+    def close(self) -> None:
+        """Let go of the participant. Idempotent; never raises."""
+        self._reader = None
 
 
 class Participant:
@@ -126,6 +134,17 @@ class Participant:
         self._heard.append(Reader(self._participant, name, kind))
         return self._heard[-1]
 
+    def other_types(self, name: str, kinds: Sequence[str]) -> list[str]:
+        """Types, as DDS names them, with which others write a topic.
+
+        Args:
+            name: of the ROS 2 topic, with a slash.
+            kinds: types of messages that are left out.
+        """
+        known = {sample_type(kind).__idl_typename__.replace(".", "::") for kind in kinds}
+        seen = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication).take(N=_MOST)
+        return sorted({s.type_name for s in seen if s.topic_name == f"rt{name}"} - known)
+
     def readers(self, name: str) -> int:
         """How many readers a topic has now."""
         return len(self._writers[name][1].get_matched_subscriptions())
@@ -133,7 +152,8 @@ class Participant:
     def close(self) -> None:
         """Say goodbye: what was written is sent first, for at most a second. Idempotent; never raises."""
         self._writers.clear()
-        self._heard.clear()
+        for reader in self._heard:
+            reader.close()
         self._participant = self._domain = None
 
 

@@ -1,7 +1,7 @@
 """A program that commands a velocity on ROS 2 by Cyclone DDS alone: its types are written by hand.
 
-`commander.py DOMAIN TOPIC TYPE RATE_HZ FIELD=VALUE...` writes Twist or TwistStamped at a rate, from when
-somebody reads (it prints `matched`) until its input ends; FIELD is for example `linear.x`.
+`commander.py DOMAIN TOPIC TYPE RATE_HZ FIELD=VALUE...` writes Twist, TwistStamped or Header at a rate, once
+somebody reads (it prints `begun`, then `matched`), until its input ends; FIELD is for example `linear.x`.
 """
 
 import select
@@ -68,7 +68,8 @@ def main():
         place, value = field.split("=")
         part, axis = place.split(".")
         setattr(getattr(twist, part), axis, float(value))
-    message = twist if kind == "Twist" else TwistStamped(Header(Time(1, 2), "base_link"), twist)
+    header = Header(Time(1, 2), "base_link")
+    message = {"Twist": twist, "TwistStamped": TwistStamped(header, twist), "Header": header}[kind]
     domain = Domain(int(number), LOOPBACK)
     participant = DomainParticipant(int(number))
     representation = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
@@ -76,6 +77,7 @@ def main():
     quality = Qos(reliability, Policy.Durability.Volatile, Policy.History.KeepLast(10), representation)
     writer = DataWriter(participant, Topic(participant, f"rt{name}", type(message)), quality)
     told = False
+    print("begun", flush=True)
     while not select.select([sys.stdin], [], [], 1.0 / float(rate_hz))[0]:
         if writer.get_matched_subscriptions():
             if not told:

@@ -65,7 +65,7 @@ class Listener:
         """What came by topic, and after how long all writers were gone."""
         if not self._process.stdin.closed:
             self.end()
-        found = json.loads(self._process.stdout.read().removeprefix("heard\n"))
+        found = json.loads(self._process.stdout.read().splitlines()[-1])
         return found["heard"], found["gone_after_s"]
 
     def close(self):

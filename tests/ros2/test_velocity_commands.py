@@ -63,7 +63,9 @@ def live(tmp_path, domain, programs):
 @pytest.fixture
 def command(domain, programs):
     def begin(kind, *fields, rate_hz=50):
-        return programs(COMMANDER, domain, "/cmd_vel", kind, rate_hz, *fields)
+        begun = programs(COMMANDER, domain, "/cmd_vel", kind, rate_hz, *fields)
+        assert begun.stdout.readline() == "begun\n"
+        return begun
 
     return begin
 
@@ -124,11 +126,14 @@ def test_it_drives_as_commanded_and_not_before(kind, tmp_path, live, command, mo
         (("linear.z=0.1",), "off the wall"),
     ],
 )
-def test_what_it_cannot_mean_stops_the_robot_by_name(fields, told, tmp_path, live, command):
+def test_what_it_cannot_mean_stops_the_robot_by_name(fields, told, tmp_path, live, command, listen):
     running = live("--duration", "60")
+    listener = listen("/joint_states")
     command("Twist", *fields)
     code, summary, _ = ended(running)
+    _, gone_after_s = listener.heard()
     assert code == 3
+    assert gone_after_s < 5.0, "it says goodbye: others do not take it for alive"
     assert told in summary["ended"]
     assert "/cmd_vel" in summary["ended"]
     assert summary["held"]["state"] in ("HELD", "not needed")
@@ -166,6 +171,17 @@ def test_one_that_is_killed_brings_the_robot_to_rest(tmp_path, live, command, mo
     cycles = [c for c in read_cycles(tmp_path / "r.mcap") if c.reference is not None]
     assert max(c.reference.twist_body[0] for c in cycles) == 0.05
     assert not cycles[-1].reference.twist_body.any()
+
+
+@pytest.mark.real_time
+@pytest.mark.timeout(PATIENCE_S + 60)
+def test_without_a_publisher_it_says_where_it_looked_and_which_other_type_it_found(live, command, domain):
+    command("Header")
+    code, summary, err = ended(live("--duration", "8"))
+    assert code == 0, err
+    assert summary["commands"]["accepted"] == 0
+    for told in ("/cmd_vel", "Twist or TwistStamped", f"domain {domain}", "std_msgs::msg::dds_::Header_"):
+        assert told in err
 
 
 @pytest.mark.parametrize(
