@@ -23,19 +23,19 @@ from unittest.mock import patch
 import numpy as np
 from virtual_pair import TURN_CYCLES, Turns, in_turns, started, wall
 
-from hil.loop.checks.filter_fit import FilterWatch
-from hil.loop.checks.mocap_estimate import EstimateWatch
+from hil.loop.checks.filter_fit import FilterFit
+from hil.loop.checks.mocap_estimate import MocapEstimate
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.checks.steering_encoders import SteeringWatch
-from hil.loop.checks.wheel_slip import WheelWatch
+from hil.loop.checks.wheel_slip import WheelSlipCheck
 
 MOST = 1.05
 CHECKS = (
     (MotionCheck, "update"),
     (SteeringWatch, "judge"),
-    (FilterWatch, "judge"),
-    (EstimateWatch, "judge"),
-    (WheelWatch, "judge"),
+    (FilterFit, "judge"),
+    (MocapEstimate, "judge"),
+    (WheelSlipCheck, "judge"),
 )
 FORMS = ("with", "without")
 UNSETTLED = 2

@@ -107,10 +107,10 @@ def svg(rooms: Sequence[str], edges: Edges) -> str:
             f'<rect x="{x - BOX / 2:g}" y="{y - TALL / 2:g}" width="{BOX}" height="{TALL}" rx="5"/>'
             f'<text x="{x:g}" y="{y + 5:g}">{room}</text>'
         )
-    told = "Rooms of hil, from the command line above to the core below; arrows lead to what is imported"
+    label = "Rooms of hil, from the command line above to the core below; arrows lead to what is imported"
     head = (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
-        f'aria-label="{told}">'
+        f'aria-label="{label}">'
         f"<style>{STYLE}</style>"
         '<marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7" orient="auto">'
         '<path d="M 0 0 L 8 4 L 0 8 z"/></marker>'

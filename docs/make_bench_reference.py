@@ -107,18 +107,18 @@ def _of(model: DeviceModel) -> str:
 
 def _options(device: str, of: str, options: type) -> Iterator[str]:
     """True imperfections of one emulated device: a dataclass."""
-    told, allowed = _told(options), ranges(options)
+    described, allowed = _descriptions(options), ranges(options)
     yield f"\n## `[emulation.{device}]`{of}\n\n{inspect.cleandoc(options.__doc__ or '').splitlines()[0]}\n"
     yield _COLUMNS
     for field in dataclasses.fields(options):
         if field.default is not dataclasses.MISSING:
             range_text = _range(allowed.get(field.name, ()))
-            meaning = told.get(field.name, "")
+            meaning = described.get(field.name, "")
             yield f"| `{field.name}` | `{_toml(field.default)}` | {range_text} | {meaning} |\n"
 
 
 def _table(model: type[BaseModel], path: str, of: str = "") -> Iterator[str]:
-    told = _told(model)
+    described = _descriptions(model)
     rows, nested = [], []
     for name, field in model.model_fields.items():
         inner = _model_of(field.annotation)
@@ -131,7 +131,7 @@ def _table(model: type[BaseModel], path: str, of: str = "") -> Iterator[str]:
             "required" if field.is_required() else f"`{_toml(field.get_default(call_default_factory=True))}`"
         )
         bounds = [own.range_text() for _, own in bounds_of(field.annotation, field.metadata) if own]
-        meaning = told.get(field.alias or name, "")
+        meaning = described.get(field.alias or name, "")
         rows.append(f"| `{field.alias or name}` | {default} | {_range(bounds)} | {meaning} |\n")
     if path:
         yield f"\n## `[{path}]`{of}\n\n"
@@ -155,16 +155,16 @@ def _model_of(annotation: Any) -> type[BaseModel] | None:
     return None
 
 
-def _told(model: type) -> dict[str, str]:
+def _descriptions(model: type) -> dict[str, str]:
     """Meaning of each key from the section `Attributes:`, its bases' too; several may share one entry."""
     bases = [base for base in model.__bases__ if base not in (BaseModel, object)]
-    told: dict[str, str] = {key: text for base in bases for key, text in _told(base).items()}
+    described: dict[str, str] = {key: text for base in bases for key, text in _descriptions(base).items()}
     _, _, section = inspect.cleandoc(model.__doc__ or "").partition("Attributes:\n")
     for entry in re.split(r"\n(?= {4}\S)", section.rstrip()):
         names, _, text = entry.strip().partition(": ")
         plain = " ".join(text.split()).replace("|", "\\|")
-        told |= {name.strip(): plain for name in names.split(",")}
-    return told
+        described |= {name.strip(): plain for name in names.split(",")}
+    return described
 
 
 def _toml(value: Any) -> str:

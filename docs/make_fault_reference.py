@@ -76,7 +76,9 @@ SHARED = {
     "factor": f"{FACTOR:g}",
     "delay_s": f"{DELAY_S:g}",
 }
-_INHERITED = re.compile(r"from (hil[\w.]+\.faulty|hil\.fakes\.adhesion\.(?:vesc|motor)) import")
+_INHERITED = re.compile(
+    r"from (hil[\w.]+_faults|hil\.fakes\.adhesion\.(?:vesc_node|motor_controller)) import"
+)
 _ASKED = re.compile(r'find\(\s*(?:[\w.]+,\s*)*"(\w+)"|\.option\("(\w+)",\s*([\w.]+)\)|delay_ns\((_\w+)\)')
 
 
@@ -132,11 +134,11 @@ def _table(title: str, declared: dict[str, Supported], room: str) -> Iterator[st
 
 
 def _with_options(kind: str, options: tuple[str, ...], defaults: dict[tuple[str, str], str]) -> str:
-    told = [
+    shown = [
         f"`{option}{f'={value}' if (value := _default(kind, option, defaults)) else ''}`"
         for option in options
     ]
-    return f"`{kind}`" + (f" ({', '.join(told)})" if told else "")
+    return f"`{kind}`" + (f" ({', '.join(shown)})" if shown else "")
 
 
 def _default(kind: str, option: str, defaults: dict[tuple[str, str], str]) -> str:

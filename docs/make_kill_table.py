@@ -1,4 +1,4 @@
-"""Kills benches and keepers at random moments and writes the table of docs/adhesion.md.
+"""Kills benches and fan daemons at random moments and writes the table of docs/adhesion.md.
 
 `python docs/make_kill_table.py` takes about half an hour: 100 kills of each kind, in real time, while the
 emulated robot is driven on its wall (`tests/adhesion/wall_trials.py`).
@@ -41,7 +41,10 @@ def table(kills: int = KILLS, both: int = BOTH) -> str:
         os.environ["XDG_STATE_HOME"] = folder
         with wall_trials.robot_on_the_wall(SEED) as robot:
             path = robot.bench_file(Path(folder))
-            runs = (("bench, driving", wall_trials.benches_killed), ("keeper", wall_trials.keepers_killed))
+            runs = (
+                ("bench, driving", wall_trials.benches_killed),
+                ("fan daemon", wall_trials.keepers_killed),
+            )
             for killed, run in runs:
                 found = run(robot, path, kills, SEED)
                 held = sum(kill.held for kill in found)
@@ -50,8 +53,8 @@ def table(kills: int = KILLS, both: int = BOTH) -> str:
         with fan_on_the_wire() as (fan, spec):
             pairs = trials.keepers_killed(fan, spec, kills, SEED)
             went_on = sum(kill.lowest_duty == trials.HELD_DUTY for kill in pairs)
-            told = f"fan ran on {went_on} times: the bench stood in"
-            rows.append(row("keeper and understudy", [k.gap_s for k in pairs], told))
+            outcome = f"fan ran on {went_on} times: the bench took over"
+            rows.append(row("fan daemon and standby", [k.gap_s for k in pairs], outcome))
             trials.end_keeper(spec)
             released_s = trials.all_killed(fan, spec, both, SEED)
             rows.append(row("all three", released_s, "the controller let go of the motor"))

@@ -1,4 +1,4 @@
-"""How firmly the robot is pressed on its surface, and whether those who measure it agree.
+"""How firmly the robot is pressed on its surface, and whether load cells and fan speed agree on it.
 
 The fan's force goes up and down in steps while the robot rests, never below what holds it. The load cells
 against the square of the speed give the cells' zeros without stopping the fan, and the force that belongs to

@@ -357,7 +357,7 @@ def _measure_drives(ctx: Context, straight: DriveJogs, across: DriveJogs, steer:
     draw_directions(ctx, (straight, across))
     signs, config = find_signs(straight, across, steer), ctx.source.config
     named = note_exchanged(ctx, straight, across, steer)
-    told = reversed_names(signs.drive, "drive") + reversed_names(signs.steer, "steering")
+    reported = reversed_names(signs.drive, "drive") + reversed_names(signs.steer, "steering")
     values: dict[str, dict[str, Any]] = {
         "alignment": {
             "drive_sign": _turned(config.alignment.drive_sign, signs.drive),
@@ -366,12 +366,12 @@ def _measure_drives(ctx: Context, straight: DriveJogs, across: DriveJogs, steer:
     }
     encoders = config.of(EncodersConfig)
     if "encoders" in ctx.parameters.devices and encoders is not None:
-        told += reversed_names(signs.encoder, "encoder")
+        reported += reversed_names(signs.encoder, "encoder")
         values["encoders"] = {"sign": _turned(encoders.sign, signs.encoder)}
-    told = [name for name in told if name.split()[1] not in named]
+    reported = [name for name in reported if name.split()[1] not in named]
     others = "all others" if named else "all"
-    if told or named or min(straight.agreement().min(), across.agreement().min()) >= _PUSHES:
-        ctx.note("Directions: " + (", ".join(told) if told else f"{others} as configured") + ".")
+    if reported or named or min(straight.agreement().min(), across.agreement().min()) >= _PUSHES:
+        ctx.note("Directions: " + (", ".join(reported) if reported else f"{others} as configured") + ".")
     write_fragment(ctx, values, "Signs as found by small motions; unclear ones are left as they were.")
 
 

@@ -25,7 +25,7 @@ from hil.core.errors import ConfigError
 from hil.core.geometry import Array
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.bench_fragment import write_fragment
-from hil.procedure.parallel_drives import Errand
+from hil.procedure.parallel_drives import DriveJob
 from hil.procedure.record_parts import leave_part
 from hil.procedure.tracking_errors import STAGGER_S, stand
 from hil.procedure.worker_processes import Workers
@@ -184,7 +184,9 @@ def _driven(ctx: Context, p: Parameters, numbers: Sequence[int]) -> Generator[Sl
     overrides = {"encoders": None} if _filtered(ctx.source.config) else WITHOUT
     if p.processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(overrides=overrides)
-        jobs = [Errand(source, partial(_alone, p=p, number=k, ways=ways)) for k in numbers for ways in _ALONE]
+        jobs = [
+            DriveJob(source, partial(_alone, p=p, number=k, ways=ways)) for k in numbers for ways in _ALONE
+        ]
         with Workers(p.processes) as workers:
             results = ctx.at_once(jobs, workers)
             for _ in numbers:
@@ -195,8 +197,8 @@ def _driven(ctx: Context, p: Parameters, numbers: Sequence[int]) -> Generator[Sl
         return
     for number in numbers:
         bench = ctx.reopen(f"lines {number}", overrides=overrides)
-        told = partial(ctx.progress, f"repetition {number}")
-        yield repetition(bench, p, number, told)
+        reported = partial(ctx.progress, f"repetition {number}")
+        yield repetition(bench, p, number, reported)
 
 
 def _filtered(config: BenchConfig) -> bool:

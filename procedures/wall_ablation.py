@@ -19,7 +19,7 @@ from hil.config.robot_record import PARTS
 from hil.core.geometry import ArrayLike
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.ablation import Setting, Table, settings_of
-from hil.procedure.parallel_drives import Errand
+from hil.procedure.parallel_drives import DriveJob
 from hil.procedure.record_parts import known_parts
 from hil.procedure.tracking_errors import (
     REFERENCE_M,
@@ -154,7 +154,7 @@ def _at_once(ctx: Context, jobs: Jobs, found: list[dict[str, float]]) -> list[di
     p: Parameters = ctx.parameters
     config = ctx.source.config
     work = [
-        Errand(
+        DriveJob(
             ctx.source.changed(overrides=_without(config, setting)),
             partial(drive, case=case, p=p),
             _label(setting, case),

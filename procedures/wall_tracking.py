@@ -1,4 +1,4 @@
-"""Lines and a scan on the wall with feedback from odometry, EKF and UKF: who corrects slip and sag?
+"""Lines and a scan on the wall with feedback from odometry, EKF and UKF: which corrects slip and sag?
 
 Every case starts from the same pose, in a world of the same seed. Truth is motion capture. The limits
 are those that the paper's experiments call for (arXiv 2509.04016). Limits on means hold for several seeds.
@@ -20,7 +20,7 @@ from hil.config.bench import BenchConfig
 from hil.core.choices import ESTIMATORS, EstimatorName
 from hil.core.geometry import ArrayLike
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedure.parallel_drives import Errand
+from hil.procedure.parallel_drives import DriveJob
 from hil.procedure.tracking_errors import (
     REFERENCE_M,
     belief_figure,
@@ -242,7 +242,7 @@ def one_world(ctx: Context, seed: int, found: World) -> World:
     jobs = drives(p)
     if p.processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(seed=seed)
-        errands = [Errand(source, partial(drive, one=one, p=p), _label(one, seed)) for one in jobs]
+        errands = [DriveJob(source, partial(drive, one=one, p=p), _label(one, seed)) for one in jobs]
         with Workers(min(p.processes, len(jobs))) as workers:
             for one, result in zip(jobs, ctx.at_once(errands, workers), strict=True):
                 _take(ctx, seed, found, one, result)

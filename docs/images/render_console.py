@@ -1,4 +1,4 @@
-"""Writes the pictures of docs/console.md: a real console, an emulated robot, a real browser.
+"""Writes the pictures of docs/live.md: a real console, an emulated robot, a real browser.
 
     python docs/images/render_console.py
 

@@ -15,7 +15,7 @@ from hil.bench.emulation import (
     supported_faults,
 )
 from hil.bench.hold.result import Held
-from hil.bench.opening import open_bench, plan_bench
+from hil.bench.opening import make_bench_model, open_bench
 from hil.bench.settings import alignment_parameters, safety_limits
 from hil.drivers.servos import set_up
 from hil.fakes.fault import Fault, make_fault
@@ -34,10 +34,10 @@ __all__ = [
     "describe_fault",
     "faults_within",
     "hidden_truth",
+    "make_bench_model",
     "make_fault",
     "open_bench",
     "open_emulation",
-    "plan_bench",
     "planned_faults",
     "safety_limits",
     "set_up",

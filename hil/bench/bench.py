@@ -12,8 +12,8 @@ import numpy as np
 
 from hil.bench.doctor.inertial_offsets import InertialWatch
 from hil.bench.drive_start import blind_to_the_drive, emulated_hold, must_begin_where_it_stands
-from hil.bench.hold.held_devices import HeldRig
-from hil.bench.model import Blueprint
+from hil.bench.hold.held_devices import HeldDevices
+from hil.bench.model import BenchModel
 from hil.bench.settings import real_time
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import ConfigError, DeviceError, check_number
@@ -23,8 +23,8 @@ from hil.core.signals import CycleRecord, RobotState
 from hil.fakes.body_interface import PlantState
 from hil.fakes.fault import Fault
 from hil.fakes.world import World
-from hil.loop.control_loop import Brain, ControlLoop, LoopStatistics
-from hil.loop.device_set import Rig
+from hil.loop.control_loop import ControlLoop, ControlPipeline, LoopStatistics
+from hil.loop.device_set import DeviceSet
 from hil.loop.realtime import warm_up
 from hil.loop.recorded_motion import Motion
 from hil.loop.user_parts import own_name
@@ -44,7 +44,7 @@ OnCycle = Callable[[CycleRecord], None]
 Until = Callable[[CycleRecord], bool]
 
 
-class Bench(HeldRig):
+class Bench(HeldDevices):
     """Devices, clock, loop and configuration of one bench; use it as a context manager.
 
     Attributes:
@@ -56,7 +56,7 @@ class Bench(HeldRig):
         statistics: punctuality of the latest run.
         real_time: what the operating system was asked for; None in virtual time.
         pressed: the force with which a robot was pressed on its wall before its servos got torque, in words;
-            empty where nobody measures it.
+            empty where nothing measures it.
         held: what `look` or, at the end, `close` found last. A robot that was not checked since devices were
             opened or it was driven is NOT HELD, "not checked"; one whose servos were not opened is not
             `opened`.
@@ -64,7 +64,7 @@ class Bench(HeldRig):
         tells_held: whether a warning is logged where it is left NOT HELD; whoever says so otherwise takes it
             back.
         waits_for_sensors: whether a lost sensor is waited for beyond its `fail_after_s`, in real time: for
-            those who watch a robot that nobody drives. Said before it is entered.
+            programs that watch a resting robot. Said before it is entered.
         own_controller: makes, from the model, the controller that every trajectory is driven by; None for the
             configured law.
         lost: what devices failed of that ended one of its runs, in words.
@@ -73,9 +73,9 @@ class Bench(HeldRig):
 
     def __init__(
         self,
-        model: Blueprint,
+        model: BenchModel,
         clock: Clock,
-        rig: Rig,
+        rig: DeviceSet,
         *,
         world: World | None = None,
         sinks: tuple[Sink, ...] = (),
@@ -156,7 +156,7 @@ class Bench(HeldRig):
         check_number(duration_s, "duration_s", "s")
         self.must_be_open()
         start = RunStart(self.start_state(start_pose), feedback)
-        return self._run(self.make_brain(None, feedback=feedback), start, duration_s, on_cycle)
+        return self._run(self.make_pipeline(None, feedback=feedback), start, duration_s, on_cycle)
 
     def drive(
         self,
@@ -198,8 +198,10 @@ class Bench(HeldRig):
         else:
             must_begin_where_it_stands(trajectory, stands.pose_body_in_wall)
         self.must_be_open()
-        brain = self.make_brain(trajectory, controller=controller, feedback=feedback, observers=observers)
-        warm_up(brain, stands or self.start_state())
+        pipeline = self.make_pipeline(
+            trajectory, controller=controller, feedback=feedback, observers=observers
+        )
+        warm_up(pipeline, stands or self.start_state())
         self.rig.actuators().enable()
         if stands is None:
             stands = self._where_it_stands()
@@ -207,7 +209,7 @@ class Bench(HeldRig):
         start = RunStart(
             stands, feedback, controller or self.config.control.law, observers, trajectory.to_mapping()
         )
-        return self._run(brain, start, trajectory.duration_s + hold_s, on_cycle)
+        return self._run(pipeline, start, trajectory.duration_s + hold_s, on_cycle)
 
     @property
     def _capture_is_blind(self) -> bool:
@@ -239,7 +241,9 @@ class Bench(HeldRig):
         known = np.array(self.config.environment.start_pose if pose is None else pose, dtype=np.float64)
         return RobotState(self.clock.now_ns(), known, np.zeros(3), START_COVARIANCE)
 
-    def _run(self, brain: Brain, start: RunStart, duration_s: float, on_cycle: OnCycle | None) -> Motion:
+    def _run(
+        self, pipeline: ControlPipeline, start: RunStart, duration_s: float, on_cycle: OnCycle | None
+    ) -> Motion:
         records: list[CycleRecord] = []
         duration_ns = nanoseconds(duration_s)
 
@@ -247,19 +251,19 @@ class Bench(HeldRig):
             records.append(record)
             if on_cycle is not None:
                 on_cycle(record)
-            return record.start_ns >= records[0].start_ns + duration_ns + brain.waited_ns
+            return record.start_ns >= records[0].start_ns + duration_ns + pipeline.waited_ns
 
-        self.run(brain, start, until)
+        self.run(pipeline, start, until)
         return Motion(tuple(records))
 
-    def run(self, brain: Brain, start: RunStart, until: Until, *, drop_old: bool = True) -> None:
-        """Run a brain from a known state until `until(record)` says so; the robot is stopped at the end.
+    def run(self, pipeline: ControlPipeline, start: RunStart, until: Until, *, drop_old: bool = True) -> None:
+        """Run a pipeline from a known state until `until(record)` says so; the robot is stopped at the end.
 
         Everything is compiled and loaded before the first cycle.
 
         Args:
-            brain: what decides.
-            start: what `brain` was made of, and where the robot stands.
+            pipeline: what decides.
+            start: what `pipeline` was made of, and where the robot stands.
             until: whether this record was the last.
             drop_old: let go of what the devices have piled up meanwhile.
 
@@ -275,20 +279,20 @@ class Bench(HeldRig):
                 self._inertial.must_be_usable()
             until = self._until_tilted(until)
         self._warn(emulated_hold(self.config))
-        warm_up(brain, start.state)
+        warm_up(pipeline, start.state)
         with ExitStack() as stack:
             stack.push(self._lost_device)
             if self.real_time is not None:
                 stack.enter_context(self.real_time)
             if drop_old:
                 self._hold.passed_over(self.rig.read(0))
-            loop = self.make_loop(brain, start)
+            loop = self.make_loop(pipeline, start)
             if self.real_time is not None:
                 loop.idle = self.real_time.idle
             try:
                 loop.run(until)
             finally:
-                self._hold.stopped(brain.supervisor.doubted, brain.supervisor.agreed)
+                self._hold.stopped(pipeline.supervisor.doubted, pipeline.supervisor.agreed)
                 if start.trajectory is not None:
                     self._left = self._hold.last_state
 
@@ -317,24 +321,24 @@ class Bench(HeldRig):
             self.warnings.append(said)
             LOG.warning("%s", said)
 
-    def make_loop(self, brain: Brain, start: RunStart) -> ControlLoop:
+    def make_loop(self, pipeline: ControlPipeline, start: RunStart) -> ControlLoop:
         """A loop over this bench's devices, clock and sinks; its statistics become the bench's.
 
-        The brain is reset to the start, now, and the sinks get a note: without that note nobody could
+        The pipeline is reset to the start, now, and the sinks get a note: without that note nothing could
         repeat the run from its recording.
 
         Args:
-            brain: what decides.
-            start: what `brain` was made of, and where the robot stands.
+            pipeline: what decides.
+            start: what `pipeline` was made of, and where the robot stands.
         """
-        begun = replace(_as_decided(start, brain), state=replace(start.state, t_ns=self.clock.now_ns()))
-        brain.reset(begun.state)
+        begun = replace(_as_decided(start, pipeline), state=replace(start.state, t_ns=self.clock.now_ns()))
+        pipeline.reset(begun.state)
         self._note(begun.state.t_ns, RUN_NOTE, begun.note())
         config = self.config.loop
         loop = ControlLoop(
             self.rig,
             self.clock,
-            brain,
+            pipeline,
             rate_hz=config.rate_hz,
             late_after_s=config.late_after_s,
             sinks=(*self._sinks, self._hold),
@@ -344,12 +348,12 @@ class Bench(HeldRig):
         return loop
 
 
-def _as_decided(start: RunStart, brain: Brain) -> RunStart:
+def _as_decided(start: RunStart, pipeline: ControlPipeline) -> RunStart:
     """How a run began, with parts of one's own under their own names: nothing of ours has decided there."""
-    observers = [own_name(one) or name for name, one in brain.observers.items()]
+    observers = [own_name(one) or name for name, one in pipeline.observers.items()]
     return replace(
         start,
-        controller=own_name(brain.controller) or start.controller,
-        feedback=own_name(brain.estimator) or start.feedback,
+        controller=own_name(pipeline.controller) or start.controller,
+        feedback=own_name(pipeline.estimator) or start.feedback,
         observers=tuple(observers) or start.observers,
     )

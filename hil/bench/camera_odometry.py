@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.config.bench import BenchConfig
 from hil.config.servos import ServosConfig
 from hil.config.tracker import T265Config
 from hil.core.interfaces import Estimator, Sink
 from hil.core.signals import CycleRecord
-from hil.loop.device_set import Rig
+from hil.loop.device_set import DeviceSet
 
 
 class WheelFeed(Sink):
@@ -41,7 +41,7 @@ class WheelFeed(Sink):
         """The camera goes on alone."""
 
 
-def wheel_feed(blueprint: Blueprint, rig: Rig) -> tuple[Sink, ...]:
+def wheel_feed(blueprint: BenchModel, rig: DeviceSet) -> tuple[Sink, ...]:
     """What tells the camera of the wheels, if `tracker.wheel_odometry` asks for it."""
     camera = blueprint.config.of(T265Config)
     if camera is None or not camera.wheel_odometry:
@@ -62,5 +62,5 @@ def with_wheel_sigma(config: BenchConfig) -> BenchConfig:
     speed_m_s, rate_hz = config.control.wheel_speed_m_s, config.loop.rate_hz
     step_m2 = 0.25 * (noise.step_m**2 + noise.per_sqrt_m**2 * speed_m_s / rate_hz)
     sigma_m_s = math.sqrt(step_m2 * rate_hz**2 + (slip.creep * speed_m_s) ** 2)
-    told = camera.model_copy(update={"wheel_sigma_m_s": min(max(sigma_m_s, 1e-4), 0.1)})
-    return config.model_copy(update={"tracker": told})
+    reported = camera.model_copy(update={"wheel_sigma_m_s": min(max(sigma_m_s, 1e-4), 0.1)})
+    return config.model_copy(update={"tracker": reported})

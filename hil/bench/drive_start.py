@@ -1,4 +1,4 @@
-"""How a drive begins: where the robot stands; and who will not see it move is named before."""
+"""Checks before a drive: the trajectory begins where the robot stands, and blind sensors are named."""
 
 from __future__ import annotations
 

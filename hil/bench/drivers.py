@@ -16,7 +16,7 @@ from hil.core.device import Connection, DeviceModel
 from hil.core.errors import HilError
 from hil.core.interfaces import Actuators, Device, Sensor
 from hil.core.registry import base_of, kinds
-from hil.loop.device_set import Rig
+from hil.loop.device_set import DeviceSet
 
 
 def model_of(config: BenchConfig, kind: str) -> DeviceModel:
@@ -25,12 +25,12 @@ def model_of(config: BenchConfig, kind: str) -> DeviceModel:
     return kinds()[kind].model(getattr(table, "model"))  # noqa: B009 - every model's table has the key
 
 
-def make_rig(
+def make_device_set(
     config: BenchConfig,
     clock: Clock,
     connections: Mapping[str, Connection],
     failures: Mapping[str, HilError] = MappingProxyType({}),
-) -> Rig:
+) -> DeviceSet:
     """Drivers of all configured devices, closed.
 
     Args:
@@ -57,7 +57,7 @@ def make_rig(
     sensing = {
         name: made[name] for name, kind in known.items() if not kind.moves_robot and not kind.holds_robot
     }
-    return Rig(
+    return DeviceSet(
         clock,
         cast("Actuators", moving[0]) if moving else None,
         cast("dict[str, Sensor[Any]]", {**holding, **sensing}),

@@ -81,10 +81,10 @@ def _simulated(config: BenchConfig, seed: int, plan: FaultPlan) -> Plant:
 
 
 def hidden_truth(world: World) -> dict[str, object]:
-    """What the robot of a world truly is, as JSON values; nobody who measures may look at it.
+    """What the robot of a world truly is, as JSON values; nothing that measures may look at it.
 
     Raises:
-        UsageError: its robot repeats a recording: nobody knows.
+        UsageError: its robot repeats a recording: it is not known.
     """
     plant = world.plant
     if not isinstance(plant, SteppedBody):

@@ -68,7 +68,7 @@ class EmulatorProcess:
         return self._child.pid
 
     def begin(self) -> None:
-        """Let world time run; it stands still before, so that nothing happens to a robot nobody watches."""
+        """Let world time run; it stands still before, so that nothing happens to an unwatched robot."""
         if self._child.stdin is not None:
             with contextlib.suppress(OSError):
                 self._child.stdin.write(b"\n")

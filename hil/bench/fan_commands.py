@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-from hil.bench.drivers import make_rig
+from hil.bench.drivers import make_device_set
 from hil.bench.fan_interlock import DEVICE, STEP_NS, WATCH_S, duty_n, fan_of, must_be_enough
 from hil.bench.settings import force_wanted_n
 from hil.config.adhesion import AdhesionConfig, MotorConfig
@@ -105,7 +105,7 @@ def switch_on(
         duty: asked for in place of a force.
         wait_s: how long it may take.
         say: told how far it is.
-        tethered: the robot is tethered or off the wall: somebody has looked.
+        tethered: the robot is tethered or off the wall: the operator has looked.
 
     Returns:
         The force that the fan's speed gives, N. The fan goes on, whatever ends this.
@@ -118,8 +118,8 @@ def switch_on(
     wanted_n = force_wanted_n(config) if force_n is None else force_n
     if isinstance(table, MotorConfig):
         _must_be_free(keeper_spec(config))
-    fan: Any = make_rig(config, clock, {}).get(DEVICE)
-    if not tethered:  # and closed again: nobody would command it while the others are looked at
+    fan: Any = make_device_set(config, clock, {}).get(DEVICE)
+    if not tethered:  # and closed again: nothing would command it while the others are looked at
         fan.open()
         with contextlib.closing(fan):
             now = _first_report(fan, clock)
@@ -203,7 +203,7 @@ def switch_off(spec: Spec, confirmed_by: str, *, say: Say) -> Status | None:
         say: told how far it is.
 
     Raises:
-        UsageError: somebody has asked for the force again meanwhile.
+        UsageError: something has asked for the force again meanwhile.
     """
     connection = client.connect(spec)
     if connection is None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench.drivers import make_rig
+from hil.bench.drivers import make_device_set
 from hil.bench.hold.tilt import tilt_rad
 from hil.bench.settings import adhesion_limits, can_fall, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig, MotorConfig
@@ -57,7 +57,7 @@ def must_be_enough(config: BenchConfig, is_n: float, asked_n: float) -> None:
     Args:
         config: of the bench.
         is_n: what the fan gives now, N.
-        asked_n: what it is to give, N; NaN where nobody can tell.
+        asked_n: what it is to give, N; NaN where it cannot be told.
 
     Raises:
         UsageError: IMU and load cells do not say that the robot is off the wall.
@@ -95,10 +95,10 @@ def seen_off_the_wall(config: BenchConfig) -> str:
     Both have to say so, because either may lie.
 
     Raises:
-        UsageError: something says that it may hang, or nobody can see.
+        UsageError: something says that it may hang, or nothing can see.
     """
     table = fan_of(config)
-    rig, clock = make_rig(config, MonotonicClock(), {}), MonotonicClock()
+    rig, clock = make_device_set(config, MonotonicClock(), {}), MonotonicClock()
     seen: dict[str, list[Any]] = {}
     for name in ("imu", "load_cells", DEVICE):
         device = rig.get(name)
@@ -115,14 +115,14 @@ def seen_off_the_wall(config: BenchConfig) -> str:
     blows_n = max((table.force_at_n(s.speed_rpm) for s in seen[DEVICE]), default=math.nan)
     limit_n = max(_NO_FORCE * blows_n, _CELLS_REST_N)
     force_n = max((float(np.sum(s.force_n)) for s in seen["load_cells"]), default=math.nan)
-    told = f"tilted by {math.degrees(tilted_rad):.0f} deg, load cells {force_n:.1f} N"
+    message = f"tilted by {math.degrees(tilted_rad):.0f} deg, load cells {force_n:.1f} N"
     if not (tilted_rad <= _LEVEL_RAD and abs(force_n) <= limit_n):
         raise UsageError(
-            f"the robot may hang by its fan: {told}",
+            f"the robot may hang by its fan: {message}",
             expected=f"at most {math.degrees(_LEVEL_RAD):.0f} deg and {limit_n:.1f} N",
             remedy=_TETHERED,
         )
-    return f"seen off the wall: {told}"
+    return f"seen off the wall: {message}"
 
 
 def _watched(device: Any, clock: MonotonicClock) -> list[Any]:

@@ -1,6 +1,6 @@
-"""What a bench makes out of its configuration alone: brains, estimators, the head of a recording.
+"""What a bench makes out of its configuration alone: pipelines, estimators, the head of a recording.
 
-No device, clock or loop: a replay needs this half of a bench only, and gets the same brains from it as
+No device, clock or loop: a replay needs this half of a bench only, and gets the same pipelines from it as
 the loop had.
 """
 
@@ -19,7 +19,7 @@ from hil.core.errors import UsageError
 from hil.core.interfaces import Controller, Estimator
 from hil.estimator import make_estimator
 from hil.loop.alignment import Alignment
-from hil.loop.control_loop import Brain
+from hil.loop.control_loop import ControlPipeline
 from hil.loop.restart import Restart
 from hil.loop.supervisor import Supervisor
 from hil.robot.kinematics import WheelGeometry
@@ -29,7 +29,7 @@ from hil.support.arithmetic_fingerprint import fingerprint
 from hil.support.versions import versions
 
 
-class Blueprint:
+class BenchModel:
     """Configuration and wheel geometry of a bench.
 
     Attributes:
@@ -53,7 +53,7 @@ class Blueprint:
         self.calibration, self.fitted_with = calibration, fitted_with
         self.alignment_parameters = alignment_parameters(config)
 
-    def with_estimator(self, estimator: EstimatorConfig) -> Blueprint:
+    def with_estimator(self, estimator: EstimatorConfig) -> BenchModel:
         """The same bench with other filters."""
         made = copy(self)
         made.config = self.config.model_copy(update={"estimator": estimator})
@@ -64,7 +64,7 @@ class Blueprint:
         return versions()
 
     def header(self) -> dict[str, object]:
-        """What a recording says about its origin, enough to build the brain of every run again."""
+        """What a recording says about its origin, enough to build the pipeline of every run again."""
         return {
             "config": self.config.model_dump(mode="json", by_alias=True, exclude_none=True),
             "geometry": self.geometry.vector().tolist(),
@@ -75,14 +75,14 @@ class Blueprint:
             "arithmetic": fingerprint(),
         }
 
-    def make_brain(
+    def make_pipeline(
         self,
         trajectory: Trajectory | JointScript | None,
         *,
         controller: str | None = None,
         feedback: str = "ekf",
         observers: tuple[str, ...] = (),
-    ) -> Brain:
+    ) -> ControlPipeline:
         """The deterministic part of the loop for one motion or script (also what replay runs).
 
         Raises:
@@ -104,7 +104,7 @@ class Blueprint:
         reference_at = None
         if trajectory is not None:
             reference_at = trajectory.sample if restart is None else restart.paced(trajectory.sample)
-        return Brain(
+        return ControlPipeline(
             Supervisor(
                 safety_limits(config),
                 checks=checks(config, self.geometry, follows=follows, feedback=feedback),

@@ -14,10 +14,10 @@ from typing import Any
 
 from hil.bench.bench import Bench
 from hil.bench.camera_odometry import with_wheel_sigma
-from hil.bench.drivers import make_rig, model_of
+from hil.bench.drivers import make_device_set, model_of
 from hil.bench.emulation import build_world, check_faults, connect_in_process, planned_faults
 from hil.bench.emulator_process import EmulatorProcess
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.bench.settings import geometry_of, with_wheel_model
 from hil.calibration.calibration_file import read_calibration
 from hil.calibration.usable import check_usable, failed_validation
@@ -79,19 +79,21 @@ def open_bench(
     checked, plan = model.config, planned_faults(model.config, faults)
     if not checked.emulated():
         clock = MonotonicClock()
-        return Bench(model, clock, make_rig(checked, clock, {}), sinks=sinks)
+        return Bench(model, clock, make_device_set(checked, clock, {}), sinks=sinks)
     if realtime or len(checked.emulated()) < len(checked.devices()):
         return _at_the_wire(model, plan, sinks)
     world = build_world(checked, seed=seed, faults=plan)
     connected = connect_in_process(checked, world)
     virtual = VirtualClock(world)
-    rig = make_rig(checked, virtual, connected.connections, world.failures)
+    rig = make_device_set(checked, virtual, connected.connections, world.failures)
     bench = Bench(model, virtual, rig, world=world, sinks=sinks, faults=plan)
     bench.on_close(connected.close)
     return bench
 
 
-def plan_bench(config: str | Path | BenchConfig, *, calibration: str | Path | None = None) -> Blueprint:
+def make_bench_model(
+    config: str | Path | BenchConfig, *, calibration: str | Path | None = None
+) -> BenchModel:
     """What a bench is made from, without its devices.
 
     Args:
@@ -104,7 +106,7 @@ def plan_bench(config: str | Path | BenchConfig, *, calibration: str | Path | No
     return _model(load_bench(config), calibration, 0)
 
 
-def _at_the_wire(model: Blueprint, plan: tuple[Fault, ...], sinks: tuple[Sink, ...]) -> Bench:
+def _at_the_wire(model: BenchModel, plan: tuple[Fault, ...], sinks: tuple[Sink, ...]) -> Bench:
     config = model.config
     served = config.model_copy(update={"emulation": config.emulation.model_copy(update={"faults": ()})})
     if plan:
@@ -115,7 +117,7 @@ def _at_the_wire(model: Blueprint, plan: tuple[Fault, ...], sinks: tuple[Sink, .
         check_faults(served, plan)  # where a key of the bench file is at fault, that is told instead
         raise
     clock = MonotonicClock()
-    rig = make_rig(config, clock, _reach(config, emulator.endpoints))
+    rig = make_device_set(config, clock, _reach(config, emulator.endpoints))
     bench = Bench(model, clock, rig, sinks=sinks, faults=plan)
     bench.on_open(emulator.begin)
     bench.on_close(emulator.close)
@@ -132,16 +134,16 @@ def _reach(config: BenchConfig, endpoints: Mapping[str, Mapping[str, Any]]) -> d
     return found
 
 
-def _model(config: BenchConfig, given: str | Path | None, seed: int) -> Blueprint:
+def _model(config: BenchConfig, given: str | Path | None, seed: int) -> BenchModel:
     """What follows from a configuration, with the wheels of the calibration that it or the caller names."""
     path = given if given is not None else config.calibration
     if path is None:
-        return Blueprint(config, geometry=geometry_of(config), seed=seed)
+        return BenchModel(config, geometry=geometry_of(config), seed=seed)
     found = read_calibration(Path(path))
     check_usable(found, config, str(path))
     if failed := failed_validation(found, str(path)):
         LOG.warning("%s, and is used, as failed_calibration asks", failed)
-    return Blueprint(
+    return BenchModel(
         with_wheel_model(config, found.model),
         geometry=found.geometry,
         calibration=f"{Path(path).name} version {found.version}{' (verdict FAIL)' if failed else ''}",

@@ -3,7 +3,7 @@
 Opening takes up to seconds, so it happens in a thread, and only on the host's clock: ports of virtual time
 come back by themselves. Meanwhile the sensor delivers nothing. A sensor that is silent for longer than its
 `fail_after_s` is an error, in virtual time and in real time alike, so that a procedure ends the same in both.
-Only who watches a robot that nobody drives, as `hil live` may, waits longer.
+Only a program that watches a resting robot, as `hil live` may, waits longer.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ S = TypeVar("S")
 
 
 @runtime_checkable
-class Replaceable(Protocol):
+class Reopenable(Protocol):
     """A driver whose device may have been away.
 
     Attributes:
@@ -38,10 +38,10 @@ class Replaceable(Protocol):
         """As `open`, but samples go on counting and what the device counted from anew is marked."""
 
 
-def replugged(
+def reconnecting(
     sensors: Mapping[str, Sensor[Any]], clock: Clock, fail_after_s: Mapping[str, float] | None = None
 ) -> dict[str, Sensor[Any]]:
-    """Those sensors that can come back behind a `Replugged`; in virtual time just as they are.
+    """Those sensors that can come back behind a `Reconnecting`; in virtual time just as they are.
 
     Args:
         sensors: by kind.
@@ -52,18 +52,18 @@ def replugged(
     waits = fail_after_s is None
     limits = fail_after_s or {}
     return {
-        name: Replugged(sensor, clock, limits.get(name, PATIENCE_S), waits=waits)
-        if real_time and isinstance(sensor, Replaceable) and not isinstance(sensor, Replugged)
+        name: Reconnecting(sensor, clock, limits.get(name, PATIENCE_S), waits=waits)
+        if real_time and isinstance(sensor, Reopenable) and not isinstance(sensor, Reconnecting)
         else sensor
         for name, sensor in sensors.items()
     }
 
 
-class Replugged(Sensor[S]):
+class Reconnecting(Sensor[S]):
     """A sensor that may be unplugged for a while.
 
     Args:
-        driver: of the sensor; a `Replaceable`.
+        driver: of the sensor; a `Reopenable`.
         clock: the bench clock, in real time.
         patience_s: how long it may be away.
         waits: whether it is waited for although its driver has given it up, too; else that error is raised,
@@ -117,7 +117,7 @@ class Replugged(Sensor[S]):
                 raise
             self._begin(error)
             return ()
-        if cast("Replaceable", self._driver).port_gone:
+        if cast("Reopenable", self._driver).port_gone:
             self._begin(DeviceError(self.name, "its port has gone"))
         return samples
 
@@ -130,7 +130,7 @@ class Replugged(Sensor[S]):
 
     def _work(self) -> None:
         """Open the device until that works, until it takes too long, or until it is closed."""
-        driver = cast("Replaceable", self._driver)
+        driver = cast("Reopenable", self._driver)
         while not self._ended.is_set():
             try:
                 driver.reopen()

@@ -28,11 +28,11 @@ from hil.datasets.nominal import Nominal
 from hil.loop.alignment import AlignmentParameters
 from hil.loop.checks.adhesion import AdhesionLimits, AdhesionWatch
 from hil.loop.checks.mocap_agreement import Seen
-from hil.loop.checks.mocap_estimate import EstimateWatch
+from hil.loop.checks.mocap_estimate import MocapEstimate
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.checks.sensor_rate import Healthy
 from hil.loop.checks.steering_encoders import SteeringWatch
-from hil.loop.checks.wheel_slip import WheelWatch
+from hil.loop.checks.wheel_slip import WheelSlipCheck
 from hil.loop.pose_alignment import Mount
 from hil.loop.realtime import RealTime
 from hil.loop.safety import Checks, SafetyLimits
@@ -100,8 +100,8 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
     witness = config.of(MocapConfig) is not None and not config.estimator.mocap.use and feedback != "odometry"
     return Checks(
         motion=motion,
-        estimate=EstimateWatch(motion.capture, follows=follows) if motion and witness else None,
-        wheels=WheelWatch(geometry, ids) if motion and follows else None,
+        estimate=MocapEstimate(motion.capture, follows=follows) if motion and witness else None,
+        wheels=WheelSlipCheck(geometry, ids) if motion and follows else None,
         estimated=frozenset(
             ("tracker", "imu", "mocap") if config.estimator.mocap.use else ("tracker", "imu")
         ),

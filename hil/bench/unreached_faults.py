@@ -1,4 +1,4 @@
-"""Faults that began only after a bench was closed, or never: nothing of what was tested has met them.
+"""Injected faults whose start time was never reached: the test has not met them.
 
 A closing bench stops the robot and looks at it. A fault that begins during that look may still cost the
 robot, but nothing that a test or a run did has been under it.
@@ -33,7 +33,7 @@ def not_begun_in_words(specs: Sequence[str], world_ns: int, looked_ns: int) -> s
     begin_s = {spec: parse_fault(spec).start_ns / NS_PER_S for spec in specs}
     never = [spec for spec, at_s in begin_s.items() if at_s > looked_ns / NS_PER_S]
     closed = f"the bench was closed at {world_ns / NS_PER_S:.2f} s of world time"
-    told = [
+    reported = [
         f"fault {spec} began only after the stop, at {at_s:.2f} s of world time, while the bench checked "
         f"that the robot is held: {closed}, so that nothing that was done has met it"
         for spec, at_s in begin_s.items()
@@ -41,5 +41,5 @@ def not_begun_in_words(specs: Sequence[str], world_ns: int, looked_ns: int) -> s
     ]
     if never:
         what, began = ("fault", "it began") if len(never) == 1 else ("faults", "they began")
-        told.append(f"{what} {', '.join(never)} never acted: {closed}, before {began}")
-    return "; ".join(told)
+        reported.append(f"{what} {', '.join(never)} never acted: {closed}, before {began}")
+    return "; ".join(reported)

@@ -46,9 +46,9 @@ def corrupt(recordings: Sequence[Recording], nominal: Nominal) -> dict[str, str]
     found: Reasons = {}
     for look in (_leaping, _wrong_signs, _apart, _other_clocks, _misfits):
         left = [k for k in range(len(recordings)) if k not in found]
-        told = look([recordings[k] for k in left], nominal)
-        if len(told) < len(left):
-            found |= {left[k]: why for k, why in told.items()}
+        reported = look([recordings[k] for k in left], nominal)
+        if len(reported) < len(left):
+            found |= {left[k]: why for k, why in reported.items()}
     return {recordings[k].name: found[k] for k in sorted(found)}
 
 

@@ -1,4 +1,4 @@
-"""What the data can and cannot tell: singular values, determined directions, intervals."""
+"""What the data determine: singular values, determined directions, intervals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the forward model adds to the uncertainty: other laws of contact, other wheel loads and tyres.
+"""The uncertainty that the choice of model adds: other contact laws, wheel loads and tyres.
 
 A fit believes one law, one share of the weight on each wheel and one kind of tyre. Were another one true, its
 parameters would be off although its residuals look fine. How far is linear in how much another model reads
@@ -45,8 +45,8 @@ def model_freedom(fit: Fit, inverse: Array) -> Array:
     cross, theirs = gram[:size, size:-1], gram[size:-1, size:-1]
     left = gram[size:-1, -1] - cross.T @ inverse @ (gram[:size, -1] + _pull(problem, z))
     noise = max(gram[-1, -1] / (_EFFECTIVE * max(problem.weights.sum(), 1.0)), _LEAST_NOISE)
-    told = (theirs - cross.T @ inverse @ cross) / noise
-    covariance = np.linalg.inv(told + np.eye(len(told)))
+    reported = (theirs - cross.T @ inverse @ cross) / noise
+    covariance = np.linalg.inv(reported + np.eye(len(reported)))
     share = -covariance @ left / noise
     shift = inverse @ cross
     return np.asarray(shift @ (covariance + np.outer(share, share)) @ shift.T, dtype=np.float64)

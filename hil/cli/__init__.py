@@ -109,7 +109,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     With `--json` an error is told on stdout too, as the one object that is promised there. An exception that
-    nobody foresaw is told with its traceback.
+    was not foreseen is told with its traceback.
 
     Returns:
         The exit code: 0 pass, 1 a limit failed, 2 usage or configuration, 3 device, 4 aborted, or a defect.
@@ -119,8 +119,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         result = cli.main(args=words, prog_name="hil", standalone_mode=False, obj=answered)
     except HilError as error:
-        told = error_as_json(error)
-        tell_calls(told["frames"])
+        reported = error_as_json(error)
+        tell_calls(reported["frames"])
         click.echo(printable(f"hil: {error}"), err=True)
     except click.exceptions.Exit as leave:
         return leave.exit_code
@@ -129,21 +129,21 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         better = explained(error)
         better.show(sys.stderr)
-        told = error_as_json(UsageError(better.format_message()))
+        reported = error_as_json(UsageError(better.format_message()))
     except (click.exceptions.Abort, KeyboardInterrupt) as error:
         word = "interrupted" if isinstance(error, KeyboardInterrupt) else "aborted"
         click.echo(f"hil: {word}", err=True)
-        told = error_as_json(Aborted(word))
+        reported = error_as_json(Aborted(word))
     except (Exception, SystemExit, GeneratorExit) as error:
         traceback.print_exc()
         defect = DefectError(in_a_line(error))
         click.echo(printable(f"hil: {defect}"), err=True)
-        told = error_as_json(defect)
+        reported = error_as_json(defect)
     else:
         return result if isinstance(result, int) else 0
     if "--json" in words and not answered.already:
-        click.echo(json.dumps({"error": told}))
-    return int(told["exit_code"])
+        click.echo(json.dumps({"error": reported}))
+    return int(reported["exit_code"])
 
 
 def _complete(asked: str) -> int:

@@ -30,7 +30,8 @@ def command(
     """Everything that supplier or lab sign on the first day, on one page.
 
     Doctor, the contract of every device and the age of its samples without motion. Then, when all of it is
-    right and somebody has said that the robot is on a stand, the contract of the servos with turning wheels,
+    right and the operator has said that the robot is on a stand, the contract of the servos with turning
+    wheels,
     and how late they turn. Ends with 0 if all passed, 3 if the doctor found a device that is wrong, 1 if a
     promise was broken, 4 if wheels were not allowed to turn, something ended it, or no page could be written.
 
@@ -48,7 +49,7 @@ def command(
     interrupts = asked_to_end()
     with interrupts.installed(), interrupts.deferred():
         with reporting() as report:
-            told, code = accept(
+            reported, code = accept(
                 Acceptance(
                     request.source({}),
                     local_time,
@@ -59,11 +60,14 @@ def command(
                 )
             )
         try:
-            told = write_acceptance(folder, told)
+            reported = write_acceptance(folder, reported)
         except HilError as error:
             click.echo(f"hil: {error}", err=True)
-            told, code = {**told, "folder": str(folder), "page": None, "data": None}, code or EXIT_ABORTED
-        click.echo(json.dumps(told, allow_nan=False) if as_json else _text(told))
+            reported, code = (
+                {**reported, "folder": str(folder), "page": None, "data": None},
+                code or EXIT_ABORTED,
+            )
+        click.echo(json.dumps(reported, allow_nan=False) if as_json else _text(reported))
     return code
 
 

@@ -113,12 +113,12 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
         click.echo(json.dumps({**_told(specs, found), "confirmed_by": why}))
         return EXIT_PASS
     for kind, spec in specs.items():
-        status, told = found[kind], "it has no keeper; nothing was running that could be stopped"
+        status, message = found[kind], "it has no keeper; nothing was running that could be stopped"
         if status is not None:
-            told = f"off ({why})" + (
+            message = f"off ({why})" + (
                 f", by the keeper{other}" if (other := fan_commands.of_whom(status)) else ""
             )
-        click.echo(f"{spec.name}: {told}")
+        click.echo(f"{spec.name}: {message}")
     return EXIT_PASS
 
 
@@ -126,7 +126,7 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
 @_BENCH
 @JSON
 def show_status(bench: str, as_json: bool) -> int:
-    """How fan and propellers run, and who keeps them; ends with 3 where nobody keeps one, or does not tell.
+    """How fan and propellers run, and who keeps them; ends with 3 where nothing keeps one, or does not tell.
 
     Example: hil adhesion status --bench my.toml
     """
@@ -157,8 +157,8 @@ def _all_kept(found: Mapping[str, Status | DeviceError | None]) -> int:
     code = EXIT_PASS
     for kind, status in found.items():
         if status is None or isinstance(status, DeviceError):
-            code, told = EXIT_DEVICE, status or f"{kind} has no keeper: nobody commands it now"
-            click.echo(f"hil: {told}", err=True)
+            code, message = EXIT_DEVICE, status or f"{kind} has no keeper: nobody commands it now"
+            click.echo(f"hil: {message}", err=True)
     return code
 
 
@@ -182,11 +182,11 @@ def _how(spec: Spec, status: Status | DeviceError | None) -> str:
 def _show(spec: Spec, status: Status | DeviceError | None) -> None:
     from hil.bench import fan_commands
 
-    told = f"{spec.name}: {_how(spec, status)}"
+    message = f"{spec.name}: {_how(spec, status)}"
     if status is None:
         starter = "`hil adhesion on`" if spec.device == "adhesion" else "`hil run`"
-        told += f"; {starter} starts one"
-    click.echo(told)
+        message += f"; {starter} starts one"
+    click.echo(message)
     if status is None or isinstance(status, DeviceError):
         return
     since = time.strftime("%Y-%m-%d %H:%M", time.localtime(status["since"]))
@@ -238,7 +238,7 @@ def watch(bench: str, every_s: float, duration_s: float | None) -> int:
 def keep(bench: str, propellers: bool) -> int:
     """Be the fan's keeper, in the foreground: for a service of the robot's computer.
 
-    Takes over a fan that runs, else waits until somebody asks for it. Heeds no signal that can be caught.
+    Takes over a fan that runs, else waits until it is asked for. Heeds no signal that can be caught.
 
     Example: hil adhesion keep --bench my.toml
     """

@@ -1,4 +1,4 @@
-"""Who answers the questions of a command, and who watches it: a person, a file, or another program."""
+"""Where the answers to a command's questions come from: a person, a file, or another program."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def command(
     interrupts = asked_to_end()
     folder = results_folder("commission", out, COMMISSIONING_TABLE if resume else None)
     with interrupts.installed(), interrupts.deferred(), reporting() as report:
-        told, code = commission(
+        reported, code = commission(
             Commission(
                 source,
                 folder,
@@ -67,7 +67,7 @@ def command(
                 interrupts=interrupts,
             )
         )
-    click.echo(json.dumps(told, allow_nan=False) if as_json else _text(told))
+    click.echo(json.dumps(reported, allow_nan=False) if as_json else _text(reported))
     return code
 
 

@@ -23,7 +23,9 @@ _DEFAULT_BENCH = "emulated"
 
 
 def _items(found: Known, incomplete: str) -> list[CompletionItem[str]]:
-    return [CompletionItem(w, help=told or None) for w, told in found.items() if w.startswith(incomplete)]
+    return [
+        CompletionItem(w, help=reported or None) for w, reported in found.items() if w.startswith(incomplete)
+    ]
 
 
 class Words(click.types.StringParamType):
@@ -52,7 +54,7 @@ class _ResultsFolder(FileName):
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem[str]]:
         """What the word may become."""
-        runs = {str(_OUT / name): told for name, told in _results(_OUT).items()}
+        runs = {str(_OUT / name): reported for name, reported in _results(_OUT).items()}
         return [CompletionItem(incomplete, type="file"), *_items(runs, incomplete)]
 
 

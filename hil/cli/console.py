@@ -66,8 +66,8 @@ def _stop(folder: Path, *, as_json: bool) -> int:
     if as_json:
         keys = ("title", "running", "held", "verdict", "why")
         stopped, before = ([{k: job.get(k) for k in keys} for job in some] for some in (ended, last))
-        told = {"stopped": stopped, "last": next(iter(before), None), "not_held": left}
-        click.echo(json.dumps(told | {"button_ended": button}))
+        reported = {"stopped": stopped, "last": next(iter(before), None), "not_held": left}
+        click.echo(json.dumps(reported | {"button_ended": button}))
     else:
         said = [in_words(job) for job in ended]
         said = said or [f"nothing runs that the console in {folder.parent} has started"]
@@ -196,13 +196,13 @@ def _stopper(folder: Path, port: int, known: dict[str, Any] | None = None) -> di
     put_private(folder / ASKED, {"port": port, "token": keys["token"], "cookie": keys["cookie"]})
     detached("hil.console.stop_server", folder)
     until_s = time.monotonic() + _START_S
-    while not (told := read(folder / STOP)) and time.monotonic() < until_s:
+    while not (reported := read(folder / STOP)) and time.monotonic() < until_s:
         time.sleep(_POLL_S)
-    if told.get("error"):
-        raise UsageError(f"--port {port}: {told['error']}", remedy="choose another, or leave --port out")
-    if not told:
+    if reported.get("error"):
+        raise UsageError(f"--port {port}: {reported['error']}", remedy="choose another, or leave --port out")
+    if not reported:
         raise DataError(str(folder), "the process that stops what runs did not start; nothing was started")
-    return told
+    return reported
 
 
 def _farewell(folder: Path) -> None:

@@ -184,8 +184,8 @@ def _on_a_page(text: str) -> str:
 def _parameter(d: Described, proc: Procedure) -> Field:
     quick = f"Quick form: {written(proc.quick[d.name])}." if d.name in proc.quick else ""
     listed = f"Some of {', '.join(d.choices)}, with commas." if d.kind == "array" and d.choices else ""
-    told = " ".join(filter(None, (d.help, listed, quick)))
-    plain = Field(d.name, "text", d.default, told, _unit(d.name), d.low, d.high, d.low_open)
+    message = " ".join(filter(None, (d.help, listed, quick)))
+    plain = Field(d.name, "text", d.default, message, _unit(d.name), d.low, d.high, d.low_open)
     if d.kind == "boolean":
         return replace(plain, kind="choice", choices=("true", "false"))
     if d.kind == "string" and d.choices:

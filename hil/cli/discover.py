@@ -109,7 +109,7 @@ def _say(text: str) -> None:
 
 
 def _must_stand(ports: list[str], on_stand: bool) -> None:
-    """Say what will be written where; raise `Aborted` unless somebody says that the robot stands."""
+    """Say what will be written where; raise `Aborted` unless the operator says that the robot stands."""
     from hil.bench.doctor.discovery import what_is_written
     from hil.bench.doctor.protected_ports import what_is_kept
     from hil.core.errors import Aborted

@@ -42,14 +42,14 @@ def command(request: BenchRequest, watch_s: float, fix: bool, out: Path | None, 
     """
     from itertools import chain
 
-    from hil.bench.doctor.degraded_bench import open_what_can_be
+    from hil.bench.doctor.degraded_bench import open_degraded
     from hil.bench.doctor.examination import examine
     from hil.config.loading import must_have_a_device
 
     if fix or out is not None:
         return _fix(request, fix, out)
     findings = []
-    opened, left_out = open_what_can_be(
+    opened, left_out = open_degraded(
         request.bench,
         emulate=request.emulate,
         realtime=request.realtime,

@@ -24,7 +24,7 @@ from hil.core.errors import EXIT_PASS, UsageError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from hil.bench.hold.emulated_support import OnItsWall
+    from hil.bench.hold.emulated_support import EmulatedSupport
     from hil.cli.port_links import PortLinks
 
 _NICE = -5
@@ -88,7 +88,7 @@ def command(
     Example: hil emulate --only servos,imu --out endpoints.json
     """
     from hil.bench import open_emulation
-    from hil.bench.hold.emulated_support import OnItsWall
+    from hil.bench.hold.emulated_support import EmulatedSupport
     from hil.cli.endpoints_file import EndpointsFile, await_endpoints
     from hil.cli.port_links import PortLinks
     from hil.config.loading import NoSuchDevice, load_bench
@@ -124,7 +124,7 @@ def command(
     line = json.dumps(endpoints)
     nothing = contextlib.nullcontext()
     robot = (
-        nothing if await_start else _told_of(OnItsWall(config, server.world, "servos" in server.faces))
+        nothing if await_start else _told_of(EmulatedSupport(config, server.world, "servos" in server.faces))
     )  # whoever awaits the start looks after it
     links, first = PortLinks(config, endpoints, of_hardware=standard_ports), config.loop.fifo_priority
     with _as_prompt_as_hardware(first), robot, file or nothing, _linked(links):
@@ -149,22 +149,22 @@ def _end_when_asked(stop: Callable[[], None], *, only_by_sigterm: bool) -> None:
 
 
 @contextlib.contextmanager
-def _told_of(robot: OnItsWall) -> Iterator[None]:
+def _told_of(robot: EmulatedSupport) -> Iterator[None]:
     """How the robot is held on its wall is said on stderr, at the start and at the end."""
-    if told := robot.at_the_start():
-        click.echo(told, err=True)
+    if reported := robot.at_the_start():
+        click.echo(reported, err=True)
     try:
         yield
     finally:
-        if told := robot.at_the_end():
-            click.echo(told, err=True)
+        if reported := robot.at_the_end():
+            click.echo(reported, err=True)
 
 
 @contextlib.contextmanager
 def _linked(links: PortLinks) -> Iterator[None]:
     """Ports that the bench file names lead to the terminals; one that cannot is named on stderr."""
-    for told in links.make():
-        click.echo(told, err=True)
+    for reported in links.make():
+        click.echo(reported, err=True)
     try:
         yield
     finally:

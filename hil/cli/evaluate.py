@@ -87,12 +87,12 @@ def command(
     table = evaluate(tracks)
     table |= {"model": used_model, "signal": used_signal, "calibration": str(calibration) if file else None}
     table["geometry"] = robot.to_json()
-    told: list[str] = []
+    reported: list[str] = []
     if file is not None:
         seen = in_sample(file, recordings)
         table |= {"deploy": deploy, "fitted_with": {"model": file.model, "signal": file.signal}}
         table["in_sample"] = seen.to_json()
-        told = [
+        reported = [
             f"calibration {calibration}, fitted with model {file.model}, signal {file.signal}, "
             f"applied as {deploy}",
             seen.in_words(),
@@ -110,8 +110,8 @@ def command(
         from hil.report.calibration_page import write_evaluation_page
 
         nominal = _tracks(recordings, None, robot, used_model, used_signal, "parameters") if file else None
-        click.echo(f"page: {write_evaluation_page(plots, tracks, nominal, table, told)}", err=True)
-    click.echo(json.dumps(table) if as_json else _text(table, told))
+        click.echo(f"page: {write_evaluation_page(plots, tracks, nominal, table, reported)}", err=True)
+    click.echo(json.dumps(table) if as_json else _text(table, reported))
     return EXIT_USAGE if table["problems"] else EXIT_PASS
 
 

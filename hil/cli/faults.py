@@ -103,9 +103,9 @@ def command(
             return [there[cell] for cell in cells if cell in there]
 
         def write() -> Path:
-            told = summary(judged(), bench=bench, command=_shown(asked), planned=len(cells))
-            write_page(out / FAULTS_MATRIX, told)
-            return write_faults(out, {**told, "began": began})
+            reported = summary(judged(), bench=bench, command=_shown(asked), planned=len(cells))
+            write_page(out / FAULTS_MATRIX, reported)
+            return write_faults(out, {**reported, "began": began})
 
         def finished() -> str:
             return f"{len(judged())} of {len(cells)} cells are judged"

@@ -35,7 +35,7 @@ def _compile(report: Report) -> None:
     def bench_with(plant: str) -> None:
         with open_bench("emulated", overrides={"emulation.plant": plant}) as bench:
             bench.observe(0.1, feedback="odometry")
-            bench.make_brain(line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0)))
+            bench.make_pipeline(line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0)))
 
     plants = ("own",) if lacks("mujoco") else ("own", "mujoco")
     steps: tuple[Callable[[], None], ...] = (
@@ -89,9 +89,9 @@ def command(compiling: bool, as_json: bool) -> int:
         ours = {"hil": __version__, "python": platform.python_version(), "platform": host}
         usable = {name: not why for name, why in missing.items()}
         lacking = {"extras_lack": {name: why for name, why in missing.items() if why}}
-        told = {**lacking, "devices": devices, **({"problem": problem} if problem else {})}
+        reported = {**lacking, "devices": devices, **({"problem": problem} if problem else {})}
         computes = {"packages": found, "arithmetic": arithmetic}
-        click.echo(json.dumps({**ours, **computes, "extras": usable, **told}))
+        click.echo(json.dumps({**ours, **computes, "extras": usable, **reported}))
         return code
     click.echo(f"hil {__version__}, Python {platform.python_version()}, {host}")
     for name, version in found.items():

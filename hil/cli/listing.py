@@ -75,11 +75,11 @@ def command(what: str | None, bench: str, as_json: bool) -> int:
         "faults": lambda: _faults(bench),
         "estimators": _estimators,
     }
-    told = {name: makers[name]() for name in ((what,) if what else WHAT)}
+    reported = {name: makers[name]() for name in ((what,) if what else WHAT)}
     if as_json:
-        click.echo(json.dumps(told))
+        click.echo(json.dumps(reported))
         return EXIT_PASS
-    for name, found in told.items():
+    for name, found in reported.items():
         _print(name if what is None else "", _ROWS.get(name, _as_they_are)(found))
     return EXIT_PASS
 

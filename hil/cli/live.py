@@ -110,7 +110,7 @@ def command(
 
     Example: hil live --bench emulated --duration 20 --rerun spawn
     """
-    from hil.bench import plan_bench
+    from hil.bench import make_bench_model
     from hil.live import LivePlan, LiveSession, load_trajectory
     from hil.support.stop_signals import StopRequest
 
@@ -119,7 +119,7 @@ def command(
     reference, known = None, None
     if source is not None:
         reference, known = load_trajectory(
-            source, plan_bench(bench.config, calibration=bench.calibration).check
+            source, make_bench_model(bench.config, calibration=bench.calibration).check
         )
     stop = StopRequest()
     with stop.noted():
@@ -222,7 +222,7 @@ def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
 
 
 def _dated() -> Path:
-    """Where a recording goes that nobody gave a name."""
+    """Where a recording goes without a name."""
     return Path("out", "live", f"{datetime.now():%Y%m%d-%H%M%S-%f}"[:-3]).with_suffix(".mcap")
 
 

@@ -93,7 +93,7 @@ class _Raw(io.FileIO):
         self.reader_gone = False
 
     def write(self, data: Any, /) -> int:
-        """Write to whoever reads; see the module for what happens when that fails."""
+        """Write to the reader; see the module for what happens when that fails."""
         try:
             return super().write(data)
         except OSError as error:
@@ -113,14 +113,14 @@ def _to_nowhere(descriptor: int) -> None:
 
 
 def unreadable() -> str:
-    """Why nobody reads standard output or standard error any more; empty while somebody does."""
+    """Why nothing reads standard output or standard error any more; empty while something does."""
     raws = (getattr(getattr(stream, "buffer", None), "raw", None) for stream in (sys.stdout, sys.stderr))
     why = next((raw.lost for raw in raws if isinstance(raw, _Raw) and raw.lost), "")
     return f"the output cannot be written any more ({why})" if why else ""
 
 
 def tell_the_end(text: str, held: Mapping[str, Any]) -> None:
-    """Print how a run ended; where nobody reads it, standard error says at least how the robot was left.
+    """Print how a run ended; where nothing reads it, standard error says at least how the robot was left.
 
     Args:
         text: all that is to be said.
@@ -160,7 +160,7 @@ class Output:
         sys.stdout, sys.stderr = (stream for stream, _ in self._streams)
 
     def finish(self) -> bool:
-        """Write what is still buffered; returns whether nothing was lost to somebody who still reads."""
+        """Write what is still buffered; returns whether nothing was lost to a reader."""
         for stream, _ in self._streams:
             try:
                 stream.flush()

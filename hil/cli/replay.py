@@ -18,7 +18,7 @@ from hil.core.choices import COMPARED
 from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, DataError, UsageError
 
 if TYPE_CHECKING:
-    from hil.bench.model import Blueprint
+    from hil.bench.model import BenchModel
     from hil.loop.recorded_motion import Motion
     from hil.recording.runs import RecordedRun
     from hil.replay.recordings import OpenedRecording
@@ -189,7 +189,7 @@ def _write_verification(page: Path, opened: OpenedRecording, result: dict[str, A
     write_verification_page(page, f"Replay of {opened.path.name}, verified", result, opened.problems)
 
 
-def _show(bench: Blueprint, run: RecordedRun, motions: dict[str, Motion], view: str | None) -> str:
+def _show(bench: BenchModel, run: RecordedRun, motions: dict[str, Motion], view: str | None) -> str:
     """Play the run to the monitor, the estimators as further paths; says what it did not take."""
     if view is None:
         return ""

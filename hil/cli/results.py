@@ -112,8 +112,8 @@ def _tell(where: Path, as_json: bool, asked: Mapping[str, Any], words: Sequence[
     )
     shown = found[:limit]
     if as_json:
-        told = {"folder": str(where), "found": len(found), "results": [_as_json(kept) for kept in shown]}
-        click.echo(json.dumps(told, allow_nan=False))
+        reported = {"folder": str(where), "found": len(found), "results": [_as_json(kept) for kept in shown]}
+        click.echo(json.dumps(reported, allow_nan=False))
         return EXIT_PASS
     for kept in shown:
         _print(kept)
@@ -170,7 +170,7 @@ def _key_rows(kept: Kept) -> list[str]:
         for r in kept.result.get("measurements", ())
         if r["outcome"] == "FAIL" or (r["value"] is not None and r["limited"])
     ]
-    told = []
+    reported = []
     for row in sorted(rows, key=nearness)[:_KEY_ROWS]:
         digits = digits_of(row)
         limits = [
@@ -182,8 +182,8 @@ def _key_rows(kept: Kept) -> list[str]:
         bad = " FAIL" if row["outcome"] == "FAIL" else ""
         value = missing_words(row) if row["value"] is None else f"{number(row['value'], digits)}{unit}"
         within = f" ({', '.join(limits)})" if limits else ""
-        told.append(f"{row['name']} {value}{within}{bad}")
-    return told
+        reported.append(f"{row['name']} {value}{within}{bad}")
+    return reported
 
 
 @command.command("open")
@@ -244,8 +244,8 @@ def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bo
     if found:
         page = write_trends_page(own_file(where, TRENDS) if out is None else out, found)
     if as_json:
-        told = {"page": str(page) if page else None, "groups": [_group_json(g) for g in found]}
-        click.echo(json.dumps(told, allow_nan=False))
+        reported = {"page": str(page) if page else None, "groups": [_group_json(g) for g in found]}
+        click.echo(json.dumps(reported, allow_nan=False))
     else:
         click.echo(headline(found))
         for group in found:
@@ -316,11 +316,11 @@ def delete(runs: tuple[str, ...], where: Path, yes: bool, as_json: bool) -> int:
             f"delete {'this' if len(losses) == 1 else f'these {len(losses)}'} for good?", abort=True, err=True
         )
     remove(losses)
-    told = [item.kept.name for item in losses]
+    reported = [item.kept.name for item in losses]
     if as_json:
         left = {item.kept.name: list(item.stays) for item in losses if item.stays}
-        click.echo(json.dumps({"deleted": told, "stays": left}))
+        click.echo(json.dumps({"deleted": reported, "stays": left}))
     else:
-        said = [f"deleted: {', '.join(told)}", *filter(None, (item.stays_in_words() for item in losses))]
+        said = [f"deleted: {', '.join(reported)}", *filter(None, (item.stays_in_words() for item in losses))]
         click.echo(printable("\n".join(said)))
     return EXIT_PASS

@@ -48,7 +48,7 @@ def show(record: Path, version: int | None, page: Path | None, as_json: bool) ->
     if page is not None:
         write_robot_page(page, found, date.today())
     if as_json:
-        told = {
+        reported = {
             "record": str(record),
             "version": file.version,
             "created": file.created,
@@ -58,7 +58,7 @@ def show(record: Path, version: int | None, page: Path | None, as_json: bool) ->
             "versions": [_described(v) for v in history.versions],
             "damaged": [{"path": str(path), "why": why} for path, why in history.damaged],
         }
-        click.echo(json.dumps(told, allow_nan=False))
+        click.echo(json.dumps(reported, allow_nan=False))
         return 0
     click.echo(f"{file.robot.name}: version {file.version} of {record}, {file.created}, by {file.why}")
     for row in rows:
@@ -146,7 +146,7 @@ def apply(
 
     Example: hil robot apply robot --from calibration.toml --bench my.toml
     """
-    from hil.bench.doctor.record_import import absorb
+    from hil.bench.doctor.record_import import import_record
     from hil.config.loading import load_bench
     from hil.config.robot_record import RobotRecord
     from hil.core.errors import UsageError
@@ -160,7 +160,7 @@ def apply(
         raise UsageError("whose parts are these?", expected="--bench FILE, the bench of the robot")
     assert source is not None
     config = load_bench(bench)
-    absorb(found, source, config, local_time(), of_this_robot=of_this_robot)
+    import_record(found, source, config, local_time(), of_this_robot=of_this_robot)
     return _done(found.find(found.read().version), as_json)
 
 
@@ -186,11 +186,11 @@ def urdf(request: BenchRequest, out: Path | None) -> int:
 
     Example: hil robot urdf --bench my.toml --out robot.urdf
     """
-    from hil.bench import plan_bench
+    from hil.bench import make_bench_model
     from hil.recording.urdf import urdf as described
     from hil.support.atomic_files import write_text
 
-    text = described(plan_bench(request.bench, calibration=request.calibration).header())
+    text = described(make_bench_model(request.bench, calibration=request.calibration).header())
     if out is None:
         click.echo(text, nl=False)
     else:

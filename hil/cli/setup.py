@@ -55,8 +55,8 @@ def command(
         dry_run=dry_run,
     )
     if as_json:
-        told = {"port": port, "id": servo_id, "registers": found, "written": not dry_run}
-        click.echo(json.dumps(told))
+        reported = {"port": port, "id": servo_id, "registers": found, "written": not dry_run}
+        click.echo(json.dumps(reported))
     else:
         changes = (f"{name} {before} -> {after}" for name, (before, after) in found.items())
         mark = "would write to " if dry_run else ""

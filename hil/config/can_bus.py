@@ -20,7 +20,7 @@ Option = Annotated[bool | int | float | str, Within(-1e12, 1e12, "no option of a
 
 
 class Claim(NamedTuple):
-    """An identifier that nobody else on the bus may have.
+    """An identifier that nothing else on the bus may have.
 
     Attributes:
         key: of the device's table.
@@ -60,8 +60,8 @@ class CanConfig(DeviceConfig):
     def table(self, **found: Any) -> dict[str, Any]:
         """Its table in a bench file, with what was found; how long discovery waited is no part of it."""
         waited = {"open_timeout_s"}
-        told = self.model_dump(mode="json", exclude_none=True, exclude_defaults=True, exclude=waited)
-        return {**told, **found}
+        reported = self.model_dump(mode="json", exclude_none=True, exclude_defaults=True, exclude=waited)
+        return {**reported, **found}
 
     def claims(self) -> Iterable[Claim]:
         """Identifiers that are its own, as far as the table tells."""

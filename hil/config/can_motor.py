@@ -1,4 +1,4 @@
-"""Configuration of a motor controller on CAN that lets go of its motor when nobody commands it."""
+"""Configuration of a motor controller on CAN that stops its motor when commands stop."""
 
 from __future__ import annotations
 

@@ -201,10 +201,10 @@ def _of_servos(config: BenchConfig) -> Iterator[Problem]:
 def _of_a_wall(config: BenchConfig) -> Iterator[Problem]:
     servos, safety = config.of(ServosConfig), config.safety
     if servos is not None and not 0.0 < servos.watchdog_s <= WALL_WATCHDOG_S * _SAME:
-        told = f"for {servos.watchdog_s:g} s" if servos.watchdog_s else "for ever"
+        message = f"for {servos.watchdog_s:g} s" if servos.watchdog_s else "for ever"
         yield (
             "servos.watchdog_s",
-            f"{servos.watchdog_s:g} on a wall: without commands the wheels would go on turning {told}; "
+            f"{servos.watchdog_s:g} on a wall: without commands the wheels would go on turning {message}; "
             f"it takes more than 0, at most {WALL_WATCHDOG_S:g}",
         )
     if config.of(AdhesionConfig) is not None and config.exit.policy == "release" and not safety.tethered:

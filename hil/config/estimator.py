@@ -261,7 +261,7 @@ class EstimatorConfig(Strict):
         return self.wall if surface == "wall" else self.floor
 
     def on_wheels_alone(self) -> EstimatorConfig:
-        """For recordings with neither gyro nor camera, where nobody has chosen the process noise.
+        """For recordings with neither gyro nor camera, where the user has not chosen the process noise.
 
         The noise that suits all sensors expects less of a start or a turn than wheels say: their gates then
         refuse what nothing else measures, and the turn is lost.

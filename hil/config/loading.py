@@ -258,8 +258,8 @@ def validate(tree: Mapping[str, Any], origin: str, overrides: Sequence[str] = ()
         problems += [f"{path}: {text}" for path, text in contradictions(config)]
         if not problems:
             return config
-    told = [problem.partition(":")[0] for problem in problems]
-    set_over_it = [d for d in overrides if any(path == d or path.startswith(f"{d}.") for path in told)]
+    reported = [problem.partition(":")[0] for problem in problems]
+    set_over_it = [d for d in overrides if any(path == d or path.startswith(f"{d}.") for path in reported)]
     beside = f" with {', '.join(f'bench.{dotted}' for dotted in set_over_it)}" if set_over_it else ""
     raise ConfigError(f"{origin}{beside}: {len(problems)} problem(s)", problems=tuple(problems))
 

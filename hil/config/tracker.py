@@ -85,7 +85,7 @@ class T265Config(TrackerConfig):
 
     @model_validator(mode="after")
     def _one_mind(self) -> T265Config:
-        """What needs the map needs mapping; an uncertainty needs somebody to be told."""
+        """What needs the map needs mapping; an uncertainty needs a filter that is given it."""
         of_the_map = [k for k in ("relocalisation", "pose_jumping", "map_preservation") if getattr(self, k)]
         if of_the_map and not self.mapping:
             raise ValueError(

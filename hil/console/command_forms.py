@@ -59,5 +59,5 @@ class Action:
 
     def to_json(self) -> dict[str, Any]:
         """As the page gets it."""
-        told = {"name": self.name, "group": self.group, "summary": self.summary}
-        return told | {"fields": [asdict(field) for field in self.fields]}
+        reported = {"name": self.name, "group": self.group, "summary": self.summary}
+        return reported | {"fields": [asdict(field) for field in self.fields]}

@@ -20,7 +20,7 @@ def main() -> None:
     folder = Path(sys.argv[1])
     words = json.loads((folder / COMMAND).read_text(encoding="utf-8"))["words"]
     put_private(folder / PROCESS, identity(os.getpid()))
-    if (folder / STOPPED).exists():  # by somebody who could not know this process yet
+    if (folder / STOPPED).exists():  # by a program that did not know this process yet
         return
     for descriptor, name, flags in (
         (0, STDIN, os.O_RDWR),

@@ -30,7 +30,7 @@ def stop_all(root: Path) -> list[Job]:
     """
     asked = [job for job in jobs(root, _MOST) if alive(job)]
     for job in asked:
-        with suppress(OSError):  # a full disk keeps nobody from stopping
+        with suppress(OSError):  # a full disk does not keep anything from stopping
             (job.folder / STOPPED).write_text(json.dumps({"when": time.time()}), encoding="utf-8")
         send(job, signal.SIGINT)
     until_s = time.monotonic() + _GRACE_S

@@ -41,7 +41,7 @@ UNTOLD = "ENDED"
 _HOLDS = {"progress": dict, "live": dict, "held": dict, "question": str, "answered": str}
 """What a line of standard error may be about, and what it then holds."""
 _BY_ITSELF = ("duration", "trajectory")
-"""Why a live loop ends that nobody and nothing has stopped."""
+"""Why a live loop ends that was not stopped."""
 _TAIL_BYTES = 1 << 17
 _MOST_TOLD = 30
 _STOPPING_S = 2.0
@@ -87,8 +87,8 @@ def start(root: Path, words: Sequence[str], title: str) -> Job:
     folder = root / f"{datetime.now():%Y%m%d-%H%M%S-%f}"
     folder.mkdir(mode=0o700)
     job = Job(folder, tuple(words), title, time.time())
-    told = {"words": job.words, "title": title, "started": job.started}
-    (folder / COMMAND).write_text(json.dumps(told), encoding="utf-8")
+    reported = {"words": job.words, "title": title, "started": job.started}
+    (folder / COMMAND).write_text(json.dumps(reported), encoding="utf-8")
     os.mkfifo(folder / STDIN, 0o600)
     detached("hil.console.job_launcher", folder)
     return job
@@ -146,9 +146,9 @@ def same(told: Mapping[str, Any]) -> bool:
 
 def alive(job: Job) -> bool:
     """Whether it runs, or is just about to."""
-    told = read(job.folder / PROCESS)
-    if told:
-        return same(told)
+    reported = read(job.folder / PROCESS)
+    if reported:
+        return same(reported)
     return 0.0 <= time.time() - job.started < _START_S
 
 
@@ -193,9 +193,9 @@ def answer(job: Job, question_id: int, text: str) -> str:
     line = (" ".join(text.split()) + "\n").encode("utf-8", "replace")
     if len(line) > PIPE_BUF:
         return f"an answer has less than {PIPE_BUF} bytes"
-    told = state(job)
-    if told["question_id"] != question_id:
-        now = "nothing is asked any more" if told["question"] is None else "read what is asked now"
+    reported = state(job)
+    if reported["question_id"] != question_id:
+        now = "nothing is asked any more" if reported["question"] is None else "read what is asked now"
         return f"that is not the question any more: {now}"
     if 0.0 <= time.time() - read(job.folder / STOPPED).get("when", 0.0) < _STOPPING_S:
         return f"{job.title} is being stopped: nothing is answered"
@@ -209,7 +209,7 @@ def answer(job: Job, question_id: int, text: str) -> str:
 
 
 def first(claim: Path) -> bool:
-    """Make an empty file; returns whether nobody else had, in whatever process. Raises `OSError`."""
+    """Make an empty file; returns whether nothing else had, in whatever process. Raises `OSError`."""
     try:
         os.close(os.open(claim, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
     except FileExistsError:
@@ -239,7 +239,7 @@ def state(job: Job) -> dict[str, Any]:
     A question that has got its answer is none any more.
     """
     running = alive(job)
-    told: dict[str, Any] = {
+    reported: dict[str, Any] = {
         "name": job.name,
         "title": job.title,
         "command": " ".join(("hil", *job.words)),
@@ -257,11 +257,11 @@ def state(job: Job) -> dict[str, Any]:
         "events": [],
     }
     for place, line in _tail(job.folder / STDERR):
-        _take(told, place, line)
-    del told["messages"][:-_MOST_TOLD], told["events"][:-_MOST_TOLD]
-    if not running or (job.folder / f"{ANSWER}{told['question_id']}").exists():
-        told |= {"question": None, "question_id": None}
-    return told if running else told | _end(job, told)
+        _take(reported, place, line)
+    del reported["messages"][:-_MOST_TOLD], reported["events"][:-_MOST_TOLD]
+    if not running or (job.folder / f"{ANSWER}{reported['question_id']}").exists():
+        reported |= {"question": None, "question_id": None}
+    return reported if running else reported | _end(job, reported)
 
 
 def _take(told: dict[str, Any], place: int, line: str) -> None:
@@ -340,5 +340,5 @@ def _tail(path: Path) -> list[tuple[int, str]]:
         return []
     places = accumulate(map(len, lines), initial=begin)
     texts = (line.decode("utf-8", "replace").rstrip("\r\n") for line in lines)
-    told = list(zip(places, texts, strict=False))  # the place behind the last line is that of none
-    return [(place, text) for place, text in told[begin > 0 :] if text.strip()]
+    reported = list(zip(places, texts, strict=False))  # the place behind the last line is that of none
+    return [(place, text) for place, text in reported[begin > 0 :] if text.strip()]

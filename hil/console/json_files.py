@@ -21,12 +21,12 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def is_private(path: Path) -> bool:
-    """Whether a file is this user's, and nobody else can read or write it."""
+    """Whether a file is this user's, and nothing else can read or write it."""
     try:
-        told = path.lstat()
+        reported = path.lstat()
     except OSError:
         return False
-    return stat.S_ISREG(told.st_mode) and told.st_uid == os.getuid() and not told.st_mode & 0o077
+    return stat.S_ISREG(reported.st_mode) and reported.st_uid == os.getuid() and not reported.st_mode & 0o077
 
 
 def put_private(path: Path, tree: object) -> None:

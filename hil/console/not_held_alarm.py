@@ -39,11 +39,11 @@ class Alarm:
         looked: set[tuple[str, ...]] = set()
         for job in self._latest_first():
             bench = _bench(job)
-            told = {} if bench in looked else self._told(job)
-            if _is_loose(told) or _found_held(told):
+            reported = {} if bench in looked else self._told(job)
+            if _is_loose(reported) or _found_held(reported):
                 looked.add(bench)
-                if _is_loose(told) and job.name not in secured:
-                    left[bench] = {"job": job.name, "words": _in_words(job, told)}
+                if _is_loose(reported) and job.name not in secured:
+                    left[bench] = {"job": job.name, "words": _in_words(job, reported)}
         return list(left.values())
 
     def _latest_first(self) -> Iterator[Job]:
@@ -57,12 +57,12 @@ class Alarm:
     def _told(self, job: Job) -> Mapping[str, Any]:
         """How a job ended; empty while it runs."""
         if job not in self._ended:
-            told = state(job)
-            if told["running"]:
+            reported = state(job)
+            if reported["running"]:
                 return {}
             if not (job.folder / PROCESS).exists():  # it may yet begin
-                return told
-            self._ended[job] = told
+                return reported
+            self._ended[job] = reported
         return self._ended[job]
 
     def secure(self, names: Collection[str]) -> None:

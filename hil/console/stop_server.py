@@ -109,16 +109,16 @@ class StopProcess:
         page = read(self._folder / PAGE)
         latest = jobs.jobs(self._folder / "jobs", 1)
         shown = [job for job in jobs.jobs(self._folder / "jobs") if jobs.alive(job)] or latest
-        told = []
+        reported = []
         for job in shown:
             state = jobs.state(job)
             keys = ("name", "title", "running", "stopping", "question", "held", "verdict", "why")
-            told.append(
+            reported.append(
                 {k: state.get(k) for k in keys} | {"words": "" if state["running"] else in_words(state)}
             )
         with self._asking:
             left = self._alarm.not_held()
-        return as_json({"page": page.get("port") if runs(page) else None, "jobs": told, "not_held": left})
+        return as_json({"page": page.get("port") if runs(page) else None, "jobs": reported, "not_held": left})
 
     def serve_until_it_is_over(self, server: Server) -> None:
         """Watch page and jobs; stop serving when neither needs the button any more."""
@@ -147,12 +147,12 @@ def main() -> None:
     except (OSError, KeyError, ValueError) as error:
         put_private(folder / STOP, {"error": reason_of(error)})
         return
-    told = jobs.identity(os.getpid()) | {
+    reported = jobs.identity(os.getpid()) | {
         "token": asked["token"],
         "cookie": asked["cookie"],
         "port": server.port,
     }
-    put_private(folder / STOP, told)
+    put_private(folder / STOP, reported)
     threading.Thread(target=process.serve_until_it_is_over, args=(server,), daemon=True).start()
     server.serve_forever(poll_interval=0.2)
 

@@ -2,7 +2,7 @@
 
 A route is a function of a `Request` that returns a `Reply`. Nothing reaches it without the token, which comes
 once in the address that is printed and from then on as a cookie. The name of the host is checked, so that no
-name of somebody else's leads here, and whatever changes something must come from a page of this console.
+name of another site leads here, and whatever changes something must come from a page of this console.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class _Handler(BaseHTTPRequestHandler):
         except Exception as error:
             reply = self._refusal(HTTPStatus.INTERNAL_SERVER_ERROR, f"{type(error).__name__}: {error}")
         self.send_response(reply.status)
-        told = {
+        reported = {
             "Content-Type": reply.kind,
             "Content-Length": str(len(reply.content)),
             "Cache-Control": "no-store",
@@ -121,7 +121,7 @@ class _Handler(BaseHTTPRequestHandler):
             "Content-Security-Policy": self.server.policy,
             **reply.headers,
         }
-        for name, value in told.items():
+        for name, value in reported.items():
             self.send_header(name, value)
         self.end_headers()
         self.wfile.write(reply.content)

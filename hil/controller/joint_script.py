@@ -1,4 +1,4 @@
-"""Joint commands by a script instead of a trajectory, and the controller that says it.
+"""Joint commands by a script instead of a trajectory, as a controller.
 
 A script is plain data: a recording carries it, and replay computes the same setpoints from it again.
 """

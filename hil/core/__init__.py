@@ -1,1 +1,1 @@
-"""What every other package speaks: samples and states, seams, time, geometry, errors, files."""
+"""What every other package uses: samples, clocks, geometry, errors, interfaces, the registry of devices."""

@@ -1,4 +1,4 @@
-"""How many digits a figure needs beside others."""
+"""Digits needed to print a value differently from each of its limits."""
 
 from __future__ import annotations
 

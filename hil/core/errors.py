@@ -203,7 +203,7 @@ class RecordingError(Aborted):
 
 
 class DefectError(HilError):
-    """An exception that nobody foresaw; its traceback is printed before its message."""
+    """An exception that was not foreseen; its traceback is printed before its message."""
 
     exit_code = EXIT_ABORTED
 

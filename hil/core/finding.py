@@ -1,4 +1,4 @@
-"""One thing that a look at a bench has found: what drivers say of themselves, and `hil doctor` prints."""
+"""One finding about a bench, as drivers make it and `hil doctor` prints it."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ from hil.core.signals import (
 
 S_co = TypeVar("S_co", covariant=True)
 
-Blame = Callable[[str, str], None]
+ReportStop = Callable[[str, str], None]
 """Takes reason and message of a condition under which the robot must not go on."""
 
 
@@ -96,7 +96,7 @@ class Actuators(Device, Protocol):
     def look_after(self) -> ServoHold:
         """Wheels at rest; what a servo has lost (torque, goals, watchdog) is put right. Never raises.
 
-        From `enable` until `release` or `close` the driver does so by itself when nobody else talks to it.
+        From `enable` until `release` or `close` the driver does so by itself when nothing else talks to it.
         """
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""Samples interpolated to other instants, without a value where nobody measured."""
+"""Samples interpolated to other instants, NaN across gaps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a sample is not finite although its status says that it is good."""
+"""Which fields of a sample are not finite although its status is good."""
 
 from __future__ import annotations
 

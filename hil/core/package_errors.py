@@ -1,4 +1,4 @@
-"""Says whose fault it is: whatever code of another package raises becomes an error that names the package.
+"""Turns exceptions from code of another package into errors that name the package.
 
 Nothing is translated for what this project ships: there a foreign exception is a defect, and its traceback
 is wanted.

@@ -1,4 +1,4 @@
-"""What a path is that was given in place of another, and the command that takes it."""
+"""Names the right command when a path of the wrong kind is given."""
 
 from __future__ import annotations
 

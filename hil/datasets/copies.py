@@ -1,4 +1,4 @@
-"""Recordings that are copies of each other, told by what they hold and not by their bytes.
+"""Finds recordings with the same content, whatever their bytes.
 
 A copy is no repetition: left out of a fit that has seen its twin, it would be called held out; counted twice,
 it would narrow the intervals.

@@ -71,8 +71,8 @@ def covered(recording: Recording, nominal: Nominal) -> Recording:
             one.under_way or (one.after and one.by == "ground truth") or one.moved_m > seen_m
         ):
             raise _refusal(recording, one)
-    told = {f"stretch of the drive not checked: {one.in_words()}": 1 for one in found}
-    return replace(recording, repairs={**recording.repairs, **told})
+    reported = {f"stretch of the drive not checked: {one.in_words()}": 1 for one in found}
+    return replace(recording, repairs={**recording.repairs, **reported})
 
 
 def unseen(recording: Recording, nominal: Nominal) -> list[Unseen]:

@@ -131,7 +131,7 @@ def build_recording(
 
     Raises:
         DataError: too short, no ground truth, no overlap in time, units that cannot be right, or wheel
-            angles that leap or whose turns nobody knows.
+            angles that leap or with unknown turns.
     """
     where, robot = sources[0] if sources else name, nominal if nominal is not None else Nominal()
     parts, problems, refusals = list[Recording](), list[str](), list[DataError]()
@@ -148,8 +148,8 @@ def build_recording(
     parts = [replace(part, sources=sources, sha256=sha256) for part in parts]
     if len(logs) == 1:
         return parts[0]
-    told = {**parts[0].repairs, in_words(wheels): len(logs) - 1}
-    return replace(parts[0], repairs=told, problems=tuple(problems), later=tuple(parts[1:]))
+    reported = {**parts[0].repairs, in_words(wheels): len(logs) - 1}
+    return replace(parts[0], repairs=reported, problems=tuple(problems), later=tuple(parts[1:]))
 
 
 def _build(

@@ -1,4 +1,4 @@
-"""Names of recordings: the motion that they say, and what tells each from others that are called alike."""
+"""Names of recordings: the motion in them, and a suffix where two are alike."""
 
 from __future__ import annotations
 

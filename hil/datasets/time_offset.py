@@ -1,4 +1,4 @@
-"""Whether wheels and ground truth run on the same clock, told by when both begin and end to move."""
+"""Whether wheels and ground truth share a clock, by when both begin and end to move."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which unit a column is in, told by a factor: wheels against ground truth, wheel rates against wheel angles.
+"""Which unit a column is in, by its factor: wheels against ground truth, wheel rates against wheel angles.
 
 In stretches of half a second: how far did each wheel roll, how far did ground truth move it, how far did it
 turn by its rate? Slip, noise and tolerances change such a way by tenths, or in single stretches; another unit

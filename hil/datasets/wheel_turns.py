@@ -38,7 +38,7 @@ class Turns:
     Attributes:
         angle: (n, 4) cumulative, rad; what was refused is left in it.
         repairs: what was repaired, by name and count.
-        refusal: the first leap that is no wrap, or gap whose turns nobody knows.
+        refusal: the first leap that is no wrap, or gap with unknown turns.
     """
 
     angle: Array
@@ -86,10 +86,10 @@ def whole_turns(where: str, t_s: Array, angle: Array, rate: Array) -> Turns:
     turns, wraps = _wrapped(angle, steps, far)
     unsure = (steps.reach >= np.pi)[:, None] & one_turn & np.any(wraps[:, one_turn])
     unsure &= np.any((size > _UNMOVED_RAD) | np.isfinite(steps.by_rate), axis=1, keepdims=True)
-    told, agrees = _told(steps)
+    reported, agrees = _told(steps)
     by_rate = unsure & agrees
     wraps &= ~unsure
-    turns = np.where(by_rate, told, np.where(wraps, turns, 0.0))
+    turns = np.where(by_rate, reported, np.where(wraps, turns, 0.0))
     restarts = np.any(size > np.minimum(steps.near, np.pi)[:, None], axis=1) & _as_at_first(angle)
     leaps = ((far & ~wraps) | restarts[:, None]) & ~unsure
     counts = {WRAPS: np.count_nonzero(wraps), BY_RATES: np.count_nonzero(by_rate)}
@@ -143,7 +143,7 @@ def _wrapped(angle: Array, steps: _Steps, far: Bools) -> tuple[Array, Bools]:
 def _told(steps: _Steps) -> tuple[Array, Bools]:
     """Turns (n - 1, 4) by which angles go as far as the rates say, and where they do to a quarter turn.
 
-    A rate that changes by much within a long gap says too little: nobody knows when it did.
+    A rate that changes by much within a long gap says too little: it is not known when it did.
     """
     lacking = steps.by_rate - steps.moved
     turns = np.round(np.nan_to_num(lacking) / _TURN)

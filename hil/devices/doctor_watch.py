@@ -58,9 +58,13 @@ class Watched:
         rate_hz = self.kind.rate_hz(self.config, self.loop_hz)
         return len(self.samples) if math.isnan(rate_hz) else max(1, round(self.watch_s * rate_hz))
 
-    def losses(self, remedy: str) -> Iterator[Finding]:
-        """How many of the samples that were due are good; `remedy` for when many are missing."""
-        yield losses(self.kind.name, (worst(sample) for sample in self.samples), self.due, remedy)
+    def losses(self, remedy: str, but: Sequence[Status] = ()) -> Iterator[Finding]:
+        """How many of the samples that were due are good; `remedy` for when many are missing.
+
+        A status in `but` counts as good: it says something of the surroundings.
+        """
+        states = (Status.OK if (state := worst(s)) in but else state for s in self.samples)
+        yield losses(self.kind.name, states, self.due, remedy)
 
 
 def surplus(count: int, due: float) -> float:
@@ -95,8 +99,8 @@ def losses(name: str, statuses: Iterable[Status], due: int, remedy: str) -> Find
         return Finding(name, "samples", "failure", again, "none", SUPPLY)
     loss = 1.0 - good / due if due else 1.0
     level = "failure" if loss > LOSS_FAILURE else "warning" if loss > LOSS_WARNING else "ok"
-    told = ", ".join(f"{count} {status.value}" for status, count in seen.most_common()) or "no bad samples"
-    return Finding(name, "samples", level, f"{good} of {due} good ({told})", "nearly all good", remedy)
+    message = ", ".join(f"{count} {status.value}" for status, count in seen.most_common()) or "no bad samples"
+    return Finding(name, "samples", level, f"{good} of {due} good ({message})", "nearly all good", remedy)
 
 
 def restarted(again: int, count: int) -> str:

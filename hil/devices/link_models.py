@@ -40,10 +40,11 @@ class SerialModel(DeviceModel):
             config = self.config(port=port, baud=baud, open_timeout_s=_PROBE_S / len(self.probe_bauds))
             identity = loaded(self.driver).identify_only(config, clock)
             if identity is not None:
-                told = ", ".join(f"{key} {value}" for key, value in identity.items() if key != "port")
+                message = ", ".join(f"{key} {value}" for key, value in identity.items() if key != "port")
                 table = {"port": port} if baud == default else {"port": port, "baud": baud}
                 return Found(
-                    table, notes=(f"{self.title.partition(' on ')[0]} at {port}: {told}",) if told else ()
+                    table,
+                    notes=(f"{self.title.partition(' on ')[0]} at {port}: {message}",) if message else (),
                 )
         return None
 

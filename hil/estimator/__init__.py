@@ -19,7 +19,7 @@ def make_estimator(
         config: `[estimator]` of the bench file.
         geometry: calibrated wheel parameters.
         surface: `wall` (gravity lies in the motion plane) or `floor`.
-        diagnostics: whether a filter's states carry them; an observer's are looked at by nobody.
+        diagnostics: whether a filter's states carry them; an observer's are not read.
 
     Raises:
         ConfigError: an unknown surface, or two free scales.
@@ -31,16 +31,16 @@ def make_estimator(
         from hil.estimator.wheel_odometry import OdometryEstimator
 
         return OdometryEstimator(config, geometry, surface)
-    from hil.estimator.fusion import CompiledEngine, Engine, FusionEstimator
+    from hil.estimator.fusion import FilterBackend, FusionEstimator, NumbaFilter
     from hil.estimator.kernel_layout import parameters
     from hil.estimator.unscented import points_of
 
     given = parameters(config, geometry, surface)
-    engine: Engine
+    engine: FilterBackend
     if config.engine == "filterpy":
-        from hil.estimator.filterpy_engine import FilterpyEngine
+        from hil.estimator.filterpy_engine import FilterpyFilter
 
-        engine = FilterpyEngine(given, config)
+        engine = FilterpyFilter(given, config)
     else:
-        engine = CompiledEngine(given, points_of(config))
+        engine = NumbaFilter(given, points_of(config))
     return FusionEstimator(config, geometry, surface, engine, diagnostics=diagnostics)

@@ -1,4 +1,4 @@
-"""Whether a filter is as good as it says: NEES against truth, bands of chi squared, whiteness.
+"""Consistency of a filter: NEES against truth, bands of chi squared, whiteness.
 
 NEES, the normalised estimation error squared, is e' P^-1 e of the error e with the filter's covariance P. Its
 mean is the number of states where the filter is consistent; above it the filter is over-confident. NIS, the

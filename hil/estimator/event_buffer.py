@@ -13,7 +13,7 @@ from hil.core.geometry import Array
 from hil.core.named_records import Ints, Records, floats
 from hil.estimator.kernel_layout import MEMORY, ROW, Events, Samples, States
 from hil.estimator.matrix_loops import put
-from hil.estimator.measurement_queue import Staged
+from hil.estimator.measurement_queue import Batch
 from hil.estimator.sensors import MARK
 from hil.estimator.state_vector import STATES
 from hil.support.numba_jit import inner, kernel, plain
@@ -199,7 +199,7 @@ class History:
         """Ring slot of the newest event."""
         return (self.first + self.count - 1) % len(self.t_ns)
 
-    def enter(self, staged: Staged, now_ns: int) -> int:
+    def enter(self, staged: Batch, now_ns: int) -> int:
         """Put a cycle's samples in; the first place to replay from, `count` when nothing is new."""
         ring, new = plain(self._ring), plain(staged.samples)
         return int(enter(self.marks, ring, self.span_ns, now_ns, staged.count, new))

@@ -23,7 +23,7 @@ from hil.core.named_records import Records
 from hil.estimator import constant_twist, event_loop, pose_correction, sensors
 from hil.estimator.event_buffer import History
 from hil.estimator.event_loop import NONE_ACCEPTED
-from hil.estimator.fusion import Engine, Now
+from hil.estimator.fusion import FilterBackend, Now
 from hil.estimator.kalman_update import guard
 from hil.estimator.matrix_loops import square_root
 from hil.estimator.process_model import add_noise
@@ -168,7 +168,7 @@ def noise_at(x: Array, dt_s: float, par: Records) -> Array:
     return q
 
 
-class FilterpyEngine(Engine):
+class FilterpyFilter(FilterBackend):
     """Runs events through filterpy's EKF or UKF; both have the EKF, for headings that are lost."""
 
     def __init__(self, par: Records, config: EstimatorConfig) -> None:

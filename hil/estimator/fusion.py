@@ -22,7 +22,7 @@ from hil.estimator.event_buffer import History
 from hil.estimator.event_loop import run
 from hil.estimator.initial_state import start_of
 from hil.estimator.kernel_layout import MEMORY, MEMORY_FLOATS, PARAMETERS, States, first_memory
-from hil.estimator.measurement_queue import REASONS, Intake
+from hil.estimator.measurement_queue import REASONS, MeasurementQueue
 from hil.estimator.sensors import SENSORS
 from hil.estimator.state_vector import (
     BIAS,
@@ -91,7 +91,7 @@ class Now:
         self.pose, self.twist, self.covariance = self.x[POSE], self.x[TWIST], self.p[:MOTION, :MOTION]
 
 
-class Engine(Protocol):
+class FilterBackend(Protocol):
     """How events are run through the filter."""
 
     @abstractmethod
@@ -110,7 +110,7 @@ def load_filter(points: Points = None) -> None:
     compile_for(run, plain(h.events), plain(h.states), 0, 0, par, points, 0, plain(now.states))
 
 
-class CompiledEngine(Engine):
+class NumbaFilter(FilterBackend):
     """The kernels of `hil.estimator.event_loop`; making the first one loads or compiles them.
 
     Args:
@@ -142,13 +142,13 @@ class FusionEstimator(Estimator):
         config: EstimatorConfig,
         geometry: WheelGeometry,
         surface: str,
-        engine: Engine,
+        engine: FilterBackend,
         *,
         diagnostics: bool = True,
     ) -> None:
         self.config, self.geometry, self.surface = config, geometry, surface
         self.engine, self._diagnosed = engine, diagnostics
-        self._intake = Intake(config)
+        self._intake = MeasurementQueue(config)
         self.history = History(nanoseconds(config.time.history_s))
         self._now = Now()
         self._now.figures[_GATE_ROW], self._now.figures[_GATE_POSE] = (

@@ -78,7 +78,7 @@ _ROOM = 64
 _ROW_BYTES = FLOAT_BYTES * ROW_FLOATS
 
 
-class Staged:
+class Batch:
     """Room for the usable samples of one cycle, in the order in which they came.
 
     Attributes:
@@ -93,15 +93,15 @@ class Staged:
         self.samples = Samples(t_ns, numbers, seqs, np.zeros((room, ROW_FLOATS)))
         self.memory = tuple(array.data for array in self.samples)
 
-    def doubled(self) -> Staged:
+    def doubled(self) -> Batch:
         """Twice the room, with what is in this one."""
-        other = Staged(2 * len(self.samples.t_ns))
+        other = Batch(2 * len(self.samples.t_ns))
         for to, of in zip(other.samples, self.samples, strict=True):
             to[: len(of)] = of
         return other
 
 
-class Intake:
+class MeasurementQueue:
     """Checks samples and puts them into rows; stamps pass the sensor clocks."""
 
     def __init__(self, config: EstimatorConfig) -> None:
@@ -112,7 +112,7 @@ class Intake:
             for number, sensor in enumerate(SENSORS, start=1)
             if sensor.is_used(config)
         ]
-        self._staged = Staged(_ROOM)
+        self._staged = Batch(_ROOM)
         self.reset()
 
     def reset(self) -> None:
@@ -121,7 +121,7 @@ class Intake:
         self.clocks: Mapping[str, SensorClock] = {sensor.NAME: SensorClock() for sensor in SENSORS}
         self.last_ns: dict[str, int] = {}
 
-    def stage(self, measurements: Measurements, oldest_ns: int) -> Staged:
+    def stage(self, measurements: Measurements, oldest_ns: int) -> Batch:
         """Usable samples of a cycle; good until the next call."""
         staged, count = self._staged, 0
         stamps, numbers, seqs, rows = staged.memory

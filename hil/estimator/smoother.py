@@ -35,7 +35,7 @@ from hil.estimator.kernel_layout import (
     parameters,
 )
 from hil.estimator.matrix_loops import put, put_rows, seen
-from hil.estimator.measurement_queue import Intake
+from hil.estimator.measurement_queue import MeasurementQueue
 from hil.estimator.pose_correction import is_unsure, pull_carry, settle
 from hil.estimator.process_model import advance_linear
 from hil.estimator.sensors import GATED_TOGETHER, MARK, admit, innovation, jacobian, observe, predicted, undo
@@ -117,7 +117,7 @@ def _ordered(
     Returns:
         (n, 3) stamps, numbers of sensors, sequence numbers; (n, floats of a row) event rows.
     """
-    intake, nothing = Intake(config), np.zeros((1, ROW_FLOATS))
+    intake, nothing = MeasurementQueue(config), np.zeros((1, ROW_FLOATS))
     found: list[tuple[int, ...]] = []
     rows = [nothing[:0]]
     for m in measurements:

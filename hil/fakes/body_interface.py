@@ -63,7 +63,7 @@ class PlantState:
         slip_m_s: (4, 2) longitudinal and lateral slip velocity in the wheel frame.
         tilt_rad: 0 floor, pi/2 wall.
         fallen: the robot has left the wall.
-        adhesion_n, thrust_n: forces of fan and propellers as they act now; NaN where nobody knows.
+        adhesion_n, thrust_n: forces of fan and propellers as they act now; NaN where it is unknown.
     """
 
     t_ns: int
@@ -119,7 +119,7 @@ class Plant(Protocol):
     def working_point(self) -> HoldingForces | None:
         """What this robot's fan and propellers truly give where `[robot]` says what they do on a wall.
 
-        On a wall they act from the beginning, until others are set. None where nobody knows, or nothing
+        On a wall they act from the beginning, until others are set. None where it is unknown, or nothing
         holds the body but itself.
         """
         return None
@@ -151,7 +151,7 @@ class Plant(Protocol):
         return BodyMotion._make((*pose.tolist(), *twist.tolist(), *acceleration.tolist(), state.tilt_rad))
 
     def adhesion_n(self) -> float:
-        """The fan's force as it acts now; NaN where nobody knows: a part of `truth`, as `body`."""
+        """The fan's force as it acts now; NaN where it is unknown: a part of `truth`, as `body`."""
         return self.truth().adhesion_n
 
     def steering_rad(self) -> list[float]:

@@ -98,7 +98,7 @@ class CanChannel:
             del _CHANNELS[self.name]
 
     def listen(self, told: Callable[[], None] | None = None) -> deque[Heard]:
-        """A new queue of (arrival time, frame); the oldest frames are lost when nobody reads.
+        """A new queue of (arrival time, frame); the oldest frames are lost when nothing reads.
 
         Args:
             told: called when frames have been added.
@@ -109,7 +109,7 @@ class CanChannel:
 
     def leave(self, queue: deque[Heard]) -> None:
         """Stop filling a queue."""
-        self._listeners = [(q, told) for q, told in self._listeners if q is not queue]
+        self._listeners = [(q, reported) for q, reported in self._listeners if q is not queue]
 
     def transmit(
         self,
@@ -127,11 +127,11 @@ class CanChannel:
             return
         arrival_ns = self._crossed_ns(extended, len(data), t_ns)
         frame = CanFrame(arrival_ns / NS_PER_S, frame_id, data, extended, False, False)
-        for queue, told in self._listeners:
+        for queue, reported in self._listeners:
             if queue is not sender:
                 queue.append((arrival_ns, frame))
-                if told is not None:
-                    told()
+                if reported is not None:
+                    reported()
 
     def send(self, message: can.Message, t_ns: int, *, sender: deque[Heard] | None = None) -> None:
         """Put any frame on the bus, which is the channel's from now on; everybody but the sender hears it."""
@@ -149,11 +149,11 @@ class CanChannel:
 
     def _hand_out(self, message: can.Message, arrival_ns: int, sender: deque[Heard] | None) -> None:
         message.timestamp = arrival_ns / NS_PER_S
-        for queue, told in self._listeners:
+        for queue, reported in self._listeners:
             if queue is not sender:
                 queue.append((arrival_ns, message))
-                if told is not None:
-                    told()
+                if reported is not None:
+                    reported()
 
     def _crossed_ns(self, extended: bool, dlc: int, t_ns: int) -> int:
         """When a frame that is sent now has crossed the bus."""

@@ -33,7 +33,7 @@ class CanFace(Face):
         interface, address: python-can interface and channel that clients open too.
         dbc: path told to clients.
         device: name in errors.
-        listens: whether somebody on the emulated bus hears what clients send.
+        listens: whether something on the emulated bus hears what clients send.
         told: what clients are told besides.
         options: further keyword arguments of the interface. Multicast without a `port` has a free one,
             because python-can's own bus hears every group at the port that it listens to.
@@ -111,7 +111,7 @@ class CanFace(Face):
         return []
 
     def on_readable(self, fd: int, t_ns: int) -> None:
-        """Take one frame, and throw it away where nobody listens; multicast hears itself, too."""
+        """Take one frame, and throw it away where nothing listens; multicast hears itself, too."""
         message = None
         if self._bus is not None:
             with contextlib.suppress(can.CanError, OSError):

@@ -1,4 +1,4 @@
-"""Where python-can's `udp_multicast` is when nothing else is said, and which emulated bus of a host is there.
+"""python-can's default `udp_multicast` group and port, and which emulated bus of this host is there.
 
 At standard ports the devices of one bus share a port, as they share a cable. The first bus of an emulator has
 python-can's own port, each further one the next: its own bus hears every multicast group at the port that it
@@ -90,7 +90,7 @@ def _free(device: str) -> _Held:
 
 
 def _right_to(number: int) -> socket.socket | None:
-    """The right to a port, held while the socket is open; None where somebody has it.
+    """The right to a port, held while the socket is open; None where something has it.
 
     The port itself cannot say so: everybody binds it shared. An abstract Unix address (Linux) is
     exclusive and vanishes with its owner.

@@ -1,4 +1,4 @@
-"""Ports of this host that nobody uses."""
+"""Finds free UDP and TCP ports of this host."""
 
 from __future__ import annotations
 

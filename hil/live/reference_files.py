@@ -23,7 +23,7 @@ _MOST_BYTES = 16 << 20
 _FARTHEST = 1000.0
 """What a coordinate may be, m or rad: further than the longest motion goes."""
 _SAME = 1e-6
-"""Nobody drives a way of a micrometre, or turns by a microradian."""
+"""Nothing drives a way of a micrometre, or turns by a microradian."""
 
 
 def read_waypoints(path: Path) -> list[Array]:
@@ -93,7 +93,7 @@ def load_trajectory(
     Args:
         path: `.csv` with the header `x,y,theta` (wall frame; the robot first drives straight to the
             first waypoint), or `.py` that defines `trajectory(start_pose)` and returns a `Trajectory`.
-        check: refuses what the robot cannot follow, as `Blueprint.check` does.
+        check: refuses what the robot cannot follow, as `BenchModel.check` does.
 
     Returns:
         The maker, and the way with whose segments its trajectories end, checked; None for a script.

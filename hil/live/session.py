@@ -1,4 +1,4 @@
-"""One session of the live loop: settle, follow or obey, until it is done or somebody ends it.
+"""One session of the live loop: settle, follow a reference or commands, until it is done or ended.
 
 Whatever ends it, the robot is stopped, and the summary says whether it is held.
 """
@@ -22,7 +22,7 @@ from hil.live.reference_files import MakeTrajectory
 from hil.live.sample_counts import SampleCounter
 from hil.live.velocity_input import CommandLines
 from hil.live.velocity_reference import VelocityReference
-from hil.loop.control_loop import Brain
+from hil.loop.control_loop import ControlPipeline
 from hil.loop.realtime import warm_up
 from hil.monitor import RerunMonitor
 from hil.recording.mcap_writer import McapRecorder
@@ -152,19 +152,19 @@ class LiveSession:
         rest = bench.observe(_SETTLE_S, feedback=plan.feedback, on_cycle=lambda _: self.end_if_asked())
         pose = self.bench.measured_pose(rest.mocap)
         trajectory = self._trajectory(pose) if self._moving else None
-        brain = self._brain(trajectory)
+        pipeline = self._brain(trajectory)
         if plan.commands is not None:
             self._velocity = self._obey(plan.commands, pose)
-            brain.reference_at = self._velocity
-        self._cycle(brain, trajectory, pose)
+            pipeline.reference_at = self._velocity
+        self._cycle(pipeline, trajectory, pose)
 
     @property
     def _moving(self) -> bool:
         return self.plan.trajectory is not None or self.plan.commands is not None
 
-    def _brain(self, trajectory: Trajectory | None) -> Brain:
+    def _brain(self, trajectory: Trajectory | None) -> ControlPipeline:
         plan = self.plan
-        return self.bench.make_brain(trajectory, feedback=plan.feedback, observers=plan.observers)
+        return self.bench.make_pipeline(trajectory, feedback=plan.feedback, observers=plan.observers)
 
     def _trajectory(self, pose: Array) -> Trajectory:
         """What to follow, checked; for velocity commands the pose itself, from which they lead away."""
@@ -190,19 +190,21 @@ class LiveSession:
             stops_after_s=servos.watchdog_s if servos is not None else 0.0,
         )
 
-    def _cycle(self, brain: Brain, trajectory: Trajectory | None, pose: Array) -> None:
+    def _cycle(self, pipeline: ControlPipeline, trajectory: Trajectory | None, pose: Array) -> None:
         bench, plan = self.bench, self.plan
         law = None if trajectory is None else bench.config.control.law
-        told = None if trajectory is None else trajectory.to_mapping()
-        if told is not None and plan.commands is not None:
-            told["references"] = "recorded"
+        reported = None if trajectory is None else trajectory.to_mapping()
+        if reported is not None and plan.commands is not None:
+            reported["references"] = "recorded"
         bench.add_sink(self._samples)
-        start = RunStart(self.bench.start_state(pose), plan.feedback, law, plan.observers, told)
-        bench.run(brain, start, self._is_over(brain, trajectory))
+        start = RunStart(self.bench.start_state(pose), plan.feedback, law, plan.observers, reported)
+        bench.run(pipeline, start, self._is_over(pipeline, trajectory))
         if self._stop.name:
             raise Aborted(f"ended by {self._stop.name}")
 
-    def _is_over(self, brain: Brain, trajectory: Trajectory | None) -> Callable[[CycleRecord], bool]:
+    def _is_over(
+        self, pipeline: ControlPipeline, trajectory: Trajectory | None
+    ) -> Callable[[CycleRecord], bool]:
         """The condition that ends the loop; notes the latest record and why it ended."""
         reason, length_ns = "", None
         if self.plan.duration_s is not None:
@@ -212,7 +214,7 @@ class LiveSession:
         first_ns: list[int] = []
 
         def waited_ns() -> int:
-            return brain.waited_ns if reason == "trajectory" else 0
+            return pipeline.waited_ns if reason == "trajectory" else 0
 
         def over(record: CycleRecord) -> bool:
             self._last = record

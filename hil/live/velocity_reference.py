@@ -1,4 +1,4 @@
-"""A reference that follows velocity commands: bounded, ramped, and at rest when nobody commands.
+"""A reference that follows velocity commands: bounded, ramped, at rest when commands stop.
 
 The reference is a pose that moves with the commanded velocity, so that the controller also takes out
 what the wall does to the robot. It is a function of the lines that have come in and of the times at

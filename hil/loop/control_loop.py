@@ -1,7 +1,7 @@
 """The control loop: one cycle from devices to devices, and the deterministic part of it by itself.
 
-`Brain.decide` is all that lies between reading and sending: a function of the inputs and its own state, so
-a recording's inputs fed back through it reproduce the recorded setpoints exactly (`hil replay`).
+`ControlPipeline.decide` is all that lies between reading and sending: a function of the inputs and its own
+state, so a recording's inputs fed back through it reproduce the recorded setpoints exactly (`hil replay`).
 `ControlLoop.run` adds the devices, the clock and the sinks.
 """
 
@@ -32,16 +32,16 @@ from hil.loop.alignment import Alignment
 from hil.loop.checks.adhesion import LETTING_GO
 from hil.loop.checks.loop_pause import HELD_UP_NS, stood_still
 from hil.loop.cycle import NO_INFLATION
-from hil.loop.device_set import Rig
+from hil.loop.device_set import DeviceSet
 from hil.loop.restart import Restart
 from hil.loop.supervisor import Supervisor
 from hil.loop.timing import Laps, LoopStatistics
 from hil.loop.user_parts import asked, controlled, own_name, reset_estimator
 
-__all__ = ["OUTSIDE", "Brain", "ControlLoop", "Decision", "LoopStatistics"]
+__all__ = ["OUTSIDE", "ControlLoop", "ControlPipeline", "Decision", "LoopStatistics"]
 
 OUTSIDE = "loop"
-"""Source of the event in the last record of a run that was ended by something other than its brain."""
+"""Source of the event in the last record of a run that was ended by something other than its pipeline."""
 
 _OWN = ""
 _SHAKEN_M_S, _SHAKEN_RAD_S = 0.05, 0.1
@@ -53,7 +53,7 @@ Lap = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Decision:
-    """What the brain made of one cycle's inputs."""
+    """What the pipeline made of one cycle's inputs."""
 
     measurements: Measurements
     state: RobotState
@@ -65,10 +65,10 @@ class Decision:
 
 
 def _untimed(section: str) -> None:
-    """Nobody measures how long the sections take."""
+    """Nothing measures how long the sections take."""
 
 
-class Brain:
+class ControlPipeline:
     """Supervisor, alignment, estimator and controller in their fixed order.
 
     Estimator, controller and observers may be of one's own: `hil.loop.user_parts` checks what they return.
@@ -221,13 +221,13 @@ def _with_figures(state: RobotState, figures: Mapping[str, float]) -> RobotState
 
 
 class ControlLoop:
-    """Runs a brain on a rig at a fixed rate with absolute deadlines.
+    """Runs a pipeline on a rig at a fixed rate with absolute deadlines.
 
     A missed deadline is counted; deadlines that have passed entirely are skipped on the grid, never
     made up for in a burst. Whatever goes wrong, the actuators are stopped before the error leaves.
 
     Args:
-        rig, clock, brain: devices, time, and what decides.
+        rig, clock, pipeline: devices, time, and what decides.
         rate_hz: cycles per second.
         late_after_s: a start later than this after its deadline counts as late.
         sinks: receive every cycle.
@@ -240,16 +240,16 @@ class ControlLoop:
 
     def __init__(
         self,
-        rig: Rig,
+        rig: DeviceSet,
         clock: Clock,
-        brain: Brain,
+        pipeline: ControlPipeline,
         *,
         rate_hz: float = 100.0,
         late_after_s: float = 0.001,
         sinks: tuple[Sink, ...] = (),
         truth: Callable[[], Mapping[str, Any] | None] = lambda: None,
     ) -> None:
-        self.rig, self.clock, self.brain, self._truth = rig, clock, brain, truth
+        self.rig, self.clock, self.pipeline, self._truth = rig, clock, pipeline, truth
         self.period_ns = round(NS_PER_S / rate_hz)
         self.late_ns = round(late_after_s * NS_PER_S)
         self.sinks = sinks
@@ -286,11 +286,11 @@ class ControlLoop:
         inputs = self._read(start_ns)  # 1
         lap("read")
         try:
-            decision = self.brain.decide(inputs, lap)  # 2 to 7
+            decision = self.pipeline.decide(inputs, lap)  # 2 to 7
         except SafetyStop as stop:
             self._stopped(inputs, stop)
             raise
-        if self.brain.controller is not None and self.rig.servos is not None:
+        if self.pipeline.controller is not None and self.rig.servos is not None:
             self.rig.servos.command(decision.command)  # 8
         lap("write")
         timing = {**laps.timing_ns, "lateness": start_ns - deadline_ns, "sinks": self._sinks_ns}
@@ -376,7 +376,7 @@ class ControlLoop:
             inputs,
             nothing,
             state,
-            self.brain.reference,
+            self.pipeline.reference,
             WheelSetpoint(zero, zero),
             ServoSetpoint(zero, zero),
             (event,),

@@ -99,8 +99,8 @@ class Cycle:
         if self.stops:
             (reason, message), *others = self.stops.items()
             suspects = {*self.suspects, *(name for also, _ in others for name in suspects_of(also))}
-            told = "; ".join([message, *(f"also {k}: {v}" for k, v in others)]) + context
-            raise SafetyStop(reason, told, sorted(suspects))
+            text = "; ".join([message, *(f"also {k}: {v}" for k, v in others)]) + context
+            raise SafetyStop(reason, text, sorted(suspects))
 
 
 def go_on(reason: str, message: str) -> None:
@@ -148,10 +148,10 @@ class LastingCheck(Check):
         for sample in cycle.inputs.of(self.kind):
             if worst(sample) is not Status.OK:
                 continue
-            told, t_ns = self._wrong(sample), sample.stamp.t_ns
-            if not told:
+            reported, t_ns = self._wrong(sample), sample.stamp.t_ns
+            if not reported:
                 self._since_ns = None
                 continue
             self._since_ns = t_ns if self._since_ns is None else self._since_ns
             if t_ns - self._since_ns >= self._limit_ns:
-                cycle.stop(self.reason, told)
+                cycle.stop(self.reason, reported)

@@ -18,7 +18,7 @@ _UNHEARD = {kind: _NOTHING for kind in KINDS if kind != "servos"}
 
 
 @dataclass
-class Rig:
+class DeviceSet:
     """The devices of a bench.
 
     Attributes:

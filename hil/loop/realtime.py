@@ -29,7 +29,7 @@ from hil.core.signals import (
     Status,
     TrackerSample,
 )
-from hil.loop.control_loop import Brain
+from hil.loop.control_loop import ControlPipeline
 from hil.loop.timing import LoopStatistics
 from hil.robot.statics import GRAVITY_M_S2
 
@@ -135,7 +135,7 @@ class RealTime:
         self._undo.append(lambda: os.sched_setaffinity(0, before))
 
     def _go_first(self) -> None:
-        """Go before other programs where that is allowed; nobody asked for it, so a refusal is no warning."""
+        """Go before other programs where that is allowed; a refusal is no warning."""
         before = os.getpriority(os.PRIO_PROCESS, 0)
         with contextlib.suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, 0, min(before, _NICE))
@@ -184,22 +184,22 @@ def idle_loop(
     return statistics
 
 
-def warm_up(brain: Brain, start: RobotState) -> None:
-    """Run a brain for a few cycles on made-up inputs at rest, so that all its code is compiled and loaded.
+def warm_up(pipeline: ControlPipeline, start: RobotState) -> None:
+    """Run a pipeline for a few cycles on made-up inputs at rest, so that all its code is compiled and loaded.
 
     Loading compiled estimators takes some tenths of a second: longer than servos may be left alone.
 
     Args:
-        brain: reset to `start` before and after.
+        pipeline: reset to `start` before and after.
         start: where the robot stands, at or before the first cycle.
     """
-    brain.reset(start)
+    pipeline.reset(start)
     for k in range(1, _WARM_UP_CYCLES + 1):
         try:
-            brain.decide(_at_rest(k, start))
+            pipeline.decide(_at_rest(k, start))
         except SafetyStop as stop:
             LOG.debug("while warming up: %s", stop)
-    brain.reset(start)
+    pipeline.reset(start)
 
 
 def _at_rest(cycle: int, start: RobotState) -> Inputs:

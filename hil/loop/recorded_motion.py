@@ -1,4 +1,4 @@
-"""One driven or observed stretch of time: its cycle records, and the arrays that people ask of them."""
+"""One driven or observed stretch of time: its cycle records, and arrays taken from them."""
 
 from __future__ import annotations
 

@@ -7,11 +7,11 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from hil.loop.checks.adhesion import AdhesionWatch
-from hil.loop.checks.mocap_estimate import EstimateWatch
+from hil.loop.checks.mocap_estimate import MocapEstimate
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.checks.sensor_rate import Healthy
 from hil.loop.checks.steering_encoders import SteeringWatch
-from hil.loop.checks.wheel_slip import WheelWatch
+from hil.loop.checks.wheel_slip import WheelSlipCheck
 from hil.loop.cycle import Check
 
 
@@ -44,7 +44,7 @@ class Checks:
 
     Attributes:
         motion: camera against wheels and gyro; None without.
-        estimate: the estimate against motion capture; None where nobody is a witness.
+        estimate: the estimate against motion capture; None where nothing is a witness.
         wheels: each wheel against the other three; None where they are not told to roll by one motion.
         needs_camera: whether the estimate that is followed uses the camera: the robot stops where that is
             in doubt or silent.
@@ -55,15 +55,15 @@ class Checks:
         healthy: how often and how soon the samples of sensors should come.
         gap_s: by sensor, longest time without a good sample that is still healthy.
         brought: sensors that other packages bring, and fields of their samples that they do not measure.
-        hold: what presses the robot on its surface; None where nobody measures it.
+        hold: what presses the robot on its surface; None where nothing measures it.
         lost_after_s: by sensor, how long it may send nothing at all before a robot that follows a pose stops;
             a sensor that can be plugged in again is waited for longer than that.
         added: checks that kinds of devices bring, by kind.
     """
 
     motion: MotionCheck | None = None
-    estimate: EstimateWatch | None = None
-    wheels: WheelWatch | None = None
+    estimate: MocapEstimate | None = None
+    wheels: WheelSlipCheck | None = None
     needs_camera: bool = False
     steering: SteeringWatch | None = None
     stops_by_steering: bool = False

@@ -19,15 +19,15 @@ from hil.core.signals import Event, Inputs, Measurements, WheelSetpoint
 from hil.core.suspects import together
 from hil.loop.checks.disagreement import WHEELS
 from hil.loop.checks.disagreement_response import AgreementCheck
-from hil.loop.checks.exclusion import LeftOut
-from hil.loop.checks.fall import FallWatch, look_at
-from hil.loop.checks.filter_fit import FilterWatch
-from hil.loop.checks.loop_pause import PaceWatch
+from hil.loop.checks.exclusion import Exclusion
+from hil.loop.checks.fall import FallCheck, look_at
+from hil.loop.checks.filter_fit import FilterFit
+from hil.loop.checks.loop_pause import LoopPause
 from hil.loop.checks.lost_sensor import LostCheck
 from hil.loop.checks.path import PathCheck
-from hil.loop.checks.sensor_rate import StreamWatch
-from hil.loop.checks.sensor_status import SampleWatch
-from hil.loop.checks.servos import ServoWatch
+from hil.loop.checks.sensor_rate import SensorRate
+from hil.loop.checks.sensor_status import SensorStatus
+from hil.loop.checks.servos import ServoCheck
 from hil.loop.checks.state_valid import ObserverCheck, UsableCheck
 from hil.loop.cycle import NO_INFLATION, Check, Cycle, LastCycle
 from hil.loop.safety import Checks, SafetyLimits
@@ -52,10 +52,10 @@ class Supervisor:
         own, stale_s = self.checks, dict(limits.stale_s)
         self._holders = own.holders if limits.on_wall else {}
         self._widest_rad = limits.steering_limit_rad + 1e-9
-        self.left_out = LeftOut(own.estimated, on_wall=limits.on_wall)
-        servos = ServoWatch(stale_s.pop("servos", None), limits.servo_ids)
-        samples = SampleWatch(stale_s, own.gap_s, own.brought)
-        self._pace, self.observers = PaceWatch(), ObserverCheck()
+        self.left_out = Exclusion(own.estimated, on_wall=limits.on_wall)
+        servos = ServoCheck(stale_s.pop("servos", None), limits.servo_ids)
+        samples = SensorStatus(stale_s, own.gap_s, own.brought)
+        self._pace, self.observers = LoopPause(), ObserverCheck()
         self._agreement = (
             None
             if own.motion is None
@@ -65,18 +65,18 @@ class Supervisor:
             own.estimate.excluded, own.estimate.holders = self.left_out, tuple(self._holders)
             own.estimate.advice = look_at(self._holders, "if it slides, look")
         found: list[Check | None] = [
-            FallWatch(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s, self._holders),
+            FallCheck(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s, self._holders),
             own.hold,
             self._pace,
             servos,
             samples,
-            StreamWatch(own.healthy),
+            SensorRate(own.healthy),
             LostCheck(samples, own, self.left_out),
             own.wheels,
             own.steering,
             self._agreement,
             UsableCheck(),
-            FilterWatch(),
+            FilterFit(),
             PathCheck(limits),
             own.estimate,
             self.observers,

@@ -138,13 +138,13 @@ def _wrong_state(found: RobotState) -> tuple[str, str] | None:
         if not isinstance(name, str):
             return f"a RobotState whose diagnostics have a name {_in_words(name)}", "texts as names"
         if not isinstance(value, _NUMBERS) or math.isinf(value):
-            told = f"a RobotState whose diagnostics[{name!r}] is {_in_words(value)}"
-            return told, "a finite number, or NaN where there is none"
+            message = f"a RobotState whose diagnostics[{name!r}] is {_in_words(value)}"
+            return message, "a finite number, or NaN where there is none"
     off = _asymmetry(found.covariance)
     if off is not None:
         (i, k), here, there = off
-        told = f"a RobotState whose covariance[{i}, {k}] is {here:g}, and [{k}, {i}] is {there:g}"
-        return told, "a symmetric covariance"
+        message = f"a RobotState whose covariance[{i}, {k}] is {here:g}, and [{k}, {i}] is {there:g}"
+        return message, "a symmetric covariance"
     return None
 
 
@@ -169,5 +169,5 @@ def _in_words(value: object) -> str:
 
 
 def _refuse(role: str, part: object, cycle: int, found: str, expected: str) -> NoReturn:
-    told = f"{role} {type(part).__name__}: update() returned {found} (from cycle {cycle} on)"
-    raise UsageError(told, expected=expected)
+    message = f"{role} {type(part).__name__}: update() returned {found} (from cycle {cycle} on)"
+    raise UsageError(message, expected=expected)

@@ -130,8 +130,8 @@ class Moments:
     def _note_forces(self, inputs: Inputs) -> None:
         known = kinds()
         for name in (*known, *further(inputs.added)):
-            if name not in self._failing and (told := self._forces_of(known[name], inputs)):
-                self._forces[name] = told
+            if name not in self._failing and (reported := self._forces_of(known[name], inputs)):
+                self._forces[name] = reported
 
     def _forces_of(self, kind: DeviceKind, inputs: Inputs) -> tuple[Force, ...]:
         """What a kind tells; one whose package fails is left out from then on, and named once."""
@@ -173,10 +173,10 @@ class Moments:
 
     def _all_forces(self) -> tuple[Force, ...]:
         """What is told, and what is assumed of fan or propellers while only the other one tells."""
-        told = tuple(force for forces in self._forces.values() for force in forces)
+        reported = tuple(force for forces in self._forces.values() for force in forces)
         assumed = assumed_forces(self._scene) if self._forces.keys() <= _ASSUMED.keys() else ()
         known = tuple(_ASSUMED[name] for name in self._forces) if assumed else ()
-        return told + tuple(force for force in assumed if not any(word in force.name for word in known))
+        return reported + tuple(force for force in assumed if not any(word in force.name for word in known))
 
 
 def assumed_forces(scene: Scene) -> tuple[Force, ...]:

@@ -245,5 +245,5 @@ class RerunMonitor(Sink):
             self._process.wait()
             self.failure = "the viewer did not finish"
         self.dropped += sum(isinstance(shown, CycleRecord) for shown in (*self._in_hand, *self._waiting))
-        with contextlib.suppress(OSError):  # what is left in the pipe's buffer finds nobody
+        with contextlib.suppress(OSError):  # what is left in the pipe's buffer finds nothing
             self._pipe.close()

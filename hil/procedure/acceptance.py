@@ -1,4 +1,4 @@
-"""Acceptance: is this bench, as it stands here today, what its file says, and does it keep its promises?
+"""Acceptance: whether a bench is as its file says and fulfils the device contract.
 
 Doctor, the contract of every device, how old their samples are; then, if a person says that the robot is on
 a stand, the contract of the servos with turning wheels and how late they turn. The same stages for emulated
@@ -26,7 +26,7 @@ from hil.bench.contract import (
     punctuality,
     without_restart,
 )
-from hil.bench.doctor.degraded_bench import open_what_can_be
+from hil.bench.doctor.degraded_bench import open_degraded
 from hil.bench.doctor.examination import examine
 from hil.core.errors import EXIT_ABORTED, EXIT_DEVICE, EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, HilError
 from hil.core.finding import Finding
@@ -84,7 +84,7 @@ class Acceptance:
     Attributes:
         source: the bench.
         now: date and time, ISO 8601.
-        on_stand: somebody has said that the wheels are free; otherwise the operator is asked.
+        on_stand: the operator has said that the wheels are free; otherwise the operator is asked.
         operator: who answers.
         report: progress.
         interrupts: signals.
@@ -122,7 +122,7 @@ def accept(asked: Acceptance) -> tuple[dict[str, Any], int]:
     except Aborted as aborted:
         ended_by = aborted.message
         run.current.end(Verdict.ABORTED, aborted.message)
-    told = {
+    reported = {
         "verdict": run.verdict().value,
         "bench": config.name,
         "robot": config.robot.name,
@@ -138,7 +138,7 @@ def accept(asked: Acceptance) -> tuple[dict[str, Any], int]:
         "held": run.held,
         "stages": [stage.to_json() for stage in run.stages.values()],
     }
-    return told, run.exit_code()
+    return reported, run.exit_code()
 
 
 class _Running:
@@ -193,7 +193,7 @@ class _Running:
 
     def _opened(self) -> tuple[Bench, list[Finding]]:
         source = self._asked.source
-        return open_what_can_be(
+        return open_degraded(
             source.bench,
             emulate=source.emulate,
             seed=source.seed,

@@ -11,10 +11,10 @@ from hil.core.clock import NS_PER_S
 from hil.core.errors import HilError, UsageError
 from hil.procedure.declaration import Procedure
 from hil.procedure.measurements import Verdict
-from hil.procedure.parallel_drives import Errand, Result
+from hil.procedure.parallel_drives import DriveJob, Result
 from hil.procedure.run_benches import RunBenches
 from hil.procedure.run_options import RunOptions
-from hil.procedure.run_outputs import Notebook, as_json
+from hil.procedure.run_outputs import RunOutputs, as_json
 from hil.procedure.worker_processes import Workers
 from hil.support.progress import WHOLE
 
@@ -46,7 +46,7 @@ class Context:
     """
 
     def __init__(
-        self, proc: Procedure, parameters: Any, options: RunOptions, results: Notebook, benches: RunBenches
+        self, proc: Procedure, parameters: Any, options: RunOptions, results: RunOutputs, benches: RunBenches
     ) -> None:
         self.proc, self.procedure, self.parameters = proc, proc.name, parameters
         self.options, self.results, self.benches = options, results, benches
@@ -93,12 +93,12 @@ class Context:
             prompt: what to ask of the operator of a real bench instead, also before the first opening.
 
         Raises:
-            Aborted: the operator says no, or nobody answers.
+            Aborted: the operator says no, or nothing answers.
         """
         changed = self.source.changed(seed=seed, calibration=calibration, overrides=overrides)
         return self.benches.reopen(changed, label, prompt)
 
-    def at_once(self, errands: Sequence[Errand[Result]], workers: Workers) -> Generator[Result, None, None]:
+    def at_once(self, errands: Sequence[DriveJob[Result]], workers: Workers) -> Generator[Result, None, None]:
         """Drive benches in worker processes. The run's own bench, if it is open, stays as it is.
 
         Args:
@@ -114,7 +114,7 @@ class Context:
         return self.benches.at_once(errands, workers)
 
     def prompt(self, question: str) -> str:
-        """Ask the operator; raises `Aborted` when nobody can answer."""
+        """Ask the operator; raises `Aborted` when nothing can answer."""
         with self.guard.paused():
             answer = self.options.operator.ask(question)
         return self.results.note_answer(question, answer)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from hil.core.errors import HilError
 from hil.procedure.run_journal import Entry, Journal
-from hil.procedure.step_timer import LoopGuard
+from hil.procedure.step_timer import StepTimer
 
 if TYPE_CHECKING:
     from hil.bench.hold.result import Held
@@ -30,7 +30,7 @@ class LeftBench:
     tethered: bool
 
 
-class LeftBenches:
+class HoldRecord:
     """Takes the last word of each bench, and keeps it in the journal.
 
     Args:
@@ -44,7 +44,7 @@ class LeftBenches:
     """
 
     def __init__(
-        self, journal: Journal, guard: LoopGuard, past: Sequence[Entry], finished: Collection[str]
+        self, journal: Journal, guard: StepTimer, past: Sequence[Entry], finished: Collection[str]
     ) -> None:
         self._journal, self._guard = journal, guard
         self.opened = 0

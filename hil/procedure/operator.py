@@ -30,7 +30,7 @@ class Operator(Protocol):
 
     @abstractmethod
     def ask(self, question: str) -> str:
-        """The answer; raises `Aborted` when there is nobody."""
+        """The answer; raises `Aborted` when there is nothing."""
 
 
 class Terminal(Operator):
@@ -106,7 +106,7 @@ def go_ahead(operator: Operator, question: str) -> str:
         question: what to do, and that Enter goes on.
 
     Raises:
-        Aborted: the answer is no, or one from a file means neither; or nobody answers.
+        Aborted: the answer is no, or one from a file means neither; or nothing answers.
     """
     answer = operator.ask(question)
     while (word := answer.strip().lower()) not in _YES:

@@ -23,7 +23,7 @@ Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class Errand(Generic[Result]):
+class DriveJob(Generic[Result]):
     """A bench that is to be driven in another process.
 
     Attributes:
@@ -47,7 +47,7 @@ class Sent(Generic[Result]):
         on_failure: what a disk that takes no more means.
     """
 
-    errand: Errand[Result]
+    errand: DriveJob[Result]
     recording: Path | None
     on_failure: OnFailure
 

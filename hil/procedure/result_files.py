@@ -192,8 +192,8 @@ def junit(tree: Mapping[str, Any]) -> str:
     run = ElementTree.SubElement(suite, "testcase", classname=f"hil.{name}", name="run", time=duration)
     if broken:
         problem = tree["error"] or tree["teardown_errors"][0]
-        told = ElementTree.SubElement(run, "error", type=problem["type"], message=problem["message"])
-        told.text = printable(in_words(problem["frames"])) or None
+        reported = ElementTree.SubElement(run, "error", type=problem["type"], message=problem["message"])
+        reported.text = printable(in_words(problem["frames"])) or None
     for row in rows:
         case = ElementTree.SubElement(
             suite, "testcase", classname=f"hil.{name}", name=str(row["name"]), time="0"

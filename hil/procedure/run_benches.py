@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 from hil.core.errors import ConfigError, RecordingError
 from hil.procedure import hold_history, path_history
 from hil.procedure.bench_request import BenchSource
-from hil.procedure.hold_record import LeftBenches
+from hil.procedure.hold_record import HoldRecord
 from hil.procedure.operator import go_ahead
-from hil.procedure.parallel_drives import Driven, Errand, Result, Sent, driven
+from hil.procedure.parallel_drives import DriveJob, Driven, Result, Sent, driven
 from hil.procedure.run_journal import PastRun
 from hil.procedure.run_options import RunOptions
-from hil.procedure.run_outputs import Notebook
+from hil.procedure.run_outputs import RunOutputs
 from hil.procedure.run_recordings import Recordings
-from hil.procedure.step_timer import LoopGuard
+from hil.procedure.step_timer import StepTimer
 from hil.procedure.worker_processes import Workers
 
 if TYPE_CHECKING:
@@ -44,10 +44,10 @@ class RunBenches:
     """
 
     def __init__(
-        self, source: BenchSource, results: Notebook, options: RunOptions, past: PastRun | None
+        self, source: BenchSource, results: RunOutputs, options: RunOptions, past: PastRun | None
     ) -> None:
         self.source, self.past = source, past
-        self.guard = LoopGuard(options.interrupts)
+        self.guard = StepTimer(options.interrupts)
         self._results, self._operator, self._interrupts = results, options.operator, options.interrupts
         self._recordings = Recordings(results, options.interrupts, options.on_recording_failure)
         self._hold_history = hold_history.HoldHistory()
@@ -56,7 +56,7 @@ class RunBenches:
         self._bench_name = ""
         self.left_behind = False
         before, finished = (past.held, past.checkpoints) if past else ((), ())
-        self.left = LeftBenches(results.journal, self.guard, before, finished)
+        self.left = HoldRecord(results.journal, self.guard, before, finished)
         self.world_ns = self.looked_ns = 0
         self.lost: list[str] = []
 
@@ -123,7 +123,7 @@ class RunBenches:
     def _came(self, world_ns: int, looked_ns: int) -> None:
         self.world_ns, self.looked_ns = max(self.world_ns, world_ns), max(self.looked_ns, looked_ns)
 
-    def at_once(self, errands: Sequence[Errand[Result]], workers: Workers) -> Generator[Result, None, None]:
+    def at_once(self, errands: Sequence[DriveJob[Result]], workers: Workers) -> Generator[Result, None, None]:
         """As `Context.at_once`."""
         sent: list[Sent[Result]] = []
         for errand in errands:

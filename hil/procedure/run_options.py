@@ -1,4 +1,4 @@
-"""How a procedure is run: its folder, its clock, and who answers and watches."""
+"""How a procedure is run: its folder, its clock, its operator."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ class Findings:
     learned: dict[str, NewPart] = field(default_factory=dict)
 
 
-class Notebook:
+class RunOutputs:
     """The open pages of one run.
 
     Args:
@@ -121,14 +121,14 @@ class Notebook:
         said = []
         for name, before in self.findings.earlier.items():
             measurement, every = self._by_name[name], [*before, self.findings.values[name]]
-            told = [
+            reported = [
                 f"{value:.6g} {measurement.unit}".rstrip()
                 + f" ({measurement.judge(value).value})" * measurement.limited
                 for value in every
             ]
-            if len(told) > _TOLD:
-                told[_TOLD - 1 : -1] = ["..."]
-            said.append(f"{name} was set {len(every)} times: {', '.join(told)}. The last one counts.")
+            if len(reported) > _TOLD:
+                reported[_TOLD - 1 : -1] = ["..."]
+            said.append(f"{name} was set {len(every)} times: {', '.join(reported)}. The last one counts.")
         return said
 
     def table(

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.core.errors import DataError, RecordingError
-from hil.procedure.run_outputs import Notebook, slug
+from hil.procedure.run_outputs import RunOutputs, slug
 from hil.procedure.step_timer import RunRecorder
 from hil.procedure.stop_requests import Interrupts
 from hil.recording.mcap_writer import OnFailure
@@ -28,7 +28,7 @@ class Recordings:
         on_failure: what a disk that takes no more means for the run.
     """
 
-    def __init__(self, results: Notebook, interrupts: Interrupts, on_failure: OnFailure) -> None:
+    def __init__(self, results: RunOutputs, interrupts: Interrupts, on_failure: OnFailure) -> None:
         self.on_failure: OnFailure = on_failure
         self._results, self._interrupts = results, interrupts
         self._recorders: list[RunRecorder] = []

@@ -89,18 +89,20 @@ def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str
     proc, benches, past = context.proc, context.benches, context.benches.past
     findings, source = context.findings, context.source
     missed: tuple[str, ...] = ()
-    if past is None:  # of a run that was cut off nobody has kept how far its world had come
+    if past is None:  # of a run that was cut off nothing has kept how far its world had come
         missed = not_begun(planned_faults(source.config, source.faults), benches.world_ns)
-    told = [not_begun_in_words(missed, benches.world_ns, benches.looked_ns)] if missed else []
+    reported = [not_begun_in_words(missed, benches.world_ns, benches.looked_ns)] if missed else []
     known = "" if error is None else error.message
     header = source.header()
     calibration = header["calibration"] or {}
     if calibration.get("verdict") == "FAIL":
-        told.append(
+        reported.append(
             f"The calibration {calibration['path']}, version {calibration['version']}, failed its validation "
             "run (verdict FAIL); failed_calibration in the bench file asks for its use."
         )
-    told += [f"A drive or a watch was ended early: {s}" for s in dict.fromkeys(benches.lost) if s != known]
+    reported += [
+        f"A drive or a watch was ended early: {s}" for s in dict.fromkeys(benches.lost) if s != known
+    ]
     return {
         "summary": proc.summary,
         "headline": proc.said(findings.values),
@@ -122,7 +124,7 @@ def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str
         "recordings": (past.recordings if past else []) + findings.recordings,
         "data": findings.data,
         "faults_not_begun": list(missed),
-        "notes": findings.notes + context.results.set_again() + told,
+        "notes": findings.notes + context.results.set_again() + reported,
         "held": _held(benches),
     }
 

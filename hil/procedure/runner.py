@@ -33,7 +33,7 @@ from hil.procedure.run_journal import (
     read_journal,
 )
 from hil.procedure.run_options import RunOptions
-from hil.procedure.run_outputs import Notebook
+from hil.procedure.run_outputs import RunOutputs
 from hil.procedure.run_verdict import conclude, facts_of, failure, not_held
 from hil.procedure.stop_requests import time_limit
 from hil.support.atomic_files import make_folder, where_else
@@ -67,7 +67,7 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
         closing(Journal(options.folder / JOURNAL, options.on_recording_failure)) as journal,
     ):
         journal.add(*_first_word(header, options, past))
-        results = Notebook(options.folder, declared, journal, options.keep)
+        results = RunOutputs(options.folder, declared, journal, options.keep)
         benches = RunBenches(source, results, options, past)
         return _recorded_run(Context(proc, parameters, options, results, benches))
 

@@ -35,7 +35,7 @@ def play(bench: Bench, stretches: Sequence[Stretch], start_pose: ArrayLike, stee
     """
     script = JointScript(stretches, start_pose, steering_rad)
     bench.rig.actuators().enable()
-    brain = bench.make_brain(script, feedback=_FEEDBACK)
+    pipeline = bench.make_pipeline(script, feedback=_FEEDBACK)
     start = RunStart(bench.start_state(script.pose), _FEEDBACK, SCRIPT, trajectory=script.to_mapping())
     end_ns = bench.clock.now_ns() + nanoseconds(script.duration_s)
     records: list[CycleRecord] = []
@@ -44,5 +44,5 @@ def play(bench: Bench, stretches: Sequence[Stretch], start_pose: ArrayLike, stee
         records.append(record)
         return record.start_ns >= end_ns
 
-    bench.run(brain, start, until, drop_old=False)
+    bench.run(pipeline, start, until, drop_old=False)
     return Motion(tuple(records))

@@ -17,7 +17,7 @@ _LOOP_FIRST_NS = nanoseconds(1.0)
 """For how long a loop that runs may be the first to end a step, between two cycles."""
 
 
-class LoopGuard(Sink):
+class StepTimer(Sink):
     """Ends the loop from within: when a step's time is over, or when a stop was asked for.
 
     The time of a step is that of the bench's clock while a bench is open, whether its loop runs or not. In
@@ -43,7 +43,7 @@ class LoopGuard(Sink):
 
         Args:
             clock: of the bench.
-            virtual: its time moves only while somebody waits for it.
+            virtual: its time moves only while something waits for it.
         """
         self._clock, self._virtual, self._since_ns = clock, virtual, clock.now_ns()
         self._set_alarm()

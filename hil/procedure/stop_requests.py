@@ -101,7 +101,7 @@ class Interrupts:
             leave(self._left)
 
     def _give_time(self) -> None:
-        """Let the step go on for a while; then this process gets the signal of somebody who does not wait."""
+        """Let the step go on for a while; then this process gets the signal without waiting."""
         if self._patience_s is None:
             self._tell("finishing the step; press Ctrl-C again to stop now")
             return

@@ -10,7 +10,7 @@ from hil.core.interfaces import Controller
 from hil.support.named_class import make_named, maker_of
 
 if TYPE_CHECKING:
-    from hil.bench.model import Blueprint
+    from hil.bench.model import BenchModel
 
 _OPTION, _PARTS = "--controller", ("reset", "update")
 
@@ -32,8 +32,8 @@ def check_named(named: str) -> None:
     maker_of(named, _OPTION, _PARTS)
 
 
-def make_own(named: str, bench: Blueprint) -> Controller:
-    """A controller; NAME is called with the bench's blueprint if it takes an argument, else with none.
+def make_own(named: str, bench: BenchModel) -> Controller:
+    """A controller; NAME is called with the bench's model if it takes an argument, else with none.
 
     Raises:
         ConfigError: as `check_named`; or NAME fails, or makes something without `reset` and `update`.

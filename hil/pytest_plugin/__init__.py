@@ -222,4 +222,4 @@ def loop(bench: Bench) -> ControlLoop:
 
     feedback = "ekf"
     start = RunStart(bench.start_state(), feedback)
-    return bench.make_loop(bench.make_brain(None, feedback=feedback), start)
+    return bench.make_loop(bench.make_pipeline(None, feedback=feedback), start)

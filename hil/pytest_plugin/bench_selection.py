@@ -1,4 +1,4 @@
-"""Which bench a test runs on, whether it can run there, and what its report says about it."""
+"""Which bench a test runs on, whether it can run there, and its entry in the report."""
 
 from __future__ import annotations
 
@@ -125,11 +125,11 @@ def _impossible(item: pytest.Item, source: BenchSource) -> str:
             return f"real_only: bench {config.name} emulates {', '.join(fake)}"
     for fault in _faults(item):
         device = meant(_device(fault.device.partition(".")[0]), labels)
-        told = f"fault {fault.device}:{fault.kind}: "
+        message = f"fault {fault.device}:{fault.kind}: "
         if device in kinds() and device not in devices:
-            return f"{told}bench {config.name} lacks {device}"
+            return f"{message}bench {config.name} lacks {device}"
         if device in source.real or not emulated:
-            return f"{told}{device} of bench {config.name} is real"
+            return f"{message}{device} of bench {config.name} is real"
     return ""
 
 
@@ -206,9 +206,11 @@ def _fault(mark: pytest.Mark) -> Fault:
         f"{k}={v!r}" for k, v in mark.kwargs.items() if not _is_number(v) and (k, v) != ("duration", None)
     ]
     if len(texts) != 2 or len(mark.args) != 2 or wrong:
-        told = f"{', '.join(wrong)} of the marker {_written(mark)}" if wrong else f"marker {_written(mark)}"
+        message = (
+            f"{', '.join(wrong)} of the marker {_written(mark)}" if wrong else f"marker {_written(mark)}"
+        )
         raise UsageError(
-            told, expected='fault("device", "kind", at=seconds, duration=seconds, option=number)'
+            message, expected='fault("device", "kind", at=seconds, duration=seconds, option=number)'
         )
     device, kind = texts
     check_fault_kind(f"marker {_written(mark)}: {kind!r} is no kind of fault", kind)

@@ -1,4 +1,4 @@
-"""`pytest --hil-blind-spots`: the suite against robots that are broken on purpose. What does nobody notice?
+"""`pytest --hil-blind-spots`: the suite against robots broken on purpose; undetected faults are named.
 
 First the suite runs on the robot as it should be, and has to pass. Then every broken robot meets its tests,
 the quick ones first, until one fails: it has noticed. A breakage that no test notices is a blind spot. The
@@ -122,7 +122,7 @@ def _noticed(session: pytest.Session, items: Sequence[pytest.Item]) -> str:
 
 
 def summary(reporter: TerminalReporter, found: Sequence[Seen]) -> None:
-    """The table: what was noticed by whom, and what by nobody."""
+    """The table: what was noticed by whom, and what by nothing."""
     blind = [seen for seen in found if not seen.by and seen.breakage.matters]
     tolerated = [seen for seen in found if not seen.by and not seen.breakage.matters]
     reporter.section("blind spots")

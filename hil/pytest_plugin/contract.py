@@ -1,4 +1,4 @@
-"""A ready-made test module: what every device promises, whoever answers on the wire.
+"""A ready-made test module: the device contract, on emulated and real devices.
 
 In a project of your own, a test module needs one line::
 

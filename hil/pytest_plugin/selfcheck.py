@@ -139,10 +139,10 @@ def test_every_device_says_what_it_is(watched: Watch) -> None:
 def test_samples_come_at_their_rate_and_nearly_all_are_good(watched: Watch, device: str) -> None:
     """Rate and share of good samples; otherwise look at cables, supply and baud rate."""
     samples = [s for s in watched.samples(device) if worst(s) is not Status.STARTING]
-    told = Counter(worst(s).value for s in samples)
+    reported = Counter(worst(s).value for s in samples)
     wanted = RATE_SHARE * due(watched.bench, device, samples, watched.duration_s)
     assert len(samples) >= wanted, f"{device}: {len(samples)} samples in {watched.duration_s:.1f} s"
-    assert told["ok"] >= GOOD_SHARE * (len(samples) - settling(samples)), f"{device}: {dict(told)}"
+    assert reported["ok"] >= GOOD_SHARE * (len(samples) - settling(samples)), f"{device}: {dict(reported)}"
 
 
 @each_device

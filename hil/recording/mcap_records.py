@@ -91,6 +91,6 @@ def _damage(at: int, reached: int, error: Exception) -> str:
     """What is wrong behind byte `at`, where reading reached a byte."""
     why = str(error)
     if ends_early(error):
-        told = f"ends early at byte {reached} (writer killed, disk full, or damaged there)"
-        return f"{told}: {why}" if why else told
+        message = f"ends early at byte {reached} (writer killed, disk full, or damaged there)"
+        return f"{message}: {why}" if why else message
     return f"is damaged after byte {at}: {why or type(error).__name__}"

@@ -43,10 +43,10 @@ def added_kinds(packages: Mapping[str, Any]) -> tuple[DeviceKind, ...]:
     """
     missing = {name: str(package) for name, package in packages.items() if not _is_known(name)}
     if missing:
-        told = ", ".join(f"{name} ({package})" for name, package in missing.items())
+        message = ", ".join(f"{name} ({package})" for name, package in missing.items())
         wanted = dict.fromkeys(package for package in missing.values() if package.split())
         raise ConfigError(
-            f"the recording holds samples of devices that nothing here knows: {told}",
+            f"the recording holds samples of devices that nothing here knows: {message}",
             expected="the package that adds each",
             remedy=f"install {', '.join(wanted)} from where you got it",
         )

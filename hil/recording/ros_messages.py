@@ -1,4 +1,4 @@
-"""The ROS 2 messages of a cycle record: samples as their kinds say, estimate, reference, events, frames."""
+"""The ROS 2 messages of a cycle record: samples, estimate, reference, events, frames."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ class RunStart:
     """How a run began.
 
     Attributes:
-        state: state that the brain was reset to.
+        state: state that the pipeline was reset to.
         feedback: estimator in the loop: `odometry`, `ekf` or `ukf`.
         controller: control law, None when nothing was commanded.
         observers: estimators that ran beside it.

@@ -1,1 +1,1 @@
-"""A recording fed back through the brain: exact verification, and other estimators beside it."""
+"""A recording fed back through the pipeline: exact verification, and other estimators beside it."""

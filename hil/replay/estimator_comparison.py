@@ -1,4 +1,4 @@
-"""Other estimators on a recording, and how far each is from motion capture and from what it says of itself.
+"""Other estimators on a recording: error against motion capture, and consistency (NEES).
 
 `compare` runs estimators, `smoothed` the smoother on the recorded measurements; `errors` and `consistency`
 hold them against motion capture (`truth_of`) and against what they say of themselves; `fitting` chooses the
@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.config.estimator import EstimatorConfig
 from hil.core.choices import COMPARED, ESTIMATORS
 from hil.core.clock import NS_PER_S
@@ -42,14 +42,14 @@ def rest_on_wheels(sensors: Iterable[str]) -> bool:
     return not {"gyro", "tracker"} & set(sensors)
 
 
-def fitting(bench: Blueprint, sensors: Iterable[str]) -> Blueprint:
+def fitting(bench: BenchModel, sensors: Iterable[str]) -> BenchModel:
     """The bench with filters that suit the sensors that were heard."""
     return (
         bench.with_estimator(bench.config.estimator.on_wheels_alone()) if rest_on_wheels(sensors) else bench
     )
 
 
-def told_of_sensors(bench: Blueprint, sensors: Sequence[str]) -> str:
+def told_of_sensors(bench: BenchModel, sensors: Sequence[str]) -> str:
     """Which sensors a run has, and what filters make of a run of wheels alone."""
     absent = [word for name, word in SENSORS.items() if name not in sensors]
     text = "sensors: " + ", ".join(SENSORS[name] for name in sensors)
@@ -111,7 +111,7 @@ def smoothed(
 
 def compare_run(
     run: RecordedRun,
-    bench: Blueprint,
+    bench: BenchModel,
     kinds: Sequence[str] = COMPARED,
     *,
     own: Mapping[str, Estimator] = MappingProxyType({}),
@@ -156,7 +156,7 @@ def compare_run(
 
 
 def _own_observers(records: Sequence[CycleRecord]) -> dict[str, Motion]:
-    """What was recorded of observers that nobody can make again, those of the user's own, by row."""
+    """What was recorded of observers that nothing can make again, those of the user's own, by row."""
     names = dict.fromkeys(name for r in records for name in r.observers if name not in ESTIMATORS)
     return {
         f"recorded {name}": Motion(
@@ -183,7 +183,7 @@ def table(motions: Mapping[str, Motion]) -> dict[str, dict[str, float | None]]:
 
 
 def truth_of(motion: Motion) -> Array:
-    """Motion capture at the cycles, (n, 3): interpolated between samples, NaN where nobody knows.
+    """Motion capture at the cycles, (n, 3): interpolated between samples, NaN where it is unknown.
 
     The last sample counts for the cycles after it (`Motion.mocap`) only while the wheels rest: of a robot
     that drives it says where it has been. Samples that come slowly count for the cycle next to each.

@@ -1,4 +1,4 @@
-"""Recordings played back through the brain: the bench they were made on, and the runs they hold."""
+"""Recordings played back through the pipeline: the bench they were made on, and the runs they hold."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.bench.settings import geometry_of, nominal_of, with_wheel_model
 from hil.calibration.calibration_file import read_calibration
 from hil.calibration.excitation import mismatch
@@ -47,12 +47,12 @@ class OpenedRecording:
         problems: what could not be read; complete once `runs` has been asked for.
         robot: whose wheels a foreign one is read for.
         tables: what was read of a foreign one; complete once `runs` has been asked for.
-        named: whether somebody has said which bench a foreign one is of.
+        named: whether something has said which bench a foreign one is of.
         failed: a sentence where the wheel geometry is of a calibration that failed its own validation run.
     """
 
     path: Path
-    bench: Blueprint
+    bench: BenchModel
     header: dict[str, Any]
     foreign: bool
     problems: list[str]
@@ -81,12 +81,12 @@ class OpenedRecording:
             return failed
         from hil.calibration.warnings import told_by
 
-        told = told_by(self.tables)
+        reported = told_by(self.tables)
         assumed = [] if self.named or len(self.tables[0].sources) == _PAIR else [self._assumed()]
         robot = replace(self.robot, geometry=self.bench.geometry)
         found = mismatch(reduce_recordings(self.tables, _BLOCK_S), robot)
         doubted = f"{found}; {robot.in_words()}; name the robot's bench file with --bench"
-        return [*failed, *told, *assumed, *([doubted] if found else [])]
+        return [*failed, *reported, *assumed, *([doubted] if found else [])]
 
     def _assumed(self) -> str:
         surface = "a wall" if self.bench.config.environment.on_wall else "a floor"
@@ -206,10 +206,10 @@ def _bench(
     *,
     recorded: bool = False,
     known: bool = True,
-) -> tuple[Blueprint, str]:
+) -> tuple[BenchModel, str]:
     """The bench of a configuration, and a sentence where the calibration failed its own validation run.
 
-    A recorded configuration names every value, chosen by somebody or not. Where the bench is not `known` its
+    A recorded configuration names every value, chosen by something or not. Where the bench is not `known` its
     robot is assumed, and the calibration may be another's.
     """
     failed = ""
@@ -220,4 +220,4 @@ def _bench(
         failed, geometry = failed_validation(found, str(calibration)), found.geometry
         config = with_wheel_model(config, found.model, given=False if recorded else None)
     geometry = geometry_of(config) if geometry is None else geometry
-    return Blueprint(config, geometry=geometry, seed=int(header.get("seed", 0))), failed
+    return BenchModel(config, geometry=geometry, seed=int(header.get("seed", 0))), failed

@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.core.choices import COMPARED
 from hil.core.errors import UsageError, did_you_mean
 from hil.core.interfaces import Estimator
@@ -31,7 +31,7 @@ def check_named(named: str) -> None:
     raise UsageError(f"--estimator {named!r} is unknown", expected=_EXPECTED, remedy=remedy)
 
 
-def make_own(named: str, bench: Blueprint) -> Estimator:
+def make_own(named: str, bench: BenchModel) -> Estimator:
     """An estimator; NAME is called with the bench if it takes an argument, else with none.
 
     Raises:

@@ -10,12 +10,12 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Any
 
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.controller.joint_script import SCRIPT, JointScript
 from hil.core.choices import ESTIMATORS, LAWS
 from hil.core.errors import SafetyStop, UsageError
 from hil.core.signals import CycleRecord, Inputs, Reference
-from hil.loop.control_loop import OUTSIDE, Brain
+from hil.loop.control_loop import OUTSIDE, ControlPipeline
 from hil.recording.compare import first_difference
 from hil.recording.runs import RecordedRun, RunStart, read_cycles_of_runs
 from hil.replay.difference_limits import LIMITS, Agreement, same_text
@@ -26,7 +26,7 @@ from hil.support.arithmetic_fingerprint import fingerprint
 IDENTICAL, AGREES, DIFFERS = "identical", "agrees", "differs"
 """Verdicts, from best to worst."""
 DECIDED = ("measurements", "state", "reference", "setpoint", "command", "events", "observers")
-"""Fields of a cycle record that the brain makes of its inputs."""
+"""Fields of a cycle record that the pipeline makes of its inputs."""
 FLIP = (
     "A sample or an event that falls to the other side of its threshold is more than the limits allow, and "
     "all that follows differs, too. Such a flip may come from the other arithmetic alone"
@@ -52,12 +52,14 @@ class RecordedReferences:
         return reference
 
 
-def verify_cycle(cycle: CycleRecord, brain: Brain, agreement: Agreement, *, exact: bool) -> tuple[str, str]:
-    """Let a brain decide on one recorded cycle, the next of its run, and compare.
+def verify_cycle(
+    cycle: CycleRecord, pipeline: ControlPipeline, agreement: Agreement, *, exact: bool
+) -> tuple[str, str]:
+    """Let a pipeline decide on one recorded cycle, the next of its run, and compare.
 
     Args:
         cycle: as recorded.
-        brain: put together as for the run.
+        pipeline: put together as for the run.
         agreement: takes the differences.
         exact: whether every bit must be equal.
 
@@ -67,7 +69,7 @@ def verify_cycle(cycle: CycleRecord, brain: Brain, agreement: Agreement, *, exac
     if cycle.inputs == Inputs(cycle.cycle, cycle.inputs.t_ns) and _from_outside(cycle):
         return IDENTICAL, ""
     try:
-        decision = brain.decide(cycle.inputs)
+        decision = pipeline.decide(cycle.inputs)
     except SafetyStop as stop:
         return _compare_stop(cycle, str(stop), exact=exact)
     recorded = {name: getattr(cycle, name) for name in DECIDED}
@@ -82,7 +84,7 @@ def verify_cycle(cycle: CycleRecord, brain: Brain, agreement: Agreement, *, exac
 
 
 def _compare_stop(record: CycleRecord, stop: str, *, exact: bool) -> tuple[str, str]:
-    """As `verify_cycle`, of a cycle in which the brain stops the robot."""
+    """As `verify_cycle`, of a cycle in which the pipeline stops the robot."""
     said = [event.message for event in record.events]
     if said == [stop]:
         return IDENTICAL, ""
@@ -92,30 +94,30 @@ def _compare_stop(record: CycleRecord, stop: str, *, exact: bool) -> tuple[str, 
 
 
 def _from_outside(record: CycleRecord) -> bool:
-    """Whether a record only says that something other than the brain ended the run."""
+    """Whether a record only says that something other than the pipeline ended the run."""
     return [e.source for e in record.events] == [OUTSIDE]
 
 
-def rebuild(bench: Blueprint, start: RunStart) -> Brain:
-    """The brain of a recorded run.
+def rebuild(bench: BenchModel, start: RunStart) -> ControlPipeline:
+    """The pipeline of a recorded run.
 
     References are computed again from the trajectory; those that came from outside (velocity commands) wait
     in an empty `RecordedReferences` for the records.
 
     Raises:
-        UsageError: the note on how the run began describes no brain of this version.
+        UsageError: the note on how the run began describes no pipeline of this version.
     """
     trajectory: Trajectory | JointScript | None = None
     if start.controller == SCRIPT and start.trajectory is not None:
         trajectory = JointScript.from_mapping(start.trajectory)
     elif start.trajectory is not None:
         trajectory = Trajectory.from_mapping(start.trajectory)
-    brain = bench.make_brain(
+    pipeline = bench.make_pipeline(
         trajectory, controller=start.controller, feedback=start.feedback, observers=start.observers
     )
     if start.trajectory is not None and start.trajectory.get("references") == "recorded":
-        brain.reference_at = RecordedReferences()
-    return brain
+        pipeline.reference_at = RecordedReferences()
+    return pipeline
 
 
 class RunCheck:
@@ -135,7 +137,7 @@ class RunCheck:
     """
 
     def __init__(
-        self, bench: Blueprint, start: RunStart | None, *, exact: bool = True, number: int = 0
+        self, bench: BenchModel, start: RunStart | None, *, exact: bool = True, number: int = 0
     ) -> None:
         self.result: dict[str, Any] = {
             "run": number,
@@ -159,7 +161,7 @@ class RunCheck:
         self._brain.reset(start.state)
 
     def take(self, record: CycleRecord) -> None:
-        """Compare the next cycle with what the brain makes of it; after a difference only count."""
+        """Compare the next cycle with what the pipeline makes of it; after a difference only count."""
         self.result["cycles"] += 1
         if self.result["difference"] is not None:
             return
@@ -186,17 +188,17 @@ def _foreign(start: RunStart) -> str:
     """Which parts of a run cannot be made again, because they are not of this package; empty for none."""
     laws = (start.controller,) if start.controller not in (None, SCRIPT, *LAWS) else ()
     filters = [name for name in (start.feedback, *start.observers) if name not in ESTIMATORS]
-    told = [*(f"controller {name}" for name in laws), *(f"estimator {name}" for name in filters)]
-    if not told:
+    reported = [*(f"controller {name}" for name in laws), *(f"estimator {name}" for name in filters)]
+    if not reported:
         return ""
-    return f"{' and '.join(told)}: not part of this package, so that replay cannot make it again"
+    return f"{' and '.join(reported)}: not part of this package, so that replay cannot make it again"
 
 
-def _are_recorded(brain: Brain) -> bool:
-    return isinstance(brain.reference_at, RecordedReferences)
+def _are_recorded(pipeline: ControlPipeline) -> bool:
+    return isinstance(pipeline.reference_at, RecordedReferences)
 
 
-def verify_run(bench: Blueprint, run: RecordedRun) -> dict[str, Any]:
+def verify_run(bench: BenchModel, run: RecordedRun) -> dict[str, Any]:
     """Whether a run repeats bit for bit; see `RunCheck.result`."""
     check = RunCheck(bench, run.start)
     for record in run.records:
@@ -216,7 +218,7 @@ def verify_recording(opened: OpenedRecording, number: int | None = None) -> dict
 
     Raises:
         DataError: there are no cycles.
-        UsageError: no run of that number, or a recording of other origin: no brain decided in it.
+        UsageError: no run of that number, or a recording of other origin: no pipeline decided in it.
     """
     if opened.foreign:
         raise UsageError(

@@ -1,4 +1,4 @@
-"""The page of an acceptance: verdict, who the devices are, every check, and lines to sign; and its JSON."""
+"""The page of an acceptance: verdict, devices, every check, and lines to sign; and its JSON."""
 
 from __future__ import annotations
 

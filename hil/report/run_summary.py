@@ -1,4 +1,4 @@
-"""What happened in a run, in a sentence; and its measurements in groups, by the device that they speak of."""
+"""A run's outcome in one sentence, and its measurements grouped by device."""
 
 from __future__ import annotations
 

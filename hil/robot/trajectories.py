@@ -136,7 +136,7 @@ def _pose(value: ArrayLike) -> Pose:
 
 
 def _checked(value: ArrayLike, name: str) -> Array:
-    """A pose (3,) that somebody gave; raises `UsageError` for anything else."""
+    """A pose (3,) that something gave; raises `UsageError` for anything else."""
     try:
         found = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""Writes files whole, with an error that names the file, and says beforehand whether they can be written."""
+"""Writes files whole (atomically); errors name the file; checks beforehand whether it can be written."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 Who keeps a fan running must outlive everything but the fan itself. A real fan outlives every program, an
 emulated one ends with its emulator. The name is in Linux' abstract space; elsewhere no bus is marked. Any
 user of the machine can take a name there, so a mark counts for the buses that are emulated, multicast groups,
-and never for an adapter: nobody ends the keeper of a real fan by it.
+and never for an adapter: nothing ends the keeper of a real fan by it.
 
 Where the emulated bus has no bit rate on its way, as multicast has none, a second name says which it has.
 """
@@ -73,7 +73,7 @@ class Emulation:
 
     Args:
         name: as `bus_name` gives it.
-        known: somebody who has looked before says that it is emulated.
+        known: something who has looked before says that it is emulated.
 
     Attributes:
         known: whether it was emulated when this was made, or is known to have been.
@@ -84,7 +84,7 @@ class Emulation:
         self.known = known or is_emulated(name)
 
     def is_over(self) -> bool:
-        """Whether who emulated it has ended; never for a bus that nobody emulated."""
+        """Whether who emulated it has ended; never for a bus that nothing emulated."""
         return self.known and not is_emulated(self._name)
 
 

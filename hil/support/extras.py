@@ -112,8 +112,8 @@ def _requirements() -> list[Requirement]:
 
 def _needed(wanted: Iterable[Requirement]) -> str:
     """What requirements ask of Python and computer, in words, and what there is."""
-    told = "; ".join(f"{r.name} is made for {_conditions(str(r.marker))}" for r in wanted)
-    return f"{told}; this is Python {platform.python_version()} on {platform.machine()}"
+    message = "; ".join(f"{r.name} is made for {_conditions(str(r.marker))}" for r in wanted)
+    return f"{message}; this is Python {platform.python_version()} on {platform.machine()}"
 
 
 def _conditions(marker: str) -> str:

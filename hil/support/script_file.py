@@ -1,4 +1,4 @@
-"""Runs a Python file of the user's as a module; what it raises is told as a fault of that file.
+"""Runs a Python file of the user's as a module; its exceptions name that file.
 
 As when Python runs it, its folder is the first in which modules are looked for, from then on.
 """

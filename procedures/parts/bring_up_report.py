@@ -1,4 +1,4 @@
-"""What a bring-up tells: sample streams, clocks, which way each wheel pushes, and which two are exchanged."""
+"""Report of a bring-up: sample streams, clocks, direction of each wheel, exchanged wheels."""
 
 from __future__ import annotations
 

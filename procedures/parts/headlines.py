@@ -35,8 +35,8 @@ def grid_scan(v: Mapping[str, float]) -> str:
 
 def bring_up(v: Mapping[str, float]) -> str:
     """How many devices answered, and whether they go the right way."""
-    told = ("_response", ".straight", ".across")
-    ways = {name: value for name, value in v.items() if name.endswith(told)}
+    reported = ("_response", ".straight", ".across")
+    ways = {name: value for name, value in v.items() if name.endswith(reported)}
     turned = sum(value <= -_CLEAR for value in ways.values())
     unclear = sum(abs(value) < _CLEAR for value in ways.values())
     way = "whatever moved went the right way" if ways else "nothing was moved"
@@ -93,8 +93,8 @@ def latency(v: Mapping[str, float]) -> str:
     """From command to motion to knowledge."""
     known = {name.partition(".")[0]: t for name, t in v.items() if name.endswith(".command_to_known")}
     last = max(known, key=lambda name: known[name]) if known else ""
-    told = f" The last to tell of it is {last}, after {known[last]:.0f} ms." if last else ""
-    return f"The body moves {v['body.command_to_motion']:.0f} ms after its command.{told}"
+    message = f" The last to tell of it is {last}, after {known[last]:.0f} ms." if last else ""
+    return f"The body moves {v['body.command_to_motion']:.0f} ms after its command.{message}"
 
 
 def surface_identification(v: Mapping[str, float]) -> str:

@@ -1,4 +1,4 @@
-"""Allan deviation of a rate sensor at rest, and what it says about noise and bias."""
+"""Allan deviation of a rate sensor at rest, and the noise and bias that follow from it."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from hil.datasets.dataset import Recording
 from hil.datasets.plain_csv import read_plain
 from hil.procedure import Context
 from hil.procedure.odometry_motions import Repetition, drive_repetition, unused
-from hil.procedure.parallel_drives import Errand
+from hil.procedure.parallel_drives import DriveJob
 from hil.procedure.worker_processes import Workers
 
 
@@ -93,7 +93,7 @@ def _driven_parts(
     if workers.processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(calibration=calibration, overrides=unused())
         yield from ctx.at_once(
-            [Errand(source, partial(drive_repetition, repetition=r)) for r in parts], workers
+            [DriveJob(source, partial(drive_repetition, repetition=r)) for r in parts], workers
         )
         return
     for part in parts:

@@ -31,9 +31,9 @@ def show(
     model = result.setting.model
     columns = {"nominal": Odometry(result.nominal, model), method: Odometry(result.geometry, model)}
     for other in compared_methods:
-        told = partial(ctx.progress, f"{other} generations")
+        reported = partial(ctx.progress, f"{other} generations")
         blocks = result.fit.problem.blocks
-        found = fit(blocks, result.setting, result.nominal, method=other, seed=ctx.seed, progress=told)
+        found = fit(blocks, result.setting, result.nominal, method=other, seed=ctx.seed, progress=reported)
         columns[other] = Odometry(found.geometry, model)
     parameter_table(ctx, columns, result)
     before, after = rounds[0].tracks(), fresh.tracks()

@@ -18,7 +18,7 @@ from hil.core.clock import NS_PER_S
 from hil.core.geometry import Array
 from hil.loop.recorded_motion import Motion
 from hil.procedure import Context
-from hil.procedure.parallel_drives import Errand
+from hil.procedure.parallel_drives import DriveJob
 from hil.procedure.sample_arrays import Series, camera, poses
 from hil.procedure.tracking_errors import STAGGER_S, stand
 from hil.procedure.worker_processes import Workers
@@ -86,7 +86,7 @@ def drive_trips(
     if p.processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(overrides=overrides)
         errands = [
-            Errand(source, partial(_alone, trip=trip, speed_m_s=p.speed_m_s, number=number))
+            DriveJob(source, partial(_alone, trip=trip, speed_m_s=p.speed_m_s, number=number))
             for number, trip in enumerate(trips)
         ]
         with Workers(min(p.processes, len(trips))) as workers:

@@ -17,7 +17,7 @@ import pytest
 from kills import end_keeper, keeper_pid
 
 from hil.bench import fan_commands, fan_interlock
-from hil.bench.drivers import make_rig
+from hil.bench.drivers import make_device_set
 from hil.bench.fan_commands import keeper_spec, kept_specs
 from hil.cli import main
 from hil.config.loading import load_bench
@@ -135,7 +135,7 @@ def test_propellers_on_vescs_are_kept_told_of_and_stopped_too(served, hil):
     config = load_bench(str(served))
     spec = kept_specs(config)["thrust"]
     assert is_emulated(spec.bus), "so that their keeper ends with the emulator"
-    propellers = make_rig(config, MonotonicClock(), {}).get("thrust")
+    propellers = make_device_set(config, MonotonicClock(), {}).get("thrust")
     propellers.open()
     try:
         propellers.set_force_n(10.0)
@@ -263,7 +263,7 @@ def test_propellers_that_need_no_keeper_are_told_what_does(at_wire, hil):
 def test_the_service_is_started_by_a_command_that_there_is():
     unit = configparser.ConfigParser(strict=False, interpolation=None)
     unit.optionxform = str
-    unit.read(ROOT / "examples" / "hil-fan_commands.service")
+    unit.read(ROOT / "examples" / "hil-adhesion.service")
     words = unit["Service"]["ExecStart"].split()
     assert words[1:4] == ["adhesion", "keep", "--bench"]
     assert unit["Unit"]["RefuseManualStop"] == "yes"
@@ -295,7 +295,7 @@ def robot(monkeypatch, *, up, cells_n, rpm):
         "adhesion": Seen(SimpleNamespace(status=ok, speed_rpm=rpm)),
     }
     for module in (fan_commands, fan_interlock):
-        monkeypatch.setattr(module, "make_rig", lambda config, clock, connections: devices)
+        monkeypatch.setattr(module, "make_device_set", lambda config, clock, connections: devices)
         monkeypatch.setattr(module, "WATCH_S", 0.05)
     return load_bench("emulated").model_copy(
         update={
@@ -340,7 +340,7 @@ def test_without_witnesses_only_the_operator_can_say_it(monkeypatch):
 def asked_of(monkeypatch, *, up, cells_n, rpm, **asked):
     """What `switch_on` asked of the fan since it opened it last."""
     config, given = robot(monkeypatch, up=up, cells_n=cells_n, rpm=rpm), []
-    fan = fan_commands.make_rig(None, None, None)["adhesion"]
+    fan = fan_commands.make_device_set(None, None, None)["adhesion"]
     sample = SimpleNamespace(
         status=Status.OK, speed_rpm=rpm, duty=rpm / 36_000.0, input_v=22.0, trouble="", stamp=None
     )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.bench.hold.preload import Hanging
+from hil.bench.hold.preload import Preload
 from hil.bench.settings import adhesion_limits, thrust_wanted_n
 from hil.config.loading import load_bench
 from hil.core.errors import DeviceError, SafetyStop, UsageError
@@ -312,7 +312,7 @@ def test_a_session_after_a_stop_that_raised_the_fan_leaves_it_so_and_is_not_ende
         wait(bench, 3.0)
         raised_n = bench.truth().adhesion_n
         assert raised_n > 49.0
-        told = Hanging(bench.config, bench.rig, bench.clock).hold()
+        told = Preload(bench.config, bench.rig, bench.clock).hold()
         assert re.search(
             r"The fan ran at 5\d\.\d N, more than the 45 N of the bench's file, .*, and stays there", told
         )
@@ -327,7 +327,7 @@ def test_a_fan_that_runs_as_the_bench_wants_is_asked_for_that(monkeypatch):
         wait(bench, 2.0)
         asked = []
         monkeypatch.setattr(bench.rig.get("adhesion"), "set_force_n", asked.append)
-        assert "stays there" not in Hanging(bench.config, bench.rig, bench.clock).hold()
+        assert "stays there" not in Preload(bench.config, bench.rig, bench.clock).hold()
         assert asked == [45.0]
 
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.bench.hold.adhesion_force import RUN_DOWN_S, PressWatch
+from hil.bench.hold.adhesion_force import RUN_DOWN_S, AdhesionForceCheck
 from hil.bench.hold.propeller_handover import LeftAlone, least_push_n
 from hil.bench.settings import adhesion_limits
 from hil.config.loading import load_bench
@@ -30,7 +30,7 @@ class Press:
         self.alone = []
         rig = SimpleNamespace(get=self._device)
         alone = LeftAlone(rig, propellers, limits.nominal_thrust_n)
-        self.watch = PressWatch(rig, limits, SimpleNamespace(timeout_s=TIMEOUT_S), alone)
+        self.watch = AdhesionForceCheck(rig, limits, SimpleNamespace(timeout_s=TIMEOUT_S), alone)
         self.watch.begin(for_good=True)
 
     def _ns(self):

@@ -10,7 +10,7 @@ from worlds import duty_frame, heard, send
 
 import hil
 from hil.bench.doctor.discovery import Discovery
-from hil.bench.hold.preload import Hanging
+from hil.bench.hold.preload import Preload
 from hil.bench.settings import thrust_wanted_n
 from hil.config.adhesion import VescConfig
 from hil.config.loading import load_bench
@@ -334,7 +334,7 @@ def test_propellers_that_run_faster_than_a_bench_wants_are_slowed_before_anythin
         propellers = bench.rig.get("thrust")
         propellers.set_force_n(39.0)
         bench.clock.sleep_until_ns(bench.clock.now_ns() + 3 * S)
-        Hanging(bench.config, bench.rig, bench.clock).hold()
+        Preload(bench.config, bench.rig, bench.clock).hold()
         motion = bench.observe(1.0, feedback="odometry")
     assert max(s.throttle for r in motion.records for s in r.inputs.thrust) ** 2 * 39.7 < 1.15 * 22.3
 

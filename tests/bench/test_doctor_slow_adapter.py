@@ -10,7 +10,7 @@ import pytest
 import hil
 from hil.bench.doctor.examination import examine
 from hil.bench.doctor.host_findings import Host
-from hil.bench.drivers import make_rig
+from hil.bench.drivers import make_device_set
 from hil.bench.emulation import build_world, connect_in_process
 from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock
@@ -122,7 +122,7 @@ def test_a_reply_is_not_slow_behind_a_good_one():
     world = build_world(config, seed=1)
     connected = connect_in_process(config, world)
     clock = VirtualClock(world)
-    rig = make_rig(config, clock, connected.connections)
+    rig = make_device_set(config, clock, connected.connections)
     rig.servos.open()
     reply = next(f for f in rig.servos.diagnose() if f.check == "reply time")
     rig.servos.close()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.bench.hold.rest import JOINTS, Travel
+from hil.bench.hold.rest import JOINTS, MotionSinceStop
 from hil.core.device import DeviceKind
 from hil.core.errors import SafetyStop
 from hil.devices.servos import KIND as SERVO_KIND
@@ -57,7 +57,7 @@ def test_a_way_within_the_noise_of_a_coarse_sensor_is_none(still, moved_m):
     class Coarse(DeviceKind):
         motion_threshold, measures_position = still, True
 
-    travel = Travel({"rangefinder": Coarse()}, radius_m=0.025)
+    travel = MotionSinceStop({"rangefinder": Coarse()}, radius_m=0.025)
     travel.saw("rangefinder", 0, np.zeros(1))
     for t_ns in range(1, 6):
         travel.saw("rangefinder", t_ns, np.full(1, 0.007))
@@ -256,7 +256,7 @@ def test_a_driver_that_raises_what_it_may_not_leaves_the_looking_to_the_others(m
 
 
 def travel():
-    return Travel({JOINTS: SERVO_KIND, "tracker": CAMERA_KIND}, 0.05)
+    return MotionSinceStop({JOINTS: SERVO_KIND, "tracker": CAMERA_KIND}, 0.05)
 
 
 def test_the_way_counts_from_where_it_was_stopped():

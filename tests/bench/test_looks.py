@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hil.bench.drivers import model_of
-from hil.bench.third_party.contract_findings import broken_promises
+from hil.bench.third_party.contract_findings import find_contract_breaks
 from hil.config.load_cells import LineCellsConfig
 from hil.config.loading import load_bench
 from hil.core.registry import kinds
@@ -93,7 +93,7 @@ def test_a_package_that_breaks_its_promises_is_told_each_with_what_to_do():
     first = INPUTS.tracker[0]
     late = replace(first.stamp, t_ns=10**12, host_ns=10**12 - 10**9)
     bad = replace(first, stamp=late, position_m=np.full(3, np.nan))
-    found = wrong(broken_promises(watched("tracker", [bad]), [0.02, 0.02]))
+    found = wrong(find_contract_breaks(watched("tracker", [bad]), [0.02, 0.02]))
     assert {name: bool(f.remedy) for name, f in found.items()} == dict.fromkeys(
         ("numbers", "stamps", "reads"), True
     )

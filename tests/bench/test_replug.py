@@ -8,7 +8,7 @@ import time
 import pytest
 
 import hil
-from hil.bench.reconnect import Replugged, replugged
+from hil.bench.reconnect import Reconnecting, reconnecting
 from hil.bench.settings import fail_limits
 from hil.cli import main
 from hil.config.loading import load_bench
@@ -71,7 +71,7 @@ def plug(monkeypatch):
 
 def test_a_hundred_times_unplugged_nothing_is_lost_and_nothing_left(plug):
     before = threading.active_count()
-    sensor = Replugged(plug, CLOCK)
+    sensor = Reconnecting(plug, CLOCK)
     sensor.open()
     for _ in range(100):
         assert len(wait_for(sensor.read)) == 1
@@ -88,7 +88,7 @@ def test_a_hundred_times_unplugged_nothing_is_lost_and_nothing_left(plug):
 
 def test_one_that_does_not_come_back_ends_the_run_with_what_to_do(plug):
     before = threading.active_count()
-    sensor = Replugged(plug, CLOCK, patience_s=0.1)
+    sensor = Reconnecting(plug, CLOCK, patience_s=0.1)
     sensor.open()
     plug.plugged = False
     with pytest.raises(DeviceTimeoutError, match=r"silent; it did not come back within .*plug it in"):
@@ -100,7 +100,7 @@ def test_one_that_does_not_come_back_ends_the_run_with_what_to_do(plug):
 
 @pytest.mark.parametrize("error", [DeviceError, lambda *_, **__: KeyError("of a library")])
 def test_whatever_opening_raises_it_is_tried_again(plug, error):
-    sensor = Replugged(plug, CLOCK)
+    sensor = Reconnecting(plug, CLOCK)
     sensor.open()
     plug.plugged, plug.raises = False, error
     assert sensor.read() == ()
@@ -111,7 +111,7 @@ def test_whatever_opening_raises_it_is_tried_again(plug, error):
 
 
 def test_a_port_that_has_gone_is_not_waited_for_in_vain(plug):
-    sensor = Replugged(plug, CLOCK)
+    sensor = Reconnecting(plug, CLOCK)
     sensor.open()
     plug.port_gone = True
     assert len(sensor.read()) == 1
@@ -122,7 +122,7 @@ def test_a_port_that_has_gone_is_not_waited_for_in_vain(plug):
 
 def test_closing_ends_the_waiting(plug):
     before = threading.active_count()
-    sensor = Replugged(plug, CLOCK)
+    sensor = Reconnecting(plug, CLOCK)
     sensor.open()
     plug.plugged = False
     sensor.read()
@@ -142,7 +142,7 @@ class Hands(MonotonicClock):
 
 def test_where_nobody_waits_a_driver_that_gives_up_ends_the_run_in_its_own_words(plug):
     before = threading.active_count()
-    sensor = replugged({"plug": plug}, CLOCK, {"plug": 2.0})["plug"]
+    sensor = reconnecting({"plug": plug}, CLOCK, {"plug": 2.0})["plug"]
     sensor.open()
     plug.plugged = False
     with pytest.raises(DeviceTimeoutError, match="plug: silent"):
@@ -153,7 +153,7 @@ def test_where_nobody_waits_a_driver_that_gives_up_ends_the_run_in_its_own_words
 
 def test_where_nobody_waits_a_port_that_has_gone_is_opened_again_until_its_limit(plug):
     clock = Hands()
-    sensor = replugged({"plug": plug}, clock, {"plug": 2.0})["plug"]
+    sensor = reconnecting({"plug": plug}, clock, {"plug": 2.0})["plug"]
     sensor.open()
     plug.port_gone, plug.raises = True, DeviceError
     assert len(sensor.read()) == 1
@@ -186,9 +186,9 @@ def test_the_limits_of_a_bench_are_those_of_its_drivers():
 
 def test_in_virtual_time_sensors_are_as_they_are(plug, encoder_world):
     sensors = {"plug": plug}
-    assert replugged(sensors, VirtualClock(encoder_world)) == sensors
-    again = replugged(replugged(sensors, CLOCK), CLOCK)
-    assert isinstance(again["plug"], Replugged)
+    assert reconnecting(sensors, VirtualClock(encoder_world)) == sensors
+    again = reconnecting(reconnecting(sensors, CLOCK), CLOCK)
+    assert isinstance(again["plug"], Reconnecting)
     assert again["plug"]._driver is plug
 
 

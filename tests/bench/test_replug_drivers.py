@@ -7,7 +7,7 @@ import threading
 import pytest
 from turning_plant import TurningPlant
 
-from hil.bench.reconnect import Replugged
+from hil.bench.reconnect import Reconnecting
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.signals import Status, worst
@@ -78,7 +78,7 @@ def good_from(sensor):
 
 def test_an_imu_whose_port_hangs_up_comes_back_at_another_terminal(tmp_path):
     port, threads = tmp_path / "ttyUSB0", threading.active_count()
-    sensor = Replugged(MicrostrainImu(MicrostrainConfig(port=str(port)), CLOCK), CLOCK)
+    sensor = Reconnecting(MicrostrainImu(MicrostrainConfig(port=str(port)), CLOCK), CLOCK)
     with served(port) as first:
         sensor.open()
         good_from(sensor)
@@ -95,7 +95,7 @@ def test_an_imu_whose_port_hangs_up_comes_back_at_another_terminal(tmp_path):
 
 def test_a_port_that_is_gone_for_good_ends_the_run_with_what_is_plugged_in(adapters, tmp_path):
     port = tmp_path / "ttyUSB0"
-    sensor = Replugged(MicrostrainImu(MicrostrainConfig(port=str(port)), CLOCK), CLOCK, patience_s=0.1)
+    sensor = Reconnecting(MicrostrainImu(MicrostrainConfig(port=str(port)), CLOCK), CLOCK, patience_s=0.1)
     with served(port):
         sensor.open()
     with pytest.raises(DeviceTimeoutError, match=r"its port has gone; it did not come back") as told:

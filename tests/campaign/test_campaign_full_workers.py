@@ -12,7 +12,7 @@ from hil.cli import main
 from hil.core.errors import DataError
 from hil.procedure import result_files
 from hil.procedure.campaign import remote_workers as campaign_cluster
-from hil.procedure.campaign.worker_files import Parcel, parcel, unpacked
+from hil.procedure.campaign.worker_files import WorkerFiles, parcel, unpacked
 
 distributed = pytest.importorskip("distributed", reason="Dask (the extra campaign) is not installed")
 
@@ -159,7 +159,7 @@ def test_where_no_worker_has_room_for_the_files_each_is_named(workers, campaign,
 
 def test_a_worker_that_comes_later_without_room_for_the_files_is_left_out(workers, monkeypatch, caplog):
     cluster, folders = workers(1)
-    sent = Parcel(b"", {})
+    sent = WorkerFiles(b"", {})
     known = set(folders.values())
 
     def unpack(content, folder):

@@ -9,9 +9,9 @@ from supervised import Supervised
 from hil.core.errors import SafetyStop
 from hil.core.signals import GyroMeasurement, Inputs, Measurements, PoseMeasurement, Stamp, WheelMeasurement
 from hil.loop.checks.dead_reckoning import WheelTrack
-from hil.loop.checks.disagreement import CAMERA, WHEELS, Doubt, Relocalisation, Sum
-from hil.loop.checks.exclusion import LeftOut
-from hil.loop.checks.mocap_agreement import CaptureCheck, Seen
+from hil.loop.checks.disagreement import CAMERA, WHEELS, Disagreement, Relocalisation, Sum
+from hil.loop.checks.exclusion import Exclusion
+from hil.loop.checks.mocap_agreement import MocapAgreement, Seen
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.cycle import Cycle
 from hil.loop.safety import Checks, SafetyLimits
@@ -153,7 +153,7 @@ def test_what_a_camera_invents_in_the_wall_adds_up_while_the_robot_turns():
 
 
 def doubt(source, *, confirmed=True, off=0.012, turns=False):
-    return Doubt(source, "it differs", True, confirmed, off, turns)
+    return Disagreement(source, "it differs", True, confirmed, off, turns)
 
 
 USED = frozenset(("tracker", "imu"))
@@ -172,13 +172,13 @@ USED = frozenset(("tracker", "imu"))
     ],
 )
 def test_who_can_be_left_out_depends_on_the_surface(source, on_wall, spared):
-    left_out = LeftOut(USED, on_wall=on_wall)
+    left_out = Exclusion(USED, on_wall=on_wall)
     assert left_out.can_do_without(doubt(source)) is spared
     assert not left_out.can_do_without(doubt(source, confirmed=False))
 
 
 def test_who_is_left_out_is_measured_no_more_and_shakes_the_estimate():
-    left_out = LeftOut(USED, on_wall=False)
+    left_out = Exclusion(USED, on_wall=False)
     gyro = GyroMeasurement(Stamp(0, 0, 0), 0.0, 0.0, np.zeros(2))
     given = replace(cycle(5, at(UP), at(UP), at(UP)), gyro=(gyro,))
     now = Cycle(Inputs(0, 5), given)
@@ -311,9 +311,11 @@ def test_two_that_contradict_each_other_are_both_in_doubt_until_others_agree_aga
         watching.check(Inputs(k, k * PERIOD_NS), Measurements(k, k * PERIOD_NS))
         return watching.doubted
 
-    open_question = Doubt("tracker", "they differ", False, against="mocap")
+    open_question = Disagreement("tracker", "they differ", False, against="mocap")
     assert heard(open_question) == {"tracker": False, "mocap": False}
-    assert heard(Doubt("tracker", "it differs", False, confirmed=True, against="mocap")) == {"tracker": True}
+    assert heard(Disagreement("tracker", "it differs", False, confirmed=True, against="mocap")) == {
+        "tracker": True
+    }
     assert heard(open_question)["tracker"]
     watching.reset()
     assert watching.doubted == {}
@@ -358,7 +360,7 @@ def test_a_camera_beside_motion_capture_is_grave_ten_millimetres_beyond_what_it_
 
 
 def test_a_step_is_compared_once_and_only_where_somebody_else_looked_too():
-    check = CaptureCheck(WheelTrack(GEOMETRY), Seen(), creep=0.0)
+    check = MocapAgreement(WheelTrack(GEOMETRY), Seen(), creep=0.0)
     compared = []
     for k in range(100, 130):
         t_ns = k * PERIOD_NS

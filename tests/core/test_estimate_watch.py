@@ -9,7 +9,7 @@ from supervised import Supervised
 from hil.core.errors import SafetyStop
 from hil.core.signals import Inputs, Measurements, PoseMeasurement, RobotState, Stamp, WheelMeasurement
 from hil.loop.checks.mocap_agreement import Seen
-from hil.loop.checks.mocap_estimate import EstimateWatch
+from hil.loop.checks.mocap_estimate import MocapEstimate
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.safety import Checks, SafetyLimits
 from hil.robot.kinematics import WheelGeometry, inverse
@@ -46,7 +46,7 @@ class Run:
         )
         self.sigma_m, self.sigma_rad, self.axes_rad = sigma_m, sigma_rad, axes_rad
         motion = MotionCheck(GEOMETRY)
-        self.watch = EstimateWatch(motion.capture, follows=follows)
+        self.watch = MocapEstimate(motion.capture, follows=follows)
         self.supervisor = Supervised(
             SafetyLimits(stale_s={}), checks=Checks(motion=motion, estimate=self.watch, needs_camera=follows)
         )
@@ -177,7 +177,7 @@ def test_a_reset_begins_a_new_run():
 def test_a_turned_rigid_body_may_be_off_by_its_lever():
     """Motion capture sees a point beside the robot's origin: it goes round while the robot turns in place."""
     motion, rate = MotionCheck(GEOMETRY), 0.5
-    watch, events = EstimateWatch(motion.capture, follows=True), []
+    watch, events = MocapEstimate(motion.capture, follows=True), []
     for k in range(1, 600):
         t_ns, heading = k * PERIOD_NS, rate * k * PERIOD_NS * 1e-9
         lever = Seen().lever_m * 0.9

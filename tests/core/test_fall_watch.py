@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from hil.core.signals import Status
-from hil.loop.checks.fall import FallWatch
+from hil.loop.checks.fall import FallCheck
 
 LIGHTEST_M_S2, FASTEST_M_S = 4.0, 0.5
 
@@ -34,7 +34,7 @@ def _sample(status, of, **named):
 
 def stops(*cycles, watch=None):
     """Reasons, by cycle."""
-    watch = watch or FallWatch(LIGHTEST_M_S2, FASTEST_M_S)
+    watch = watch or FallCheck(LIGHTEST_M_S2, FASTEST_M_S)
     found = []
     for inputs in cycles:
         reasons = []
@@ -58,7 +58,7 @@ def test_three_samples_in_a_row_are_needed_and_enough(told, bad, good, reason):
 @pytest.mark.parametrize("told", [felt, seen])
 def test_a_new_run_knows_nothing_of_the_one_before(told):
     bad = {felt: 0.0, seen: 2.0}[told]
-    watch = FallWatch(LIGHTEST_M_S2, FASTEST_M_S)
+    watch = FallCheck(LIGHTEST_M_S2, FASTEST_M_S)
     stops(told(bad, bad), watch=watch)
     watch.reset()
     assert stops(told(bad, bad), watch=watch) == [[]]

@@ -5,7 +5,7 @@ import pytest
 from supervised import Supervised
 
 from hil.core.signals import Inputs, Measurements, RobotState
-from hil.loop.checks.filter_fit import FilterWatch
+from hil.loop.checks.filter_fit import FilterFit
 from hil.loop.safety import SafetyLimits
 
 
@@ -14,7 +14,7 @@ def state(t_ns=0, sigma_m=0.001, **figures):
 
 
 def told(*states):
-    watch, events = FilterWatch(), []
+    watch, events = FilterFit(), []
     for one in states:
         watch.judge(one, events)
     return events
@@ -74,7 +74,7 @@ def test_poses_that_are_refused_in_a_row_and_the_frame_after_them_are_no_misfit(
 
 
 def test_the_first_poses_of_a_run_may_be_those_that_do_not_fit():
-    watch, events = FilterWatch(), []
+    watch, events = FilterFit(), []
     assert watch.take_off() == (0.0, 0.0)
     watch.judge(misfits(2.6)[0], events)
     assert [event.message.rpartition(" by ")[2] for event in events] == ["2.6 mm more"]
@@ -103,7 +103,7 @@ FORMER = {
 def test_a_run_is_judged_as_the_first_one_whatever_was_before_it(former, run):
     found = []
     for before in ([], former):
-        watch, events = FilterWatch(), []
+        watch, events = FilterFit(), []
         for one in before:
             watch.judge(one, [])
         watch.reset()

@@ -15,7 +15,7 @@ from hil.core.geometry import Array
 from hil.core.nonfinite import unsaid_holes
 from hil.core.registry import kinds
 from hil.core.signals import AdhesionSample, Inputs, Stamp, Status
-from hil.loop.checks.sensor_status import SampleWatch
+from hil.loop.checks.sensor_status import SensorStatus
 
 OK, LOST = Status.OK, Status.TIMEOUT
 STAMP = Stamp(0, 0, 0)
@@ -96,7 +96,7 @@ def test_a_run_tells_of_each_field_once_and_only_of_devices_that_packages_bring(
         ({"imu": ("quaternion_wxyz", "linear_acceleration_m_s2")}, ["gyro_rad_s"]),
         ({"imu": ()}, ["quaternion_wxyz", "gyro_rad_s", "linear_acceleration_m_s2"]),
     ):
-        watch, events = SampleWatch({}, brought=brought), []
+        watch, events = SensorStatus({}, brought=brought), []
         for k in range(3):
             watch.judge(Inputs(k, k * 10_000_000, imu=(sample,)), events)
         assert [(event.source, event.message.split()[4]) for event in events] == [("imu", n) for n in told]

@@ -22,8 +22,8 @@ from hil.core.signals import (
 from hil.fakes.server import EmulationServer, Face
 from hil.fakes.world import NEVER_NS, VirtualClock, World
 from hil.loop.alignment import Alignment, AlignmentParameters
-from hil.loop.control_loop import Brain, ControlLoop
-from hil.loop.device_set import Rig
+from hil.loop.control_loop import ControlLoop, ControlPipeline
+from hil.loop.device_set import DeviceSet
 from hil.loop.recorded_motion import Motion
 from hil.loop.safety import SafetyLimits
 from hil.loop.supervisor import Supervisor
@@ -142,8 +142,8 @@ class Busy(Sink):
 
 def make(silent_after_ns=NEVER_NS, sinks=lambda clock: ()):
     clock = VirtualClock(World(StillPlant()))
-    rig = Rig(clock, servos=Servos(clock, silent_after_ns), sensors={"mocap": Mocap(clock)})
-    brain = Brain(
+    rig = DeviceSet(clock, servos=Servos(clock, silent_after_ns), sensors={"mocap": Mocap(clock)})
+    pipeline = ControlPipeline(
         Supervisor(SafetyLimits()),
         Alignment(AlignmentParameters()),
         Standing(),
@@ -151,8 +151,8 @@ def make(silent_after_ns=NEVER_NS, sinks=lambda clock: ()):
         lambda t_s: Reference(t_s, np.zeros(3), np.zeros(3), np.zeros(3)),
         {"shadow": Standing()},
     )
-    brain.reset(RobotState(0, np.zeros(3), np.zeros(3), np.eye(6)))
-    return rig, ControlLoop(rig, clock, brain, sinks=sinks(clock))
+    pipeline.reset(RobotState(0, np.zeros(3), np.zeros(3), np.eye(6)))
+    return rig, ControlLoop(rig, clock, pipeline, sinks=sinks(clock))
 
 
 def test_cycles_fall_on_the_grid_and_the_robot_is_held_at_the_end():
@@ -219,7 +219,7 @@ def test_an_error_in_the_callers_code_still_holds_the_robot():
 
 def test_a_rig_that_cannot_open_whole_closes_what_it_opened():
     clock = MonotonicClock()
-    rig = Rig(clock, servos=Servos(clock), sensors={"mocap": Mocap(clock)})
+    rig = DeviceSet(clock, servos=Servos(clock), sensors={"mocap": Mocap(clock)})
     rig.open()
     assert rig.servos.opened
     rig.close()
@@ -229,7 +229,7 @@ def test_a_rig_that_cannot_open_whole_closes_what_it_opened():
         rig.open()
     assert not rig.servos.opened
     with pytest.raises(DeviceError, match="no servos"):
-        Rig(clock).actuators()
+        DeviceSet(clock).actuators()
 
 
 class Echo(Face):

@@ -8,7 +8,7 @@ import pytest
 
 from hil.core.signals import GyroMeasurement, Measurements, PoseMeasurement, Stamp, WheelMeasurement
 from hil.loop.checks.dead_reckoning import GyroTrack, WheelTrack
-from hil.loop.checks.motion_agreement import Honest, MotionCheck
+from hil.loop.checks.motion_agreement import MotionCheck, Tolerances
 from hil.robot.kinematics import WheelGeometry, inverse
 
 GEOMETRY = WheelGeometry.nominal()
@@ -66,7 +66,7 @@ MOTIONS = [(0.1, 0, 0), (0, -0.1, 0), (0.07, 0.07, 0.2), (0, 0, 0.8), (0, 0, 0),
 
 @pytest.mark.parametrize("twist", MOTIONS)
 def test_one_motion_leaves_nothing_to_doubt(twist):
-    check = MotionCheck(GEOMETRY, Honest(path=0.0, creep=0.0, lever_m=0.0, turn=0.0, turn_rad_m=0.0))
+    check = MotionCheck(GEOMETRY, Tolerances(path=0.0, creep=0.0, lever_m=0.0, turn=0.0, turn_rad_m=0.0))
     assert doubts(Robot(twist, noise_m=0.0005), check=check) == []
 
 
@@ -177,7 +177,7 @@ def test_a_camera_that_sits_elsewhere_on_a_turning_robot_is_honest():
 
 def test_a_slow_slide_is_summed_in_axes_that_turn_with_the_robot():
     """3 mm/s in one direction of the wall, while the body turns round under it."""
-    check = MotionCheck(GEOMETRY, Honest(lever_m=0.0, path=0.0), on_wall=False)
+    check = MotionCheck(GEOMETRY, Tolerances(lever_m=0.0, path=0.0), on_wall=False)
     robot, found = Robot((0, 0, 0.8)), []
     for k in range(1000):
         t_s = (k * PERIOD_NS - LATE_NS) * 1e-9
@@ -273,5 +273,5 @@ def test_the_heading_of_a_camera_may_drift_slowly_while_nothing_moves(drift_rad_
 @pytest.mark.parametrize(("scale", "honest"), [(1.025, True), (1.06, False)])
 def test_the_scale_of_a_gyro_may_be_off_by_as_much_in_either_direction(rate, scale, honest):
     """A gyro without bias: its scale alone counts."""
-    check = MotionCheck(GEOMETRY, Honest(gyro_rad_s=0.0, turn=0.0))
+    check = MotionCheck(GEOMETRY, Tolerances(gyro_rad_s=0.0, turn=0.0))
     assert (doubts(Robot((0, 0, rate), gyro=scale * rate), 600, check) == []) is honest

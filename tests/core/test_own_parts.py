@@ -72,10 +72,10 @@ def bench():
 
 def run(bench, cycles=20, observers=None, **parts):
     """A run with parts of one's own; the cycles that were decided."""
-    brain = bench.make_brain(WAY)
+    pipeline = bench.make_pipeline(WAY)
     for name, part in parts.items():
-        setattr(brain, name, part)
-    brain.observers = observers or {}
+        setattr(pipeline, name, part)
+    pipeline.observers = observers or {}
     bench.rig.actuators().enable()
     records = []
 
@@ -84,7 +84,7 @@ def run(bench, cycles=20, observers=None, **parts):
         return len(records) == cycles
 
     start = RunStart(bench.start_state(), "ekf", trajectory=WAY.to_mapping())
-    bench.run(brain, start, until)
+    bench.run(pipeline, start, until)
     return records
 
 
@@ -151,8 +151,8 @@ def test_an_estimator_that_returns_no_state_is_named(bench, found, told, observe
 
 
 def test_ours_have_no_name_of_their_own(bench):
-    brain = bench.make_brain(WAY, observers=("ukf", "odometry"))
-    ours = (brain.controller, brain.estimator, *brain.observers.values(), None)
+    pipeline = bench.make_pipeline(WAY, observers=("ukf", "odometry"))
+    ours = (pipeline.controller, pipeline.estimator, *pipeline.observers.values(), None)
     assert [own_name(part) for part in ours] == [""] * 5
 
 
@@ -235,9 +235,9 @@ def test_what_stands_beside_parts_of_ones_own_is_as_without_them(tmp_path):
         path = tmp_path / f"{own}.mcap"
         with hil.open_bench("emulated_floor") as bench:
             bench.add_sink(McapRecorder(path, bench.header(), lossless=True))
-            brain = bench.make_brain(WAY, observers=shipped)
+            pipeline = bench.make_pipeline(WAY, observers=shipped)
             records = run(
-                bench, 60, brain.observers | ({"mine": Clueless(lambda known: known)} if own else {})
+                bench, 60, pipeline.observers | ({"mine": Clueless(lambda known: known)} if own else {})
             )
         (found,) = read_runs(path)
         assert max(len(r.measurements.mocap) + len(r.measurements.gyro) for r in records) > 1

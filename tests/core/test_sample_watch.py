@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil.core.signals import EncoderSample, ImuSample, Inputs, MocapSample, Stamp, Status, TrackerSample
-from hil.loop.checks.sensor_status import SampleWatch
+from hil.loop.checks.sensor_status import SensorStatus
 
 PERIOD_NS = 10_000_000
 NAN = np.full(4, np.nan)
@@ -31,7 +31,7 @@ MAKERS = {"tracker": tracker, "imu": imu, "mocap": mocap, "encoders": encoders}
 
 def watched(device, statuses, stale_s=None, begin=0):
     """Events of a device that sends one sample per cycle from cycle `begin` on; None is no sample."""
-    watch, events = SampleWatch(stale_s or {}), []
+    watch, events = SensorStatus(stale_s or {}), []
     for k, status in enumerate(statuses, begin):
         stamp = Stamp(k * PERIOD_NS, k * PERIOD_NS, k)
         samples = () if status is None else (MAKERS[device](stamp, status),)
@@ -89,7 +89,7 @@ def test_a_sensor_that_was_away_says_for_how_long(missing, told):
 def test_times_are_counted_from_the_last_sample_and_not_from_the_start():
     told = watched("imu", [Status.OK, *[None] * 60, Status.OK], {"imu": 0.5}, begin=300)
     assert [e.message for e in told] == ["stale for 0.510 s", "answers again, after 0.61 s"]
-    watch = SampleWatch({})
+    watch = SensorStatus({})
     assert watch.away_s("mocap", 5 * PERIOD_NS) == 0.0
     watch.judge(Inputs(300, 300 * PERIOD_NS, mocap=(mocap(Stamp(0, 0, 0), Status.OK),)), [])
     assert watch.away_s("mocap", 350 * PERIOD_NS) == pytest.approx(0.5)

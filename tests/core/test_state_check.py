@@ -92,14 +92,14 @@ class Stuck:
 def test_an_estimator_that_says_it_never_moved_does_not_get_far(monkeypatch, estimator, reason):
     """Motion capture contradicts it; that was not noticed, and the robot went four times as far as asked."""
     with hil.open_bench("emulated", seed=1) as bench:
-        make_brain = bench.make_brain
+        make_pipeline = bench.make_pipeline
 
-        def brain(*given, **how):
-            made = make_brain(*given, **how)
+        def pipeline(*given, **how):
+            made = make_pipeline(*given, **how)
             made.estimator = estimator
             return made
 
-        monkeypatch.setattr(bench, "make_brain", brain)
+        monkeypatch.setattr(bench, "make_pipeline", pipeline)
         with pytest.raises(SafetyStop) as stop:
             bench.drive(WAY, start_pose=np.zeros(3))
         assert stop.value.reason == reason

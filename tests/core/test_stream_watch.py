@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hil.core.signals import Inputs, Stamp, Status, TrackerSample
-from hil.loop.checks.sensor_rate import Healthy, StreamWatch
-from hil.loop.checks.sensor_status import SampleWatch
+from hil.loop.checks.sensor_rate import Healthy, SensorRate
+from hil.loop.checks.sensor_status import SensorStatus
 
 CYCLE_NS = 10_000_000
 CAMERA = Healthy(200.0, 0.95, 0.07, 100.0)
@@ -20,7 +20,7 @@ def pose(t_ns, age_s, status=Status.OK):
 
 def told(per_cycle, *, age_s=0.025, healthy=CAMERA, cycles=600):
     """Times (s) and messages about a camera; poses per cycle and their age may be functions of the cycle."""
-    watch, events = StreamWatch({"tracker": healthy}), []
+    watch, events = SensorRate({"tracker": healthy}), []
     for k in range(cycles):
         t_ns = k * CYCLE_NS
         age = age_s(k) if callable(age_s) else age_s
@@ -68,14 +68,14 @@ def test_a_single_late_one_is_not():
 
 def test_a_loop_that_is_late_itself_blames_nobody():
     """A busy host has every second cycle only: half of what is asked for in each is lost."""
-    watch, events = StreamWatch({"tracker": CAMERA}), []
+    watch, events = SensorRate({"tracker": CAMERA}), []
     for k in range(0, 600, 2):
         watch.judge(Inputs(k, k * CYCLE_NS, tracker=(pose(k * CYCLE_NS, 0.2),)), events)
     assert events == []
 
 
 def test_a_camera_that_is_not_sure_of_itself_yet_is_left_in_peace():
-    watch, events = StreamWatch({"tracker": CAMERA}), []
+    watch, events = SensorRate({"tracker": CAMERA}), []
     for k in range(400):
         t_ns = k * CYCLE_NS
         status = Status.LOW_CONFIDENCE if k < 60 else Status.OK
@@ -85,7 +85,7 @@ def test_a_camera_that_is_not_sure_of_itself_yet_is_left_in_peace():
 
 def gaps(given, gap_s=0.1):
     """Cycles in which a camera is told to be silent, that must not be so for 2 s."""
-    watch, events = SampleWatch({"tracker": 2.0}, {"tracker": gap_s}), []
+    watch, events = SensorStatus({"tracker": 2.0}, {"tracker": gap_s}), []
     for k, there in enumerate(given):
         t_ns = k * CYCLE_NS
         watch.judge(Inputs(k, t_ns, tracker=(pose(t_ns, 0.02),) * there), events)

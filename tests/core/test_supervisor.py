@@ -18,7 +18,7 @@ from hil.core.signals import (
     TrackerSample,
     WheelSetpoint,
 )
-from hil.loop.checks.disagreement import Doubt
+from hil.loop.checks.disagreement import Disagreement
 from hil.loop.checks.sensor_rate import Healthy
 from hil.loop.cycle import Check
 from hil.loop.safety import Checks, SafetyLimits
@@ -54,7 +54,7 @@ def cycle(supervisor, k=0, measured=True, **samples):
 
 
 def doubt(source, *, grave=True, confirmed=True, off=0.01):
-    return Doubt(source, "it differs", grave, confirmed, off)
+    return Disagreement(source, "it differs", grave, confirmed, off)
 
 
 def pose(t_ns):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.core.signals import Stamp, WheelMeasurement
-from hil.loop.checks.wheel_slip import WheelWatch
+from hil.loop.checks.wheel_slip import WheelSlipCheck
 from hil.robot.kinematics import WheelGeometry, inverse
 from tests.selected import every
 
@@ -26,7 +26,7 @@ class Ride:
     """Wheels that roll by one twist, as their encoders count it; `shares` (4,) of it from `at` s on."""
 
     def __init__(self, twist, ids=IDS):
-        self.watch, self.events, self.off_m = WheelWatch(GEOMETRY, ids), [], []
+        self.watch, self.events, self.off_m = WheelSlipCheck(GEOMETRY, ids), [], []
         speed, self.steering = inverse(GEOMETRY, np.array(twist))
         self.rate = speed / GEOMETRY.radius_m
         self.angle, self.k = np.zeros(4), 0
@@ -148,12 +148,12 @@ def rolled(watch, angles, first=0, period_ns=100_000_000, valid=True):
 @pytest.mark.parametrize(("alone_m", "told"), [(0.0005, False), (0.0012, True), (-0.0012, True)])
 def test_a_wheel_that_rolls_alone_by_a_millimetre_is_named(alone_m, told):
     alone = [0.0, 0.0, alone_m / GEOMETRY.radius_m[2], 0.0]
-    events = rolled(WheelWatch(GEOMETRY), [[0.0] * 4, alone, alone, alone])
+    events = rolled(WheelSlipCheck(GEOMETRY), [[0.0] * 4, alone, alone, alone])
     assert bool(events) is told
 
 
 def test_what_an_incomplete_read_says_of_its_wheel_does_not_count():
-    watch = WheelWatch(GEOMETRY)
+    watch = WheelSlipCheck(GEOMETRY)
     ahead = [[0.05 * k] * 4 for k in range(10)]
     events = rolled(watch, ahead[:5])
     for k in range(5, 8):
@@ -164,5 +164,5 @@ def test_what_an_incomplete_read_says_of_its_wheel_does_not_count():
 def test_what_was_seen_before_a_leap_of_an_encoder_does_not_count_behind_it():
     """A wheel seen once to roll otherwise is named when it is seen again; a leap begins anew."""
     apart = [0.0, 0.0, 0.1, 0.0]
-    assert rolled(WheelWatch(GEOMETRY), [[0.0] * 4, apart, apart])
-    assert rolled(WheelWatch(GEOMETRY), [[0.0] * 4, apart, [0.0, 0.0, 2.1, 0.0]]) == []
+    assert rolled(WheelSlipCheck(GEOMETRY), [[0.0] * 4, apart, apart])
+    assert rolled(WheelSlipCheck(GEOMETRY), [[0.0] * 4, apart, [0.0, 0.0, 2.1, 0.0]]) == []

@@ -6,7 +6,7 @@ import can
 import numpy as np
 import pytest
 
-from hil.bench.reconnect import Replugged
+from hil.bench.reconnect import Reconnecting
 from hil.config.load_cells import CanCellsConfig
 from hil.config.robot import RobotConfig
 from hil.core.clock import MonotonicClock
@@ -73,7 +73,9 @@ def test_it_says_that_its_interface_has_gone_and_goes_on_counting_when_opened_ag
 
 def test_the_bench_opens_it_again(adapters):
     clock = MonotonicClock()
-    sensor = Replugged(CanCells(CanCellsConfig(interface="usb", channel="usb0", rate_hz=80.0), clock), clock)
+    sensor = Reconnecting(
+        CanCells(CanCellsConfig(interface="usb", channel="usb0", rate_hz=80.0), clock), clock
+    )
     sensor.open()
     try:
         assert read_until(sensor, clock, lambda samples: samples)

@@ -8,8 +8,8 @@ from hil.core.errors import DeviceTimeoutError, SafetyStop
 from hil.core.interfaces import Sensor
 from hil.core.registry import kinds
 from hil.loop.alignment import Alignment
-from hil.loop.control_loop import Brain, ControlLoop
-from hil.loop.device_set import Rig
+from hil.loop.control_loop import ControlLoop, ControlPipeline
+from hil.loop.device_set import DeviceSet
 from hil.loop.supervisor import Supervisor
 
 NEVER_ANSWER = {"teensy"}
@@ -93,13 +93,13 @@ class Impatient(Sensor):
 
 def looped(clock, sensor):
     with hil.open_bench("emulated_floor") as bench:
-        brain = Brain(
-            Supervisor(bench.make_brain(None).supervisor.limits),
+        pipeline = ControlPipeline(
+            Supervisor(bench.make_pipeline(None).supervisor.limits),
             Alignment(bench.model.alignment_parameters),
             bench.model.make_estimator("ekf"),
         )
-        brain.reset(bench.start_state())
-    return ControlLoop(Rig(clock, None, {"imu": sensor}), clock, brain)
+        pipeline.reset(bench.start_state())
+    return ControlLoop(DeviceSet(clock, None, {"imu": sensor}), clock, pipeline)
 
 
 def test_a_loop_that_stood_still_names_itself_before_a_device_that_gave_up():

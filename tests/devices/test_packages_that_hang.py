@@ -79,7 +79,7 @@ def test_what_cannot_be_ended_is_said_with_what_to_do(caplog):
     free = threading.Event()
 
     def work():
-        with call_timeout.not_for_ever("thing", "hil-evil 6.6", "read()"):
+        with call_timeout.with_time_limit("thing", "hil-evil 6.6", "read()"):
             free.wait(60.0)
 
     thread = threading.Thread(target=work)

@@ -39,20 +39,13 @@ def rule(line):
     line = line.split("#")[0].strip()
     if line.startswith("make "):
         return f"make -C {shlex.quote(str(ROOT))} -n {line.removeprefix('make ')}"
-    if "-m pip install -e" in line:
-        return None  # is what `make` does
-    if line.startswith("python -m pip wheel"):
-        return f"cd source && {line} --no-build-isolation --quiet"
     if line.startswith("python -m pip install"):
         shown = line.replace("git+file:///path/of/this/folder", "git+file://$PWD")
-        wheel = f"python -m pip wheel -w dist . {BUILDS} && " if "dist/" in line else ""
-        return f'cd source && {wheel}{shown} {BUILDS} --target "$(mktemp -d)"'
+        return f'cd source && {shown} {BUILDS} --target "$(mktemp -d)"'
     if re.match(r"hil (run \S+ --realtime|run \S+ --bench|run short_line)", line):
         return f"{line} --dry-run"
     if re.match(r"hil (run bring_up|doctor|discover)", line):
         return f"{line} --help"
-    if "recordings/4wis4wid" in line:
-        return f"{line.replace('recordings/4wis4wid', 'recordings')} --signal position"
     if line.startswith(("hil emulate --out", "python examples/", "kill %1")):
         return None  # tests/emulate pastes the block
     raise AssertionError(f"no rule says how to try: {line}")
@@ -60,7 +53,7 @@ def rule(line):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """What a reader has: `python` on the path, a clone, a procedure, a bench file, recordings."""
+    """What a reader has: `python` on the path, a clone, a procedure, a bench file."""
     place = tmp_path_factory.mktemp("reader")
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     (script,) = (b for b in re.findall(r"^```python\n(.*?)^```", text, re.S | re.M) if "@procedure" in b)
@@ -71,7 +64,6 @@ def folder(tmp_path_factory):
     python.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} "$@"\n')
     python.chmod(0o755)
     subprocess.run(["git", "clone", "--quiet", ROOT, place / "source"], check=True)
-    assert main(["demo-data", str(place / "recordings"), "--repetitions", "1"]) == 0
     return place
 
 

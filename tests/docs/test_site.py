@@ -22,7 +22,7 @@ def test_every_page_has_its_place_once():
     there = {str(p.relative_to(DOCS).with_suffix("")) for p in DOCS.glob("*.md")} - {"index"}
     assert sorted(n for n in listed if "/" not in n) == sorted(there)
     assert [n for n in listed if not (DOCS / f"{n}.md").exists()] == []
-    assert list(TREES) == ["Begin", "Guides", "Reference", "Explanation", "Project"]
+    assert list(TREES) == ["Begin", "Laboratory", "Contributor", "Reference"]
 
 
 @pytest.mark.long

@@ -9,7 +9,7 @@ import pytest
 from emulators import END_S, emulator
 
 from hil.bench import open_bench, open_emulation
-from hil.bench.hold.emulated_support import OnItsWall
+from hil.bench.hold.emulated_support import EmulatedSupport
 from hil.config.loading import load_bench
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
@@ -21,7 +21,7 @@ def served(profile, only=("servos",)):
     config = load_bench(profile, emulate=("all",))
     server = open_emulation(config, only=only)
     try:
-        robot = OnItsWall(config, server.world, "servos" in server.faces)
+        robot = EmulatedSupport(config, server.world, "servos" in server.faces)
         yield robot, lambda s: server.world.advance_to(server.world.now_ns + round(s * 1e9))
     finally:
         server.close()
@@ -51,7 +51,7 @@ def test_on_the_floor_there_is_nothing_to_say():
 def test_torque_holds_it_and_without_torque_it_slides():
     """The bench's own drivers as the client, in virtual time."""
     with open_bench("emulated") as bench:
-        robot = OnItsWall(bench.config, bench.world, servos=True)
+        robot = EmulatedSupport(bench.config, bench.world, servos=True)
         bench.observe(1.0)
         assert robot.at_the_end().startswith("at the end HELD: ")
         bench.rig.servos.release()

@@ -55,7 +55,7 @@ def test_a_loop_made_by_hand_says_in_its_recording_how_it_began(tmp_path):
     bench.add_sink(McapRecorder(path, bench.header(), lossless=True))
     with bench:
         start = RunStart(bench.start_state(), "ekf")
-        loop = bench.make_loop(bench.make_brain(None, feedback="ekf"), start)
+        loop = bench.make_loop(bench.make_pipeline(None, feedback="ekf"), start)
         for cycles in (30, 60):  # going on is no new beginning
             loop.run(lambda record, last=cycles: record.cycle >= last)
     (run,) = open_recording(path).runs

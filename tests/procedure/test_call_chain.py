@@ -51,11 +51,11 @@ def undeclared(ctx):
 def steered(ctx):
     bench = ctx.bench
     way = line(bench.start_state().pose_body_in_wall, [0.1, 0, 0], duration_s=3)
-    brain = bench.make_brain(way)
-    brain.controller = Follows()
+    pipeline = bench.make_pipeline(way)
+    pipeline.controller = Follows()
     bench.rig.actuators().enable()
     start = RunStart(bench.start_state(bench.settle()), "ekf", trajectory=way.to_mapping())
-    bench.run(brain, start, lambda record: False)
+    bench.run(pipeline, start, lambda record: False)
 """
 CASES = {
     "an exception": ("deep", ["run", "<lambda>", "middle", "deep"], "JSONDecodeError"),

@@ -12,7 +12,7 @@ from hil.procedure import procedure
 from hil.procedure.bench_request import BenchSource
 from hil.procedure.figure_rows import DrivenRows
 from hil.procedure.measurements import Verdict
-from hil.procedure.parallel_drives import Errand, Sent, driven
+from hil.procedure.parallel_drives import DriveJob, Sent, driven
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.tracking_errors import stand
@@ -72,7 +72,7 @@ def test_what_ends_a_drive_in_a_worker_ends_the_run_and_its_recording_is_kept(tm
 
 
 def sent(drive, recording=None, on_failure="stop"):
-    return Sent(Errand(BenchSource("emulated_floor"), drive, "line"), recording, on_failure)
+    return Sent(DriveJob(BenchSource("emulated_floor"), drive, "line"), recording, on_failure)
 
 
 def asked_too_much(bench):
@@ -128,7 +128,7 @@ class Struck:
 def test_a_run_that_is_stopped_meanwhile_does_not_say_that_nothing_was_opened(tmp_path):
     @procedure(name="two_errands")
     def two_errands(ctx):
-        errands = [Errand(ctx.source, partial(stood, for_s=0.1), label) for label in ("first", "second")]
+        errands = [DriveJob(ctx.source, partial(stood, for_s=0.1), label) for label in ("first", "second")]
         for for_s in ctx.at_once(errands, Struck()):
             assert for_s == 0.1
 
@@ -156,7 +156,7 @@ def test_a_run_that_has_heard_of_all_drives_need_not_ask_for_more(tmp_path, aske
 
     @procedure(name="two_errands")
     def two_errands(ctx):
-        errands = [Errand(ctx.source, partial(stood, for_s=0.1), label) for label in ("first", "second")]
+        errands = [DriveJob(ctx.source, partial(stood, for_s=0.1), label) for label in ("first", "second")]
         with closing(ctx.at_once(errands, InTurn())) as results:
             for _ in range(asked_for):
                 assert next(results) == 0.1

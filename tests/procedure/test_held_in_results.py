@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import pytest
 
-from hil.bench.hold.monitor import HoldWatch
+from hil.bench.hold.monitor import HoldMonitor
 from hil.bench.hold.result import held_in_words
 from hil.cli import main
 from hil.core.clock import MonotonicClock
@@ -140,11 +140,11 @@ def test_further_signals_do_not_cut_short_what_the_first_one_began(tmp_path, mon
             send("SIGHUP", "SIGINT", "SIGINT")
             ctx.note("way out")
 
-    def look(*given, before=HoldWatch.look, **how):
+    def look(*given, before=HoldMonitor.look, **how):
         send("SIGINT", "SIGINT", "SIGHUP", "SIGTERM")
         return before(*given, **how)
 
-    monkeypatch.setattr(HoldWatch, "look", look)
+    monkeypatch.setattr(HoldMonitor, "look", look)
     result, tree = ran(tmp_path / "run", struck)
     assert (tree["verdict"], tree["held"]["state"], result.exit_code) == ("ABORTED", "HELD", 4)
     assert "SIGTERM" in tree["error"]["message"]

@@ -12,11 +12,11 @@ from hil.core.errors import Aborted, SafetyStop
 from hil.fakes.fault import parse_fault
 from hil.procedure import Measurement, procedure
 from hil.procedure.bench_request import BenchSource
-from hil.procedure.hold_record import LeftBenches
-from hil.procedure.parallel_drives import Errand
+from hil.procedure.hold_record import HoldRecord
+from hil.procedure.parallel_drives import DriveJob
 from hil.procedure.run_journal import Journal, read_journal
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.procedure.step_timer import LoopGuard
+from hil.procedure.step_timer import StepTimer
 from hil.procedure.stop_requests import Interrupts
 from hil.procedure.tracking_errors import stand
 from hil.report.run_page import write_run_page
@@ -97,7 +97,7 @@ def stood(bench):
 @procedure(name="elsewhere", needs=("servos",), measurements=MEASURED)
 def elsewhere(ctx):
     """Falls in one process; benches in others and its own hold."""
-    errands = [Errand(ctx.source, drive, label) for label, drive in (("falls", fall), ("stands", stood))]
+    errands = [DriveJob(ctx.source, drive, label) for label, drive in (("falls", fall), ("stands", stood))]
     list(ctx.at_once(errands, InTurn()))
     stand(ctx.reopen("own"), 0.1)
     ctx.measure("done", True)
@@ -134,8 +134,8 @@ def test_a_resumed_run_knows_what_a_bench_of_a_finished_checkpoint_left(tmp_path
 
 
 def left(tmp_path, past=(), finished=()):
-    guard = LoopGuard(Interrupts())
-    return guard, LeftBenches(Journal(tmp_path / "journal.jsonl"), guard, past, finished)
+    guard = StepTimer(Interrupts())
+    return guard, HoldRecord(Journal(tmp_path / "journal.jsonl"), guard, past, finished)
 
 
 FALLEN = Held("NOT HELD", 0.6, WHY)

@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from hil.bench.third_party.call_timeout import OverdueError
+from hil.bench.third_party.call_timeout import CallTimeoutError
 from hil.config.loading import NoSuchDevice
 from hil.core.errors import HilError, SafetyStop, TrajectoryError
 from hil.procedure.worker_processes import Workers
@@ -17,7 +17,7 @@ def every(kind):
 
 
 def test_an_error_of_every_kind_survives_a_way_between_processes():
-    assert {TrajectoryError, OverdueError, NoSuchDevice, SafetyStop} <= set(every(HilError))
+    assert {TrajectoryError, CallTimeoutError, NoSuchDevice, SafetyStop} <= set(every(HilError))
     for kind in every(HilError):
         error = kind.__new__(kind)
         HilError.__init__(error, "what is wrong", expected="this", remedy="do that")

@@ -20,7 +20,7 @@ from hil.core.interfaces import Sink
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.run_journal import read_journal
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.procedure.step_timer import LoopGuard
+from hil.procedure.step_timer import StepTimer
 from hil.recording.mcap_reader import read_cycles
 
 EXPECTED = {"exception": 2, "sigterm": 4, "one sigint": 4, "two sigints": 4, "time out": 3}
@@ -119,7 +119,7 @@ class Strikes(Sink):
         if self.way == "exception":
             raise ZeroDivisionError("sabotage")
         if self.way == "time out":
-            guard = next(s for s in self.benches[-1]._sinks if isinstance(s, LoopGuard))
+            guard = next(s for s in self.benches[-1]._sinks if isinstance(s, StepTimer))
             guard.push_limit("sabotage", 0.05)
         elif self.way == KILL:
             self._die()

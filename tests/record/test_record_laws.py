@@ -11,7 +11,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from hil.bench import open_bench
-from hil.bench.doctor.record_import import absorb
+from hil.bench.doctor.record_import import import_record
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.config.robot_record import Figure, NewPart, Part, RobotRecord
@@ -270,7 +270,7 @@ def test_the_record_of_another_emulated_robot_gives_no_parts(tmp_path, record):
     for kept, seed in ((mine, 3), (other, 4)):
         add(kept, robot=identity(WALL, seed), zeros=part(ZEROS))
     with pytest.raises(ConfigError, match="another robot") as raised:
-        absorb(mine, other.folder, WALL, "2026-11-22T13:00:00+00:00")
+        import_record(mine, other.folder, WALL, "2026-11-22T13:00:00+00:00")
     assert "of seed 4" in str(raised.value)
     assert mine.read().version == 1
 

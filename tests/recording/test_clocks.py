@@ -12,7 +12,7 @@ from mcap_cases import driving_record
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.config.loading import load_bench
 from hil.core.clock import NS_PER_S, WallOffset
 from hil.core.errors import DataError
@@ -24,7 +24,7 @@ from hil.robot.kinematics import WheelGeometry
 
 EPOCH_NS = 1_790_000_000 * NS_PER_S
 TAI_NS = 37 * NS_PER_S
-HEADER = Blueprint(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
+HEADER = BenchModel(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
 CYCLES = 50
 
 

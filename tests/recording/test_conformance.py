@@ -15,7 +15,7 @@ from mcap_cases import driving_record
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.config.loading import load_bench
 from hil.core.clock import NS_PER_S, WallOffset
 from hil.core.registry import kinds
@@ -44,7 +44,7 @@ def with_forces(record):
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     path = tmp_path_factory.mktemp("conformance") / "run.mcap"
-    header = Blueprint(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
+    header = BenchModel(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
     clock = describe_clock(WallOffset(1_790_000_000 * NS_PER_S, 300, 5))
     recorder = McapRecorder(path, {**header, "clock": clock}, lossless=True)
     for k in range(CYCLES):

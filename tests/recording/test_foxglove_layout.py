@@ -7,7 +7,7 @@ from pathlib import Path
 from mcap_cases import driving_record
 from rosbags.typesys import Stores, get_typestore
 
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.config.loading import load_bench
 from hil.core.registry import kinds
 from hil.recording.ros_messages import CycleMessages
@@ -58,7 +58,7 @@ def test_scene_and_log_show_topics_and_frames_that_there_are():
     layers = scene["layers"]
     shown = {*scene["topics"], layers["robot"]["topic"], layers["robot"]["jointStatesTopic"]}
     assert shown | {LAYOUT["configById"]["RosOut!events"]["topicToRender"]} <= set(TOPICS)
-    header = Blueprint(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
+    header = BenchModel(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
     tree = FrameTree(header)
     assert tree.follow(driving_record(0))
     known = {WALL, BODY} | {name for f in (*tree.fixed, tree.camera_start) for name in (f.parent, f.child)}

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from mcap_cases import driving_record
 
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.config.loading import load_bench
 from hil.core.clock import NS_PER_S, WallOffset
 from hil.recording.mcap_writer import McapRecorder
@@ -57,7 +57,7 @@ def told(tmp_path_factory):
 
 
 def recording(path):
-    header = Blueprint(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
+    header = BenchModel(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
     clock = describe_clock(WallOffset(1_790_000_000 * NS_PER_S, 300, 5))
     recorder = McapRecorder(path, {**header, "clock": clock}, lossless=True)
     for k in range(CYCLES):

@@ -13,7 +13,7 @@ from mcap_cases import PERIOD_NS, driving_record
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.config.loading import load_bench
 from hil.core.clock import NS_PER_S, MonotonicClock, WallOffset
 from hil.core.geometry import quat_from_yaw, quat_rotate
@@ -29,7 +29,7 @@ CONFIG = load_bench("emulated")
 
 
 def header(offset=OFFSET):
-    return Blueprint(CONFIG, geometry=WheelGeometry.nominal()).header() | {"clock": describe_clock(offset)}
+    return BenchModel(CONFIG, geometry=WheelGeometry.nominal()).header() | {"clock": describe_clock(offset)}
 
 
 def record(path, records, header):

@@ -1,4 +1,4 @@
-"""Exact replay: a brain fed with the recorded inputs decides the same bits, and differences are named."""
+"""Exact replay: a pipeline fed with the recorded inputs decides the same bits, and differences are named."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mcap_cases import driving_record
 
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.config.loading import load_bench
 from hil.core.choices import COMPARED
 from hil.core.errors import DataError, SafetyStop
@@ -17,7 +17,7 @@ from hil.core.geometry import compose, se2_exp
 from hil.core.interfaces import Controller, Estimator
 from hil.core.signals import CycleRecord, Event, Reference, RobotState, WheelSetpoint
 from hil.loop.alignment import Alignment, AlignmentParameters
-from hil.loop.control_loop import Brain
+from hil.loop.control_loop import ControlPipeline
 from hil.loop.recorded_motion import Motion
 from hil.loop.safety import SafetyLimits
 from hil.loop.supervisor import Supervisor
@@ -69,7 +69,7 @@ class Proportional(Controller):
 
 
 def verify(cycles, the_brain, start=START):
-    """First cycle whose bits a brain does not decide again, and its first difference; None for none."""
+    """First cycle whose bits a pipeline does not decide again, and its first difference; None for none."""
     the_brain.reset(start)
     for cycle in cycles:
         verdict, difference = verify_cycle(cycle, the_brain, Agreement(), exact=True)
@@ -83,8 +83,8 @@ def line(t_s):
     return Reference(t_s, np.array([0.1 + 0.03 * t_s, 0.33, 0.02]), np.zeros(3), np.zeros(3))
 
 
-def brain(scale=1.0, reference=line, limits=None):
-    return Brain(
+def pipeline(scale=1.0, reference=line, limits=None):
+    return ControlPipeline(
         Supervisor(limits or SafetyLimits()),
         Alignment(AlignmentParameters(steer_zero_rad=(0.01, 0.0, 0.0, 0.0))),
         DeadReckoning(scale),
@@ -126,47 +126,47 @@ def recorded(path, *runs, start=START):
 
 
 def test_replay_from_the_file_reproduces_every_bit(tmp_path):
-    path = recorded(tmp_path / "r", run(250, brain()), run(40, brain()))
+    path = recorded(tmp_path / "r", run(250, pipeline()), run(40, pipeline()))
     runs = list(read_runs(path))
     assert [len(r.records) for r in runs] == [250, 40]
     for each in runs:
         assert each.start.trajectory == {"shape": "line"}
         assert each.start.observers == ("ekf",)
-        assert verify(each.records, brain(), each.start.state) is None
-        assert verify(each.records, brain(reference=RecordedReferences(each.records))) is None
+        assert verify(each.records, pipeline(), each.start.state) is None
+        assert verify(each.records, pipeline(reference=RecordedReferences(each.records))) is None
 
 
 def test_another_estimator_is_named_with_cycle_and_field(tmp_path):
-    (only,) = read_runs(recorded(tmp_path / "r", run(30, brain())))
-    cycle, difference = verify(only.records, brain(OTHER_SCALE), only.start.state)
+    (only,) = read_runs(recorded(tmp_path / "r", run(30, pipeline())))
+    cycle, difference = verify(only.records, pipeline(OTHER_SCALE), only.start.state)
     assert 1 <= cycle < 30
     assert difference.startswith("state.pose_body_in_wall[")
 
 
 def test_one_changed_input_bit_is_found():
-    records = list(run(30, brain()))
+    records = list(run(30, pipeline()))
     servos = records[11].inputs.servos[0]
     angle = servos.position_rad.copy()
     angle[6] = np.nextafter(angle[6], 10.0)
     servos = dataclasses.replace(servos, position_rad=angle)
     inputs = dataclasses.replace(records[11].inputs, servos=(servos,))
     records[11] = dataclasses.replace(records[11], inputs=inputs)
-    cycle, difference = verify(records, brain())
+    cycle, difference = verify(records, pipeline())
     assert (cycle, difference.split(":")[0]) == (11, "measurements.wheels.0.steering_rad[2]")
 
 
 def test_a_recorded_stop_is_reproduced_and_an_unrecorded_one_named():
     tight = SafetyLimits(tracking_error_limit_m=0.004)
-    stopped = list(run(100, brain(limits=tight)))
+    stopped = list(run(100, pipeline(limits=tight)))
     assert len(stopped) < 100
-    assert verify(stopped, brain(limits=tight)) is None
-    cycle, difference = verify(list(run(100, brain())), brain(limits=tight))
+    assert verify(stopped, pipeline(limits=tight)) is None
+    cycle, difference = verify(list(run(100, pipeline())), pipeline(limits=tight))
     assert cycle == len(stopped) - 1
     assert "stopped the robot" in difference
 
 
 def test_runs_without_a_note_are_told_apart_by_their_cycle_numbers(tmp_path):
-    path = recorded(tmp_path / "r", run(20, brain()), run(10, brain()), start=None)
+    path = recorded(tmp_path / "r", run(20, pipeline()), run(10, pipeline()), start=None)
     runs = list(read_runs(path))
     assert [len(r.records) for r in runs] == [20, 10]
     assert all(r.start is None for r in runs)
@@ -259,7 +259,7 @@ def test_the_last_sample_of_motion_capture_counts_while_the_wheels_rest():
 def test_a_run_is_compared_by_kind_and_tabulated():
     start = dataclasses.replace(START, pose_body_in_wall=np.zeros(3))
     only = RecordedRun(RunStart(start, "ekf"), tuple(moving(0.0254, k) for k in range(60)))
-    bench = Blueprint(load_bench("emulated_floor"), geometry=GEOMETRY)
+    bench = BenchModel(load_bench("emulated_floor"), geometry=GEOMETRY)
     motions = compare_run(only, bench)
     assert list(motions) == ["recorded", *COMPARED]
     assert list(compare_run(only, bench, ("odometry",), recorded=False)) == ["odometry"]
@@ -283,7 +283,7 @@ def test_what_was_recorded_of_an_observer_of_ones_own_is_a_row(tmp_path):
         mine = dataclasses.replace(record.state, pose_body_in_wall=seen.pose + np.array([0.003, 0.004, 0.0]))
         observers = {"ekf": record.state} | ({"mine $x^$": mine} if k else {})
         records.append(dataclasses.replace(record, observers=observers))
-    bench = Blueprint(load_bench("emulated_floor"), geometry=GEOMETRY)
+    bench = BenchModel(load_bench("emulated_floor"), geometry=GEOMETRY)
     run_of_mine = RecordedRun(RunStart(start, "ekf"), tuple(records))
     motions = compare_run(run_of_mine, bench, ("odometry",))
     assert list(motions) == ["recorded", "recorded mine $x^$", "odometry"]

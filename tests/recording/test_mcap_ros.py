@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mcap_cases import driving_record
 from rosbags.typesys import Stores, get_typestore
 
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.config.loading import load_bench
 from hil.core.errors import ConfigError
 from hil.core.registry import kinds
@@ -26,7 +26,7 @@ from hil.robot.kinematics import WheelGeometry
 KINDS = tuple(kinds().values())
 TOPICS = topics_with(KINDS)
 STORE = get_typestore(Stores.ROS2_HUMBLE)
-HEADER = Blueprint(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
+HEADER = BenchModel(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
 
 
 def messages(k):

@@ -11,7 +11,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.core.signals import SERVOS, WHEELS, Inputs, ServoSample, Stamp, Status
@@ -24,7 +24,7 @@ CONFIG = load_bench("emulated")
 
 
 def header(config=CONFIG, geometry=None):
-    return Blueprint(config, geometry=geometry or WheelGeometry.nominal()).header()
+    return BenchModel(config, geometry=geometry or WheelGeometry.nominal()).header()
 
 
 def joints_of(text):

@@ -6,7 +6,7 @@ import pytest
 
 from hil.core.signals import Status
 from hil.drivers.servos.bus import Exchange
-from hil.drivers.servos.latency_probe import RollCall
+from hil.drivers.servos.latency_probe import LatencyProbe
 from hil.drivers.servos.packets import Answer
 
 IN_TIME_S, NEVER = 0.003, None
@@ -53,7 +53,7 @@ def line():
 
 @pytest.fixture
 def roll(line):
-    return RollCall(line, IDS, SimpleNamespace(now_ns=lambda: line.now_ns), watchdog_s=0.08)
+    return LatencyProbe(line, IDS, SimpleNamespace(now_ns=lambda: line.now_ns), watchdog_s=0.08)
 
 
 def said(caplog):

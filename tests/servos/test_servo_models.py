@@ -18,7 +18,7 @@ from hil.config.servos import ServosConfig
 from hil.core.errors import DeviceError, UsageError
 from hil.core.signals import ServoSetpoint
 from hil.drivers.servos import scan, set_up
-from hil.drivers.servos.multi_turn import EVERYBODY, MultiTurnCounter
+from hil.drivers.servos.multi_turn import ALL_SERVOS, MultiTurnCounter
 from hil.drivers.servos.register_map import RegisterMap
 
 NUMBERS = (1000, 1010, 1020, 1030, 1040, 1050)
@@ -318,9 +318,9 @@ def test_turns_are_counted_alike_whether_all_are_looked_at_together_or_each(read
     """Restarts (steps of thousands of counts), and one servo that is silent now and then."""
     together, each = MultiTurnCounter(MODEL), MultiTurnCounter(MODEL)
     for k, (raw, silent) in enumerate(readings):
-        seen = EVERYBODY
+        seen = ALL_SERVOS
         if silent == 3:
-            seen = EVERYBODY.copy()
+            seen = ALL_SERVOS.copy()
             seen[3] = False
         elif silent == 4:
             together.restarted(4)

@@ -5,7 +5,7 @@ import pytest
 from hil.config.servos import ServosConfig
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.signals import Status
-from hil.drivers.servos.answer_timeouts import OutageWatch
+from hil.drivers.servos.answer_timeouts import AnswerTimeouts
 from hil.drivers.servos.cyclic_read import ALL_OK
 
 LIMIT_NS = 500_000_000
@@ -13,7 +13,7 @@ LIMIT_NS = 500_000_000
 
 def noted(status, *times_ns, alert=0, excused_ns=0):
     """Joint 2 has this status at these times, the others answer."""
-    watch = OutageWatch(ServosConfig(fail_after_s=LIMIT_NS * 1e-9), "servos", 0)
+    watch = AnswerTimeouts(ServosConfig(fail_after_s=LIMIT_NS * 1e-9), "servos", 0)
     statuses, alerts = [Status.OK] * 8, [0] * 8
     statuses[2], alerts[2] = status, alert
     for t_ns in times_ns:
@@ -42,7 +42,7 @@ def test_an_error_of_the_hardware_is_another_failure_with_another_remedy():
 
 
 def test_a_broken_servo_among_silent_ones_is_what_has_to_be_mended():
-    watch = OutageWatch(ServosConfig(fail_after_s=LIMIT_NS * 1e-9), "servos", 0)
+    watch = AnswerTimeouts(ServosConfig(fail_after_s=LIMIT_NS * 1e-9), "servos", 0)
     status = (Status.TIMEOUT, Status.HARDWARE_ERROR, *[Status.OK] * 6)
     with pytest.raises(DeviceError, match=r"drive_FL \(ID 1\): timeout, drive_BL .*reboot") as error:
         watch.note(status, [0, 0x20, *[0] * 6], LIMIT_NS + 1)
@@ -50,7 +50,7 @@ def test_a_broken_servo_among_silent_ones_is_what_has_to_be_mended():
 
 
 def test_whether_all_were_usable_is_said_and_remembered():
-    watch = OutageWatch(ServosConfig(fail_after_s=LIMIT_NS * 1e-9), "servos", 0)
+    watch = AnswerTimeouts(ServosConfig(fail_after_s=LIMIT_NS * 1e-9), "servos", 0)
     silent = (Status.TIMEOUT, *[Status.OK] * 7)
     assert watch.saw(ALL_OK, LIMIT_NS)
     assert not watch.saw(silent, 2 * LIMIT_NS)

@@ -124,8 +124,8 @@ class Distances:
 
 
 def test_an_estimator_of_ones_own_is_given_its_distances(bench):
-    brain = bench.make_brain(None)
-    brain.estimator = own = Distances(brain.estimator)
-    bench.run(brain, RunStart(bench.start_state(), "own"), lambda record: record.cycle >= 50)
+    pipeline = bench.make_pipeline(None)
+    pipeline.estimator = own = Distances(pipeline.estimator)
+    bench.run(pipeline, RunStart(bench.start_state(), "own"), lambda record: record.cycle >= 50)
     assert len(own.seen) > 40
     assert own.seen[-1] == pytest.approx(PLATE_M - NOSE_M, abs=0.05)

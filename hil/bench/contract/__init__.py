@@ -1,4 +1,4 @@
-"""What devices promise, whoever answers on the wire: one suite for emulated and real ones.
+"""The device contract: one suite of checks for emulated and real devices.
 
 `hil accept` runs it and prints findings; the pytest suite `hil.pytest_plugin.contract` runs the same checks
 as tests. A check takes what it judges, returns what it measured in a few words, and raises `Broken`.

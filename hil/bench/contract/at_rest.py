@@ -151,10 +151,10 @@ def reads_do_not_wait(subject: Subject) -> str:
             took_ns.append(clock.now_ns() - began_ns)
             clock.sleep_until_ns(began_ns + _STEP_NS)
     usual_ns = sorted(took_ns)[-3]
-    told = f"{1e-6 * usual_ns:.2g} ms"
+    message = f"{1e-6 * usual_ns:.2g} ms"
     if usual_ns >= LONGEST_READ_NS:
-        raise Broken(f"reads take {told}", f"less than {1e-6 * LONGEST_READ_NS:g} ms", _LINK)
-    return told
+        raise Broken(f"reads take {message}", f"less than {1e-6 * LONGEST_READ_NS:g} ms", _LINK)
+    return message
 
 
 def recorded_bit_for_bit(subject: Subject) -> str:

@@ -46,12 +46,12 @@ def delays_at_rest(subject: Subject) -> str:
     age_ms = np.array([s.host_ns - s.t_ns for s in stamps]) * 1e-6
     median, late = float(np.median(age_ms)), float(np.percentile(age_ms, 95))
     read = 1e3 * float(np.percentile(watched.took_s, 99))
-    told = f"{median:.2f} ms old (95 %: {late:.2f} ms), read in {read:.2f} ms (99 %)"
+    message = f"{median:.2f} ms old (95 %: {late:.2f} ms), read in {read:.2f} ms (99 %)"
     if median >= 1e3 * limit_s:
         raise Broken(
-            told, f"younger than {1e3 * limit_s:.3g} ms", "look at USB latency timer, hub and network"
+            message, f"younger than {1e3 * limit_s:.3g} ms", "look at USB latency timer, hub and network"
         )
-    return told
+    return message
 
 
 def punctuality(config: BenchConfig) -> Finding:
@@ -91,7 +91,7 @@ def delays_in_motion(bench: Bench) -> Iterator[Finding]:
     """
     steering, encoders, wheels = list[float](), list[float](), list[float]()
     if (sensor := bench.rig.get("encoders")) is not None:
-        sensor.close()  # what has piled up while nobody read them is of no use
+        sensor.close()  # what has piled up while nothing read them is of no use
         sensor.open()
     with enabled(bench) as start:
         at_loop_rate(bench, 0.3, still(start))

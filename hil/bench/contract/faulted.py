@@ -55,19 +55,19 @@ def _seen(anew: Callable[[], Bench], kind: str, fault: str) -> Seen:
     bench = anew()
     world = bench.world
     assert world is not None
-    told: list[Any] = []
+    reported: list[Any] = []
     try:
         bench.begin()
         began_ns = bench.clock.now_ns()
         if fault:
             at_s = began_ns / NS_PER_S + _AT_S
             world.faults.add(parse_fault(f"{kind}:{fault}@{at_s:.3f}{_SURELY.get(fault, '')}"))
-        told += _watched(bench, kind)
-        told.append(_told_of(bench.truth()))
-        told.append(world.plant.adhesion_n())
+        reported += _watched(bench, kind)
+        reported.append(_told_of(bench.truth()))
+        reported.append(world.plant.adhesion_n())
     finally:
         bench.close()
-    return tuple(told)
+    return tuple(reported)
 
 
 _SURELY = {kind: ",probability=1" for kind in ("drop", "corrupt", "truncate", "duplicate")}

@@ -30,7 +30,7 @@ _HEALTH_S, _SILENT_S = 2.5, 1.5
 
 
 def pause(bench: Bench, duration_s: float) -> None:
-    """Let time pass in which nobody talks to a device."""
+    """Let time pass in which nothing talks to a device."""
     bench.clock.sleep_until_ns(bench.clock.now_ns() + nanoseconds(duration_s))
 
 
@@ -42,8 +42,10 @@ def fresh(bench: Bench) -> ServoSample:
         if sample.ok:
             return cast("ServoSample", sample)
         pause(bench, 1.0 / bench.config.loop.rate_hz)
-    told = ", ".join(f"{n} {s.value}" for n, s in zip(SERVOS, sample.status, strict=True) if s.value != "ok")
-    raise Broken(f"no good sample in {_PATIENCE_S:g} s: {told}", "all eight", "check cable and supply")
+    message = ", ".join(
+        f"{n} {s.value}" for n, s in zip(SERVOS, sample.status, strict=True) if s.value != "ok"
+    )
+    raise Broken(f"no good sample in {_PATIENCE_S:g} s: {message}", "all eight", "check cable and supply")
 
 
 def at_loop_rate(bench: Bench, duration_s: float, setpoint: ServoSetpoint | None = None) -> ServoSample:
@@ -95,13 +97,13 @@ def goals_are_reached(bench: Bench) -> str:
         turned = ServoSetpoint(5.0 * _STEP, start.position_rad[4:] + _STEP)
         sample = at_loop_rate(bench, 1.5, turned)
         _near("wheel rates", sample.velocity_rad_s[:4], turned.drive_velocity_rad_s, _RATE_OFF_RAD_S, "rad/s")
-        told = _near("steering", sample.position_rad[4:], turned.steer_position_rad, _STEERS_RAD)
+        reported = _near("steering", sample.position_rad[4:], turned.steer_position_rad, _STEERS_RAD)
         moved = sample.position_rad[:4] - start.position_rad[:4]
         if not np.all(np.sign(moved) == np.sign(turned.drive_velocity_rad_s)):
             raise Broken(f"wheels turned by {np.round(moved, 2)} rad", "the signs of the goals", _HORN)
         back = at_loop_rate(bench, 1.0, still(start))
         _near("steering, back again,", back.position_rad[4:], start.position_rad[4:], _STEERS_RAD)
-    return told
+    return reported
 
 
 def stop_holds(bench: Bench) -> str:
@@ -133,7 +135,7 @@ def a_forgotten_wheel_stops(bench: Bench) -> str:
 
 
 def obeys_after_silence(bench: Bench) -> str:
-    """Servos that nobody talked to are looked after, and obey the next goals."""
+    """Servos that nothing talked to are looked after, and obey the next goals."""
     with enabled(bench) as start:
         pause(bench, 5.0 * _table(bench).watchdog_s)
         trouble = _servos(bench).look_after().trouble
@@ -167,13 +169,13 @@ def health_is_reported(bench: Bench) -> str:
     if not 1 <= len(found) <= 4:
         raise Broken(f"{len(found)} reports in {_HEALTH_S:g} s", "one to four", "check the servo bus")
     volts, celsius = found[-1].voltage_v, found[-1].temperature_c
-    told = (
+    message = (
         f"{np.min(volts):.1f} to {np.max(volts):.1f} V, {np.min(celsius):.0f} to {np.max(celsius):.0f} degC"
     )
     if not (_within(volts, _VOLTS) and _within(celsius, _CELSIUS)):
         expected = f"{_VOLTS[0]:g} to {_VOLTS[1]:g} V, {_CELSIUS[0]:g} to {_CELSIUS[1]:g} degC"
-        raise Broken(told, expected, "check supply and load of the servos")
-    return told
+        raise Broken(message, expected, "check supply and load of the servos")
+    return message
 
 
 def stop_never_raises(bench: Bench) -> str:
@@ -195,7 +197,7 @@ def without_restart(check: Callable[[Bench], str]) -> Callable[[Bench], str]:
     def checked(bench: Bench) -> str:
         before = dict(_restarts(bench))
         try:
-            told = check(bench)
+            reported = check(bench)
         except Broken as broken:
             if names := _restarted_since(bench, before):
                 found = f"{broken.found}; {names} restarted meanwhile"
@@ -203,7 +205,7 @@ def without_restart(check: Callable[[Bench], str]) -> Callable[[Bench], str]:
             raise
         if names := _restarted_since(bench, before):
             raise Broken(f"{names} restarted", "no servo that starts over", _SUPPLY)
-        return told
+        return reported
 
     return checked
 
@@ -236,8 +238,8 @@ def _near(what: str, values: Array, wanted: Array, tolerance: float, unit: str =
     off = np.abs(values - wanted)
     names = SERVOS if len(off) == 8 else SERVOS[:4] if unit == "rad/s" else SERVOS[4:]
     if not np.all(off <= tolerance):
-        told = ", ".join(f"{n} {o:.3f}" for n, o in zip(names, off, strict=True) if not o <= tolerance)
-        raise Broken(f"{what}: off by {told} {unit}", f"at most {tolerance:g} {unit}", _HORN)
+        message = ", ".join(f"{n} {o:.3f}" for n, o in zip(names, off, strict=True) if not o <= tolerance)
+        raise Broken(f"{what}: off by {message} {unit}", f"at most {tolerance:g} {unit}", _HORN)
     return f"off by at most {np.max(off):.3f} {unit}"
 
 

@@ -22,19 +22,19 @@ def loses_next_to_nothing(subject: Subject) -> str:
     It begins to count when the device has had time to start, as the doctor does.
     """
     limit, real_time = kinds()[subject.kind].min_delivered, subject.anew is None
-    share, told = 0.0, ""
+    share, message = 0.0, ""
     for _ in range(_TIMES if real_time else 1):
         good, wanted = _watched(subject)
-        if not told or good / (wanted - _AT_THE_ENDS) > share:
-            share, told = good / (wanted - _AT_THE_ENDS), f"{good} of {wanted:.0f} due are good"
+        if not message or good / (wanted - _AT_THE_ENDS) > share:
+            share, message = good / (wanted - _AT_THE_ENDS), f"{good} of {wanted:.0f} due are good"
         if share >= limit:
-            return told
+            return message
     if real_time and share >= SHARE:
         idle = idle_for(subject.bench.config, _IDLE_S)
         if idle.late > BUSY_SHARE * idle.cycles:
-            return f"{told}; this computer is too busy to say whether the others were lost"
+            return f"{message}; this computer is too busy to say whether the others were lost"
     raise Broken(
-        f"{told} ({share:.0%})",
+        f"{message} ({share:.0%})",
         f"{limit:.0%} or more in {_WATCH_S:g} s, as bring_up asks for",
         "check cable, plugs, termination and supply; `hil doctor` says more",
     )

@@ -1,4 +1,4 @@
-"""Whether what says where the robot is (camera, motion capture) sees it stand while it stands."""
+"""Whether position sensors (camera, motion capture) see a resting robot rest."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def sees_no_motion(subject: Subject) -> str:
     t_s = (np.array([t_ns for t_ns, _ in seen]) - seen[0][0]) / NS_PER_S
     drift = np.polyfit(t_s, np.array([place for _, place in seen]), 1)[0]
     speed_m_s = float(np.linalg.norm(drift))
-    told = f"{1e3 * speed_m_s:.2g} mm/s"
+    message = f"{1e3 * speed_m_s:.2g} mm/s"
     if speed_m_s > MOST_M_S:
         raise Broken(
-            f"the robot moves at {told} by what it says",
+            f"the robot moves at {message} by what it says",
             f"at most {1e3 * MOST_M_S:g} mm/s while it stands",
             "have the robot stand still; clean the lenses, light the scene, look at markers and rigid body",
         )
-    return told
+    return message

@@ -1,4 +1,4 @@
-"""A device that is judged, what it delivered, and how a promise that was broken is told."""
+"""The device under check, the samples that it delivered, and the error of a broken contract."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A bench for the doctor: without the devices that their packages cannot even build; each is told."""
+"""Opens a bench for the doctor without devices whose drivers cannot be made; each becomes a finding."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hil.core.finding import Finding
 from hil.core.package_errors import PackageError
 
 
-def open_what_can_be(
+def open_degraded(
     config: str | Path | BenchConfig, *, emulate: str | None = None, **given: Any
 ) -> tuple[Bench, list[Finding]]:
     """A bench as `open_bench` returns it, and a failure for every device that had to be left out.

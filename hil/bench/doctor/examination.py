@@ -21,7 +21,7 @@ from hil.bench.drivers import model_of
 from hil.bench.hold.tilt import tilt_finding
 from hil.bench.settings import wheel_model
 from hil.bench.third_party.added_checks import checks_of
-from hil.bench.third_party.contract_findings import broken_promises
+from hil.bench.third_party.contract_findings import find_contract_breaks
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.config.load_cells import LoadCellsConfig
@@ -137,28 +137,28 @@ def _examine_one(
 ) -> Iterator[Finding]:
     """Findings about one device; `seen` receives what it delivered."""
     device = bench.rig.get(kind)
-    told = list(_latency_timer(bench, kind, host))
-    yield from told
+    reported = list(_latency_timer(bench, kind, host))
+    yield from reported
     try:
         device.open()
     except Aborted:
         raise  # whoever ended it: that says nothing of the device
     except HilError as error:
-        yield _slowness_first(told, _failure(device, "open", error))
+        yield _slowness_first(reported, _failure(device, "open", error))
         return
     try:
         identity = ", ".join(f"{key} {value}" for key, value in device.identity().items())
         yield Finding(device.name, "open", "ok", identity)
         own = [f for f in getattr(device, "diagnose", tuple)() if f.check not in _SHOWN_BY_SAMPLES]
-        told += own
+        reported += own
         yield from own
         _watch(bench, device, _SETTLE_S, [])
         for finding in _looks(bench, kind, device, watch_s, seen):
-            yield _slowness_first(told, finding)
+            yield _slowness_first(reported, finding)
     except Aborted:
         raise
     except HilError as error:
-        yield _slowness_first(told, _failure(device, "read", error))
+        yield _slowness_first(reported, _failure(device, "read", error))
     finally:
         device.close()
 
@@ -172,7 +172,7 @@ def _looks(
     samples = seen[name] = _watch(bench, device, watch_s, waits_s)
     watched = Watched(kind, config, device, samples, watch_s, bench.clock, bench.config.loop.rate_hz)
     if model.package != OURS:
-        yield from broken_promises(watched, waits_s)
+        yield from find_contract_breaks(watched, waits_s)
     package = model.package if kind.package == OURS else kind.package
     yield from asked(name, package, "its check or rate_hz", lambda: list(kind.check(watched)))
     yield from asked(name, model.package, "its check", lambda: list(model.check(watched)))

@@ -35,13 +35,13 @@ def udev_rules(config: BenchConfig, sysfs: Path) -> str:
         "# FTDI adapters pass on at once what they hold",
         _TIMER,
     ]
-    told: set[str] = set()
+    reported: set[str] = set()
     for name, port in real_ports(config).items():
         adapter = behind(port, sysfs)
         if adapter is None:
             lines += ["", f"# {name}: no USB adapter is behind {port}; plug it in for its rules"]
-        elif adapter.place not in told:
-            told.add(adapter.place)
+        elif adapter.place not in reported:
+            reported.add(adapter.place)
             lines += ["", f"# {name}: {adapter.name or 'adapter'} on {port}", *_adapter(adapter)]
     camera = config.of(T265Config)
     if camera is not None and camera.backend != "emulated":

@@ -104,8 +104,8 @@ def _cannot_be_opened(port: str) -> str:
     try:
         let_go(open_serial(port, baud=_BAUD, timeout_s=_WAIT_S, write_timeout_s=_WAIT_S))
     except PORT_ERRORS as error:
-        told = cannot_open(port, "", error, expected="a serial port")
-        return f"{told.message.removeprefix(f'{port}: ')}; {told.remedy}"
+        reported = cannot_open(port, "", error, expected="a serial port")
+        return f"{reported.message.removeprefix(f'{port}: ')}; {reported.remedy}"
     return ""
 
 

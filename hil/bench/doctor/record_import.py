@@ -1,4 +1,4 @@
-"""Older files into the record of a robot: a calibration, a piece of a bench file, a part, another record."""
+"""Imports calibrations, bench-file fragments, parts or another record into a robot's record."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class _Found:
     origin: Origin
 
 
-def absorb(
+def import_record(
     record: RobotRecord, source: Path, config: BenchConfig, now: str, *, of_this_robot: bool = False
 ) -> tuple[str, ...]:
     """Take the parts that a file or another record holds, as a new version.
@@ -44,7 +44,7 @@ def absorb(
         source: `part_NAME.toml`, `calibration.toml`, `bench_fragment.toml`, or the folder of a record.
         config: bench of the robot that they belong to.
         now: date and time, ISO 8601.
-        of_this_robot: somebody vouches for a file that does not say of which robot it is.
+        of_this_robot: the user vouches for a file that does not say of which robot it is.
 
     Returns:
         Names of the parts that had to go.

@@ -1,6 +1,6 @@
-"""Whether what presses the robot on its wall is heard, and presses enough: a part of whether it is held.
+"""Whether the fan's force is measured and is enough to hold the robot: one condition of HELD.
 
-A robot whose fan has just died still stands still. A controller that nobody hears may have let go of its
+A robot whose fan has just died still stands still. A controller that nothing hears may have let go of its
 motor, or will when its time-out ends, and the fan takes a second to run down. So a silent fan is no longer
 trusted until the load cells have felt enough force for longer than that, and a force that falls quickly is
 doubted before it is lost. Propellers carry a part of the weight: they count by what they report. Those that
@@ -26,7 +26,7 @@ from hil.core.registry import kinds
 from hil.core.signals import LoadCellSample, Status, worst
 from hil.loop.checks.adhesion import AdhesionLimits
 from hil.loop.checks.force_trend import ForceTrend
-from hil.loop.device_set import Rig
+from hil.loop.device_set import DeviceSet
 
 RUN_DOWN_S = 1.0
 """A fan without current has lost more force than any reserve by then."""
@@ -49,7 +49,7 @@ def measured_n(limits: AdhesionLimits, samples: Iterable[Any]) -> Iterator[tuple
             yield who, sample.stamp.t_ns, force_n
 
 
-class PressWatch:
+class AdhesionForceCheck:
     """Follows fan and load cells of a robot that has been stopped on a wall.
 
     Args:
@@ -67,7 +67,7 @@ class PressWatch:
 
     def __init__(
         self,
-        rig: Rig,
+        rig: DeviceSet,
         limits: AdhesionLimits | None,
         fan: KeptMotorConfig | None,
         alone: LeftAlone,
@@ -94,7 +94,7 @@ class PressWatch:
         self._alone.begin(for_good=for_good)
 
     def end(self) -> None:
-        """Nobody looks any more: propellers that were left alone are told their force again."""
+        """Nothing looks any more: propellers that were left alone are told their force again."""
         self._alone.end()
         self.waits = False
 
@@ -103,7 +103,7 @@ class PressWatch:
 
         Args:
             now_ns: time.
-            sees_slide: whether somebody who is believed sees places, and the robot at rest.
+            sees_slide: whether a trusted sensor sees places, and the robot at rest.
             moves: whether the robot is seen not to rest.
         """
         self.waits = False
@@ -117,9 +117,9 @@ class PressWatch:
         fresh = self._fresh(now_ns)
         push_n, without = self._counted_push(now_ns, sees_slide, moves, fresh)
         least_n = self._limits.statics.needed_n(push_n, self.heading_rad)
-        told = ", ".join(f"{force_n:.1f} N by {name}" for name, force_n in fresh.items())
+        message = ", ".join(f"{force_n:.1f} N by {name}" for name, force_n in fresh.items())
         if not fresh or not min(fresh.values()) >= least_n:  # NaN is not enough either
-            told = told or "nobody measures it"
+            message = message or "nobody measures it"
             whole_n = self._limits.statics.needed_n(self._limits.nominal_thrust_n, self.heading_rad)
             self.waits = self._alone.begun and min(fresh.values(), default=0.0) >= whole_n
             if self.waits:
@@ -127,13 +127,15 @@ class PressWatch:
             else:
                 self._enough_since_ns = None
             needed = f"{least_n:.1f} N are needed{without}"
-            return f"what presses the robot on the wall: {told}; {needed}: secure the robot"
+            return f"what presses the robot on the wall: {message}; {needed}: secure the robot"
         for name, force_n in fresh.items():
             falling_n_s = -self._trends[name].slope_n_s()
             if not force_n - RUN_DOWN_S * falling_n_s >= least_n:
-                return f"the force by {name} falls by {falling_n_s:.0f} N/s; {told} so far: secure the robot"
+                return (
+                    f"the force by {name} falls by {falling_n_s:.0f} N/s; {message} so far: secure the robot"
+                )
         if not self._outlasted(now_ns, fresh):
-            return f"the fan's controller is silent, it may have let go; {told} so far: secure the robot"
+            return f"the fan's controller is silent, it may have let go; {message} so far: secure the robot"
         return ""
 
     def _outlasted(self, now_ns: int, fresh: Mapping[str, float]) -> bool:
@@ -146,7 +148,7 @@ class PressWatch:
         return now_ns - self._enough_since_ns >= self._outlasts_ns
 
     def _nothing_real(self) -> str:
-        """What is said of a robot whose fan or propellers are emulated, and that nobody measures either."""
+        """What is said of a robot whose fan or propellers are emulated, and that nothing measures either."""
         if not self._pretended:
             return ""
         return (
@@ -156,7 +158,7 @@ class PressWatch:
         )
 
     def _unmeasured(self, now_ns: int, sees_slide: bool, moves: bool) -> str:
-        """What is said where propellers that report nothing carry it, and nobody measures what presses it."""
+        """The message where propellers without feedback carry it and no sensor measures the force."""
         if not self._carried:
             return ""
         left_s = self._alone.left_s(now_ns, rests=sees_slide, moves=moves, least_n=0.0)
@@ -213,19 +215,19 @@ class PressWatch:
         return _CELLS in self._fresh(now_ns)
 
     def in_words(self, now_ns: int) -> str:
-        """What presses it, by whom, and who is silent; empty where nobody measures it."""
+        """What presses it, by whom, and who is silent; empty where nothing measures it."""
         if self._limits is None:
             return ""
         fresh = self._fresh(now_ns)
         measures = {FAN: self._limits.has_fan, _CELLS: self._limits.zero_n is not None}
-        told = [
+        reported = [
             f"{fresh[name]:.1f} N by {name}" if name in fresh else f"nothing by {name}"
             for name, there in measures.items()
             if there
         ]
         if self._limits.nominal_thrust_n and not self._limits.reports_thrust:
-            told.append("the propellers report nothing")
-        return f"; pressed on the wall: {', '.join(told)}"
+            reported.append("the propellers report nothing")
+        return f"; pressed on the wall: {', '.join(reported)}"
 
     def _fresh(self, now_ns: int) -> dict[str, float]:
         """Forces (N) that have just been measured, by who did."""
@@ -246,7 +248,7 @@ def _to_be_seen(left_s: float) -> str:
     return "nobody sees whether it slides, or knows how long they would need to let it"
 
 
-def press_watch(config: BenchConfig, rig: Rig) -> PressWatch:
+def press_watch(config: BenchConfig, rig: DeviceSet) -> AdhesionForceCheck:
     """That of a bench: it looks at what presses a robot that hangs on a wall without a tether.
 
     What is in another world than the servos presses another robot, or none.
@@ -259,4 +261,4 @@ def press_watch(config: BenchConfig, rig: Rig) -> PressWatch:
     own, asked_n = config.of(ThrustConfig), thrust_wanted_n(config)
     carried = can_fall(config) and asked_n > 0.0 and "thrust" in config.devices()
     carried = carried and not isinstance(own, KeptMotorConfig)
-    return PressWatch(rig, limits, kept, LeftAlone(rig, own, asked_n), carried, pretended)
+    return AdhesionForceCheck(rig, limits, kept, LeftAlone(rig, own, asked_n), carried, pretended)

@@ -1,4 +1,4 @@
-"""What `hil emulate` says of its robot: on a wall it is held by hand until a client enables torque.
+"""The messages of `hil emulate` on a wall: the robot is held by hand until a client enables torque.
 
 From then on it slides when it has none, as a real one does.
 """
@@ -19,7 +19,7 @@ _RESTS_M_S = 0.001
 _FAR_M = 10.0
 
 
-class OnItsWall:
+class EmulatedSupport:
     """Looks at the emulated robot itself, not at what clients have asked of it.
 
     Args:
@@ -51,15 +51,15 @@ class OnItsWall:
         speed_m_s = math.hypot(*truth.twist_body[:2])
         moved_m = float(np.hypot(*(truth.pose_body_in_wall - self._first)[:2]))
         far = f"{1e3 * moved_m:.0f} mm" if moved_m < _FAR_M else f"{moved_m:.0f} m"
-        told = f"{far} from where it began"
+        message = f"{far} from where it began"
         if getattr(self._world.plant, "by_hand", False):
             held = Held("NOT HELD", moved_m, "no client has enabled torque; the robot was held by hand")
         elif truth.fallen:
-            held = Held("NOT HELD", moved_m, f"the robot has left its wall, {told}")
+            held = Held("NOT HELD", moved_m, f"the robot has left its wall, {message}")
         elif speed_m_s > _RESTS_M_S:
-            held = Held("NOT HELD", moved_m, f"the robot slides at {1e3 * speed_m_s:.0f} mm/s, {told}")
+            held = Held("NOT HELD", moved_m, f"the robot slides at {1e3 * speed_m_s:.0f} mm/s, {message}")
         else:
-            held = Held("HELD", moved_m, f"the robot rests on its wall, {told}")
+            held = Held("HELD", moved_m, f"the robot rests on its wall, {message}")
         return "at the end " + seen_in_words(held)
 
     def _truth(self) -> PlantState:

@@ -12,18 +12,18 @@ from hil.core.clock import nanoseconds
 from hil.core.errors import HilError
 from hil.core.interfaces import Sink
 from hil.core.signals import CycleRecord
-from hil.loop.device_set import Rig
+from hil.loop.device_set import DeviceSet
 
 _EVERY_NS = nanoseconds(0.5)
 _MARGIN = 1.1
 """Over the limit at which the robot would be stopped."""
 LARGEST_STEP_DOWN_N, _CHANGE_N = 0.5, 0.25
-"""So that nobody takes it for a loss; smallest change that is worth a word."""
+"""So that it is not taken for a loss; smallest change that is worth a word."""
 _RAISED_N = 2.0
 """A fan that gives so much more than was asked for here was raised by a stop."""
 
 
-class ForceByNeed(Sink):
+class ForceController(Sink):
     """Sees the cycles go by and asks the fan for what the present heading needs.
 
     Args:
@@ -31,7 +31,7 @@ class ForceByNeed(Sink):
         rig: its devices.
     """
 
-    def __init__(self, config: BenchConfig, rig: Rig) -> None:
+    def __init__(self, config: BenchConfig, rig: DeviceSet) -> None:
         self._limits, self._rig = adhesion_limits(config), rig
         self._thrust_n = thrust_wanted_n(config)
         self._asked_n = force_wanted_n(config)
@@ -63,8 +63,8 @@ class ForceByNeed(Sink):
         """The fan goes on with what it was asked for last."""
 
 
-def by_need(config: BenchConfig, rig: Rig) -> tuple[Sink, ...]:
+def by_need(config: BenchConfig, rig: DeviceSet) -> tuple[Sink, ...]:
     """What adjusts the force of a bench, if `adhesion.by_need` asks for it."""
     fan = config.of(AdhesionConfig)
     on = fan is not None and fan.by_need and config.environment.on_wall
-    return (ForceByNeed(config, rig),) if on else ()
+    return (ForceController(config, rig),) if on else ()

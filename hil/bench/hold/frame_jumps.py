@@ -1,4 +1,4 @@
-"""Steps that no robot makes: whoever tells them has begun to tell places in another frame.
+"""Detects jumps of a sensor's reference frame (body redefined, camera relocalised); they are not motion.
 
 Motion capture whose rigid body was defined anew, and a camera that corrects its map, say from one sample to
 the next that the robot is somewhere else. What they say from then on is no way that the robot has gone.
@@ -70,8 +70,8 @@ class Leaps:
 
     def run_ended(self) -> None:
         """The next run may begin to estimate anywhere."""
-        for told in self._told.values():
-            told.estimated = None
+        for reported in self._told.values():
+            reported.estimated = None
 
     def begins_anew(self, name: str) -> None:
         """It says itself that it has begun anew: nothing follows from what it said before."""
@@ -88,26 +88,26 @@ class Leaps:
             estimated: (2,) m, where the robot is by the estimate that is followed, if one is.
         """
         here: Place = place.tolist()
-        told = self._told.get(name)
-        if told is None:
+        reported = self._told.get(name)
+        if reported is None:
             self._told[name] = _Told(t_ns, here, estimated)
             return tuple(self._behind_gaps(t_ns))
-        before_ns, before = told.seen[-1]
+        before_ns, before = reported.seen[-1]
         if t_ns <= before_ns:
             return ()
-        was = told.estimated
+        was = reported.estimated
         if estimated is not None:
-            told.estimated = estimated
+            reported.estimated = estimated
         step, leap = list(map(sub, here, before)), None
         if t_ns - before_ns <= _GAP_NS:
-            leap = self._step(told, step, (t_ns - before_ns) / NS_PER_S)
+            leap = self._step(reported, step, (t_ns - before_ns) / NS_PER_S)
         else:
-            told.step, told.step_s = [0.0] * len(here), 1.0
+            reported.step, reported.step_s = [0.0] * len(here), 1.0
             if was is not None and estimated is not None:
                 leap = _beyond(step, math.dist(estimated, was))
             else:
                 self._gaps[name] = _Gap(t_ns, step, dict(self._others(name, before_ns)))
-        told.seen.append((t_ns, here))
+        reported.seen.append((t_ns, here))
         if leap is None and not self._gaps:
             return ()
         moved = [] if leap is None else [self._moved(name, leap)]
@@ -124,10 +124,10 @@ class Leaps:
 
     def _others(self, name: str, at_ns: int) -> Iterator[tuple[str, Place]]:
         """Where others saw the robot about then."""
-        for other, told in self._told.items():
+        for other, reported in self._told.items():
             if other == name:
                 continue
-            t_ns, place = min(told.seen, key=lambda one: abs(one[0] - at_ns))
+            t_ns, place = min(reported.seen, key=lambda one: abs(one[0] - at_ns))
             if abs(t_ns - at_ns) <= _TOGETHER_NS:
                 yield other, place
 

@@ -10,11 +10,11 @@ from typing import TypeVar
 
 from hil.bench.camera_odometry import wheel_feed
 from hil.bench.hold.force_controller import by_need
-from hil.bench.hold.monitor import HoldWatch
-from hil.bench.hold.preload import Hanging
+from hil.bench.hold.monitor import HoldMonitor
+from hil.bench.hold.preload import Preload
 from hil.bench.hold.result import Held, untouched
-from hil.bench.model import Blueprint
-from hil.bench.reconnect import replugged
+from hil.bench.model import BenchModel
+from hil.bench.reconnect import reconnecting
 from hil.bench.settings import can_fall, fail_limits
 from hil.bench.unreached_faults import not_begun, not_begun_in_words
 from hil.controller.joint_script import JointScript
@@ -22,23 +22,29 @@ from hil.core.clock import Clock
 from hil.core.errors import UsageError, check_number
 from hil.core.interfaces import HELD_NOTE, Controller, Sink
 from hil.fakes.fault import Fault
-from hil.loop.control_loop import Brain
-from hil.loop.device_set import Rig
+from hil.loop.control_loop import ControlPipeline
+from hil.loop.device_set import DeviceSet
 from hil.recording.clocks import ptp_offsets
 from hil.recording.transform_tree import describe_clock
 from hil.robot.trajectories import Trajectory
 
 LOG = logging.getLogger(__name__)
 _LOOK_S = 1.0
-Opened = TypeVar("Opened", bound="HeldRig")
-MakeController = Callable[[Blueprint], Controller]
+Opened = TypeVar("Opened", bound="HeldDevices")
+MakeController = Callable[[BenchModel], Controller]
 
 
-class HeldRig:
+class HeldDevices:
     """The part of `Bench` that opens, holds and closes; its attributes are described there."""
 
     def __init__(
-        self, model: Blueprint, clock: Clock, rig: Rig, *, sinks: tuple[Sink, ...], faults: tuple[Fault, ...]
+        self,
+        model: BenchModel,
+        clock: Clock,
+        rig: DeviceSet,
+        *,
+        sinks: tuple[Sink, ...],
+        faults: tuple[Fault, ...],
     ) -> None:
         self.model, self.clock, self.rig = model, clock, rig
         self.config, self.geometry = model.config, model.geometry
@@ -54,7 +60,7 @@ class HeldRig:
         self._closed_ns: int | None = None
         self._looked_ns: int | None = None
         self.pressed = ""
-        self._hold = HoldWatch(model, rig, clock)
+        self._hold = HoldMonitor(model, rig, clock)
         self._sinks = list(sinks)
         self._stack = ExitStack()
         self._before_opening: list[Callable[[], object]] = []
@@ -63,7 +69,7 @@ class HeldRig:
         try:
             self.begin()
             limits = None if self.waits_for_sensors else fail_limits(self.config)
-            self.rig.sensors = replugged(self.rig.sensors, self.clock, limits)
+            self.rig.sensors = reconnecting(self.rig.sensors, self.clock, limits)
             self.rig.open()
         except BaseException as error:
             self.held = self._hold.unseen(f"the bench did not open ({type(error).__name__})")
@@ -73,7 +79,7 @@ class HeldRig:
         self._is_open = True
         self._not_looked_at("the bench is open, and bench.look() was not called")
         try:
-            self.pressed = Hanging(self.config, self.rig, self.clock).hold()
+            self.pressed = Preload(self.config, self.rig, self.clock).hold()
             self._sinks += [*by_need(self.config, self.rig), *wheel_feed(self.model, self.rig)]
             if self.on_wall and self.rig.servos is not None:
                 self.rig.servos.enable()
@@ -174,14 +180,14 @@ class HeldRig:
             sink.close()
         self._sinks.clear()
 
-    def make_brain(
+    def make_pipeline(
         self,
         trajectory: Trajectory | JointScript | None,
         *,
         controller: str | None = None,
         feedback: str = "ekf",
         observers: tuple[str, ...] = (),
-    ) -> Brain:
+    ) -> ControlPipeline:
         """The deterministic part of the loop for one motion or script (also what replay runs).
 
         Where the bench has a controller of the user's own, that drives every trajectory.
@@ -190,12 +196,12 @@ class HeldRig:
             UsageError: unknown feedback or controller.
             ConfigError: the controller of the user's own cannot be made.
         """
-        brain = self.model.make_brain(
+        pipeline = self.model.make_pipeline(
             trajectory, controller=controller, feedback=feedback, observers=observers
         )
         if self.own_controller is not None and isinstance(trajectory, Trajectory):
-            brain.controller = self.own_controller(self.model)
-        return brain
+            pipeline.controller = self.own_controller(self.model)
+        return pipeline
 
     def check(self, trajectory: Trajectory, *, known: Trajectory | None = None) -> None:
         """Refuse what the limits cannot follow.

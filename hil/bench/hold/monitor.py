@@ -1,4 +1,4 @@
-"""Whether the robot is held: somebody looks after every stop, until it is true or time is up.
+"""Watches after every stop whether the robot is held, until it is or time is up.
 
 "Held" is a claim about the world, not about what was sent: all eight servos say that they have torque and
 that their watchdogs wait, the wheels rest, and nothing that can see the robot sees it move. Until then the
@@ -18,10 +18,10 @@ import numpy as np
 
 from hil.bench.hold.adhesion_force import press_watch
 from hil.bench.hold.frame_jumps import Leaps
-from hil.bench.hold.rest import JOINTS, WINDOW_NS, Trail, Travel
+from hil.bench.hold.rest import JOINTS, WINDOW_NS, MotionSinceStop, Trail
 from hil.bench.hold.result import Held, State, lacking_in_words, on_the_floor
 from hil.bench.hold.tilt import TiltWatch
-from hil.bench.model import Blueprint
+from hil.bench.model import BenchModel
 from hil.bench.settings import can_fall
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import HilError
@@ -39,7 +39,7 @@ from hil.core.signals import (
     samples_of,
     worst,
 )
-from hil.loop.device_set import Rig
+from hil.loop.device_set import DeviceSet
 from hil.robot.statics import GRAVITY_M_S2
 
 LOG = logging.getLogger(__name__)
@@ -59,7 +59,7 @@ _FELT = 10
 """Samples of it that are averaged."""
 
 
-class HoldWatch(Sink):
+class HoldMonitor(Sink):
     """Sees the robot's cycles go by, so that it knows where the robot stood when it was stopped.
 
     Args:
@@ -72,7 +72,7 @@ class HoldWatch(Sink):
         last_state: as the latest cycle estimated it; None before.
     """
 
-    def __init__(self, model: Blueprint, rig: Rig, clock: Clock) -> None:
+    def __init__(self, model: BenchModel, rig: DeviceSet, clock: Clock) -> None:
         config, elsewhere = model.config, model.config.elsewhere()
         self.tilt = TiltWatch(config)
         self._press = press_watch(config, rig)
@@ -85,7 +85,7 @@ class HoldWatch(Sink):
         self._seeing = {name: kind for name, kind in able.items() if name not in elsewhere}
         self._blind = [k.noun for name, k in able.items() if name in elsewhere and k.measures_position]
         self._on_wall, self._can_fall = config.environment.on_wall, can_fall(config)
-        self._travel = Travel(self._seeing, float(np.mean(model.geometry.radius_m)))
+        self._travel = MotionSinceStop(self._seeing, float(np.mean(model.geometry.radius_m)))
         tellers = [(name, self._seeing[name]) for name in self._travel.names]
         self._tellers = [(n, samples_of(n), k.motion_value, k.measures_position) for n, k in tellers]
         self._doubted: dict[str, bool] = {}
@@ -113,7 +113,7 @@ class HoldWatch(Sink):
                 passed(name, t_ns, place)
 
     def passed_over(self, inputs: Inputs) -> None:
-        """Take what has piled up before a run and goes to nobody else."""
+        """Take what has piled up before a run and goes to nothing else."""
         self.tilt.saw(inputs.imu)
         for name, among, told_by, is_place in self._tellers:
             for sample in among(inputs) if is_place else ():
@@ -214,7 +214,8 @@ class HoldWatch(Sink):
     def _places(self, seen: Collection[str]) -> list[str]:
         """Those of them who would see a slide, and are believed.
 
-        Of two that contradicted each other, nobody knows who, one is right: when both see it rest, it does.
+        Of two that contradicted each other, one of which is right: when both see it rest, it
+        does.
         """
         places = [name for name in seen if self._seeing[name].measures_position]
         undecided = [name for name in places if not self._doubted.get(name)]
@@ -242,7 +243,7 @@ class HoldWatch(Sink):
         return self._verdict("NOT HELD", "torque was released, as exit.policy asks", wanted=False)
 
     def unseen(self, why: str, *, wanted: bool = True) -> Held:
-        """Nobody could look, or has not yet."""
+        """The robot could not be looked at, or not yet."""
         return replace(self._verdict("NOT HELD", f"not checked: {why}", wanted=wanted), moved_m=None)
 
     def _see(self, hold: ServoHold, trails: dict[str, Trail]) -> None:
@@ -330,7 +331,7 @@ class HoldWatch(Sink):
         return f"{steeper}: secure the robot, and correct environment.tilt_rad" if steeper else ""
 
     def _nobody_sees_a_slide(self, seen: Collection[str]) -> str:
-        """Wheels and IMU do not: somebody has to who sees places, or measures the force."""
+        """Wheels and IMU do not: a sensor that sees places or measures the force has to."""
         doubted = [kinds()[name].noun for name in seen if self._seeing[name].measures_position]
         why = f" (what the {' and the '.join(doubted)} said before the stop is in doubt)" if doubted else ""
         if self._blind:

@@ -17,7 +17,7 @@ from hil.core.errors import DeviceError, SafetyStop
 from hil.core.registry import kinds
 from hil.core.signals import Status
 from hil.loop.checks.adhesion import AdhesionLimits, apart
-from hil.loop.device_set import Rig
+from hil.loop.device_set import DeviceSet
 
 _STEP_NS = nanoseconds(0.01)
 _PATIENCE_NS = nanoseconds(12.0)
@@ -28,7 +28,7 @@ _PUSHES = 0.9
 _NO_SAMPLE_NS = nanoseconds(1.0)
 
 
-class Hanging:
+class Preload:
     """Fan and propellers of a bench on a wall.
 
     Args:
@@ -37,7 +37,7 @@ class Hanging:
         clock: the bench clock.
     """
 
-    def __init__(self, config: BenchConfig, rig: Rig, clock: Clock) -> None:
+    def __init__(self, config: BenchConfig, rig: DeviceSet, clock: Clock) -> None:
         self._config, self._rig, self._clock = config, rig, clock
         self._limits = adhesion_limits(config)
         self._seen_n: dict[str, float] = {}
@@ -69,23 +69,23 @@ class Hanging:
         self._ask("adhesion", raised_n or force_wanted_n(self._config))
         limit_n = self._wait(limits, thrust_n)
         self._compare()
-        told = f"Pressed on the wall with {self._told()}; {limit_n:.1f} N are the least on this surface."
+        message = f"Pressed on the wall with {self._told()}; {limit_n:.1f} N are the least on this surface."
         if raised_n:
-            told += (
+            message += (
                 f" The fan ran at {raised_n:.1f} N, more than the {force_wanted_n(self._config):g} N of the "
                 "bench's file, as after a stop that raises it, and stays there: less might let the robot "
                 "slide where it stands. Once it is secured, `hil adhesion on --tethered` lowers it."
             )
         blind = [kinds()[name].noun for name in self._config.elsewhere() if name in MEASURES]
         if blind:
-            told += " In another world than the servos, with no word on what presses this robot: "
-            told += ", ".join(blind) + "."
-        return told
+            message += " In another world than the servos, with no word on what presses this robot: "
+            message += ", ".join(blind) + "."
+        return message
 
     def _raised_n(self, limits: AdhesionLimits) -> float:
         """Force of a fan that runs at more than the bench wants (N), 0 for any other.
 
-        A stop has raised it where the robot stands, or an operator has; nobody here knows better.
+        A stop has raised it where the robot stands, or an operator has; nothing here knows better.
         """
         fan, wanted_n = self._config.of(AdhesionConfig), force_wanted_n(self._config)
         if fan is None or not limits.has_fan:
@@ -143,14 +143,14 @@ class Hanging:
             if steady or (steady_ns is not None and force_n >= self._enough(limit_n)):
                 return limit_n
             self._clock.sleep_until_ns(now_ns + _STEP_NS)
-        told = self._told() or "nothing measured"
+        text = self._told() or "nothing measured"
         if not self._pushes(limits, thrust_n):
-            told += f", and pushed up with {self._push_n:.1f} N of {thrust_n:.1f}"
+            text += f", and pushed up with {self._push_n:.1f} N of {thrust_n:.1f}"
             if limits.pushes_too_much(self._push_n):
-                told += " by their speed: a lost blade, a loose propeller, or a miscounted speed"
+                text += " by their speed: a lost blade, a loose propeller, or a miscounted speed"
         raise SafetyStop(
             "adhesion",
-            f"the robot is not pressed on the wall: {told}; {limit_n:.1f} N are the least on this surface. "
+            f"the robot is not pressed on the wall: {text}; {limit_n:.1f} N are the least on this surface. "
             "Nothing has moved; look at fan, battery, seal and load cells (`hil doctor`)",
         )
 

@@ -1,6 +1,6 @@
-"""Whether propellers that report nothing understand what they are told, and go on without the bench.
+"""Whether propellers without feedback obey their commands, and go on when the bench has ended.
 
-Nobody confirms their commands. A controller that does not understand them takes its throttle down, and the
+Nothing confirms their commands. A controller that does not understand them takes its throttle down, and the
 robot slides seconds later: they count once it has been seen at rest for as long as that. A bench that closes
 sends them nothing meanwhile, so that what is seen is what they do alone; a bench that goes on tells them
 their force again and again, because they may restart.
@@ -13,13 +13,13 @@ from dataclasses import replace
 
 from hil.config.thrust import ThrustConfig
 from hil.core.clock import NS_PER_S, nanoseconds
-from hil.loop.device_set import Rig
+from hil.loop.device_set import DeviceSet
 from hil.robot.statics import Statics
 
 _UNTOLD_S = 0.6
 """To look at propellers to which the bench sends nothing at all."""
 _BLIND_NS = nanoseconds(0.3)
-"""Nobody need see it for so long: a slide that has begun is seen after that, too."""
+"""Nothing need see it for so long: a slide that has begun is seen after that, too."""
 _BETTER = 1.2
 """So many times the friction that is believed a surface may have: on it a robot slides later."""
 _HALVINGS = 8
@@ -34,7 +34,7 @@ class LeftAlone:
         asked_n: what they are asked for.
     """
 
-    def __init__(self, rig: Rig, propellers: ThrustConfig | None, asked_n: float) -> None:
+    def __init__(self, rig: DeviceSet, propellers: ThrustConfig | None, asked_n: float) -> None:
         self._rig, self._propellers, self._asked_n = rig, propellers, asked_n
         self._since_ns: int | None = None
         self._seen_ns = 0
@@ -59,11 +59,11 @@ class LeftAlone:
     def left_s(self, now_ns: int, *, rests: bool, moves: bool, least_n: float) -> float:
         """How much longer the robot is to rest until they count; 0 once they do.
 
-        `inf` while nobody sees it rest, and where nobody knows how long they need to let it slide.
+        `inf` while nothing sees it rest, and where it is not known how long they need to let it slide.
 
         Args:
             now_ns: time.
-            rests: whether somebody sees the robot at rest; where not for a while, it begins anew.
+            rests: whether a sensor sees the robot at rest; where not for a while, it begins anew.
             moves: whether it is seen not to rest: then they are told their force again at once.
             least_n: push below which the robot would slide; 0 where that is not known.
         """

@@ -58,7 +58,7 @@ class Trail:
         return change
 
 
-class Travel:
+class MotionSinceStop:
     """How far the robot is from where it was stopped, by each that tells a place, and by its wheels.
 
     Args:
@@ -92,7 +92,7 @@ class Travel:
         self._latest[name].append((t_ns, place))
 
     def stopped(self, now_ns: int) -> None:
-        """The robot has been stopped: its way counts from here on, by whoever has just seen it."""
+        """The robot has been stopped: its way counts from here on, by the sensor that has just seen it."""
         fresh_ns = now_ns - _FRESH_NS
         latest = self._latest.items()
         self._from = {name: _mean(seen) for name, seen in latest if seen and seen[-1][0] >= fresh_ns}
@@ -127,20 +127,20 @@ class Travel:
         self._farthest_m[name] = max(self._farthest_m.get(name, 0.0), moved_m)
 
     def moved_m(self, believed: Collection[str], *, slides: bool) -> float | None:
-        """Farthest that anybody says it went; None where nobody can tell, or the way is within the noise.
+        """Farthest that anything says it went; None where it cannot be told, or the way is within the noise.
 
         Args:
             believed: whose word counts.
             slides: whether it may move without its wheels, so that they alone tell nothing.
         """
-        told = {
+        reported = {
             name: moved_m
             for name, moved_m in self._farthest_m.items()
             if name in believed and moved_m > self._coarse_m.get(name, -math.inf)
         }
-        if slides and not told.keys() - {JOINTS}:
+        if slides and not reported.keys() - {JOINTS}:
             return None
-        return max(told.values(), default=None)
+        return max(reported.values(), default=None)
 
 
 def _mean(seen: deque[tuple[int, Array]]) -> Array:

@@ -1,4 +1,4 @@
-"""How a run left the robot: the bench's last word after a stop, as data and in words."""
+"""How a run left the robot, HELD or NOT HELD, as data and in words."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Held:
         why: what confirms it; or what is missing, and what is left to do.
         opened: whether servos were opened: without, nothing was done after which the robot must be held.
         wanted: whether the servos were asked to hold it, and the bench was not told to let go (`release`,
-            `exit.policy`); torque that somebody else switched off does not make it unwanted.
+            `exit.policy`); torque that something else switched off does not make it unwanted.
     """
 
     state: State
@@ -53,12 +53,12 @@ def held_in_words(held: Mapping[str, Any]) -> str:
 
 
 def seen_in_words(held: Held) -> str:
-    """One line of a look at a robot that nobody has set in motion yet."""
+    """One line of a look at a robot that has not been set in motion yet."""
     return f"{held.state}: {held.why}"
 
 
 def abandoned(why: str, *, on_wall: bool) -> Held:
-    """Of a robot whose bench ended before anybody could look."""
+    """Of a robot whose bench ended before it could be looked at."""
     held = Held("NOT HELD", None, f"not checked: {why}")
     return held if on_wall else on_the_floor(held)
 

@@ -83,12 +83,12 @@ class TiltWatch:
                     self._newest.append(sample)
 
     def forget(self) -> None:
-        """Somebody may have carried the robot elsewhere since."""
+        """Something may have carried the robot elsewhere since."""
         self._newest.clear()
 
     @property
     def known(self) -> bool:
-        """Whether enough has been seen to judge, or there is nobody to wait for."""
+        """Whether enough has been seen to judge, or there is nothing to wait for."""
         return not self._there or len(self._fresh()) == _SAMPLES
 
     @property
@@ -101,7 +101,7 @@ class TiltWatch:
         return [s for s in newest if newest[-1].stamp.t_ns - s.stamp.t_ns <= _FRESH_NS]
 
     def apart_rad(self) -> float:
-        """By how much the robot is steeper than the bench file says; NaN where nobody has seen it."""
+        """By how much the robot is steeper than the bench file says; NaN where nothing has seen it."""
         if not self._there or not self.known:
             return math.nan
         return tilt_rad(self._config, self._fresh()) - self._config.environment.tilt_rad

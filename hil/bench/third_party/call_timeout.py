@@ -3,7 +3,7 @@
 A driver that waits for ever would stop the loop without a word. A thread looks at what is running. It says
 what takes too long, and then interrupts the main thread by a signal, which reaches Python and system calls.
 Foreign code that heeds neither cannot be ended from here: that is said, too. Servos hold a robot meanwhile:
-their driver looks after them when nobody else does.
+their driver looks after them when nothing else does.
 
 Opening a device may take seconds, so it has limits of its own; and whoever has asked for the end of a run
 need not wait for all of them (`leave`).
@@ -36,7 +36,7 @@ _SIGNAL = signal.SIGUSR2
 
 @dataclass(frozen=True)
 class Patience:
-    """How long a call may take, in looks at it; while the process is stopped nobody looks.
+    """How long a call may take, in looks at it; while the process is stopped nothing looks.
 
     Attributes:
         told: after which it is told of.
@@ -71,7 +71,7 @@ def opening(timeouts_s: float = 0.0) -> Patience:
     )
 
 
-class OverdueError(PackageError):
+class CallTimeoutError(PackageError):
     """A call of a package's code did not come back, and was ended."""
 
 
@@ -106,7 +106,7 @@ _WATCHMEN: list[threading.Thread] = []
 
 
 @contextmanager
-def not_for_ever(kind: str, package: str, what: str, patience: Patience = IN_A_CYCLE) -> Iterator[None]:
+def with_time_limit(kind: str, package: str, what: str, patience: Patience = IN_A_CYCLE) -> Iterator[None]:
     """Run code of a package that is to come back soon.
 
     Args:
@@ -116,7 +116,7 @@ def not_for_ever(kind: str, package: str, what: str, patience: Patience = IN_A_C
         patience: how long it may take.
 
     Raises:
-        OverdueError: it has been ended.
+        CallTimeoutError: it has been ended.
         HilError: it has been left, with this (`leave`).
     """
     _watch()
@@ -130,7 +130,7 @@ def not_for_ever(kind: str, package: str, what: str, patience: Patience = IN_A_C
         if call.asked is not None:
             raise call.asked(str(call)) from None
         ran_s = time.monotonic() - call.began_s
-        raise OverdueError(
+        raise CallTimeoutError(
             kind,
             package,
             f"{what} had not come back after {ran_s:.1f} s and was ended",

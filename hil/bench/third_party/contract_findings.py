@@ -1,4 +1,4 @@
-"""What the doctor says of a device of another package whose samples break a promise of every sensor."""
+"""Findings of the doctor on samples of other packages that break the contract of every sensor."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _OLDER = 3.0
 _SHARE_OF_A_CYCLE = 0.5
 
 
-def broken_promises(watched: Watched, waits_s: Sequence[float]) -> Iterator[Finding]:
+def find_contract_breaks(watched: Watched, waits_s: Sequence[float]) -> Iterator[Finding]:
     """One finding for each promise that is broken; nothing of a device that keeps them.
 
     Args:

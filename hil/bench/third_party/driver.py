@@ -18,10 +18,10 @@ from hil.bench.third_party.call_timeout import (
     AT_THE_END,
     BESIDE_CYCLES,
     IN_A_CYCLE,
-    OverdueError,
+    CallTimeoutError,
     Patience,
-    not_for_ever,
     opening,
+    with_time_limit,
 )
 from hil.bench.third_party.sample_checks import checks_of, short
 from hil.core.device import DeviceKind, DeviceModel
@@ -40,10 +40,10 @@ def guarded(
     kind: DeviceKind, model: DeviceModel, make: Callable[[], Device], failures: Failures, timeouts_s: float
 ) -> Device:
     """The driver that `make` makes; behind a `Guarded` where another package brings it."""
-    return make() if model.package == OURS else Guarded(kind, model, make, failures, timeouts_s)
+    return make() if model.package == OURS else ThirdPartyDriver(kind, model, make, failures, timeouts_s)
 
 
-class Guarded:
+class ThirdPartyDriver:
     """A driver of another package.
 
     Args:
@@ -69,7 +69,7 @@ class Guarded:
         self._opening = opening(timeouts_s)
         self._driver: Any = None
         self._failure: HilError | None = None
-        self._ended: OverdueError | None = None
+        self._ended: CallTimeoutError | None = None
         try:
             with self._watched("its constructor", self._opening):
                 self._driver = make()
@@ -85,7 +85,7 @@ class Guarded:
     @contextmanager
     def _watched(self, what: str, patience: Patience) -> Iterator[None]:
         """Run code of the package that is to come back, and whose exceptions are its own."""
-        with self._blamed(what), not_for_ever(self._kind.name, self._package, what, patience):
+        with self._blamed(what), with_time_limit(self._kind.name, self._package, what, patience):
             yield
 
     def _blame(self, message: str, expected: str) -> NoReturn:
@@ -105,7 +105,7 @@ class Guarded:
             raise
 
     def _check_emulated(self) -> None:
-        """Raise what the emulated device has raised: here somebody is told of it who can do something."""
+        """Raise what the emulated device has raised: here the caller learns of it and can act."""
         if self._kind.name in self._failures:
             raise self._failures[self._kind.name]
 
@@ -114,9 +114,9 @@ class Guarded:
         if self._driver is None:
             return
         try:
-            with not_for_ever(self._kind.name, self._package, "close()", AT_THE_END):
+            with with_time_limit(self._kind.name, self._package, "close()", AT_THE_END):
                 self._driver.close()
-        except OverdueError as error:
+        except CallTimeoutError as error:
             LOG.warning("%s", error)
         except (Exception, SystemExit, GeneratorExit) as error:
             LOG.warning("%s (%s): close() raised %s", self._kind.name, self._package, told(error))
@@ -145,7 +145,7 @@ class Guarded:
         try:
             with self._watched("read()", IN_A_CYCLE):
                 samples = self._drained(wanted)
-        except OverdueError as error:
+        except CallTimeoutError as error:
             self._ended = error
             raise
         for sample in samples:

@@ -1,6 +1,6 @@
 """The boundary to the emulated devices of other packages: what their parts of the world raise is named here.
 
-A part acts while somebody waits: for another device, or for a robot to come to rest. What it raises must not
+A part acts while something waits: for another device, or for a robot to come to rest. What it raises must not
 hit them. So a part that has failed is silent from then on, and why is left with the world: the driver of the
 device raises it when it is read, and a server of emulated devices ends by it.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
-from hil.bench.third_party.call_timeout import not_for_ever
+from hil.bench.third_party.call_timeout import with_time_limit
 from hil.core.device import DeviceModel
 from hil.core.errors import HilError
 from hil.core.package_errors import OURS, PackageError, blamed
@@ -25,7 +25,7 @@ _MOST_AT_ONCE = 10_000
 def parts_of(world: World, kind: str, model: DeviceModel) -> Iterator[None]:
     """Guard the parts that are added to a world meanwhile, where another package brings them."""
     if model.package != OURS:
-        world.enclose = lambda part: GuardedPart(world, kind, model, part)
+        world.enclose = lambda part: ThirdPartyPart(world, kind, model, part)
     try:
         yield
     finally:
@@ -34,10 +34,10 @@ def parts_of(world: World, kind: str, model: DeviceModel) -> Iterator[None]:
 
 def guarded_face(world: World, kind: str, model: DeviceModel, face: Face) -> Face:
     """A face; guarded where another package brings its device."""
-    return face if model.package == OURS else GuardedFace(world, kind, model, face)
+    return face if model.package == OURS else ThirdPartyEndpoint(world, kind, model, face)
 
 
-class GuardedPart(Scheduled):
+class ThirdPartyPart(Scheduled):
     """A part of the world that another package brings, or that runs a chip of it.
 
     Args:
@@ -82,7 +82,7 @@ class GuardedPart(Scheduled):
         self._acted = self._acted + 1 if t_ns == self._at_ns else 0
         self._at_ns = t_ns
         what = f"on_due() of the emulated {self._model.name}"
-        with self._guarded("on_due()"), not_for_ever(self._kind, self._model.package, what):
+        with self._guarded("on_due()"), with_time_limit(self._kind, self._model.package, what):
             if self._acted > _MOST_AT_ONCE:
                 raise PackageError(
                     self._kind,
@@ -93,7 +93,7 @@ class GuardedPart(Scheduled):
             self._part.on_due(t_ns)
 
 
-class GuardedFace(GuardedPart, Face):
+class ThirdPartyEndpoint(ThirdPartyPart, Face):
     """What a device of another package is served by."""
 
     def __init__(self, world: World, kind: str, model: DeviceModel, face: Face) -> None:

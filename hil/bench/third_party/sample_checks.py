@@ -57,8 +57,8 @@ def checks_of(kind: DeviceKind) -> list[tuple[str, str, Wrong]]:
             found.append((field, "a Stamp of whole ns: Stamp(t_ns: int, host_ns: int, seq: int)", _of_stamp))
         elif field == "status" and (kind.labels or hint is not Status):
             many = f"{len(kind.labels)} Status: " if kind.labels else "Status"
-            told = f"a tuple of {many}{', '.join(kind.labels)}, one for each channel"
-            found.append((field, told, functools.partial(_of_status, len(kind.labels))))
+            message = f"a tuple of {many}{', '.join(kind.labels)}, one for each channel"
+            found.append((field, message, functools.partial(_of_status, len(kind.labels))))
         elif hint == Array:
             shape = shapes.get(field)
             told_shape = f" of shape {shape}" if shape else ""

@@ -280,13 +280,13 @@ def read_version(path: Path, remedy: str) -> RecordFile:
         tree: dict[str, Any] = read_toml(path)
     except ConfigError as error:
         raise ConfigError(f"{path}: half-written? {error.message}", remedy=remedy) from None
-    told = tree.pop("sha256", None)
-    if not _holds(told, tree):
+    reported = tree.pop("sha256", None)
+    if not _holds(reported, tree):
         raise ConfigError(
             f"{path}: half-written, or changed by hand: its digest does not hold", remedy=remedy
         )
     try:
-        return RecordFile.model_validate({**tree, "sha256": told})
+        return RecordFile.model_validate({**tree, "sha256": reported})
     except ValidationError as error:
         problems = tuple(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
         raise ConfigError(f"{path}: no record of schema 1", problems=problems, remedy=remedy) from None

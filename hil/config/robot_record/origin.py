@@ -1,4 +1,4 @@
-"""Whose robot a file speaks of that a procedure left, and how its run ended: asked before a record takes it.
+"""Checks before a result enters a robot's record: which robot it is of, and how its run ended.
 
 A part says both in tables of its own. A piece of a bench file says it in comments, so that it can still be
 copied into one. The `result.json` beside either has the last word on how the run ended.
@@ -32,8 +32,8 @@ class Origin:
 
     Attributes:
         robot: whose it is; None where it does not say so.
-        verdict: how the run ended that left it; `not verified` where nobody knows.
-        procedure: which run; `taken from a file` where nobody knows.
+        verdict: how the run ended that left it; `not verified` where it is unknown.
+        procedure: which run; `taken from a file` where it is unknown.
     """
 
     robot: Identity | None
@@ -55,10 +55,10 @@ class Origin:
         Args:
             robot: that is to have it.
             path: of the file.
-            of_this_robot: somebody vouches for a file that does not say whose it is.
+            of_this_robot: the user vouches for a file that does not say whose it is.
 
         Raises:
-            ConfigError: it is of another robot, or of an unknown one for which nobody vouches.
+            ConfigError: it is of another robot, or of an unknown one for which the user does not vouch.
         """
         if self.robot is not None:
             check_robot_is(
@@ -92,8 +92,8 @@ def of_fragment(path: Path) -> Origin:
         text = read_text(path, MOST_TOML_BYTES)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: cannot be read ({reason_of(error)})") from None
-    told, verdict = _ROBOT.search(text), _VERDICT.search(text)
-    robot = None if told is None else _robot(path, told[1])
+    reported, verdict = _ROBOT.search(text), _VERDICT.search(text)
+    robot = None if reported is None else _robot(path, reported[1])
     return _by_the_result(path, Origin(robot, NOT_VERIFIED if verdict is None else verdict[1], FROM_A_FILE))
 
 

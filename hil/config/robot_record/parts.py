@@ -1,4 +1,4 @@
-"""One version of a record as a model: whose it is, its parts, and what must hold among them.
+"""One version of a robot's record as a model: its owner, its parts, and their consistency.
 
 A part is what one procedure found: values for keys of the bench file, and figures for people and other
 procedures. `made_with` remembers what it was measured on top of, so that parts which do not belong together
@@ -108,7 +108,7 @@ class _Model(BaseModel):
 
 
 class Figure(_Model):
-    """A measured number; `sigma` is its standard uncertainty, None where nobody knows it."""
+    """A measured number; `sigma` is its standard uncertainty, None where it is unknown."""
 
     value: float
     sigma: float | None = Field(None, ge=0)
@@ -184,7 +184,7 @@ class Part(_Model):
 class Identity(_Model):
     """Whose record it is: name, servos and wheels on paper, as the bench file has them.
 
-    `body` is the body behind it: `real`, or which emulated one; None where nobody said.
+    `body` is the body behind it: `real`, or which emulated one; None where it was not said.
     """
 
     name: str

@@ -71,7 +71,7 @@ def kept_on_can(
 
 
 class _LifelongBus(WorldBus):
-    """A bus that a part of the world listens to for as long as the world lasts: nobody shuts it down."""
+    """A bus that a part of the world listens to for as long as the world lasts: nothing shuts it down."""
 
     def __del__(self) -> None:
         """Nothing is left open: it is memory of the world."""

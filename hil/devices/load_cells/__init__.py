@@ -75,12 +75,12 @@ def look(watched: Watched) -> Iterator[Finding]:
     )
     found_once = config.zero_n != (0.0, 0.0)
     level: Level = "failure" if total_n < _NEGATIVE_N else "ok" if found_once else "warning"
-    told = f"{total_n:.1f} N now" + ("" if found_once else "; no zero was ever found")
+    message = f"{total_n:.1f} N now" + ("" if found_once else "; no zero was ever found")
     yield Finding(
         "load_cells",
         "zero",
         level,
-        told,
+        message,
         "a force >= 0, and load_cells.zero_n of a fan at rest",
         "hil run adhesion_check",
     )

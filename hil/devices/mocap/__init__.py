@@ -75,14 +75,14 @@ def look(watched: Watched) -> Iterator[Finding]:
     seen_ns = [now_ns - nanoseconds(watch_s), *(s.stamp.host_ns for s in tracked), now_ns]
     gap_s = 1e-9 * max(b - a for a, b in pairwise(seen_ns))
     level: Level = "ok" if share > 1.0 - LOSS_FAILURE and gap_s < _GAP_S else "failure"
-    told = (
+    message = (
         f"{len(tracked)} of {len(samples)} frames, {len(samples) / watch_s:.0f} Hz, longest gap {gap_s:.2f} s"
     )
     yield Finding(
         "mocap",
         "tracking",
         level,
-        told,
+        message,
         f"nearly all frames tracked, gaps below {_GAP_S:g} s",
         "check markers, occlusion and the rigid body's definition",
     )

@@ -37,9 +37,9 @@ class Dynamixel(SerialModel):
         from hil.devices.emulated_device import on_serial_line
 
         config: ServosConfig = request.config
-        told = {"baud": config.baud, "ids": list(config.ids)}
+        reported = {"baud": config.baud, "ids": list(config.ids)}
         bus = loaded(self.chip).build(request)
-        return on_serial_line(request, bus, latency_s=config.usb_latency_s, told=told)
+        return on_serial_line(request, bus, latency_s=config.usb_latency_s, told=reported)
 
     def probe(self, port: str, clock: Clock) -> Found | None:
         """Which servos answer."""

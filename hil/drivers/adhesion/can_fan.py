@@ -1,4 +1,4 @@
-"""A fan behind a motor controller on CAN: a force as what it is told, and its reports as samples."""
+"""A fan behind a motor controller on CAN: a force as a command, and reports as samples."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hil.core.errors import HilError, UsageError
 from hil.core.signals import AdhesionSample, Stamp, Status
 from hil.drivers.adhesion.can_motor import KeptMotor
 from hil.drivers.adhesion.keeper.kept import Keep
-from hil.drivers.adhesion.speed_trim import Trim
+from hil.drivers.adhesion.speed_trim import SpeedTrim
 from hil.drivers.links.silence_limit import Usefulness
 from hil.drivers.links.stuck_values import StuckTest
 
@@ -62,7 +62,7 @@ class MotorFan(KeptMotor[C, AdhesionSample]):
         self._usefulness = Usefulness(self._config.fail_after_s)
         self._usefulness.begin(self._clock.now_ns())
         self._stuck = StuckTest(_STUCK_S)
-        self._trim: Trim | None = None
+        self._trim: SpeedTrim | None = None
         self._latest: AdhesionSample | None = None
 
     def read(self) -> tuple[AdhesionSample, ...]:
@@ -124,7 +124,7 @@ class MotorFan(KeptMotor[C, AdhesionSample]):
                 remedy="`hil adhesion off` lets the fan come to rest",
             )
         kept = self._must_be_open()
-        trim = Trim(self._config, self._config.speed_for_rpm(force_n), self._input_v(), self._latest)
+        trim = SpeedTrim(self._config, self._config.speed_for_rpm(force_n), self._input_v(), self._latest)
         kept.set(trim.point)
         self._trim = trim
 

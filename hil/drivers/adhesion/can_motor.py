@@ -1,4 +1,4 @@
-"""Motors on CAN that a keeper runs: how their driver opens, lets go, and says that nobody answers.
+"""Motors on CAN that a keeper runs: how their driver opens, lets go, and says that nothing answers.
 
 Commands are not sent from here. A keeper sends them, which goes on when this program ends; it is told of
 another set-point only. Reports are read from the bus, whoever commands.
@@ -55,7 +55,7 @@ class KeptMotor(Holding[S], Generic[C, S]):
         self._latest_ns = -1
 
     def open(self) -> None:
-        """Find who is meant, read how it is set, and see to it that somebody keeps it running.
+        """Find who is meant, read how it is set, and see to it that something keeps it running.
 
         Nothing is commanded; what runs goes on as it runs.
 

@@ -1,4 +1,4 @@
-"""From a speed of the fan to what its controller is told, and slowly better by what it then does."""
+"""From a fan speed to the controller's command, slowly corrected by the speed that results."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MOTOR_OVER_INPUT = 1.25
 _NEAR = 0.15
 
 
-class Trim:
+class SpeedTrim:
     """Keeps a speed up.
 
     Args:

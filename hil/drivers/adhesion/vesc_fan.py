@@ -1,4 +1,4 @@
-"""The fan behind a VESC: who it is, how it is set, and its reports as samples."""
+"""The fan behind a VESC: identity, settings, and reports as samples."""
 
 from __future__ import annotations
 

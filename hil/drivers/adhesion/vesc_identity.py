@@ -12,7 +12,7 @@ from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.finding import Finding, Level
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.drivers.adhesion.vesc import EVERYBODY, Pong, Status, Status4, Status5, decode, ping_frame
+from hil.drivers.adhesion.vesc import ALL_SERVOS, Pong, Status, Status4, Status5, decode, ping_frame
 from hil.drivers.adhesion.vesc_settings import QUESTIONS, SHORT, Answers, question
 from hil.drivers.links.can_bus import CanLink, remedy_of_silence
 
@@ -89,10 +89,10 @@ class Seen:
     def _absent(self, name: str, link: CanLink, config: VescConfig) -> DeviceError:
         others = sorted({*self.pongs, *self.statuses})[:_MOST_LISTED]
         if others:
-            told = ", ".join(map(str, others))
+            message = ", ".join(map(str, others))
             return DeviceError(
                 name,
-                f"no controller has the id {config.controller_id}; there: {told}",
+                f"no controller has the id {config.controller_id}; there: {message}",
                 port=link.port,
                 expected=f"controller {config.controller_id}",
                 remedy=f"set {name}.{self.key} to {others[0]} if that is the one",
@@ -122,8 +122,8 @@ class Seen:
             )
             sent = settings.sent
         level = "ok" if sent >= _NEEDED else "warning"
-        told = ", ".join(map(str, sorted(sent))) or "none"
-        yield Finding(name, "status messages", level, told, "1, 4 and 5", _MASKS)
+        message = ", ".join(map(str, sorted(sent))) or "none"
+        yield Finding(name, "status messages", level, message, "1, 4 and 5", _MASKS)
         yield self._firmware(name, answers.firmware)
 
     @staticmethod
@@ -150,7 +150,7 @@ def ask_who(
     """
     seen = Seen()
     if not silent:
-        ping = ping_frame(EVERYBODY, config.own_id)
+        ping = ping_frame(ALL_SERVOS, config.own_id)
         link.send(ping.id, ping.data, extended=True)
     asked, own = 0, config.controller_id
     end_ns = clock.now_ns() + nanoseconds(config.open_timeout_s)

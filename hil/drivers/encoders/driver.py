@@ -166,7 +166,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         return tuple(samples)
 
     def _received(self, bus: can.BusABC, now_ns: int) -> list[EncoderSample]:
-        """Sample sets of the frames that wait; anybody on the bus may send, so their number is bounded."""
+        """Sample sets of the frames that wait; any node on the bus may send, so their number is bounded."""
         samples: list[EncoderSample] = []
         most, take = self.passed_over + _MOST_PASSED_OVER, receiver(bus)
         for _ in range(_MOST_FRAMES):
@@ -296,8 +296,8 @@ class As5045Encoders(Sensor[EncoderSample]):
             self.error_frames += 1
         elif layout is not None and not (message.is_extended_id or message.is_remote_frame):
             self.malformed += 1
-            told = f"frame 0x{message.arbitration_id:X} has {len(message.data)} bytes, not {layout.length}"
-            self._say_malformed.warn(host_ns, f"{self.name} at {self._port}: {told}")
+            text = f"frame 0x{message.arbitration_id:X} has {len(message.data)} bytes, not {layout.length}"
+            self._say_malformed.warn(host_ns, f"{self.name} at {self._port}: {text}")
 
     def _cut_short(self, host_ns: int) -> EncoderSample | None:
         """As `_finish`, of a set of which nothing more is to come."""
@@ -313,8 +313,8 @@ class As5045Encoders(Sensor[EncoderSample]):
         if restarted:
             self._discard = self._config.startup_discard
             self.restarted.append(host_ns)
-            told = self.two_nodes or "has restarted"
-            self._say_restarted.warn(host_ns, f"{self.name} at {self._port}: {told}")
+            message = self.two_nodes or "has restarted"
+            self._say_restarted.warn(host_ns, f"{self.name} at {self._port}: {message}")
         if self._discard > 0:
             self._discard -= 1
             return None

@@ -1,4 +1,4 @@
-"""What an encoder node says of itself once a second: firmware, frame layout, counters."""
+"""The encoder node's status message, once a second: firmware, frame layout, counters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A BNO055 outside its cycle: who it is, how it is set up, and the offsets that it has learnt.
+"""Identity, set-up and learnt offsets of a BNO055, outside its measuring cycle.
 
 All of it happens in CONFIG mode, which the chip is brought into and out of here; what fails ends in the
 `DeviceError` that says so.

@@ -58,7 +58,7 @@ BUS_ERRORS = (can.CanError, OSError, ValueError, TypeError, AttributeError)
 Arrived = tuple[int, can.Message]
 Meaning = Callable[[int, can.Message, int], Any]
 """What a frame says to a device, of (arrival, frame, time now); None for nothing. In real time a thread
-calls it, and nobody else."""
+calls it, and nothing else."""
 T = TypeVar("T")
 
 
@@ -224,7 +224,7 @@ class CanLink:
         self._meaning = meaning
 
     def heard(self) -> list[Any]:
-        """What frames have said since the last call, oldest first, once somebody listens for it.
+        """What frames have said since the last call, oldest first, once something listens for it.
 
         A program that stood still hears at first what had come before; its thread gets time to catch up.
         """

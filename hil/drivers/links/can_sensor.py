@@ -64,10 +64,10 @@ class CanSensor(StreamingSensor[C, S]):
     def _nobody(self) -> DeviceError:
         if not self._others:
             return self.silent(f"no {self.what} for {self.config.open_timeout_s:.1f} s")
-        told = ", ".join(f"0x{i:X}" for i in sorted(self._others)[:8])
+        message = ", ".join(f"0x{i:X}" for i in sorted(self._others)[:8])
         return DeviceError(
             self.name,
-            f"no frame of {self.expected}; seen {told}",
+            f"no frame of {self.expected}; seen {message}",
             port=self.place,
             expected=", ".join(f"0x{i:X}" for i in self._ids),
             remedy=self.remedy,

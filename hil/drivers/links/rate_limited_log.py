@@ -1,4 +1,4 @@
-"""Log messages of drivers that may come with every frame: told once a second at most, with a count."""
+"""Log messages that may come with every frame, written once a second at most, with a count."""
 
 from __future__ import annotations
 

@@ -218,8 +218,10 @@ def _elsewhere(port: str, by_id: Path) -> str:
 def _present(by_id: Path) -> str:
     """The adapters that are plugged in, by their links."""
     links = sorted(by_id.glob("*")) if by_id.is_dir() else []
-    told = ", ".join(f"{link} ({link.resolve().name})" for link in links)
-    return f"plugged in now: {told}" if told else f"`hil discover` lists ports, {by_id} shows no adapter"
+    message = ", ".join(f"{link} ({link.resolve().name})" for link in links)
+    return (
+        f"plugged in now: {message}" if message else f"`hil discover` lists ports, {by_id} shows no adapter"
+    )
 
 
 def _permission(port: str) -> str:

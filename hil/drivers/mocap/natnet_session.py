@@ -110,7 +110,7 @@ class Session:
         self._send(request(Message.REQUEST, "Bitstream,{}.{}".format(*version)))
 
     def keep_alive(self, now_ns: int) -> None:
-        """Tell a unicast server from time to time that somebody listens."""
+        """Tell a unicast server from time to time that it is listened to."""
         if now_ns - self._alive_ns >= self._keepalive_ns and self._config.multicast is None:
             self._alive_ns = now_ns
             self._send(request(Message.KEEPALIVE))
@@ -150,7 +150,7 @@ class Session:
 
     @property
     def overflowed(self) -> int:
-        """Datagrams that the ports lost because nobody read."""
+        """Datagrams that the ports lost because they were not read."""
         return sum(getattr(port, "overflowed", 0) for port in self._ports)
 
     def _send(self, data: bytes) -> None:

@@ -65,7 +65,7 @@ class UdpPort(DatagramPort):
 
     Attributes:
         received: datagrams taken from the kernel.
-        overflowed: those of them lost because nobody read.
+        overflowed: those of them lost because they were not read.
     """
 
     def __init__(self, clock: Clock, group: str | None, port: int, interface: str = "") -> None:

@@ -12,7 +12,7 @@ from hil.core.signals import SERVOS, Status
 from hil.drivers.servos.cyclic_read import ALL_OK
 
 
-class OutageWatch:
+class AnswerTimeouts:
     """Knows when each servo was last usable.
 
     Args:
@@ -27,7 +27,7 @@ class OutageWatch:
         self._good_ns = [now_ns] * 8
 
     def excuse(self, silence_ns: int) -> None:
-        """Time in which nobody asked does not count: nobody failed to answer."""
+        """Time without a question does not count: no servo failed to answer."""
         self._good_ns = [good_ns + silence_ns for good_ns in self._good_ns]
 
     def saw(self, status: tuple[Status, ...], now_ns: int) -> bool:

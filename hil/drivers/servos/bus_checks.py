@@ -1,4 +1,4 @@
-"""What a check of an open bus tells: reply time, return delay, packets, hardware errors, limits."""
+"""Checks of an open servo bus: reply time, return delay, packets, hardware errors, limits."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def reply_time(bus: Bus, config: ServosConfig, clock: Clock, device: str) -> Fin
                 kept_s = min(kept_s, max(0.0, (clock.now_ns() - start_ns) / NS_PER_S - wire_s))
             if kept_s <= limit_s:
                 break
-    told = f"{kept_s * 1e3:.1f} ms beyond the wire" if math.isfinite(kept_s) else "no reply"
+    message = f"{kept_s * 1e3:.1f} ms beyond the wire" if math.isfinite(kept_s) else "no reply"
     timer = latency_timer(config.port)
     return Finding(
         device,
         "reply time",
         "ok" if kept_s <= limit_s else "warning",
-        told,
+        message,
         f"below {limit_s * 1e3:g} ms",
         "an adapter as delivered keeps replies for 16 ms: set its latency timer to 1 ms"
         + (f": echo 1 | sudo tee {timer}" if timer else ""),

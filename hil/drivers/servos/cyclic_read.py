@@ -3,10 +3,10 @@
 Now and then it is a full look: the same exchange shows torque, watchdog, voltage and temperature too, a
 fifth of a millisecond more on the wire instead of two exchanges of their own.
 
-A servo that misses a read moves to the end of the list, so that a chain that stops at it loses nobody
+A servo that misses a read moves to the end of the list, so that a chain that stops at it loses no servo
 else; missing three times, it leaves the list and is asked alone every now and then. So a dead servo costs one
-short time-out at a time, never the whole group. When nobody answers it is either the bus or the first of
-the chain: somebody else leads the next read, and the guilty one is then known.
+short time-out at a time, never the whole group. When nothing answers it is either the bus or the first of
+the chain: something else leads the next read, and the guilty one is then known.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hil.config.servos import ServosConfig
 from hil.core.clock import NS_PER_S, Clock, nanoseconds
 from hil.core.signals import Status
 from hil.drivers.servos.bus import Bus, Exchange
-from hil.drivers.servos.latency_probe import RollCall
+from hil.drivers.servos.latency_probe import LatencyProbe
 from hil.drivers.servos.packets import NO_ANSWER, Answer, GroupRead
 from hil.drivers.servos.register_map import CYCLE_FIELDS, FULL_FIELDS, FULL_LEVEL, Fields, RegisterMap
 
@@ -104,7 +104,7 @@ class CycleReader:
         self._groups: dict[tuple[_Kind, tuple[int, ...]], tuple[GroupRead, float]] = {}
         self._kind, self._asked = self._cycle, _ALL[:0]
         self._thorough = self._incomplete = False
-        self._roll = RollCall(bus, config.ids, clock, watchdog_s=config.watchdog_s)
+        self._roll = LatencyProbe(bus, config.ids, clock, watchdog_s=config.watchdog_s)
 
     @property
     def live_ids(self) -> tuple[int, ...]:
@@ -116,7 +116,7 @@ class CycleReader:
         return self._bus.asked()
 
     def ask(self, *, full: bool, after: bytes = b"") -> None:
-        """Send the request of the next `read`, behind a packet that nobody answers."""
+        """Send the request of the next `read`, behind a packet that nothing answers."""
         self._ask(self._full if full else self._cycle, tuple(self._order), after)
 
     def look(self) -> Reading:

@@ -30,13 +30,13 @@ from hil.core.signals import SERVOS, ServoHealth, ServoHold, ServoSample, ServoS
 from hil.drivers.links.silence_limit import used_while_closed
 from hil.drivers.servos import bus_checks
 from hil.drivers.servos import expected_servos as ident
-from hil.drivers.servos.answer_timeouts import OutageWatch
+from hil.drivers.servos.answer_timeouts import AnswerTimeouts
 from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.cyclic_read import CycleReader, Reading
 from hil.drivers.servos.goal_values import Goals
-from hil.drivers.servos.health_reads import HealthWatch
-from hil.drivers.servos.keep_alive import Caretaker
-from hil.drivers.servos.recovery import ANSWERING, Upkeep, acknowledge_all
+from hil.drivers.servos.health_reads import HealthSchedule
+from hil.drivers.servos.keep_alive import KeepAlive
+from hil.drivers.servos.recovery import ANSWERING, RamRecovery, acknowledge_all
 from hil.drivers.servos.register_map import RegisterMap
 from hil.drivers.servos.sdk_port import ServoPort
 from hil.drivers.servos.servo_samples import Samples
@@ -70,7 +70,7 @@ class DynamixelServos(Actuators):
         self._identity: dict[str, str] = {}
         self._watchdog_ns = nanoseconds(config.watchdog_s)
         self._talking = threading.Lock()
-        self._caretaker = Caretaker(clock, self._talking, self._visit, watchdog_s=config.watchdog_s)
+        self._caretaker = KeepAlive(clock, self._talking, self._visit, watchdog_s=config.watchdog_s)
 
     def open(self) -> None:
         """Open the port, check who is there and how they are set up, write RAM. Torque is left as it is.
@@ -108,7 +108,7 @@ class DynamixelServos(Actuators):
         delays = [registers.from_block(b, "return_delay_time") for b in blocks]
         bus.port.return_delay_s = max(delays) * RETURN_DELAY_STEP_S
         fast = ident.reads_fast(config, registers, blocks)
-        self._upkeep = Upkeep(bus, config, registers, self.name, fast=fast)
+        self._upkeep = RamRecovery(bus, config, registers, self.name, fast=fast)
         try:
             self._upkeep.prepare(blocks)
         except DeviceTimeoutError as error:
@@ -118,8 +118,8 @@ class DynamixelServos(Actuators):
             return self._set_up(bus, last=True)
         mapped = self._upkeep.mapped
         self._cycle = CycleReader(bus, config, registers, self._clock, fast=fast, mapped=mapped)
-        self._health = HealthWatch(config, model, self._clock)
-        self._outage = OutageWatch(config, self.name, self._clock.now_ns())
+        self._health = HealthSchedule(config, model, self._clock)
+        self._outage = AnswerTimeouts(config, self.name, self._clock.now_ns())
         self._goals = Goals(config, registers, blocks, self._upkeep.goal_write(), self.name)
         self._samples = Samples(registers, blocks, self._upkeep, self._clock, self.name)
         self._doubtful = self._commanded = self._paused = False
@@ -168,7 +168,7 @@ class DynamixelServos(Actuators):
         self._cycle.ask(full=self._paused or self._look_closely())
 
     def _tripped_by(self, silence_ns: int) -> bool:
-        """Whether watchdogs may have tripped, as nobody talked to the servos; their clocks are not ours."""
+        """Whether watchdogs may have tripped, as nothing talked to the servos; their clocks are not ours."""
         return self._upkeep.torque and silence_ns > self._watchdog_ns // 2 > 0
 
     def read(self) -> tuple[ServoSample, ...]:

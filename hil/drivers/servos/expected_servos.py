@@ -157,7 +157,7 @@ def check_setup(config: ServosConfig, registers: RegisterMap, blocks: list[bytes
     commands: list[str] = []
     for joint, block in enumerate(blocks):
         wrong = _setup_problems(config, registers, joint, block)
-        problems += [f"{SERVOS[joint]} (ID {config.ids[joint]}): {told}" for told, _ in wrong]
+        problems += [f"{SERVOS[joint]} (ID {config.ids[joint]}): {reported}" for reported, _ in wrong]
         if wrong:
             change = " ".join(f"--register {setting}" for _, setting in wrong)
             commands.append(setup_command(config, config.ids[joint], change))
@@ -201,8 +201,8 @@ def _setup_problems(
     problems = []
     if mode != want:
         found = f"{mode} ({MODE_NAMES.get(mode, 'unknown')})"
-        told = f"operating_mode {found}, expected {want} ({MODE_NAMES[want]})"
-        problems.append((told, f"operating_mode={want}"))
+        message = f"operating_mode {found}, expected {want} ({MODE_NAMES[want]})"
+        problems.append((message, f"operating_mode={want}"))
     for name, why in (
         ("drive_mode", "signs belong to the bench file"),
         ("homing_offset", "zeros belong to the calibration; with a bus watchdog an offset moves the motor"),

@@ -11,11 +11,11 @@ from hil.core.signals import ServoHealth, Stamp, Status
 from hil.drivers.servos.cyclic_read import Reading
 
 _LOOKS = 4
-"""In the time of one health sample: a watchdog that trips without anybody noticing stops its wheel, and the
+"""In the time of one health sample: a watchdog that trips unnoticed stops its wheel, and the
 supervisor calls a wheel blocked after half a second."""
 
 
-class HealthWatch:
+class HealthSchedule:
     """Keeps the health of a full look every `health_period_s` until it is asked for."""
 
     def __init__(self, config: ServosConfig, model: ServoModel, clock: Clock) -> None:
@@ -31,7 +31,7 @@ class HealthWatch:
         return self._clock.now_ns() >= self._look_ns
 
     def note(self, reading: Reading) -> None:
-        """Take a full look; it becomes a sample when one is due and anybody has answered."""
+        """Take a full look; it becomes a sample when one is due and anything has answered."""
         now_ns = self._clock.now_ns()
         self._look_ns = now_ns + self._period_ns // _LOOKS
         if now_ns < self._due_ns:

@@ -1,8 +1,8 @@
-"""Who looks after the servos while nobody talks to them: after a stop, between motions, during a prompt.
+"""Polls the servos while no loop runs (after a stop, between motions), so that their watchdog stays fed.
 
 A robot on a wall hangs by the torque of its servos. A servo that restarts comes back without torque and
 says nothing; a program that has stopped its loop would not ask. So from `enable` until `release` or
-`close` somebody always asks: the loop in its cycles, and in between the caretaker.
+`close` something always asks: the loop in its cycles, and in between the caretaker.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _SHARE = 0.8
 _CALM_NS, _ALERT_NS = nanoseconds(0.05), nanoseconds(0.02)
 
 
-class Caretaker:
+class KeepAlive:
     """Visits the servos when they have been left alone.
 
     Args:
@@ -42,7 +42,7 @@ class Caretaker:
         self._attended_ns = 0
 
     def attended(self, now_ns: int) -> None:
-        """Somebody else has just talked to the servos."""
+        """Something else has just talked to the servos."""
         self._attended_ns = now_ns
 
     def begin(self) -> None:
@@ -52,7 +52,7 @@ class Caretaker:
             self._end = self._clock.schedule(self._look_in, self._attended_ns + self._alone_ns)
 
     def end(self) -> None:
-        """Nobody needs to be held any more. Idempotent."""
+        """Nothing needs to be held any more. Idempotent."""
         if self._end is not None:
             self._end()
             self._end = None

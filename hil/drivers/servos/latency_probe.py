@@ -1,8 +1,9 @@
 """Which servos answer late: asked one by one, each waited for, after a stop.
 
-One late answer holds up everything that is asked behind it, so that nobody is heard in time and nobody seems
-to blame. It gives itself away by bytes that arrive when nobody waits for any more. In the control cycle there
-is no time to find out whose they are; while the robot is looked after there is.
+One late answer holds up everything that is asked behind it, so that nothing is heard in time and nothing
+seems
+to blame. It gives itself away by bytes that arrive when nothing waits for any more. In the control cycle
+there is no time to find out whose they are; while the robot is looked after there is.
 """
 
 from __future__ import annotations
@@ -28,14 +29,14 @@ _PAUSE_NS = nanoseconds(1.0)
 """From one to the next: meanwhile the servos are looked after as usual."""
 
 
-class RollCall:
+class LatencyProbe:
     """Finds the late ones among the eight, and remembers them.
 
     Args:
         bus: open bus.
         ids: of the servos.
         clock: the bench clock.
-        watchdog_s: of the servos: nobody is waited for until it trips; 0 without one.
+        watchdog_s: of the servos: nothing is waited for until it trips; 0 without one.
 
     Attributes:
         late_s: how long the late ones have taken to answer, by joint.
@@ -48,7 +49,7 @@ class RollCall:
         self.late_s: dict[int, float] = {}
 
     def is_due(self) -> bool:
-        """Whether bytes have come for which nobody waits, or one is left alone; not soon after the last."""
+        """Whether bytes have come for which nothing waits, or one is left alone; not soon after the last."""
         if self._clock.now_ns() < self._next_ns:
             return False
         return any(map(self.leaves_alone, self.late_s)) or bool(self._bus.unasked())

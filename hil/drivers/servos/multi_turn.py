@@ -20,8 +20,8 @@ _ZERO = (0,) * 8
 
 Counts = np.ndarray
 
-EVERYBODY, NOBODY = np.ones(8, dtype=bool), np.zeros(8, dtype=bool)
-for _who in (EVERYBODY, NOBODY):
+ALL_SERVOS, NO_SERVOS = np.ones(8, dtype=bool), np.zeros(8, dtype=bool)
+for _who in (ALL_SERVOS, NO_SERVOS):
     _who.setflags(write=False)
 
 
@@ -60,19 +60,19 @@ class MultiTurnCounter:
         Args:
             raw: (8,) registers.
             velocity: (8,) registers, to bridge a gap.
-            seen: (8,) whether the servo answered; `EVERYBODY` itself where all did.
+            seen: (8,) whether the servo answered; `ALL_SERVOS` itself where all did.
             t_ns: time of the reading.
         """
         counts = raw if self.offset is _ZERO else list(map(add, raw, self.offset))
-        if seen is EVERYBODY and self._together_ns is not None:
+        if seen is ALL_SERVOS and self._together_ns is not None:
             moved = list(map(sub, counts, self._last))
             most = self._top_counts_s * ((t_ns - self._together_ns) * 1e-9) + _MARGIN_COUNTS
             if max(moved) <= most and -min(moved) <= most:
                 self._last, self._velocity, self._together_ns = counts, velocity, t_ns
-                return counts, NOBODY
+                return counts, NO_SERVOS
         self._part()
         counts, jumped = self._look_at_each(np.array(counts), np.array(velocity), seen, t_ns)
-        self._together_ns = t_ns if seen is EVERYBODY else None
+        self._together_ns = t_ns if seen is ALL_SERVOS else None
         return counts, jumped
 
     def _part(self) -> None:

@@ -228,9 +228,9 @@ class GoalWrite:
         """The packet for eight raw goals."""
         parts = self._parts
         parts[1::2] = goals
-        told = self._pack(*parts)
-        data = self._begin + told
+        reported = self._pack(*parts)
+        data = self._begin + reported
         if data.find(_TO_STUFF, _CODE_AT) >= 0:
-            return instruction(BROADCAST, self._code, self._prefix + told)
+            return instruction(BROADCAST, self._code, self._prefix + reported)
         crc: int = crc16.umts(data)
         return data + crc.to_bytes(2, "little")

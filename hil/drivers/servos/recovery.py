@@ -36,7 +36,7 @@ def acknowledge_all(bus: Bus, ids: Sequence[int]) -> None:
     bus.send(packets.sync_write(shared_register("status_return_level").address, 1, [(i, level) for i in ids]))
 
 
-class Upkeep:
+class RamRecovery:
     """Knows what RAM should hold, and makes it so.
 
     Args:
@@ -199,7 +199,7 @@ class Upkeep:
         Args:
             state: of `audit`.
             goals: (8,) raw goals at which the robot is held.
-            paused: nobody talked for longer than the watchdog waits: that it tripped was to be expected.
+            paused: nothing talked for longer than the watchdog waits: that it tripped was to be expected.
         """
         if not self.torque:
             return ()

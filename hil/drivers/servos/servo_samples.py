@@ -14,8 +14,8 @@ from hil.core.clock import Clock
 from hil.core.geometry import Array
 from hil.core.signals import SERVOS, ServoSample, Stamp, Status
 from hil.drivers.servos.cyclic_read import ALL_OK, Reading
-from hil.drivers.servos.multi_turn import EVERYBODY, NOBODY, MultiTurnCounter
-from hil.drivers.servos.recovery import Upkeep
+from hil.drivers.servos.multi_turn import ALL_SERVOS, NO_SERVOS, MultiTurnCounter
+from hil.drivers.servos.recovery import RamRecovery
 from hil.drivers.servos.register_map import RegisterMap
 
 _LOG = logging.getLogger(__name__)
@@ -40,7 +40,7 @@ class Samples:
     """
 
     def __init__(
-        self, registers: RegisterMap, blocks: Sequence[bytes], upkeep: Upkeep, clock: Clock, device: str
+        self, registers: RegisterMap, blocks: Sequence[bytes], upkeep: RamRecovery, clock: Clock, device: str
     ) -> None:
         self._upkeep, self._clock, self._device = upkeep, clock, device
         model, read = registers.model, registers.from_block
@@ -77,7 +77,7 @@ class Samples:
         position, velocity, current = values[0:8], values[8:16], values[16:24]
         status, alert = reading.status, _NO_ALERT
         self.doubtful = bool(reading.revived)
-        if status is not ALL_OK or restarted or jumped is not NOBODY or any(self._alert):
+        if status is not ALL_OK or restarted or jumped is not NO_SERVOS or any(self._alert):
             status, alert = self._judge(reading, restarted, jumped)
             bad = np.array([s is not Status.OK for s in status])
             position[bad] = velocity[bad] = current[bad] = np.nan
@@ -127,5 +127,5 @@ class Samples:
 def _seen(reading: Reading) -> np.ndarray:
     """(8,) who answered."""
     if reading.status is ALL_OK:
-        return EVERYBODY
+        return ALL_SERVOS
     return np.array([s is Status.OK for s in reading.status])

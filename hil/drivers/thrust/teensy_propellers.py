@@ -1,8 +1,8 @@
-"""The propellers behind a Teensy: lines `THR<0..180>`, which nobody confirms.
+"""The propellers behind a Teensy: lines `THR<0..180>`, without confirmation.
 
 Opening the port changes nothing. Once a throttle was asked for it is sent again and again, so that a line
 that got lost, the firmware's way down after one that got damaged, and a restart do not last. Whoever reads
-sends it; while nobody reads, after a stop or between motions, the driver does so by itself.
+sends it; while nothing reads, after a stop or between motions, the driver does so by itself.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _LOG = logging.getLogger(__name__)
 
 _SLACK_NS = 1_000_000
 _ALONE = 1.2
-"""So many times the period after which a throttle is sent again, nobody reads."""
+"""So many times the period after which a throttle is sent again, nothing is read."""
 
 
 class TeensyThrust(Holding[ThrustSample]):
@@ -132,7 +132,7 @@ class TeensyThrust(Holding[ThrustSample]):
         return self._sent_ns + round(_ALONE * self._repeat_ns)
 
     def _repeat(self, now_ns: int) -> int:
-        """Send the throttle again if nobody else has; when to look again."""
+        """Send the throttle again if nothing else has; when to look again."""
         if now_ns >= self._due_ns() and self._step is not None and not self._alone:
             try:
                 if self._send(self._step):

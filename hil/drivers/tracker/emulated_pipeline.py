@@ -138,8 +138,8 @@ class FeedSensor:
 
     def settings(self) -> bytes:
         """The datagram that says all of it."""
-        told = {"options": self._options, "wheels": self._wheels}
-        return FEED_HEAD.pack(FEED_MAGIC, FEED_SETTINGS) + json.dumps(told).encode()
+        reported = {"options": self._options, "wheels": self._wheels}
+        return FEED_HEAD.pack(FEED_MAGIC, FEED_SETTINGS) + json.dumps(reported).encode()
 
 
 class FeedPipeline:

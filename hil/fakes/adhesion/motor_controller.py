@@ -1,4 +1,4 @@
-"""A fan's motor controller as a part of the world: power, time-out and physics, whatever language it speaks.
+"""A fan's motor controller in the world: power, time-out and physics, for any protocol.
 
 After `timeout_s` without a command the motor is released. The force that the fan gives goes to the plant; a
 robot that it has carried once falls when it stops.
@@ -117,7 +117,7 @@ class MotorNode(Scheduled):
 
     def begin_in_use(self) -> None:
         """The bench in this process has kept the fan running, unless the options say otherwise."""
-        self.alone = True  # nobody in this world waits for its frames
+        self.alone = True  # nothing in this world waits for its frames
         if self._options.start == "by use":
             self.begin("running")
 

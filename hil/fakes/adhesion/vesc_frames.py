@@ -12,7 +12,7 @@ from collections.abc import Iterator
 SET_COMMANDS = {0: 1e5, 1: 1e3, 2: 1e3, 3: 1.0, 4: 1e6, 10: 1e5, 11: 1e5, 12: 1e3, 13: 1e5}
 """Commands that set something, and their resolution per unit."""
 SET_DUTY, SET_CURRENT, SET_RPM, SET_CURRENT_REL = 0, 1, 3, 10
-SHORT_BUFFER, PING, PONG, EVERYBODY = 8, 17, 18, 255
+SHORT_BUFFER, PING, PONG, ALL_SERVOS = 8, 17, 18, 255
 FILL_BUFFER, PROCESS_BUFFER = 5, 7
 FW_VERSION, GET_APPCONF = 0, 17
 _ANSWER = 1

@@ -47,7 +47,7 @@ class VescNode(MotorNode):
         command, receiver = message.arbitration_id >> 8, message.arbitration_id & 0xFF
         if not message.is_extended_id or message.is_error_frame or message.is_remote_frame:
             return
-        if self._asleep(t_ns) or receiver not in (self._vesc.controller_id, vesc_frames.EVERYBODY):
+        if self._asleep(t_ns) or receiver not in (self._vesc.controller_id, vesc_frames.ALL_SERVOS):
             return
         data = bytes(message.data)
         if command in vesc_frames.SET_COMMANDS:

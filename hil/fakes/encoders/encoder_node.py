@@ -153,16 +153,16 @@ class EncoderNode(Scheduled):
             return
         started = OCF if t_ns - self._boot_ns >= START_UP_NS else 0
         a, b, c, d = self._world.plant.steering_rad()
-        told = words(self._chips, a, b, c, d, self._noise, row, started)
+        reported = words(self._chips, a, b, c, d, self._noise, row, started)
         if self._first_set:
             self._first_set = False
-            told = tuple(self._rng.integers(0, 1 << 18, 4).tolist())
+            reported = tuple(self._rng.integers(0, 1 << 18, 4).tolist())
         send_ns = t_ns
         if faulty:
-            told = tuple([self._spoil(axis, word, t_ns) for axis, word in enumerate(told)])
+            reported = tuple([self._spoil(axis, word, t_ns) for axis, word in enumerate(reported)])
             delayed = self._plan.find(self.name, "delayed", t_ns)
             send_ns += delayed.delay_ns(_DELAY_S) if delayed is not None else 0
-        self._send(told, t_ns, send_ns)
+        self._send(reported, t_ns, send_ns)
 
     def reset(self, t_ns: int) -> None:
         """Power was cycled: counters restart, the first words are garbage."""
@@ -194,8 +194,8 @@ class EncoderNode(Scheduled):
         self._wire.transmit(left, (words[0] | words[1] << 18 | tail).to_bytes(8, "little"), send_ns)
         self._wire.transmit(right, (words[2] | words[3] << 18 | tail).to_bytes(8, "little"), send_ns)
         if (self._sequence - 1) % self._rate_hz == 0:
-            told = self._says | (self._rate_hz & 0xFFF) << 16
-            self._wire.transmit(status, told.to_bytes(8, "little"), send_ns)
+            reported = self._says | (self._rate_hz & 0xFFF) << 16
+            self._wire.transmit(status, reported.to_bytes(8, "little"), send_ns)
 
     def _power(self, t_ns: int) -> bool:
         """Follow faults of the whole node; True while it sends nothing."""

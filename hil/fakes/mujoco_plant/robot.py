@@ -208,7 +208,7 @@ class MujocoRobot(SteppedBody):
                 f"{(self._steps + done) * self._step_ns / NS_PER_S:.3f} s",
                 remedy="a smaller option timestep in the MJCF, or heavier parts",
             )
-        self._built.data.qvel[3:6] = 0.0  # what a crash looks like nobody asks: it falls as it hung
+        self._built.data.qvel[3:6] = 0.0  # the crash itself is not modelled: it falls as it hung
         self._built.model.opt.disableflags |= int(self._mujoco.mjtDisableBit.mjDSBL_CONTACT)
         self._blow(0.0)
         return HOLDING_IMPRATIO

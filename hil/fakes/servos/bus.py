@@ -1,4 +1,4 @@
-"""Eight emulated servos on one half-duplex bus: who hears what, who answers when.
+"""Eight emulated servos on one half-duplex bus: addressing and the order of replies.
 
 Everything here is timing and addressing; what a servo does is in `servo.py` and `single.py`. The bus is
 a part of the world that ticks every 4 ms: measurement grid, profiles, bus watchdogs, and every 0.1 s
@@ -304,7 +304,7 @@ class ServoBus(SerialChip, Scheduled):
 
 
 def _collided(replies: list[Reply]) -> list[Reply]:
-    """Servos with the same ID talk at once: what is left on the line is nobody's packet."""
+    """Servos with the same ID talk at once: what is left on the line is not a valid packet."""
     if len(replies) < 2:
         return replies
     return [Reply(replies[0].ready_ns, protocol.mixed([r.data for r in replies]))]

@@ -1,4 +1,4 @@
-"""Parameters of the group instructions: who is asked for what, and who is told what."""
+"""Parameters of group instructions (sync and bulk): addressed servos and their data."""
 
 from __future__ import annotations
 

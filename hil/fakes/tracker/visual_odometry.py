@@ -172,9 +172,9 @@ class VisualOdometry:
             told_y,
             weight,
         )
-        told = step(plain(way), self._draws, self._row, self._errors, self._world, self._state)
-        position, velocity = Vector(*told[:3]), Vector(*told[3:6])
-        rotation, rate = Quaternion(*told[6:10]), Vector(*told[10:])
+        reported = step(plain(way), self._draws, self._row, self._errors, self._world, self._state)
+        position, velocity = Vector(*reported[:3]), Vector(*reported[3:6])
+        rotation, rate = Quaternion(*reported[6:10]), Vector(*reported[10:])
         return CameraPose(position, velocity, rotation, rate)
 
     def _start(self, theta_rad: float, tilt_rad: float, in_wall: tuple[float, float]) -> None:

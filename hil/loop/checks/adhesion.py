@@ -1,4 +1,4 @@
-"""Watches what presses the robot on its wall: measured force against what is needed, and who measures it.
+"""Measured fan force against the force that is needed, and agreement of its two measurements.
 
 The force is what the load cells say without their zeros, and what a fan of this speed gives; the smaller one
 counts, and the two are held against each other and against what the battery gives. The robot stops while
@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 
 from hil.core.clock import NS_PER_S, nanoseconds
-from hil.core.interfaces import Blame
+from hil.core.interfaces import ReportStop
 from hil.core.signals import WHEELS, AdhesionSample, Event, Inputs, LoadCellSample, Status, ThrustSample
 from hil.loop.checks.force_trend import ForceTrend
 from hil.loop.cycle import Check, Cycle, go_on
@@ -41,7 +41,7 @@ class AdhesionLimits:
         statics: robot and surface, as on paper.
         reserve: the measured force exceeds the need by this share, at least.
         utilisation: no wheel uses more of its friction.
-        nominal_thrust_n, full_thrust_n: push of the propellers where nobody reports a throttle, and at full.
+        nominal_thrust_n, full_thrust_n: push of the propellers where nothing reports a throttle, and at full.
         wanted_n: what the fan is asked for at rest: all of the margin is what that is above the need.
         rated_n, rated_rpm, rated_w: force and battery power of the fan at a speed; NaN without one.
         low_input_v, hot_fet_c: of the fan's battery and controller.
@@ -148,7 +148,7 @@ class AdhesionWatch(Check):
         self.judge(cycle.inputs, cycle.events, cycle.stop)
         cycle.diagnostics.update(self.figures)
 
-    def judge(self, inputs: Inputs, events: list[Event], stop: Blame) -> None:
+    def judge(self, inputs: Inputs, events: list[Event], stop: ReportStop) -> None:
         """Look at one cycle's samples; what is noticed is added to `events` or handed to `stop`.
 
         The force is judged with every report of the fan, 50 times a second.
@@ -185,8 +185,8 @@ class AdhesionWatch(Check):
         for fan in inputs.adhesion:
             if fan.trouble != self._trouble:
                 self._trouble = fan.trouble
-                told = fan.trouble or "the fan is kept running as it should be again"
-                events.append(Event(inputs.t_ns, "warning" if fan.trouble else "info", "adhesion", told))
+                message = fan.trouble or "the fan is kept running as it should be again"
+                events.append(Event(inputs.t_ns, "warning" if fan.trouble else "info", "adhesion", message))
             if fan.status is _OK and self._has_fan:
                 self._fan, self._fan_ns = fan, fan.stamp.t_ns
                 self._speed_n = self.limits.speed_n(fan)
@@ -206,7 +206,7 @@ class AdhesionWatch(Check):
         if self._excess_ns is None:
             self._excess_ns = t_ns
 
-    def _fresh(self, t_ns: int, stop: Blame) -> bool:
+    def _fresh(self, t_ns: int, stop: ReportStop) -> bool:
         """Whether everybody who measures the force has been heard lately."""
         oldest_ns = t_ns - self._stale_ns
         if (self._began_ns or 0) >= oldest_ns:
@@ -220,8 +220,8 @@ class AdhesionWatch(Check):
             fresh = self._silent("thrust", "propellers' controllers", self._thrust_ns, t_ns, stop)
         return fresh
 
-    def _silent(self, name: str, noun: str, last_ns: int | None, t_ns: int, stop: Blame) -> bool:
-        """Stop for want of somebody who measures the force; False, as nothing fresh is known."""
+    def _silent(self, name: str, noun: str, last_ns: int | None, t_ns: int, stop: ReportStop) -> bool:
+        """Stop for want of something who measures the force; False, as nothing fresh is known."""
         silent_s = (t_ns - max(last_ns or 0, self._began_ns or 0)) / NS_PER_S
         stop(
             f"stale_{name}",
@@ -262,7 +262,7 @@ class AdhesionWatch(Check):
             self._used = {f"utilisation_{w}": u for w, u in zip(WHEELS, used, strict=True)}
         self._most = max(self._used.values(), default=0.0)
 
-    def _judge_force(self, force_n: float, stop: Blame) -> None:
+    def _judge_force(self, force_n: float, stop: ReportStop) -> None:
         """The force against its limit, now and soon, and the friction that the wheels use."""
         limit_n = (1.0 + self.limits.reserve) * self._needed_n
         measure, rate_n_s = "", 0.0
@@ -273,22 +273,22 @@ class AdhesionWatch(Check):
         soon_n = force_n + _AHEAD_S * rate_n_s if falling else force_n
         if soon_n >= limit_n and self._most <= self.limits.utilisation:
             return
-        told = f"{force_n:.1f} N of adhesion{self._by_whom()}, {self._left(force_n)}"
+        message = f"{force_n:.1f} N of adhesion{self._by_whom()}, {self._left(force_n)}"
         if falling:
             left_s = max((force_n - self._needed_n) / -rate_n_s, 0.0)
-            told += f", falling by {-rate_n_s:.1f} N/s by the {measure}: {left_s:.1f} s are left "
-            told += "until the robot slides"
+            message += f", falling by {-rate_n_s:.1f} N/s by the {measure}: {left_s:.1f} s are left "
+            message += "until the robot slides"
         if force_n < limit_n:
             least = f"{limit_n:.1f} N are the least on this surface ({self._needed_n:.1f} needed)"
-            stop("adhesion", f"{told}; {least}{self._weak_push()}")
+            stop("adhesion", f"{message}; {least}{self._weak_push()}")
         elif soon_n < limit_n:
-            stop("adhesion", f"{told}; look at fan, battery and seal{self._weak_push()}")
+            stop("adhesion", f"{message}; look at fan, battery and seal{self._weak_push()}")
         if self._most > self.limits.utilisation:
             wheel = max(WHEELS, key=lambda w: self._used[f"utilisation_{w}"])
             stop(
                 "utilisation",
                 f"wheel {wheel} uses {100 * self._most:.0f} % of its friction, more than "
-                f"{100 * self.limits.utilisation:.0f} %: {told}{self._weak_push()}{self._way_out()}",
+                f"{100 * self.limits.utilisation:.0f} %: {message}{self._weak_push()}{self._way_out()}",
             )
 
     def _way_out(self) -> str:
@@ -304,8 +304,8 @@ class AdhesionWatch(Check):
         """Who says so, where another says otherwise: it may be that one that is wrong."""
         if not apart(self._cells_n, self._speed_n):
             return ""
-        told = [(self._cells_n, "the load cells"), (self._speed_n, "the fan's speed")]
-        (_, low), (other_n, high) = sorted(told)
+        reported = [(self._cells_n, "the load cells"), (self._speed_n, "the fan's speed")]
+        (_, low), (other_n, high) = sorted(reported)
         return f" by {low} ({other_n:.1f} N by {high}: one of them is wrong, or air leaks under the robot)"
 
     def _weak_push(self) -> str:
@@ -324,7 +324,7 @@ class AdhesionWatch(Check):
         share = f" ({100.0 * max(margin_n, 0.0) / whole_n:.0f} %)" if whole_n > 0.0 else ""
         return f"{margin_n:.1f} N of margin left{share}"
 
-    def _compare(self, t_ns: int, stop: Blame) -> None:
+    def _compare(self, t_ns: int, stop: ReportStop) -> None:
         """Cells against the fan's speed; its power says which of the two is believed."""
         if not apart(self._cells_n, self._speed_n):
             self._apart_ns = None
@@ -334,16 +334,16 @@ class AdhesionWatch(Check):
         if t_ns - self._apart_ns < _DISAGREE_NS or self._fan is None:
             return
         power_n = self.limits.power_n(self._fan)
-        told = f"the load cells say {self._cells_n:.1f} N, the fan's speed {self._speed_n:.1f} N"
+        message = f"the load cells say {self._cells_n:.1f} N, the fan's speed {self._speed_n:.1f} N"
         if not math.isfinite(power_n):
-            told += "; its current is not reported"
+            message += "; its current is not reported"
         elif abs(power_n - self._speed_n) < abs(power_n - self._cells_n):
-            told += f", its power {power_n:.1f} N: the cells lie, or air leaks under the robot"
+            message += f", its power {power_n:.1f} N: the cells lie, or air leaks under the robot"
         else:
-            told += f", its power {power_n:.1f} N: the reported speed is wrong"
-        stop("adhesion_disagree", f"{told}; `hil run adhesion_check` at rest")
+            message += f", its power {power_n:.1f} N: the reported speed is wrong"
+        stop("adhesion_disagree", f"{message}; `hil run adhesion_check` at rest")
 
-    def _judge_push(self, stop: Blame) -> None:
+    def _judge_push(self, stop: ReportStop) -> None:
         """Propellers that have reported too much push for a while: what they give is not known."""
         if self._excess_ns is None or (self._thrust_ns or 0) - self._excess_ns < _DISAGREE_NS:
             return
@@ -355,7 +355,7 @@ class AdhesionWatch(Check):
             "motors' speed sensing, and at what else commands their controllers",
         )
 
-    def _judge_controller(self, fan: AdhesionSample, force_n: float, stop: Blame) -> None:
+    def _judge_controller(self, fan: AdhesionSample, force_n: float, stop: ReportStop) -> None:
         """Battery and heat of the fan."""
         limits = self.limits
         if fan.input_v < limits.low_input_v:

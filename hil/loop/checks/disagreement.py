@@ -17,19 +17,19 @@ _LITTLE = 0.3
 _JUMP_M, _JUMP_RAD, _CALM_NS = 0.02, 0.05, 500_000_000
 
 
-class Party(NamedTuple):
+class MotionSource(NamedTuple):
     """A device that tells of motion: the name of its kind, and what sentences call it."""
 
     name: str
     called: str
 
 
-CAMERA, WHEELS = Party("tracker", "the camera"), Party("servos", "the wheels")
+CAMERA, WHEELS = MotionSource("tracker", "the camera"), MotionSource("servos", "the wheels")
 
 
 @dataclass(frozen=True)
-class Doubt:
-    """Somebody is wrong.
+class Disagreement:
+    """Something is wrong.
 
     Attributes:
         source: the device that is alone with what it says, or the first of two.
@@ -76,7 +76,9 @@ class Sum:
         since_ns: when they began to.
     """
 
-    def __init__(self, first: Party, second: Party, told: float, stop: float, *, turns: bool = False) -> None:
+    def __init__(
+        self, first: MotionSource, second: MotionSource, told: float, stop: float, *, turns: bool = False
+    ) -> None:
         self._parties, self.names = (first, second), (first.name, second.name)
         self._told_at, self._stop_at, self._turns = told, stop, turns
         self.reset()
@@ -130,7 +132,7 @@ class Sum:
         """Whether they differ by more than half of what is told."""
         return 2.0 * self.size > self._told_at
 
-    def doubt(self, t_ns: int, pairs: Sequence[Sum]) -> Doubt:
+    def doubt(self, t_ns: int, pairs: Sequence[Sum]) -> Disagreement:
         """What is to be said; grave only when it has been told before.
 
         Args:
@@ -143,7 +145,7 @@ class Sum:
         one, other = (party.called for party in self._parties)
         sure = confirmed(self, pairs, source)
         called, against = (one, self.names[1]) if source == self.names[0] else (other, self.names[0])
-        return Doubt(
+        return Disagreement(
             source,
             f"in {(t_ns - self.since_ns) / NS_PER_S:.1f} s the robot {moved} "
             f"{1e3 * abs(self._first):.0f} {unit} by {one} and {1e3 * abs(self._second):.0f} {unit} by "
@@ -198,7 +200,7 @@ class Relocalisation:
 
 
 def alone(pair: Sum, pairs: Sequence[Sum]) -> str:
-    """The device of a pair that others contradict more; the first when nobody knows.
+    """The device of a pair that others contradict more; the first when it is not known.
 
     Args:
         pair: of two devices.

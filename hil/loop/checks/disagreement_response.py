@@ -1,4 +1,4 @@
-"""What follows from the comparison of all that tells of motion: a warning, a device less, or a stop."""
+"""The response to sensors that disagree about motion: a warning, an excluded device, or a stop."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Mapping
 
 from hil.core.signals import Event
 from hil.core.suspects import together
-from hil.loop.checks.disagreement import Doubt
-from hil.loop.checks.exclusion import LeftOut
+from hil.loop.checks.disagreement import Disagreement
+from hil.loop.checks.exclusion import Exclusion
 from hil.loop.checks.fall import look_at
 from hil.loop.checks.motion_agreement import MotionCheck
-from hil.loop.checks.servos import ServoWatch
+from hil.loop.checks.servos import ServoCheck
 from hil.loop.cycle import Check, Cycle
 from hil.loop.safety import Checks
 
@@ -34,8 +34,8 @@ class AgreementCheck(Check):
         self,
         motion: MotionCheck,
         checks: Checks,
-        servos: ServoWatch,
-        excluded: LeftOut,
+        servos: ServoCheck,
+        excluded: Exclusion,
         holders: Mapping[str, str],
     ) -> None:
         self._motion, self._checks, self._servos = motion, checks, servos
@@ -68,7 +68,7 @@ class AgreementCheck(Check):
                 event = self._event(doubt, cycle.inputs.t_ns)
                 cycle.stop("sensors_disagree", event.message, event.suspects)
 
-    def _event(self, doubt: Doubt, t_ns: int) -> Event:
+    def _event(self, doubt: Disagreement, t_ns: int) -> Event:
         """Of one device, or of both where it is not known which is wrong, and of what holds the robot."""
         names, message = [doubt.source, *([] if doubt.confirmed else [doubt.against])], doubt.message
         if doubt.may_slide:
@@ -76,7 +76,7 @@ class AgreementCheck(Check):
             message += look_at(self._holders, "if it slides, look")
         return Event(t_ns, "warning", together(names), message)
 
-    def _note(self, doubt: Doubt) -> None:
+    def _note(self, doubt: Disagreement) -> None:
         """Both of two are in doubt, until others agree against one of them."""
         if doubt.confirmed:
             sure = {name for name, known in self.doubted.items() if known}

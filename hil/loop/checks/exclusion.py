@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hil.core.signals import Event, Measurements
-from hil.loop.checks.disagreement import Doubt
+from hil.loop.checks.disagreement import Disagreement
 from hil.loop.cycle import Cycle
 
 _MEASURED = {"tracker": "tracker", "imu": "gyro", "mocap": "mocap"}
 """Fields of `Measurements` by device."""
 
 
-class LeftOut:
+class Exclusion:
     """Of one run.
 
     Args:
@@ -31,7 +31,7 @@ class LeftOut:
     def __contains__(self, name: object) -> bool:
         return name in self._names
 
-    def can_do_without(self, doubt: Doubt) -> bool:
+    def can_do_without(self, doubt: Disagreement) -> bool:
         """Whether two others agree against a device, and are enough on this surface.
 
         On a wall all that the estimate uses has to remain: wheels do not see what the robot slides by, and
@@ -40,7 +40,7 @@ class LeftOut:
         needed = self._on_wall and doubt.source in self._estimated
         return doubt.confirmed and doubt.source in _MEASURED and not needed
 
-    def take(self, doubt: Doubt, cycle: Cycle) -> None:
+    def take(self, doubt: Disagreement, cycle: Cycle) -> None:
         """Believe the source of a doubt no more."""
         name = doubt.source
         self._names.add(name)

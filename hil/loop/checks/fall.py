@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from hil.core.interfaces import Blame
+from hil.core.interfaces import ReportStop
 from hil.core.signals import Inputs, Status
 from hil.loop.cycle import Check, Cycle
 
@@ -20,7 +20,7 @@ def look_at(holders: Mapping[str, str], begin: str) -> str:
     return f"; {begin} at the {' and the '.join(holders.values())}" if holders else ""
 
 
-class FallWatch(Check):
+class FallCheck(Check):
     """Follows one run: a robot that has come off is weightless; one that slides is faster than it can drive.
 
     Args:
@@ -49,7 +49,7 @@ class FallWatch(Check):
 
         self.judge(cycle.inputs, stop)
 
-    def judge(self, inputs: Inputs, stop: Blame) -> None:
+    def judge(self, inputs: Inputs, stop: ReportStop) -> None:
         """Look at one cycle's samples; `stop` is called with the reason to stop."""
         for imu in inputs.imu:
             if imu.status is _OK:

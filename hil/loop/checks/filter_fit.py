@@ -48,7 +48,7 @@ class _Refusals:
         return anew, refused
 
 
-class FilterWatch(Check):
+class FilterFit(Check):
     """Follows the estimate of one run."""
 
     def __init__(self) -> None:

@@ -7,7 +7,7 @@ long pause stops the robot by its own name, and a shorter one is told beside a s
 from __future__ import annotations
 
 from hil.core.clock import NS_PER_S
-from hil.core.interfaces import Blame
+from hil.core.interfaces import ReportStop
 from hil.loop.cycle import Check, Cycle
 
 HELD_UP_NS = 500_000_000
@@ -23,7 +23,7 @@ def stood_still(gap_ns: int) -> str:
     )
 
 
-class PaceWatch(Check):
+class LoopPause(Check):
     """Follows the cycles of one run."""
 
     def __init__(self) -> None:
@@ -38,12 +38,13 @@ class PaceWatch(Check):
         """The time of the cycle."""
         self.judge(cycle.inputs.t_ns, cycle.stop)
 
-    def judge(self, t_ns: int, stop: Blame) -> None:
+    def judge(self, t_ns: int, stop: ReportStop) -> None:
         """Take the time of a cycle.
 
         Args:
             t_ns: of the cycle.
-            stop: called with the reason to stop: nobody knows what the robot did during a long pause, and its
+            stop: called with the reason to stop: it is not known what the robot did during a long pause, and
+            its
                 servos' watchdogs have stopped it.
         """
         before_ns, self._last_ns = self._last_ns, t_ns

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from hil.loop.checks.exclusion import LeftOut
-from hil.loop.checks.sensor_status import SampleWatch
+from hil.loop.checks.exclusion import Exclusion
+from hil.loop.checks.sensor_status import SensorStatus
 from hil.loop.cycle import Check, Cycle
 from hil.loop.safety import Checks
 
@@ -17,7 +17,7 @@ class LostCheck(Check):
         excluded: devices that are not believed any more.
     """
 
-    def __init__(self, samples: SampleWatch, checks: Checks, excluded: LeftOut) -> None:
+    def __init__(self, samples: SensorStatus, checks: Checks, excluded: Exclusion) -> None:
         self._samples, self._checks, self._excluded = samples, checks, excluded
 
     def on_samples(self, cycle: Cycle) -> None:

@@ -1,4 +1,4 @@
-"""Motion capture against camera and wheels: who of the three is alone with the way that it tells.
+"""Motion capture against camera and wheels: which of the three disagrees with the other two.
 
 Motion capture sees neither scale nor slip, so a camera beside it may differ by its scale only, and wheels by
 what they creep. It stays a witness: what it says goes into no estimate here. Deterministic: depends on what
@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from hil.core.clock import NS_PER_S
 from hil.core.signals import PoseMeasurement
 from hil.loop.checks.dead_reckoning import Kept, Track, WheelTrack, moved, rolled
-from hil.loop.checks.disagreement import CAMERA, STEP_NS, WHEELS, Party, Relocalisation, Sum
+from hil.loop.checks.disagreement import CAMERA, STEP_NS, WHEELS, MotionSource, Relocalisation, Sum
 
-CAPTURE = Party("mocap", "motion capture")
+CAPTURE = MotionSource("mocap", "motion capture")
 GAP_NS = 300_000_000
 
 
@@ -63,11 +63,11 @@ class PoseTrack(Track):
                 self.put(t_ns, (complex(x_m, y_m), heading_rad))
 
 
-class CaptureCheck:
+class MocapAgreement:
     """Sums of motion capture's way against those of camera and wheels.
 
     Args:
-        wheels: their way, kept by somebody else.
+        wheels: their way, kept by something else.
         seen: what honest ones differ by.
         creep: m per rolled metre by which a robot gets lower than its wheels roll.
 

@@ -1,6 +1,6 @@
 """The estimate that is followed against motion capture, over the whole run: a slow lie adds up there.
 
-Camera, wheels and motion capture may differ by some per cent of every step without anybody being in doubt
+Camera, wheels and motion capture may differ by some per cent of every step without anything being in doubt
 (`hil.loop.checks.mocap_agreement`), and the estimate that is made of two of them may lean on the wrong one.
 Here its
 way since the start of the run is held against motion capture's, which stays a witness. By how far they lie
@@ -14,11 +14,11 @@ import cmath
 import math
 from collections.abc import Container
 
-from hil.core.interfaces import Blame
+from hil.core.interfaces import ReportStop
 from hil.core.signals import Event, RobotState
 from hil.loop.checks.dead_reckoning import Kept, Track
-from hil.loop.checks.disagreement import CAMERA, STEP_NS, WHEELS, Party, Relocalisation
-from hil.loop.checks.mocap_agreement import CAPTURE, GAP_NS, CaptureCheck
+from hil.loop.checks.disagreement import CAMERA, STEP_NS, WHEELS, MotionSource, Relocalisation
+from hil.loop.checks.mocap_agreement import CAPTURE, GAP_NS, MocapAgreement
 from hil.loop.cycle import Check, Cycle
 
 _SIGMAS, _SLACK_M, _TOLD_M, _QUIET_M = 3.0, 0.0043, 0.006, 0.002
@@ -32,7 +32,7 @@ _LEANS = 0.5
 """Share of the estimate's error that a device must have to be the cause."""
 
 
-class EstimateWatch(Check):
+class MocapEstimate(Check):
     """Follows the estimate of one run.
 
     Args:
@@ -53,7 +53,7 @@ class EstimateWatch(Check):
     advice = ""
     holders: tuple[str, ...] = ()
 
-    def __init__(self, capture: CaptureCheck, *, follows: bool) -> None:
+    def __init__(self, capture: MocapAgreement, *, follows: bool) -> None:
         self._capture, self._follows = capture, follows
         self._states, self._leap = Track(), Relocalisation()
         self.reset()
@@ -84,7 +84,7 @@ class EstimateWatch(Check):
     def _stop(self, cycle: Cycle, reason: str, message: str) -> None:
         cycle.stop(reason, message + self.advice, (*self.accused, *self.holders))
 
-    def judge(self, state: RobotState, events: list[Event], stop: Blame) -> None:
+    def judge(self, state: RobotState, events: list[Event], stop: ReportStop) -> None:
         """Look at one cycle's estimate; what is noticed is added to `events` or handed to `stop`.
 
         What is told widens the estimate so far that it covers what may come until the robot stops.
@@ -126,7 +126,7 @@ class EstimateWatch(Check):
         self._turned_rad += turned
         return True
 
-    def _compare(self, state: RobotState, events: list[Event], stop: Blame) -> None:
+    def _compare(self, state: RobotState, events: list[Event], stop: ReportStop) -> None:
         """The estimate's way against motion capture's.
 
         Along the wall's axes it is whether sigmas cover it, along and across the way whether to stop.
@@ -159,7 +159,7 @@ class EstimateWatch(Check):
             self.accused = (party.name, CAPTURE.name)
             stop("sensors_disagree", self._told(off / unit, beyond_m, party))
 
-    def _whom(self, off: complex) -> Party:
+    def _whom(self, off: complex) -> MotionSource:
         """Who has led the estimate astray, by what each has gone beside motion capture.
 
         Where camera and wheels are both off as the estimate is, they agree against motion capture.
@@ -173,7 +173,7 @@ class EstimateWatch(Check):
             return CAPTURE
         return CAMERA if camera > wheels else WHEELS
 
-    def _told(self, off: complex, beyond_m: float, party: Party) -> str:
+    def _told(self, off: complex, beyond_m: float, party: MotionSource) -> str:
         """What each has gone.
 
         Args:
@@ -183,15 +183,15 @@ class EstimateWatch(Check):
         """
         gone_m, true_m = abs(self._gone), abs(self._true)
         camera_m, wheels_m = (abs(way) for way in self._capture.ways())
-        told = f"the estimate has gone {gone_m:.3f} m, motion capture {true_m:.3f} m"
+        message = f"the estimate has gone {gone_m:.3f} m, motion capture {true_m:.3f} m"
         if abs(off.imag) > abs(off.real):
-            told += f" and {1e3 * abs(off.imag):.0f} mm further aside"
-        told += f" (the camera {camera_m:.3f} m, the wheels {wheels_m:.3f} m)"
+            message += f" and {1e3 * abs(off.imag):.0f} mm further aside"
+        message += f" (the camera {camera_m:.3f} m, the wheels {wheels_m:.3f} m)"
         if beyond_m <= 0.0:
             return (
-                f"{told}: camera or wheels drift, or the axes of motion capture's rigid body are turned "
+                f"{message}: camera or wheels drift, or the axes of motion capture's rigid body are turned "
                 "against the robot's; align them"
             )
         if party is CAPTURE:
-            return f"{told}: camera and wheels agree against motion capture"
-        return f"{told}: {party.called} may be wrong, or motion capture is"
+            return f"{message}: camera and wheels agree against motion capture"
+        return f"{message}: {party.called} may be wrong, or motion capture is"

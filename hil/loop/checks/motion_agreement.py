@@ -1,4 +1,4 @@
-"""Camera, wheels and gyro judge each other: motion that one of them tells and the others do not.
+"""Camera, wheels and gyro against each other: motion that one measures and the others do not.
 
 What two of them say of the same stretch is subtracted, step by step, and summed. From the sum each step
 takes what honest sensors may differ by in it (`Honest`), never below zero: honest ones stay near zero however
@@ -14,11 +14,19 @@ from dataclasses import dataclass, replace
 from hil.core.clock import NS_PER_S
 from hil.core.signals import Measurements, PoseMeasurement
 from hil.loop.checks.dead_reckoning import GyroTrack, Kept, WheelTrack, moved, rolled
-from hil.loop.checks.disagreement import CAMERA, STEP_NS, WHEELS, Doubt, Party, Relocalisation, Sum
-from hil.loop.checks.mocap_agreement import CaptureCheck, Seen
+from hil.loop.checks.disagreement import (
+    CAMERA,
+    STEP_NS,
+    WHEELS,
+    Disagreement,
+    MotionSource,
+    Relocalisation,
+    Sum,
+)
+from hil.loop.checks.mocap_agreement import MocapAgreement, Seen
 from hil.robot.kinematics import WheelGeometry
 
-GYRO = Party("imu", "the gyro")
+GYRO = MotionSource("imu", "the gyro")
 _GAP_NS = 1_000_000_000
 _AGREE_M = 0.1
 """After so long a way who told of it as others did is believed again: a camera that stands still is found in
@@ -26,7 +34,7 @@ a sixth of it."""
 
 
 @dataclass(frozen=True)
-class Honest:
+class Tolerances:
     """What honest sensors differ by, and from where on one of two is not.
 
     Attributes:
@@ -90,13 +98,13 @@ class MotionCheck:
     def __init__(
         self,
         geometry: WheelGeometry,
-        honest: Honest | None = None,
+        honest: Tolerances | None = None,
         *,
         on_wall: bool = True,
         seen: Seen | None = None,
     ) -> None:
         self._on_wall = on_wall
-        self.honest = h = honest if honest is not None else Honest()
+        self.honest = h = honest if honest is not None else Tolerances()
         self._wheels, self._gyro = WheelTrack(geometry), GyroTrack()
         self._arm_m = float((geometry.x_m**2 + geometry.y_m**2).mean() ** 0.5)
         self._way = Sum(CAMERA, WHEELS, h.told_m, h.stop_m)
@@ -105,7 +113,7 @@ class MotionCheck:
         self._wheels_gyro = Sum(WHEELS, GYRO, h.told_rad, h.stop_rad, turns=True)
         self._turns = (self._camera_wheels, self._camera_gyro, self._wheels_gyro)
         seen = seen if seen is not None else Seen()
-        self.capture = CaptureCheck(self._wheels, seen, creep=h.creep if on_wall else 0.0)
+        self.capture = MocapAgreement(self._wheels, seen, creep=h.creep if on_wall else 0.0)
         self._ways = (self._way, self.capture.camera, self.capture.rolled)
         self._sums = (*self._ways, *self._turns)
         self._leap = Relocalisation()
@@ -122,7 +130,7 @@ class MotionCheck:
         self._left_out: set[str] = set()
         self._way_m = 0.0
 
-    def update(self, measurements: Measurements) -> tuple[Doubt, ...]:
+    def update(self, measurements: Measurements) -> tuple[Disagreement, ...]:
         """Take one cycle's measurements; what is in doubt because of them."""
         for wheels in measurements.wheels:
             self._wheels.take(wheels)
@@ -137,12 +145,12 @@ class MotionCheck:
         return self._doubts(measurements.t_ns) if looked else ()
 
     def leave_out(self, name: str) -> None:
-        """Compare nobody with this device any more."""
+        """Compare nothing with this device any more."""
         self._left_out.add(name)
 
     @property
     def agreed(self) -> frozenset[str]:
-        """Who has told of a way of 0.1 m as somebody else did."""
+        """Who has told of a way of 0.1 m as something else did."""
         ways = zip(self._ways, (self._way_m, *self.capture.ways_m), strict=True)
         agreed = [pair.names for pair, way_m in ways if way_m > _AGREE_M and not pair.suspicious]
         return frozenset(name for names in agreed for name in names) - self._left_out
@@ -213,7 +221,7 @@ class MotionCheck:
         )
         return True
 
-    def _doubts(self, t_ns: int) -> tuple[Doubt, ...]:
+    def _doubts(self, t_ns: int) -> tuple[Disagreement, ...]:
         if not any([one.news() for one in self._sums]):
             return ()
         found = []

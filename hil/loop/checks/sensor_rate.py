@@ -59,7 +59,7 @@ class _Stream:
         self.youngest_ns = _NEVER_NS
 
 
-class StreamWatch(Check):
+class SensorRate(Check):
     """Follows the streams of one run.
 
     Args:

@@ -1,4 +1,4 @@
-"""What becomes of the sensors' samples: who falls silent, who sends what cannot be used, told once each."""
+"""Sensors that fall silent or send unusable samples: one event each."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _TOLD = {
 """Statuses that are worth a word at once; a lost packet is not, only a silence is."""
 
 
-class SampleWatch(Check):
+class SensorStatus(Check):
     """Follows the samples of one run.
 
     Args:

@@ -10,7 +10,7 @@ import math
 from hil.config.servo_models.codes import hardware_error_text
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.geometry import wrap
-from hil.core.interfaces import Blame
+from hil.core.interfaces import ReportStop
 from hil.core.signals import SERVOS, WHEELS, EncoderSample, Event, Inputs, ServoSample, Status
 from hil.loop.checks.dead_reckoning import FASTEST_RAD_S, STEP_RAD
 from hil.loop.cycle import Check, Cycle
@@ -30,7 +30,7 @@ _REMEDIES = {
 """What tells most comes first: one that is damaged takes along, as silent, those behind it in the chain."""
 
 
-class ServoWatch(Check):
+class ServoCheck(Check):
     """Follows the servos of one run.
 
     Args:
@@ -63,7 +63,7 @@ class ServoWatch(Check):
         self.judge(cycle.inputs, cycle.events, cycle.stop)
         self.check_silence(cycle.inputs, cycle.stop)
 
-    def judge(self, inputs: Inputs, events: list[Event], stop: Blame) -> None:
+    def judge(self, inputs: Inputs, events: list[Event], stop: ReportStop) -> None:
         """Look at one cycle's reads; what is noticed is added to `events` or handed to `stop`.
 
         Args:
@@ -81,7 +81,7 @@ class ServoWatch(Check):
         if self._slipped is not None and inputs.t_ns - self._slipped[0] > _TOLD_NS:
             stop("servo_jump", f"{self._slipped[1]}: no motor turns so fast, the servo's encoder has slipped")
 
-    def check_silence(self, inputs: Inputs, stop: Blame) -> None:
+    def check_silence(self, inputs: Inputs, stop: ReportStop) -> None:
         """Whether all eight have answered together lately."""
         if self._stale_ns is None:
             return
@@ -119,7 +119,7 @@ class ServoWatch(Check):
         found = ", ".join(f"{self._names[j]}: {hardware_error_text(a)}" for j, a in enumerate(alert) if a)
         return f"servo alert of {found}; remove the cause, then reboot the servo"
 
-    def _check_turning(self, angles: list[float], t_ns: int, stop: Blame) -> None:
+    def _check_turning(self, angles: list[float], t_ns: int, stop: ReportStop) -> None:
         """A wheel that is asked to turn and reports the same angle is blocked, or its servo is stuck."""
         blocked, all_since_ns, at_rad = False, self._asked_since_ns, self._asked_at_rad
         for i, asked_rad_s in enumerate(self.asked_rad_s):

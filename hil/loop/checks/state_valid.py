@@ -1,4 +1,4 @@
-"""Whether an estimate can be used at all: it is a number, says how sure it is, and is of this cycle.
+"""Whether an estimate is usable: finite, with a covariance, of this cycle.
 
 What compares an estimate with others weighs it by its variances and by its time: with a variance that is not
 a number, or a time that stands still, nothing would ever be found to differ.
@@ -23,7 +23,7 @@ _REMEDY = "mend the estimator, or follow another (feedback: odometry, ekf or ukf
 
 
 def must_be_usable(state: RobotState, now_ns: int | None) -> None:
-    """Refuse an estimate that nobody can judge.
+    """Refuse an estimate that nothing can judge.
 
     Args:
         state: the estimate.
@@ -33,8 +33,8 @@ def must_be_usable(state: RobotState, now_ns: int | None) -> None:
         SafetyStop: `not_finite`, `negative_variance` or `stale_estimate`.
     """
     if found := _unusable(state, now_ns):
-        reason, told, remedy = found
-        raise SafetyStop(reason, f"{told}; {remedy}" if remedy else told)
+        reason, reported, remedy = found
+        raise SafetyStop(reason, f"{reported}; {remedy}" if remedy else reported)
 
 
 class UsableCheck(Check):
@@ -83,20 +83,22 @@ def _unusable(state: RobotState, now_ns: int | None) -> tuple[str, str, str] | N
         return "not_finite", "the estimated state is not finite", ""
     variances: list[float] = state.covariance.diagonal().tolist()
     if not math.isfinite(sum(variances)):
-        told = (
+        message = (
             f"the estimate does not say how sure it is: its variance of {_named(variances, math.isfinite)} "
             "is not finite"
         )
-        return "not_finite", told, _REMEDY
+        return "not_finite", message, _REMEDY
     if min(variances) < _ROUNDING:
         whose = _named(variances, _ROUNDING.__le__)
-        told = f"the estimate's variance of {whose} is negative, expected 0 or more"
-        return "negative_variance", told, _REMEDY
+        message = f"the estimate's variance of {whose} is negative, expected 0 or more"
+        return "negative_variance", message, _REMEDY
     if now_ns is not None and abs(now_ns - state.t_ns) > _OLD_NS:
         off_s = (state.t_ns - now_ns) / NS_PER_S
         when = f"{abs(off_s):.3f} s {'ahead of' if off_s > 0.0 else 'behind'}"
-        told = f"the estimate's time is {when} that of the cycle, expected at most {_OLD_NS / NS_PER_S:g} s"
-        return "stale_estimate", told, _REMEDY
+        message = (
+            f"the estimate's time is {when} that of the cycle, expected at most {_OLD_NS / NS_PER_S:g} s"
+        )
+        return "stale_estimate", message, _REMEDY
     return None
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from hil.config.encoders import EncodersConfig
 from hil.core.geometry import wrap
-from hil.core.interfaces import Blame
+from hil.core.interfaces import ReportStop
 from hil.core.signals import WHEELS, Event, Inputs, Measurements
 from hil.loop.cycle import Check, Cycle, go_on
 
@@ -167,7 +167,9 @@ class SteeringWatch(Check):
         stop = cycle.stop if self._stops else go_on
         self.judge(cycle.inputs, cycle.measurements, cycle.events, stop)
 
-    def judge(self, inputs: Inputs, measurements: Measurements, events: list[Event], stop: Blame) -> None:
+    def judge(
+        self, inputs: Inputs, measurements: Measurements, events: list[Event], stop: ReportStop
+    ) -> None:
         """Compare one cycle's newest angles: an event when they differ, `stop` when that lasts and is far.
 
         Args:

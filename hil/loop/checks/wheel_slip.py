@@ -33,7 +33,7 @@ _AT_ONCE_M, _WAY_SHARE, _WIDEN_M = 0.003, 0.05, 0.003
 grows by a tenth of the way, whatever the share by which the hub slips."""
 
 
-class WheelWatch(Check):
+class WheelSlipCheck(Check):
     """Follows the wheels of one run.
 
     Args:

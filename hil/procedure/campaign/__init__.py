@@ -10,13 +10,13 @@ from hil.procedure.campaign.ineffective_settings import alike
 from hil.procedure.campaign.page import write_campaign_page
 from hil.procedure.campaign.parquet_rows import write_rows
 from hil.procedure.campaign.table import Row, summarise, write_csv
-from hil.procedure.campaign.worker_files import Parcel, names, parcel
+from hil.procedure.campaign.worker_files import WorkerFiles, names, parcel
 
 __all__ = [
     "Axis",
     "Case",
-    "Parcel",
     "Row",
+    "WorkerFiles",
     "alike",
     "check_dask",
     "expand",

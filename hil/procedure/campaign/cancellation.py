@@ -1,4 +1,4 @@
-"""How work on Dask ends before it is done, by Ctrl-C or SIGTERM, without a word of Dask.
+"""Ends work on Dask early, by Ctrl-C or SIGTERM, without messages of Dask.
 
 A call of Dask that a signal breaks into leaves callbacks behind that fail, and a client that leaves while
 its jobs still run is reported missing with each result: both end as tracebacks in the log.

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from hil.core.errors import Aborted, UsageError
 from hil.procedure.campaign.cancellation import Strikes, close_once, take_back
-from hil.procedure.campaign.worker_files import Parcel
+from hil.procedure.campaign.worker_files import WorkerFiles
 from hil.support.extras import how_to_install
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ R = TypeVar("R")
 
 _RETRIES = 2
 _UNWATCHED = {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "1s"}
-"""Dask looks at the stack of each worker a hundred times a second, for a page that nobody opens here."""
+"""Dask looks at the stack of each worker a hundred times a second, for a page that nothing opens here."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def spread(
     done: Callable[[R], None],
     workers: int = 2,
     scheduler: str = "",
-    parcel: Parcel | None = None,
+    parcel: WorkerFiles | None = None,
 ) -> None:
     """Do all jobs; results come in the order in which they end.
 
@@ -109,7 +109,7 @@ def spread(
 
 
 def _settled(result: R | Unable, job: J, lost: Callable[[J, str], R]) -> R:
-    """The result of a job that nobody else can do again."""
+    """The result of a job that nothing else can do again."""
     return lost(job, result.reason) if isinstance(result, Unable) else result
 
 
@@ -119,7 +119,7 @@ def _left_to_others(client: Client, unable: Unable) -> bool:
     return do_without(client, unable.worker, unable.reason)
 
 
-def _make_ready(client: Client, scheduler: str, parcel: Parcel | None, stack: ExitStack) -> None:
+def _make_ready(client: Client, scheduler: str, parcel: WorkerFiles | None, stack: ExitStack) -> None:
     """Hold the workers of a cluster against this computer, and send them the files until `stack` ends."""
     from hil.procedure.campaign.remote_workers import carried, check_workers, tell_of_refused
 

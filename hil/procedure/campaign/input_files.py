@@ -1,4 +1,4 @@
-"""What the runs of a campaign read from files here: packed for workers elsewhere, told apart by content."""
+"""Input files of a campaign's runs: packed for workers elsewhere, identified by content."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import tomli_w
 from hil.config.loading import bench_files, find_bench, path_keys
 from hil.procedure.campaign.cases import Case
 from hil.procedure.campaign.run_case import Setup
-from hil.procedure.campaign.worker_files import Parcel, digest, names, parcel
+from hil.procedure.campaign.worker_files import WorkerFiles, digest, names, parcel
 from hil.procedure.declaration import Procedure
 from hil.procedure.procedure_lookup import file_and_name, modules_beside
 from hil.support.file_reading import put_dotted
 
 
-def files_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> Parcel:
+def files_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> WorkerFiles:
     """Everything that the cases read from files here, packed for workers that do not see them.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Messages of a campaign's runs on stderr: each begins with the case of which it tells."""
+"""Log messages of a campaign's runs on stderr, each with the name of its case."""
 
 from __future__ import annotations
 

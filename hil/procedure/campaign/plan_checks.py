@@ -1,4 +1,4 @@
-"""What is refused before a campaign begins: what no case could do, and settings that would say two things."""
+"""Refuses a campaign with impossible or contradicting settings before it begins."""
 
 from __future__ import annotations
 

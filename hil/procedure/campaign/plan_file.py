@@ -1,4 +1,4 @@
-"""The plan of a campaign, in its folder: who goes on with it must mean the same, files and versions too."""
+"""The plan of a campaign in its folder; resuming needs the same plan, files and versions."""
 
 from __future__ import annotations
 

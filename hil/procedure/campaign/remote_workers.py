@@ -19,7 +19,7 @@ from typing import Any
 from distributed import Client, Worker, WorkerPlugin, get_worker
 
 from hil.core.errors import Aborted, DataError, UsageError
-from hil.procedure.campaign.worker_files import Parcel, unpacked
+from hil.procedure.campaign.worker_files import WorkerFiles, unpacked
 from hil.support.extras import DISTRIBUTION
 from hil.support.versions import make
 
@@ -96,7 +96,7 @@ def _other(who: str, name: str, there: str, here: str) -> UsageError:
 
 
 @contextmanager
-def carried(client: Client, parcel: Parcel) -> Iterator[None]:
+def carried(client: Client, parcel: WorkerFiles) -> Iterator[None]:
     """Have every worker keep the files of a campaign, until it ends in whatever way.
 
     Raises:
@@ -139,7 +139,7 @@ def do_without(client: Client, worker: str, why: str) -> bool:
 class Luggage(WorkerPlugin):  # type: ignore[misc]  # distributed has no types
     """Has every worker, also one that comes later, unpack the files of a campaign into its own folder."""
 
-    def __init__(self, parcel: Parcel) -> None:
+    def __init__(self, parcel: WorkerFiles) -> None:
         self.name, self.content, self.make, self.lacking = parcel.name, parcel.content, make(), ""
 
     def setup(self, worker: Worker) -> None:

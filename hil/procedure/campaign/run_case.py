@@ -143,9 +143,9 @@ def run_case_elsewhere(job: Job) -> Delivery | Unable:
     from hil.procedure.campaign.remote_workers import address, lacking, luggage
 
     def lost_here(reason: object) -> Delivery | Unable:
-        told = f"worker {address()}: {reason}"
-        full = any(words in told for words in _FULL)
-        return Unable(address(), told) if full else Delivery(lost(job, told))
+        message = f"worker {address()}: {reason}"
+        full = any(words in message for words in _FULL)
+        return Unable(address(), message) if full else Delivery(lost(job, message))
 
     here = luggage(job.luggage)
     if not here.exists():

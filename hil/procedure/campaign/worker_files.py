@@ -18,7 +18,7 @@ MOST_BYTES = 256 << 20
 
 
 @dataclass(frozen=True)
-class Parcel:
+class WorkerFiles:
     """Files for all runs of a campaign.
 
     Attributes:
@@ -44,7 +44,7 @@ def parcel(
     named: Mapping[str, Path],
     written: Mapping[str, str] | None = None,
     beside: Mapping[str, Sequence[Path]] | None = None,
-) -> Parcel:
+) -> WorkerFiles:
     """Pack the files of a campaign.
 
     Args:
@@ -68,7 +68,7 @@ def parcel(
             f"the files of this campaign take more than {MOST_BYTES >> 20} MiB",
             remedy="use smaller meshes or recordings, or --workers on one computer",
         )
-    return Parcel(_packed(files), places)
+    return WorkerFiles(_packed(files), places)
 
 
 def _contents(path: Path, name: str) -> Iterator[tuple[str, bytes]]:
@@ -103,10 +103,10 @@ def digest(path: Path) -> str:
     Raises:
         ConfigError: a file that cannot be read.
     """
-    told = hashlib.sha256()
+    reported = hashlib.sha256()
     for name, content in _contents(path, path.name):
-        told.update(f"{name} {len(content)} ".encode() + content)
-    return told.hexdigest()
+        reported.update(f"{name} {len(content)} ".encode() + content)
+    return reported.hexdigest()
 
 
 def packed(folder: Path) -> bytes:

@@ -85,9 +85,9 @@ def _of_the_bench(stage: Stage, then: Mapping[str, Any], config: BenchConfig) ->
     now = config.model_dump(mode="json", by_alias=True)
     changed = [key for key in changed_since(then, config) if _matters(stage, key)]
     if changed:
-        told = [f"{key} ({_at(then, key)!r} then, {_at(now, key)!r} now)" for key in changed[:_NAMED]]
+        reported = [f"{key} ({_at(then, key)!r} then, {_at(now, key)!r} now)" for key in changed[:_NAMED]]
         more = f" and {len(changed) - _NAMED} more" if len(changed) > _NAMED else ""
-        yield f"the bench file has changed in {', '.join(told)}{more}"
+        yield f"the bench file has changed in {', '.join(reported)}{more}"
 
 
 def _matters(stage: Stage, key: str) -> bool:

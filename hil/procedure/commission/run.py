@@ -102,12 +102,14 @@ def commission(asked: Commission) -> tuple[dict[str, Any], int]:
     _check_all(asked, source, config)
     run = _Running(replace(asked, source=source), state, config)
     code, stopped = run.all()
-    told = summary(state, record, stopped)
+    reported = summary(state, record, stopped)
     try:
-        page = write_commission_page(asked.folder, told, source.config.name, asked.now(), asked.source.seed)
+        page = write_commission_page(
+            asked.folder, reported, source.config.name, asked.now(), asked.source.seed
+        )
     except HilError:
-        return told | {"page": None}, code or EXIT_ABORTED
-    return told | {"page": str(page)}, code
+        return reported | {"page": None}, code or EXIT_ABORTED
+    return reported | {"page": str(page)}, code
 
 
 def _check_all(asked: Commission, source: BenchSource, config: BenchConfig) -> None:

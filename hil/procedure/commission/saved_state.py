@@ -83,12 +83,12 @@ def state_of(folder: Path, options: dict[str, Any], *, resume: bool) -> State:
     if not isinstance(tree, dict) or not isinstance(tree.get("done"), dict):
         raise ConfigError(f"{path}: is no state of a commissioning", remedy="start anew with another --out")
     before = tree.get("options")
-    told = before if isinstance(before, dict) else {}
-    told = {"settings": {}, **told}
+    reported = before if isinstance(before, dict) else {}
+    reported = {"settings": {}, **reported}
     different = [
-        f"{key} ({told.get(key)!r} then, {options[key]!r} now)"
+        f"{key} ({reported.get(key)!r} then, {options[key]!r} now)"
         for key in options
-        if told.get(key) != options[key]
+        if reported.get(key) != options[key]
     ]
     if different:
         raise ConfigError(

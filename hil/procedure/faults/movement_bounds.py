@@ -41,7 +41,7 @@ _LETS_GO = (
     "intermittent",
     "slow",
 )
-"""Faults of servos that take supply or bus, wholly or for a while, or answer when nobody listens any more."""
+"""Faults of servos that take supply or bus, wholly or for a while, or answer too late."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def still_m(cell: Cell) -> float:
 
 
 def need_not_be_held(cell: Cell) -> bool:
-    """Whether nobody can say that the robot is held, to the end: of servos, of its force, or of a slide."""
+    """Whether nothing can say that the robot is held, to the end: of servos, of its force, or of a slide."""
     return _is_without(cell) or _is_unmeasured(cell) or _is_unseen(cell)
 
 

@@ -23,7 +23,7 @@ _OF_ANY: Mapping[str, str] = {
 
 
 def why_quiet(device: str, fault: str, moments: Sequence[str] = ("motion",)) -> str:
-    """What there is to say of a fault of which nobody has said a word, at these moments."""
+    """What there is to say of a fault of which nothing has said a word, at these moments."""
     if list(moments) == ["stop"]:
         return _AT_THE_END
     passes = kind_of(device).silent_faults
@@ -123,23 +123,23 @@ def measured_in_words(verdicts: Sequence[CellVerdict]) -> str:
     many, fell = len(verdicts), [v for v in verdicts if v.measured.fell]
     stood = [v for v in verdicts if not v.measured.fell]
     held = [v for v in stood if v.held == "HELD"]
-    told = []
+    reported = []
     if fell:
-        told.append(f"fell{_of(len(fell), many)}")
+        reported.append(f"fell{_of(len(fell), many)}")
     if held:
         moved_mm, crept_mm = (
             1e3 * max(values)
             for values in zip(*((v.measured.moved_m, v.measured.crept_m) for v in held), strict=True)
         )
-        told.append(f"HELD{_of(len(held), many)}: moved {moved_mm:.1f} mm, then {crept_mm:.1f} mm")
+        reported.append(f"HELD{_of(len(held), many)}: moved {moved_mm:.1f} mm, then {crept_mm:.1f} mm")
     for said, opened in (("NOT HELD", True), ("the bench did not open", False)):
         lost = [v for v in stood if v.held != "HELD" and v.opened is opened]
         if lost:
             worst = max(lost, key=lambda v: v.measured.moved_m).measured
             bound = f"moved {1e3 * worst.moved_m:.1f} mm of {1e3 * worst.most_m:.1f}"
-            told.append(f"{said}{_of(len(lost), many)}: {bound}")
+            reported.append(f"{said}{_of(len(lost), many)}: {bound}")
     others = sorted({name for v in verdicts for name in v.others})
-    return "; ".join([*told, *([f"also accused: {', '.join(others)}"] if others else [])])
+    return "; ".join([*reported, *([f"also accused: {', '.join(others)}"] if others else [])])
 
 
 def _of(part: int, whole: int) -> str:

@@ -47,9 +47,9 @@ def headline(found: Sequence[Group]) -> str:
     counts = Counter(s.state for s in all_series)
     if not all_series:
         return "No run that came to its end has measured anything yet."
-    told = [f"{counts[state]} {words}" for state, words in _IN_WORDS.items() if counts[state]]
+    reported = [f"{counts[state]} {words}" for state, words in _IN_WORDS.items() if counts[state]]
     many = "s" * (len(all_series) != 1), "s" * (runs != 1)
-    return f"{len(all_series)} measurement{many[0]} in {runs} run{many[1]}: {', '.join(told)}."
+    return f"{len(all_series)} measurement{many[0]} in {runs} run{many[1]}: {', '.join(reported)}."
 
 
 def drawing(series: Series) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from hil.report.pages import number
 MISSING = "missing"
 """State of a measurement of which the newest runs have no value."""
 ALARMS = (MISSING, DRIFTING, OUTSIDE)
-"""States that somebody has to look at."""
+"""States that something has to look at."""
 _URGENCY = (*ALARMS, STEADY, TOO_FEW)
 _COUNTED = (*PASSED, "FAIL")
 """Verdicts of runs that came to their end; what an aborted one measured is left out."""
@@ -136,11 +136,11 @@ class Group:
     @property
     def in_words(self) -> str:
         """Seed, faults and parameters that tell it from other runs of its procedure."""
-        told = []
+        reported = []
         for key, value in json.loads(self.settings).items():
             shown = ", ".join(map(str, value)) if isinstance(value, list) else value
-            told.append(f"{key} {shown}")
-        return "; ".join(told)
+            reported.append(f"{key} {shown}")
+        return "; ".join(reported)
 
 
 def groups(found: Sequence[Kept]) -> list[Group]:

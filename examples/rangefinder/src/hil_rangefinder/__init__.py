@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from hil import devkit as kit
+from hil_rangefinder.protocol import RATES_HZ
 
 LEAST_M, MOST_M, FIELD_OF_VIEW_RAD = 0.2, 8.0, 0.0349
 """Blind zone, range on a white target, 2 degrees (TF-Luna manual, "Ranging Characteristics")."""
@@ -27,8 +28,6 @@ class RangeSample:
         distance_m: from the sensor along its beam; NaN unless `status` is OK.
         strength: of the echo, in the sensor's own counts; 0 where nothing was received.
         temperature_c: of the sensor; NaN where nothing was received.
-        least_m, most_m: between which the model can measure.
-        field_of_view_rad: opening angle of the beam.
         status: `low confidence`: echo too weak or too strong; `implausible`: out of its range.
     """
 
@@ -36,9 +35,6 @@ class RangeSample:
     distance_m: float
     strength: int
     temperature_c: float
-    least_m: float
-    most_m: float
-    field_of_view_rad: float
     status: kit.Status = kit.Status.OK
 
 
@@ -48,9 +44,9 @@ def range_message(sample: RangeSample, ros: kit.MessageMaker) -> object:
         "sensor_msgs/msg/Range",
         header=ros.header(sample.stamp.t_ns, "rangefinder"),
         radiation_type=_INFRARED,
-        field_of_view=sample.field_of_view_rad,
-        min_range=sample.least_m,
-        max_range=sample.most_m,
+        field_of_view=FIELD_OF_VIEW_RAD,
+        min_range=LEAST_M,
+        max_range=MOST_M,
         range=sample.distance_m,
     )
 
@@ -77,9 +73,9 @@ class TfLunaConfig(kit.SerialSensorConfig, kit.MountedConfig):
     @field_validator("rate_hz")
     @classmethod
     def _whole(cls, value: float) -> float:
-        if value != int(500 / round(500 / value)):
-            raise ValueError(f"{value:g} Hz is not 500 divided by a whole number, for example 50, 100 or 250")
-        return value
+        if value in RATES_HZ:
+            return value
+        raise ValueError(f"{value:g} Hz is not 500 divided by a whole number, for example 50, 100 or 250")
 
 
 class TfLuna(kit.SerialModel):
@@ -117,13 +113,12 @@ class RangeFinder(kit.DeviceKind):
 
     def check(self, watched: kit.Watched) -> Iterator[kit.Finding]:
         """Samples, echo and distance."""
-        samples, aimed = watched.samples, (kit.Status.LOW_CONFIDENCE, kit.Status.IMPLAUSIBLE)
-        states = (kit.Status.OK if s.status in aimed else s.status for s in samples)
-        yield kit.losses(self.name, states, watched.due, "check wiring and baud rate")
-        if not samples:
+        aimed = (kit.Status.LOW_CONFIDENCE, kit.Status.IMPLAUSIBLE)
+        yield from watched.losses("check wiring and baud rate", but=aimed)
+        if not watched.samples:
             return
-        good = [s.distance_m for s in samples if s.status is kit.Status.OK]
-        strength = median(s.strength for s in samples)
+        good = [s.distance_m for s in watched.samples if s.status is kit.Status.OK]
+        strength = median(s.strength for s in watched.samples)
         remedy = "point it at something bright between 0.2 and 8 m away, and clean its lenses"
         level: kit.Level = "ok" if good and strength >= _FAINT else "warning"
         yield kit.Finding(self.name, "echo", level, f"strength {strength:g}", f"{_FAINT} or more", remedy)

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Mapping
 
 from hil.devkit.driver import Clock, DeviceError, SerialPort, SerialSensor, Stamp, Status, nanoseconds
-from hil_rangefinder import FIELD_OF_VIEW_RAD, LEAST_M, MOST_M, RangeSample, TfLunaConfig
+from hil_rangefinder import LEAST_M, MOST_M, RangeSample, TfLunaConfig
 from hil_rangefinder import protocol as p
 
 _BAR_CODE_S = 0.3
@@ -86,13 +86,12 @@ class TfLunaDriver(SerialSensor[TfLunaConfig, RangeSample]):
 
     def sample(self, item: p.Reading | None, stamp: Stamp) -> RangeSample:
         """A reading and its status."""
-        limits = (LEAST_M, MOST_M, FIELD_OF_VIEW_RAD)
         if item is None:
-            return RangeSample(stamp, math.nan, 0, math.nan, *limits, Status.CRC)
+            return RangeSample(stamp, math.nan, 0, math.nan, Status.CRC)
         distance_m = item.distance * self._unit_m
         status = self._judge(item, distance_m, stamp)
         distance_m = distance_m if status is Status.OK else math.nan
-        return RangeSample(stamp, distance_m, item.strength, item.temperature_c, *limits, status)
+        return RangeSample(stamp, distance_m, item.strength, item.temperature_c, status)
 
     def _judge(self, item: p.Reading, distance_m: float, stamp: Stamp) -> Status:
         stuck = self.stuck.stuck(item, stamp.t_ns)

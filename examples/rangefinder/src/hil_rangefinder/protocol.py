@@ -14,6 +14,7 @@ VERSION, RESET, RATE, TRIGGER, FORMAT, BAUD, OUTPUT = 0x01, 0x02, 0x03, 0x04, 0x
 RESTORE, SAVE, BAR_CODE = 0x10, 0x11, 0x12
 UNITS = {"cm": (b"\x01", 0.01), "mm": (b"\x06", 0.001)}
 """Payload of `FORMAT`, and metres per count."""
+RATES_HZ = frozenset(500 // n for n in range(2, 501))
 WEAK, OVEREXPOSED = 100, 0xFFFF
 """Strengths below and at which a distance is not to be used."""
 _HEADER, _COMMAND, _DATA_LENGTH, _SHORTEST, _LONGEST = 0x59, 0x5A, 9, 4, 18
@@ -51,11 +52,8 @@ def parser() -> PacketParser[Reading | Command]:
 def is_possible(code: int, payload: bytes) -> bool:
     """Whether a setting may have this value."""
     value = int.from_bytes(payload, "little")
-    if code == RATE:
-        return value == 0 or (value <= 250 and value == int(500 / round(500 / value)))
-    if code == BAUD:
-        return 9_600 <= value <= 921_600
-    return value in (0, 1) if code == OUTPUT else payload in dict(UNITS.values())
+    numbers = {RATE: {0, *RATES_HZ}, BAUD: range(9_600, 921_601), OUTPUT: (0, 1)}
+    return value in numbers[code] if code in numbers else payload in dict(UNITS.values())
 
 
 def _with_sum(body: bytes) -> bytes:

@@ -1,4 +1,4 @@
-"""The fan behind a controller that speaks DroneCAN: who is there, and `esc.Status` as samples."""
+"""The fan behind a DroneCAN controller: identity, and `esc.Status` as samples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The emulated motor controller that speaks DroneCAN, by PyPI `dronecan`: obeys, reports, says who it is."""
+"""The emulated DroneCAN motor controller, on PyPI `dronecan`: commands, status, node information."""
 
 from __future__ import annotations
 

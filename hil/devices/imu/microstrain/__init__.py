@@ -67,12 +67,12 @@ def _filter(data: f.FilterData) -> Finding:
     doubts = [text for bit, text in f.WARNINGS.items() if data.flags & bit]
     broken = bool(data.flags & f.SOLUTION_ERROR) or data.state < f.FIRST_RUNNING_STATE
     level: Level = "failure" if broken else "warning" if doubts or condition == "unstable" else "ok"
-    told = f"{state}, {condition}" + (f", it warns of {' and '.join(doubts)}" if doubts else "")
+    message = f"{state}, {condition}" + (f", it warns of {' and '.join(doubts)}" if doubts else "")
     return Finding(
         "imu",
         "filter",
         level,
-        told,
+        message,
         "vertical gyro or AHRS, stable",
         "let the robot rest for some seconds; else switch the sensor off and on",
     )

@@ -1,4 +1,4 @@
-"""Propellers on VESC motor controllers, which say how fast they turn and stop when nobody commands them."""
+"""Propellers on VESC motor controllers, which report their speed and stop when commands stop."""
 
 from __future__ import annotations
 

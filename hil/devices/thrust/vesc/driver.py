@@ -60,8 +60,12 @@ class VescThrust(KeptMotor[VescThrustConfig, ThrustSample]):
     def _greet(self, spec: Spec) -> dict[str, str]:
         self._known = {motor.controller_id: self._met(motor, spec) for motor in self._config.motors()}
         ids = ", ".join(map(str, self._config.controller_ids))
-        told = dict.fromkeys(answers.firmware or "not told" for _, _, answers in self._known.values())
-        return {"model": "VESC", "port": f"{self._link.port}, controllers {ids}", "firmware": ", ".join(told)}
+        reported = dict.fromkeys(answers.firmware or "not told" for _, _, answers in self._known.values())
+        return {
+            "model": "VESC",
+            "port": f"{self._link.port}, controllers {ids}",
+            "firmware": ", ".join(reported),
+        }
 
     def _met(self, motor: VescConfig, spec: Spec) -> tuple[VescConfig, Seen, Answers]:
         answers = Answers()
@@ -138,9 +142,9 @@ class VescThrust(KeptMotor[VescThrustConfig, ThrustSample]):
 
     def diagnose(self) -> tuple[Finding, ...]:
         """What the doctor wants to know of how each controller is set, and who keeps them."""
-        told = [
+        reported = [
             Finding(f.device, f"controller {one}: {f.check}", f.level, f.found, f.expected, f.remedy)
             for one, (motor, seen, answers) in self._known.items()
             for f in seen.findings(self.name, motor, answers)
         ]
-        return (*told, finding(self.name, self._kept))
+        return (*reported, finding(self.name, self._kept))

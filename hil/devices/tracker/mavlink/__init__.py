@@ -74,10 +74,10 @@ class Mavlink(DeviceModel):
             tracker.open()
         except HilError:
             return None
-        told = tracker.identity()
+        reported = tracker.identity()
         tracker.close()
-        ids = {"system_id": int(told["system"]), "component_id": int(told["component"].split()[0])}
-        who = ", ".join(f"{key} {value}" for key, value in told.items() if key != "port")
+        ids = {"system_id": int(reported["system"]), "component_id": int(reported["component"].split()[0])}
+        who = ", ".join(f"{key} {value}" for key, value in reported.items() if key != "port")
         return Found({"port": config.port, **ids}, (f"tracker: {who}; set tracker.rate_hz to its rate",))
 
 

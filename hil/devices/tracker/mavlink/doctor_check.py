@@ -1,4 +1,4 @@
-"""What can be said about a sender of odometry: who, how often, how well, and whether its clock is known."""
+"""The doctor's findings on a MAVLink odometry source: identity, rate, quality, clock."""
 
 from __future__ import annotations
 
@@ -157,12 +157,12 @@ def _rate(session: Session, device: str, samples: Sequence[TrackerSample], watch
     rate_hz = len(samples) / watched_s
     share = session.lost / max(session.lost + len(samples), 1)
     level: Level = "ok" if rate_hz >= _LEAST_HZ and share < _LOSS_WARNING else "warning"
-    told = f"{rate_hz:.0f} poses per second, {session.lost} packets lost, {session.malformed} damaged"
+    message = f"{rate_hz:.0f} poses per second, {session.lost} packets lost, {session.malformed} damaged"
     return Finding(
         device,
         "rate",
         level,
-        told,
+        message,
         f"at least {_LEAST_HZ:g} Hz and nothing lost",
         "raise the rate of the sender's odometry; use a wired network, or a faster serial port",
     )

@@ -1,4 +1,4 @@
-"""The emulated computer on a serial line: what it sends is heard at its own baud rate only."""
+"""The emulated computer on a serial line, readable at its own baud rate only."""
 
 from __future__ import annotations
 

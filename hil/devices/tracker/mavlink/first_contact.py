@@ -26,7 +26,7 @@ def await_sender(
 
     Raises:
         DeviceTimeoutError: no odometry arrives in time.
-        DeviceError: it comes from somebody else, or in frames that cannot be used.
+        DeviceError: it comes from another source, or in frames that cannot be used.
     """
     start_ns = clock.now_ns()
     deadline_ns = start_ns + nanoseconds(config.open_timeout_s)
@@ -48,12 +48,12 @@ def await_sender(
 
 def silent(session: Session, config: MavlinkTrackerConfig, device: str, what: str) -> DeviceTimeoutError:
     """The error for poses that stay away."""
-    told = [f"{session.malformed} damaged pieces"] if session.malformed else []
-    told += [f"{session.lost} packets lost"] if session.lost else []
-    told += [session.trouble] if session.trouble else []
+    reported = [f"{session.malformed} damaged pieces"] if session.malformed else []
+    reported += [f"{session.lost} packets lost"] if session.lost else []
+    reported += [session.trouble] if session.trouble else []
     return DeviceTimeoutError(
         device,
-        "; ".join([what, *told]),
+        "; ".join([what, *reported]),
         port=config.port,
         expected=_EXPECTED,
         remedy="check that the sender runs and tracks, and its cable or network; close and open the tracker "

@@ -1,4 +1,4 @@
-"""One conversation with the sender: who it is, its messages, heartbeats, and the time of its clock."""
+"""One MAVLink session with the odometry source: identity, messages, heartbeats, clock."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Session:
         clock: the bench clock.
 
     Attributes:
-        odometry: messages that nobody has taken, the oldest first.
+        odometry: messages that have not been taken, the oldest first.
         last: the newest of all; None until there is one.
         source: the sender; None until one has sent odometry.
         heard: types of message by system and component, to tell who else is there.
@@ -78,7 +78,7 @@ class Session:
 
     @property
     def overflowed(self) -> int:
-        """Odometry that nobody took in time, and arrivals that the link could not keep."""
+        """Odometry that was not taken in time, and arrivals that the link could not keep."""
         return self._overflowed + self._link.overflowed
 
     @property
@@ -92,7 +92,7 @@ class Session:
         return self._link.gone
 
     def exchange(self) -> None:
-        """Take what has arrived and say what is due; never waits. Anybody may send datagrams."""
+        """Take what has arrived and say what is due; never waits. Any program may send datagrams."""
         wasted = 0
         while wasted < _MOST_WASTED and (arrival := self._link.receive()) is not None:
             self.packets += 1

@@ -58,7 +58,7 @@ class TimeSync:
         return True
 
     def answered(self, asked_ns: int, device_ns: int, arrived_ns: int) -> bool:
-        """Take an answer; False for one that nobody asked for, or that took too long to be of use."""
+        """Take an answer; False for one that was not asked for, or that took too long to be of use."""
         if asked_ns not in self._asked:
             return False
         self._asked.remove(asked_ns)

@@ -25,10 +25,10 @@ class Link(Protocol):
 
     Attributes:
         datagrams: whether what arrives at once belongs together.
-        peer: whom to speak to before anybody has spoken; None where that is not known.
+        peer: whom to speak to before anything has spoken; None where that is not known.
         trouble: why nothing can arrive any more; empty while all is well.
         gone: whether that has lasted for so long that only opening it again helps.
-        overflowed: arrivals lost because nobody took them.
+        overflowed: arrivals lost because they were not taken in time.
     """
 
     datagrams: bool
@@ -39,7 +39,7 @@ class Link(Protocol):
 
     @abstractmethod
     def send(self, data: bytes, address: Address) -> None:
-        """Send to somebody; what cannot leave is lost."""
+        """Send to something; what cannot leave is lost."""
 
     @abstractmethod
     def receive(self) -> Arrival | None:

@@ -1,4 +1,4 @@
-"""Ways to the sender: a UDP port, or a serial port that is looked into often enough to tell the time."""
+"""Transports to the odometry source: UDP, or a serial port that is polled often enough for time stamps."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class UdpLink(Link):
 
     @property
     def overflowed(self) -> int:  # type: ignore[override]
-        """Datagrams lost because nobody took them."""
+        """Datagrams lost because they were not taken in time."""
         return self._port.overflowed
 
     def send(self, data: bytes, address: Address) -> None:

@@ -131,8 +131,8 @@ def understood(packet: bytes, spec: Spec) -> Status:
         ) from None
     if code == EXIT_USAGE:
         raise UsageError(message, expected=expected, remedy=remedy)
-    told = message.partition(": ")[2] or message
-    raise DeviceError(spec.device, told, port=spec.name, expected=expected, remedy=remedy)
+    reported = message.partition(": ")[2] or message
+    raise DeviceError(spec.device, reported, port=spec.name, expected=expected, remedy=remedy)
 
 
 def set_request(point: SetPoint) -> dict[str, object]:

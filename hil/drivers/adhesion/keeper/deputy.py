@@ -177,8 +177,8 @@ class KeptByProcess(Kept):
         else:
             self._ask(self._link)
         if self._in_for:
-            told = (self._in_for, self._shut_out, self._beat.bus_error)
-            self._trouble = "; ".join(text for text in told if text)
+            reported = (self._in_for, self._shut_out, self._beat.bus_error)
+            self._trouble = "; ".join(text for text in reported if text)
         else:
             self._trouble = str(self._refused or self._shut_out or self._status.get("bus_error", ""))
 

@@ -14,7 +14,7 @@ from hil.drivers.adhesion import vesc
 from hil.drivers.adhesion.dronecan import frames as dronecan
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.drivers.adhesion.vesc import EVERYBODY, Packet
+from hil.drivers.adhesion.vesc import ALL_SERVOS, Packet
 
 Wire = tuple[int, bytes]
 """Identifier and data of an extended frame."""
@@ -78,7 +78,7 @@ class Vesc(Dialect):
         if isinstance(said, vesc.Status5):
             return Heard(said.controller_id, {"input_v": said.input_v})
         if isinstance(said, vesc.Order) and said.packet in _QUANTITIES:
-            if said.controller_id not in (self._spec.controller_id, EVERYBODY):
+            if said.controller_id not in (self._spec.controller_id, ALL_SERVOS):
                 return None
             point = SetPoint(_QUANTITIES[said.packet], said.value)
             return Heard(self._spec.controller_id, order=point)

@@ -209,15 +209,15 @@ def _answered(packet: bytes, who: Peer, answer: Answer) -> bytes:
             raise UsageError(
                 "a request to the keeper that is no object", expected='{"do": "status"}', remedy=HOW_TO_ASK
             )
-        told = answer(asked, who)
+        reported = answer(asked, who)
     except HilError as error:
-        told = {"error": _described(error)}
+        reported = {"error": _described(error)}
     except (ValueError, RecursionError):
         no_json = UsageError(
             "a request to the keeper that is no JSON", expected='{"do": "status"}', remedy=HOW_TO_ASK
         )
-        told = {"error": _described(no_json)}
-    return json.dumps(told).encode()[:MOST_BYTES]
+        reported = {"error": _described(no_json)}
+    return json.dumps(reported).encode()[:MOST_BYTES]
 
 
 def _described(error: HilError) -> dict[str, object]:

@@ -1,11 +1,11 @@
-"""What a VESC motor controller says and understands on CAN; `vesc.dbc` describes the same frames."""
+"""The CAN interface of a VESC motor controller; `vesc.dbc` describes the same frames."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from hil.drivers.adhesion.vesc.frames import (
-    EVERYBODY,
+    ALL_SERVOS,
     HIGHEST_ID,
     Frame,
     Message,
@@ -25,8 +25,8 @@ from hil.drivers.adhesion.vesc.frames import (
 )
 
 __all__ = [
+    "ALL_SERVOS",
     "DBC",
-    "EVERYBODY",
     "HIGHEST_ID",
     "Frame",
     "Message",

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from hil.core.errors import UsageError
 
-EVERYBODY = 255
+ALL_SERVOS = 255
 """The controller id that every controller listens to."""
 HIGHEST_ID = 254
 """Of a single controller."""
@@ -74,7 +74,7 @@ class Order:
     """A `SET_*` command. Each renews the controller's time-out, whatever it sets.
 
     Attributes:
-        controller_id: to whom; `EVERYBODY` for all.
+        controller_id: to whom; `ALL_SERVOS` for all.
         packet: which quantity.
         value: duty -1..1, current A, electrical rpm, position deg, or share of the configured current.
         off_delay_s: of a (relative) current: how long the controller goes on modulating at 0 A; None for a
@@ -184,9 +184,9 @@ _REPORTS: dict[int, _Layout] = {
 
 def address(packet: Packet, controller_id: int) -> int:
     """The 29-bit identifier; raises `UsageError` for a controller that cannot be."""
-    if not 0 <= controller_id <= EVERYBODY:
+    if not 0 <= controller_id <= ALL_SERVOS:
         raise UsageError(
-            f"VESC controller id {controller_id}", expected=f"0 to {HIGHEST_ID}, or {EVERYBODY} for all"
+            f"VESC controller id {controller_id}", expected=f"0 to {HIGHEST_ID}, or {ALL_SERVOS} for all"
         )
     return packet << 8 | controller_id
 
