@@ -7,7 +7,7 @@ LOCK := $(if $(OLDEST),,requirements/ci.lock)
 VENV := $(if $(OLDEST),.venv-oldest,$(if $(LOCK),.venv,.venv-newest))
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 BIN := $(VENV)/bin
-EXTRAS := rerun parquet campaign mujoco paper test lint docs
+EXTRAS := rerun parquet campaign mujoco paper ros2 test lint docs
 CLIMB := out/demo/recording_x_line_ekf_seed_1
 
 .PHONY: help demo demo-calibration docs site dist notebooks pictures test test-slowest test-long test-portable test-aarch64 lint lock bench clean

@@ -33,6 +33,7 @@ PLACES = {
     "report": (5.2, 2),
     "devices": (2.0, 3),
     "devkit": (0.6, 2.4),
+    "ros2": (5.6, 3.35),
     "monitor": (0.0, 4),
     "drivers": (1.0, 4),
     "fakes": (2.0, 4),

@@ -65,6 +65,8 @@ class Bench(HeldDevices):
             back.
         waits_for_sensors: whether a lost sensor is waited for beyond its `fail_after_s`, in real time: for
             programs that watch a resting robot. Said before it is entered.
+        own_controller: makes, from the model, the controller that every trajectory is driven by; None for the
+            configured law.
         lost: what devices failed of that ended one of its runs, in words.
         faults: planned for its emulated devices.
     """

@@ -12,8 +12,9 @@ import click
 
 from hil.cli import start_question
 from hil.cli.answers import watching
-from hil.cli.completion_types import BENCH, DEVICES, FAULT, SETTING
+from hil.cli.completion_types import BENCH, CONTROLLER, DEVICES, FAULT, SETTING
 from hil.cli.options import FILE, SEED
+from hil.core.choices import HIGHEST_DOMAIN, LAWS
 
 if TYPE_CHECKING:
     from hil.procedure.bench_request import BenchSource
@@ -54,6 +55,24 @@ _OPTIONS = {
         help="Fault, for example imu:stuck@2+3 (repeatable).",
     ),
     "calibration": _stated("--calibration", type=FILE, help="calibration.toml to apply."),
+    "controller": _stated(
+        "--controller",
+        type=CONTROLLER,
+        metavar="LAW|FILE.py:NAME|MODULE:NAME|ros2:TOPIC",
+        help="Control law (nonlinear, optimal), or a class of your own, that drives every trajectory "
+        "[default: control.law]. `hil live` takes Twist and TwistStamped from ROS 2, too.",
+    ),
+    "ros2": _stated("--ros2", is_flag=True, help="Publish the bench as ROS 2 topics, on this computer only."),
+    "ros2_domain": _stated(
+        "--ros2-domain",
+        type=click.IntRange(0, HIGHEST_DOMAIN),
+        help="DDS domain of --ros2 [default: ROS_DOMAIN_ID, else 0].",
+    ),
+    "ros2_interface": _stated(
+        "--ros2-interface",
+        metavar="NAME",
+        help="Network interface that --ros2 uses beside loopback: other computers see the bench.",
+    ),
 }
 
 
@@ -70,6 +89,10 @@ class BenchRequest:
         realtime: emulated devices at the wire, in real time.
         faults: specs, and files of timelines.
         calibration: file to apply.
+        controller: law, class of the user's own, or `ros2:` and a topic; empty for what the file says.
+        ros2: published as ROS 2 topics.
+        ros2_domain: DDS domain; None for that of the environment.
+        ros2_interface: network interface beside loopback; empty for none.
     """
 
     bench: str = ""
@@ -80,6 +103,16 @@ class BenchRequest:
     realtime: bool = False
     faults: tuple[str, ...] = ()
     calibration: Path | None = None
+    controller: str = ""
+    ros2: bool = False
+    ros2_domain: int | None = None
+    ros2_interface: str = ""
+
+    @property
+    def ros2_topic(self) -> str:
+        """ROS 2 topic from which velocity commands come; empty for none."""
+        kind, _, topic = self.controller.partition(":")
+        return topic or "/" if kind == "ros2" else ""
 
     def source(self, overrides: Mapping[str, object], *, otherwise: str = "") -> BenchSource:
         """The bench to open, which a program that reads the progress watches.
@@ -89,10 +122,16 @@ class BenchRequest:
             otherwise: bench to open where none was named.
 
         Raises:
-            UsageError: `--start` is no pose.
+            UsageError: `--start` is no pose, or `--controller` is unknown.
+            ConfigError: the controller of the user's own cannot be loaded.
         """
         from hil.procedure.bench_request import BenchSource
+        from hil.procedure.user_controllers import check_named
 
+        own = "" if self.controller in LAWS or self.ros2_topic else self.controller
+        if self.controller and not self.ros2_topic:
+            check_named(self.controller)
+            overrides = {**overrides, **({} if own else {"control.law": self.controller})}
         return BenchSource(
             self.bench or otherwise,
             emulate=self.emulate,
@@ -101,6 +140,7 @@ class BenchRequest:
             faults=self.faults,
             overrides={**overrides, **start_question.start_override(self.start_pose)},
             calibration=self.calibration,
+            controller=own,
             watch=watching(),
         )
 

@@ -13,6 +13,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from hil.cli.options import FileName
+from hil.core.choices import LAWS
 
 Known = Mapping[str, str]
 """Words that there are, with what they mean; empty where that need not be said."""
@@ -142,6 +143,8 @@ def _runs(ctx: click.Context, incomplete: str) -> Known:
 
 BENCH: Any = Words(_benches, files=True)
 """A shipped profile, or a bench file."""
+CONTROLLER: Any = Words(lambda ctx, incomplete: dict.fromkeys(LAWS, ""), files=True)
+"""A control law, or a controller in a Python file."""
 DEVICES: Any = Words(_devices)
 """Devices of a bench."""
 FAULT: Any = Words(_faults, files=True)

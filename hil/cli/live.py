@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from contextlib import closing, nullcontext
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -15,16 +16,18 @@ from hil.cli import start_question
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.options import FILE, JSON, FiniteRange, on_recording_failure_option, rerun_option, tell_view
 from hil.cli.output import Answered, tell_the_end, unreadable
-from hil.core.choices import ESTIMATORS, LAWS
+from hil.cli.ros2_options import published
+from hil.core.choices import ESTIMATORS
 from hil.core.errors import EXIT_PASS, Aborted, DataError, DeviceError, HilError, UsageError, reason_of
 from hil.support.atomic_files import check_new_file
 
 if TYPE_CHECKING:
     from hil.bench import Bench
-    from hil.live import LiveSession
+    from hil.live import CommandLines, LiveSession
     from hil.monitor import RerunMonitor
     from hil.procedure.bench_request import BenchSource
     from hil.recording.mcap_writer import McapRecorder, OnFailure
+    from hil.ros2.publisher import Ros2Publisher
 
 
 @click.command()
@@ -70,7 +73,7 @@ if TYPE_CHECKING:
     multiple=True,
     help="Estimators beside it (repeatable).",
 )
-@click.option("--controller", type=click.Choice(LAWS), help="Control law.")
+@bench_options("controller")
 @rerun_option("spawn, connect, serve, a rerun+http:// URL or a .rrd file; several with commas.")
 @click.option("--record", type=FILE, help="Recording to write, a new file [default: out/live/TIME.mcap].")
 @click.option("--no-record", "unrecorded", is_flag=True, help="Write no recording.")
@@ -79,7 +82,7 @@ if TYPE_CHECKING:
 @click.option(
     "--replay", "repeated", type=FILE, help="Recording whose motion the emulated robot repeats, at the wire."
 )
-@bench_options("faults")
+@bench_options("faults", "ros2", "ros2_domain", "ros2_interface")
 @JSON
 def command(
     request: BenchRequest,
@@ -89,7 +92,6 @@ def command(
     duration_s: float | None,
     feedback: str,
     observers: tuple[str, ...],
-    controller: str | None,
     view: str | None,
     record: Path | None,
     unrecorded: bool,
@@ -109,24 +111,21 @@ def command(
     Example: hil live --bench emulated --duration 20 --rerun spawn
     """
     from hil.bench import make_bench_model
-    from hil.live import LivePlan, LiveSession, load_trajectory, open_commands
+    from hil.live import LivePlan, LiveSession, load_trajectory
     from hil.support.stop_signals import StopRequest
 
-    _must_agree(source, commands, repeated, record, unrecorded=unrecorded)
+    _must_agree(source, _commanded(request, commands), repeated, record, unrecorded=unrecorded)
     bench = _source(request, repeated)
     reference, known = None, None
     if source is not None:
         reference, known = load_trajectory(
             source, make_bench_model(bench.config, calibration=bench.calibration).check
         )
-    lines = open_commands(commands)
-    if lines is not None:
-        click.echo(f"velocity commands: {lines.where}", err=True)
-    plan = LivePlan(reference, lines, duration_s, feedback, observers, controller, dead_man_s, known)
     stop = StopRequest()
     with stop.noted():
-        with nullcontext() if lines is None else closing(lines):
-            opened = bench.open()
+        with published(request) as publisher, _commands(request, commands, publisher) as lines:
+            plan = LivePlan(reference, lines, duration_s, feedback, observers, dead_man_s, known)
+            opened = replace(bench, publish=None if publisher is None else publisher.sink).open()
             opened.tells_held = False
             with closing(opened):
                 recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
@@ -144,12 +143,46 @@ def command(
     return EXIT_PASS
 
 
+def _commanded(request: BenchRequest, commands: str) -> str:
+    """Where velocity commands come from: `--command`, or the topic of `--controller`."""
+    if request.ros2_topic and commands != "none":
+        raise UsageError(f"--command and --controller {request.controller} both want to move the robot")
+    return request.controller if request.ros2_topic else commands
+
+
+@contextmanager
+def _commands(
+    request: BenchRequest, commands: str, publisher: Ros2Publisher | None
+) -> Iterator[CommandLines | None]:
+    """Velocity commands, told where they are taken from; None where none are."""
+    from hil.core.clock import MonotonicClock
+    from hil.live import open_commands
+
+    if publisher is not None and request.ros2_topic:
+        from hil.live.ros2_commands import TwistCommands
+
+        lines: CommandLines | None = TwistCommands(
+            publisher.participant, request.ros2_topic, MonotonicClock()
+        )
+    else:
+        lines = open_commands(commands)
+    if lines is None:
+        yield None
+        return
+    click.echo(f"velocity commands: {lines.where}", err=True)
+    with closing(lines):
+        yield lines
+
+
 def _must_agree(
     source: Path | None, commands: str, repeated: Path | None, record: Path | None, *, unrecorded: bool
 ) -> None:
     """Refuse options that contradict each other, and a recording that cannot be written."""
     if source is not None and commands != "none":
-        raise UsageError("--trajectory and --command both want to move the robot", remedy="give one of them")
+        raise UsageError(
+            f"--trajectory and commands from {commands} both want to move the robot",
+            remedy="give one of them",
+        )
     if unrecorded and record is not None:
         raise UsageError("--record and --no-record contradict each other", remedy="give one of them")
     if repeated is not None and (source is not None or commands != "none"):

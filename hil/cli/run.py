@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +16,9 @@ from hil.cli.completion_types import SCRIPT
 from hil.cli.options import JSON, OUT, on_recording_failure_option, results_folder
 from hil.cli.output import kept_for_json, tell_calls, tell_the_end
 from hil.cli.progress import reporting
+from hil.cli.ros2_options import published
 from hil.core.clock import local_time
-from hil.core.errors import HilError, shown_path
+from hil.core.errors import HilError, UsageError, shown_path
 from hil.core.result_files import JOURNAL
 
 if TYPE_CHECKING:
@@ -74,6 +76,7 @@ class _WithParameters(click.Command):
         "repeatable. docs/faults.md lists devices, kinds and options."
     },
 )
+@bench_options("controller", "ros2", "ros2_domain", "ros2_interface")
 @click.option("--out", type=OUT, help="Results folder [default: out/NAME/TIME].")
 @click.option("--resume", is_flag=True, help="Continue an interrupted run (of --out, else the latest).")
 @click.option(
@@ -105,6 +108,12 @@ def command(
     from hil.procedure.procedure_lookup import load_procedure
     from hil.procedure.runner import RunOptions, run_procedure
 
+    if request.ros2_topic:
+        raise UsageError(
+            f"--controller {request.controller} drives no trajectory",
+            expected="a law, or FILE.py:NAME or MODULE:NAME of your own",
+            remedy="hil live takes velocity commands from a ROS 2 topic",
+        )
     with kept_for_json(as_json):
         proc = load_procedure(script)
     given, overrides = split_settings(request.settings)
@@ -118,7 +127,7 @@ def command(
         return 0
     source = source.changed(overrides=start_question.asked_start(source.config))
     interrupts = asked_to_end()
-    with interrupts.installed(), interrupts.deferred():
+    with published(request) as publisher, interrupts.installed(), interrupts.deferred():
         folder = results_folder(proc.name, out, JOURNAL if resume else None)
         with kept_for_json(as_json), reporting() as report:
             options = RunOptions(
@@ -132,6 +141,8 @@ def command(
                 on_recording_failure=on_failure,
                 interrupts=interrupts,
             )
+            if publisher is not None:
+                source = replace(source, publish=publisher.sink)
             result = run_procedure(proc, source, options)
         for problem in filter(None, (result.error, *result.teardown_errors)):
             tell_calls(problem.frames, problem.place)

@@ -17,3 +17,6 @@ LAWS: tuple[LawName, ...] = get_args(LawName)
 """Control laws: the authors', and the time-varying LQR."""
 METHODS = ("lm", "interior-point", "ga", "pso")
 """Solvers of a calibration."""
+
+HIGHEST_DOMAIN = 101
+"""Of the domains of ROS 2 (DDS): above it their ports run into those that Linux gives to any program."""

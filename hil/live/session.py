@@ -46,7 +46,6 @@ class LivePlan:
             instead; neither only watches.
         duration_s: when it ends; at the trajectory's end, or never, when None.
         feedback: estimator in the loop; `observers` run beside it.
-        controller: `nonlinear`, `optimal`, or the configured one.
         dead_man_s: age at which a velocity command counts as `stop`.
         known: what the bench's limits are known to allow; segments of it at the end of the trajectory are not
             checked again while the robot waits.
@@ -57,7 +56,6 @@ class LivePlan:
     duration_s: float | None = None
     feedback: str = "ekf"
     observers: tuple[str, ...] = ()
-    controller: str | None = None
     dead_man_s: float = 0.5
     known: Trajectory | None = None
 
@@ -166,9 +164,7 @@ class LiveSession:
 
     def _pipeline(self, trajectory: Trajectory | None) -> ControlPipeline:
         plan = self.plan
-        return self.bench.make_pipeline(
-            trajectory, controller=plan.controller, feedback=plan.feedback, observers=plan.observers
-        )
+        return self.bench.make_pipeline(trajectory, feedback=plan.feedback, observers=plan.observers)
 
     def _trajectory(self, pose: Array) -> Trajectory:
         """What to follow, checked; for velocity commands the pose itself, from which they lead away."""
@@ -196,7 +192,7 @@ class LiveSession:
 
     def _cycle(self, pipeline: ControlPipeline, trajectory: Trajectory | None, pose: Array) -> None:
         bench, plan = self.bench, self.plan
-        law = None if trajectory is None else plan.controller or bench.config.control.law
+        law = None if trajectory is None else bench.config.control.law
         reported = None if trajectory is None else trajectory.to_mapping()
         if reported is not None and plan.commands is not None:
             reported["references"] = "recorded"

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from hil.calibration.usable import check_usable
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.core.interfaces import Sink
+from hil.procedure.user_controllers import make_own
 
 if TYPE_CHECKING:
     from hil.bench import Bench
@@ -31,7 +32,10 @@ class BenchSource:
         faults: fault specs.
         overrides: dotted key -> value.
         calibration: file to apply.
+        controller: class of the user's own that drives every trajectory, `FILE.py:NAME` or `MODULE:NAME`;
+            empty for the control law of the bench and the procedure.
         watch: sinks that every opening of it is shown to.
+        publish: makes one more sink from a bench's header, for every opening in this process; None for none.
     """
 
     bench: str | Path | BenchConfig = "emulated"
@@ -41,7 +45,13 @@ class BenchSource:
     faults: tuple[str, ...] = ()
     overrides: Mapping[str, object] = field(default_factory=dict)
     calibration: Path | None = None
+    controller: str = ""
     watch: tuple[Sink, ...] = field(default=(), compare=False)
+    publish: Callable[[Mapping[str, Any]], Sink] | None = field(default=None, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What another process gets: it does not publish."""
+        return {**self.__dict__, "publish": None}
 
     @cached_property
     def config(self) -> BenchConfig:
@@ -84,7 +94,7 @@ class BenchSource:
         """A bench, to be used as a context manager; nothing is opened before it is entered."""
         from hil.bench import open_bench
 
-        return open_bench(
+        bench = open_bench(
             self.bench,
             emulate=self.emulate,
             seed=self.seed,
@@ -94,6 +104,15 @@ class BenchSource:
             sinks=(*self.watch, *sinks),
             calibration=self.calibration,
         )
+        if self.controller:
+            bench.own_controller = partial(make_own, self.controller)
+        if self.publish is not None:
+            try:
+                bench.add_sink(self.publish(bench.header()))
+            except BaseException:
+                bench.close()
+                raise
+        return bench
 
     def changed(
         self,
@@ -144,4 +163,5 @@ class BenchSource:
             "seed": self.seed,
             "realtime": self.realtime,
             "faults": list(self.faults),
+            **({"controller": self.controller} if self.controller else {}),
         }

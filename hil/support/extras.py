@@ -29,6 +29,7 @@ MODULES = {
     "campaign": "distributed",
     "mujoco": "mujoco",
     "paper": "pymoo",
+    "ros2": "cyclonedds",
 }
 
 

@@ -47,11 +47,12 @@ def _load(name: str, path: Path) -> ModuleType:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
-    _look_for_modules_in(str(path.resolve().parent))
+    look_for_modules_in(str(path.resolve().parent))
     spec.loader.exec_module(module)
     return module
 
 
-def _look_for_modules_in(folder: str) -> None:
+def look_for_modules_in(folder: str) -> None:
+    """Make a folder the first in which modules are looked for."""
     sys.path[:] = [folder, *(place for place in sys.path if place != folder)]
     importlib.invalidate_caches()  # a module may have been written since the folder was looked into

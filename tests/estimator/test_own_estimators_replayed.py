@@ -74,7 +74,7 @@ class Refuses(MotionCapture):
         raise ValueError("no licence")
 """
 
-EXPECTED = "expected odometry, ekf, ukf, smoother, or FILE.py:NAME of your own"
+EXPECTED = "expected odometry, ekf, ukf, smoother, or FILE.py:NAME or MODULE:NAME of your own"
 
 
 @pytest.fixture(scope="module")
@@ -104,11 +104,12 @@ def replayed(capsys, *estimators):
     return code, json.loads(said.out), said.err
 
 
-def test_it_stands_beside_the_shipped_ones_in_the_order_of_the_rows(here, capsys):
-    code, told, _ = replayed(capsys, "mine.py:MotionCapture", "ekf")
+@pytest.mark.parametrize("named", ["mine.py:MotionCapture", "mine:MotionCapture"])
+def test_it_stands_beside_the_shipped_ones_in_the_order_of_the_rows(here, capsys, named):
+    code, told, _ = replayed(capsys, named, "ekf")
     assert code == 0
-    assert list(told["estimators"]) == ["recorded", "ekf", "mine.py:MotionCapture"]
-    assert told["estimators"]["mine.py:MotionCapture"]["rmse_position_m"] < 1e-3
+    assert list(told["estimators"]) == ["recorded", "ekf", named]
+    assert told["estimators"][named]["rmse_position_m"] < 1e-3
     assert told["warnings"] == []
 
 

@@ -20,7 +20,7 @@ from hil.bench.unreached_faults import not_begun, not_begun_in_words
 from hil.controller.joint_script import JointScript
 from hil.core.clock import Clock
 from hil.core.errors import UsageError, check_number
-from hil.core.interfaces import HELD_NOTE, Sink
+from hil.core.interfaces import HELD_NOTE, Controller, Sink
 from hil.fakes.fault import Fault
 from hil.loop.control_loop import ControlPipeline
 from hil.loop.device_set import DeviceSet
@@ -31,6 +31,7 @@ from hil.robot.trajectories import Trajectory
 LOG = logging.getLogger(__name__)
 _LOOK_S = 1.0
 Opened = TypeVar("Opened", bound="HeldDevices")
+MakeController = Callable[[BenchModel], Controller]
 
 
 class HeldDevices:
@@ -51,6 +52,7 @@ class HeldDevices:
         self.held = untouched("no device was opened: the robot is as it was before")
         self.tells_held = True
         self.waits_for_sensors = False
+        self.own_controller: MakeController | None = None
         self.lost: list[str] = []
         self.faults = faults
         self._is_open = False
@@ -188,12 +190,18 @@ class HeldDevices:
     ) -> ControlPipeline:
         """The deterministic part of the loop for one motion or script (also what replay runs).
 
+        Where the bench has a controller of the user's own, that drives every trajectory.
+
         Raises:
             UsageError: unknown feedback or controller.
+            ConfigError: the controller of the user's own cannot be made.
         """
-        return self.model.make_pipeline(
+        pipeline = self.model.make_pipeline(
             trajectory, controller=controller, feedback=feedback, observers=observers
         )
+        if self.own_controller is not None and isinstance(trajectory, Trajectory):
+            pipeline.controller = self.own_controller(self.model)
+        return pipeline
 
     def check(self, trajectory: Trajectory, *, known: Trajectory | None = None) -> None:
         """Refuse what the limits cannot follow.

@@ -1,0 +1,54 @@
+"""What `--ros2` and the options beside it ask for, as long as a command runs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.cli.bench_options import BenchRequest
+from hil.core.errors import UsageError
+
+if TYPE_CHECKING:
+    from hil.ros2.publisher import Ros2Publisher
+
+
+@contextmanager
+def published(request: BenchRequest) -> Iterator[Ros2Publisher | None]:
+    """Be on ROS 2, if that is asked for.
+
+    Returns:
+        What publishes benches; None without `--ros2` and without a controller on ROS 2.
+
+    Raises:
+        UsageError: options that mean nothing without `--ros2`, no such domain or interface.
+        ConfigError: the extra is missing.
+    """
+    if not (request.ros2 or request.ros2_topic):
+        beside = {
+            "--ros2-domain": request.ros2_domain is not None,
+            "--ros2-interface": request.ros2_interface,
+        }
+        for option in (name for name, given in beside.items() if given):
+            raise UsageError(f"{option} says where --ros2 publishes", remedy=f"give --ros2, or no {option}")
+        yield None
+        return
+    from hil.ros2.network import Network, domain_of, must_be_usable
+
+    must_be_usable()
+    from hil.ros2.publisher import Ros2Publisher
+
+    network = Network(domain_of(request.ros2_domain, os.environ), request.ros2_interface)
+    publisher = Ros2Publisher(network)
+    try:
+        click.echo(f"ROS 2: {network.in_words()}", err=True)
+        if network.reaches_out:
+            does = "drive this robot" if request.ros2_topic else "read this bench"
+            told = f"hil: whoever reaches {network.interface} can {does}: ROS 2 has no password"
+            click.echo(told, err=True)
+        yield publisher
+    finally:
+        publisher.close()

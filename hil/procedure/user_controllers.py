@@ -1,0 +1,42 @@
+"""Controllers of the user's own for a bench: classes or functions, `FILE.py:NAME` or `MODULE:NAME`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, cast
+
+from hil.core.choices import LAWS
+from hil.core.errors import UsageError, did_you_mean
+from hil.core.interfaces import Controller
+from hil.support.named_class import make_named, maker_of
+
+if TYPE_CHECKING:
+    from hil.bench.model import BenchModel
+
+_OPTION, _PARTS = "--controller", ("reset", "update")
+
+
+def check_named(named: str) -> None:
+    """Load what is named, before anything is opened; a shipped law needs no loading.
+
+    Raises:
+        UsageError: neither a law nor a name of one's own.
+        ConfigError: no such file, module or name, or one that fails.
+    """
+    if named in LAWS:
+        return
+    if ":" not in named:
+        expected = ", ".join(LAWS) + ", or FILE.py:NAME or MODULE:NAME of your own"
+        is_file = named.endswith(".py")
+        remedy = f"name the class in it, as {named}:NAME" if is_file else did_you_mean(named, LAWS)
+        raise UsageError(f"{_OPTION} {named!r} is unknown", expected=expected, remedy=remedy)
+    maker_of(named, _OPTION, _PARTS)
+
+
+def make_own(named: str, bench: BenchModel) -> Controller:
+    """A controller; NAME is called with the bench's model if it takes an argument, else with none.
+
+    Raises:
+        ConfigError: as `check_named`; or NAME fails, or makes something without `reset` and `update`.
+    """
+    what = "reset(), and update(state, reference, wheels) that returns a WheelSetpoint"
+    return cast("Controller", make_named(named, _OPTION, _PARTS, bench, expected=what))

@@ -1,0 +1,88 @@
+"""Where the bench is on DDS: domain, network interface, and the configuration of Cyclone DDS.
+
+Whoever reaches the ports can read the bench, and command it where it takes commands: DDS has no password.
+So it stays on this computer unless an interface is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from xml.sax.saxutils import quoteattr
+
+from hil.core.choices import HIGHEST_DOMAIN
+from hil.core.errors import ConfigError, UsageError
+from hil.support.extras import how_to_install, lacks
+
+_DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
+_LOOPBACK = "lo"
+
+
+@dataclass(frozen=True)
+class Network:
+    """Where the bench can be found.
+
+    Attributes:
+        domain: of DDS, as `ROS_DOMAIN_ID`.
+        interface: network interface beside loopback; empty, or loopback itself, for loopback alone.
+    """
+
+    domain: int = 0
+    interface: str = ""
+
+    @property
+    def reaches_out(self) -> bool:
+        """Whether other computers see the bench."""
+        return self.interface not in ("", _LOOPBACK)
+
+    def configuration(self) -> str:
+        """XML for Cyclone DDS.
+
+        Discovery every second: a ROS 2 node of default settings announces itself by multicast, which is not
+        heard on loopback, so it is found by the bench's own announcements. Key hashes: without them Fast DDS
+        does not understand that a bench has ended, and takes it for alive for 10 s more.
+        """
+        names = [self.interface, _LOOPBACK] if self.reaches_out else [_LOOPBACK]
+        interfaces = "".join(f"<NetworkInterface name={quoteattr(name)}/>" for name in names)
+        return (
+            '<CycloneDDS><Domain Id="any"><General>'
+            f"<Interfaces>{interfaces}</Interfaces>"
+            f"<AllowMulticast>{'true' if self.reaches_out else 'false'}</AllowMulticast>"
+            "</General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
+            "<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
+            '<Peers><Peer address="127.0.0.1"/></Peers><SPDPInterval>1s</SPDPInterval>'
+            "</Discovery><Internal><GenerateKeyhash>true</GenerateKeyhash></Internal>"
+            "</Domain></CycloneDDS>"
+        )
+
+    def in_words(self) -> str:
+        """Domain and reach."""
+        where = f"loopback and {self.interface}" if self.reaches_out else "loopback only"
+        return f"domain {self.domain}, {where}"
+
+
+def domain_of(given: int | None, environment: Mapping[str, str]) -> int:
+    """The domain that was asked for, else that of `ROS_DOMAIN_ID`, else 0.
+
+    Raises:
+        UsageError: it is no domain.
+    """
+    if given is not None:
+        return given
+    text = environment.get(_DOMAIN_VARIABLE, "").strip()
+    if not text:
+        return 0
+    if not (text.isascii() and text.isdigit() and int(text) <= HIGHEST_DOMAIN):
+        raise UsageError(
+            f"{_DOMAIN_VARIABLE} is {text!r}",
+            expected=f"a whole number from 0 to {HIGHEST_DOMAIN}",
+            remedy="set it right, or give --ros2-domain",
+        )
+    return int(text)
+
+
+def must_be_usable() -> None:
+    """Raise `ConfigError` where the extra `ros2` cannot be used."""
+    why = lacks("ros2")
+    if why:
+        raise ConfigError(f"ROS 2 needs the extra ros2: {why}", remedy=how_to_install("ros2"))

@@ -1,0 +1,168 @@
+"""The bench's participant on DDS, with writers and readers of CDR bytes.
+
+To import this module loads cyclonedds and rosbags, which takes some tenths of a second.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+from collections.abc import Sequence
+from typing import Any
+
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+from cyclonedds.core import DDSException
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from hil.core.errors import UsageError
+from hil.ros2.message_types import sample_type
+from hil.ros2.network import Network
+
+LOG = logging.getLogger(__name__)
+LATCHED = ("/tf_static", "/robot_description")
+"""Topics whose last message also those get who subscribe later."""
+_DEPTH, _DEPTHS = 10, {"/tf": 100}
+_MOST = 10_000
+"""Writers that are looked through."""
+_ENCODING = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
+"""What ROS 2 writes and reads: version 1 of CDR."""
+_LONGEST_BLOCK = duration(milliseconds=1)
+
+
+class Reader:
+    """Messages of a topic, as CDR bytes.
+
+    Best effort, which takes from writers of either reliability.
+
+    Args:
+        participant: of Cyclone DDS.
+        name: of the ROS 2 topic, with a slash.
+        kind: of its messages.
+    """
+
+    def __init__(self, participant: Any, name: str, kind: str) -> None:
+        topic = Topic(participant, f"rt{name}", sample_type(kind))
+        quality = Qos(
+            Policy.Reliability.BestEffort,
+            Policy.Durability.Volatile,
+            Policy.History.KeepLast(_DEPTH),
+            _ENCODING,
+        )
+        self._reader: Any = DataReader(participant, topic, quality)
+
+    def take(self) -> list[bytes]:
+        """What has come since the last call, oldest first; never blocks. Not after `close`."""
+        return [s.data for s in self._reader.take(N=_DEPTH) if s.sample_info.valid_data]
+
+    def writers(self) -> int:
+        """How many writers the topic has now. Not after `close`."""
+        return len(self._reader.get_matched_publications())
+
+    def close(self) -> None:
+        """Let go of the participant. Idempotent; never raises."""
+        self._reader = None
+
+
+class Participant:
+    """One participant; its topics have the names that ROS 2 gives them.
+
+    Args:
+        network: where it can be found.
+
+    Attributes:
+        network: as given.
+        lost: messages that Cyclone DDS did not take.
+
+    Raises:
+        UsageError: the interface is not there, or the domain cannot be joined.
+    """
+
+    def __init__(self, network: Network) -> None:
+        self.network, self.lost = network, 0
+        self._writers: dict[str, tuple[Any, Any]] = {}
+        self._heard: list[Reader] = []
+        if network.interface and network.interface not in (
+            known := [name for _, name in socket.if_nameindex()]
+        ):
+            raise UsageError(
+                f"this computer has no network interface {network.interface!r}", expected=" or ".join(known)
+            )
+        try:
+            self._domain = Domain(network.domain, network.configuration())
+            self._participant = DomainParticipant(network.domain)
+        except DDSException as error:
+            raise UsageError(
+                f"ROS 2 {network.in_words()} cannot be joined ({error.msg or error})",
+                remedy="see that the interface is up, or take another domain (--ros2-domain)",
+            ) from None
+
+    def add_writer(self, name: str, kind: str) -> None:
+        """Offer a topic, unless it is offered.
+
+        Args:
+            name: of the ROS 2 topic, with a slash.
+            kind: of its messages.
+        """
+        if name in self._writers:
+            return
+        made = sample_type(kind)
+        topic = Topic(self._participant, f"rt{name}", made)
+        self._writers[name] = made, DataWriter(self._participant, topic, _quality(name))
+
+    def write(self, name: str, data: bytes) -> None:
+        """Send a message, as CDR; what is not taken is counted, and told once. Never raises."""
+        made, writer = self._writers[name]
+        try:
+            writer.write(made(data))
+        except DDSException as error:
+            if not self.lost:
+                LOG.warning("ROS 2 topic %s: a message was not sent (%s); more are only counted", name, error)
+            self.lost += 1
+
+    def add_reader(self, name: str, kind: str) -> Reader:
+        """Listen to a topic.
+
+        Args:
+            name: of the ROS 2 topic, with a slash.
+            kind: of its messages.
+        """
+        self._heard.append(Reader(self._participant, name, kind))
+        return self._heard[-1]
+
+    def other_types(self, name: str, kinds: Sequence[str]) -> list[str]:
+        """Types, as DDS names them, with which others write a topic.
+
+        Args:
+            name: of the ROS 2 topic, with a slash.
+            kinds: types of messages that are left out.
+        """
+        known = {sample_type(kind).__idl_typename__.replace(".", "::") for kind in kinds}
+        seen = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication).take(N=_MOST)
+        return sorted({s.type_name for s in seen if s.topic_name == f"rt{name}"} - known)
+
+    def readers(self, name: str) -> int:
+        """How many readers a topic has now."""
+        return len(self._writers[name][1].get_matched_subscriptions())
+
+    def close(self) -> None:
+        """Say goodbye: what was written is sent first, for at most a second. Idempotent; never raises."""
+        self._writers.clear()
+        for reader in self._heard:
+            reader.close()
+        self._participant = self._domain = None
+
+
+def _quality(name: str) -> Qos:
+    """As ROS 2's default; reliable, which readers of either kind take."""
+    latched = name in LATCHED
+    return Qos(
+        Policy.Reliability.Reliable(_LONGEST_BLOCK),
+        Policy.Durability.TransientLocal if latched else Policy.Durability.Volatile,
+        Policy.History.KeepLast(1 if latched else _DEPTHS.get(name, _DEPTH)),
+        _ENCODING,
+    )

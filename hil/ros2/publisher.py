@@ -1,0 +1,205 @@
+"""Publishes a bench on ROS 2: the messages of its recordings, byte by byte, while it runs.
+
+In virtual time the loop's own thread sends them, and `/clock` last, by which nodes on simulated time act.
+In real time the loop only hands a cycle over; a thread sends it while the loop sleeps.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from hil.core.clock import NS_PER_S
+from hil.core.errors import HilError
+from hil.core.interfaces import HELD_NOTE, Sink
+from hil.core.signals import CycleRecord
+from hil.recording.needed_packages import recorded_kinds
+from hil.recording.ros_messages import CycleMessages
+from hil.recording.ros_types import MessageMaker
+from hil.recording.topics import topics_with
+from hil.recording.transform_tree import FrameTree, recorded_offset
+from hil.recording.urdf import urdf
+from hil.ros2 import diagnostics
+from hil.ros2.network import Network
+from hil.ros2.participant import Participant
+
+LOG = logging.getLogger(__name__)
+_CLOCK = "/clock"
+_OWN = ("/hil/cycle", "/hil/notes", "/hil/events")
+"""Topics of a recording that are not published: `/diagnostics` has the events."""
+_WAITING = 100
+_CLOSE_S = 2.0
+
+
+class Ros2Publisher:
+    """A participant on ROS 2 for the benches of one command, one after the other.
+
+    Args:
+        network: where it can be found.
+
+    Attributes:
+        participant: what it publishes by.
+        dropped: cycles that were not published, because sending did not keep up or one was malformed.
+
+    Raises:
+        UsageError: the network cannot be joined.
+    """
+
+    def __init__(self, network: Network) -> None:
+        self.participant, self.dropped = Participant(network), 0
+        self._latest_ns = 0
+
+    def sink(self, header: Mapping[str, Any]) -> Sink:
+        """A sink for one bench; topics of it that are not offered yet are from now on.
+
+        Args:
+            header: of the bench, as its recordings have it.
+        """
+        offset = recorded_offset(header)
+        if offset is not None:
+            return _InRealTime(_Messages(self, header, offset.offset_ns))
+        # simulated time begins at 1 s, since 0 means "no time yet", and the next bench's after this one's
+        return _InVirtualTime(_Messages(self, header, self._latest_ns + NS_PER_S, self._passed))
+
+    def _passed(self, t_ns: int) -> None:
+        self._latest_ns = t_ns
+
+    def close(self) -> None:
+        """Leave the network, once what was written is sent. Idempotent; never raises."""
+        if self.dropped:
+            LOG.warning("ROS 2: %d cycles were not published", self.dropped)
+        self.dropped = 0
+        self.participant.close()
+
+
+class _Messages:
+    """Makes and sends the messages of one bench.
+
+    Args:
+        publisher: by which they go out.
+        header: of the bench.
+        wall_ns: ROS time at the bench clock's zero.
+        passed: told the ROS time of every cycle; None in real time, where there is no `/clock`.
+    """
+
+    def __init__(
+        self,
+        publisher: Ros2Publisher,
+        header: Mapping[str, Any],
+        wall_ns: int,
+        passed: Callable[[int], None] | None = None,
+    ) -> None:
+        self.publisher, self._passed, self._wall_ns = publisher, passed, wall_ns
+        kinds = recorded_kinds(header)
+        self._messages = CycleMessages(kinds, FrameTree(header), wall_ns)
+        self._diagnostics = diagnostics.Diagnostics(str(header["config"]["name"]), MessageMaker(wall_ns))
+        self._description = urdf(header)
+        self._begun = False
+        hidden = (*_OWN, _CLOCK) if passed is None else _OWN
+        self._topics = {name: kind for name, kind in topics_with(kinds).items() if name not in hidden}
+        self._participant = publisher.participant
+        for name, kind in {**self._topics, diagnostics.TOPIC: diagnostics.TYPE}.items():
+            self._participant.add_writer(name, kind)
+
+    def cycle(self, record: CycleRecord) -> None:
+        """Send what a recording of this cycle holds; states first, then the time."""
+        clock = b""
+        if not self._begun:
+            self._begun = True
+            for name, _, data in self._messages.first(record.start_ns, self._description):
+                self._participant.write(name, data)
+        for name, _, data in self._messages.of(record):
+            if name == _CLOCK:
+                clock = data
+            elif name in self._topics:
+                self._participant.write(name, data)
+        if record.events:
+            data = self._diagnostics.events(record.start_ns, record.events)
+            self._participant.write(diagnostics.TOPIC, data)
+        if self._passed is not None:
+            self._participant.write(_CLOCK, clock)
+            self._passed(record.start_ns + self._wall_ns)
+
+    def held(self, t_ns: int, held: Mapping[str, object]) -> None:
+        """Send how the robot was left."""
+        self._participant.write(diagnostics.TOPIC, self._diagnostics.held(t_ns, held))
+
+    def attempt(self, send: Callable[[], None]) -> None:
+        """Send something; what cannot be encoded is counted, and told once."""
+        try:
+            send()
+        except HilError:  # of a signal's handler
+            raise
+        except Exception as error:  # whatever a malformed record leads to must not reach the loop
+            if not self.publisher.dropped:
+                LOG.warning("ROS 2: a cycle could not be published (%r); more are only counted", error)
+            self.publisher.dropped += 1
+
+
+class _InVirtualTime(Sink):
+    """Sends within the cycle."""
+
+    def __init__(self, messages: _Messages) -> None:
+        self._messages = messages
+
+    def write(self, record: CycleRecord) -> None:
+        """Send one cycle."""
+        self._messages.attempt(lambda: self._messages.cycle(record))
+
+    def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
+        """Send how the robot was left."""
+        if kind == HELD_NOTE:
+            self._messages.attempt(lambda: self._messages.held(t_ns, data))
+
+    def close(self) -> None:
+        """Everything is sent already."""
+
+
+class _InRealTime(Sink):
+    """Hands over; a thread sends. What it does not keep up with is dropped and counted, the newest first."""
+
+    def __init__(self, messages: _Messages) -> None:
+        self._messages = messages
+        self._waiting: deque[Callable[[], None]] = deque()
+        self._something = threading.Event()
+        self._closed = False
+        self._thread = threading.Thread(target=self._work, name="ros2", daemon=True)
+        self._thread.start()
+
+    def write(self, record: CycleRecord) -> None:
+        """Take one cycle."""
+        if len(self._waiting) < _WAITING:
+            self._waiting.append(lambda: self._messages.cycle(record))
+        else:
+            self._messages.publisher.dropped += 1
+
+    def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
+        """Take how the robot was left."""
+        if kind == HELD_NOTE:
+            self._waiting.append(lambda: self._messages.held(t_ns, data))
+            self._something.set()
+
+    def rest(self) -> None:
+        """Let the thread send."""
+        if self._waiting:
+            self._something.set()
+
+    def close(self) -> None:
+        """Send what waits. Idempotent; never raises."""
+        self._closed = True
+        self._something.set()
+        self._thread.join(_CLOSE_S)
+
+    def _work(self) -> None:
+        """Thread: send what waits."""
+        while True:
+            self._something.wait()
+            self._something.clear()
+            closed = self._closed
+            while self._waiting:
+                self._messages.attempt(self._waiting.popleft())
+            if closed:
+                return

@@ -1,0 +1,137 @@
+"""`--controller` of `hil run` and `hil live`: a law, or a class of the user's own, in a file or a module."""
+
+import json
+import sys
+
+import pytest
+
+from hil.cli import main
+from hil.recording.runs import read_runs
+
+MINE = """
+import numpy as np
+from hil.core.signals import WheelSetpoint
+
+
+class Ahead:
+    "Rolls ahead at a tenth of what the reference asks for."
+
+    def __init__(self, bench):
+        self.radius_m = float(np.mean(bench.geometry.radius_m))
+
+    def reset(self):
+        self.cycles = 0
+
+    def update(self, state, reference, wheels):
+        rate_rad_s = 0.1 * reference.twist_body[0] / self.radius_m
+        return WheelSetpoint(np.full(4, rate_rad_s), np.zeros(4))
+
+
+class NoUpdate:
+    def reset(self):
+        pass
+
+
+class Refuses:
+    def __init__(self):
+        raise ValueError("no licence")
+
+    reset = update = None
+
+
+class Lost(Ahead):
+    def update(self, state, reference, wheels):
+        return WheelSetpoint(np.full(4, np.nan), np.zeros(4))
+"""
+STRAIGHT = """
+import numpy as np
+from hil.procedure import Context, Measurement, procedure
+from hil.procedure.tracking_errors import stand
+from hil.robot.trajectories import line
+
+@procedure(name="straight", needs=("servos",), measurements=(Measurement("way", "m"),))
+def run(ctx: Context) -> None:
+    \"\"\"Drives 0.1 m.\"\"\"
+    start = stand(ctx.bench)
+    motion = ctx.bench.drive(line(start, start + np.array([0.1, 0.0, 0.0]), duration_s=4.0), hold_s=0.2)
+    ctx.measure("way", float(ctx.bench.truth().pose_body_in_wall[0] - start[0]))
+"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text(MINE)
+    (tmp_path / "straight.py").write_text(STRAIGHT)
+    (tmp_path / "broken.py").write_text("import nowhere_at_all\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    for name in ("mine", "broken"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    yield tmp_path
+    for name in ("mine", "broken"):
+        sys.modules.pop(name, None)
+
+
+def run(capsys, *options):
+    words = ["run", "straight.py", "--set", "bench.environment.tilt_rad=0.0", "--out", "results", "--json"]
+    code = main([*words, *options])
+    said = capsys.readouterr()
+    return code, json.loads(said.out), said.err
+
+
+def driven_by(folder):
+    """Controllers of the runs in the recording that moved."""
+    (path,) = (folder / "results").glob("*.mcap")
+    return [r.start.controller for r in read_runs(path) if r.start.trajectory is not None]
+
+
+@pytest.mark.parametrize("named", ["mine:Ahead", "mine.py:Ahead"])
+def test_a_class_of_ones_own_drives_what_the_procedure_asks_for(here, capsys, named):
+    code, told, err = run(capsys, "--controller", named)
+    assert code == 0, err
+    (way,) = (row["value"] for row in told["measurements"] if row["name"] == "way")
+    assert way == pytest.approx(0.01, abs=0.005), "a tenth of 0.1 m"
+    assert driven_by(here) in (["mine.Ahead"], ["hil_script_mine.Ahead"])
+    assert json.loads((here / "results" / "result.json").read_text())["controller"] == named
+
+
+def test_a_law_is_that_of_the_bench_for_this_run(here, capsys):
+    code, _, err = run(capsys, "--controller", "optimal")
+    assert code == 0, err
+    assert driven_by(here) == ["optimal"]
+
+
+def test_what_it_returns_is_limited_and_checked_as_ever(here, capsys):
+    code, told, _ = run(capsys, "--controller", "mine:Lost")
+    assert code != 0
+    assert told["error"] is not None
+    assert told["held"]["state"] in ("HELD", "not needed")
+
+
+@pytest.mark.parametrize(
+    ("named", "told"),
+    [
+        ("optimaal", "did you mean optimal?"),
+        ("mine.py", "mine.py:NAME"),
+        ("mine:Ahaed", "did you mean Ahead?"),
+        ("nothing_here:Ahead", "nothing_here"),
+        ("nothing.py:Ahead", "no such file"),
+        ("broken:Ahead", "nowhere_at_all"),
+        (":Ahead", "no module"),
+    ],
+)
+@pytest.mark.parametrize("words", [("run", "straight.py"), ("live", "--duration", "1")])
+def test_a_name_that_is_wrong_is_refused_before_anything_opens(here, capsys, words, named, told):
+    assert main([*words, "--controller", named]) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert "--controller" in error
+    assert "Traceback" not in error
+    assert not any(here.rglob("*.mcap"))
+
+
+@pytest.mark.parametrize(("named", "told"), [("mine:NoUpdate", "no update"), ("mine:Refuses", "no licence")])
+def test_one_that_cannot_be_made_ends_the_run_with_its_reason(here, capsys, named, told):
+    code, found, _ = run(capsys, "--controller", named)
+    assert code == 2
+    assert told in found["error"]["message"]
