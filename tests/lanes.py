@@ -8,8 +8,8 @@ from pathlib import Path
 
 REAL_TIME = (
     "adhesion/test_adhesion_command.py",
-    "adhesion/test_keeper_of_an_emulated_fan.py",
-    "adhesion/test_keeper_process.py",
+    "adhesion/test_daemon_of_an_emulated_fan.py",
+    "adhesion/test_daemon_process.py",
     "adhesion_dronecan/test_dronecan_node_at_the_wire.py",
     "emulate/",
     "live/test_live_command.py",
@@ -30,7 +30,7 @@ WIRED = (
 """Where else tests talk to the `wire` or to an `emulator`: no other file is looked through for them."""
 ALONE = (
     "adhesion/test_asking_commands.py",
-    "adhesion/test_keeper_killed.py",
+    "adhesion/test_daemon_killed.py",
     "adhesion/test_stopped_for_a_while.py",
     "bench/test_bench_assembly.py::test_a_mix_of_real_and_emulated_devices",
     "bench/test_bench_assembly.py::test_the_same_drive_at_the_wire_in_real_time",

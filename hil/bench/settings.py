@@ -13,7 +13,7 @@ from hil.bench.drivers import model_of
 from hil.bench.third_party.added_checks import added_checks
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
-from hil.config.can_motor import KeptMotorConfig
+from hil.config.can_motor import DaemonMotorConfig
 from hil.config.device import ImuConfig, TrackerConfig
 from hil.config.encoders import EncodersConfig
 from hil.config.load_cells import LoadCellsConfig
@@ -204,7 +204,7 @@ def adhesion_limits(config: BenchConfig) -> AdhesionLimits | None:
         full_thrust_n=0.0 if push is None else push.full_force_n,
         wanted_n=force_wanted_n(config),
         zero_n=None if cells is None else sum(cells.zero_n),
-        reports_thrust=isinstance(push, KeptMotorConfig),
+        reports_thrust=isinstance(push, DaemonMotorConfig),
         stale_s=safety.adhesion_stale_s,
         **known,
     )

@@ -2,7 +2,7 @@
 
 The robot is emulated in a process of its own; a bench drives it in real time and meets with what processes
 meet with. A busy computer may end a drive: the robot has to be held all the same. Something else presses it
-on its wall: what becomes of the fan is seen in `test_wall_killed.py` and `test_keeper_killed.py`.
+on its wall: what becomes of the fan is seen in `test_wall_killed.py` and `test_daemon_killed.py`.
 """
 
 import json

@@ -8,7 +8,7 @@ from worlds import ON, fan_world
 from hil.config.adhesion import VescConfig
 from hil.core.errors import DeviceError, DeviceTimeoutError, UsageError
 from hil.core.signals import Status
-from hil.devices.adhesion.emulated_keeper import KeptInWorld
+from hil.devices.adhesion.emulated_daemon import DaemonInWorld
 from hil.drivers.adhesion.vesc_fan import VescFan
 from hil.fakes.adhesion import AdhesionTruthOptions, VescNode
 
@@ -22,7 +22,7 @@ def driver():
 
     def make(clock, **keys):
         config = VescConfig(**{"interface": "hil", "channel": "fan", **keys})
-        made.append(VescFan(config, clock, KeptInWorld(clock._world).keep))
+        made.append(VescFan(config, clock, DaemonInWorld(clock._world).commander))
         return made[-1]
 
     yield make
@@ -185,13 +185,13 @@ def test_the_doctor_reads_time_out_messages_and_firmware_from_the_controller(dri
         assert (found["time-out"].level, found["time-out"].found) == ("warning", "2 s")
         assert (found["status messages"].level, found["status messages"].found) == ("warning", "1, 4")
         assert (found["firmware"].level, found["firmware"].found) == ("warning", "5.02")
-        assert found["keeper"].level == "ok"
-        assert found["keeper"].found == "it is at rest: nobody commands it until it is asked for"
+        assert found["daemon"].level == "ok"
+        assert found["daemon"].found == "it is at rest: no command is sent before a force is asked for"
         after(fan, clock, 0.3)
         fan.set_force_n(40.0)
         after(fan, clock, 1.0)
-        (keeper,) = (f for f in fan.diagnose() if f.check == "keeper")
-        assert (keeper.level, keeper.found) == ("ok", "keeps it running")
+        (daemon,) = (f for f in fan.diagnose() if f.check == "daemon")
+        assert (daemon.level, daemon.found) == ("ok", "keeps it running")
 
 
 def test_what_a_controller_does_not_tell_is_told_with_a_remedy(driver):
@@ -204,15 +204,15 @@ def test_what_a_controller_does_not_tell_is_told_with_a_remedy(driver):
         assert found["firmware"].remedy == "update it with VESC Tool"
 
 
-def test_a_keeper_that_cannot_send_is_told_with_a_remedy(driver):
+def test_a_daemon_that_cannot_send_is_told_with_a_remedy(driver):
     with fan_world(faults=["adhesion:unplug@1"], **ON) as (_world, clock, _node, _bus):
         fan = driver(clock)
         fan.open()
         after(fan, clock, 0.3)
         fan.set_force_n(40.0)
         clock.sleep_until_ns(2 * S)
-        (keeper,) = (f for f in fan.diagnose() if f.check == "keeper")
-    assert (keeper.level, keeper.remedy) == ("warning", "`hil adhesion status` says more"), keeper
+        (daemon,) = (f for f in fan.diagnose() if f.check == "daemon")
+    assert (daemon.level, daemon.remedy) == ("warning", "`hil adhesion status` says more"), daemon
 
 
 def test_a_fan_that_runs_is_taken_over_without_a_step(driver):

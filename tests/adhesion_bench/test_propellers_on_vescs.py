@@ -18,15 +18,15 @@ from hil.config.robot import RobotConfig
 from hil.core.device import Search
 from hil.core.errors import ConfigError, DeviceError, DeviceTimeoutError, SafetyStop, UsageError
 from hil.core.signals import Status
-from hil.devices.adhesion.emulated_keeper import KeptInWorld
+from hil.devices.adhesion.emulated_daemon import DaemonInWorld
 from hil.devices.adhesion.vesc_model import Vesc
 from hil.devices.thrust.vesc import VescPropellers
 from hil.devices.thrust.vesc.config import VescThrustConfig
 from hil.devices.thrust.vesc.driver import VescThrust
 from hil.devices.thrust.vesc.emulated_propellers import PropellerNode, VescThrustTruthOptions, propellers
-from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.dialects import dialect
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
+from hil.drivers.adhesion.fan_daemon.protocols import protocol_of
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.fakes.active_faults import FaultPlan
 from hil.fakes.can_channel import CanChannel, WorldBus
 from hil.fakes.fault import parse_fault
@@ -51,7 +51,7 @@ def made(*, faults=(), keys=None, told=None, **options):
     channel = CanChannel(world, "propellers", device="thrust").open()
     nodes = propellers(world, channel, told or config, VescThrustTruthOptions(**{"start": "off", **options}))
     clock = VirtualClock(world)
-    driver, bus = VescThrust(config, clock, KeptInWorld(world).keep), WorldBus("propellers")
+    driver, bus = VescThrust(config, clock, DaemonInWorld(world).commander), WorldBus("propellers")
     try:
         yield world, clock, nodes, driver, bus
     finally:
@@ -103,7 +103,7 @@ def orders(bus):
 
 def test_every_controller_is_given_the_same_command():
     spec = Spec("hil", "x", 2, also=(3, 5), device="thrust")
-    frames = dialect(spec).say(SetPoint("erpm", 60_000.0), 0)
+    frames = protocol_of(spec).say(SetPoint("erpm", 60_000.0), 0)
     assert frames == tuple((3 << 8 | one, bytes.fromhex("0000EA60")) for one in (2, 3, 5))
 
 

@@ -11,9 +11,9 @@ from hil.core.signals import Status
 from hil.devices.adhesion.dronecan import dronecan_library as libraries
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.driver import DroneCanFan
-from hil.devices.adhesion.emulated_keeper import KeptInWorld
-from hil.drivers.adhesion.keeper.dialects import dialect
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.devices.adhesion.emulated_daemon import DaemonInWorld
+from hil.drivers.adhesion.fan_daemon.protocols import protocol_of
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.drivers.links.can_bus import CanLink
 
 dronecan = pytest.importorskip("dronecan", reason="the extra dronecan is not installed")
@@ -208,9 +208,9 @@ def test_forces_that_cannot_be_meant_are_refused(force_n, fan_world, driver):
             fan.set_force_n(force_n)
 
 
-def test_what_the_keeper_is_told_is_what_it_takes():
-    spec = Spec(**DroneCanConfig(node_id=5, esc_index=2, own_id=9).keeper())
-    dialect(spec)
+def test_what_the_daemon_is_told_is_what_it_takes():
+    spec = Spec(**DroneCanConfig(node_id=5, esc_index=2, own_id=9).daemon_spec())
+    protocol_of(spec)
     assert (spec.controller_id, spec.details["esc_index"], spec.details["node_id"]) == (5, 2, 9)
     assert set(spec.highest) == {"duty", "erpm"}
 
@@ -218,7 +218,7 @@ def test_what_the_keeper_is_told_is_what_it_takes():
 def test_without_the_library_the_line_that_installs_it_is_told(monkeypatch, fan_world):
     monkeypatch.setattr(libraries, "is_installed", lambda extra: False)
     with fan_world(nodes=()) as made, pytest.raises(ConfigError, match=r"needs PyPI dronecan.*dronecan"):
-        DroneCanFan(DroneCanConfig(), made.clock, KeptInWorld(made.world).keep)
+        DroneCanFan(DroneCanConfig(), made.clock, DaemonInWorld(made.world).commander)
 
 
 def test_a_robot_on_its_wall_is_held_by_one():

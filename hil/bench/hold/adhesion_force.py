@@ -18,7 +18,7 @@ from hil.bench.hold.propeller_handover import LeftAlone, least_push_n
 from hil.bench.settings import adhesion_limits, can_fall, pretended_holders, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
-from hil.config.can_motor import KeptMotorConfig
+from hil.config.can_motor import DaemonMotorConfig
 from hil.config.thrust import ThrustConfig
 from hil.core.clock import nanoseconds
 from hil.core.errors import HilError
@@ -69,7 +69,7 @@ class AdhesionForceCheck:
         self,
         rig: DeviceSet,
         limits: AdhesionLimits | None,
-        fan: KeptMotorConfig | None,
+        fan: DaemonMotorConfig | None,
         alone: LeftAlone,
         carried: bool = False,
         pretended: Sequence[str] = (),
@@ -256,9 +256,9 @@ def press_watch(config: BenchConfig, rig: DeviceSet) -> AdhesionForceCheck:
     pretended = pretended_holders(config)
     config = config.of_one_world()
     fan = config.of(AdhesionConfig)
-    kept = fan if isinstance(fan, KeptMotorConfig) else None
+    kept = fan if isinstance(fan, DaemonMotorConfig) else None
     limits = adhesion_limits(config) if can_fall(config) else None
     own, asked_n = config.of(ThrustConfig), thrust_wanted_n(config)
     carried = can_fall(config) and asked_n > 0.0 and "thrust" in config.devices()
-    carried = carried and not isinstance(own, KeptMotorConfig)
+    carried = carried and not isinstance(own, DaemonMotorConfig)
     return AdhesionForceCheck(rig, limits, kept, LeftAlone(rig, own, asked_n), carried, pretended)

@@ -10,7 +10,7 @@ from hil.bench.hold.force_controller import LARGEST_STEP_DOWN_N
 from hil.bench.settings import adhesion_limits, force_wanted_n, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
-from hil.config.can_motor import KeptMotorConfig
+from hil.config.can_motor import DaemonMotorConfig
 from hil.config.thrust import ThrustConfig
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError, SafetyStop
@@ -42,7 +42,7 @@ class Preload:
         self._limits = adhesion_limits(config)
         self._seen_n: dict[str, float] = {}
         propellers = config.of(ThrustConfig)
-        self._propellers = propellers if isinstance(propellers, KeptMotorConfig) else None
+        self._propellers = propellers if isinstance(propellers, DaemonMotorConfig) else None
         self._push_n = 0.0
 
     def hold(self) -> str:
@@ -98,7 +98,7 @@ class Preload:
         return runs_n if runs_n > wanted_n + LARGEST_STEP_DOWN_N else 0.0
 
     def _ask(self, name: str, force_n: float) -> None:
-        """Ask a device for a force; a keeper may have to hear its motor first."""
+        """Ask a device for a force; a daemon may have to hear its motor first."""
         device = self._rig.get(name)
         if device is None:
             return

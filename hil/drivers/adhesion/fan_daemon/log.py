@@ -1,4 +1,4 @@
-"""The keeper's log: written by a thread, so that a disk that is slow, full or gone delays no command."""
+"""Writes the daemon's log in a thread, so that a disk that is slow, full or gone delays no command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the keeper says to a controller and hears from it, in the words of the controller."""
+"""Encodes set-points for a motor controller and decodes its reports: VESC and DroneCAN frames."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from hil.core.clock import NS_PER_S
 from hil.core.errors import ConfigError, did_you_mean
 from hil.drivers.adhesion import vesc
 from hil.drivers.adhesion.dronecan import frames as dronecan
-from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.drivers.adhesion.vesc import ALL_SERVOS, Packet
 
 Wire = tuple[int, bytes]
@@ -21,13 +21,13 @@ Wire = tuple[int, bytes]
 
 
 class Heard(NamedTuple):
-    """What a frame said: how a controller runs, or what somebody asks of it.
+    """The content of a frame: how a controller runs, or a set-point that some program sent to it.
 
     Attributes:
-        controller_id: which controller.
+        controller_id: of the controller.
         report: figures by name; `erpm` is in every report of its speed. Empty in an order.
-        running: the set-point that would keep it as it runs; None at rest, and where nobody can say.
-        order: a set-point that somebody has sent to our fan.
+        running: the set-point that would keep it as it runs; None at rest, and where that is unknown.
+        order: a set-point that another program has sent to our fan.
     """
 
     controller_id: int
@@ -36,16 +36,16 @@ class Heard(NamedTuple):
     order: SetPoint | None = None
 
 
-class Dialect(Protocol):
+class MotorProtocol(Protocol):
     """The frames of one kind of controller, for one fan."""
 
     @abstractmethod
     def say(self, point: SetPoint, t_ns: int) -> tuple[Wire, ...]:
-        """The frames that set a set-point now."""
+        """The frames that set a set-point, sent at `t_ns`."""
 
     @abstractmethod
     def hear(self, frame_id: int, data: bytes | bytearray) -> Heard | None:
-        """What an extended frame says; None where it says nothing to the keeper."""
+        """The content of an extended frame; None for one that the daemon has no use for."""
 
 
 _PACKETS = {"duty": Packet.SET_DUTY, "current_a": Packet.SET_CURRENT, "erpm": Packet.SET_RPM}
@@ -53,7 +53,7 @@ _QUANTITIES = {packet: quantity for quantity, packet in _PACKETS.items()}
 _RUNNING_DUTY = 0.02
 
 
-class Vesc(Dialect):
+class Vesc(MotorProtocol):
     """The classic protocol of a VESC."""
 
     def __init__(self, spec: Spec) -> None:
@@ -65,7 +65,7 @@ class Vesc(Dialect):
         return tuple(vesc.order_frame(vesc.Order(one, packet, point.value)) for one in ids)
 
     def hear(self, frame_id: int, data: bytes | bytearray) -> Heard | None:
-        """Status 1, 4 and 5, and everybody's set-points."""
+        """Status 1, 4 and 5, and the set-points of all programs."""
         if frame_id & 0xFF in self._spec.also:
             return None
         said = vesc.decode(frame_id, data)
@@ -90,8 +90,8 @@ _RUNNING_RPM = 500
 _NODE_STATUS_NS = NS_PER_S
 
 
-class DroneCan(Dialect):
-    """A controller that speaks DroneCAN, by `details` of the spec.
+class DroneCan(MotorProtocol):
+    """DroneCAN, by `details` of the spec.
 
     `esc_index` is its place in the commands, `node_id` ours, `rpm_per_v` of the motor. Such a controller
     does not say at which duty it runs: it is taken over at its speed, and its duty is what a free motor of
@@ -104,7 +104,7 @@ class DroneCan(Dialect):
         if missing := wanted - set(spec.details):
             raise ConfigError(
                 f"{spec.name}: details without {', '.join(sorted(missing))}",
-                remedy="start its keeper by `hil adhesion keep`, from a bench file",
+                remedy="start its daemon by `hil adhesion keep`, from a bench file",
             )
         self._index, self._node_id = int(spec.details["esc_index"]), int(spec.details["node_id"])
         self._reader = dronecan.StatusReader()
@@ -113,7 +113,7 @@ class DroneCan(Dialect):
         self._status_due_ns = 0
 
     def say(self, point: SetPoint, t_ns: int) -> tuple[Wire, ...]:
-        """A command, and once a second that this node is there."""
+        """A command frame, and once a second a NodeStatus of this node."""
         kind, ids = dronecan.RAW_COMMAND, self._raw_ids
         value = round(dronecan.FULL_RAW * point.value) if point.quantity == "duty" else 0
         if point.quantity == "erpm":
@@ -131,7 +131,7 @@ class DroneCan(Dialect):
         return command, here
 
     def hear(self, frame_id: int, data: bytes | bytearray) -> Heard | None:
-        """Everybody's status and set-points."""
+        """The fan's status, and the set-points of all programs."""
         status = self._reader.take(frame_id, data)
         if status is not None and status.index == self._index:
             return self._status(status)
@@ -158,16 +158,16 @@ class DroneCan(Dialect):
         return Heard(said.node_id, figures, running)
 
 
-_DIALECTS: Mapping[str, Callable[[Spec], Dialect]] = {"vesc": Vesc, "dronecan": DroneCan}
+_PROTOCOLS: Mapping[str, Callable[[Spec], MotorProtocol]] = {"vesc": Vesc, "dronecan": DroneCan}
 
 
-def dialect(spec: Spec) -> Dialect:
-    """The dialect of a fan; raises `ConfigError`."""
-    made = _DIALECTS.get(spec.dialect)
+def protocol_of(spec: Spec) -> MotorProtocol:
+    """The protocol that a spec names, for its fan; raises `ConfigError`."""
+    made = _PROTOCOLS.get(spec.protocol)
     if made is None:
         raise ConfigError(
-            f"no fan speaks {spec.dialect!r}",
-            expected="one of " + ", ".join(_DIALECTS),
-            remedy=did_you_mean(spec.dialect, _DIALECTS),
+            f"no fan speaks {spec.protocol!r}",
+            expected="one of " + ", ".join(_PROTOCOLS),
+            remedy=did_you_mean(spec.protocol, _PROTOCOLS),
         )
     return made(spec)

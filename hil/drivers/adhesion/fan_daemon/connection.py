@@ -1,4 +1,4 @@
-"""A bench's connection to the keeper's process: asked one thing at a time, and never waited for."""
+"""A bench's connection to the daemon: one request at a time, without ever waiting."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ import json
 import socket
 from collections.abc import Mapping
 
-from hil.drivers.adhesion.keeper.door import MOST_BYTES, peer
+from hil.drivers.adhesion.fan_daemon.server import MOST_BYTES, peer
 
 Request = Mapping[str, object]
 
 
-class Link:
-    """One connection.
+class Connection:
+    """A non-blocking connection.
 
     Args:
-        connection: to the keeper.
+        connection: to the daemon.
         t_ns: now.
 
     Attributes:
-        since_ns: when it began; `answered_ns` when the keeper last answered.
-        asked: what it has not answered yet.
-        uid: the user that the keeper runs as.
+        since_ns: when it began; `answered_ns` when the daemon last answered.
+        asked: the request that is not answered yet.
+        uid: the user that the daemon runs as.
     """
 
     def __init__(self, connection: socket.socket, t_ns: int) -> None:
@@ -32,16 +32,16 @@ class Link:
         self.uid = peer(connection).uid
 
     def ask(self, request: Request) -> None:
-        """Ask, unless an answer is awaited; raises `OSError` where the keeper has hung up."""
+        """Send a request, unless an answer is awaited; raises `OSError` where the daemon has hung up."""
         if self.asked is None:
             self.asked = request
             self._socket.send(json.dumps(request).encode())
 
     def answer(self, t_ns: int) -> tuple[Request, bytes] | None:
-        """What was asked and its answer, once; None before it has come.
+        """(request, answer), once; None before it has come.
 
         Raises:
-            OSError: the keeper has hung up (ConnectionResetError), or cannot be reached.
+            OSError: the daemon has hung up (ConnectionResetError), or cannot be reached.
         """
         if self.asked is None:
             return None
@@ -50,7 +50,7 @@ class Link:
         except BlockingIOError:
             return None
         if not packet:
-            raise ConnectionResetError("the keeper has hung up")
+            raise ConnectionResetError("the daemon has hung up")
         asked, self.asked, self.answered_ns = self.asked, None, t_ns
         return asked, packet
 

@@ -1,13 +1,13 @@
-"""The keeper's socket: one JSON object a packet, from programs of the same user and of root.
+"""Serves the daemon's socket: one JSON object a packet, from programs of the same user and of root.
 
-Its name is in Linux' abstract space and says which fan is kept. So it belongs to one process at a time, of
+Its name is in Linux' abstract space and names the fan. So it belongs to one process at a time, of
 whatever user; it vanishes with that process; and it does not vanish with a folder, as a socket file in
 `/run/user` does when its owner logs out. It is visible where the CAN interface is: both belong to a network
-namespace. Both ends take the kernel's word for who the other is. A keeper answers its own user and root, and
-tells anybody else why not; a program asks a keeper of its own user, and one of root asks any.
+namespace. Each end takes the other's user from the kernel. A daemon answers its own user and root, and
+refuses others with the reason; a program sends requests to a daemon of its own user, one of root to any.
 
 Asked `{"do": "status"}`, `{"do": "set", "quantity": q, "value": v}` or `{"do": "off", "confirmed_by": why}`
-a keeper answers with its status, or with `{"error": {message, expected, remedy, exit_code}}`.
+a daemon answers with its status, or with `{"error": {message, expected, remedy, exit_code}}`.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from hil.core.errors import DeviceError, HilError, UsageError, reason_of
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.support.emulated_can_mark import abstract_names
 
 MOST_BYTES = 8192
 HOW_TO_ASK = 'send one JSON object a packet; docs/adhesion.md, "The socket", shows each'
 IDLE_S = 30.0
-"""A keeper without a fan to keep ends when nobody has talked to it for so long, unless it is a service."""
+"""A daemon without a running fan ends after so long without a client, unless it is a service."""
 _MOST_CLIENTS = 32
 _MOST_AT_ONCE = 16
 _PEER = struct.Struct("3i")
@@ -48,24 +48,24 @@ class Peer(NamedTuple):
 
 
 Answer = Callable[[Mapping[str, Any], Peer], Mapping[str, Any]]
-"""Answers a request, of (what was asked, who asks); raises `HilError` to refuse it."""
+"""Answers a (request, client); raises `HilError` to refuse it."""
 Left = Callable[[int], None]
-"""Told the process id of a client that has hung up: the kernel does so at once for one that dies."""
+"""Takes the process id of a client that has hung up; the kernel hangs up at once for one that dies."""
 
 
 def address(spec: Spec) -> str:
-    """Where the keeper of a fan is to be found."""
+    """Address of the socket of a fan's daemon."""
     return f"\0{_PREFIX}{spec.name}"[:_LONGEST_NAME]
 
 
-def keepers() -> list[str]:
-    """Names of all fans and propellers that have a keeper on this machine."""
+def running_daemons() -> list[str]:
+    """Names of all fans and propellers that have a daemon on this machine."""
     return abstract_names(_PREFIX)
 
 
-def bus_of(keeper: str) -> str:
-    """The bus that a name of `keepers` begins with."""
-    return keeper.rpartition(", controller ")[0]
+def bus_of(name: str) -> str:
+    """The bus that a name of `running_daemons` begins with."""
+    return name.rpartition(", controller ")[0]
 
 
 def peer(connection: socket.socket) -> Peer:
@@ -75,44 +75,44 @@ def peer(connection: socket.socket) -> Peer:
 
 
 def may_ask(uid: int, owner: int) -> bool:
-    """Whether programs of a user may ask a keeper of another: its own, and root's."""
+    """Whether programs of a user may ask a daemon of another: its own, and root's."""
     return uid in (0, owner)
 
 
 def user(uid: int) -> str:
-    """A user, as messages call it: by number, as a look for its name may take longer than a keeper has."""
+    """A user, as messages call it: by number, as to look up a name may take longer than a daemon has."""
     return "root" if uid == 0 else f"user {uid}"
 
 
 def of_another(spec: Spec, owner: str, asker: str) -> DeviceError:
-    """The refusal that a program gets of another user's keeper.
+    """The refusal by another user's daemon.
 
     Args:
-        spec: what is kept.
-        owner: the user that the keeper runs as.
+        spec: the fan.
+        owner: the user that the daemon runs as.
         asker: the user that the program runs as.
     """
     return DeviceError(
         spec.device,
-        f"{spec.whose} keeper belongs to {owner}, and this program to {asker}",
+        f"{spec.whose} daemon belongs to {owner}, and this program to {asker}",
         port=spec.name,
-        expected=f"a keeper of {asker}, or a program of root",
+        expected=f"a daemon of {asker}, or a program of root",
         remedy=f"run this as {owner}"
         + ("" if owner == "root" else ", or as root")
-        + f"; a keeper that is no service ends {IDLE_S:g} s after the last program has left a motor at rest",
+        + f"; a daemon that is no service ends {IDLE_S:g} s after the last program has left a motor at rest",
     )
 
 
 class TakenError(DeviceError):
-    """The fan has a keeper already."""
+    """The fan has a daemon already."""
 
 
-class Door:
-    """The keeper's end; raises `TakenError` when the fan has a keeper already.
+class Server:
+    """The daemon's socket; raises `TakenError` when the fan has a daemon already.
 
     Args:
         spec: the fan.
-        left: told of clients that have hung up.
+        left: called with the process id of each client that has hung up.
     """
 
     def __init__(self, spec: Spec, left: Left = lambda pid: None) -> None:
@@ -124,9 +124,9 @@ class Door:
             self._listener.close()
             raise TakenError(
                 spec.device,
-                f"it has a keeper already ({reason_of(error)})",
+                f"it has a daemon already ({reason_of(error)})",
                 port=spec.name,
-                expected="one keeper of a fan",
+                expected="one daemon of a fan",
                 remedy="`hil adhesion status` names its process",
             ) from None
         self._listener.listen(_MOST_CLIENTS)
@@ -145,7 +145,7 @@ class Door:
                 self._answer(key.fileobj, answer)
 
     def close(self) -> None:
-        """Hang up on everybody and free the name. Idempotent."""
+        """Hang up on all clients and free the name. Idempotent."""
         for key in list(self._ready.get_map().values()):
             self._ready.unregister(key.fileobj)
             assert isinstance(key.fileobj, socket.socket)
@@ -164,14 +164,14 @@ class Door:
             self.clients += 1
 
     def _refused(self, uid: int) -> DeviceError | None:
-        """Why a program of a user is not let in; None where it is."""
+        """Why a program of a user is refused; None where it is not."""
         spec = self._spec
         if not may_ask(uid, os.getuid()):
             return of_another(spec, user(os.getuid()), user(uid))
         if self.clients >= _MOST_CLIENTS:
             return DeviceError(
                 spec.device,
-                f"{spec.whose} keeper talks to {self.clients} programs already",
+                f"{spec.whose} daemon talks to {self.clients} programs already",
                 port=spec.name,
                 expected=f"at most {_MOST_CLIENTS}",
                 remedy="end programs that talk to it and try again",
@@ -179,7 +179,7 @@ class Door:
         return None
 
     def _answer(self, connection: socket.socket, answer: Answer) -> None:
-        """Answer one packet; whoever hangs up, or does not read, is let go."""
+        """Answer one packet; a client that hangs up, or does not read, is disconnected."""
         try:
             packet = connection.recv(MOST_BYTES)
             if not packet:
@@ -194,7 +194,7 @@ class Door:
 
 
 def _turn_away(connection: socket.socket, why: DeviceError) -> None:
-    """Say why and hang up; what was asked is read first, or the kernel would throw the answer away."""
+    """Refuse and hang up; the request is read first, or the kernel would throw the answer away."""
     with connection:
         with contextlib.suppress(OSError):
             connection.recv(MOST_BYTES)
@@ -207,14 +207,14 @@ def _answered(packet: bytes, who: Peer, answer: Answer) -> bytes:
         asked = json.loads(packet)
         if not isinstance(asked, dict):
             raise UsageError(
-                "a request to the keeper that is no object", expected='{"do": "status"}', remedy=HOW_TO_ASK
+                "a request to the daemon that is no object", expected='{"do": "status"}', remedy=HOW_TO_ASK
             )
         reported = answer(asked, who)
     except HilError as error:
         reported = {"error": _described(error)}
     except (ValueError, RecursionError):
         no_json = UsageError(
-            "a request to the keeper that is no JSON", expected='{"do": "status"}', remedy=HOW_TO_ASK
+            "a request to the daemon that is no JSON", expected='{"do": "status"}', remedy=HOW_TO_ASK
         )
         reported = {"error": _described(no_json)}
     return json.dumps(reported).encode()[:MOST_BYTES]

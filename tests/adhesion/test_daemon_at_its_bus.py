@@ -1,4 +1,4 @@
-"""The keeper at its bus: a bus that fails is tried for ever and told; it tells who else commands the fan."""
+"""The daemon at its bus: a bus that fails is tried for ever and told; it tells who else commands the fan."""
 
 import can
 import pytest
@@ -6,10 +6,10 @@ from can_bus import Bus
 
 from hil.core.clock import nanoseconds
 from hil.core.errors import DeviceError
-from hil.drivers.adhesion.keeper import beat as beats
-from hil.drivers.adhesion.keeper.beat import Beat
-from hil.drivers.adhesion.keeper.core import Keeper, SetPoint
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon import bus_cycle
+from hil.drivers.adhesion.fan_daemon.bus_cycle import BusCycle
+from hil.drivers.adhesion.fan_daemon.fan_control import FanControl, SetPoint
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 
 SPEC = Spec("udp_multicast", "239.74.164.9", 7)
 PERIOD_NS = nanoseconds(SPEC.period_s)
@@ -22,29 +22,29 @@ def said():
 
 @pytest.fixture
 def kept(said):
-    """A keeper at a bus, with its fan at duty 0.57."""
-    keeper, bus = Keeper(SPEC), Bus()
-    keeper.resume(0, SetPoint("duty", 0.57123), SetPoint("duty", 0.57123))
-    return Beat(SPEC, keeper, said.append, bus), bus
+    """A daemon at a bus, with its fan at duty 0.57."""
+    daemon, bus = FanControl(SPEC), Bus()
+    daemon.resume(0, SetPoint("duty", 0.57123), SetPoint("duty", 0.57123))
+    return BusCycle(SPEC, daemon, said.append, bus), bus
 
 
-def run(beat, start_s, duration_s):
+def run(cycle, start_s, duration_s):
     for t_ns in range(nanoseconds(start_s), nanoseconds(start_s + duration_s), PERIOD_NS):
-        beat.beat(t_ns)
+        cycle.step(t_ns)
 
 
 def test_a_command_every_period_byte_for_byte(kept):
-    beat, bus = kept
-    run(beat, 0.0, 1.0)
+    cycle, bus = kept
+    run(cycle, 0.0, 1.0)
     assert bus.sent == [(0x0007, bytes.fromhex("0000DF23"), True)] * 20
-    assert beat.worst_gap_ns == PERIOD_NS
+    assert cycle.worst_gap_ns == PERIOD_NS
 
 
 @pytest.mark.parametrize(
     "error", [can.CanOperationError("Transmit buffer full"), OSError(19, "No such device")]
 )
 def test_a_bus_that_fails_is_opened_again_for_ever_and_told_once(kept, said, monkeypatch, error):
-    beat, bus = kept
+    cycle, bus = kept
     attempts = []
 
     def opened(spec):
@@ -54,39 +54,39 @@ def test_a_bus_that_fails_is_opened_again_for_ever_and_told_once(kept, said, mon
         return again
 
     again = Bus()
-    monkeypatch.setattr(beats, "open_bus", opened)
-    run(beat, 0.0, 0.5)
+    monkeypatch.setattr(bus_cycle, "open_bus", opened)
+    run(cycle, 0.0, 0.5)
     bus.error = error
-    run(beat, 0.5, 40.0)
+    run(cycle, 0.5, 40.0)
     assert "commands do not reach the fan" in said[-2]
     assert len(said) <= 5
     assert said[-1] == "CAN: works again"
     assert again.sent
-    assert beat.status(nanoseconds(40.5))["worst_gap_s"] > 10.0
-    assert beat.bus_error == ""
+    assert cycle.status(nanoseconds(40.5))["worst_gap_s"] > 10.0
+    assert cycle.bus_error == ""
 
 
 def test_somebody_else_who_commands_the_fan_is_told_and_not_followed(kept, said):
-    beat, bus = kept
+    cycle, bus = kept
     for t_s in range(5):
         bus.arriving = [can.Message(arbitration_id=0x0007, data=bytes.fromhex("00001388"))]
-        run(beat, float(t_s), 1.0)
+        run(cycle, float(t_s), 1.0)
     assert [text for text in said if "somebody else" in text] == [
-        "somebody else commands this fan: duty 0.05"
+        "another program commands this fan: duty 0.05"
     ]
     assert {data.hex().upper() for _, data, _ in bus.sent} == {"0000DF23"}
 
 
 def test_its_own_echo_is_nobody_else(kept, said):
-    beat, bus = kept
-    run(beat, 0.0, 0.1)
+    cycle, bus = kept
+    run(cycle, 0.0, 0.1)
     bus.arriving = [can.Message(arbitration_id=i, data=d) for i, d, _ in bus.sent]
-    run(beat, 0.1, 0.1)
+    run(cycle, 0.1, 0.1)
     assert not any("somebody else" in text for text in said)
 
 
 def test_what_a_hostile_bus_carries_does_not_stop_it(kept):
-    beat, bus = kept
+    cycle, bus = kept
     bus.arriving = [
         can.Message(arbitration_id=0x0907, data=b"\x00"),
         can.Message(arbitration_id=0x0907, is_remote_frame=True, dlc=8),
@@ -94,6 +94,6 @@ def test_what_a_hostile_bus_carries_does_not_stop_it(kept):
         can.Message(arbitration_id=0x107, is_extended_id=False, data=b"\xff" * 8),
         *[can.Message(arbitration_id=i << 8 | 7, data=b"\xff" * 8) for i in range(60)],
     ] * 20
-    run(beat, 0.0, 1.0)
+    run(cycle, 0.0, 1.0)
     assert {data.hex().upper() for _, data, _ in bus.sent} == {"0000DF23"}
     assert len(bus.sent) == 20

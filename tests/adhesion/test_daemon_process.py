@@ -1,4 +1,4 @@
-"""The keeper as a process: small, deaf to signals, for its own user, found by whoever needs it."""
+"""The daemon as a process: small, deaf to signals, for its own user, found by whoever needs it."""
 
 import json
 import os
@@ -13,13 +13,13 @@ import time
 from contextlib import closing, contextmanager
 
 import pytest
-from kills import commanded, end_keeper
+from kills import commanded, end_daemon
 
 from hil.core.errors import DeviceError, UsageError
-from hil.drivers.adhesion.keeper import client, door, understudy
-from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.door import Door
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon import client, server, standby
+from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
+from hil.drivers.adhesion.fan_daemon.server import Server
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 
 POINT = SetPoint("duty", 0.3)
 
@@ -32,8 +32,8 @@ def eventually(true, within_s=10.0):
 
 
 @pytest.fixture
-def keeper(shared):
-    """(fan, spec, connection to its keeper, which is started where there is none)."""
+def daemon_spec(shared):
+    """(fan, spec, connection to its daemon, which is started where there is none)."""
     fan, spec = shared
     with client.find_or_start(spec) as connection:
         yield fan, spec, connection
@@ -60,7 +60,7 @@ def emulating(spec):
 @contextmanager
 def answering(spec, answers):
     """A door that gives one answer after another, to whoever asks."""
-    listener, left = Door(spec), list(answers)
+    listener, left = Server(spec), list(answers)
     ended = threading.Event()
 
     def serve():
@@ -75,10 +75,10 @@ def answering(spec, answers):
     listener.close()
 
 
-def log_and_understudy(connection, spec, but=None):
-    """Path of the log and the understudy's process id; None before there is one (but this)."""
+def log_and_standby(connection, spec, but=None):
+    """Path of the log and the standby's process id; None before there is one (but this)."""
     status = client.ask(connection, {"do": "status"}, spec)
-    return (status["log"], status["understudy"]) if status["understudy"] not in (None, but) else None
+    return (status["log"], status["standby"]) if status["standby"] not in (None, but) else None
 
 
 def written(log):
@@ -87,20 +87,20 @@ def written(log):
 
 
 def set_when_heard(connection, spec, point=POINT):
-    """Ask for a set-point as soon as the keeper has heard its fan."""
+    """Ask for a set-point as soon as the daemon has heard its fan."""
     eventually(lambda: client.ask(connection, {"do": "status"}, spec)["report"])
     return client.ask(connection, client.set_request(point), spec)
 
 
 def test_it_imports_little():
-    code = "import sys, hil.drivers.adhesion.keeper.process; print(*sys.modules)"
+    code = "import sys, hil.drivers.adhesion.fan_daemon.process; print(*sys.modules)"
     modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     loaded = {name.partition(".")[0] for name in modules.split()}
     assert loaded.isdisjoint({"numpy", "numba", "pydantic", "cantools", "click", "scipy"})
 
 
-def test_it_keeps_the_fan_through_every_signal_that_can_be_caught(keeper):
-    fan, spec, connection = keeper
+def test_it_keeps_the_fan_through_every_signal_that_can_be_caught(daemon):
+    fan, spec, connection = daemon
     set_when_heard(connection, spec)
     assert eventually(lambda: fan.duty == POINT.value)
     since_s = time.time()
@@ -114,8 +114,8 @@ def test_it_keeps_the_fan_through_every_signal_that_can_be_caught(keeper):
     assert "SIGTERM is not heeded" in written(status["log"])
 
 
-def test_it_belongs_to_no_session_and_no_parent_of_ours(keeper):
-    pid = client.peer(keeper[2])[0]
+def test_it_belongs_to_no_session_and_no_parent_of_ours(daemon):
+    pid = client.peer(daemon[2])[0]
     with open(f"/proc/{pid}/stat", encoding="utf-8") as file:
         fields = file.read().rpartition(") ")[2].split()
     parent, group, session, terminal = map(int, fields[1:5])
@@ -125,16 +125,16 @@ def test_it_belongs_to_no_session_and_no_parent_of_ours(keeper):
     assert terminal == 0
 
 
-def test_its_log_is_for_its_owner(keeper):
-    _, spec, connection = keeper
+def test_its_log_is_for_its_owner(daemon):
+    _, spec, connection = daemon
     set_when_heard(connection, spec)
     path = client.ask(connection, {"do": "status"}, spec)["log"]
     assert eventually(lambda: os.path.exists(path))
     assert stat.S_IMODE(os.stat(path).st_mode) == 0o600
 
 
-def test_the_next_program_finds_it_as_it_was_left(keeper):
-    fan, spec, connection = keeper
+def test_the_next_program_finds_it_as_it_was_left(daemon):
+    fan, spec, connection = daemon
     set_when_heard(connection, spec)
     connection.close()
     with client.find_or_start(spec) as again:
@@ -143,8 +143,8 @@ def test_the_next_program_finds_it_as_it_was_left(keeper):
     assert fan.commands
 
 
-def test_off_without_a_confirmation_is_refused_and_the_fan_runs_on(keeper):
-    fan, spec, connection = keeper
+def test_off_without_a_confirmation_is_refused_and_the_fan_runs_on(daemon):
+    fan, spec, connection = daemon
     set_when_heard(connection, spec)
     rest = client.set_request(SetPoint("duty", 0.0))
     for request in ({"do": "off"}, {"do": "off", "confirmed_by": " "}, rest):
@@ -156,8 +156,8 @@ def test_off_without_a_confirmation_is_refused_and_the_fan_runs_on(keeper):
     assert eventually(lambda: fan.duty == 0.0)
 
 
-def test_nonsense_is_refused_and_changes_nothing(keeper):
-    _, spec, connection = keeper
+def test_nonsense_is_refused_and_changes_nothing(daemon):
+    _, spec, connection = daemon
     set_when_heard(connection, spec)
     for packet in (
         b"\xff\x00",
@@ -176,15 +176,15 @@ def test_nonsense_is_refused_and_changes_nothing(keeper):
         b'{"do": "off"}',
     ):
         connection.send(packet)
-        refused = json.loads(connection.recv(door.MOST_BYTES))["error"]
+        refused = json.loads(connection.recv(server.MOST_BYTES))["error"]
         assert refused["exit_code"] == 2
         assert refused["expected"]
         assert refused["remedy"]
     assert client.ask(connection, {"do": "status"}, spec)["target"] == ["duty", POINT.value]
 
 
-def test_clients_that_crowd_and_never_read_delay_no_command(keeper):
-    fan, spec, connection = keeper
+def test_clients_that_crowd_and_never_read_delay_no_command(daemon):
+    fan, spec, connection = daemon
     set_when_heard(connection, spec)
     since_s = time.time()
     crowd = [client.connect(spec) for _ in range(60)]
@@ -202,44 +202,44 @@ def test_clients_that_crowd_and_never_read_delay_no_command(keeper):
     assert client.ask(connection, {"do": "status"}, spec)["state"] == "keeping"
 
 
-def test_a_fan_has_one_keeper(keeper):
-    _, spec, connection = keeper
+def test_a_fan_has_one_daemon(daemon):
+    _, spec, connection = daemon
     pid = client.peer(connection)[0]
-    with pytest.raises(DeviceError, match="has a keeper already"):
-        Door(spec)
+    with pytest.raises(DeviceError, match="has a daemon already"):
+        Server(spec)
     said = client.Starting(spec, emulated=False).said(15.0)
-    assert "has a keeper already" in said["error"]
+    assert "has a daemon already" in said["error"]
     assert client.peer(connection)[0] == pid
 
 
-def test_two_fans_on_one_bus_have_two(keeper):
-    _, spec, _ = keeper
-    Door(Spec(spec.interface, spec.channel, 8, options=spec.options)).close()
+def test_two_fans_on_one_bus_have_two(daemon):
+    _, spec, _ = daemon
+    Server(Spec(spec.interface, spec.channel, 8, options=spec.options)).close()
 
 
 @pytest.mark.parametrize(
     ("asks", "owns", "may"),
     [(0, 0, True), (0, 1000, True), (1000, 1000, True), (1000, 0, False), (1000, 1001, False)],
 )
-def test_a_keeper_talks_to_its_own_user_and_to_root(asks, owns, may):
-    assert door.may_ask(asks, owns) is may
+def test_a_daemon_talks_to_its_own_user_and_to_root(asks, owns, may):
+    assert server.may_ask(asks, owns) is may
 
 
-def test_another_users_keeper_is_not_asked_and_named_with_the_remedy_and_its_end(wire, monkeypatch):
+def test_another_users_daemon_is_not_asked_and_named_with_the_remedy_and_its_end(wire, monkeypatch):
     _, spec = wire
     monkeypatch.setattr(client, "may_ask", lambda uid, owner: False)
-    monkeypatch.setattr(client, "peer", lambda connection: door.Peer(7, 54321))
-    told = "keeper belongs to user 54321, and this program to "
-    with closing(Door(spec)), pytest.raises(DeviceError, match=told) as caught:
+    monkeypatch.setattr(client, "peer", lambda connection: server.Peer(7, 54321))
+    told = "daemon belongs to user 54321, and this program to "
+    with closing(Server(spec)), pytest.raises(DeviceError, match=told) as caught:
         client.connect(spec)
-    assert "run this as user 54321, or as root; a keeper that is no service ends 30 s" in caught.value.remedy
+    assert "run this as user 54321, or as root; a daemon that is no service ends 30 s" in caught.value.remedy
 
 
 @pytest.mark.parametrize("asked_before_it_is_let_in", [True, False])
 def test_who_is_turned_away_is_told_why_and_not_answered(wire, monkeypatch, asked_before_it_is_let_in):
     _, spec = wire
-    listener = Door(spec)
-    monkeypatch.setattr(door, "may_ask", lambda uid, owner: False)
+    listener = Server(spec)
+    monkeypatch.setattr(server, "may_ask", lambda uid, owner: False)
 
     def turn_away():
         listener.serve(1.0, lambda asked, who: pytest.fail("it was answered"))
@@ -249,18 +249,18 @@ def test_who_is_turned_away_is_told_why_and_not_answered(wire, monkeypatch, aske
             refused.send(b'{"do": "status"}')
         turn_away()
         if asked_before_it_is_let_in:
-            told = json.loads(refused.recv(door.MOST_BYTES))["error"]
-            assert (told["exit_code"], "keeper belongs to " in told["message"]) == (3, True)
+            told = json.loads(refused.recv(server.MOST_BYTES))["error"]
+            assert (told["exit_code"], "daemon belongs to " in told["message"]) == (3, True)
             assert refused.recv(10) == b""
         else:
-            with pytest.raises(DeviceError, match=r"the fan's keeper belongs to .*, and this program"):
+            with pytest.raises(DeviceError, match=r"the fan's daemon belongs to .*, and this program"):
                 client.ask(refused, {"do": "status"}, spec)
     listener.close()
 
 
-def test_a_keeper_that_many_talk_to_says_so(wire):
+def test_a_daemon_that_many_talk_to_says_so(wire):
     _, spec = wire
-    listener = Door(spec)
+    listener = Server(spec)
     crowd = []
     for _ in range(33):
         crowd.append(client.connect(spec))
@@ -272,11 +272,11 @@ def test_a_keeper_that_many_talk_to_says_so(wire):
     listener.close()
 
 
-def test_an_understudy_that_there_is_no_room_for_knows_nothing(wire):
+def test_an_standby_that_there_is_no_room_for_knows_nothing(wire):
     _, spec = wire
     told = [{"state": "keeping", "pid": 1}, {"error": {"message": "no room"}}]
     with answering(spec, told):
-        assert understudy.stand_beside(spec) == {"state": "keeping", "pid": 1}
+        assert standby.wait_as_standby(spec) == {"state": "keeping", "pid": 1}
 
 
 as_root = pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
@@ -285,10 +285,11 @@ BECOME_NOBODY = "os.setgroups([]); os.setgid(65534); os.setuid(65534)"
 
 
 @as_root
-def test_root_asks_the_keeper_of_another_user_and_is_told_whose_it_is(wire):
+def test_root_asks_the_daemon_of_another_user_and_is_told_whose_it_is(wire):
     _, spec = wire
     code = (
-        "import os, sys, can.interfaces.udp_multicast; from hil.drivers.adhesion.keeper.process import main; "
+        "import os, sys, can.interfaces.udp_multicast; "
+        "from hil.drivers.adhesion.fan_daemon.process import main; "
         f"{BECOME_NOBODY}; main([sys.argv[1], '--stay'])"
     )
     command, quiet = [sys.executable, "-c", code, spec.to_json()], subprocess.DEVNULL
@@ -306,15 +307,15 @@ def test_root_asks_the_keeper_of_another_user_and_is_told_whose_it_is(wire):
 
 
 @as_root
-def test_another_user_is_told_that_the_keeper_is_roots(keeper):
-    _, spec, _ = keeper
+def test_another_user_is_told_that_the_daemon_is_roots(daemon):
+    _, spec, _ = daemon
     code = (
-        "import os, sys; from hil.drivers.adhesion.keeper import client, spec; "
+        "import os, sys; from hil.drivers.adhesion.fan_daemon import client, spec; "
         f"{BECOME_NOBODY}; client.connect(spec.Spec.from_json(sys.argv[1]))"
     )
     command = [sys.executable, "-c", code, spec.to_json()]
     done = subprocess.run(command, capture_output=True, text=True, cwd="/", check=False)
-    assert "the fan's keeper belongs to root, and this program to user " in done.stderr
+    assert "the fan's daemon belongs to root, and this program to user " in done.stderr
     assert "run this as root" in done.stderr
 
 
@@ -325,7 +326,7 @@ def test_a_bus_that_is_not_there_is_told_to_who_starts_it(tmp_path, monkeypatch)
 
 
 def test_it_ends_with_the_process_that_emulates_its_bus(wire):
-    """Whoever wrote the bench file: one that names the bus as if it were real gets no keeper for ever."""
+    """Whoever wrote the bench file: one that names the bus as if it were real gets no daemon for ever."""
     _, spec = wire
     with emulating(spec) as emulator, client.find_or_start(spec) as connection:
         set_when_heard(connection, spec)
@@ -335,49 +336,49 @@ def test_it_ends_with_the_process_that_emulates_its_bus(wire):
         assert connection.recv(1) == b""
 
 
-def test_an_emulator_that_ends_takes_keeper_and_understudy_along_in_two_plain_lines(wire):
-    """The understudy goes on for no bus that is gone, and starts none of its own that would wait for it."""
+def test_an_emulator_that_ends_takes_daemon_and_standby_along_in_two_plain_lines(wire):
+    """The standby goes on for no bus that is gone, and starts none of its own that would wait for it."""
     _, spec = wire
     with emulating(spec) as emulator, client.find_or_start(spec) as connection:
         set_when_heard(connection, spec)
-        log, second = eventually(lambda: log_and_understudy(connection, spec))
+        log, second = eventually(lambda: log_and_standby(connection, spec))
         emulator.kill()
         emulator.wait()
         connection.settimeout(10.0)
         assert connection.recv(1) == b""
     gone = f"{spec.bus} was emulated and is gone; so is the"
-    assert eventually(lambda: all(f"{gone} {who}" in written(log) for who in ("keeper", "understudy")))
+    assert eventually(lambda: all(f"{gone} {who}" in written(log) for who in ("daemon", "standby")))
     last = [line.partition(" ")[2].partition(" ")[2] for line in written(log).splitlines()[-2:]]
-    assert sorted(last) == [f"{gone} keeper", f"{gone} understudy, process {second}"]
+    assert sorted(last) == [f"{gone} daemon", f"{gone} standby, process {second}"]
     assert is_unkept(spec)
 
 
-def test_an_understudy_that_is_killed_is_replaced_and_both_are_told_of(keeper):
-    _, spec, connection = keeper
+def test_an_standby_that_is_killed_is_replaced_and_both_are_told_of(daemon):
+    _, spec, connection = daemon
     set_when_heard(connection, spec)
-    log, first = eventually(lambda: log_and_understudy(connection, spec))
+    log, first = eventually(lambda: log_and_standby(connection, spec))
     os.kill(first, signal.SIGKILL)
-    _, second = eventually(lambda: log_and_understudy(connection, spec, but=first))
-    gone = f"the understudy of the fan's keeper, process {first}, is gone; another is started"
+    _, second = eventually(lambda: log_and_standby(connection, spec, but=first))
+    gone = f"the standby of the fan's daemon, process {first}, is gone; another is started"
     assert eventually(lambda: gone in written(log))
-    assert eventually(lambda: f"the fan's keeper has an understudy, process {second}" in written(log))
+    assert eventually(lambda: f"the fan's daemon has a standby, process {second}" in written(log))
 
 
-def test_understudies_that_end_as_soon_as_they_have_come_are_not_started_without_pause(monkeypatch):
+def test_standbys_that_end_as_soon_as_they_have_come_are_not_started_without_pause(monkeypatch):
     started = []
-    monkeypatch.setattr(understudy.subprocess, "Popen", lambda command, **how: started.append(command))
-    monkeypatch.setattr(understudy, "_LASTING_NS", 10**15)
-    seen = understudy.Understudies(Spec("socketcan", "can0", 7), ["start"], lambda text: None)
+    monkeypatch.setattr(standby.subprocess, "Popen", lambda command, **how: started.append(command))
+    monkeypatch.setattr(standby, "_LASTING_NS", 10**15)
+    seen = standby.StandbyStarter(Spec("socketcan", "can0", 7), ["start"], lambda text: None)
     for pid in range(1, 10):
-        seen.see_to_one(time.monotonic_ns())
+        seen.start_if_missing(time.monotonic_ns())
         seen.heard(pid)
         seen.left(pid)
     assert len(started) == 1
 
 
-def test_nothing_is_left_where_it_listened(keeper):
-    _, spec, _ = keeper
-    end_keeper(spec)
+def test_nothing_is_left_where_it_listened(daemon):
+    _, spec, _ = daemon
+    end_daemon(spec)
     assert is_unkept(spec)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as free:
-        free.bind(door.address(spec))
+        free.bind(server.address(spec))

@@ -1,8 +1,8 @@
-"""What the keeper sends to the fan: a pure function of time, of what it heard and of what it was asked.
+"""Decides the set-point that is sent to a fan: a pure function of time, reports heard and requests.
 
-It never ends by itself. A set-point stays until another is asked for; it changes along a ramp; only `end`
-leads down to rest. A fan that runs already when the keeper starts is taken over as it runs. The same
-class keeps the fan in the keeper's process, in a bench that stands in for it, and in virtual time.
+It never ends by itself. A set-point stays until another is requested; it changes along a ramp; only `end`
+leads down to rest. A fan that runs already when the daemon starts is taken over as it runs. The same
+class works in the daemon's process, in a bench that stands in for it, and in virtual time.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import DeviceError, UsageError, did_you_mean
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 
 _LISTEN_NS = nanoseconds(1.5)
-"""For so long after its start a keeper looks for a fan that runs already."""
+"""Time after its start in which a daemon looks for a fan that runs already."""
 _FRESH_NS = nanoseconds(1.0)
 _LONGEST_STEP_NS = nanoseconds(0.2)
 _RELEASED_NS = nanoseconds(0.5)
@@ -41,7 +41,7 @@ def check_point(spec: Spec, point: SetPoint) -> None:
         raise UsageError(
             f"{spec.device} set-point of {point.quantity}",
             expected=f"one of {known}",
-            remedy=did_you_mean(point.quantity, spec.highest) or f"ask {spec.whose} keeper for one of these",
+            remedy=did_you_mean(point.quantity, spec.highest) or f"ask {spec.whose} daemon for one of these",
         )
     if not math.isfinite(point.value) or not 0.0 < point.value <= highest:
         raise UsageError(
@@ -51,18 +51,18 @@ def check_point(spec: Spec, point: SetPoint) -> None:
         )
 
 
-class Keeper:
-    """Keeps one fan.
+class FanControl:
+    """Ramps one fan to the requested set-points and holds it there.
 
     Args:
         spec: the fan; limits and ramps.
         adopts: whether a fan that runs already at the start is taken over.
 
     Attributes:
-        sent: the latest set-point that was given out; None while the fan is nobody's.
-        target: where it is going.
-        ending: whether it has been told to let the fan come to rest.
-        report: what the fan has said, by quantity; `report_ns` when it last gave its speed.
+        sent: the latest set-point for the bus; None while the fan is not commanded.
+        target: the set-point at the end of the ramp.
+        ending: whether the fan is on its way to rest.
+        report: the fan's reports, by quantity; `report_ns` when it last reported its speed.
         others: ids of other controllers on the bus.
     """
 
@@ -86,7 +86,7 @@ class Keeper:
 
         Args:
             t_ns: when.
-            controller_id: of whom.
+            controller_id: the controller that sent it.
             values: figures by name; the one with `erpm` says that it is there.
             running: what would keep it as it runs; None at rest.
         """
@@ -100,10 +100,10 @@ class Keeper:
             self._take_over(t_ns, running)
 
     def overheard(self, t_ns: int, order: SetPoint) -> None:
-        """Somebody else has commanded this fan: that is exact, where its report is rounded.
+        """Another program has commanded this fan: its set-point is exact, the fan's report is rounded.
 
-        A fan that was taken over is theirs until this keeper is asked for something: their set-points are
-        followed, down to rest as well, and kept when no more of them come.
+        A fan that was taken over follows that program's set-points, down to rest as well, until this daemon
+        gets a request; the last one is held when no more of them come.
         """
         if order.value > 0.0 and (self.sent is None or self._theirs):
             self._take_over(t_ns, order)
@@ -112,7 +112,7 @@ class Keeper:
             self._theirs, self._released_ns = False, t_ns
 
     def _take_over(self, t_ns: int, running: SetPoint) -> None:
-        """A fan that runs when the keeper starts is kept as it runs, by a quantity that it may be kept by."""
+        """Hold a fan that runs when the daemon starts as it runs, in a quantity that the spec allows."""
         if running.quantity not in self._spec.highest:
             return
         new = not self._released_ns and t_ns - self._born(t_ns) <= _LISTEN_NS
@@ -121,17 +121,17 @@ class Keeper:
             self._theirs = True
 
     def resume(self, t_ns: int, sent: SetPoint, target: SetPoint) -> None:
-        """Go on from a set-point that somebody else has sent until now."""
+        """Go on from a set-point that another process has sent until now."""
         self._born(t_ns)
         self._last_ns = t_ns
         self.sent, self.target, self.ending = self._clipped(sent), self._clipped(target), False
 
     def wish(self, t_ns: int, wanted: SetPoint) -> None:
-        """Another set-point; calls off an `end` that is under way.
+        """Change the set-point; cancels an `end` that is under way.
 
         Raises:
-            UsageError: it is none; what is kept stays as it is.
-            DeviceError: the fan does not say how it runs, so that nobody could begin without a step.
+            UsageError: it is none; the present set-point stays.
+            DeviceError: the fan does not report how it runs, so a start could be a step.
         """
         self._born(t_ns)
         check_point(self._spec, wanted)
@@ -141,13 +141,13 @@ class Keeper:
         self.target, self.ending, self._theirs = wanted, False, False
 
     def end(self, t_ns: int) -> None:
-        """Let the fan come to rest along the ramp. Whoever asks has seen to it that nothing hangs by it."""
+        """Let the fan come to rest along the ramp. The caller has confirmed that nothing hangs by it."""
         self._born(t_ns)
         if self.sent is not None:
             self.target, self.ending, self._theirs = SetPoint(self.sent.quantity, 0.0), True, False
 
     def order(self, t_ns: int) -> SetPoint | None:
-        """What to send now; None while the fan is nobody's."""
+        """The set-point to send now; None while the fan is not commanded."""
         self._born(t_ns)
         step_s = min(t_ns - self._last_ns, _LONGEST_STEP_NS) / NS_PER_S
         self._last_ns = t_ns
@@ -167,11 +167,11 @@ class Keeper:
         return self.sent
 
     def state(self) -> str:
-        """One word: `keeping`, `ending`, or `idle` while the fan is nobody's."""
+        """`keeping`, `ending`, or `idle` while the fan is not commanded."""
         return "idle" if self.sent is None else "ending" if self.ending else "keeping"
 
     def _born(self, t_ns: int) -> int:
-        """When this keeper began: when it was first told the time."""
+        """When control began: the time of its first call."""
         if self._born_ns is None:
             self._born_ns = self._last_ns = t_ns
         return self._born_ns

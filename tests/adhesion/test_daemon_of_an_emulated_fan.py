@@ -1,4 +1,4 @@
-"""The keeper of an emulated fan ends with the emulator, and neither bench nor understudy starts another."""
+"""The daemon of an emulated fan ends with the emulator, and neither bench nor standby starts another."""
 
 import os
 import re
@@ -9,29 +9,29 @@ import time
 from pathlib import Path
 
 import pytest
-from kills import HELD_DUTY, both, keeper_pid, wait_until
-from test_keeper_process import emulating, written
+from kills import HELD_DUTY, both, daemon_pid, wait_until
+from test_daemon_process import emulating, written
 
 from hil.core.clock import MonotonicClock
-from hil.drivers.adhesion.keeper import client
-from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.deputy import KeptByProcess
+from hil.drivers.adhesion.fan_daemon import client
+from hil.drivers.adhesion.fan_daemon.failover import FailoverClient
+from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
 from hil.support.emulated_can_mark import Emulation, Mark, is_emulated
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 
 STARTS_WITHIN_S = 90.0
 ANOTHER_COMES_WITHIN_S = 3.0
-"""A bench that misses its keeper starts another after 0.2 s; that one is there within two seconds."""
+"""A bench that misses its daemon starts another after 0.2 s; that one is there within two seconds."""
 
 
 @pytest.fixture
 def kept(wire):
-    """(emulator, fan, spec, a bench's link to the fan's keeper, what it says) of a fan that runs."""
+    """(emulator, fan, spec, a bench's link to the fan's daemon, what it says) of a fan that runs."""
     fan, spec = wire
     said = []
     with emulating(spec) as emulator:
-        kept = KeptByProcess(spec, MonotonicClock(), say=said.append)
+        kept = FailoverClient(spec, MonotonicClock(), say=said.append)
         kept.open()
         wait_until(lambda: kept.status().get("report"), "the fan's report")
         kept.set(SetPoint("duty", HELD_DUTY))
@@ -48,13 +48,13 @@ def end(emulator):
 def test_a_bench_neither_stands_in_for_it_nor_starts_another(kept):
     emulator, fan, spec, kept, said = kept
     end(emulator)
-    wait_until(lambda: keeper_pid(spec) is None, "the keeper to end")
+    wait_until(lambda: daemon_pid(spec) is None, "the daemon to end")
     wait_until(kept.trouble, "the loss to be told")
     since_s = time.time()
     time.sleep(ANOTHER_COMES_WITHIN_S)
-    assert keeper_pid(spec) is None
+    assert daemon_pid(spec) is None
     assert [t_s for t_s, _ in fan.duties() if t_s > since_s] == []
-    gone = f"{spec.bus} was emulated and is gone: the fan has no keeper"
+    gone = f"{spec.bus} was emulated and is gone: the fan has no daemon"
     assert said == [gone]
     assert kept.trouble() == gone
     before_s = time.monotonic()
@@ -64,13 +64,13 @@ def test_a_bench_neither_stands_in_for_it_nor_starts_another(kept):
 
 def test_a_bench_that_stands_in_stops_when_the_emulator_ends_too(kept):
     emulator, fan, spec, kept, _ = kept
-    for pid in wait_until(lambda: both(spec), "an understudy"):
+    for pid in wait_until(lambda: both(spec), "a standby"):
         os.kill(pid, signal.SIGKILL)
     end(emulator)
     wait_until(lambda: "was emulated and is gone" in kept.trouble(), "the end to be told")
     since_s = time.time()
     time.sleep(ANOTHER_COMES_WITHIN_S)
-    assert keeper_pid(spec) is None
+    assert daemon_pid(spec) is None
     assert [t_s for t_s, _ in fan.duties() if t_s > since_s + 0.1] == []
 
 
@@ -78,10 +78,10 @@ def test_one_that_is_started_while_the_emulator_ends_does_not_begin(wire):
     _, spec = wire
     said = client.Starting(spec, emulated=True).said(15.0)
     assert said == {"error": f"{spec.bus} was emulated and is gone"}
-    assert keeper_pid(spec) is None
+    assert daemon_pid(spec) is None
     log = client.log_path(spec)
     wait_until(log.exists, "its log")  # written by a thread of its own
-    wait_until(lambda: "so is the keeper" in written(log), "its last word")
+    wait_until(lambda: "so is the daemon" in written(log), "its last word")
 
 
 def test_only_what_was_emulated_can_be_over():
@@ -97,7 +97,7 @@ def test_only_what_was_emulated_can_be_over():
     assert Emulation(name, known=True).is_over()
 
 
-def test_a_name_that_anybody_takes_ends_no_keeper_of_a_real_fan():
+def test_a_name_that_anybody_takes_ends_no_daemon_of_a_real_fan():
     name = "socketcan:can0"
     mark = Mark(name, 500_000)
     said = Emulation(name)
@@ -105,13 +105,13 @@ def test_a_name_that_anybody_takes_ends_no_keeper_of_a_real_fan():
     assert (said.known, said.is_over(), is_emulated(name)) == (False, False, False)
 
 
-def keepers_of(state):
-    """Process ids of the keepers and understudies that have written logs in a folder, and still live."""
+def daemons_of(state):
+    """Process ids of the daemons and standbys that have written logs in a folder, and still live."""
     logs = "".join(path.read_text() for path in state.glob("hil/adhesion-*.log"))
     return {
         pid
-        for pid in map(int, re.findall(r"(?:keeper of|understudy),? .*?process (\d+)", logs))
-        if "adhesion.keeper" in _command(pid)
+        for pid in map(int, re.findall(r"(?:daemon of|standby),? .*?process (\d+)", logs))
+        if "adhesion.fan_daemon" in _command(pid)
     }
 
 
@@ -143,7 +143,7 @@ ENDS = {
         *(pytest.param(how, marks=pytest.mark.long) for how in ("TERM to all", "KILL to the emulator")),
     ],
 )
-def test_however_a_session_on_emulated_devices_ends_no_keeper_is_left(how, tmp_path):
+def test_however_a_session_on_emulated_devices_ends_no_daemon_is_left(how, tmp_path):
     command = [sys.executable, "-m", "hil.cli", "live", "--bench", "emulated", "--no-record"]
     with subprocess.Popen(
         command,
@@ -154,14 +154,14 @@ def test_however_a_session_on_emulated_devices_ends_no_keeper_is_left(how, tmp_p
         env={**os.environ, "XDG_STATE_HOME": str(tmp_path)},
     ) as session:
         end_s = time.monotonic() + STARTS_WITHIN_S
-        while len(keepers_of(tmp_path)) < 2:
+        while len(daemons_of(tmp_path)) < 2:
             assert session.poll() is None, session.stderr.read()
-            assert time.monotonic() < end_s, "no keeper with an understudy"
+            assert time.monotonic() < end_s, "no daemon with a standby"
             time.sleep(0.1)
         ENDS[how](session.pid)
         session.communicate(timeout=60)
     time.sleep(ANOTHER_COMES_WITHIN_S)
-    left = keepers_of(tmp_path)
+    left = daemons_of(tmp_path)
     for pid in left:
         os.kill(pid, signal.SIGKILL)
     assert left == set()

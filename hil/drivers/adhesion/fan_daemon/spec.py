@@ -1,4 +1,4 @@
-"""What a keeper is told when it starts: which motor, on which bus, how often, how fast it may ramp."""
+"""The start-up parameters of a daemon: which motor, on which bus, how often, how fast it may ramp."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _WHOSE = {"adhesion": "the fan's", "thrust": "the propellers'"}
 
 @dataclass(frozen=True)
 class Spec:
-    """One fan, or propellers that get the same command, and how they are kept.
+    """One fan, or propellers that get the same command, and how they are commanded.
 
     Attributes:
         interface, channel, bitrate, options: of python-can; two programs must be able to share the channel.
         controller_id: of the motor controller.
         also: ids of further controllers that are given every command of the first.
         device: name of the device in messages.
-        dialect: what it speaks: `vesc` or `dronecan`.
-        details: what that dialect needs besides.
+        protocol: of the controller: `vesc` or `dronecan`.
+        details: further figures that the protocol needs.
         period_s: time between two commands.
         timeout_s: after which the controller releases the motor when it hears no command, as it is set there.
         ramp_up_s, ramp_down_s: from rest to the highest set-point, and back.
@@ -42,7 +42,7 @@ class Spec:
     device: str = "adhesion"
     bitrate: int = 500_000
     options: Mapping[str, Any] = field(default_factory=dict)
-    dialect: str = "vesc"
+    protocol: str = "vesc"
     details: Mapping[str, float] = field(default_factory=dict)
     period_s: float = 0.05
     timeout_s: float = 1.0
@@ -67,7 +67,7 @@ class Spec:
         if self.timeout_s == 0.0:
             raise ConfigError(
                 f"{self.name}: {self.device}.timeout_s = 0: without a time-out {self.noun} would run for "
-                "ever once nobody commands it",
+                "ever once no program commands it",
                 expected="the controller's time-out in s",
                 remedy="set it in VESC Tool (App Settings, General, Timeout), 1000 ms is usual",
             )
@@ -87,7 +87,7 @@ class Spec:
 
     @property
     def name(self) -> str:
-        """The fan, as messages and the socket call it: no two keepers have the same."""
+        """The fan, as messages and the socket call it: no two daemons have the same."""
         return f"{self.bus}, controller {self.controller_id}"
 
     @property
@@ -102,11 +102,11 @@ class Spec:
 
     @property
     def whose(self) -> str:
-        """`the fan's`, as messages about its keeper begin."""
+        """`the fan's`, as messages about its daemon begin."""
         return _WHOSE.get(self.device, f"{self.device}'s")
 
     def to_json(self) -> str:
-        """As the process is given it."""
+        """As JSON, for the command line of the process."""
         return json.dumps(asdict(self))
 
     @classmethod
@@ -119,7 +119,7 @@ class Spec:
             if isinstance(error, ConfigError):
                 raise
             raise ConfigError(
-                f"the keeper's start ({error})",
+                f"the daemon's start ({error})",
                 expected="what Spec.to_json writes",
                 remedy="start it by `hil adhesion keep`",
             ) from None

@@ -1,6 +1,6 @@
-"""Bench or keeper killed at random moments in real time: the fan is never without a command for 200 ms.
+"""Bench or daemon killed at random moments in real time: the fan is never without a command for 200 ms.
 
-Where the keeper's understudy is killed as well the bench stands in. It is a busy program, not a small one,
+Where the daemon's standby is killed as well the bench stands in. It is a busy program, not a small one,
 and has half of the controller's time-out.
 """
 
@@ -16,17 +16,17 @@ from kills import (
     bench_killed,
     both,
     commanded,
-    keeper_alone_killed,
-    keeper_pid,
-    keepers_killed,
+    daemon_alone_killed,
+    daemon_pid,
+    daemons_killed,
     wait_until,
 )
 
 from hil.core.clock import MonotonicClock
-from hil.drivers.adhesion.keeper import client, deputy
-from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.deputy import KeptByProcess
-from hil.drivers.adhesion.keeper.door import of_another
+from hil.drivers.adhesion.fan_daemon import client, failover
+from hil.drivers.adhesion.fan_daemon.failover import FailoverClient
+from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
+from hil.drivers.adhesion.fan_daemon.server import of_another
 
 MOST_S = 0.2
 FEW, MANY = 2, 100
@@ -35,7 +35,7 @@ FEW, MANY = 2, 100
 def commanding(fan, spec):
     """A bench that commands the fan, and a list of what it says."""
     said = []
-    kept = KeptByProcess(spec, MonotonicClock(), say=said.append)
+    kept = FailoverClient(spec, MonotonicClock(), say=said.append)
     kept.open()
     wait_until(lambda: kept.status().get("report"), "the fan's report")
     kept.set(SetPoint("duty", HELD_DUTY))
@@ -44,8 +44,8 @@ def commanding(fan, spec):
 
 
 def kill_both(spec):
-    """Kill the keeper and its understudy."""
-    for pid in wait_until(lambda: both(spec), "an understudy"):
+    """Kill the daemon and its standby."""
+    for pid in wait_until(lambda: both(spec), "a standby"):
         os.kill(pid, signal.SIGKILL)
 
 
@@ -59,18 +59,18 @@ def test_a_killed_bench_leaves_the_fan_as_it_was(wire, count):
 
 
 @pytest.mark.parametrize("count", [FEW, pytest.param(MANY, marks=pytest.mark.long)])
-def test_a_bench_stands_in_for_keeper_and_understudy_and_replaces_them(wire, count):
+def test_a_bench_stands_in_for_daemon_and_standby_and_replaces_them(wire, count):
     fan, spec = wire
-    kills = keepers_killed(fan, spec, count, seed=2)
+    kills = daemons_killed(fan, spec, count, seed=2)
     assert len(kills) == count
     assert max(kill.gap_s for kill in kills) <= spec.timeout_s / 2
     assert min(kill.lowest_duty for kill in kills) == HELD_DUTY
 
 
 @pytest.mark.parametrize("count", [FEW, pytest.param(MANY, marks=pytest.mark.long)])
-def test_a_keeper_killed_while_no_bench_is_there_has_an_understudy(wire, count):
+def test_a_daemon_killed_while_no_bench_is_there_has_an_standby(wire, count):
     fan, spec = wire
-    kills = keeper_alone_killed(fan, spec, count, seed=4)
+    kills = daemon_alone_killed(fan, spec, count, seed=4)
     assert len(kills) == count
     assert max(kill.gap_s for kill in kills) <= MOST_S
     assert min(kill.lowest_duty for kill in kills) == HELD_DUTY
@@ -82,7 +82,7 @@ def test_all_killed_and_the_controller_lets_go_after_its_time_out(wire):
     assert spec.timeout_s - spec.period_s - 0.05 <= released_s <= spec.timeout_s + 0.5
 
 
-def test_a_bench_that_ends_hands_the_fan_to_a_new_keeper_first(wire):
+def test_a_bench_that_ends_hands_the_fan_to_a_new_daemon_first(wire):
     fan, spec = wire
     kept, said = commanding(fan, spec)
     since_s = time.time()
@@ -90,15 +90,15 @@ def test_a_bench_that_ends_hands_the_fan_to_a_new_keeper_first(wire):
     wait_until(kept.trouble, "the loss to be told")
     assert "the bench commands the fan itself" in kept.trouble()
     kept.close()
-    assert "the fan's keeper has taken over again" in said[-1]
-    assert keeper_pid(spec) is not None
+    assert "the fan's daemon has taken over again" in said[-1]
+    assert daemon_pid(spec) is not None
     commanded(fan, time.time())
     assert max(fan.gaps_s(since_s)) <= spec.timeout_s / 2
     assert fan.duty == HELD_DUTY
 
 
-def test_a_bench_goes_on_by_itself_where_the_next_keeper_is_another_users(wire, monkeypatch, caplog):
-    """Root starts a keeper just when that of the bench's user dies."""
+def test_a_bench_goes_on_by_itself_where_the_next_daemon_is_another_users(wire, monkeypatch, caplog):
+    """Root starts a daemon just when that of the bench's user dies."""
     fan, spec = wire
     roots = True
 
@@ -109,28 +109,28 @@ def test_a_bench_goes_on_by_itself_where_the_next_keeper_is_another_users(wire, 
 
     kept, said = commanding(fan, spec)
     since_s = time.time()
-    monkeypatch.setattr(deputy, "connect", met)
+    monkeypatch.setattr(failover, "connect", met)
     kill_both(spec)
-    ended, refused = "the fan's keeper has ended", "keeper belongs to root, and this program to user robot"
-    wait_until(lambda: refused in kept.trouble(), "the other keeper to be told")
+    ended, refused = "the fan's daemon has ended", "daemon belongs to root, and this program to user robot"
+    wait_until(lambda: refused in kept.trouble(), "the other daemon to be told")
     commanded(fan, time.time())
     assert kept.trouble().startswith(f"{ended}: the bench commands the fan itself; adhesion at ")
     assert [ended in said[0], refused in said[1], len(said)] == [True, True, 2]
-    assert keeper_pid(spec) is None
+    assert daemon_pid(spec) is None
     assert [record for record in caplog.records if record.exc_info] == []
     roots = False
-    wait_until(lambda: not kept.trouble(), "a keeper of one's own")
+    wait_until(lambda: not kept.trouble(), "a daemon of one's own")
     assert "taken over again" in said[-1]
     kept.close()
     assert max(fan.gaps_s(since_s)) <= spec.timeout_s / 2
     assert fan.duty == HELD_DUTY
 
 
-def test_a_keeper_that_hangs_is_stood_in_for(wire):
+def test_a_daemon_that_hangs_is_stood_in_for(wire):
     fan, spec = wire
     with bench(spec) as process:
         wait_until(lambda: fan.duty == HELD_DUTY, "the set-point")
-        since_s, pid = time.time(), keeper_pid(spec)
+        since_s, pid = time.time(), daemon_pid(spec)
         os.kill(pid, signal.SIGSTOP)
         assert "does not answer" in process.stdout.readline()
         commanded(fan, time.time())

@@ -1,4 +1,4 @@
-"""How a program finds the keeper of a fan, starts one, and asks it for something."""
+"""Finds the daemon of a fan, starts one, and sends it requests."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.errors import EXIT_USAGE, DeviceError, UsageError
-from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.door import MOST_BYTES, address, may_ask, of_another, peer, user
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
+from hil.drivers.adhesion.fan_daemon.server import MOST_BYTES, address, may_ask, of_another, peer, user
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.support.emulated_can_mark import is_emulated
 from hil.support.file_reading import json_object
 
-KEEPER = (sys.executable, "-m", "hil.drivers.adhesion.keeper")
+DAEMON = (sys.executable, "-m", "hil.drivers.adhesion.fan_daemon")
 _START_S = 15.0
 _ANSWER_S = 2.0
 _AGAIN_S = 0.01
@@ -33,7 +33,7 @@ Status = Mapping[str, Any]
 
 
 def connect(spec: Spec) -> socket.socket | None:
-    """A connection to the keeper of a fan; None where there is none.
+    """A connection to the daemon of a fan; None where there is none.
 
     Raises:
         DeviceError: it belongs to another user, or takes no more clients.
@@ -50,7 +50,7 @@ def connect(spec: Spec) -> socket.socket | None:
         connection.close()
         raise DeviceError(
             spec.device,
-            f"{spec.whose} keeper cannot be reached ({error})",
+            f"{spec.whose} daemon cannot be reached ({error})",
             port=spec.name,
             remedy="end programs that talk to it and try again",
         ) from None
@@ -61,7 +61,7 @@ def connect(spec: Spec) -> socket.socket | None:
 
 
 def _named(uid: int) -> str:
-    """A user by name and number; by number alone where nobody knows the name."""
+    """A user by name and number; by number alone where this computer has no name for it."""
     try:
         return "root" if uid == 0 else f"user {pwd.getpwuid(uid).pw_name} ({uid})"
     except KeyError:
@@ -69,13 +69,13 @@ def _named(uid: int) -> str:
 
 
 def of_whom(status: Status) -> str:
-    """` of user robot (1000)`, as a message about another user's keeper goes on; empty for one of ours."""
+    """` of user robot (1000)`, as a message about another user's daemon goes on; empty for one of ours."""
     uid = status.get("uid", os.getuid())
     return "" if uid == os.getuid() else f" of {_named(uid)}"
 
 
 def _queue(connection: socket.socket, spec: Spec) -> None:
-    """Connect; a keeper at whose door many stand lets them in by and by."""
+    """Connect; retried while the daemon's queue of connections is full."""
     patient_until_s = time.monotonic() + _ANSWER_S
     while True:
         try:
@@ -87,29 +87,29 @@ def _queue(connection: socket.socket, spec: Spec) -> None:
 
 
 def ask(connection: socket.socket, request: Mapping[str, object], spec: Spec) -> Status:
-    """Ask and wait for the answer; the status has `uid` besides, the user that the keeper runs as.
+    """Send a request and wait for the answer; the status gets `uid`, the user that the daemon runs as.
 
     Raises:
-        UsageError, DeviceError: it was refused, or the keeper does not answer.
+        UsageError, DeviceError: it was refused, or the daemon does not answer.
     """
     try:
-        with contextlib.suppress(BrokenPipeError):  # who is turned away is told why before
+        with contextlib.suppress(BrokenPipeError):  # a refused client finds the reason in its buffer
             connection.send(json.dumps(request).encode())
         packet = connection.recv(MOST_BYTES)
         if not packet:
             raise ConnectionResetError("it hung up")
     except OSError as error:
         raise DeviceError(
-            spec.device, f"{spec.whose} keeper does not answer ({error})", port=spec.name, remedy=_REMEDY
+            spec.device, f"{spec.whose} daemon does not answer ({error})", port=spec.name, remedy=_REMEDY
         ) from None
     return {**understood(packet, spec), "uid": peer(connection).uid}
 
 
 def understood(packet: bytes, spec: Spec) -> Status:
-    """An answer of the keeper.
+    """The daemon's answer, parsed.
 
     Raises:
-        UsageError, DeviceError: what it refused with, or an answer that cannot be understood.
+        UsageError, DeviceError: the refusal that it contains, or an answer that cannot be parsed.
     """
     try:
         answer = json_object(packet)
@@ -124,10 +124,10 @@ def understood(packet: bytes, spec: Spec) -> Status:
     except (ValueError, TypeError, KeyError):
         raise DeviceError(
             spec.device,
-            f"{spec.whose} keeper answered what cannot be understood",
+            f"{spec.whose} daemon answered what cannot be understood",
             port=spec.name,
             expected="an answer of the same version of hil",
-            remedy="see `hil adhesion status`; a keeper of another version goes on until `hil adhesion off`",
+            remedy="see `hil adhesion status`; a daemon of another version goes on until `hil adhesion off`",
         ) from None
     if code == EXIT_USAGE:
         raise UsageError(message, expected=expected, remedy=remedy)
@@ -136,33 +136,33 @@ def understood(packet: bytes, spec: Spec) -> Status:
 
 
 def set_request(point: SetPoint) -> dict[str, object]:
-    """Asks for a set-point."""
+    """The request for a set-point."""
     return {"do": "set", "quantity": point.quantity, "value": point.value}
 
 
 def off_request(confirmed_by: str) -> dict[str, object]:
-    """Asks to let the fan come to rest."""
+    """The request to let the fan come to rest."""
     return {"do": "off", "confirmed_by": confirmed_by}
 
 
 def log_path(spec: Spec) -> Path:
-    """Where the keeper of a fan writes what it does."""
+    """Path of the log of a fan's daemon."""
     base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
     return Path(base) / "hil" / f"adhesion-{re.sub('[^A-Za-z0-9.]+', '-', spec.name)}.log"
 
 
 class Starting:
-    """A keeper that is on its way, in a process that outlives this one.
+    """A daemon process that is starting, and outlives this one.
 
     Args:
         spec: the fan.
-        emulated: whether its bus is known to be emulated: the keeper ends when that is over, or does not
+        emulated: whether its bus is known to be emulated: the daemon ends when that is over, or does not
             begin. It would look too late where the emulator ends while it starts.
     """
 
     def __init__(self, spec: Spec, *, emulated: bool) -> None:
         self._spec = spec
-        command = [*KEEPER, spec.to_json()]
+        command = [*DAEMON, spec.to_json()]
         command += ["--emulated"] if emulated else []
         command += ["--log", str(log_path(spec).absolute())]
         paths = os.pathsep.join(os.path.abspath(p) for p in sys.path if p)
@@ -177,7 +177,7 @@ class Starting:
         self._text = b""
 
     def said(self, timeout_s: float) -> dict[str, Any] | None:
-        """What it says, its `pid` or an `error`, waiting so long at most; None before that has come."""
+        """Its first line of output, with `pid` or `error`, within `timeout_s`; None before it has come."""
         assert self._child.stdout is not None
         descriptor = self._child.stdout.fileno()
         end_s = time.monotonic() + timeout_s
@@ -195,7 +195,7 @@ class Starting:
         return None
 
     def leave(self) -> None:
-        """Let go of it, once it has spoken or nobody waits for that any more. Idempotent."""
+        """Close the pipe to it, after its first line or when that is no longer awaited. Idempotent."""
         if self._child.stdout is not None:
             self._child.stdout.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -203,7 +203,7 @@ class Starting:
 
 
 def find_or_start(spec: Spec) -> socket.socket:
-    """A connection to the keeper of a fan, which is started where there is none.
+    """A connection to the daemon of a fan, which is started where there is none.
 
     Raises:
         DeviceError: none can be started.
@@ -218,7 +218,7 @@ def find_or_start(spec: Spec) -> socket.socket:
     if found is None:
         raise DeviceError(
             spec.device,
-            f"{spec.whose} keeper did not start: {said.get('error', 'it has ended')}",
+            f"{spec.whose} daemon did not start: {said.get('error', 'it has ended')}",
             port=spec.name,
             remedy=f"look at {log_path(spec)}",
         )

@@ -1,4 +1,4 @@
-"""What a process does to outlive others: leave their session, heed no signal, go first, stay in memory."""
+"""Lets a process outlive others: leaves their session, ignores signals, gets priority, locks its memory."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ _OTHERS = (
 )
 
 
-def be_deaf(say: Callable[[str], None]) -> None:
-    """Heed no signal; those that are meant to end a program are told of."""
+def ignore_signals(say: Callable[[str], None]) -> None:
+    """Ignore all signals; those that are meant to end a program are logged by `say`."""
 
     def note(number: int, _frame: object) -> None:
         say(f"{signal.Signals(number).name} is not heeded: `hil adhesion off` stops the fan")
@@ -57,7 +57,7 @@ def detach() -> None:
 
 
 def harden() -> str:
-    """Go first, stay in memory, be the last to be killed for want of it; what was not permitted, in words."""
+    """Get real-time priority, lock memory, lower the OOM score; what was not permitted, in words."""
     refused = []
     sleep_punctually()
     try:

@@ -1,4 +1,4 @@
-"""One beat of a keeper: listen on the bus, decide, send. A bus that fails is tried again for ever."""
+"""One cycle of the fan daemon on the CAN bus: receive, decide, send. A failed bus is retried for ever."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import can
 
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import DeviceError
-from hil.drivers.adhesion.keeper.core import Keeper, SetPoint
-from hil.drivers.adhesion.keeper.dialects import Wire, dialect
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon.fan_control import FanControl, SetPoint
+from hil.drivers.adhesion.fan_daemon.protocols import Wire, protocol_of
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.drivers.links import can_bus
 from hil.drivers.links.can_bus import BUS_ERRORS
 
@@ -28,27 +28,27 @@ def open_bus(spec: Spec) -> can.BusABC:
     return can_bus.open_bus(spec.device, spec, expected=shared)
 
 
-class Beat:
-    """A keeper at a bus.
+class BusCycle:
+    """Sends the commands of a fan on its bus, a cycle at a time.
 
     Args:
         spec: the fan.
-        keeper: what decides.
-        say: is told in words what changes.
-        bus: opened already; opened on the first beat when None, and again whenever it is lost.
+        control: decides what to send.
+        say: takes a line of text for each change.
+        bus: opened already; opened in the first cycle when None, and again whenever it is lost.
 
     Attributes:
         bus_error: what is wrong with the bus; empty for nothing.
         sent_ns: when the latest command was sent.
-        worst_gap_ns: the longest time between two commands since the fan is kept.
+        worst_gap_ns: the longest time between two commands since the fan is commanded.
         commands: commands sent.
     """
 
     def __init__(
-        self, spec: Spec, keeper: Keeper, say: Callable[[str], None], bus: can.BusABC | None = None
+        self, spec: Spec, control: FanControl, say: Callable[[str], None], bus: can.BusABC | None = None
     ) -> None:
-        self._spec, self.keeper, self._say, self._bus = spec, keeper, say, bus
-        self._dialect = dialect(spec)
+        self._spec, self.control, self._say, self._bus = spec, control, say, bus
+        self._protocol = protocol_of(spec)
         self._mine: deque[Wire] = deque(maxlen=_ECHOES)
         self._state = ""
         self._quiet_until_ns = 0
@@ -58,40 +58,40 @@ class Beat:
         self.worst_gap_ns = 0
         self.commands = 0
 
-    def beat(self, t_ns: int) -> None:
+    def step(self, t_ns: int) -> None:
         """Listen, decide, send. Never raises for what a bus does."""
         bus = self._bus or self._opened(t_ns)
         if bus is not None:
             self._listen(bus, t_ns)
-        order = self.keeper.order(t_ns)
+        order = self.control.order(t_ns)
         if order is None:
             self.sent_ns, self.worst_gap_ns = None, 0
         elif bus is not None:
             self._send(bus, order, t_ns)
-        if (state := self.keeper.state()) != self._state:
+        if (state := self.control.state()) != self._state:
             self._state = state
             at = f" at {order.quantity} {order.value:.4g}" if order is not None and state != "idle" else ""
             self._say(f"{state}{at}")
 
     def status(self, t_ns: int) -> dict[str, Any]:
-        """How the fan is kept, as plain values."""
-        keeper = self.keeper
+        """The state of control, fan and bus as plain values for JSON."""
+        control = self.control
         return {
-            "state": keeper.state(),
-            "sent": keeper.sent,
-            "target": keeper.target,
+            "state": control.state(),
+            "sent": control.sent,
+            "target": control.target,
             "sent_age_s": _age_s(self.sent_ns, t_ns),
             "worst_gap_s": self.worst_gap_ns / NS_PER_S,
             "commands": self.commands,
-            "report": keeper.report,
-            "report_age_s": _age_s(keeper.report_ns, t_ns),
-            "others": sorted(keeper.others),
+            "report": control.report,
+            "report_age_s": _age_s(control.report_ns, t_ns),
+            "others": sorted(control.others),
             "bus_error": self.bus_error,
             "timeout_s": self._spec.timeout_s,
         }
 
     def close(self) -> None:
-        """Let go of the bus. Idempotent; never raises."""
+        """Close the bus. Idempotent; never raises."""
         bus, self._bus = self._bus, None
         if bus is not None:
             try:
@@ -112,7 +112,7 @@ class Beat:
         return self._bus
 
     def _listen(self, bus: can.BusABC, t_ns: int) -> None:
-        """Take what has arrived; anybody may send, so that it is bounded."""
+        """Process the frames that have arrived, a bounded number: any node may send as many as it likes."""
         take = can_bus.receiver(bus)
         for _ in range(_MOST_FRAMES):
             try:
@@ -126,20 +126,22 @@ class Beat:
                 self._take((message.arbitration_id, bytes(message.data)), t_ns)
 
     def _take(self, frame: Wire, t_ns: int) -> None:
-        heard = self._dialect.hear(*frame)
+        heard = self._protocol.hear(*frame)
         if heard is None:
             return
         if heard.order is None:
-            self.keeper.reported(t_ns, heard.controller_id, heard.report, heard.running)
+            self.control.reported(t_ns, heard.controller_id, heard.report, heard.running)
         elif frame not in self._mine:
-            if self.keeper.sent is not None and t_ns >= self._quiet_until_ns:
+            if self.control.sent is not None and t_ns >= self._quiet_until_ns:
                 self._quiet_until_ns = t_ns + _REPEAT_NS
-                self._say(f"somebody else commands this fan: {heard.order.quantity} {heard.order.value:.4g}")
-            self.keeper.overheard(t_ns, heard.order)
+                self._say(
+                    f"another program commands this fan: {heard.order.quantity} {heard.order.value:.4g}"
+                )
+            self.control.overheard(t_ns, heard.order)
 
     def _send(self, bus: can.BusABC, order: SetPoint, t_ns: int) -> None:
         try:
-            for frame_id, data in self._dialect.say(order, t_ns):
+            for frame_id, data in self._protocol.say(order, t_ns):
                 self._mine.append((frame_id, data))
                 bus.send(can.Message(arbitration_id=frame_id, data=data, is_extended_id=True))
         except BUS_ERRORS as error:
@@ -153,7 +155,7 @@ class Beat:
         self._troubled("")
 
     def _failed(self, error: Exception, t_ns: int) -> None:
-        """The bus failed: once more at the next beat, and opened anew when that does not help."""
+        """The bus failed: try again in the next cycle, and reopen it when that does not help."""
         self._troubled(str(error) or type(error).__name__)
         if self._failing_ns is None:
             self._failing_ns = t_ns

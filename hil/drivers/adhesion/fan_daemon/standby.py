@@ -1,7 +1,7 @@
-"""The keeper's understudy: a second process that knows what the first sends, and goes on when that is gone.
+"""The daemon's standby: a second process that reads what the first sends, and takes over when it is gone.
 
-It asks for the keeper's status all the time, over the same socket as everybody. The kernel hangs up for a
-process that dies, so it knows within microseconds, whatever else this computer does.
+It polls the daemon's status over the same socket as all clients. The kernel hangs up for a process that
+dies, so the standby learns of it within microseconds, whatever else this computer does.
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ import time
 from collections.abc import Callable, Sequence
 
 from hil.core.clock import nanoseconds
-from hil.drivers.adhesion.keeper import client
-from hil.drivers.adhesion.keeper.door import MOST_BYTES
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon import client
+from hil.drivers.adhesion.fan_daemon.server import MOST_BYTES
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 
 _ASK_S = 0.025
 _AGAIN_NS, _ABSENT_NS = nanoseconds(5.0), nanoseconds(1.0)
 _LASTING_NS = nanoseconds(0.1)
-"""Those that end sooner are started at the slow pace: whatever ends them would end the next."""
+"""After a shorter life the next one is started at the slow pace: the same cause would end it, too."""
 
 
-def stand_beside(spec: Spec) -> client.Status:
-    """Wait until the keeper of a fan is gone; its last status: none where there is none that answers."""
+def wait_as_standby(spec: Spec) -> client.Status:
+    """Wait until the daemon of a fan is gone; its last status, empty where none answers."""
     connection = client.connect(spec)
     if connection is None:
         return {}
-    request = json.dumps({"do": "status", "as": "understudy", "pid": os.getpid()}).encode()
+    request = json.dumps({"do": "status", "as": "standby", "pid": os.getpid()}).encode()
     latest: client.Status = {}
     with connection:
-        connection.settimeout(None)  # a keeper that hangs has not let go of the fan's name
+        connection.settimeout(None)  # a daemon that hangs has not let go of the fan's name
         while True:
             try:
                 connection.send(request)
@@ -47,13 +47,13 @@ def stand_beside(spec: Spec) -> client.Status:
                 return latest
 
 
-class Understudies:
-    """Sees to it that a keeper has an understudy.
+class StandbyStarter:
+    """Starts a standby of a daemon whenever there is none.
 
     Args:
-        spec: what is kept.
-        command: starts one.
-        say: told in words which come and go.
+        spec: the fan.
+        command: command line of a standby.
+        say: takes a line of text for each that comes or goes.
 
     Attributes:
         pid: of the latest that has asked; None where it has hung up.
@@ -67,16 +67,16 @@ class Understudies:
         self.pid: int | None = None
 
     def heard(self, pid: object) -> None:
-        """One has asked for the status."""
+        """Note that the standby `pid` has asked for the status."""
         self._asked_ns = time.monotonic_ns()
         if isinstance(pid, int) and pid != self.pid:
             self.pid, self._came_ns = pid, self._asked_ns
-            self._say(f"{self._whose} keeper has an understudy, process {pid}")
+            self._say(f"{self._whose} daemon has a standby, process {pid}")
 
     def left(self, pid: int) -> None:
-        """A client has hung up. Another understudy is due at once, unless this one had only just come."""
+        """A client has hung up. A new standby is due at once, unless this one had only just come."""
         if pid == self.pid:
-            self._tell_of_another("is gone")
+            self._say_another_starts("is gone")
             self.pid = self._asked_ns = None
             if time.monotonic_ns() - self._came_ns >= _LASTING_NS:
                 self._due_ns = 0
@@ -85,14 +85,12 @@ class Understudies:
         """Whether there is one now."""
         return self._asked_ns is not None and now_ns - self._asked_ns < _ABSENT_NS
 
-    def see_to_one(self, now_ns: int) -> None:
-        """Start one where there is none; never waits for it."""
+    def start_if_missing(self, now_ns: int) -> None:
+        """Start a standby where there is none; never waits for it."""
         if now_ns < self._due_ns or self.present(now_ns):
             return
         if self.pid is not None:
-            self._say(
-                f"the understudy of {self._whose} keeper, process {self.pid}, hangs; another is started"
-            )
+            self._say(f"the standby of {self._whose} daemon, process {self.pid}, hangs; another is started")
             self.pid = None
         self._due_ns = now_ns + _AGAIN_NS
         if self._starting is not None:
@@ -102,5 +100,5 @@ class Understudies:
             self._command, stdin=nowhere, stdout=nowhere, stderr=nowhere, start_new_session=True
         )
 
-    def _tell_of_another(self, what: str) -> None:
-        self._say(f"the understudy of {self._whose} keeper, process {self.pid}, {what}; another is started")
+    def _say_another_starts(self, what: str) -> None:
+        self._say(f"the standby of {self._whose} daemon, process {self.pid}, {what}; another is started")

@@ -1,9 +1,9 @@
-"""The keeper's process: started apart from everything, deaf to signals, ended only by an `off` that is done.
+"""The daemon's process: detached from its parent, ignoring signals, ended only by an `off` that is done.
 
-    python -m hil.drivers.adhesion.keeper SPEC [--stay] [--understudy] [--emulated] [--log FILE]
+    python -m hil.drivers.adhesion.fan_daemon SPEC [--stay] [--standby] [--emulated] [--log FILE]
 
-The first line on stdout says whether it works: its process id, or the error. Then it is silent. A keeper of
-a running fan starts a second one as its understudy.
+The first line on stdout is a JSON object with its process id, or the error. Then it is silent. A daemon of
+a running fan starts a second one as its standby.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from typing import Any
 
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import EXIT_DEVICE, HilError, UsageError
-from hil.drivers.adhesion.keeper.beat import Beat, open_bus
-from hil.drivers.adhesion.keeper.client import KEEPER, Status
-from hil.drivers.adhesion.keeper.core import Keeper, SetPoint
-from hil.drivers.adhesion.keeper.door import HOW_TO_ASK, IDLE_S, Door, Peer, TakenError
-from hil.drivers.adhesion.keeper.log import Log
-from hil.drivers.adhesion.keeper.spec import Spec
-from hil.drivers.adhesion.keeper.surviving import be_deaf, detach, harden
-from hil.drivers.adhesion.keeper.understudy import Understudies, stand_beside
+from hil.drivers.adhesion.fan_daemon.bus_cycle import BusCycle, open_bus
+from hil.drivers.adhesion.fan_daemon.client import DAEMON, Status
+from hil.drivers.adhesion.fan_daemon.fan_control import FanControl, SetPoint
+from hil.drivers.adhesion.fan_daemon.log import Log
+from hil.drivers.adhesion.fan_daemon.process_hardening import detach, harden, ignore_signals
+from hil.drivers.adhesion.fan_daemon.server import HOW_TO_ASK, IDLE_S, Peer, Server, TakenError
+from hil.drivers.adhesion.fan_daemon.spec import Spec
+from hil.drivers.adhesion.fan_daemon.standby import StandbyStarter, wait_as_standby
 from hil.support.emulated_can_mark import Emulation
 
 _IDLE_NS = nanoseconds(IDLE_S)
@@ -38,28 +38,28 @@ _LOOK_NS = nanoseconds(0.5)
 
 
 class Process:
-    """A keeper with its bus, its socket and its log.
+    """A daemon with its bus, its socket and its log.
 
     Args:
         spec: the fan.
-        log: told what happens.
-        stay: go on waiting while the fan is nobody's or its bus is not there yet, as a service does.
-        emulation: of the bus, by another process: the keeper ends with it.
+        log: takes a line for each event.
+        stay: go on waiting while the fan is not commanded or its bus is not there yet, as a service does.
+        emulation: of the bus, by another process: the daemon ends with it.
     """
 
     def __init__(self, spec: Spec, log: Log, *, stay: bool, emulation: Emulation) -> None:
         self._spec, self._log, self._stay = spec, log, stay
-        self._keeper = Keeper(spec)
-        command = [*KEEPER, spec.to_json(), "--understudy"]
+        self._control = FanControl(spec)
+        command = [*DAEMON, spec.to_json(), "--standby"]
         command += [] if log.path is None else ["--log", str(log.path)]
         command += ["--emulated"] if emulation.known else []
-        self._understudies = Understudies(spec, command, log.say)
+        self._standbys = StandbyStarter(spec, command, log.say)
         self._setters: set[int] = set()
-        self._door = Door(spec, self._left)
+        self._server = Server(spec, self._left)
         try:
-            self._beat = Beat(spec, self._keeper, log.say, None if stay else open_bus(spec))
+            self._cycle = BusCycle(spec, self._control, log.say, None if stay else open_bus(spec))
         except (HilError, OSError):
-            self._door.close()
+            self._server.close()
             raise
         self._emulation = emulation
         self._next_look_ns = 0
@@ -68,17 +68,17 @@ class Process:
         self._asked, self._asked_ns = ("", ""), 0
 
     def go_on_from(self, latest: Status) -> None:
-        """Send what a keeper has sent whose last status is known."""
+        """Go on with the set-point of a daemon that is gone, by its last status."""
         if latest.get("sent") is None or latest.get("target") is None:
             return
         now_ns = time.monotonic_ns()
-        self._keeper.resume(now_ns, SetPoint(*latest["sent"]), SetPoint(*latest["target"]))
+        self._control.resume(now_ns, SetPoint(*latest["sent"]), SetPoint(*latest["target"]))
         if latest["state"] == "ending":
-            self._keeper.end(now_ns)
-        self._log.say(f"the keeper, process {latest['pid']}, is gone; its understudy goes on")
+            self._control.end(now_ns)
+        self._log.say(f"the daemon, process {latest['pid']}, is gone; its standby goes on")
 
     def run(self) -> None:
-        """Keep the fan. Returns when it is nobody's, and nobody has asked for anything for a while."""
+        """Command the fan. Returns when it is at rest, and no client has sent a request for a while."""
         period_ns = nanoseconds(self._spec.period_s)
         next_ns = time.monotonic_ns()
         while True:
@@ -87,20 +87,20 @@ class Process:
             now_ns = time.monotonic_ns()
             next_ns = max(next_ns, now_ns - period_ns // 2) + period_ns
             with self._whatever_happens():
-                self._beat.beat(now_ns)
-                if self._keeper.sent is not None:
-                    self._understudies.see_to_one(now_ns)
+                self._cycle.step(now_ns)
+                if self._control.sent is not None:
+                    self._standbys.start_if_missing(now_ns)
             if self._unneeded(now_ns):
                 return
 
     def close(self) -> None:
-        """Let go of socket and bus."""
-        self._door.close()
-        self._beat.close()
+        """Close socket and bus."""
+        self._server.close()
+        self._cycle.close()
 
     @contextlib.contextmanager
     def _whatever_happens(self) -> Iterator[None]:
-        """A mistake in here must not stop the fan."""
+        """Log an exception of the block: a mistake in it must not stop the fan."""
         try:
             yield
         except Exception as error:
@@ -108,33 +108,33 @@ class Process:
 
     def _serve_until(self, end_ns: int) -> None:
         while (left_ns := end_ns - time.monotonic_ns()) > 0:
-            self._door.serve(left_ns / NS_PER_S, self._answer)
+            self._server.serve(left_ns / NS_PER_S, self._answer)
 
     def _unneeded(self, now_ns: int) -> bool:
         if now_ns >= self._next_look_ns:
             self._next_look_ns = now_ns + _LOOK_NS
             if self._emulation.is_over():
-                self._log.say(f"{self._spec.bus} was emulated and is gone; so is the keeper")
+                self._log.say(f"{self._spec.bus} was emulated and is gone; so is the daemon")
                 return True
-        if self._stay or self._keeper.sent is not None or self._door.clients:
+        if self._stay or self._control.sent is not None or self._server.clients:
             self._used_ns = now_ns
         return now_ns - self._used_ns > _IDLE_NS
 
     def _left(self, pid: int) -> None:
-        """A client has hung up."""
+        """Forget a client that has hung up."""
         self._setters.discard(pid)
-        self._understudies.left(pid)
+        self._standbys.left(pid)
 
     def _answer(self, asked: Mapping[str, Any], who: Peer) -> Mapping[str, Any]:
-        """Do what a program asks for; raises `HilError` to refuse it."""
+        """Carry out a client's request; raises `HilError` to refuse it."""
         now_ns, do = time.monotonic_ns(), asked.get("do")
         if do == "set":
             point = _point(asked)
-            self._keeper.wish(now_ns, point)
+            self._control.wish(now_ns, point)
             self._setters.add(who.pid)
-            self._tell_of_wish(now_ns, str(who), point)
-            if self._beat.sent_ns is None:
-                self._beat.beat(now_ns)
+            self._log_set_point(now_ns, str(who), point)
+            if self._cycle.sent_ns is None:
+                self._cycle.step(now_ns)
         elif do == "off":
             why = asked.get("confirmed_by")
             if not isinstance(why, str) or not why.strip():
@@ -144,16 +144,16 @@ class Process:
                     remedy="`hil adhesion off --tethered`, or off the wall by load cells and IMU",
                 )
             self._log.say(f"off, asked for by {who}, confirmed: {why[:200]}")
-            self._keeper.end(now_ns)
+            self._control.end(now_ns)
         elif do == "status":
-            if asked.get("as") == "understudy":
-                self._understudies.heard(asked.get("pid"))
+            if asked.get("as") == "standby":
+                self._standbys.heard(asked.get("pid"))
         else:
-            raise UsageError(f"the keeper cannot {do!r}", expected="status, set or off", remedy=HOW_TO_ASK)
+            raise UsageError(f"the daemon cannot {do!r}", expected="status, set or off", remedy=HOW_TO_ASK)
         return self._status(now_ns)
 
-    def _tell_of_wish(self, now_ns: int, who: str, point: SetPoint) -> None:
-        """Log who sets what; a bench that trims its set-point all the time is told of once a minute."""
+    def _log_set_point(self, now_ns: int, who: str, point: SetPoint) -> None:
+        """Log a set-point and its sender; a bench that trims it all the time is logged once a minute."""
         asked = (who, point.quantity)
         if asked != self._asked or now_ns - self._asked_ns > _REPEAT_NS:
             self._asked, self._asked_ns = asked, now_ns
@@ -161,9 +161,9 @@ class Process:
 
     def _status(self, now_ns: int) -> dict[str, Any]:
         return {
-            **self._beat.status(now_ns),
+            **self._cycle.status(now_ns),
             "pid": os.getpid(),
-            "understudy": self._understudies.pid if self._understudies.present(now_ns) else None,
+            "standby": self._standbys.pid if self._standbys.present(now_ns) else None,
             "set_by": sorted(self._setters),
             "since": self._began,
             "log": str(self._log.path or ""),
@@ -171,11 +171,11 @@ class Process:
 
 
 def _point(asked: Mapping[str, Any]) -> SetPoint:
-    """The set-point that a request is about; raises `UsageError`."""
+    """The set-point in a request; raises `UsageError`."""
     quantity, value = asked.get("quantity"), asked.get("value")
     if not isinstance(quantity, str) or isinstance(value, bool) or not isinstance(value, (int, float)):
         raise UsageError(
-            f"a set-point for the keeper of {quantity!r} and {value!r}",
+            f"a set-point for the daemon of {quantity!r} and {value!r}",
             expected="a quantity and a number",
             remedy=HOW_TO_ASK,
         )
@@ -186,12 +186,14 @@ def _point(asked: Mapping[str, Any]) -> SetPoint:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Start a keeper; in the background unless it is to stay."""
-    parser = argparse.ArgumentParser(prog="keeper", description=(__doc__ or "").splitlines()[0])
+    """Start a daemon; in the background unless it is to stay."""
+    parser = argparse.ArgumentParser(prog="daemon", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("spec", help="the fan, as Spec.to_json writes it")
-    parser.add_argument("--stay", action="store_true", help="in the foreground, also without a fan to keep")
-    parser.add_argument("--understudy", action="store_true", help="wait beside the keeper there is")
-    parser.add_argument("--emulated", action="store_true", help="end with whoever emulates the bus")
+    parser.add_argument("--stay", action="store_true", help="in the foreground, also without a running fan")
+    parser.add_argument(
+        "--standby", action="store_true", help="wait until the running daemon ends, then take over"
+    )
+    parser.add_argument("--emulated", action="store_true", help="end with the emulator of the bus")
     parser.add_argument("--log", type=Path, help="log file; stderr when not given")
     given = parser.parse_args(argv)
     if not given.stay:
@@ -199,17 +201,17 @@ def main(argv: list[str] | None = None) -> int:
     try:
         spec = Spec.from_json(given.spec)
         log = Log(given.log)
-        be_deaf(log.say)
+        ignore_signals(log.say)
         refused = harden()
         process = _opened(spec, log, given)
     except (HilError, OSError) as error:
-        _tell({"error": str(error)})
+        _print_line({"error": str(error)})
         return error.exit_code if isinstance(error, HilError) else EXIT_DEVICE
     if process is None:
         log.close()
         return 0
-    log.say(f"keeper of {spec.name}, process {os.getpid()}" + f"; not permitted: {refused}" * bool(refused))
-    _tell({"pid": os.getpid()})
+    log.say(f"daemon of {spec.name}, process {os.getpid()}" + f"; not permitted: {refused}" * bool(refused))
+    _print_line({"pid": os.getpid()})
     if given.log is not None:
         _away_with(2)
     process.run()
@@ -219,24 +221,24 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _opened(spec: Spec, log: Log, given: argparse.Namespace) -> Process | None:
-    """A keeper that has its fan, in an understudy once the other is gone; None where nobody needs it."""
+    """A daemon that owns its fan, in a standby once the other is gone; None where it is not needed."""
     latest: Status = {}
     emulation = Emulation(spec.bus, known=given.emulated)
     while True:
         if emulation.is_over():
-            gone, who = f"{spec.bus} was emulated and is gone", "understudy" if given.understudy else "keeper"
+            gone, who = f"{spec.bus} was emulated and is gone", "standby" if given.standby else "daemon"
             log.say(f"{gone}; so is the {who}, process {os.getpid()}")
-            _tell({"error": gone})
+            _print_line({"error": gone})
             return None
         try:
             process = Process(spec, log, stay=given.stay, emulation=emulation)
         except TakenError:
-            if not (given.stay or given.understudy):
+            if not (given.stay or given.standby):
                 raise
         else:
             process.go_on_from(latest)
             return process
-        found = stand_beside(spec)
+        found = wait_as_standby(spec)
         if not found:  # it is just going, and its name with it
             time.sleep(_NAME_FREE_S)
             continue
@@ -245,8 +247,8 @@ def _opened(spec: Spec, log: Log, given: argparse.Namespace) -> Process | None:
             return None
 
 
-def _tell(said: Mapping[str, object]) -> None:
-    """The one line for whoever started this; standard streams lead nowhere afterwards."""
+def _print_line(said: Mapping[str, object]) -> None:
+    """Print the one line for the parent process; standard streams lead nowhere afterwards."""
     with contextlib.suppress(OSError, ValueError):
         sys.stdout.write(json.dumps(said) + "\n")
         sys.stdout.flush()
