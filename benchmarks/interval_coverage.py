@@ -53,9 +53,9 @@ def recorded(generator: str, seed: int, folder: Path) -> tuple[list[Recording], 
         with open_bench(config, seed=seed) as bench:
             names = drive_repetition(bench, Repetition(folder, MOTIONS, number, Sizes(1.0, 0.4, 0.5)))
             assert bench.world is not None
-            told = hidden_truth(bench.world)
+            hidden = hidden_truth(bench.world)
         found += [read_plain(folder / name) for name in names]
-    truth = np.concatenate([np.array(told[key]) for key in ("x_w_m", "y_w_m", "r_m", "delta0_rad")])
+    truth = np.concatenate([np.array(hidden[key]) for key in ("x_w_m", "y_w_m", "r_m", "delta0_rad")])
     return found, truth
 
 

@@ -111,7 +111,7 @@ class Trouble:
         return bool(self.recent) and self._now_s() < self.recent[-1][0] + LONGEST_S + BACK_S
 
     def explains(self, message: str) -> bool:
-        """Whether a message names a device that has failed lately, or one whose motion it told wrongly."""
+        """Whether a message names a device that has failed lately, or whose motion was wrong."""
         words = {w for _, device in self.recent for w in _words(device)}
         return any(word in message.lower() for word in words)
 

@@ -204,7 +204,7 @@ def check_faults(
 ) -> tuple[Fault, ...]:
     """Read the faults of a bench, and refuse what none of its emulated devices can be or produce.
 
-    All of them are built once, so that a wrong `[emulation.KIND]` is told here. Nothing is opened.
+    All of them are built once, so that a wrong `[emulation.KIND]` is reported here. Nothing is opened.
 
     Args:
         config: the bench; the faults that it names come first.

@@ -57,7 +57,7 @@ def must_be_enough(config: BenchConfig, is_n: float, asked_n: float) -> None:
     Args:
         config: of the bench.
         is_n: what the fan gives now, N.
-        asked_n: what it is to give, N; NaN where it cannot be told.
+        asked_n: what it is to give, N; NaN where that is unknown.
 
     Raises:
         UsageError: IMU and load cells do not say that the robot is off the wall.
@@ -80,7 +80,7 @@ def must_be_enough(config: BenchConfig, is_n: float, asked_n: float) -> None:
 
 
 def duty_n(table: AdhesionConfig, duty: float, now: Any) -> float:
-    """Force that a duty gives, N: by how the fan runs now, else by its ratings; NaN where nothing tells."""
+    """Force that a duty gives, N: by how the fan runs now, else by its ratings; NaN without both."""
     if now.duty > 0.0 and now.speed_rpm > _TURNS_RPM:
         return table.force_at_n(now.speed_rpm * duty / now.duty)
     if not isinstance(table, MotorConfig):

@@ -114,7 +114,7 @@ def _at_the_wire(model: BenchModel, plan: tuple[Fault, ...], sinks: tuple[Sink, 
     try:
         emulator = EmulatorProcess(served, seed=model.seed, faults=[describe(f) for f in plan])
     except DeviceError:
-        check_faults(served, plan)  # where a key of the bench file is at fault, that is told instead
+        check_faults(served, plan)  # where a key of the bench file is at fault, that is reported instead
         raise
     clock = MonotonicClock()
     rig = make_device_set(config, clock, _reach(config, emulator.endpoints))

@@ -50,7 +50,7 @@ _SUPERVISED = {f.name for f in fields(SafetyLimits)}
 
 
 def real_time(config: BenchConfig, clock: Clock) -> RealTime | None:
-    """Scheduling of the loop on the host's clock; virtual time waits for whoever needs long."""
+    """Scheduling of the loop on the host's clock; virtual time waits for every computation."""
     if not isinstance(clock, MonotonicClock):
         return None
     return RealTime(clock, fifo_priority=config.loop.fifo_priority, cpu=config.loop.cpu)
@@ -97,10 +97,12 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
     servos, encoders = config.of(ServosConfig), config.of(EncodersConfig)
     ids, steer_ids = ((), ()) if servos is None else (servos.ids, servos.steer_ids)
     motion = None if servos is None else motion_check(config, geometry)
-    witness = config.of(MocapConfig) is not None and not config.estimator.mocap.use and feedback != "odometry"
+    independent = (
+        config.of(MocapConfig) is not None and not config.estimator.mocap.use and feedback != "odometry"
+    )
     return Checks(
         motion=motion,
-        estimate=MocapEstimate(motion.capture, follows=follows) if motion and witness else None,
+        estimate=MocapEstimate(motion.capture, follows=follows) if motion and independent else None,
         wheels=WheelSlipCheck(geometry, ids) if motion and follows else None,
         estimated=frozenset(
             ("tracker", "imu", "mocap") if config.estimator.mocap.use else ("tracker", "imu")

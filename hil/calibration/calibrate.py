@@ -42,8 +42,8 @@ _VALIDATION_BLOCK_S = 0.5
 class Calibration:
     """Everything that a calibration found; `to_json` gives the documented keys.
 
-    `robot` is what errors before are counted from; `choice` tells how held-out recordings decided the forward
-    model, None where they did not; all figures are of `recordings`, those that were fitted; `rejected` tells
+    `robot` is what errors before are counted from; `choice` says how held-out recordings decided the forward
+    model, None where they did not; all figures are of `recordings`, those that were fitted; `rejected` says
     why others were left out, by name; `wall_s` is the compute time of the calibration itself, `validation_s`
     that of judging the recordings and of the cross-validations.
     """

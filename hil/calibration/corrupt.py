@@ -69,12 +69,12 @@ def _wrong_signs(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
     out = {k: RATES_AGAINST for k, one in enumerate(recordings) if rates_against_angles(one)}
     found = wrong_signs(recordings, nominal)
     if not found.of_all:
-        out |= {k: why for k in range(len(recordings)) if (why := found.told_of(k))}
+        out |= {k: why for k in range(len(recordings)) if (why := found.warning_for(k))}
     return out if 2 * len(out) < len(recordings) else {}
 
 
 def _apart(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
-    """Wheels that do not move as those of one body, whatever it slips: an encoder tells what its wheel does.
+    """Find wheels that do not move as those of one body, whatever it slips.
 
     That of a wheel that is stuck lacks 0.35 or more of all ways, wheels that are exchanged differ by 0.25 or
     more; tolerances and wrong steering zeros of some degrees by 0.06.

@@ -73,7 +73,7 @@ def left_out(
             found.update(tracks)
             if progress is not None:
                 progress(number, len(labels))
-    finally:  # whoever interrupts does not wait for folds that have not begun
+    finally:  # an interrupt does not wait for folds that have not begun
         pool.shutdown(cancel_futures=True)
     return [found[k] for k in sorted(found)]
 

@@ -56,7 +56,7 @@ def caveats(
         tables: validation by name, empty without.
         deployed: errors of the result on the recordings.
     """
-    out = told_by(recordings)
+    out = warnings_of(recordings)
     out += contradictions(recordings, found.problem.tyres.with_vector(found.problem.nominal))
     if len(recordings) == 1:
         out.append("one recording only: no interval, no cross-validation; repeat the motion")
@@ -113,7 +113,7 @@ def motions_apart(found: Fit) -> list[str]:
     ]
 
 
-def told_by(recordings: Sequence[Recording]) -> list[str]:
+def warnings_of(recordings: Sequence[Recording]) -> list[str]:
     """What recordings say about themselves: damage, repairs, a start in motion, and clocks that differ."""
     lines = [line for r in recordings for line in (*r.warnings(), *start_of(r).doubt(r.name))]
     return [*lines, *different_clocks(recordings)]

@@ -71,9 +71,9 @@ def command(
     return code
 
 
-def _text(told: dict[str, Any]) -> str:
+def _text(summary: dict[str, Any]) -> str:
     lines = []
-    for stage in told["stages"]:
+    for stage in summary["stages"]:
         lines.append(f"{stage['verdict']:8}{stage['name']:10}{stage['why']}".rstrip())
         for finding in stage["findings"]:
             if finding["level"] == "ok":
@@ -84,8 +84,8 @@ def _text(told: dict[str, Any]) -> str:
             if hints := "; ".join(filter(None, (expected, finding["remedy"]))):
                 lines.append(f"       {hints}")
     written = "the page to sign could not be written"
-    if told["page"]:
-        page, data = (shown_path(Path(told[key])) for key in ("page", "data"))
+    if summary["page"]:
+        page, data = (shown_path(Path(summary[key])) for key in ("page", "data"))
         written = f"the page to sign is {page}, its data {data}"
-    lines.append(f"{told['verdict']}: {written}")
+    lines.append(f"{summary['verdict']}: {written}")
     return "\n".join(lines)

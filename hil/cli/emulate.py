@@ -31,7 +31,7 @@ _NICE = -5
 _PATIENCE_S = 60.0
 _ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
-"""A terminal sends them to whoever started this as well, who may yet have a robot to look after."""
+"""A terminal sends them to the parent process as well, which may yet have to hold a robot."""
 
 
 @click.command()
@@ -125,7 +125,7 @@ def command(
     nothing = contextlib.nullcontext()
     robot = (
         nothing if await_start else _told_of(EmulatedSupport(config, server.world, "servos" in server.faces))
-    )  # whoever awaits the start looks after it
+    )  # the caller that awaits the start reports it
     links, first = PortLinks(config, endpoints, of_hardware=standard_ports), config.loop.fifo_priority
     with _as_prompt_as_hardware(first), robot, file or nothing, _linked(links):
         _answer(line)

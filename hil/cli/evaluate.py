@@ -67,7 +67,7 @@ def command(
     from hil.calibration.applied import in_sample, used_otherwise
     from hil.calibration.evaluation import evaluate
     from hil.calibration.usable import failed_validation
-    from hil.calibration.warnings import crossed_gaps, told_by
+    from hil.calibration.warnings import crossed_gaps, warnings_of
     from hil.core.errors import UsageError
     from hil.datasets.read import read_recordings
     from hil.support.atomic_files import check_folder
@@ -98,7 +98,7 @@ def command(
             seen.in_words(),
         ]
     failed = "" if file is None else failed_validation(file, str(calibration))
-    warnings = [failed, *told_by(recordings)] if failed else told_by(recordings)
+    warnings = [failed, *warnings_of(recordings)] if failed else warnings_of(recordings)
     warnings += crossed_gaps(recordings) if used_model == "paper" else []
     warnings += [] if file is None else used_otherwise(file, model, used_signal, deploy)
     warnings += _doubts(recordings, file, robot, used_signal, deploy)
@@ -177,13 +177,13 @@ def _doubts(
     return out
 
 
-def _text(table: dict[str, Any], told: list[str]) -> str:
+def _text(table: dict[str, Any], warnings: list[str]) -> str:
     geometry = table["geometry"]
     lines = [
         f"{table['recordings']} recordings, model {table['model']}, signal {table['signal']}, "
         f"cost J = {table['cost']:.1f}",
         f"nominal robot: {geometry['source']}",
-        *told,
+        *warnings,
         f"{'motion':14}" + "".join(f"{c:>10}" for c in _COLUMNS) + f"{'RMSE mm':>10}{'RMSE deg':>10}",
     ]
     motions: dict[str, dict[str, float]] = table["motions"]

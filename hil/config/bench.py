@@ -106,7 +106,7 @@ class BenchConfig(Strict):
         return tuple(name for name in self.elsewhere() if kinds()[name].holds_robot)
 
     def of_one_world(self) -> BenchConfig:
-        """The same bench without the devices that are `elsewhere`: all that tells of the servos' robot."""
+        """The same bench without the devices that are `elsewhere`: all that see the servos' robot."""
         others = self.elsewhere()
         return self.model_copy(update=dict.fromkeys(others)) if others else self
 

@@ -16,7 +16,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hil.core.errors import HilError, shown_path, told
+from hil.core.errors import HilError, error_text, shown_path
 from hil.core.registry import GROUP
 
 _PACKAGE = os.path.realpath(Path(__file__).parents[1])
@@ -101,7 +101,7 @@ def _frames(error: BaseException, shipped: bool) -> Iterator[Frame]:
         kept = getattr(link, _FROM_ELSEWHERE, ())
         own = [frame for frame in _own(link, shipped) if frame.call not in {known.call for known in kept}]
         if own and not kept and not isinstance(link, HilError):
-            own[-1] = own[-1]._replace(raised=told(link))
+            own[-1] = own[-1]._replace(raised=error_text(link))
         yield from own
         yield from kept
         if kept:  # its causes are among them, also where a library has sent those, too

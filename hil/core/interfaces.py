@@ -107,7 +107,7 @@ class Actuators(Device, Protocol):
 class Holding(Sensor[S_co], Protocol[S_co]):
     """What keeps the robot on its surface beside its wheels: the fan, the propellers.
 
-    Opening and closing it changes nothing: it goes on as the last command said, whoever gave it.
+    Opening and closing it changes nothing: it goes on with the last command, of whichever program.
     """
 
     @abstractmethod
@@ -170,7 +170,7 @@ class Sink(Protocol):
         """Take one record."""
 
     def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
-        """Told what belongs between two cycles: how a run begins, how the robot was left. Never raises.
+        """Take a note between two cycles: how a run begins, how the robot was left. Never raises.
 
         Args:
             t_ns: bench time.
@@ -184,7 +184,7 @@ class Sink(Protocol):
         return None
 
     def rest(self) -> None:
-        """Told that the loop sleeps until its next cycle: the moment for a thread of the sink to work."""
+        """Called while the loop sleeps until its next cycle: a thread of the sink may work now."""
         return
 
     @abstractmethod

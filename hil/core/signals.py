@@ -285,7 +285,7 @@ _KNOWN = frozenset(KINDS)
 
 
 def samples_of(kind: str) -> Callable[[Inputs], tuple[Any, ...]]:
-    """What takes the samples of a kind out of inputs: `Inputs.of` for whoever asks in every cycle."""
+    """A function that takes the samples of a kind out of inputs: `Inputs.of` for a caller in every cycle."""
     if kind in _KNOWN:
         return attrgetter(kind)
     return lambda inputs: inputs.added.get(kind, ())

@@ -67,7 +67,7 @@ class WrongSigns:
         best = max(counts.values())
         return [words for words, n in counts.items() if n == best and n]
 
-    def told_of(self, index: int) -> str:
+    def warning_for(self, index: int) -> str:
         """What is wrong with one recording, and what would have to change; empty where nothing is."""
         changes = [words for words, found in self.explained.items() if found[index]]
         return _CONTRADICTS.format(", or if ".join(changes)) if changes else ""

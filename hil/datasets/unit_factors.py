@@ -182,7 +182,7 @@ def check_rates(where: str, t_s: Array, angle: Array, rate: Array) -> None:
         rate: (n, 4) wheel rates; not checked where one is no number.
 
     Raises:
-        DataError: names the columns, and the unit where the factor tells it.
+        DataError: names the columns, and the unit where the factor shows it.
     """
     if not np.all(np.isfinite(rate)):
         return

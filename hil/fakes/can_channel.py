@@ -4,7 +4,7 @@
 has been put into the registry by `CanChannel.open`. Across processes it is served by `hil.fakes.can_server`.
 
 Parts of the world and our own drivers have a `CanFrame`, which everybody who hears it shares; a `can.Message`
-is made of it for whoever calls `recv`, because that takes several times as long.
+is made of it only in `recv`, because that takes several times as long.
 """
 
 from __future__ import annotations
@@ -97,14 +97,14 @@ class CanChannel:
         if _CHANNELS.get(self.name) is self:
             del _CHANNELS[self.name]
 
-    def listen(self, told: Callable[[], None] | None = None) -> deque[Heard]:
+    def listen(self, on_frames: Callable[[], None] | None = None) -> deque[Heard]:
         """A new queue of (arrival time, frame); the oldest frames are lost when nothing reads.
 
         Args:
-            told: called when frames have been added.
+            on_frames: called when frames have been added.
         """
         queue: deque[Heard] = deque(maxlen=_QUEUE)
-        self._listeners.append((queue, told))
+        self._listeners.append((queue, on_frames))
         return queue
 
     def leave(self, queue: deque[Heard]) -> None:
@@ -217,7 +217,7 @@ class WorldBus(can.BusABC):
         super().__init__(channel, can_filters=can_filters, **kwargs)
 
     def take(self) -> CanFrame | can.Message | None:
-        """As `recv` without waiting, for whoever leaves the frame as it is.
+        """As `recv` without waiting, for a caller that does not change the frame.
 
         Raises:
             can.CanOperationError: unplugged.

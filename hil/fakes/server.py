@@ -55,7 +55,7 @@ class Face(Scheduled, Protocol):
 
 
 class EmulationServer:
-    """Runs a world and its faces until told to stop.
+    """Runs a world and its faces until a stop is asked for.
 
     Args:
         world: the emulated devices.

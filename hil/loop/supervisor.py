@@ -142,7 +142,7 @@ class Supervisor:
 
     @property
     def agreed(self) -> frozenset[str]:
-        """Devices that have told of a way since `reset` as others did."""
+        """Devices that have agreed with another on the motion since `reset`."""
         return frozenset() if self.checks.motion is None else self.checks.motion.agreed
 
     def limit(self, setpoint: WheelSetpoint) -> WheelSetpoint:
@@ -156,8 +156,8 @@ class Supervisor:
         if not math.isfinite(sum(rates) + sum(angles)):
             raise SafetyStop("not_finite", "a setpoint is not finite")
         if max(angles) > self._widest_rad or min(angles) < -self._widest_rad:
-            told_deg = np.degrees(angles).round(1).tolist()
-            raise SafetyStop("steering_limit", f"steering setpoint {told_deg} deg")
+            shown_deg = np.degrees(angles).round(1).tolist()
+            raise SafetyStop("steering_limit", f"steering setpoint {shown_deg} deg")
         fastest = self.limits.wheel_rate_limit_rad_s
         if max(rates) > fastest or min(rates) < -fastest:
             slowed = setpoint.wheel_rate_rad_s * (fastest / max(map(abs, rates)))

@@ -19,7 +19,7 @@ def files_of(targets: Iterable[str]) -> tuple[str, ...]:
 def what_is_missing(path: Path) -> str:
     """Why a file of Rerun is not whole; empty where it is.
 
-    A disk that was full leaves a file that breaks off, of which the library tells nothing.
+    A disk that was full leaves a file that breaks off, of which the library says nothing.
     """
     try:
         size = path.stat().st_size

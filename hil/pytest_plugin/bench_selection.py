@@ -143,7 +143,7 @@ def opened(item: pytest.Item) -> Generator[Bench, None, None]:
             source = replace(source, faults=(*source.faults, *faults))
             item.user_properties.extend(properties(source))
             bench = source.open()
-            bench.tells_held = False
+            bench.warns_not_held = False
             stack.enter_context(bench)
         yield bench
 

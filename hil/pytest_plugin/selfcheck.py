@@ -92,7 +92,7 @@ def watched(request: pytest.FixtureRequest) -> Watch:
     with plainly():
         idle = idle_for(source, watch_s * IDLE_SHARE)
         with source.open() as bench:
-            bench.tells_held = False
+            bench.warns_not_held = False
             if bench.rig.servos is not None:
                 bench.rig.servos.enable()
             identity = {d.name: dict(d.identity()) for d in bench.rig.devices()}

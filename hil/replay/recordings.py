@@ -79,9 +79,9 @@ class OpenedRecording:
         failed = [self.failed] if self.failed else []
         if not self.tables:
             return failed
-        from hil.calibration.warnings import told_by
+        from hil.calibration.warnings import warnings_of
 
-        reported = told_by(self.tables)
+        reported = warnings_of(self.tables)
         assumed = [] if self.named or len(self.tables[0].sources) == _PAIR else [self._assumed()]
         robot = replace(self.robot, geometry=self.bench.geometry)
         found = mismatch(reduce_recordings(self.tables, _BLOCK_S), robot)

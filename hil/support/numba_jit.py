@@ -152,9 +152,9 @@ class _Watch(event.Listener):  # type: ignore[misc]
         self._struck: Callable[[], object] | None = None
         self._raised: BaseException | None = None
 
-    def on_start(self, told: Any) -> None:
+    def on_start(self, event: Any) -> None:
         """A function, or a step of its compilation, begins."""
-        if told.kind == "numba:run_pass":
+        if event.kind == "numba:run_pass":
             try:
                 self._heed()
             except BaseException as error:
@@ -171,9 +171,9 @@ class _Watch(event.Listener):  # type: ignore[misc]
                     signal.signal(signal.SIGINT, self._strike)
         self._tell()
 
-    def on_end(self, told: Any) -> None:
+    def on_end(self, event: Any) -> None:
         """It has ended."""
-        if told.kind == "numba:run_pass":
+        if event.kind == "numba:run_pass":
             return
         self._depth -= 1
         if not self._depth:

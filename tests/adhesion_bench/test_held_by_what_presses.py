@@ -57,7 +57,7 @@ def test_a_fan_that_runs_on_unheard_is_held_by_what_the_cells_feel_for_long_enou
 def test_a_fan_that_nobody_hears_and_no_cell_feels_is_not_held():
     held, _, _ = left("adhesion:garbage@1", overrides={"load_cells": None})
     assert held.state == "NOT HELD"
-    assert "nobody measures it" in held.why
+    assert "no sensor measures it" in held.why
 
 
 def test_a_tether_holds_what_no_fan_presses():

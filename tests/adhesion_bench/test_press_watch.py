@@ -66,7 +66,7 @@ class Press:
 
 def test_enough_is_what_the_robot_needs_by_everybody_who_measures():
     press = Press()
-    assert "nobody measures it" in press.doubt()
+    assert "no sensor measures it" in press.doubt()
     assert press.doubt(fan=1.02 * NEED_N) == ""
     assert press.doubt(fan=1.02 * NEED_N, cells=1.02 * NEED_N) == ""
     assert f"{NEED_N:.1f} N are needed" in press.doubt(fan=1.02 * NEED_N, cells=0.98 * NEED_N)
@@ -77,7 +77,7 @@ def test_what_was_heard_a_while_ago_is_no_force():
     press = Press()
     assert press.doubt(fan=2.0 * NEED_N) == ""
     assert press.doubt(after_s=0.9 * STALE_S) == ""
-    assert "nobody measures it" in press.doubt(after_s=0.2 * STALE_S)
+    assert "no sensor measures it" in press.doubt(after_s=0.2 * STALE_S)
     assert press.words().endswith(
         "pressed on the wall: nothing by the fan's speed, nothing by the load cells"
     )
@@ -87,13 +87,13 @@ def test_a_look_right_after_another_one_begins_anew():
     press = Press()
     assert press.doubt(fan=2.0 * NEED_N) == ""
     press.watch.begin()
-    assert "nobody measures it" in press.doubt(after_s=0.0)
+    assert "no sensor measures it" in press.doubt(after_s=0.0)
 
 
 def test_a_fan_that_fails_to_answer_is_silent_and_ends_nothing():
     press = Press()
     press.waiting["adhesion"] = press.waiting["load_cells"] = None
-    assert "nobody measures it" in press.doubt()
+    assert "no sensor measures it" in press.doubt()
 
 
 def steady(press, seconds, **forces):

@@ -202,7 +202,7 @@ def test_a_script_that_leaves_the_robot_falling_is_warned_once(caplog):
 
 
 def test_whoever_says_it_otherwise_is_not_warned(caplog):
-    assert left_without_servos(tells_held=False).held.lost
+    assert left_without_servos(warns_not_held=False).held.lost
     with hil.open_bench("emulated_floor", seed=1, faults=["servos:off@1"]) as bench:
         wait(bench, 1.0)
     assert not bench.held.lost

@@ -41,7 +41,7 @@ def left(*faults, without=(), seed=5, feedback="ekf", way=CLIMB, **overrides):
 
 def test_on_a_tether_nobody_has_to_see_a_slide_and_the_word_says_so():
     blind = ("tracker", "mocap", "adhesion", "load_cells", "thrust")
-    said = "; on its tether, so nobody has to see whether it slides"
+    said = "; on its tether, so no sensor has to see whether it slides"
     with hil.open_bench("emulated", seed=1, overrides=dict.fromkeys(blind) | TETHER) as bench:
         bench.rig.actuators().enable()
     assert bench.held.state == "HELD"
@@ -87,7 +87,7 @@ def test_a_doubted_camera_is_named_where_nobody_else_could_see_a_slide():
     assert stop.reason == "sensors_disagree"
     assert (held.state, held.moved_m) == ("NOT HELD", None)
     assert (
-        "nobody can tell whether the robot slides (what the camera said before the stop is in doubt)"
+        "no sensor can see whether the robot slides (what the camera said before the stop is in doubt)"
         in held.why
     )
     assert (moved_m < FAR_M, speed_m_s < 1e-4) == (True, True), (
@@ -109,7 +109,7 @@ def test_load_cells_do_without_a_camera_where_the_propellers_report_or_are_not_n
     blind, lie = ("mocap",), "tracker:wrong@2.5,scale=0.3"
     held, _, _, speed_m_s = left(lie, without=blind)
     assert (held.state, speed_m_s < 1e-4) == ("NOT HELD", True)
-    assert "without the propellers: they report nothing, and nobody sees whether it slides" in held.why
+    assert "without the propellers: they report nothing, and no sensor sees whether it slides" in held.why
     for overrides in (VESCS, {"environment.friction": 0.9}):
         held, stop, _, speed_m_s = left(lie, without=blind, **overrides)
         assert stop.reason == "sensors_disagree"

@@ -69,7 +69,8 @@ def test_nobody_of_another_world_says_that_the_robot_is_held(monkeypatch):
     assert bench.held.state == "NOT HELD"
     assert bench.held.moved_m is None
     assert (
-        "nobody can tell whether the robot slides (camera, motion capture: in another world than the servos, "
+        "no sensor can see whether the robot slides "
+        "(camera, motion capture: in another world than the servos, "
         "blind to this robot)" in bench.held.why
     )
     assert "pressed" not in bench.held.why

@@ -89,6 +89,6 @@ def test_a_port_of_the_propellers_that_takes_nothing_is_told_once(caplog):
         bench.drive(WAY, hold_s=0.5)
         bench.clock.sleep_until_ns(bench.clock.now_ns() + nanoseconds(3.0))
         assert not bench.truth().fallen
-    told = [r.getMessage() for r in caplog.records if "while nobody read" in r.getMessage()]
+    told = [r.getMessage() for r in caplog.records if "while no caller read" in r.getMessage()]
     assert len(told) == 1
-    assert "the propellers go on as told last" in told[0]
+    assert "the propellers go on as last commanded" in told[0]

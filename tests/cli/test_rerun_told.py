@@ -20,7 +20,7 @@ def told(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 
     def tell(view):
-        options.tell_view(view)
+        options.say_rerun_files(view)
         said = capsys.readouterr()
         assert said.out == ""
         return said.err.splitlines()

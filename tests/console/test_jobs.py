@@ -104,7 +104,7 @@ def test_of_two_answers_at_once_one_is_taken(asking, monkeypatch):
     monkeypatch.setattr(jobs, "state", lambda job: seen)
     assert [jobs.answer(job, one, "a"), jobs.answer(job, one, "b")] == [
         "",
-        "somebody else has just answered that question",
+        "another user has just answered that question",
     ]
     assert got() == "a\n"
 

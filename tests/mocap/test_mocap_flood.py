@@ -63,7 +63,7 @@ def test_one_read_looks_at_a_bounded_number_of_useless_datagrams(kinds, caplog):
             assert list(session.frames()) == []
             assert ports.taken == 256 * read
     assert session.floods == 3
-    assert caplog.text.count("somebody floods the ports of 127.0.0.1:1510") == 1
+    assert caplog.text.count("another program floods the ports of 127.0.0.1:1510") == 1
     assert session.strangers + session.malformed + session.repeated == ports.taken
 
 

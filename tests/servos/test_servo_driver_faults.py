@@ -232,7 +232,7 @@ def test_a_pulled_adapter_and_its_return(servo_bench):
         cycles(bench, 9)
     bench.driver.stop()
     bench.driver.command(STILL)
-    with pytest.raises(DeviceError, match="nobody answers"):
+    with pytest.raises(DeviceError, match="no servo answers"):
         bench.driver.release()
     bench.driver.close()
 

@@ -48,7 +48,7 @@ def test_torque_that_does_not_go_off_is_told(servo_bench):
         bench.world.faults.clear()
     assert any("torque is not off: drive_FL, drive_BL" in text for text in said)
     assert any(" (no answer)" in text for text in said)
-    assert any("torque is not off: nobody answers" in text for text in said)
+    assert any("torque is not off: no servo answers" in text for text in said)
 
 
 def test_release_lets_go_and_stop_holds(servo_bench):

@@ -131,7 +131,7 @@ def _delay(device: str, check: str, found_s: Array) -> Finding:
 
 
 def _agreement(servos_ms: float, encoders_ms: float) -> Finding:
-    """The same turn told by two: who tells it later tells of the past, or stamps its samples too late."""
+    """Servos and encoders measure the same turn: the later one delays its values, or stamps them too late."""
     apart_ms = abs(servos_ms - encoders_ms)
     right = apart_ms <= 1e3 * _APART_S
     late, other = ("servos", "encoders") if servos_ms > encoders_ms else ("encoders", "servos")

@@ -14,7 +14,7 @@ MOST_M_S = 0.005
 
 
 def sees_no_motion(subject: Subject) -> str:
-    """The position that a device tells of a robot at rest drifts by less than 5 mm/s."""
+    """The position that a device reports of a robot at rest drifts by less than 5 mm/s."""
     kind = kinds()[subject.kind]
     if not (kind.motion_threshold and kind.measures_position):
         return "reports no position"

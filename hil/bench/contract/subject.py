@@ -42,7 +42,7 @@ class Watched:
 
     Attributes:
         samples: oldest first.
-        identity: as it told it.
+        identity: as reported by the device.
         began_ns, ended_ns: bench time.
         took_s: how long each read took.
     """

@@ -54,7 +54,7 @@ def expected_offsets_rad(config: BenchConfig) -> tuple[float, ...] | None:
 
 
 def slipped_between(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iterator[Finding]:
-    """What the doctor says of the steering axes; nothing where nothing is kept, or a device told nothing.
+    """Findings on the steering axes; none without offsets in the record, or samples of a device.
 
     Args:
         config: of the bench.

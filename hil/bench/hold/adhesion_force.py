@@ -94,7 +94,7 @@ class AdhesionForceCheck:
         self._alone.begin(for_good=for_good)
 
     def end(self) -> None:
-        """Nothing looks any more: propellers that were left alone are told their force again."""
+        """End the check: propellers that were left alone are sent their force again."""
         self._alone.end()
         self.waits = False
 
@@ -119,7 +119,7 @@ class AdhesionForceCheck:
         least_n = self._limits.statics.needed_n(push_n, self.heading_rad)
         message = ", ".join(f"{force_n:.1f} N by {name}" for name, force_n in fresh.items())
         if not fresh or not min(fresh.values()) >= least_n:  # NaN is not enough either
-            message = message or "nobody measures it"
+            message = message or "no sensor measures it"
             whole_n = self._limits.statics.needed_n(self._limits.nominal_thrust_n, self.heading_rad)
             self.waits = self._alone.begun and min(fresh.values(), default=0.0) >= whole_n
             if self.waits:
@@ -242,10 +242,10 @@ class AdhesionForceCheck:
 
 
 def _to_be_seen(left_s: float) -> str:
-    """What propellers that report nothing still lack."""
+    """What is still missing before propellers that report nothing count, in words."""
     if math.isfinite(left_s):
         return f"the robot is to be seen at rest for {left_s:.1f} s more"
-    return "nobody sees whether it slides, or knows how long they would need to let it"
+    return "no sensor sees whether it slides, or knows how long they would need to let it"
 
 
 def press_watch(config: BenchConfig, rig: DeviceSet) -> AdhesionForceCheck:

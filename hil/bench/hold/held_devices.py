@@ -50,7 +50,7 @@ class HeldDevices:
         self.config, self.geometry = model.config, model.geometry
         self.seed, self.calibration = model.seed, model.calibration
         self.held = untouched("no device was opened: the robot is as it was before")
-        self.tells_held = True
+        self.warns_not_held = True
         self.waits_for_sensors = False
         self.own_controller: MakeController | None = None
         self.lost: list[str] = []
@@ -110,7 +110,7 @@ class HeldDevices:
                     self.held = self._hold.released()
                 self._looked_ns = self.clock.now_ns()
                 self._note(self._looked_ns, HELD_NOTE, self.held.to_json())
-                if self.tells_held and self.held.lost:
+                if self.warns_not_held and self.held.lost:
                     LOG.warning("bench %s: the robot is left %s", self.config.name, self.held)
         finally:
             self._let_go()
@@ -133,7 +133,7 @@ class HeldDevices:
         self._before_opening.append(callback)
 
     def begin(self) -> None:
-        """Let an emulated world at the wire run, for whoever opens devices one by one. Idempotent."""
+        """Let an emulated world at the wire run, for a caller that opens devices one by one. Idempotent."""
         while self._before_opening:
             self._before_opening.pop(0)()
         if self._begun_ns is None:

@@ -69,7 +69,9 @@ class Preload:
         self._ask("adhesion", raised_n or force_wanted_n(self._config))
         limit_n = self._wait(limits, thrust_n)
         self._compare()
-        message = f"Pressed on the wall with {self._told()}; {limit_n:.1f} N are the least on this surface."
+        message = (
+            f"Pressed on the wall with {self._forces_text()}; {limit_n:.1f} N are the least on this surface."
+        )
         if raised_n:
             message += (
                 f" The fan ran at {raised_n:.1f} N, more than the {force_wanted_n(self._config):g} N of the "
@@ -119,11 +121,11 @@ class Preload:
         if len(found) == 2 and apart(found[0], found[1]):
             raise SafetyStop(
                 "adhesion_disagree",
-                f"nothing has moved, and those who measure the force disagree: {self._told()}; look at "
+                f"nothing has moved, and the sensors of the force disagree: {self._forces_text()}; look at "
                 "load_cells.zero_n, adhesion.rated_force_n and the seal, and run adhesion_check",
             )
 
-    def _told(self) -> str:
+    def _forces_text(self) -> str:
         return ", ".join(f"{force:.1f} N by {name}" for name, force in self._seen_n.items())
 
     def _wait(self, limits: AdhesionLimits, thrust_n: float) -> float:
@@ -143,7 +145,7 @@ class Preload:
             if steady or (steady_ns is not None and force_n >= self._enough(limit_n)):
                 return limit_n
             self._clock.sleep_until_ns(now_ns + _STEP_NS)
-        text = self._told() or "nothing measured"
+        text = self._forces_text() or "nothing measured"
         if not self._pushes(limits, thrust_n):
             text += f", and pushed up with {self._push_n:.1f} N of {thrust_n:.1f}"
             if limits.pushes_too_much(self._push_n):

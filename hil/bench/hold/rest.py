@@ -14,11 +14,11 @@ from hil.core.geometry import Array
 
 WINDOW_NS = nanoseconds(0.2)
 JOINTS = "servos"
-"""The kind that tells angles of joints, and no place."""
+"""The kind that measures angles of joints, and no position."""
 _LEAST = 4
 _FRESH_NS = nanoseconds(0.05)
 _FINE_M = 0.001
-"""Who sees a robot at rest move by no more than this tells any way; who is coarser only one beyond that."""
+"""A sensor with less noise than this at rest counts any displacement; a coarser one only beyond its noise."""
 _MEAN_OF = 5
 """Sightings that are averaged against a camera's noise: 25 ms of it."""
 
@@ -59,7 +59,7 @@ class Trail:
 
 
 class MotionSinceStop:
-    """How far the robot is from where it was stopped, by each that tells a place, and by its wheels.
+    """How far the robot is from where it was stopped, by each sensor of position, and by its wheels.
 
     Args:
         kinds: those that notice a motion, by name.
@@ -84,7 +84,7 @@ class MotionSinceStop:
 
     @property
     def names(self) -> Collection[str]:
-        """Who tells a place or an angle."""
+        """The sensors of a position or an angle."""
         return self._latest.keys()
 
     def passed(self, name: str, t_ns: int, place: Array) -> None:
@@ -102,7 +102,7 @@ class MotionSinceStop:
         self._was_stopped = True
 
     def begins_anew(self, name: str) -> None:
-        """What it says from now on is told in another frame."""
+        """The sensor's frame has changed: forget its positions."""
         self._latest[name].clear()
         self._from.pop(name, None)
         self._farthest_m.pop(name, None)
@@ -127,11 +127,11 @@ class MotionSinceStop:
         self._farthest_m[name] = max(self._farthest_m.get(name, 0.0), moved_m)
 
     def moved_m(self, believed: Collection[str], *, slides: bool) -> float | None:
-        """Farthest that anything says it went; None where it cannot be told, or the way is within the noise.
+        """Farthest that anything says it went; None where that is unknown, or within the noise.
 
         Args:
             believed: whose word counts.
-            slides: whether it may move without its wheels, so that they alone tell nothing.
+            slides: whether it may move without its wheels, so that they alone do not count.
         """
         reported = {
             name: moved_m

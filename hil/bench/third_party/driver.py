@@ -25,7 +25,7 @@ from hil.bench.third_party.call_timeout import (
 )
 from hil.bench.third_party.sample_checks import checks_of, short
 from hil.core.device import DeviceKind, DeviceModel
-from hil.core.errors import HilError, told
+from hil.core.errors import HilError, error_text
 from hil.core.interfaces import Device
 from hil.core.package_errors import OURS, PackageError, blamed
 
@@ -119,7 +119,7 @@ class ThirdPartyDriver:
         except CallTimeoutError as error:
             LOG.warning("%s", error)
         except (Exception, SystemExit, GeneratorExit) as error:
-            LOG.warning("%s (%s): close() raised %s", self._kind.name, self._package, told(error))
+            LOG.warning("%s (%s): close() raised %s", self._kind.name, self._package, error_text(error))
 
     def identity(self) -> Mapping[str, str]:
         """What the driver says it found."""

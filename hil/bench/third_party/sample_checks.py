@@ -61,8 +61,8 @@ def checks_of(kind: DeviceKind) -> list[tuple[str, str, Wrong]]:
             found.append((field, message, functools.partial(_of_status, len(kind.labels))))
         elif hint == Array:
             shape = shapes.get(field)
-            told_shape = f" of shape {shape}" if shape else ""
-            expected = f"a numpy array of float64, float32, int64 or bool{told_shape}"
+            shape_text = f" of shape {shape}" if shape else ""
+            expected = f"a numpy array of float64, float32, int64 or bool{shape_text}"
             found.append((field, expected, functools.partial(_of_array, shape)))
         else:
             found.append((field, f"a {_written(hint)}", _of(hint)))

@@ -40,7 +40,7 @@ def commanded_on_can(
     *,
     subnet: int,
     dbc: Path | str,
-    told: tuple[str, ...],
+    printed: tuple[str, ...],
 ) -> EmulatedDevice:
     """Emulated controllers on a channel, with a daemon of their world that commands them.
 
@@ -50,9 +50,9 @@ def commanded_on_can(
         nodes: the controllers; they begin in use with the bench.
         subnet: as of `on_can`.
         dbc: as of `on_can`.
-        told: keys of the table that clients are told.
+        printed: keys of the table that clients get.
     """
-    values = {key: getattr(request.config, key) for key in told}
+    values = {key: getattr(request.config, key) for key in printed}
 
     def begin_in_use() -> None:
         for node in nodes:
@@ -64,7 +64,7 @@ def commanded_on_can(
         subnet=subnet,
         dbc=dbc,
         listens=True,
-        told=values,
+        printed=values,
         parts={"make_commander": DaemonInWorld(request.world).commander},
         begin=begin_in_use,
     )
@@ -84,7 +84,7 @@ class DaemonInWorld(MotorCommander, Scheduled):
         world: of the fan.
     """
 
-    tells = True
+    announces = True
 
     def __init__(self, world: World) -> None:
         self._world = world

@@ -23,7 +23,7 @@ class DaemonFan(CanModel):
         channel = channel_of(request)
         node = loaded(self.chip).build(request, channel)
         dbc = loaded(self.dbc) if self.dbc else ""
-        return commanded_on_can(request, channel, [node], subnet=self.subnet, dbc=dbc, told=self.printed)
+        return commanded_on_can(request, channel, [node], subnet=self.subnet, dbc=dbc, printed=self.printed)
 
     def search(self, search: Search) -> Found | None:
         """None: to ask such a bus is to take part in it."""

@@ -22,7 +22,7 @@ from hil.drivers.links.stuck_values import StuckTest
 _FASTEST = 3.0
 """Times the rated speed: no fan turns so fast."""
 _VOLTS, _CELSIUS = (0.0, 150.0), (-60.0, 250.0)
-"""Battery and transistors: beyond, a report is damaged and tells nothing of them."""
+"""Battery and transistors: beyond, a report is damaged and not used."""
 _STUCK_S = 0.5
 _RUNNING_RPM = 1000.0
 

@@ -116,8 +116,8 @@ class DaemonMotor(Holding[S], Generic[C, S]):
         """Nothing was heard of `whose` for so long; `then` is what it does without commands."""
         return DeviceTimeoutError(
             self.name,
-            f"no report of {whose} for {silent_ns / NS_PER_S:.1f} s{self._link.told()}: once no command "
-            f"reaches it for {self._config.timeout_s:g} s {then}. Secure the robot",
+            f"no report of {whose} for {silent_ns / NS_PER_S:.1f} s{self._link.bus_errors()}: once no "
+            f"command reaches it for {self._config.timeout_s:g} s {then}. Secure the robot",
             port=self._link.port,
             expected="status message 1",
             remedy="plug the CAN adapter in again; "

@@ -12,7 +12,7 @@ from hil.core.signals import AdhesionSample, Status
 from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
 
 _NOMINAL_V, _LEAST_V, _MOST_V = 22.2, 5.0, 100.0
-"""Battery voltage where the controller tells none that can be."""
+"""Battery voltage (V) where the controller reports none that can be."""
 _EVERY_NS = nanoseconds(0.2)
 _SETTLING_NS, _AFTER_RAMP_NS = nanoseconds(1.5), nanoseconds(0.8)
 """Time that the fan has from the set-point, and from the end of the daemon's ramp towards it."""
@@ -33,7 +33,7 @@ class SpeedTrim:
         now: the fan's latest report.
 
     Attributes:
-        point: what the controller is to be told now.
+        point: the set-point for the controller now.
     """
 
     def __init__(

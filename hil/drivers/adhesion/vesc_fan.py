@@ -62,7 +62,7 @@ class VescFan(MotorFan[VescConfig]):
         return {
             "model": "VESC",
             "port": f"{self._link.port}, controller {self._config.controller_id}",
-            "firmware": self._answers.firmware or "not told",
+            "firmware": self._answers.firmware or "not reported",
         }
 
     def _input_v(self) -> float:

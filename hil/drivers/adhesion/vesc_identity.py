@@ -71,7 +71,7 @@ class Seen:
         if timeout_s == 0.0:
             raise DeviceError(
                 name,
-                "the controller's time-out is 0: its motor would run for ever once nobody commands it",
+                "the controller's time-out is 0: its motor would run for ever without commands",
                 port=port,
                 expected=f"at least {least_s:g} s",
                 remedy=_TIMEOUT,
@@ -99,7 +99,7 @@ class Seen:
             )
         return DeviceTimeoutError(
             name,
-            f"no VESC answers{link.told()}",
+            f"no VESC answers{link.bus_errors()}",
             port=link.port,
             expected=f"controller {config.controller_id} at {config.bitrate} bit/s",
             remedy=remedy_of_silence(name, config, "the controller") + "; VESC Tool has its bit rate in App "
@@ -107,7 +107,7 @@ class Seen:
         )
 
     def findings(self, name: str, config: VescConfig, answers: Answers) -> Iterator[Finding]:
-        """What the doctor tells of how the controller is set."""
+        """Findings on the settings of the controller."""
         settings = answers.settings
         if settings is None:
             found = f"the controller does not tell; the bench file says {config.timeout_s:g} s"
@@ -130,7 +130,7 @@ class Seen:
     def _firmware(name: str, firmware: str) -> Finding:
         remedy = "update it with VESC Tool"
         if not firmware:
-            return Finding(name, "firmware", "warning", "not told", "5.03 or later", remedy)
+            return Finding(name, "firmware", "warning", "not reported", "5.03 or later", remedy)
         major, _, minor = firmware.partition(".")
         old = (int(major), int(minor)) < _OLDEST_FIRMWARE
         return Finding(name, "firmware", "warning" if old else "ok", firmware, "5.03 or later", remedy)

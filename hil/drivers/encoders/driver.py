@@ -127,7 +127,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         shut(self.name, bus)
 
     def identity(self) -> Mapping[str, str]:
-        """Bus, DBC and frames in use, and the node's firmware once it has told it; empty while closed."""
+        """Bus, DBC and frames in use, and the node's firmware once it has reported it; empty while closed."""
         if not self._identity or not self.node_status.heard:
             return self._identity
         return {**self._identity, "firmware": self.node_status.firmware}

@@ -112,5 +112,5 @@ class CanSensor(StreamingSensor[C, S]):
         )
 
     def silence_details(self) -> str:
-        """What the interface has reported."""
-        return self._link.told()
+        """Errors that the CAN interface has reported."""
+        return self._link.bus_errors()

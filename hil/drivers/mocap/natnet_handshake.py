@@ -23,7 +23,7 @@ class Handshake:
         config: what is wanted.
         clock: the bench clock.
         name: device name in errors.
-        silent: makes the error that tells of silence.
+        silent: makes the error for a silent server.
     """
 
     def __init__(

@@ -153,7 +153,7 @@ class Bus:
     def answered(self, patience_ns: int) -> Exchange:
         """What was asked for with `ask`, waited for until its deadline and at least `patience_ns` from now.
 
-        Whoever asked ahead may have been kept from listening until the deadline was over; the answer
+        The caller may have been kept from listening until the deadline was over; the answer
         is then about to be handed over by a computer that had the same to do.
         """
         if self._asked is not None:

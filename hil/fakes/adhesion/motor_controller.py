@@ -62,7 +62,7 @@ class MotorNode(Scheduled):
 
     Options = AdhesionTruthOptions
     supported_faults = FAN_FAULTS
-    tells = True
+    announces = True
 
     @classmethod
     def build(cls, request: EmulationRequest, channel: CanChannel) -> Self:

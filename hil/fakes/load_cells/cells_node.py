@@ -33,7 +33,7 @@ class CellNode(Scheduled):
     """
 
     Options = LoadCellTruthOptions
-    tells = True
+    announces = True
 
     @classmethod
     def build(cls, request: EmulationRequest, channel: CanChannel) -> CellNode:

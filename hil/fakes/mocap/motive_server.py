@@ -70,7 +70,7 @@ class NatNetServer(Scheduled):
     """
 
     Options = MocapTruthOptions
-    tells = True
+    announces = True
 
     @classmethod
     def build(cls, request: EmulationRequest) -> NatNetServer:

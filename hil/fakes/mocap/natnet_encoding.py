@@ -88,7 +88,7 @@ class Frames:
 
 
 class _Places(NamedTuple):
-    """Where a frame tells of one body: its markers, twice, itself, its labelled markers."""
+    """Offsets of one body in a frame: its markers, twice, its pose, its labelled markers."""
 
     points: int
     points_in_all: int

@@ -42,7 +42,7 @@ class ServoBus(SerialChip, Scheduled):
 
     Options = ServoBusOptions
     alone = True
-    tells = True
+    announces = True
     polls_alone = True
 
     @classmethod

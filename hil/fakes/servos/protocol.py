@@ -31,7 +31,7 @@ _SHORTEST, _LONGEST = 3, 1024
 
 
 class Instruction(NamedTuple):
-    """One instruction packet; `sound` tells whether its checksum was right."""
+    """One instruction packet; `sound`: whether its checksum was right."""
 
     servo_id: int
     code: int

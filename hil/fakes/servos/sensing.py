@@ -81,7 +81,7 @@ class Sensing:
     """Encoder history of all eight joints, in counts of the joint's own direction from joint angle 0.
 
     Args:
-        plant: tells angles, rates and currents.
+        plant: gives angles, rates and currents.
         rng: of the dither.
         models: of the eight servos: what their counts and motors are.
 

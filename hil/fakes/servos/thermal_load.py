@@ -19,7 +19,7 @@ class ThermalModel:
     """Supply and temperatures of eight servos.
 
     Args:
-        sensing: tells the motor currents.
+        sensing: gives the motor currents.
         options: supply, air temperature, overload limits.
         models: of the eight servos.
 

@@ -2,7 +2,7 @@
 
 The number is on the scale of a servo library: 0 is a pulse of 1000 us, 180 of 2000 us. After an error (a line
 that is none, a number out of range) it takes the throttle down one step every 100 ms, until it understands
-a line again. Without lines it goes on as it was told last.
+a line again. Without lines it goes on with the last throttle.
 """
 
 from __future__ import annotations

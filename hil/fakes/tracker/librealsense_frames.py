@@ -147,7 +147,7 @@ class WorldPipeline:
         self._callback: FrameCallback | None = None
 
     def resolve(self) -> WorldSensor:
-        """What can be told before the stream starts."""
+        """The sensor that takes options before the stream starts."""
         return WorldSensor(self._camera)
 
     def start(self, config: Any, callback: FrameCallback) -> DeviceInfo:

@@ -1,6 +1,6 @@
-"""Whether a sensor's samples come as often and as soon as those of a healthy one: what is late, lost or slow.
+"""Checks that a sensor's samples come as often and as soon as those of a healthy one: late, lost or slow.
 
-A lost packet is not worth a word; a share of them is, told once until it is over. Deterministic: depends on
+A single lost packet is ignored; a share of them is reported once until it is over. Deterministic: depends on
 the inputs seen since `reset` and on nothing else.
 """
 

@@ -82,7 +82,7 @@ def all_files(folder: Path) -> list[str]:
 def written(kept: Kept) -> list[str]:
     """What `hil` has written into the folder of a result, as paths within it.
 
-    What makes the folder a result comes last: whoever is interrupted in the middle can delete it again.
+    What makes the folder a result comes last: an interrupted removal can be repeated.
     """
     folder, there = kept.folder, all_files(kept.folder)
     marks = (

@@ -33,7 +33,7 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
         self, config: DroneCanConfig, clock: Clock, make_commander: MakeCommander | None = None
     ) -> None:
         self._dronecan = library()
-        self._told = ""
+        self._node_info = ""
         super().__init__(config, clock, make_commander)
 
     def _forget(self) -> None:
@@ -64,7 +64,7 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
                 expected="esc.Status",
                 remedy="switch it on at 20 Hz or more, or set adhesion.esc_index",
             )
-        self._told = info
+        self._node_info = info
         return {
             "model": info or "DroneCAN motor controller",
             "port": f"{self._link.port}, node {config.node_id}",
@@ -123,7 +123,7 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
             )
         return DeviceTimeoutError(
             self.name,
-            f"no DroneCAN node answers{self._link.told()}",
+            f"no DroneCAN node answers{self._link.bus_errors()}",
             port=port,
             expected=f"node {node_id} at {self._config.bitrate} bit/s",
             remedy=remedy_of_silence(self.name, self._config, "the controller")
@@ -157,8 +157,8 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
             Finding(
                 self.name,
                 "identity",
-                "ok" if self._told else "warning",
-                self._told or "not told",
+                "ok" if self._node_info else "warning",
+                self._node_info or "not reported",
                 "an answer to GetNodeInfo",
                 "look at the node with `dronecan_gui_tool`",
             ),

@@ -30,7 +30,7 @@ class VescPropellers(CanModel):
         channel = channel_of(request)
         options = request.options(VescThrustTruthOptions, timeout_s=request.config.timeout_s)
         nodes = propellers(request.world, channel, request.config, options)
-        return commanded_on_can(request, channel, nodes, subnet=self.subnet, dbc=DBC, told=self.printed)
+        return commanded_on_can(request, channel, nodes, subnet=self.subnet, dbc=DBC, printed=self.printed)
 
     def search(self, search: Search) -> Found | None:
         """Ping the controllers on the CAN buses that were named, or of the system, without the fan's."""
@@ -43,6 +43,6 @@ class VescPropellers(CanModel):
             own, left = others[:MOST_CONTROLLERS], others[MOST_CONTROLLERS:]
             if own:
                 notes = [f"controllers {', '.join(map(str, own))} are taken for the propellers'"]
-                notes += [f"nobody uses controllers {', '.join(map(str, left))}"] * bool(left)
+                notes += [f"no table uses controllers {', '.join(map(str, left))}"] * bool(left)
                 return Found(config.table(controller_ids=own), tuple(notes))
         return None

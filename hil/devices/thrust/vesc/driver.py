@@ -62,7 +62,7 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
     def _greet(self, spec: Spec) -> dict[str, str]:
         self._known = {motor.controller_id: self._met(motor, spec) for motor in self._config.motors()}
         ids = ", ".join(map(str, self._config.controller_ids))
-        reported = dict.fromkeys(answers.firmware or "not told" for _, _, answers in self._known.values())
+        reported = dict.fromkeys(answers.firmware or "not reported" for _, _, answers in self._known.values())
         return {
             "model": "VESC",
             "port": f"{self._link.port}, controllers {ids}",
