@@ -275,7 +275,7 @@ class Alter(ast.NodeTransformer):
         return node
 
     def visit_Expr(self, node: ast.Expr) -> ast.AST:
-        """A call whose value nobody takes, left out; never a docstring."""
+        """A call whose value is not used, left out; never a docstring."""
         if isinstance(node.value, ast.Constant):
             return node
         self.generic_visit(node)

@@ -124,7 +124,7 @@ def command(
     line = json.dumps(endpoints)
     nothing = contextlib.nullcontext()
     robot = (
-        nothing if await_start else _told_of(EmulatedSupport(config, server.world, "servos" in server.faces))
+        nothing if await_start else _hold_reported(EmulatedSupport(config, server.world, "servos" in server.faces))
     )  # the caller that awaits the start reports it
     links, first = PortLinks(config, endpoints, of_hardware=standard_ports), config.loop.fifo_priority
     with _as_prompt_as_hardware(first), robot, file or nothing, _linked(links):
@@ -149,8 +149,8 @@ def _end_when_asked(stop: Callable[[], None], *, only_by_sigterm: bool) -> None:
 
 
 @contextlib.contextmanager
-def _told_of(robot: EmulatedSupport) -> Iterator[None]:
-    """How the robot is held on its wall is said on stderr, at the start and at the end."""
+def _hold_reported(robot: EmulatedSupport) -> Iterator[None]:
+    """Print on stderr how the robot is held on its wall, at the start and at the end of the block."""
     if reported := robot.at_the_start():
         click.echo(reported, err=True)
     try:

@@ -34,7 +34,7 @@ class ModuleLayer:
         dt_s: period of the loop, s.
 
     Attributes:
-        following: whether the latest twist is what the wheels were told to do: not held, limited or slowed.
+        following: whether the latest twist is what the wheels were commanded: not held, limited or slowed.
     """
 
     def __init__(self, geometry: WheelGeometry, limits: ModuleLimits, dt_s: float) -> None:

@@ -82,7 +82,7 @@ class CanChannel:
         self._listeners: list[tuple[deque[Heard], Callable[[], None] | None]] = []
         self._rng = world.rng(f"can.{device}")
         self._free_ns = 0
-        self._told_bus_off = False
+        self._bus_off_seen = False
 
     def open(self) -> CanChannel:
         """Make the channel known to `can.Bus`; raises `UsageError` if the name is taken."""
@@ -170,11 +170,11 @@ class CanChannel:
         """The frame as it arrives and how often, or None when it does not."""
         faults = {f.kind: f for f in self.faults.active(self._device, t_ns)}
         if "bus_off" in faults or "baud_mismatch" in faults:
-            if self._told_bus_off:
+            if self._bus_off_seen:
                 return None
-            self._told_bus_off = True
+            self._bus_off_seen = True
             return can.Message(is_error_frame=True, dlc=8, data=bytes(8)), 1
-        self._told_bus_off = False
+        self._bus_off_seen = False
 
         def hit(kind: str) -> bool:
             fault = faults.get(kind)

@@ -36,7 +36,7 @@ from hil.pytest_plugin.bench_selection import plainly, properties, source_of
 from hil.robot.statics import GRAVITY_M_S2
 
 __all__ = [
-    "_told",
+    "_bench_in_results",
     "test_every_device_says_what_it_is",
     "test_gravity_and_rates_are_those_of_rest",
     "test_gravity_points_where_the_bench_file_says",
@@ -109,7 +109,7 @@ def idle_for(source: BenchSource, seconds: float) -> tuple[LoopStatistics, ...]:
 
 
 @pytest.fixture(autouse=True)
-def _told(request: pytest.FixtureRequest) -> None:
+def _bench_in_results(request: pytest.FixtureRequest) -> None:
     """Bench, calibration version and seed beside every result."""
     if "watched" in request.fixturenames:
         request.node.user_properties.extend(properties(source_of(request.config)))

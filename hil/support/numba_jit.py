@@ -146,7 +146,7 @@ class _Watch(event.Listener):  # type: ignore[misc]
     """
 
     def __init__(self) -> None:
-        self._clock, self._depth, self._begun_ns, self._told_ns = MonotonicClock(), 0, 0, 0
+        self._clock, self._depth, self._begun_ns, self._reported_ns = MonotonicClock(), 0, 0, 0
         self._spent_ns, self._functions, self._not_kept = 0, 0, False
         self._handler: Any = None
         self._struck: Callable[[], object] | None = None
@@ -206,8 +206,8 @@ class _Watch(event.Listener):  # type: ignore[misc]
 
     def _tell(self) -> None:
         spent_ns = self._spent_ns + self._clock.now_ns() - self._begun_ns
-        if spent_ns > self._told_ns + (_NEXT_WORD_NS if self._told_ns else _FIRST_WORD_NS):
-            self._told_ns = spent_ns
+        if spent_ns > self._reported_ns + (_NEXT_WORD_NS if self._reported_ns else _FIRST_WORD_NS):
+            self._reported_ns = spent_ns
             _LOG.warning(
                 "compiling the numerical kernels, once for this version (`hil info --compile` does it "
                 "beforehand): %d functions in %.0f s",

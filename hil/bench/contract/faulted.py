@@ -63,7 +63,7 @@ def _seen(anew: Callable[[], Bench], kind: str, fault: str) -> Seen:
             at_s = began_ns / NS_PER_S + _AT_S
             world.faults.add(parse_fault(f"{kind}:{fault}@{at_s:.3f}{_SURELY.get(fault, '')}"))
         reported += _watched(bench, kind)
-        reported.append(_told_of(bench.truth()))
+        reported.append(_text_of(bench.truth()))
         reported.append(world.plant.adhesion_n())
     finally:
         bench.close()
@@ -83,7 +83,7 @@ def _watched(bench: Bench, kind: str) -> Iterator[Any]:
                 opened.append(one)
         if servos is not None:
             servos.enable()
-        yield from map(_told_of, _driven(bench, device, servos, holds=kinds()[kind].holds_robot))
+        yield from map(_text_of, _driven(bench, device, servos, holds=kinds()[kind].holds_robot))
         yield {k: v for k, v in vars(device).items() if type(v) is int and not k.startswith("_")}
     except HilError as error:
         yield str(error)
@@ -108,13 +108,13 @@ def _driven(bench: Bench, device: Any, servos: Any, *, holds: bool) -> Iterator[
         bench.clock.sleep_until_ns(next_ns)
 
 
-def _told_of(value: Any) -> str:
+def _text_of(value: Any) -> str:
     """All of a sample in words that compare, NaN as NaN, and every digit of an array."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
     if is_dataclass(value):
-        own = (f"{field.name}={_told_of(getattr(value, field.name))}" for field in fields(value))
+        own = (f"{field.name}={_text_of(getattr(value, field.name))}" for field in fields(value))
         return f"{type(value).__name__}({', '.join(own)})"
     if isinstance(value, tuple):
-        return f"({', '.join(map(_told_of, value))})"
+        return f"({', '.join(map(_text_of, value))})"
     return repr(value)
