@@ -44,7 +44,7 @@ UNSETTLED = 2
 
 @contextmanager
 def left_out() -> Iterator[None]:
-    """Nobody compares."""
+    """A check that compares nothing."""
 
     def nothing(*given: object) -> tuple[()]:
         return ()

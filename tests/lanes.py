@@ -72,7 +72,7 @@ THINNED = {
     "adhesion_bench/test_hanging_on_the_wall.py::test_who_lies": 6,
     "bench/test_doctor_discover_setup.py::test_a_sick_device": 2,
     "bench/test_held.py::test_whenever_it_happens": 4,
-    "bench/test_held.py::test_whoever_loses_servos": 6,
+    "bench/test_held.py::test_lost_servos": 6,
     "adhesion_bench/test_hanging_on_the_wall.py::test_no_torque_and_no_motion": 6,
     "bench/test_doctor_discover_setup.py::test_a_device_that_falls_ill": 2,
     "bench/test_doctor_discover_setup.py::test_the_emulated_bench_is_healthy": 2,

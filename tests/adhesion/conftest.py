@@ -17,7 +17,7 @@ def shared(tmp_path_factory):
 
 @pytest.fixture
 def wire(monkeypatch, tmp_path):
-    """A running fan and its spec; whoever keeps it at the end of the test is ended."""
+    """A running fan and its spec; its daemon at the end of the test is ended."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     with fan_on_the_wire() as (fan, spec):
         yield fan, spec

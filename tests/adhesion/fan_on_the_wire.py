@@ -72,7 +72,7 @@ class Fan:
 
 @contextmanager
 def fan_on_the_wire(controller_id=7):
-    """A fan that runs, and what a daemon is told of it."""
+    """A fan that runs, and what a daemon is given to it."""
     port = free_udp_port()
     fan = Fan(port, controller_id)
     fan.start()

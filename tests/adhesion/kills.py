@@ -128,7 +128,7 @@ def all_killed(fan, spec, count, seed):
 
 
 def end_daemon(spec):
-    """End whoever keeps a trial's fan, or would: the only way there is."""
+    """End the daemon of a trial's fan and its standby: the only way there is."""
     for _ in range(100):
         for pid in keeping_pids(spec):
             assert pid != os.getpid()

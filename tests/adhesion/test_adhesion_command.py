@@ -113,9 +113,9 @@ def test_on_status_watch_and_off_at_an_emulated_vesc(served, hil):
     assert "adhesion has no daemon: nothing commands it now" in err
     code, out, err = hil("adhesion", "on", "--bench", served, "--force", "40", "--json")
     assert code == 0, err
-    told = json.loads(out)
-    assert told["force_n"] == pytest.approx(40.0, rel=0.06)
-    assert told["daemon"]["state"] == "keeping"
+    reported = json.loads(out)
+    assert reported["force_n"] == pytest.approx(40.0, rel=0.06)
+    assert reported["daemon"]["state"] == "keeping"
     for words in (("status",), ("watch", "--duration", "0.1")):
         code, out, err = hil("adhesion", *words, "--bench", served)
         assert (code, "keeping at duty" in out) == (3, True), "the propellers have no daemon yet"
@@ -131,7 +131,7 @@ def test_on_status_watch_and_off_at_an_emulated_vesc(served, hil):
     assert json.loads(hil("adhesion", "status", "--bench", served, "--json")[1])["daemon"]["state"] == "idle"
 
 
-def test_propellers_on_vescs_are_kept_told_of_and_stopped_too(served, hil):
+def test_propellers_on_vescs_are_shown_and_stopped_too(served, hil):
     config = load_bench(str(served))
     spec = daemon_specs(config)["thrust"]
     assert is_emulated(spec.bus), "so that their daemon ends with the emulator"
@@ -148,13 +148,13 @@ def test_propellers_on_vescs_are_kept_told_of_and_stopped_too(served, hil):
     finally:
         propellers.close()
     code, out, _ = hil("adhesion", "status", "--bench", served, "--json")
-    told = json.loads(out)["thrust"]
-    assert (told["name"], told["daemon"]["state"]) == (spec.name, "keeping")
+    reported = json.loads(out)["thrust"]
+    assert (reported["name"], reported["daemon"]["state"]) == (spec.name, "keeping")
     assert code == (0 if json.loads(out)["daemon"] else 3), "the fan may have been switched on before"
     code, out, err = hil("adhesion", "off", "--bench", served, "--tethered")
     assert (code, f"{spec.name}: off (the operator" in out) == (0, True), err
-    told = json.loads(hil("adhesion", "status", "--bench", served, "--json")[1])["thrust"]
-    assert told["daemon"]["state"] == "idle"
+    reported = json.loads(hil("adhesion", "status", "--bench", served, "--json")[1])["thrust"]
+    assert reported["daemon"]["state"] == "idle"
 
 
 def test_a_force_that_no_fan_has_changes_nothing(served, hil):
@@ -222,7 +222,7 @@ def test_keep_is_a_daemon_in_the_foreground_that_no_signal_ends(at_wire, hil):
             process.kill()
 
 
-def test_status_tells_of_the_fan_where_the_propellers_daemon_is_another_users(at_wire, hil, monkeypatch):
+def test_status_reports_the_fan_where_the_propellers_daemon_is_another_users(at_wire, hil, monkeypatch):
     _, spec, path = at_wire
     with path.open("a") as file:
         file.write(
@@ -244,14 +244,14 @@ def test_status_tells_of_the_fan_where_the_propellers_daemon_is_another_users(at
         assert err.startswith("hil: thrust at ")
         assert "the propellers' daemon belongs to root, and this program to user robot (1000)" in err
         code, out, _ = hil("adhesion", "status", "--bench", path, "--json")
-        told = json.loads(out)
-        assert (code, told["daemon"]["state"], told["thrust"]["daemon"]) == (3, "idle", None)
+        reported = json.loads(out)
+        assert (code, reported["daemon"]["state"], reported["thrust"]["daemon"]) == (3, "idle", None)
         code, out, _ = hil("adhesion", "watch", "--bench", path, "--duration", "0.1")
         assert (code, "adhesion: idle" in out) == (3, True)
         assert "thrust: its daemon refuses to say how it runs" in out
 
 
-def test_propellers_that_need_no_daemon_are_told_what_does(at_wire, hil):
+def test_propellers_that_need_no_daemon_are_reported_what_does(at_wire, hil):
     _, _, path = at_wire
     with path.open("a") as file:
         file.write('[thrust]\nport = "/dev/ttyACM0"\n')
@@ -271,7 +271,7 @@ def test_the_service_is_started_by_a_command_that_there_is():
 
 
 class Seen:
-    """A device of which somebody has written down what it says."""
+    """A device with prescribed samples."""
 
     def __init__(self, *samples):
         self._samples = samples
@@ -314,7 +314,7 @@ def test_a_level_robot_with_nothing_pressed_is_off_the_wall(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("up", "cells_n", "told"),
+    ("up", "cells_n", "reported"),
     [
         (ON_THE_WALL, 45.0, "tilted by 90 deg, load cells 45.0 N"),
         (ON_THE_WALL, 0.0, "tilted by 90 deg, load cells 0.0 N"),
@@ -325,8 +325,8 @@ def test_a_level_robot_with_nothing_pressed_is_off_the_wall(monkeypatch):
         (LEVEL, -30.0, "load cells -30.0 N"),
     ],
 )
-def test_one_witness_that_says_it_may_hang_is_enough_to_refuse(monkeypatch, up, cells_n, told):
-    with pytest.raises(UsageError, match=rf"may hang by its fan: .*{told}.*9.0 N.*--tethered"):
+def test_one_witness_that_says_it_may_hang_is_enough_to_refuse(monkeypatch, up, cells_n, reported):
+    with pytest.raises(UsageError, match=rf"may hang by its fan: .*{reported}.*9.0 N.*--tethered"):
         fan_interlock.seen_off_the_wall(robot(monkeypatch, up=up, cells_n=cells_n, rpm=30_000.0))
 
 
@@ -364,7 +364,7 @@ def asked_of(monkeypatch, *, up, cells_n, rpm, **asked):
 
 
 @pytest.mark.parametrize(
-    ("asked", "rpm", "told"),
+    ("asked", "rpm", "reported"),
     [
         ({"force_n": 3.0}, 30_000.0, "stays at 45.0 N, it is not set to 3.0 N; 29.2 N are the least"),
         ({"duty": 0.05}, 30_000.0, "stays at 45.0 N, it is not set to 0.2 N"),
@@ -374,8 +374,8 @@ def asked_of(monkeypatch, *, up, cells_n, rpm, **asked):
         ({}, 33_000.0, "stays at 54.5 N, it is not set to 45.0 N"),
     ],
 )
-def test_a_set_point_that_lets_the_robot_fall_is_refused_as_off_is(monkeypatch, asked, rpm, told):
-    with pytest.raises(UsageError, match=rf"{told}.*may hang by its fan: tilted by 90 deg.*--tethered"):
+def test_a_set_point_that_lets_the_robot_fall_is_refused_as_off_is(monkeypatch, asked, rpm, reported):
+    with pytest.raises(UsageError, match=rf"{reported}.*may hang by its fan: tilted by 90 deg.*--tethered"):
         asked_of(monkeypatch, up=ON_THE_WALL, cells_n=45.0, rpm=rpm, **asked)
 
 

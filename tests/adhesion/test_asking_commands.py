@@ -65,7 +65,7 @@ def all_others(robot, path):
 
 
 ENDS = {"discover": 4, "accept": 4, "adhesion": 0, "info": 0, "list": 0}
-"""Exit codes where nobody is at the terminal and nobody says that the robot stands."""
+"""Exit codes without an operator, and without an option for where the robot stands."""
 BOTH = pytest.mark.parametrize("commands", [at_the_ports, all_others])
 
 

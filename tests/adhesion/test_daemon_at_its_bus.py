@@ -1,4 +1,4 @@
-"""The daemon at its bus: a bus that fails is tried for ever and told; it tells who else commands the fan."""
+"""The daemon at its bus: a failed bus is retried for ever and reported; so are other programs' commands."""
 
 import can
 import pytest
@@ -43,7 +43,7 @@ def test_a_command_every_period_byte_for_byte(kept):
 @pytest.mark.parametrize(
     "error", [can.CanOperationError("Transmit buffer full"), OSError(19, "No such device")]
 )
-def test_a_bus_that_fails_is_opened_again_for_ever_and_told_once(kept, said, monkeypatch, error):
+def test_a_bus_that_fails_is_opened_again_for_ever_and_reported_once(kept, said, monkeypatch, error):
     cycle, bus = kept
     attempts = []
 
@@ -66,23 +66,23 @@ def test_a_bus_that_fails_is_opened_again_for_ever_and_told_once(kept, said, mon
     assert cycle.bus_error == ""
 
 
-def test_somebody_else_who_commands_the_fan_is_told_and_not_followed(kept, said):
+def test_another_program_that_commands_the_fan_is_reported_and_not_followed(kept, said):
     cycle, bus = kept
     for t_s in range(5):
         bus.arriving = [can.Message(arbitration_id=0x0007, data=bytes.fromhex("00001388"))]
         run(cycle, float(t_s), 1.0)
-    assert [text for text in said if "somebody else" in text] == [
+    assert [text for text in said if "another program" in text] == [
         "another program commands this fan: duty 0.05"
     ]
     assert {data.hex().upper() for _, data, _ in bus.sent} == {"0000DF23"}
 
 
-def test_its_own_echo_is_nobody_else(kept, said):
+def test_its_own_echo_is_no_other_program(kept, said):
     cycle, bus = kept
     run(cycle, 0.0, 0.1)
     bus.arriving = [can.Message(arbitration_id=i, data=d) for i, d, _ in bus.sent]
     run(cycle, 0.1, 0.1)
-    assert not any("somebody else" in text for text in said)
+    assert not any("another program" in text for text in said)
 
 
 def test_what_a_hostile_bus_carries_does_not_stop_it(kept):

@@ -68,7 +68,7 @@ def test_a_bench_stands_in_for_daemon_and_standby_and_replaces_them(wire, count)
 
 
 @pytest.mark.parametrize("count", [FEW, pytest.param(MANY, marks=pytest.mark.long)])
-def test_a_daemon_killed_while_no_bench_is_there_has_an_standby(wire, count):
+def test_a_daemon_killed_while_no_bench_is_there_has_a_standby(wire, count):
     fan, spec = wire
     kills = daemon_alone_killed(fan, spec, count, seed=4)
     assert len(kills) == count
@@ -87,7 +87,7 @@ def test_a_bench_that_ends_hands_the_fan_to_a_new_daemon_first(wire):
     kept, said = commanding(fan, spec)
     since_s = time.time()
     kill_both(spec)
-    wait_until(kept.trouble, "the loss to be told")
+    wait_until(kept.trouble, "the loss to be reported")
     assert "the bench commands the fan itself" in kept.trouble()
     kept.close()
     assert "the fan's daemon has taken over again" in said[-1]
@@ -112,7 +112,7 @@ def test_a_bench_goes_on_by_itself_where_the_next_daemon_is_another_users(wire, 
     monkeypatch.setattr(failover, "connect", met)
     kill_both(spec)
     ended, refused = "the fan's daemon has ended", "daemon belongs to root, and this program to user robot"
-    wait_until(lambda: refused in kept.trouble(), "the other daemon to be told")
+    wait_until(lambda: refused in kept.trouble(), "the other daemon to be reported")
     commanded(fan, time.time())
     assert kept.trouble().startswith(f"{ended}: the bench commands the fan itself; adhesion at ")
     assert [ended in said[0], refused in said[1], len(said)] == [True, True, 2]

@@ -49,7 +49,7 @@ def test_a_bench_neither_stands_in_for_it_nor_starts_another(kept):
     emulator, fan, spec, kept, said = kept
     end(emulator)
     wait_until(lambda: daemon_pid(spec) is None, "the daemon to end")
-    wait_until(kept.trouble, "the loss to be told")
+    wait_until(kept.trouble, "the loss to be reported")
     since_s = time.time()
     time.sleep(ANOTHER_COMES_WITHIN_S)
     assert daemon_pid(spec) is None
@@ -67,7 +67,7 @@ def test_a_bench_that_stands_in_stops_when_the_emulator_ends_too(kept):
     for pid in wait_until(lambda: both(spec), "a standby"):
         os.kill(pid, signal.SIGKILL)
     end(emulator)
-    wait_until(lambda: "was emulated and is gone" in kept.trouble(), "the end to be told")
+    wait_until(lambda: "was emulated and is gone" in kept.trouble(), "the end to be reported")
     since_s = time.time()
     time.sleep(ANOTHER_COMES_WITHIN_S)
     assert daemon_pid(spec) is None

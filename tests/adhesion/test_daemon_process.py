@@ -1,4 +1,4 @@
-"""The daemon as a process: small, deaf to signals, for its own user, found by whoever needs it."""
+"""The daemon as a process: small, ignoring signals, for its own user, found by other programs."""
 
 import json
 import os
@@ -59,7 +59,7 @@ def emulating(spec):
 
 @contextmanager
 def answering(spec, answers):
-    """A door that gives one answer after another, to whoever asks."""
+    """A server that gives one answer after another, to any client."""
     listener, left = Server(spec), list(answers)
     ended = threading.Event()
 
@@ -229,14 +229,14 @@ def test_another_users_daemon_is_not_asked_and_named_with_the_remedy_and_its_end
     _, spec = wire
     monkeypatch.setattr(client, "may_ask", lambda uid, owner: False)
     monkeypatch.setattr(client, "peer", lambda connection: server.Peer(7, 54321))
-    told = "daemon belongs to user 54321, and this program to "
-    with closing(Server(spec)), pytest.raises(DeviceError, match=told) as caught:
+    reported = "daemon belongs to user 54321, and this program to "
+    with closing(Server(spec)), pytest.raises(DeviceError, match=reported) as caught:
         client.connect(spec)
     assert "run this as user 54321, or as root; a daemon that is no service ends 30 s" in caught.value.remedy
 
 
 @pytest.mark.parametrize("asked_before_it_is_let_in", [True, False])
-def test_who_is_turned_away_is_told_why_and_not_answered(wire, monkeypatch, asked_before_it_is_let_in):
+def test_who_is_turned_away_is_reported_why_and_not_answered(wire, monkeypatch, asked_before_it_is_let_in):
     _, spec = wire
     listener = Server(spec)
     monkeypatch.setattr(server, "may_ask", lambda uid, owner: False)
@@ -249,8 +249,8 @@ def test_who_is_turned_away_is_told_why_and_not_answered(wire, monkeypatch, aske
             refused.send(b'{"do": "status"}')
         turn_away()
         if asked_before_it_is_let_in:
-            told = json.loads(refused.recv(server.MOST_BYTES))["error"]
-            assert (told["exit_code"], "daemon belongs to " in told["message"]) == (3, True)
+            reported = json.loads(refused.recv(server.MOST_BYTES))["error"]
+            assert (reported["exit_code"], "daemon belongs to " in reported["message"]) == (3, True)
             assert refused.recv(10) == b""
         else:
             with pytest.raises(DeviceError, match=r"the fan's daemon belongs to .*, and this program"):
@@ -272,10 +272,10 @@ def test_a_daemon_that_many_talk_to_says_so(wire):
     listener.close()
 
 
-def test_an_standby_that_there_is_no_room_for_knows_nothing(wire):
+def test_a_standby_that_there_is_no_room_for_knows_nothing(wire):
     _, spec = wire
-    told = [{"state": "keeping", "pid": 1}, {"error": {"message": "no room"}}]
-    with answering(spec, told):
+    reported = [{"state": "keeping", "pid": 1}, {"error": {"message": "no room"}}]
+    with answering(spec, reported):
         assert standby.wait_as_standby(spec) == {"state": "keeping", "pid": 1}
 
 
@@ -285,7 +285,7 @@ BECOME_NOBODY = "os.setgroups([]); os.setgid(65534); os.setuid(65534)"
 
 
 @as_root
-def test_root_asks_the_daemon_of_another_user_and_is_told_whose_it_is(wire):
+def test_root_asks_the_daemon_of_another_user_and_is_reported_whose_it_is(wire):
     _, spec = wire
     code = (
         "import os, sys, can.interfaces.udp_multicast; "
@@ -307,7 +307,7 @@ def test_root_asks_the_daemon_of_another_user_and_is_told_whose_it_is(wire):
 
 
 @as_root
-def test_another_user_is_told_that_the_daemon_is_roots(daemon):
+def test_another_user_is_reported_that_the_daemon_is_roots(daemon):
     _, spec, _ = daemon
     code = (
         "import os, sys; from hil.drivers.adhesion.fan_daemon import client, spec; "
@@ -319,7 +319,7 @@ def test_another_user_is_told_that_the_daemon_is_roots(daemon):
     assert "run this as root" in done.stderr
 
 
-def test_a_bus_that_is_not_there_is_told_to_who_starts_it(tmp_path, monkeypatch):
+def test_a_bus_that_is_not_there_is_asked_to_who_starts_it(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     with pytest.raises(DeviceError, match=r"did not start: .*CAN bus cannot be opened .*interface up"):
         client.find_or_start(Spec("socketcan", "can77", 7))
@@ -353,7 +353,7 @@ def test_an_emulator_that_ends_takes_daemon_and_standby_along_in_two_plain_lines
     assert is_unkept(spec)
 
 
-def test_an_standby_that_is_killed_is_replaced_and_both_are_told_of(daemon):
+def test_a_standby_that_is_killed_is_replaced_and_both_are_reported(daemon):
     _, spec, connection = daemon
     set_when_heard(connection, spec)
     log, first = eventually(lambda: log_and_standby(connection, spec))

@@ -60,7 +60,7 @@ def test_a_fan_that_runs_is_taken_over_without_a_step():
 
 
 @pytest.mark.parametrize("first", ["report", "order"])
-def test_what_somebody_else_sends_is_taken_over_exactly(first):
+def test_what_another_program_sends_is_taken_over_exactly(first):
     control = FanControl(SPEC)
     heard = [
         lambda: report(control, PERIOD_NS, duty=0.571),
@@ -71,7 +71,7 @@ def test_what_somebody_else_sends_is_taken_over_exactly(first):
     assert control.order(PERIOD_NS) == SetPoint("erpm", 57123.0)
 
 
-def test_a_fan_that_somebody_else_commands_is_theirs_until_the_daemon_is_asked():
+def test_a_fan_commanded_by_another_program_is_followed_until_the_daemon_is_asked():
     control = FanControl(SPEC)
     control.overheard(0, SetPoint("duty", 0.5))
     control.overheard(nanoseconds(60.0), SetPoint("duty", 0.6))

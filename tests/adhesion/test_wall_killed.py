@@ -28,7 +28,7 @@ def test_benches_that_are_killed_while_they_drive_leave_a_held_robot(robot):
     assert all(kill.held for kill in found)
 
 
-def test_daemons_that_are_killed_under_a_driving_bench_drop_nobody(robot):
+def test_daemons_that_are_killed_under_a_driving_bench_do_not_drop_the_robot(robot):
     found = daemons_killed(*robot, 20, seed=2)
     assert max(kill.gap_s for kill in found) <= MOST_S
     assert all(kill.held for kill in found)

@@ -30,10 +30,10 @@ def made(*, faults=(), nodes=((42, 0),), **options):
     )
     world = World(plant, seed=0, faults=plan)
     channel = CanChannel(world, CHANNEL, device="adhesion").open()
-    told = DroneCanTruthOptions(**{"start": "off", **options})
+    reported = DroneCanTruthOptions(**{"start": "off", **options})
     fans = [
         DroneCanNode(
-            world, channel, DroneCanConfig(node_id=node_id, esc_index=index), told, f"adhesion{n or ''}"
+            world, channel, DroneCanConfig(node_id=node_id, esc_index=index), reported, f"adhesion{n or ''}"
         )
         for n, (node_id, index) in enumerate(nodes)
     ]

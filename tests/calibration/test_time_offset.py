@@ -1,4 +1,4 @@
-"""Clocks of wheels and ground truth that differ are told; those of the real recordings do not."""
+"""Clocks of wheels and ground truth that differ are reported; those of the real recordings do not."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ def test_clocks_that_agree_are_not_mentioned(data):
     assert warnings_of(data) == different_clocks(others) == []
 
 
-def test_a_robot_that_never_rests_or_never_moves_tells_nothing(data):
+def test_a_robot_that_never_rests_or_never_moves_reports_nothing(data):
     steady = data[0]
     inside = (steady.t_s > 5.0) & (steady.t_s < 15.0)
     cut = replace(

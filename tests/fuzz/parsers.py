@@ -145,13 +145,13 @@ def _holding() -> list[Fed]:
     spec = Spec(interface="hil", channel="fuzz", controller_id=1)
     statuses = [vesc.address(p, 1).to_bytes(4, "big") + bytes(8) for p in vesc.Packet]
     refused = {"error": {"message": "m", "expected": "e", "remedy": "r", "exit_code": 3}}
-    told = [json.dumps(answer).encode() for answer in ({"state": "idle", "sent": None}, refused)]
+    reported = [json.dumps(answer).encode() for answer in ({"state": "idle", "sent": None}, refused)]
     asked = [b'{"do": "set", "quantity": "duty", "value": 0.5}', b'{"do": "off", "confirmed_by": "me"}']
     return [
         Fed("VESC frames", framed(vesc.decode), statuses),
         Fed("DroneCAN status", framed(reader.take), [b"\x18\x04\x0a\x01" + bytes(8)]),
         Fed("DroneCAN command", framed(lambda i, d: command_of(i, d, 0)), [b"\x18\x04\x06\x01" + bytes(8)]),
-        Fed("daemon's answer", lambda d: understood(d, spec), told, (HilError,)),
+        Fed("daemon's answer", lambda d: understood(d, spec), reported, (HilError,)),
         Fed("daemon's request", lambda d: _answered(d, "me", lambda a, w: a), asked),
         Fed("daemon's start", _text(Spec.from_json), [spec.to_json().encode()], (HilError,)),
     ]

@@ -1,4 +1,4 @@
-"""Bags whose drivers or clocks are at fault: what can be told apart is, and a perfect robot stays one."""
+"""Bags whose drivers or clocks are at fault: what can be distinguished is, and a perfect robot stays one."""
 
 import math
 from dataclasses import replace

@@ -68,7 +68,7 @@ def test_a_fit_finds_the_wheels_all_the_same(tmp_path, case, model):
     assert max(left) < 3e-3
 
 
-def test_only_a_start_in_motion_is_told_of(tmp_path):
+def test_only_a_start_in_motion_is_reported(tmp_path):
     still, moving = (
         read(tmp_path, f"{name}_1", cut(perfect.drive(truth_hz=10.0)))
         for name, cut in (("still", lambda found: found), ("moving", rolling))

@@ -1,7 +1,7 @@
 """An operator for runs that go through without anybody at the terminal."""
 
 
-class Nobody:
+class AbsentOperator:
     """Must not be asked."""
 
     def ask(self, question):

@@ -15,7 +15,7 @@ WHOLE = (
 
 
 @pytest.fixture
-def told(tmp_path, monkeypatch, capsys):
+def reported(tmp_path, monkeypatch, capsys):
     """Lines that are said of a view; files lie in the current folder."""
     monkeypatch.chdir(tmp_path)
 
@@ -29,19 +29,19 @@ def told(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("on_path", ["/usr/bin/rerun", None])
-def test_a_file_is_named_with_a_command_that_can_be_pasted(told, tmp_path, monkeypatch, on_path):
+def test_a_file_is_named_with_a_command_that_can_be_pasted(reported, tmp_path, monkeypatch, on_path):
     (tmp_path / "my run.rrd").write_bytes(WHOLE)
     monkeypatch.setattr(shutil, "which", lambda name: on_path)
-    (line,) = told("spawn, my run.rrd")
+    (line,) = reported("spawn, my run.rrd")
     words = shlex.split(line.partition("open it with: ")[2])
     assert line.startswith("hil: wrote my run.rrd (2.3 MB); ")
     assert words[-1] == "my run.rrd"
     assert words[0] == "rerun" if on_path else words[0].startswith("/")
 
 
-def test_a_file_that_breaks_off_is_not_told_as_written(told, tmp_path):
+def test_a_file_that_breaks_off_is_not_reported_as_written(reported, tmp_path):
     (tmp_path / "r.rrd").write_bytes(WHOLE[:-40])
-    (line,) = told("r.rrd")
+    (line,) = reported("r.rrd")
     assert line.startswith("hil: r.rrd is incomplete: it breaks off after 2.3 MB; see what the disk has left")
 
 
