@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from hil.bench.drivers import model_of
 from hil.bench.named_errors import named
-from hil.bench.third_party.emulated import guarded_face, parts_of
+from hil.bench.third_party.emulated import parts_of, wrapped_endpoint
 from hil.config.bench import BenchConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.config.servos import ServosConfig
@@ -287,7 +287,7 @@ def open_emulation(
             shown = kinds()[name].shown_as
             device = emulated(config, world, name, shown, standard_ports=standard_ports)
             face = _reached(config, world, name, "serve", device.serve)
-            faces[shown] = guarded_face(world, name, model_of(config, name), face)
+            faces[shown] = wrapped_endpoint(world, name, model_of(config, name), face)
     except HilError:
         for face in faces.values():
             face.close()

@@ -27,7 +27,7 @@ from hil.core.registry import kinds
 from hil.datasets.nominal import Nominal
 from hil.loop.alignment import AlignmentParameters
 from hil.loop.checks.adhesion import AdhesionLimits, AdhesionWatch
-from hil.loop.checks.mocap_agreement import Seen
+from hil.loop.checks.mocap_agreement import MocapTolerances
 from hil.loop.checks.mocap_estimate import MocapEstimate
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.checks.sensor_rate import Healthy
@@ -148,8 +148,8 @@ def motion_check(config: BenchConfig, geometry: WheelGeometry) -> MotionCheck:
     """
     camera, believed = config.of(TrackerConfig), _SIGMAS * config.estimator.tracker.scale_sigma
     known = camera is not None and camera.scale_sigma is not None
-    scale = believed + _SESSION_SCALE if known else max(believed, Seen.scale)
-    return MotionCheck(geometry, on_wall=config.environment.on_wall, seen=Seen(scale=scale))
+    scale = believed + _SESSION_SCALE if known else max(believed, MocapTolerances.scale)
+    return MotionCheck(geometry, on_wall=config.environment.on_wall, seen=MocapTolerances(scale=scale))
 
 
 def _lost_after_s(config: BenchConfig) -> dict[str, float]:

@@ -11,7 +11,7 @@ from hil.core.signals import GyroMeasurement, Inputs, Measurements, PoseMeasurem
 from hil.loop.checks.dead_reckoning import WheelTrack
 from hil.loop.checks.disagreement import CAMERA, WHEELS, Disagreement, Relocalisation, Sum
 from hil.loop.checks.exclusion import Exclusion
-from hil.loop.checks.mocap_agreement import MocapAgreement, Seen
+from hil.loop.checks.mocap_agreement import MocapAgreement, MocapTolerances
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.cycle import Cycle
 from hil.loop.safety import Checks, SafetyLimits
@@ -135,7 +135,7 @@ def test_what_a_camera_invents_in_the_wall_adds_up_while_the_robot_turns():
     """In the body's axes it goes round: the sum has to go round with it."""
     rate, drift_m_s = 1.0, np.array([0.006, 0.0])
     speed, steering = inverse(GEOMETRY, np.array([0.0, 0.0, rate]))
-    check, found = MotionCheck(GEOMETRY, seen=Seen(lever_m=0.0, rest_m_s=0.0)), []
+    check, found = MotionCheck(GEOMETRY, seen=MocapTolerances(lever_m=0.0, rest_m_s=0.0)), []
     for k in range(3, 260):
         t_ns = k * PERIOD_NS
         t_s, late_ns = t_ns * 1e-9, t_ns - 25_000_000
@@ -362,7 +362,7 @@ def test_a_camera_beside_motion_capture_is_grave_ten_millimetres_beyond_what_it_
 
 
 def test_a_step_is_compared_once_and_only_where_another_sensor_looked_too():
-    check = MocapAgreement(WheelTrack(GEOMETRY), Seen(), creep=0.0)
+    check = MocapAgreement(WheelTrack(GEOMETRY), MocapTolerances(), creep=0.0)
     compared = []
     for k in range(100, 130):
         t_ns = k * PERIOD_NS
@@ -378,7 +378,7 @@ def test_a_step_is_compared_once_and_only_where_another_sensor_looked_too():
 @pytest.mark.parametrize(("slip", "left"), [(0.0, 0.0), (0.03, 0.0), (0.1, 0.04)])
 def test_what_wheels_are_off_counts_without_what_they_may_creep(slip, left):
     """Climbing: 6 % of the way are creep, what is beyond is an error of the wheels."""
-    check = MotionCheck(GEOMETRY, seen=Seen(slipped_stop_m=1.0))
+    check = MotionCheck(GEOMETRY, seen=MocapTolerances(slipped_stop_m=1.0))
     for k in range(3, 103):
         check.update(cycle(k, at(UP), at((1.0 - slip) * UP), at((1.0 - slip) * UP)))
     way_m = abs(check.capture.ways()[1])

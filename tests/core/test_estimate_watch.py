@@ -8,7 +8,7 @@ from supervised import Supervised
 
 from hil.core.errors import SafetyStop
 from hil.core.signals import Inputs, Measurements, PoseMeasurement, RobotState, Stamp, WheelMeasurement
-from hil.loop.checks.mocap_agreement import Seen
+from hil.loop.checks.mocap_agreement import MocapTolerances
 from hil.loop.checks.mocap_estimate import MocapEstimate
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.safety import Checks, SafetyLimits
@@ -180,7 +180,7 @@ def test_a_turned_rigid_body_may_be_off_by_its_lever():
     watch, events = MocapEstimate(motion.capture, follows=True), []
     for k in range(1, 600):
         t_ns, heading = k * PERIOD_NS, rate * k * PERIOD_NS * 1e-9
-        lever = Seen().lever_m * 0.9
+        lever = MocapTolerances().lever_m * 0.9
         place = np.array([lever * np.cos(heading) - lever, lever * np.sin(heading), heading])
         motion.capture.take((), (PoseMeasurement(Stamp(t_ns, t_ns, k), "mocap", place, 3, True),))
         covariance = np.diag([1e-8] * 6)

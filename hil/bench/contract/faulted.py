@@ -25,7 +25,7 @@ from hil.fakes.fault import parse_fault
 _WATCH_S, _AT_S = 1.5, 0.5
 _SWING_RAD, _RATE_RAD_S, _PERIOD_S = 0.2, 1.0, 1.0
 
-Seen = tuple[Any, ...]
+Samples = tuple[Any, ...]
 
 
 def each_fault_acts(subject: Subject) -> str:
@@ -50,7 +50,7 @@ def _declared(subject: Subject) -> tuple[str, ...]:
     return () if world is None else tuple(world.faults.supported.get(subject.kind, ()))
 
 
-def _seen(anew: Callable[[], Bench], kind: str, fault: str) -> Seen:
+def _seen(anew: Callable[[], Bench], kind: str, fault: str) -> Samples:
     """What a run shows: samples, what was raised, and how the robot moved."""
     bench = anew()
     world = bench.world

@@ -37,7 +37,7 @@ class Broken(AssertionError):
 
 
 @dataclass(frozen=True)
-class Watched:
+class Delivered:
     """What a device delivered while it was open: samples, who it said it is, and when it was read.
 
     Attributes:
@@ -90,13 +90,13 @@ class Subject:
             device.close()
 
     @cached_property
-    def watched(self) -> Watched:
+    def watched(self) -> Delivered:
         """Opened, read for a second and closed; once for all checks."""
         with self.opened() as device:
             began_ns, took_s = self.bench.clock.now_ns(), list[float]()
             samples = read_for(self.bench, device, WATCH_S, took_s)
             identity = dict(device.identity())  # by now, because some tell their firmware with their samples
-            return Watched(samples, identity, began_ns, self.bench.clock.now_ns(), took_s)
+            return Delivered(samples, identity, began_ns, self.bench.clock.now_ns(), took_s)
 
 
 def read_for(bench: Bench, device: Any, duration_s: float, took_s: list[float] | None = None) -> list[Any]:

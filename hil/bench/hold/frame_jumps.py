@@ -52,7 +52,7 @@ class _Gap:
     seen: dict[str, Place]
 
 
-class Leaps:
+class FrameJumps:
     """Follows all that tell a place.
 
     Attributes:

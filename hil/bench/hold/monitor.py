@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.hold.adhesion_force import press_watch
-from hil.bench.hold.frame_jumps import Leaps
+from hil.bench.hold.frame_jumps import FrameJumps
 from hil.bench.hold.rest import JOINTS, WINDOW_NS, MotionSinceStop, Trail
 from hil.bench.hold.result import Held, State, lacking_in_words, on_the_floor
 from hil.bench.hold.tilt import TiltWatch
@@ -89,7 +89,7 @@ class HoldMonitor(Sink):
         sources = [(name, self._seeing[name]) for name in self._travel.names]
         self._motion_sources = [(n, samples_of(n), k.motion_value, k.measures_position) for n, k in sources]
         self._doubted: dict[str, bool] = {}
-        self._leaps = Leaps()
+        self._leaps = FrameJumps()
         self._let_go = False
         self.last_state: RobotState | None = None
 

@@ -36,10 +36,10 @@ MOST_SAMPLES = 10_000
 Failures = Mapping[str, HilError]
 
 
-def guarded(
+def wrapped_driver(
     kind: DeviceKind, model: DeviceModel, make: Callable[[], Device], failures: Failures, timeouts_s: float
 ) -> Device:
-    """The driver that `make` makes; behind a `Guarded` where another package brings it."""
+    """The driver that `make` makes; wrapped in a `ThirdPartyDriver` where another package brings it."""
     return make() if model.package == OURS else ThirdPartyDriver(kind, model, make, failures, timeouts_s)
 
 

@@ -15,7 +15,7 @@ from hil.drivers.adhesion.can_fan import Figures, MotorFan
 from hil.drivers.adhesion.fan_daemon.commander import MakeCommander, finding
 from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.drivers.adhesion.vesc import Packet, Status, Status4, Status5, address, decode
-from hil.drivers.adhesion.vesc_identity import Seen, ask_who
+from hil.drivers.adhesion.vesc_identity import BusReplies, ask_who
 from hil.drivers.adhesion.vesc_settings import Answers
 
 _SLOW_REPORTS_NS = nanoseconds(1.5)
@@ -47,7 +47,7 @@ class VescFan(MotorFan[VescConfig]):
     """One fan; arguments as of any."""
 
     def __init__(self, config: VescConfig, clock: Clock, make_commander: MakeCommander | None = None) -> None:
-        self._answers, self._seen = Answers(), Seen()
+        self._answers, self._seen = Answers(), BusReplies()
         self._reports = {address(packet, config.controller_id) for packet in _READ}
         super().__init__(config, clock, make_commander)
 

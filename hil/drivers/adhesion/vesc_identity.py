@@ -27,7 +27,7 @@ _IDS = "give each controller an id of its own in VESC Tool (App Settings, Genera
 
 
 @dataclass
-class Seen:
+class BusReplies:
     """What came from the bus while it was looked at.
 
     Attributes:
@@ -138,7 +138,7 @@ class Seen:
 
 def ask_who(
     link: CanLink, config: VescConfig, clock: Clock, answers: Answers, *, silent: bool = False
-) -> Seen:
+) -> BusReplies:
     """Ping everybody, ask the controller how it is set, and listen until it is known or time is up.
 
     Args:
@@ -148,7 +148,7 @@ def ask_who(
         answers: receives how the controller is set.
         silent: only listen.
     """
-    seen = Seen()
+    seen = BusReplies()
     if not silent:
         ping = ping_frame(ALL_SERVOS, config.own_id)
         link.send(ping.id, ping.data, extended=True)
@@ -169,7 +169,7 @@ def ask_who(
     return seen
 
 
-def _take(seen: Seen, answers: Answers, config: VescConfig, frame_id: int, data: bytes) -> None:
+def _take(seen: BusReplies, answers: Answers, config: VescConfig, frame_id: int, data: bytes) -> None:
     command, receiver = frame_id >> 8, frame_id & 0xFF
     said = decode(frame_id, data)
     if isinstance(said, Pong):

@@ -22,7 +22,7 @@ GAP_NS = 300_000_000
 
 
 @dataclass(frozen=True)
-class Seen:
+class MocapTolerances:
     """What camera and wheels may differ by from motion capture.
 
     Attributes:
@@ -78,7 +78,7 @@ class MocapAgreement:
         track: motion capture's poses of late.
     """
 
-    def __init__(self, wheels: WheelTrack, seen: Seen, *, creep: float) -> None:
+    def __init__(self, wheels: WheelTrack, seen: MocapTolerances, *, creep: float) -> None:
         self._wheels, self.allowed, self._creep = wheels, seen, creep
         self.camera = Sum(CAMERA, CAPTURE, seen.warn_m, seen.stop_m)
         self.rolled = Sum(CAPTURE, WHEELS, seen.slipped_warn_m, seen.slipped_stop_m)

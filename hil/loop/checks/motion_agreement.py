@@ -23,7 +23,7 @@ from hil.loop.checks.disagreement import (
     Relocalisation,
     Sum,
 )
-from hil.loop.checks.mocap_agreement import MocapAgreement, Seen
+from hil.loop.checks.mocap_agreement import MocapAgreement, MocapTolerances
 from hil.robot.kinematics import WheelGeometry
 
 GYRO = MotionSource("imu", "the gyro")
@@ -101,7 +101,7 @@ class MotionCheck:
         honest: Tolerances | None = None,
         *,
         on_wall: bool = True,
-        seen: Seen | None = None,
+        seen: MocapTolerances | None = None,
     ) -> None:
         self._on_wall = on_wall
         self.honest = h = honest if honest is not None else Tolerances()
@@ -112,7 +112,7 @@ class MotionCheck:
         self._camera_gyro = Sum(CAMERA, GYRO, h.warn_rad, h.stop_rad, turns=True)
         self._wheels_gyro = Sum(WHEELS, GYRO, h.warn_rad, h.stop_rad, turns=True)
         self._turns = (self._camera_wheels, self._camera_gyro, self._wheels_gyro)
-        seen = seen if seen is not None else Seen()
+        seen = seen if seen is not None else MocapTolerances()
         self.capture = MocapAgreement(self._wheels, seen, creep=h.creep if on_wall else 0.0)
         self._ways = (self._way, self.capture.camera, self.capture.rolled)
         self._sums = (*self._ways, *self._turns)

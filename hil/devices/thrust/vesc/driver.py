@@ -19,7 +19,7 @@ from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
 from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.drivers.adhesion.vesc import Packet, address, decode
 from hil.drivers.adhesion.vesc import Status as Report
-from hil.drivers.adhesion.vesc_identity import Seen, ask_who
+from hil.drivers.adhesion.vesc_identity import BusReplies, ask_who
 from hil.drivers.adhesion.vesc_settings import Answers
 from hil.drivers.links.silence_limit import Usefulness
 from hil.drivers.links.stuck_values import StuckTest
@@ -47,7 +47,7 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
         self, config: VescThrustConfig, clock: Clock, make_commander: MakeCommander | None = None
     ) -> None:
         self._reports = {address(Packet.STATUS, one) for one in config.controller_ids}
-        self._known: dict[int, tuple[VescConfig, Seen, Answers]] = {}
+        self._known: dict[int, tuple[VescConfig, BusReplies, Answers]] = {}
         super().__init__(config, clock, make_commander)
 
     def _forget(self) -> None:
@@ -69,7 +69,7 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
             "firmware": ", ".join(reported),
         }
 
-    def _met(self, motor: VescConfig, spec: Spec) -> tuple[VescConfig, Seen, Answers]:
+    def _met(self, motor: VescConfig, spec: Spec) -> tuple[VescConfig, BusReplies, Answers]:
         answers = Answers()
         seen = ask_who(self._link, motor, self._clock, answers)
         seen.key = "controller_ids"
