@@ -107,7 +107,7 @@ class Parameters(BaseModel):
 
     @property
     def sizes(self) -> Sizes:
-        """Of the motions."""
+        """Sizes of the motions, m and rad."""
         return Sizes(self.line_m, self.radius_m, self.turns, self.speed_m_s)
 
 

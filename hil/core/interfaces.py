@@ -147,7 +147,7 @@ class Estimator(Protocol):
 
 
 class Controller(Protocol):
-    """Pose tracking."""
+    """Computes wheel set-points that make the robot track a reference."""
 
     @abstractmethod
     def reset(self) -> None:
@@ -167,7 +167,7 @@ class Sink(Protocol):
 
     @abstractmethod
     def write(self, record: CycleRecord) -> None:
-        """Take one record."""
+        """Take the record of one cycle."""
 
     def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
         """Take a note between two cycles: how a run begins, how the robot was left. Never raises.

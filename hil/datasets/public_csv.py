@@ -160,7 +160,7 @@ def _abs_numbers(path: Path, data: bytes) -> Array:
 
 
 def _numbers(path: Path, quick: bytes, body: bytes, columns: list[str], width: int) -> Array:
-    """Rows (n, width)."""
+    """Parse the rows of a CSV file as numbers, (n, width)."""
     return credible(_rows(path, quick, body, columns, width))
 
 

@@ -57,13 +57,13 @@ class SerialWired(EmulatedDevice):
     printed: Mapping[str, object] = field(default_factory=dict)
 
     def connect(self) -> Connection:
-        """A pyserial URL."""
+        """Serve the line in process, as a pyserial URL."""
         self.line.chip.begin_in_use()
         line = self.line.open()
         return Connection({"port": f"hil://{line.name}"}, close=line.close)
 
     def serve(self) -> Face:
-        """A PTY."""
+        """Serve the line to other processes, as a PTY."""
         return SerialPty(self.line, dict(self.printed))
 
 

@@ -51,7 +51,7 @@ class Face(Scheduled, Protocol):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go. Idempotent."""
+        """Close. Idempotent."""
 
 
 class EmulationServer:

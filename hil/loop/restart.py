@@ -43,7 +43,7 @@ class Restart:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Forget all that was seen before."""
         self.waited_ns = 0
         self._last_ns: int | None = None
         self._pace, self._quicker, self._step_s = 1.0, 0.0, 0.0

@@ -86,7 +86,7 @@ class Supervisor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the run."""
+        """Forget all that was seen in the run."""
         self.last = LastCycle()
         self.left_out.reset()
         for _, check in self.in_order:

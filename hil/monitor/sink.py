@@ -140,7 +140,7 @@ class RerunMonitor(Sink):
             )
 
     def write(self, record: CycleRecord) -> None:
-        """Take one record."""
+        """Take the record of one cycle."""
         if self._closed:
             return
         if len(self._waiting) >= self._capacity and not (self._lossless and self._room_comes()):

@@ -266,6 +266,6 @@ def test_the_robot_is_left_held(watched: Watch) -> None:
 
 
 def test_the_supervisor_has_nothing_to_say(watched: Watch) -> None:
-    """No error events."""
+    """The supervisor reports no error events."""
     errors = [e.message for e in watched.motion.events if e.level == "error"]
     assert not errors

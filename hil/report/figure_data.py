@@ -68,7 +68,7 @@ class Curve(_Part):
 
 
 class Area(_Part):
-    """A filled polygon."""
+    """A filled polygon of a figure."""
 
     colour: _Colour
     x: _Points

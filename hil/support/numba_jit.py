@@ -172,7 +172,7 @@ class _Watch(event.Listener):  # type: ignore[misc]
         self._tell()
 
     def on_end(self, event: Any) -> None:
-        """It has ended."""
+        """Count the time of a compilation that has ended."""
         if event.kind == "numba:run_pass":
             return
         self._depth -= 1

@@ -82,11 +82,11 @@ class Level:
 
     @property
     def cells_n(self) -> float:
-        """Both cells."""
+        """Force by both cells together, N."""
         return self.cell_1_n + self.cell_2_n
 
     def to_json(self) -> dict[str, Any]:
-        """Plain figures."""
+        """The figures as plain values for JSON."""
         return asdict(self)
 
 

@@ -71,7 +71,7 @@ class Subject:
 
     @property
     def device(self) -> Any:
-        """Its driver."""
+        """The driver of the device."""
         return self.bench.rig.get(self.kind)
 
     @property

@@ -113,7 +113,7 @@ class DaemonInWorld(MotorCommander, Scheduled):
         return self._due_ns
 
     def on_due(self, t_ns: int) -> None:
-        """Listen, decide, send."""
+        """Run one cycle of the daemon: receive, decide, send."""
         self._due_ns = t_ns + self._period_ns
         self._bus_cycle().step(t_ns)
 

@@ -36,7 +36,7 @@ class DaemonFan(CanModel):
 
 
 class Vesc(DaemonFan):
-    """VESC."""
+    """A ducted fan on a VESC with the VESC's own CAN protocol."""
 
     kind, name, title = "adhesion", "vesc", "a ducted fan on a VESC"
     config, subnet, printed = VescConfig, 164, ("controller_id",)

@@ -49,7 +49,7 @@ class NatNet(DeviceModel):
         )
 
     def connection(self, endpoint: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Server and ports."""
+        """Keys of the bench file that reach an emulated server."""
         where = {key: endpoint[key] for key in ("server", "command_port", "data_port", "multicast")}
         return {**where, "local_address": endpoint["server"]}
 

@@ -41,7 +41,7 @@ class Dynamixel(SerialModel):
         return on_serial_line(request, bus, latency_s=config.usb_latency_s, printed=reported)
 
     def probe(self, port: str, clock: Clock) -> Found | None:
-        """Which servos answer."""
+        """Find the servos that answer on a port."""
         from hil.devices.servos.discovery import ask
 
         return ask(port, clock)

@@ -75,7 +75,7 @@ class Tracker(DeviceKind):
         return sample.position_m if sample.status is _OK else None
 
     def check(self, watched: Watched) -> Iterator[Finding]:
-        """Samples and confidence."""
+        """Findings on samples and tracking confidence."""
         return look(watched)
 
 

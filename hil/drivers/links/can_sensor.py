@@ -34,7 +34,7 @@ class CanSensor(StreamingSensor[C, S]):
 
     @property
     def place(self) -> str:
-        """Interface and channel."""
+        """Interface and channel, for messages."""
         return self._link.port
 
     @abstractmethod

@@ -30,7 +30,7 @@ class SerialSensor(StreamingSensor[C, S]):
 
     @property
     def place(self) -> str:
-        """The port."""
+        """The serial port, for messages."""
         return str(self.config.port)
 
     @abstractmethod

@@ -125,7 +125,7 @@ class Samples:
 
 
 def _seen(reading: Reading) -> np.ndarray:
-    """(8,) who answered."""
+    """(8,) bool, whether each servo answered."""
     if reading.status is ALL_OK:
         return ALL_SERVOS
     return np.array([s is Status.OK for s in reading.status])

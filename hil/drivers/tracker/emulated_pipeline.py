@@ -47,7 +47,7 @@ class FeedFrame:
         return True
 
     def as_pose_frame(self) -> FeedFrame:
-        """Itself."""
+        """This object itself, as in the library."""
         return self
 
     def get_timestamp(self) -> float:

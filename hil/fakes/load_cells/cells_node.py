@@ -58,7 +58,7 @@ class CellNode(Scheduled):
         return self._due_ns
 
     def on_due(self, t_ns: int) -> None:
-        """Convert and send."""
+        """Convert the forces and send them."""
         slow = self._cells.faults.find("slow", t_ns)
         self._due_ns = t_ns + round(self._period_ns * (1.0 if slow is None else slow.slowness))
         if self._cells.silent(t_ns):
@@ -100,11 +100,11 @@ class CellLine(SerialChip):
         return []
 
     def reset(self, t_ns: int) -> None:
-        """Power was cycled."""
+        """Reset everything, as a power cycle does."""
         self._sequence = 0
 
     def poll(self, t_ns: int) -> list[Reply]:
-        """One line."""
+        """Make one line of counts."""
         slow = self._cells.faults.find("slow", t_ns)
         self._due_ns = t_ns + round(self._period_ns * (1.0 if slow is None else slow.slowness))
         if self._cells.silent(t_ns):

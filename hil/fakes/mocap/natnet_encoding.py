@@ -79,7 +79,7 @@ class Frames:
     def frame(
         self, number: int, bodies: tuple[SeenBody, ...], times: FrameTimes, version: tuple[int, int]
     ) -> bytes:
-        """One frame."""
+        """Encode one frame of mocap data."""
         names = tuple([(body.name, body.identifier) for body in bodies])
         template = self._templates.get((version, names))
         if template is None:

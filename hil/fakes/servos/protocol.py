@@ -61,7 +61,7 @@ def packet(servo_id: int, body: bytes) -> bytes:
 
 
 def status(servo_id: int, error: int, parameters: bytes = b"") -> bytes:
-    """A status packet."""
+    """Build a status packet."""
     return packet(servo_id, bytes((STATUS, error)) + parameters)
 
 

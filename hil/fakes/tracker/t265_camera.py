@@ -119,7 +119,7 @@ class T265(Scheduled):
 
     @property
     def now_ns(self) -> int:
-        """World time."""
+        """World time, ns."""
         return self._world.now_ns
 
     def next_due_ns(self) -> int:

@@ -124,7 +124,7 @@ class AdhesionWatch(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Forget all that was seen before."""
         self.heading_rad = 0.0
         self.figures: dict[str, float] = {}
         self._thrust_n = self._reported_push_n = self.limits.nominal_thrust_n

@@ -36,11 +36,11 @@ class Track:
         self.clear()
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Forget all that was seen before."""
         self.clear()
 
     def clear(self) -> None:
-        """Forget the past."""
+        """Forget all that was seen before."""
         self._kept: deque[tuple[int, Kept]] = deque(maxlen=_KEPT)
         self.newest_ns: int | None = None
 

@@ -84,7 +84,7 @@ class Sum:
         self.reset()
 
     def reset(self) -> None:
-        """Begin again."""
+        """Begin the sum again at zero."""
         self.size = 0.0
         self._sum = self._first = self._second = 0j
         self.since_ns = 0

@@ -25,7 +25,7 @@ class Exclusion:
         self.reset()
 
     def reset(self) -> None:
-        """Believe everybody again."""
+        """Use all sensors again."""
         self._names: set[str] = set()
 
     def __contains__(self, name: object) -> bool:

@@ -37,7 +37,7 @@ class FallCheck(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Forget all that was seen before."""
         self._weightless = self._sliding = 0
 
     def on_samples(self, cycle: Cycle) -> None:

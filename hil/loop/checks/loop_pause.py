@@ -30,7 +30,7 @@ class LoopPause(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Forget all that was seen before."""
         self._last_ns: int | None = None
         self._cycle_ns = self._ended_ns = self._lasted_ns = 0
 

@@ -60,7 +60,7 @@ class MocapEstimate(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the run."""
+        """Forget all that was seen in the run."""
         self._states.reset()
         self._leap.reset()
         self._last: tuple[int, Kept, Kept] | None = None

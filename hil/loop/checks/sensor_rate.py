@@ -54,7 +54,7 @@ class _Stream:
         self.begin(_NEVER_NS)
 
     def begin(self, t_ns: int) -> None:
-        """A new window."""
+        """Begin a new window."""
         self.good, self.cycles, self.ends_ns = 0, 0, t_ns + _WINDOW_NS
         self.youngest_ns = _NEVER_NS
 
@@ -75,7 +75,7 @@ class SensorRate(Check):
         self._streams = [_Stream(name, healthy) for name, healthy in self._healthy.items()]
 
     def on_samples(self, cycle: Cycle) -> None:
-        """Rates and delays."""
+        """Check rates and delays of this cycle's samples."""
         self.judge(cycle.inputs, cycle.events)
 
     def judge(self, inputs: Inputs, events: list[Event]) -> None:

@@ -67,7 +67,7 @@ class SensorStatus(Check):
         self._holes: set[tuple[str, str]] = set()
 
     def on_samples(self, cycle: Cycle) -> None:
-        """Statuses and ages."""
+        """Check statuses and ages of this cycle's samples."""
         self.judge(cycle.inputs, cycle.events)
 
     def judge(self, inputs: Inputs, events: list[Event]) -> None:

@@ -47,7 +47,7 @@ class ServoCheck(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Forget all that was seen before."""
         self.asked_rad_s = [0.0] * 4
         self._asked_since_ns: list[int | None] = [None] * 4
         self._asked_at_rad = [0.0] * 4

@@ -41,7 +41,7 @@ class UsableCheck(Check):
     """Whether the estimate that is followed can be judged at all."""
 
     def on_estimate(self, cycle: Cycle) -> None:
-        """Finite, with variances that can be, and of this cycle."""
+        """Check that the estimate is finite, its variances are possible, and its time is that of the cycle."""
         assert cycle.state is not None
         must_be_usable(cycle.state, cycle.inputs.t_ns)
 
@@ -56,7 +56,7 @@ class ObserverCheck(Check):
     checked: tuple[str, ...] = ()
 
     def on_estimate(self, cycle: Cycle) -> None:
-        """Each of them."""
+        """Check every estimate that is not followed."""
         for name in self.checked:
             cycle.events += self.judge(name, cycle.observers[name], cycle.inputs.t_ns)
 

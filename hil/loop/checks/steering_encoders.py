@@ -157,7 +157,7 @@ class SteeringWatch(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Learn anew."""
+        """Forget the learned offsets."""
         self._check.reset()
         self._last_ns: int | None = None
         self._since_ns: dict[int, int] = {}

@@ -51,7 +51,7 @@ class WheelSlipCheck(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the run."""
+        """Forget all that was seen in the run."""
         self._forget()
         self._reported = self._doubted = False
         self._way_m = self._since_m = self._sigma_m = self._off_m = 0.0

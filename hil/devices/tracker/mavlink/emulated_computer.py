@@ -143,7 +143,7 @@ class VisualInertialComputer(Scheduled):
 
     @property
     def now_ns(self) -> int:
-        """World time."""
+        """World time, ns."""
         return self._world.now_ns
 
     def attach(self, outlet: Outlet) -> None:

@@ -18,7 +18,7 @@ _LARGEST = 65535
 
 
 class _Client(Outlet):
-    """One listener."""
+    """A program that the stream is sent to."""
 
     def __init__(self, face: MavlinkFace, address: Address, heard_ns: int) -> None:
         self._face, self.address, self.heard_ns = face, address, heard_ns

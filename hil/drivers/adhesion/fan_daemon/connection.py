@@ -55,5 +55,5 @@ class Connection:
         return asked, packet
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._socket.close()

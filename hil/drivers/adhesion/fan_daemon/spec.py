@@ -111,7 +111,7 @@ class Spec:
 
     @classmethod
     def from_json(cls, text: str) -> Spec:
-        """Raises `ConfigError`."""
+        """Parse `to_json`; raises `ConfigError`."""
         try:
             given = json.loads(text)
             return cls(**{**given, "also": tuple(given.get("also", ()))})
