@@ -41,7 +41,7 @@ class UsableCheck(Check):
     """Whether the estimate that is followed can be judged at all."""
 
     def on_estimate(self, cycle: Cycle) -> None:
-        """Check that the estimate is finite, its variances are possible, and its time is that of the cycle."""
+        """Check that the estimate is finite, with possible variances, and of this cycle."""
         assert cycle.state is not None
         must_be_usable(cycle.state, cycle.inputs.t_ns)
 
