@@ -1,4 +1,4 @@
-"""From a checked configuration to the rig: the drivers of the registry, and where each finds its device."""
+"""Makes the drivers of a checked configuration, each with the address of its device."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The emulated devices of a configuration: built in one world, connected in process or served."""
+"""Builds the emulated devices of a configuration in one world, connected in process or served."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a robot may hang by its fan: it is lowered only where IMU and load cells say that it does not."""
+"""Refuses to lower the fan's force while the robot may hang by it, by IMU and load cells."""
 
 from __future__ import annotations
 

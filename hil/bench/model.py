@@ -1,4 +1,4 @@
-"""What a bench makes out of its configuration alone: pipelines, estimators, the head of a recording.
+"""Makes pipelines, estimators and the header of a recording from a configuration, without devices.
 
 No device, clock or loop: a replay needs this half of a bench only, and gets the same pipelines from it as
 the loop had.

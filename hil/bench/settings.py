@@ -1,4 +1,4 @@
-"""What a configuration means to the parts of the loop: limits, mounts, geometry, scheduling."""
+"""Turns a configuration into the settings of the loop: limits, mounts, geometry, scheduling."""
 
 from __future__ import annotations
 

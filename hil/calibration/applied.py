@@ -1,4 +1,4 @@
-"""What has to be known of a calibration that is applied: what it was fitted to, and if it is used likewise.
+"""Warnings on a calibration that is applied: what it was fitted to, and where its use differs.
 
 Errors on recordings that a fit has seen do not say how it does on others. Its parameters are those of one
 forward model and one wheel signal: another model or signal reads other wheels into them.

@@ -1,4 +1,4 @@
-"""Which recordings are corrupt: they contradict themselves, or all that the others show.
+"""Finds corrupt recordings: those that contradict themselves, or all others.
 
 First each is held against itself: ground truth that leaps, wheels that do not move as those of one body,
 wrong signs. Then against the others: clocks, and what a robust fit leaves of it. What as many recordings show

@@ -1,4 +1,4 @@
-"""What recordings drove: how far in which direction, and whether their geometry can be right.
+"""Measures what recordings excite: how far in which direction, and whether their geometry is plausible.
 
 A calibration is a 3x3 map of body motion at least. A direction that no recording drives on its own leaves
 a column of it to the prior and to what the other motions happen to imply, and odometry there extrapolates.

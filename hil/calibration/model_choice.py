@@ -1,4 +1,4 @@
-"""Which forward model, wheel loads and tyre ratio: decided by recordings that the fit did not see.
+"""Chooses forward model, wheel loads and tyre ratio by recordings that the fit did not see.
 
 On the emulated wall's own plant creep under unequal loads predicts best, in another physics and on the
 recordings of the real robot dry friction does (`docs/calibration.md`). No residual shows which: a wrong

@@ -1,4 +1,4 @@
-"""Which calibration a bench may use: one made for its robot, that has not failed its own validation run."""
+"""Checks that a bench may use a calibration: made for its robot, and not failed in its validation run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How well a calibration predicts motions that it has not seen: leave one repetition or one motion out."""
+"""Cross-validates a calibration: leaves one repetition or one motion out, and predicts it."""
 
 from __future__ import annotations
 

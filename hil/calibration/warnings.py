@@ -1,4 +1,4 @@
-"""What the user of a calibration has to know about it, in sentences: `warnings` of the result."""
+"""Makes the sentences under `warnings` of a calibration's result."""
 
 from __future__ import annotations
 

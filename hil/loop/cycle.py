@@ -1,4 +1,4 @@
-"""One cycle of the loop: what came in, what was made of it, and what the checks report about it."""
+"""The data of one cycle that all checks share, and the protocol of a check."""
 
 from __future__ import annotations
 

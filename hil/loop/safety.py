@@ -1,4 +1,4 @@
-"""Limits of a bench, and which checks it has."""
+"""The limits of a bench, and the set of its checks."""
 
 from __future__ import annotations
 

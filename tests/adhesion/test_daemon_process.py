@@ -32,7 +32,7 @@ def eventually(true, within_s=10.0):
 
 
 @pytest.fixture
-def daemon_spec(shared):
+def daemon(shared):
     """(fan, spec, connection to its daemon, which is started where there is none)."""
     fan, spec = shared
     with client.find_or_start(spec) as connection:

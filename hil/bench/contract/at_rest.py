@@ -1,4 +1,4 @@
-"""What every device promises while nothing is commanded."""
+"""Contract checks of a device while nothing is commanded: identity, reopening, stamps, missing data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How late a bench is: how old samples are when they arrive, and how long after a command the axes turn.
+"""Measures delays: the age of samples when they arrive, and the time from a command to the turn of the axes.
 
 What a stand allows. From command to motion of the body, and how far each device's stamps are off, is what the
 procedure `latency` measures on the wheels.

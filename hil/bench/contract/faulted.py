@@ -1,4 +1,4 @@
-"""Whether each fault that an emulated device declares changes anything that its driver or its robot shows.
+"""Checks that each declared fault of an emulated device changes what its driver or its robot shows.
 
 A fault that does nothing is worse than none: what is tested with it passes, and nothing was tested. Each run
 is of a bench of its own, from the same seed, with wheels and steering that move where there are any; what is

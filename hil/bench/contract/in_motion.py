@@ -1,4 +1,4 @@
-"""What the servos promise when they are commanded. Wheels turn: the robot is on a stand or on an open floor.
+"""Contract checks of commanded servos. Wheels turn: the robot is on a stand or on an open floor.
 
 Every check takes a bench whose servos are open, ends with wheels at rest and torque on, and puts the steering
 back to where it was.

@@ -1,4 +1,4 @@
-"""Whether position sensors (camera, motion capture) see a resting robot rest."""
+"""Checks that position sensors (camera, motion capture) report no motion of a resting robot."""
 
 from __future__ import annotations
 

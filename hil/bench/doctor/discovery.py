@@ -1,4 +1,4 @@
-"""Looks for the devices of a bench and writes down what it found as a ready `bench.toml`.
+"""Finds the devices of a bench and writes a ready `bench.toml`.
 
 Serial ports are named by their USB serial number where the system offers that. Each port is asked
 by every model of the registry that a serial port may hold, those that answer quickly first. What may hold the

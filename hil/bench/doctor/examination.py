@@ -1,4 +1,4 @@
-"""Examines a bench without moving it: what answers, how well, and what to do about what does not.
+"""Examines a bench without moving it: findings with remedies for each device.
 
 Every device is opened by itself, so that one that is missing does not hide the others, and then read
 at the loop rate for a while. The findings are data; `hil doctor` prints them.

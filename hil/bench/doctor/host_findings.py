@@ -1,4 +1,4 @@
-"""What the machine does to the ports of a bench: other programs on them, USB supply, names that change."""
+"""Findings on the ports of a bench: other programs that use them, USB supply, unstable names."""
 
 from __future__ import annotations
 

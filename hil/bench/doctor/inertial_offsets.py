@@ -1,4 +1,4 @@
-"""Gravity and turn rate of the IMU at rest, held against what `imu_calibration` has kept in the record.
+"""Compares gravity and turn rate of the IMU at rest with the results of `imu_calibration` in the record.
 
 On a wall gravity and motion capture both tell the heading. The record's mount of the IMU is the one with
 which they agreed, so what lies between them at rest is by how much the IMU, or the rigid body of motion

@@ -1,4 +1,4 @@
-"""Which serial ports discovery must not write to, since something there may hold the robot.
+"""Finds the serial ports that discovery must not write to, since a device there may hold the robot.
 
 A port says nothing of what is behind it, and a controller of propellers may take any strange byte for an
 error and slow down. So a port is left alone where another program has it open, where a bench file has a

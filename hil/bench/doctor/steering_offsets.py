@@ -1,4 +1,4 @@
-"""External steering encoders beside the servos' own angles at rest, held against what the record keeps.
+"""Compares external steering encoders with the servos' angles at rest, by the offsets in the record.
 
 Both are measured apart from each other, so what lies between them is no matter of where a wheel points: it
 changes where a horn or an encoder has slipped, also while no program ran.

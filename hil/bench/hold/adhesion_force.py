@@ -1,4 +1,4 @@
-"""Whether the fan's force is measured and is enough to hold the robot: one condition of HELD.
+"""Checks that the fan's force is measured and holds the robot: one condition of HELD.
 
 A robot whose fan has just died still stands still. A controller that nothing hears may have let go of its
 motor, or will when its time-out ends, and the fan takes a second to run down. So a silent fan is no longer

@@ -1,4 +1,4 @@
-"""The fan's force follows the need: posture, surface and tilt, with a margin, to spare the battery."""
+"""Sets the fan's force by posture, surface and tilt, with a margin, to spare the battery."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The devices of a bench, opened and closed together with its sinks: whatever happens, the robot is held."""
+"""Opens and closes devices and sinks of a bench together; whatever happens, the robot stays held."""
 
 from __future__ import annotations
 

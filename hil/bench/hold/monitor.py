@@ -1,4 +1,4 @@
-"""Watches after every stop whether the robot is held, until it is or time is up.
+"""Decides after every stop whether the robot is HELD, by watching it until it is or time is up.
 
 "Held" is a claim about the world, not about what was sent: all eight servos say that they have torque and
 that their watchdogs wait, the wheels rest, and nothing that can see the robot sees it move. Until then the

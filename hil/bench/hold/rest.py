@@ -1,4 +1,4 @@
-"""What was seen of a stopped robot: whether it rests, and how far it has gone since its stop."""
+"""Measures whether a stopped robot rests, and how far it has moved since its stop."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How steep the robot stands by its IMU, held against `environment.tilt_rad`: a wall is no floor.
+"""Compares the tilt by the IMU with `environment.tilt_rad`.
 
 The bench file alone would let a robot on a wall count as one that nothing can make fall. Offsets of a chip
 and mounts that are slightly off do not count: only a difference at which wheels no longer hold a robot by

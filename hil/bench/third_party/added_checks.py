@@ -1,4 +1,4 @@
-"""The checks that kinds of other packages bring: tried before a run, and blamed on their package in it."""
+"""Runs the checks that other packages add: tried before a run; errors in it name the package."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is wrong with a value that a driver of another package gave, by the type hint of its field."""
+"""Checks values of drivers of other packages by the type hints of their fields."""
 
 from __future__ import annotations
 

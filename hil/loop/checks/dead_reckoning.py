@@ -1,4 +1,4 @@
-"""Where the wheels alone, and the gyro alone, have the robot: dead reckoning that knows its past.
+"""Dead reckoning by the wheels alone and by the gyro alone, with a history to compare with other sensors.
 
 Camera poses come tens of milliseconds late; to compare them, what the others say must be known for then.
 """

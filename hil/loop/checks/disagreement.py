@@ -1,4 +1,4 @@
-"""What two devices differ by, summed up: the sum, what honest ones may differ by, and what is said of it.
+"""Sums the difference of two devices beyond their tolerances, and describes the disagreement.
 
 Deterministic: depends on the steps that were added since `reset` and on nothing else.
 """

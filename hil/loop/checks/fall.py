@@ -1,4 +1,4 @@
-"""Sees that the robot has come off or slides, by what it feels and by what the camera sees."""
+"""Detects that the robot has come off or slides, by IMU and camera."""
 
 from __future__ import annotations
 

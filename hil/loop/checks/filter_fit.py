@@ -1,4 +1,4 @@
-"""What the estimator could not believe: a sensor that it refused for long, or that fits badly on the whole.
+"""Reports sensors that the estimator has rejected for long, or that fit it badly on the whole.
 
 Deterministic: depends on the states seen since `reset` and on nothing else.
 """

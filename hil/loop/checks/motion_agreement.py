@@ -1,4 +1,4 @@
-"""Camera, wheels and gyro against each other: motion that one measures and the others do not.
+"""Compares the motion by camera, wheels and gyro, and finds the one that disagrees.
 
 What two of them say of the same stretch is subtracted, step by step, and summed. From the sum each step
 takes what honest sensors may differ by in it (`Honest`), never below zero: honest ones stay near zero however

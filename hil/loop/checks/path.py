@@ -1,4 +1,4 @@
-"""Heading and distance from the reference."""
+"""Stops the robot when its heading or position is too far from the reference."""
 
 from __future__ import annotations
 

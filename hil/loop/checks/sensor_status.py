@@ -1,4 +1,4 @@
-"""Sensors that fall silent or send unusable samples: one event each."""
+"""Reports sensors that fall silent or send unusable samples: one event each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the servos themselves give away: silence, alerts, wheels that do not turn, encoders that slip.
+"""Checks the servos' own data: silence, alerts, wheels that do not turn, encoders that slip.
 
 Names the servo, its bus ID where known, what it did and what to do.
 """

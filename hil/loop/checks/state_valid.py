@@ -1,4 +1,4 @@
-"""Whether an estimate is usable: finite, with a covariance, of this cycle.
+"""Checks that an estimate is usable: finite, with a covariance, of this cycle.
 
 What compares an estimate with others weighs it by its variances and by its time: with a variance that is not
 a number, or a time that stands still, nothing would ever be found to differ.

@@ -1,4 +1,4 @@
-"""External encoder against the servo's own angle: what the servo cannot see of its horn and gears.
+"""Compares external encoders with the servos' own angles: finds slipped horns and damaged gears.
 
 The servo measures before gear play and horn, the external encoder behind them. Their lasting
 difference moves when the horn slips, or the servo's own encoder. Only settled axes are compared, because
