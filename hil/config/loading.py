@@ -1,4 +1,4 @@
-"""How a `bench.toml` is found, read, overridden and checked.
+"""Finds, reads, overrides and checks a `bench.toml`.
 
 Strict: unknown keys are errors, and every problem is reported at once with its dotted path.
 """

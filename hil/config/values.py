@@ -1,4 +1,4 @@
-"""What all tables of the bench file share: their strict base, bounds of numbers, and types of values."""
+"""The strict base of all tables of the bench file, bounds of numbers, and types of values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands that run for the console: started, listed, read, answered, stopped; standard library alone.
+"""Starts, lists, reads, answers and stops the commands of the console; standard library alone.
 
 All there is to know of a job lies in its folder, so that any process of the console, also one that was
 started later, can read it, answer it and stop it:

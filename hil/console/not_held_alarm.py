@@ -1,4 +1,4 @@
-"""Which robots the jobs of a console have left NOT HELD: an alarm that stays. Standard library alone.
+"""The alarm for robots that jobs of the console left NOT HELD; it stays until reset. Standard library only.
 
 It is read from the folders of the jobs, so that it is the same after a reload or a restart. A later job takes
 it away only where it was on the same bench and has found the robot held: one that opened no device, or only

@@ -1,4 +1,4 @@
-"""The console's page: what there is to start, what runs, the devices, the history. It touches no device.
+"""Serves the console's page: commands, running jobs, devices, history. It touches no device.
 
 Everything that moves is an ordinary command in a process of its own (`hil.console.jobs`). So this process may
 be killed, started again, or asked anything at any time.

@@ -1,4 +1,4 @@
-"""The seams: what a device, an estimator, a controller and a sink are. Inherit them explicitly.
+"""The interfaces of devices, estimators, controllers and sinks. Inherit them explicitly.
 
 Synchronous. A thread may live only inside a driver or a sink. Time, randomness and devices are
 arguments. `stop()` on a wall means: wheels at rest, steering held, torque **on**; only `release()`

@@ -1,4 +1,4 @@
-"""What flows through the loop: samples from devices, states, references, setpoints, cycle records.
+"""The types that flow through the loop: samples, states, references, setpoints, cycle records.
 
 Frozen dataclasses, SI units, unit and frame in the name. Wheel order is FL, BL, BR, FR everywhere
 (the paper's 1..4); an array over servos has the four drives first, then the four steers, each in

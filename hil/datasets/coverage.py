@@ -1,4 +1,4 @@
-"""Whether wheels and ground truth saw the same drive: what moved where only one of them looked.
+"""Checks that wheels and ground truth cover the same drive.
 
 Odometry is judged where there is both. A file that was cut, or a capture system that ended early, leaves a
 part of the drive that no error counts, and an error at the end that is none. A rest that only one of them saw

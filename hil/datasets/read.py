@@ -1,4 +1,4 @@
-"""Which reader reads what: turns the paths of a command line into recordings."""
+"""Reads the paths of a command line as recordings, each with the right reader."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether wheels and ground truth have the same signs, by comparing the two paths.
+"""Finds wrong signs of wheels by comparing their path with ground truth.
 
 A fit cannot mend a wrong sign: all its parameters would end at their bounds. It is named instead, from second
 to second and in the robot's own frame, so that neither drift nor a leap decides. Where no single change of a

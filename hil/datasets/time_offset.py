@@ -1,4 +1,4 @@
-"""Whether wheels and ground truth share a clock, by when both begin and end to move."""
+"""Checks that wheels and ground truth share a clock, by when both begin and end to move."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ground truth that leaps: rows that no robot can have reached from their neighbours.
+"""Finds jumps of ground truth: rows that no robot can have reached from their neighbours.
 
 A capture system that takes another marker for the robot's puts single rows metres away. Such rows leave and
 come back; a pose that leaves and stays is another matter, and only counted.

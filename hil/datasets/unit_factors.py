@@ -1,4 +1,4 @@
-"""Which unit a column is in, by its factor: wheels against ground truth, wheel rates against wheel angles.
+"""Finds the unit of a column by its factor: wheels to ground truth, wheel rates to wheel angles.
 
 In stretches of half a second: how far did each wheel roll, how far did ground truth move it, how far did it
 turn by its rate? Slip, noise and tolerances change such a way by tenths, or in single stretches; another unit

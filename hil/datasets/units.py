@@ -1,4 +1,4 @@
-"""Whether a recording is in seconds, metres and radians, by what the robot can have done.
+"""Checks that a recording is in seconds, metres and radians, by what the robot can have done.
 
 Wheels and ground truth saw the same drive. What one of them says bounds the other, whatever the robot's size.
 Every bound leaves a factor that no slip, tolerance or wrong bench file reaches; a wrong unit is beyond it.

@@ -1,4 +1,4 @@
-"""Whole turns of wheel angles: what is a counter that wrapped, and what is a gap, a restart or unknown.
+"""Unwraps wheel angles: distinguishes wrapped counters from gaps, restarts and unknown turns.
 
 An angle that leaps by a whole number of turns, from one edge of what its column holds to the other, wrapped.
 One that a wheel can have rolled since the row before is left as it is, however long that was. Where a counter

@@ -1,4 +1,4 @@
-"""How emulated devices on CAN are connected: a channel in this process, or one that any client can open."""
+"""Connects emulated devices on CAN: by a channel in this process, or by one that any client can open."""
 
 from __future__ import annotations
 

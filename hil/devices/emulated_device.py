@@ -1,4 +1,4 @@
-"""How an emulated device is built and connected: in this process for virtual time, or at the wire.
+"""Builds and connects an emulated device: in this process for virtual time, or at the wire.
 
 A model's `emulate` takes an `EmulationRequest` and gives an `EmulatedDevice`. Most are a chip behind a serial
 line (`on_serial_line`) or on a CAN bus (`hil.devices.emulated_can`); the others state how they are reached.

@@ -1,4 +1,4 @@
-"""What a driver of an added device uses."""
+"""The public names for drivers of added devices."""
 
 from hil.core.clock import NS_PER_S, Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError

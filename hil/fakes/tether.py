@@ -1,4 +1,4 @@
-"""How an emulated robot begins to hang: on a tether, by a fan that runs already, or by nothing yet."""
+"""How an emulated robot is held at the start: by a tether, by a running fan, or not."""
 
 from __future__ import annotations
 

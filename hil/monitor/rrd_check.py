@@ -1,4 +1,4 @@
-"""Whether a Rerun file is whole: its messages are walked through, by length, to the one that ends it."""
+"""Checks that a Rerun file is whole, by walking through its messages to the one that ends it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the three-dimensional view shows of each moment: the newest that is known of the robot; no Rerun.
+"""The state of the robot that the three-dimensional view shows, by the newest samples; no Rerun.
 
 Truth is that of the emulated robot where the record carries it, else what motion capture sees. Slip is the
 emulated robot's own, else what is left of the seen motion beyond what the wheels roll. Loads are the emulated

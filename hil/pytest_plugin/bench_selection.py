@@ -1,4 +1,4 @@
-"""Which bench a test runs on, whether it can run there, and its entry in the report."""
+"""Selects the bench of a test, skips it where it cannot run there, and fills its entry in the report."""
 
 from __future__ import annotations
 

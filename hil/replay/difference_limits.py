@@ -1,4 +1,4 @@
-"""How far a replay may differ from its recording where the two were computed by different arithmetic.
+"""Limits of the difference between a replay and its recording where their arithmetic differs.
 
 Rounding differs in the last digits between processors and libraries (`hil.support.arithmetic_fingerprint`).
 On whole

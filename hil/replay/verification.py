@@ -1,4 +1,4 @@
-"""Whether a recording repeats: its inputs are decided upon again and every number is compared.
+"""Verifies that a recording repeats: its inputs go through the pipeline again, and every number is compared.
 
 Where the same arithmetic decides, every bit must be equal. Where it is another one, numbers may differ within
 the limits of `hil.replay.difference_limits`.

@@ -1,4 +1,4 @@
-"""What two campaigns were given differently: their options, files and versions, by their plans."""
+"""Finds the differences of two campaigns' inputs: options, files and versions, by their plans."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all pages share: templates, the script for figures, and how numbers, times and verdicts are said."""
+"""Shared by all pages: templates, the script for figures, the format of numbers, times and verdicts."""
 
 from __future__ import annotations
 

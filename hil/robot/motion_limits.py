@@ -1,4 +1,4 @@
-"""Whether a robot can follow a trajectory: checked before anything moves."""
+"""Checks that a robot can follow a trajectory, before anything moves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The arithmetic of this computer: what decides the last bits of a computed number.
+"""Identifies the arithmetic of this computer, which decides the last bits of a computed number.
 
 The four operations and the square root give the same bits on every processor. Sines, matrix products,
 inverses and sums do not: numpy, OpenBLAS and the C library each choose code by what the processor can do.

@@ -1,4 +1,4 @@
-"""A CAN bus that a process emulates is marked so, for as long as that process lives: by a name in the kernel.
+"""Marks a CAN bus as emulated while the emulating process lives, by a name in the kernel.
 
 Who keeps a fan running must outlive everything but the fan itself. A real fan outlives every program, an
 emulated one ends with its emulator. The name is in Linux' abstract space; elsewhere no bus is marked. Any

@@ -1,4 +1,4 @@
-"""How numerical functions become machine code: numba's `njit`, and what a run needs around it.
+"""Compiles numerical functions by numba: `njit`, its cache, and messages while it compiles.
 
 `kernel` marks what Python calls, `inner` what kernels call and Python runs as it is.
 numba keeps the code of a kernel until the kernel's own file changes, although it contains the code of all

@@ -1,4 +1,4 @@
-"""Which programs have a port or a socket open, and which run: read from `/proc`, as far as this user may."""
+"""Finds the programs that have a port or a socket open, by `/proc`, as far as this user may read it."""
 
 from __future__ import annotations
 

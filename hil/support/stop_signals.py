@@ -1,4 +1,4 @@
-"""SIGINT, SIGTERM and SIGHUP (a closed terminal) handed to one function for as long as a block lasts.
+"""Hands SIGINT, SIGTERM and SIGHUP (a closed terminal) to one function for the duration of a block.
 
 A robot on a wall is held by the program that commands it: a signal may ask for the end of that, and must not
 cut it short, the second no more than the first.

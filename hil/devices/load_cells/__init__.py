@@ -1,4 +1,4 @@
-"""What measures with which force the fan presses the robot on its surface."""
+"""The kind `load_cells`: cells that measure the force of the fan."""
 
 from __future__ import annotations
 

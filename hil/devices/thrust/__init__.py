@@ -1,4 +1,4 @@
-"""What carries part of the robot's weight: propellers."""
+"""The kind `thrust`: propellers that carry part of the robot's weight."""
 
 from __future__ import annotations
 

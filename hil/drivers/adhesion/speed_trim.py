@@ -1,4 +1,4 @@
-"""From a fan speed to the controller's command, slowly corrected by the speed that results."""
+"""Converts a fan speed to the controller's command, and corrects it slowly by the measured speed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who is on the bus of a VESC, and whether the one that is meant may be trusted with a robot."""
+"""Finds the controllers on a VESC's bus, and checks that the configured one may be trusted with a robot."""
 
 from __future__ import annotations
 

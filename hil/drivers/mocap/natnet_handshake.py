@@ -1,4 +1,4 @@
-"""What has to be settled with a NatNet server before its frames can be used."""
+"""Agrees with a NatNet server on bit stream and rigid body, and waits for its first frame."""
 
 from __future__ import annotations
 

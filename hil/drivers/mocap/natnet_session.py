@@ -1,4 +1,4 @@
-"""The conversation with a NatNet server: connect, versions, model definitions, signs of life, frames."""
+"""Talks to a NatNet server: connection, versions, model definitions, keep-alive, frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Finding servos at any baud rate, and setting one up: the only place that writes the EEPROM."""
+"""Finds servos at any baud rate, and sets one up: the only place that writes the EEPROM."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who is on the bus: what each ID answers at open, held against what the bench expects."""
+"""Compares the servos that answer at open with those that the bench expects."""
 
 from __future__ import annotations
 

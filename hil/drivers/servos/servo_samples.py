@@ -1,4 +1,4 @@
-"""From a read of the bus to a sample: positions that count on, restarts and hardware errors looked into."""
+"""Makes a sample of a read of the bus: multi-turn positions, restarts, hardware errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is true of the emulated fan: how its controller is set, its battery, and how it begins."""
+"""True parameters of the emulated fan: settings of its controller, its battery, its initial state."""
 
 from __future__ import annotations
 

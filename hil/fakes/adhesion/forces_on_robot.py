@@ -1,4 +1,4 @@
-"""What motors do to the robot: their forces together, and the tether that holds until they carry it."""
+"""Adds up the forces of motors on the robot, and the tether that holds until they carry it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the emulated cells' counts leave their microcontroller: a CAN frame, or a line of text."""
+"""Sends the counts of the emulated cells: as CAN frames, or as lines of text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an emulated servo bus is like: IDs, EEPROM as found, supply, temperature, habits of the firmware."""
+"""True parameters of an emulated servo bus: IDs, EEPROM, supply, temperature, behaviour of the firmware."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What load does to the servos: heat, voltage drop, overload, and the hardware errors that come of it."""
+"""Effects of load on the servos: heat, voltage drop, overload, and the hardware errors that follow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is true of the emulated propellers; assumptions where no source is known."""
+"""True parameters of the emulated propellers; assumptions where no source is known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which files in the folder of a result `hil` has written and deletes with it. All others are the user's.
+"""Lists the files in the folder of a result that `hil` has written and deletes with it.
 
 Some have fixed names. The others are named by the result itself, or by the journal of a run: recordings,
 figures, attachments. A run in the folder of another one belongs to neither, unless that is a campaign or a
