@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.bench import Bench
-from hil.bench.settings import adhesion_limits, thrust_wanted_n
+from hil.bench.loop_settings import adhesion_limits, thrust_wanted_n
 from hil.config.bench import BenchConfig
 from hil.config.robot_record import Figure
 from hil.core.errors import ConfigError

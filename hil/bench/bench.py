@@ -13,8 +13,8 @@ import numpy as np
 from hil.bench.doctor.inertial_offsets import InertialWatch
 from hil.bench.drive_start import blind_to_the_drive, emulated_hold, must_begin_where_it_stands
 from hil.bench.hold.held_devices import HeldDevices
+from hil.bench.loop_settings import real_time
 from hil.bench.model import BenchModel
-from hil.bench.settings import real_time
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import ConfigError, DeviceError, check_number
 from hil.core.geometry import Array, ArrayLike

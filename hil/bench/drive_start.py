@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hil.bench.settings import pretended_holders
+from hil.bench.loop_settings import pretended_holders
 from hil.config.bench import BenchConfig
 from hil.core.errors import TrajectoryError
 from hil.core.geometry import Array, wrap

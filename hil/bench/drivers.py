@@ -7,7 +7,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, cast
 
-from hil.bench.named_errors import OwnName, making
+from hil.bench.further_device_errors import OwnName, making
 from hil.bench.third_party.driver import wrapped_driver
 from hil.config.bench import BenchConfig
 from hil.config.device import DeviceConfig

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from hil.bench.drivers import model_of
-from hil.bench.named_errors import named
+from hil.bench.further_device_errors import named
 from hil.bench.third_party.emulated import parts_of, wrapped_endpoint
 from hil.config.bench import BenchConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model

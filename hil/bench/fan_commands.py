@@ -10,7 +10,7 @@ from typing import Any
 
 from hil.bench.drivers import make_device_set
 from hil.bench.fan_interlock import DEVICE, STEP_NS, WATCH_S, duty_n, fan_of, must_be_enough
-from hil.bench.settings import force_wanted_n
+from hil.bench.loop_settings import force_wanted_n
 from hil.config.adhesion import AdhesionConfig, MotorConfig
 from hil.config.bench import BenchConfig
 from hil.config.can_motor import DaemonMotorConfig

@@ -8,7 +8,13 @@ from __future__ import annotations
 
 from copy import copy
 
-from hil.bench.settings import alignment_parameters, checks, motion_limits, safety_limits, with_measured_scale
+from hil.bench.loop_settings import (
+    alignment_parameters,
+    checks,
+    motion_limits,
+    safety_limits,
+    with_measured_scale,
+)
 from hil.config.bench import BenchConfig
 from hil.config.estimator import EstimatorConfig
 from hil.config.servos import ServosConfig

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from hil.calibration.corrupt import corrupt
+from hil.calibration.corrupt_recordings import corrupt
 from hil.calibration.evaluation import cost, track_all
 from hil.calibration.excitation import Driven, check_geometry, driven
 from hil.calibration.fitting import Fit, fit, twist_between
@@ -31,7 +31,7 @@ from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.blocks import Blocks, reduce_recordings
 from hil.datasets.dataset import Recording
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.robot.kinematics import WheelGeometry
 from hil.support.progress import WHOLE, Report, silent
 

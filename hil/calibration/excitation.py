@@ -15,7 +15,7 @@ from hil.calibration.motion_models import make_model
 from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.blocks import Blocks
-from hil.datasets.nominal import Nominal, lever_m
+from hil.datasets.nominal_robot import Nominal, lever_m
 from hil.robot.kinematics import WheelGeometry
 
 DIRECTIONS = ("forward", "sideways", "turning")

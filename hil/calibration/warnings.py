@@ -14,10 +14,10 @@ from hil.calibration.validation import Deployed, Table
 from hil.datasets.blocks import Blocks
 from hil.datasets.dataset import Recording
 from hil.datasets.initial_rest import start_of
-from hil.datasets.nominal import lever_m
+from hil.datasets.nominal_robot import lever_m
 from hil.datasets.sampling import LONGEST_GAP_S
-from hil.datasets.signs import LOOK, contradictions
 from hil.datasets.time_offset import different_clocks
+from hil.datasets.wrong_signs import LOOK, contradictions
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import click
 
-from hil.cli.answers import answers_option, asked_to_end, operator
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.options import JSON, OUT, results_folder
 from hil.cli.progress import reporting
+from hil.cli.question_answers import answers_option, asked_to_end, operator
 from hil.core.clock import local_time
 from hil.core.errors import shown_path
 from hil.core.result_files import ACCEPTANCE_TABLE

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start_question
-from hil.cli.answers import answers_option, asked_to_end, operator
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.completion_types import SCRIPT
 from hil.cli.options import JSON, OUT, on_recording_failure_option, results_folder
 from hil.cli.output import kept_for_json, print_end, print_user_calls
 from hil.cli.progress import reporting
+from hil.cli.question_answers import answers_option, asked_to_end, operator
 from hil.cli.ros2_options import published
 from hil.core.clock import local_time
 from hil.core.errors import HilError, UsageError, shown_path

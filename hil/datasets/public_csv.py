@@ -19,7 +19,7 @@ from hil.core.geometry import Array
 from hil.core.signals import WHEELS
 from hil.datasets.cleaning import Log, credible
 from hil.datasets.dataset import Recording, build_recording
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.number_table import numbers_at_once
 from hil.datasets.unpacking import read_packed
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.geometry import Array
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.robot.kinematics import WheelGeometry
 
 _STRETCH_S = 0.5
@@ -173,7 +173,7 @@ def check_rates(where: str, t_s: Array, angle: Array, rate: Array) -> None:
 
     A wheel counts where it turns at 0.2 rad/s or more, by either, in three stretches or more: a register that
     counts in steps reads slower ones badly. It disagrees where seven tenths of them are off by twice or more,
-    or turn the other way. Where all wheels turn the other way, `hil.datasets.signs` says so.
+    or turn the other way. Where all wheels turn the other way, `hil.datasets.wrong_signs` says so.
 
     Args:
         where: the file, for messages.

@@ -24,7 +24,7 @@ from hil.loop.checks.fall import FallCheck, look_at
 from hil.loop.checks.filter_fit import FilterFit
 from hil.loop.checks.loop_pause import LoopPause
 from hil.loop.checks.lost_sensor import LostCheck
-from hil.loop.checks.path import PathCheck
+from hil.loop.checks.path_error import PathCheck
 from hil.loop.checks.sensor_rate import SensorRate
 from hil.loop.checks.sensor_status import SensorStatus
 from hil.loop.checks.servos import ServoCheck

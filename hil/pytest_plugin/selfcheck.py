@@ -24,7 +24,7 @@ import pytest
 
 from hil.bench import Bench, contract
 from hil.bench.contract import BUSY_SHARE, due, oldest_s
-from hil.bench.settings import alignment_parameters
+from hil.bench.loop_settings import alignment_parameters
 from hil.core.clock import nanoseconds
 from hil.core.geometry import rotated
 from hil.core.registry import kinds

@@ -20,7 +20,7 @@ import numpy as np
 
 from hil.core.geometry import Array
 from hil.core.signals import Event
-from hil.recording.compare import first_difference
+from hil.recording.record_comparison import first_difference
 
 
 @dataclass(frozen=True)

@@ -10,20 +10,20 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from hil.bench.loop_settings import geometry_of, nominal_of, with_wheel_model
 from hil.bench.model import BenchModel
-from hil.bench.settings import geometry_of, nominal_of, with_wheel_model
 from hil.calibration.calibration_file import read_calibration
 from hil.calibration.excitation import mismatch
-from hil.calibration.usable import check_made_for, failed_validation
+from hil.calibration.usability_check import check_made_for, failed_validation
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.config.recorded import recorded_bench
 from hil.core.errors import DataError, HilError, UsageError
 from hil.datasets.as_cycles import to_run
 from hil.datasets.blocks import reduce_recordings
-from hil.datasets.coverage import covered
 from hil.datasets.dataset import Recording
-from hil.datasets.nominal import Nominal
+from hil.datasets.drive_coverage import covered
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import find_recordings, read_recordings
 from hil.datasets.rosbag import is_bag, read_bag
 from hil.datasets.topic_map import read_topic_map

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench import Bench
-from hil.bench.settings import adhesion_limits, force_wanted_n, thrust_wanted_n
+from hil.bench.loop_settings import adhesion_limits, force_wanted_n, thrust_wanted_n
 from hil.config.bench import BenchConfig
 from hil.core.errors import ConfigError, DataError
 from hil.core.geometry import Array

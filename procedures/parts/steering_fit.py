@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.bench.settings import load_shares
+from hil.bench.loop_settings import load_shares
 from hil.config.bench import BenchConfig
 from hil.core.geometry import Array, rotation2, wrap_array
 from hil.loop.recorded_motion import Motion

@@ -8,7 +8,7 @@ import pytest
 
 import hil
 from hil.bench.hold.preload import Preload
-from hil.bench.settings import adhesion_limits, thrust_wanted_n
+from hil.bench.loop_settings import adhesion_limits, thrust_wanted_n
 from hil.config.loading import load_bench
 from hil.core.errors import DeviceError, SafetyStop, UsageError
 from hil.procedure.faults import cells_of

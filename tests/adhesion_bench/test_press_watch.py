@@ -8,7 +8,7 @@ import pytest
 
 from hil.bench.hold.adhesion_force import RUN_DOWN_S, AdhesionForceCheck
 from hil.bench.hold.propeller_handover import LeftAlone, least_push_n
-from hil.bench.settings import adhesion_limits
+from hil.bench.loop_settings import adhesion_limits
 from hil.config.loading import load_bench
 from hil.config.thrust import TeensyConfig, ThrustConfig
 from hil.core.errors import DeviceError

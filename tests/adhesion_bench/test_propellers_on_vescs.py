@@ -11,7 +11,7 @@ from worlds import duty_frame, heard, send
 import hil
 from hil.bench.doctor.discovery import Discovery
 from hil.bench.hold.preload import Preload
-from hil.bench.settings import thrust_wanted_n
+from hil.bench.loop_settings import thrust_wanted_n
 from hil.config.adhesion import VescConfig
 from hil.config.loading import load_bench
 from hil.config.robot import RobotConfig

@@ -8,9 +8,9 @@ import pytest
 
 import hil
 from hil.bench.contract import losses
+from hil.bench.contract.device_under_test import Broken, Subject
 from hil.bench.contract.losses import loses_next_to_nothing
 from hil.bench.contract.stillness import sees_no_motion
-from hil.bench.contract.subject import Broken, Subject
 from hil.core.clock import NS_PER_S
 from hil.loop.control_loop import LoopStatistics
 

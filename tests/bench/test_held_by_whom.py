@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.bench.hold.rest import JOINTS, MotionSinceStop
+from hil.bench.hold.motion_since_stop import JOINTS, MotionSinceStop
 from hil.core.device import DeviceKind
 from hil.core.errors import SafetyStop
 from hil.devices.servos import KIND as SERVO_KIND

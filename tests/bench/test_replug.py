@@ -8,8 +8,8 @@ import time
 import pytest
 
 import hil
+from hil.bench.loop_settings import fail_limits
 from hil.bench.reconnect import Reconnecting, reconnecting
-from hil.bench.settings import fail_limits
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock

@@ -15,7 +15,7 @@ from hil.calibration.synthetic import _springs, hidden_robot, make_set
 from hil.calibration.validation import table_of
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.robot.contact_laws import creep_motion
 from hil.robot.kinematics import WheelGeometry, projection, wheel_vectors
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from hil.calibration.calibration_file import read_calibration
-from hil.calibration.corrupt import corrupt
+from hil.calibration.corrupt_recordings import corrupt
 from hil.calibration.synthetic import MOTIONS, hidden_robot, make_set
 from hil.cli import main
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import read_recordings
 from tests.calibration.spoilt_sets import KINDS, make_drives
 from tests.selected import every

@@ -8,9 +8,9 @@ import pytest
 from hil.cli import main
 from hil.core.errors import DataError
 from hil.datasets.cleaning import Log
-from hil.datasets.coverage import covered
 from hil.datasets.dataset import build_recording
-from hil.datasets.nominal import Nominal
+from hil.datasets.drive_coverage import covered
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import write_plain
 from hil.datasets.read import read_recordings
 from hil.robot.kinematics import NOMINAL_RADIUS_M

@@ -11,7 +11,7 @@ from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
 from hil.datasets.cleaning import Log
 from hil.datasets.dataset import build_recording
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import read_recordings
 from hil.robot.kinematics import WheelGeometry
 

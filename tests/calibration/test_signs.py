@@ -13,10 +13,10 @@ from hil.calibration.synthetic import MOTIONS, hidden_robot, make_set
 from hil.cli import main
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import write_plain
 from hil.datasets.read import read_recordings
-from hil.datasets.signs import check_signs, contradictions
+from hil.datasets.wrong_signs import check_signs, contradictions
 from hil.robot.kinematics import WheelGeometry
 
 CAD = WheelGeometry.nominal()

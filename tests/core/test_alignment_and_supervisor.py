@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from supervised import Supervised
 
-from hil.bench.settings import checks, geometry_of
+from hil.bench.loop_settings import checks, geometry_of
 from hil.config.loading import load_bench
 from hil.core.errors import ConfigError, SafetyStop
 from hil.core.geometry import quat_conjugate, quat_from_rotvec, quat_from_yaw, quat_multiply, quat_rotate

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hil.bench.contract import at_rest
-from hil.bench.contract.subject import Broken
+from hil.bench.contract.device_under_test import Broken
 from hil.core.device import DeviceKind
 from hil.core.geometry import Array
 from hil.core.nonfinite import unsaid_holes

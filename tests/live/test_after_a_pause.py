@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil.bench import open_bench
-from hil.bench.settings import motion_limits
+from hil.bench.loop_settings import motion_limits
 from hil.core.clock import nanoseconds
 from hil.live.velocity_input import CommandLines
 from hil.live.velocity_reference import VelocityReference

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from procedure_runs import AbsentOperator, run, watched
 
-from hil.bench.settings import nominal_of
+from hil.bench.loop_settings import nominal_of
 from hil.calibration.calibrate import calibrate
 from hil.calibration.calibration_file import read_calibration
 from hil.calibration.evaluation import position_rmse, track_all

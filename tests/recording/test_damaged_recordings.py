@@ -11,9 +11,9 @@ from mcap_cases import driving_record
 from hil.bench import open_bench
 from hil.cli import main
 from hil.core.errors import DataError
-from hil.recording.compare import first_difference
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.mcap_writer import McapRecorder
+from hil.recording.record_comparison import first_difference
 from tests.selected import every
 
 

@@ -17,9 +17,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from hil.core.errors import DataError
 from hil.core.registry import kinds
-from hil.recording.compare import first_difference
 from hil.recording.mcap_reader import Note, RecordingReader, read_cycles, read_header
 from hil.recording.mcap_writer import McapRecorder
+from hil.recording.record_comparison import first_difference
 from hil.recording.topics import topics_with
 from tests.selected import every
 

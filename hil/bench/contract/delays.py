@@ -11,9 +11,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from hil.bench.bench import Bench
+from hil.bench.contract.device_under_test import Broken, Subject, oldest_s
 from hil.bench.contract.in_motion import at_loop_rate, enabled, fresh, still
-from hil.bench.contract.subject import Broken, Subject, oldest_s
-from hil.bench.settings import real_time
+from hil.bench.loop_settings import real_time
 from hil.config.bench import BenchConfig
 from hil.core.clock import NS_PER_S, MonotonicClock, nanoseconds
 from hil.core.finding import Finding

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.bench import Bench
-from hil.bench.contract.subject import Broken, Subject
+from hil.bench.contract.device_under_test import Broken, Subject
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import HilError
 from hil.core.registry import kinds

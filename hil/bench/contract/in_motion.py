@@ -13,7 +13,7 @@ from typing import Any, cast
 import numpy as np
 
 from hil.bench.bench import Bench
-from hil.bench.contract.subject import Broken
+from hil.bench.contract.device_under_test import Broken
 from hil.config.servos import ServosConfig
 from hil.core.clock import nanoseconds
 from hil.core.geometry import Array

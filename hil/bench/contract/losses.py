@@ -7,7 +7,7 @@ this computer turns out to be busy, what it has not heard is not held against th
 from __future__ import annotations
 
 from hil.bench.contract.delays import BUSY_SHARE, idle_for
-from hil.bench.contract.subject import SHARE, Broken, Subject, due, read_for
+from hil.bench.contract.device_under_test import SHARE, Broken, Subject, due, read_for
 from hil.core.registry import kinds
 from hil.core.signals import Status, worst
 from hil.devices.doctor_watch import SUPPLY, restarted

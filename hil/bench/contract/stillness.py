@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.bench.contract.subject import Broken, Subject, read_for
+from hil.bench.contract.device_under_test import Broken, Subject, read_for
 from hil.core.clock import NS_PER_S
 from hil.core.registry import kinds
 

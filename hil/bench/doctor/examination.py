@@ -19,7 +19,7 @@ from hil.bench.doctor.inertial_offsets import changed_between
 from hil.bench.doctor.steering_offsets import slipped_between
 from hil.bench.drivers import model_of
 from hil.bench.hold.tilt import tilt_finding
-from hil.bench.settings import wheel_model
+from hil.bench.loop_settings import wheel_model
 from hil.bench.third_party.added_checks import checks_of
 from hil.bench.third_party.contract_findings import find_contract_breaks
 from hil.config.adhesion import AdhesionConfig

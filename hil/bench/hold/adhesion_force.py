@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from hil.bench.hold.propeller_handover import LeftAlone, least_push_n
-from hil.bench.settings import adhesion_limits, can_fall, pretended_holders, thrust_wanted_n
+from hil.bench.loop_settings import adhesion_limits, can_fall, pretended_holders, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.config.can_motor import DaemonMotorConfig

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 
-from hil.bench.settings import adhesion_limits, force_wanted_n, thrust_wanted_n
+from hil.bench.loop_settings import adhesion_limits, force_wanted_n, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.core.clock import nanoseconds

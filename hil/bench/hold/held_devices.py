@@ -13,9 +13,9 @@ from hil.bench.hold.force_controller import by_need
 from hil.bench.hold.monitor import HoldMonitor
 from hil.bench.hold.preload import Preload
 from hil.bench.hold.result import Held, untouched
+from hil.bench.loop_settings import can_fall, fail_limits
 from hil.bench.model import BenchModel
 from hil.bench.reconnect import reconnecting
-from hil.bench.settings import can_fall, fail_limits
 from hil.bench.unreached_faults import not_begun, not_begun_in_words
 from hil.controller.joint_script import JointScript
 from hil.core.clock import Clock

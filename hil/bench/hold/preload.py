@@ -7,7 +7,7 @@ from typing import Any
 
 from hil.bench.hold.adhesion_force import FAN, MEASURES, measured_n
 from hil.bench.hold.force_controller import LARGEST_STEP_DOWN_N
-from hil.bench.settings import adhesion_limits, force_wanted_n, thrust_wanted_n
+from hil.bench.loop_settings import adhesion_limits, force_wanted_n, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.config.can_motor import DaemonMotorConfig

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from hil.config.values import Within
-from hil.fakes.tether import Start
+from hil.fakes.initial_support import Start
 
 StatusMessage = Annotated[int, Within(1, 6, "a VESC has status messages 1 to 6")]
 Rate = Annotated[float, Within(0.0, 1000.0, "messages per second")]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hil.fakes.tether import Start, Tether
+from hil.fakes.initial_support import Start, Tether
 
 
 class Load:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from hil.config.values import Within
-from hil.fakes.tether import Start
+from hil.fakes.initial_support import Start
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from hil.fakes.active_faults import DeviceFaults
 from hil.fakes.body_interface import HoldingForces
 from hil.fakes.emulation_request import EmulationRequest
 from hil.fakes.fault import PERIODIC, Supported
+from hil.fakes.initial_support import Start, Tether
 from hil.fakes.serial_chip import Reply, SerialChip
-from hil.fakes.tether import Start, Tether
 from hil.fakes.thrust.propeller_truth import ThrustTruthOptions
 from hil.fakes.world import World
 

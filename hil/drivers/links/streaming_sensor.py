@@ -25,7 +25,7 @@ class StreamingSensor(Sensor[S], Generic[C, S]):
     """Base of `SerialSensor` and `CanSensor`.
 
     Args:
-        config: a `hil.config.streams.StreamConfig`, or a table with `rate_hz`, `fail_after_s` and
+        config: a `hil.config.streaming_sensors.StreamConfig`, or a table with `rate_hz`, `fail_after_s` and
             `open_timeout_s`.
         clock: the bench clock; every wait and every stamp is on it.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.geometry import Array
-from hil.datasets.nominal import Nominal, lever_m
+from hil.datasets.nominal_robot import Nominal, lever_m
 
 _SLOWEST_ROW_S = 0.5
 _UNITS_OF_TIME = ((3e2, "milliseconds", "1e3"), (3e5, "microseconds", "1e6"), (np.inf, "nanoseconds", "1e9"))

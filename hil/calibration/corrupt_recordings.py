@@ -17,10 +17,10 @@ from hil.calibration.problem import RECOMMENDED
 from hil.core.geometry import Array
 from hil.datasets.blocks import reduce_recordings
 from hil.datasets.dataset import Recording
-from hil.datasets.nominal import Nominal, lever_m
-from hil.datasets.signs import RATES_AGAINST, missed_shares, rates_against_angles, wrong_signs
+from hil.datasets.nominal_robot import Nominal, lever_m
 from hil.datasets.time_offset import time_offset_s
 from hil.datasets.truth_jumps import Bools, fastest_m_s, find_leaps
+from hil.datasets.wrong_signs import RATES_AGAINST, missed_shares, rates_against_angles, wrong_signs
 
 Reasons = dict[int, str]
 """Why recordings are corrupt, by their index."""

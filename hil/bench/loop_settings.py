@@ -24,7 +24,7 @@ from hil.core.clock import Clock, MonotonicClock
 from hil.core.geometry import Array
 from hil.core.package_errors import OURS, asked
 from hil.core.registry import kinds
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.loop.alignment import AlignmentParameters
 from hil.loop.checks.adhesion import AdhesionLimits, AdhesionWatch
 from hil.loop.checks.mocap_agreement import MocapTolerances

@@ -14,8 +14,8 @@ import numpy as np
 from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.dataset import Recording
-from hil.datasets.nominal import Nominal, lever_m
-from hil.datasets.units import rolled_m
+from hil.datasets.nominal_robot import Nominal, lever_m
+from hil.datasets.unit_check import rolled_m
 
 _BRIEF_S = 0.5
 _WORTH_M = 0.01
