@@ -1,7 +1,7 @@
 """Velocity commands from a ROS 2 topic: `geometry_msgs/Twist` or `TwistStamped`, as `/cmd_vel` carries them.
 
 What the robot cannot mean stops it by name: a number that is not finite, a motion off its plane, a second
-publisher. A publisher that falls silent is one that nobody hears: `hil.live.velocity_reference` brings the
+publisher. A publisher that falls silent counts as silent: `hil.live.velocity_reference` brings the
 robot to rest.
 """
 
@@ -33,7 +33,7 @@ class TwistCommands(CommandLines):
     Args:
         participant: on ROS 2.
         topic: its name, with a slash; messages of either type are taken.
-        clock: tells how long nobody has published.
+        clock: measures the time since the last message.
 
     Raises:
         UsageError: no name of a topic.

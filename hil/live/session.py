@@ -68,7 +68,7 @@ class LiveSession:
         plan: what to do.
         recorder: reported on in the summary; also a sink of the bench.
         monitor: shown what is going to be followed; also a sink of the bench.
-        stop: signals that whoever opens and closes the bench notes; its own by default.
+        stop: signals as noted by the caller that opens and closes the bench; its own by default.
 
     Attributes:
         ended: why it ended: `duration`, `trajectory`, the first signal's name, or the error's text.

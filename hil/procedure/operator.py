@@ -99,7 +99,7 @@ class Answers(Operator):
 
 
 def go_ahead(operator: Operator, question: str) -> str:
-    """The answer of whoever was asked to do something and then press Enter, once it means that it is done.
+    """The answer to a request to do something and then press Enter, once it means that it is done.
 
     Args:
         operator: who answers.

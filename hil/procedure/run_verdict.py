@@ -76,12 +76,12 @@ def conclude(context: Context, error: Failure | None, late: list[Failure], facts
 
 
 def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str, Any]:
-    """What `result.json` tells beside verdict and measurements.
+    """The facts in `result.json` beside verdict and measurements.
 
     Args:
         context: as the body left it.
         wall_s: how long the body and the teardown took, in s.
-        error: what ended the body early; another device that failed is told in a note.
+        error: what ended the body early; another device that failed is named in a note.
     """
     from hil.bench import planned_faults
     from hil.support.versions import versions

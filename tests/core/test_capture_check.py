@@ -177,7 +177,7 @@ def test_who_can_be_left_out_depends_on_the_surface(source, on_wall, spared):
     assert not left_out.can_do_without(doubt(source, confirmed=False))
 
 
-def test_who_is_left_out_is_measured_no_more_and_shakes_the_estimate():
+def test_who_is_left_out_is_measured_no_more_and_widens_the_covariance():
     left_out = Exclusion(USED, on_wall=False)
     gyro = GyroMeasurement(Stamp(0, 0, 0), 0.0, 0.0, np.zeros(2))
     given = replace(cycle(5, at(UP), at(UP), at(UP)), gyro=(gyro,))
@@ -283,15 +283,15 @@ def test_a_slide_that_only_motion_capture_saw_is_unseen_and_one_that_the_camera_
     assert not any(d.unseen for d in early)
 
 
-@pytest.mark.parametrize(("unseen", "shaken_m"), [(True, 0.008), (False, 0.0)])
-def test_an_unseen_slide_shakes_the_estimate(unseen, shaken_m):
+@pytest.mark.parametrize(("unseen", "inflated_m"), [(True, 0.008), (False, 0.0)])
+def test_an_unseen_slide_widens_the_covariance(unseen, inflated_m):
     reported = replace(
         doubt("mocap", confirmed=False, off=0.008), grave=False, against="servos", unseen=unseen
     )
     checks = Checks(motion=Doubts(reported), needs_camera=True, holders=HOLDERS)
     supervisor = Supervised(SafetyLimits(stale_s={}), checks=checks)
     (event,) = supervisor.check(Inputs(0, 0), Measurements(0, 0))
-    assert supervisor.inflation == (shaken_m, 0.0)
+    assert supervisor.inflation == (inflated_m, 0.0)
     assert set(event.suspects) == {"mocap", "servos", *HOLDERS}
 
 

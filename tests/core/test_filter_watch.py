@@ -55,13 +55,13 @@ def test_a_camera_that_fits_badly_on_the_whole_is_reported_once_and_again_after_
     assert not reported(*misfits(1.0, 1.2, 2.4, 1.6, 2.4))
 
 
-def test_what_fits_badly_shakes_the_estimate_in_the_next_cycle_only():
+def test_what_fits_badly_widens_the_covariance_in_the_next_cycle_only():
     supervisor = Supervised(SafetyLimits(stale_s={}))
     for one in misfits(1.0, 2.0, 2.6):
         supervisor.guard(one, None)
-    for shaken_m in (pytest.approx(0.0026), 0.0):
+    for inflated_m in (pytest.approx(0.0026), 0.0):
         supervisor.check(Inputs(0, 0), Measurements(0, 0))
-        assert supervisor.inflation == (shaken_m, 0.0)
+        assert supervisor.inflation == (inflated_m, 0.0)
 
 
 def test_poses_that_are_refused_in_a_row_and_the_frame_after_them_are_no_misfit():

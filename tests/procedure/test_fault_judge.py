@@ -150,12 +150,12 @@ def test_a_robot_that_no_sensor_sees_need_not_be_called_held(devices, until, exc
 def test_of_several_faults_the_stop_need_not_accuse_the_one_that_did_nothing():
     both = Cell("servos+imu", "stuck+slow", "random", 0, "own", ("servos:stuck@1", "imu:slow@2"))
     verdict = judge(both, seen(stop=SERVO_STOP, events=[]))
-    assert (verdict.why, verdict.told) == ((), False)
+    assert (verdict.why, verdict.reported) == ((), False)
 
 
 def test_who_is_accused_without_being_struck_is_shown():
     verdict = judge(cell(), seen(events=[("imu",), ("servos", "imu"), ("mocap",), ("supervisor",)]))
-    assert (verdict.why, verdict.told, verdict.others) == ((), True, ("mocap",))
+    assert (verdict.why, verdict.reported, verdict.others) == ((), True, ("mocap",))
 
 
 def test_whom_an_error_accuses_is_read_from_its_data():

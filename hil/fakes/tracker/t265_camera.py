@@ -157,7 +157,7 @@ class T265(Scheduled):
         self.odometry.restart()
         self._number = _FIRST_NUMBER
         self._start_ns = self._exposed_ns = t_ns
-        self._shaken_until_ns = 0
+        self._low_confidence_until_ns = 0
         self._settled = False
         self._exposure_ns = t_ns + nanoseconds(self._options.boot_s)
         self._world.changed(self)
@@ -210,8 +210,8 @@ class T265(Scheduled):
         vx, vy, omega = body.v_x_m_s, body.v_y_m_s, body.omega_rad_s
         options = self._options
         if abs(omega) > options.fast_rad_s or vx * vx + vy * vy > self._fast_m2_s2:
-            self._shaken_until_ns = t_ns + nanoseconds(options.shaken_s)
-        if t_ns < self._shaken_until_ns:
+            self._low_confidence_until_ns = t_ns + nanoseconds(options.low_confidence_s)
+        if t_ns < self._low_confidence_until_ns:
             return 1
         if self._settled:
             return 3

@@ -121,11 +121,11 @@ def _left_to_others(client: Client, unable: Unable) -> bool:
 
 def _make_ready(client: Client, scheduler: str, parcel: WorkerFiles | None, stack: ExitStack) -> None:
     """Hold the workers of a cluster against this computer, and send them the files until `stack` ends."""
-    from hil.procedure.campaign.remote_workers import carried, check_workers, tell_of_refused
+    from hil.procedure.campaign.remote_workers import carried, check_workers, report_refused
 
     try:
         check_workers(client, scheduler)
-        tell_of_refused(client)
+        report_refused(client)
         if parcel is not None:
             stack.enter_context(carried(client, parcel))
     except OSError as error:
@@ -200,7 +200,7 @@ def _with_workers(workers: int, stack: ExitStack) -> Client:
 @contextmanager
 def _interrupts_put_off() -> Iterator[None]:
     """Ctrl-C waits; threads and processes that begin meanwhile, and theirs, never hear of it."""
-    ensure_running()  # whoever starts Python's own tracker hears of Ctrl-C again
+    ensure_running()  # a process that starts Python's own tracker gets Ctrl-C again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -45,7 +45,7 @@ class Setup:
 
     Attributes:
         keep: `all` of a run, or its `results` without recordings and figures.
-        places: text that names a file -> where the file lies for whoever runs the case; texts that are
+        places: text that names a file -> where the file lies for the worker; texts that are
             not in it name files by themselves.
     """
 

@@ -196,7 +196,7 @@ class VisualInertialComputer(Scheduled):
         self.odometry.restart()
         self._resets, self._travelled_m = 0, 0.0
         self._zero_ns = self._exposed_ns = t_ns
-        self._shaken_until_ns = self._left_ns = 0
+        self._low_confidence_until_ns = self._left_ns = 0
         self._leaving.clear()
         self._booted_ns = t_ns + nanoseconds(self.options.boot_s)
         self._exposure_ns = self._beat_ns = self._booted_ns
@@ -253,8 +253,8 @@ class VisualInertialComputer(Scheduled):
         vx, vy, omega = body.v_x_m_s, body.v_y_m_s, body.omega_rad_s
         options = self.options
         if abs(omega) > options.fast_rad_s or math.hypot(vx, vy) > options.fast_m_s:
-            self._shaken_until_ns = t_ns + nanoseconds(options.shaken_s)
-        if t_ns < self._shaken_until_ns:
+            self._low_confidence_until_ns = t_ns + nanoseconds(options.low_confidence_s)
+        if t_ns < self._low_confidence_until_ns:
             return _DOUBTED_QUALITY
         age_s = (t_ns - self._booted_ns) / NS_PER_S
         steps = itertools.accumulate(options.settle_s)
