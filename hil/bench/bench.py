@@ -56,7 +56,7 @@ class Bench(HeldDevices):
         statistics: punctuality of the latest run.
         real_time: what the operating system was asked for; None in virtual time.
         pressed: the force with which a robot was pressed on its wall before its servos got torque, in words;
-            empty where nothing measures it.
+            empty where no sensor measures it.
         held: what `look` or, at the end, `close` found last. A robot that was not checked since devices were
             opened or it was driven is NOT HELD, "not checked"; one whose servos were not opened is not
             `opened`.
@@ -324,7 +324,7 @@ class Bench(HeldDevices):
     def make_loop(self, pipeline: ControlPipeline, start: RunStart) -> ControlLoop:
         """A loop over this bench's devices, clock and sinks; its statistics become the bench's.
 
-        The pipeline is reset to the start, now, and the sinks get a note: without that note nothing could
+        The pipeline is reset to the start, now, and the sinks get a note: without that note no program could
         repeat the run from its recording.
 
         Args:

@@ -81,7 +81,7 @@ def _simulated(config: BenchConfig, seed: int, plan: FaultPlan) -> Plant:
 
 
 def hidden_truth(world: World) -> dict[str, object]:
-    """What the robot of a world truly is, as JSON values; nothing that measures may look at it.
+    """What the robot of a world truly is, as JSON values; no measurement may use it.
 
     Raises:
         UsageError: its robot repeats a recording: it is not known.

@@ -119,7 +119,7 @@ def switch_on(
     if isinstance(table, MotorConfig):
         _must_be_free(daemon_spec(config))
     fan: Any = make_device_set(config, clock, {}).get(DEVICE)
-    if not tethered:  # and closed again: nothing would command it while the others are looked at
+    if not tethered:  # and closed again: it would not be commanded while the others are read
         fan.open()
         with contextlib.closing(fan):
             now = _first_report(fan, clock)
@@ -203,7 +203,7 @@ def switch_off(spec: Spec, confirmed_by: str, *, say: Say) -> Status | None:
         say: takes a line of progress each half second.
 
     Raises:
-        UsageError: something has asked for the force again meanwhile.
+        UsageError: another program has asked for the force again meanwhile.
     """
     connection = client.connect(spec)
     if connection is None:

@@ -95,7 +95,7 @@ def seen_off_the_wall(config: BenchConfig) -> str:
     Both have to say so, because either may lie.
 
     Raises:
-        UsageError: something says that it may hang, or nothing can see.
+        UsageError: a sensor says that it may hang, or no sensor can see.
     """
     table = fan_of(config)
     rig, clock = make_device_set(config, MonotonicClock(), {}), MonotonicClock()

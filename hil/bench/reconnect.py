@@ -3,7 +3,7 @@
 Opening takes up to seconds, so it happens in a thread, and only on the host's clock: ports of virtual time
 come back by themselves. Meanwhile the sensor delivers nothing. A sensor that is silent for longer than its
 `fail_after_s` is an error, in virtual time and in real time alike, so that a procedure ends the same in both.
-Only a program that watches a resting robot, as `hil live` may, waits longer.
+Only a program that watches a resting robot, such as `hil live`, waits longer.
 """
 
 from __future__ import annotations

@@ -137,7 +137,7 @@ def await_endpoints(path: Path, patience_s: float) -> str:
 
 
 def _of_a_living_emulator(path: Path) -> str | None:
-    """The text of a file that something has locked; None where there is no such file."""
+    """The text of a locked file; None where there is none, or it is not locked."""
     try:
         with path.open(encoding="utf-8") as file:
             try:

@@ -20,7 +20,7 @@ Option = Annotated[bool | int | float | str, Within(-1e12, 1e12, "no option of a
 
 
 class Claim(NamedTuple):
-    """An identifier that nothing else on the bus may have.
+    """An identifier that no other device on the bus may have.
 
     Attributes:
         key: of the device's table.

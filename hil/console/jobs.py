@@ -209,7 +209,7 @@ def answer(job: Job, question_id: int, text: str) -> str:
 
 
 def first(claim: Path) -> bool:
-    """Make an empty file; returns whether nothing else had, in whatever process. Raises `OSError`."""
+    """Make an empty file; returns whether it is new, also against other processes. Raises `OSError`."""
     try:
         os.close(os.open(claim, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
     except FileExistsError:

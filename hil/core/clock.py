@@ -56,7 +56,7 @@ class Clock(Protocol):
     def schedule(self, task: Task, due_ns: int) -> Callable[[], None]:
         """Have something done beside the caller's work, at `due_ns` and whenever it says from then on.
 
-        In real time it runs in a thread of its own; in virtual time while something sleeps.
+        In real time it runs in a thread of its own; in virtual time while another call sleeps.
 
         Returns:
             Ends it; a call that is under way is not waited for. May be called twice.

@@ -96,7 +96,7 @@ class Actuators(Device, Protocol):
     def look_after(self) -> ServoHold:
         """Wheels at rest; what a servo has lost (torque, goals, watchdog) is put right. Never raises.
 
-        From `enable` until `release` or `close` the driver does so by itself when nothing else talks to it.
+        From `enable` until `release` or `close` the driver does so by itself when no call talks to it.
         """
 
     @abstractmethod

@@ -111,7 +111,7 @@ class CanFace(Face):
         return []
 
     def on_readable(self, fd: int, t_ns: int) -> None:
-        """Take one frame, and throw it away where nothing listens; multicast hears itself, too."""
+        """Take one frame, and throw it away without a listener; multicast hears itself, too."""
         message = None
         if self._bus is not None:
             with contextlib.suppress(can.CanError, OSError):

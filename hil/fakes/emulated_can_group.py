@@ -90,7 +90,7 @@ def _free(device: str) -> _Held:
 
 
 def _right_to(number: int) -> socket.socket | None:
-    """The right to a port, held while the socket is open; None where something has it.
+    """Reserve a port while the socket is open; None where another program has it.
 
     The port itself cannot say so: everybody binds it shared. An abstract Unix address (Linux) is
     exclusive and vanishes with its owner.

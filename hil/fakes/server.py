@@ -85,7 +85,7 @@ class EmulationServer:
             world.add(face)
 
     def _warm_up(self) -> None:
-        """Let the first milliseconds pass before anything listens: compiling them may take seconds."""
+        """Let the first milliseconds pass before clients connect: compiling may take seconds."""
         self.world.advance_to(self.world.now_ns + _WARM_UP_NS)
         self.world.sync_plant()
 

@@ -125,7 +125,7 @@ class World:
         return random_stream(self.seed, name)
 
     def sync_plant(self) -> None:
-        """Bring the plant up to world time (lazily: it is only integrated when something looks)."""
+        """Bring the plant up to world time (lazily: it is only integrated when its state is read)."""
         self.plant.advance(self.now_ns)
 
     def advance_to(self, t_ns: int) -> None:
@@ -179,7 +179,7 @@ class _Planned:
 
 
 class VirtualClock(Clock):
-    """Time that moves only when something waits; waiting advances the world."""
+    """Time that moves only when a caller waits; waiting advances the world."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -203,7 +203,7 @@ class VirtualClock(Clock):
         self._world.advance_to(t_ns)
 
     def schedule(self, task: Task, due_ns: int) -> Callable[[], None]:
-        """Call `task` while something sleeps beyond its time; it may sleep itself, alone."""
+        """Call `task` while a caller sleeps beyond its time; it may sleep itself, alone."""
         planned = _Planned(task, due_ns)
         self._planned.append(planned)
 

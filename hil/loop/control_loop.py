@@ -65,7 +65,7 @@ class Decision:
 
 
 def _untimed(section: str) -> None:
-    """Nothing measures how long the sections take."""
+    """A timer that does not measure the sections."""
 
 
 class ControlPipeline:

@@ -56,7 +56,7 @@ class Checks:
         healthy: how often and how soon the samples of sensors should come.
         gap_s: by sensor, longest time without a good sample that is still healthy.
         brought: sensors that other packages bring, and fields of their samples that they do not measure.
-        hold: what presses the robot on its surface; None where nothing measures it.
+        hold: what presses the robot on its surface; None where no sensor measures it.
         lost_after_s: by sensor, how long it may send nothing at all before a robot that follows a pose stops;
             a sensor that can be plugged in again is waited for longer than that.
         added: checks that kinds of devices bring, by kind.

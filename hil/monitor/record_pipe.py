@@ -61,7 +61,7 @@ def put(pipe: IO[bytes], payload: bytes, dropped: int = 0) -> None:
         dropped: cycles that were not shown so far.
 
     Raises:
-        OSError, ValueError: nothing reads, or the pipe is closed.
+        OSError, ValueError: there is no reader, or the pipe is closed.
     """
     pipe.write(_HEAD.pack(len(payload), dropped) + payload)
     pipe.flush()

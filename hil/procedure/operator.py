@@ -30,7 +30,7 @@ class Operator(Protocol):
 
     @abstractmethod
     def ask(self, question: str) -> str:
-        """The answer; raises `Aborted` when there is nothing."""
+        """The answer; raises `Aborted` when there is none."""
 
 
 class Terminal(Operator):
@@ -106,7 +106,7 @@ def go_ahead(operator: Operator, question: str) -> str:
         question: what to do, and that Enter goes on.
 
     Raises:
-        Aborted: the answer is no, or one from a file means neither; or nothing answers.
+        Aborted: the answer is no, or one from a file means neither; or there is none.
     """
     answer = operator.ask(question)
     while (word := answer.strip().lower()) not in _YES:

@@ -43,7 +43,7 @@ class StepTimer(Sink):
 
         Args:
             clock: of the bench.
-            virtual: its time moves only while something waits for it.
+            virtual: its time moves only while a caller waits for it.
         """
         self._clock, self._virtual, self._since_ns = clock, virtual, clock.now_ns()
         self._set_alarm()

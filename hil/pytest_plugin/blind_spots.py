@@ -122,7 +122,7 @@ def _noticed(session: pytest.Session, items: Sequence[pytest.Item]) -> str:
 
 
 def summary(reporter: TerminalReporter, found: Sequence[BreakageResult]) -> None:
-    """The table: what was noticed by whom, and what by nothing."""
+    """The table: which breakages were noticed by which test, and which by none."""
     blind = [seen for seen in found if not seen.by and seen.breakage.matters]
     tolerated = [seen for seen in found if not seen.by and not seen.breakage.matters]
     reporter.section("blind spots")

@@ -156,7 +156,7 @@ def compare_run(
 
 
 def _own_observers(records: Sequence[CycleRecord]) -> dict[str, Motion]:
-    """What was recorded of observers that nothing can make again, those of the user's own, by row."""
+    """The recorded states of observers that replay cannot make again, the user's own, by row."""
     names = dict.fromkeys(name for r in records for name in r.observers if name not in ESTIMATORS)
     return {
         f"recorded {name}": Motion(

@@ -47,7 +47,7 @@ class OpenedRecording:
         problems: what could not be read; complete once `runs` has been asked for.
         robot: whose wheels a foreign one is read for.
         tables: what was read of a foreign one; complete once `runs` has been asked for.
-        named: whether something has said which bench a foreign one is of.
+        named: whether the user has said which bench a foreign recording is of.
         failed: a sentence where the wheel geometry is of a calibration that failed its own validation run.
     """
 
@@ -209,7 +209,7 @@ def _bench(
 ) -> tuple[BenchModel, str]:
     """The bench of a configuration, and a sentence where the calibration failed its own validation run.
 
-    A recorded configuration names every value, chosen by something or not. Where the bench is not `known` its
+    A recorded configuration contains every value, chosen or default. Where the bench is not `known` its
     robot is assumed, and the calibration may be another's.
     """
     failed = ""

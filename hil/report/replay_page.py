@@ -239,7 +239,7 @@ def _confidence(motions: Mapping[str, Motion], truth: Array) -> Figure:
 
 
 def _table(title: str, columns: Sequence[tuple[str, str, float]], numbers: Numbers, note: str = "") -> Table:
-    """Only the columns in which something has a figure."""
+    """The columns that have at least one figure."""
     known = [c for c in columns if any(row.get(c[0]) is not None for row in numbers.values())]
     rows = [
         [_name(name), *(number(_times(row.get(key), factor)) for key, _, factor in known)]

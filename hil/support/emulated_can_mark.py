@@ -84,7 +84,7 @@ class Emulation:
         self.known = known or is_emulated(name)
 
     def is_over(self) -> bool:
-        """Whether who emulated it has ended; never for a bus that nothing emulated."""
+        """Whether its emulator has ended; never for a bus that was not emulated."""
         return self.known and not is_emulated(self._name)
 
 

@@ -15,7 +15,7 @@ _FREE_S = 1.0
 
 
 def silent(what: str, done: int, total: int) -> None:
-    """A report that nothing sees."""
+    """A report that does nothing."""
 
 
 @dataclass

@@ -129,7 +129,7 @@ def _present_n(bench: Bench) -> float:
 
 
 def _mean(motion: Motion, asked_n: float, thrust_n: float) -> Level:
-    """Means over a rest; raises `DataError` where nothing measured."""
+    """Means over a rest; raises `DataError` without measurements."""
     fan = [s for r in motion.records for s in r.inputs.adhesion if s.status is Status.OK]
     cells = [
         s.force_n for r in motion.records for s in r.inputs.load_cells if s.status == (Status.OK, Status.OK)

@@ -91,7 +91,7 @@ def delays_in_motion(bench: Bench) -> Iterator[Finding]:
     """
     steering, encoders, wheels = list[float](), list[float](), list[float]()
     if (sensor := bench.rig.get("encoders")) is not None:
-        sensor.close()  # what has piled up while nothing read them is of no use
+        sensor.close()  # samples from before this read are of no use
         sensor.open()
     with enabled(bench) as start:
         at_loop_rate(bench, 0.3, still(start))

@@ -1,6 +1,6 @@
 """Checks that the fan's force is measured and holds the robot: one condition of HELD.
 
-A robot whose fan has just died still stands still. A controller that nothing hears may have let go of its
+A robot whose fan has just died still stands still. A controller without reports may have let go of its
 motor, or will when its time-out ends, and the fan takes a second to run down. So a silent fan is no longer
 trusted until the load cells have felt enough force for longer than that, and a force that falls quickly is
 doubted before it is lost. Propellers carry a part of the weight: they count by what they report. Those that
@@ -148,7 +148,7 @@ class AdhesionForceCheck:
         return now_ns - self._enough_since_ns >= self._outlasts_ns
 
     def _nothing_real(self) -> str:
-        """What is said of a robot whose fan or propellers are emulated, and that nothing measures either."""
+        """The message where fan or propellers are emulated, and no sensor measures them either."""
         if not self._pretended:
             return ""
         return (
@@ -215,7 +215,7 @@ class AdhesionForceCheck:
         return _CELLS in self._fresh(now_ns)
 
     def in_words(self, now_ns: int) -> str:
-        """What presses it, by whom, and who is silent; empty where nothing measures it."""
+        """The forces that press it, by sensor, and the silent sensors, in words; empty without a sensor."""
         if self._limits is None:
             return ""
         fresh = self._fresh(now_ns)

@@ -18,7 +18,7 @@ _EVERY_NS = nanoseconds(0.5)
 _MARGIN = 1.1
 """Over the limit at which the robot would be stopped."""
 LARGEST_STEP_DOWN_N, _CHANGE_N = 0.5, 0.25
-"""So that it is not taken for a loss; smallest change that is worth a word."""
+"""So that it is not taken for a loss; smallest change that is reported."""
 _RAISED_N = 2.0
 """A fan that gives so much more than was asked for here was raised by a stop."""
 

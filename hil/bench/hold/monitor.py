@@ -113,7 +113,7 @@ class HoldMonitor(Sink):
                 passed(name, t_ns, place)
 
     def passed_over(self, inputs: Inputs) -> None:
-        """Take what has piled up before a run and goes to nothing else."""
+        """Take samples from before a run, which no other part uses."""
         self.tilt.saw(inputs.imu)
         for name, among, value_of, is_place in self._motion_sources:
             for sample in among(inputs) if is_place else ():

@@ -127,7 +127,7 @@ class MotionSinceStop:
         self._farthest_m[name] = max(self._farthest_m.get(name, 0.0), moved_m)
 
     def moved_m(self, believed: Collection[str], *, slides: bool) -> float | None:
-        """Farthest that anything says it went; None where that is unknown, or within the noise.
+        """Farthest displacement by any sensor, m; None where that is unknown, or within the noise.
 
         Args:
             believed: whose word counts.

@@ -87,7 +87,7 @@ class Preload:
     def _raised_n(self, limits: AdhesionLimits) -> float:
         """Force of a fan that runs at more than the bench wants (N), 0 for any other.
 
-        A stop has raised it where the robot stands, or an operator has; nothing here knows better.
+        A stop has raised it where the robot stands, or an operator has; both take precedence.
         """
         fan, wanted_n = self._config.of(AdhesionConfig), force_wanted_n(self._config)
         if fan is None or not limits.has_fan:

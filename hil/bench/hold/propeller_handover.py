@@ -19,7 +19,7 @@ from hil.robot.statics import Statics
 _PAUSE_S = 0.6
 """To look at propellers to which the bench sends nothing at all."""
 _BLIND_NS = nanoseconds(0.3)
-"""Nothing need see it for so long: a slide that has begun is seen after that, too."""
+"""The robot may be unseen for so long: a slide that has begun is seen after that, too."""
 _BETTER = 1.2
 """So many times the friction that is believed a surface may have: on it a robot slides later."""
 _HALVINGS = 8
@@ -59,7 +59,7 @@ class LeftAlone:
     def left_s(self, now_ns: int, *, rests: bool, moves: bool, least_n: float) -> float:
         """How much longer the robot is to rest until they count; 0 once they do.
 
-        `inf` while nothing sees it rest, and where it is not known how long they need to let it slide.
+        `inf` while no sensor sees it rest, and where it is not known how long they need to let it slide.
 
         Args:
             now_ns: time.

@@ -22,7 +22,7 @@ class Held:
         why: what confirms it; or what is missing, and what is left to do.
         opened: whether servos were opened: without, nothing was done after which the robot must be held.
         wanted: whether the servos were asked to hold it, and the bench was not asked to let go (`release`,
-            `exit.policy`); torque that something else switched off does not make it unwanted.
+            `exit.policy`); torque that another program switched off does not make it unwanted.
     """
 
     state: State

@@ -83,7 +83,7 @@ class TiltWatch:
                     self._newest.append(sample)
 
     def forget(self) -> None:
-        """Something may have carried the robot elsewhere since."""
+        """Forget where the robot was: it may have been moved since."""
         self._newest.clear()
 
     @property
@@ -101,7 +101,7 @@ class TiltWatch:
         return [s for s in newest if newest[-1].stamp.t_ns - s.stamp.t_ns <= _FRESH_NS]
 
     def apart_rad(self) -> float:
-        """By how much the robot is steeper than the bench file says; NaN where nothing has seen it."""
+        """By how much the robot is steeper than the bench file says; NaN where no sensor has measured it."""
         if not self._there or not self.known:
             return math.nan
         return tilt_rad(self._config, self._fresh()) - self._config.environment.tilt_rad

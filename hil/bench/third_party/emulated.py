@@ -1,8 +1,8 @@
 """The boundary to the emulated devices of other packages: what their parts of the world raise is named here.
 
-A part acts while something waits: for another device, or for a robot to come to rest. What it raises must not
-hit them. So a part that has failed is silent from then on, and why is left with the world: the driver of the
-device raises it when it is read, and a server of emulated devices ends by it.
+A part acts while the caller waits: for another device, or for a robot to come to rest. What it raises must
+not hit them. So a part that has failed is silent from then on, and why is left with the world: the driver of
+the device raises it when it is read, and a server of emulated devices ends by it.
 """
 
 from __future__ import annotations

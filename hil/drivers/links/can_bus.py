@@ -224,7 +224,7 @@ class CanLink:
         self._meaning = meaning
 
     def heard(self) -> list[Any]:
-        """What frames have said since the last call, oldest first, once something listens for it.
+        """Samples of the frames since the last call, oldest first, once `listen_for` was called.
 
         A program that stood still hears at first what had come before; its thread gets time to catch up.
         """

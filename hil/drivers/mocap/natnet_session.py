@@ -110,7 +110,7 @@ class Session:
         self._send(request(Message.REQUEST, "Bitstream,{}.{}".format(*version)))
 
     def keep_alive(self, now_ns: int) -> None:
-        """Tell a unicast server from time to time that it is listened to."""
+        """Send keep-alives to a unicast server from time to time."""
         if now_ns - self._alive_ns >= self._keepalive_ns and self._config.multicast is None:
             self._alive_ns = now_ns
             self._send(request(Message.KEEPALIVE))

@@ -115,7 +115,7 @@ class Bus:
         return answer
 
     def send(self, packet: bytes) -> bool:
-        """Send a packet that nothing answers; False when the port is lost."""
+        """Send a packet without an answer; False when the port is lost."""
         self._settle()
         self.traffic_ns = self._clock.now_ns()
         try:
@@ -135,7 +135,7 @@ class Bus:
         Args:
             group: what to ask.
             timeout_s: how long the answer may take.
-            after: a packet that nothing answers, to go out before it in the same transfer.
+            after: a packet without an answer, to go out before it in the same transfer.
         """
         self._settle()
         self._ahead, self._asked = None, self._ask(group, timeout_s, after)
@@ -221,7 +221,7 @@ class Bus:
         return data
 
     def unasked(self) -> int:
-        """How many bytes have arrived while nothing waits for an answer."""
+        """How many bytes have arrived while no answer is awaited."""
         try:
             return 0 if self._asked is not None else self.port.waiting()
         except PortLost:

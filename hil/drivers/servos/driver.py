@@ -168,7 +168,7 @@ class DynamixelServos(Actuators):
         self._cycle.ask(full=self._paused or self._look_closely())
 
     def _tripped_by(self, silence_ns: int) -> bool:
-        """Whether watchdogs may have tripped, as nothing talked to the servos; their clocks are not ours."""
+        """Whether watchdogs may have tripped, as the servos were not asked; their clocks are not ours."""
         return self._upkeep.torque and silence_ns > self._watchdog_ns // 2 > 0
 
     def read(self) -> tuple[ServoSample, ...]:

@@ -199,7 +199,7 @@ class RamRecovery:
         Args:
             state: of `audit`.
             goals: (8,) raw goals at which the robot is held.
-            paused: nothing talked for longer than the watchdog waits: that it tripped was to be expected.
+            paused: there was no request for longer than the watchdog's time: it was expected to trip.
         """
         if not self.torque:
             return ()

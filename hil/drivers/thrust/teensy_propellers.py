@@ -2,7 +2,7 @@
 
 Opening the port changes nothing. Once a throttle was asked for it is sent again and again, so that a line
 that got lost, the firmware's way down after one that got damaged, and a restart do not last. A caller that
-reads sends it; while nothing reads, after a stop or between motions, the driver does so by itself.
+reads sends it; without reads, after a stop or between motions, the driver does so by itself.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _LOG = logging.getLogger(__name__)
 
 _SLACK_NS = 1_000_000
 _ALONE = 1.2
-"""So many times the period after which a throttle is sent again, nothing is read."""
+"""Times the period after which a throttle is sent again without reads."""
 
 
 class TeensyThrust(Holding[ThrustSample]):
@@ -132,7 +132,7 @@ class TeensyThrust(Holding[ThrustSample]):
         return self._sent_ns + round(_ALONE * self._repeat_ns)
 
     def _repeat(self, now_ns: int) -> int:
-        """Send the throttle again if nothing else has; when to look again."""
+        """Send the throttle again if no read has; the time of the next check."""
         if now_ns >= self._due_ns() and self._step is not None and not self._alone:
             try:
                 if self._send(self._step):

@@ -59,7 +59,7 @@ def tell(device: Any, library: Any, config: T265Config, name: str, *, beside: bo
         library: whose names it understands.
         config: what is wanted.
         name: of the device in errors.
-        beside: whether velocities are sent by a thread, so that nothing waits for USB.
+        beside: whether velocities are sent by a thread, so that the loop does not wait for USB.
 
     Returns:
         What takes the wheels' velocities; None where none are wanted.

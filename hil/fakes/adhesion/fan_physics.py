@@ -1,7 +1,7 @@
 """The ducted fan, its motor and its battery: what is asked of the motor in, speed and currents out.
 
 Figures are assumptions but for what the controller does: it clips what it is asked for, reduces the current
-when its power stage is hot or the battery low, and lets go of a motor that nothing commands.
+when its power stage is hot or the battery low, and lets go of a motor without commands.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ class AdhesionTruthOptions:
 
     Attributes:
         start: `tethered`: the robot hangs on a tether until the fan has carried it once. `running`: the fan
-            runs at the working point, as if something had kept it running. `off`. `by use`: running in
+            runs at the working point, as if a daemon had kept it running. `off`. `by use`: running in
             virtual time, tethered at the wire, where it is not known when a client comes.
         timeout_s: without a `SET_*` for so long the motor is released; 0 never.
         rate_1_hz, rate_2_hz: two rates of status messages.

@@ -117,7 +117,7 @@ class MotorNode(Scheduled):
 
     def begin_in_use(self) -> None:
         """The bench in this process has kept the fan running, unless the options say otherwise."""
-        self.alone = True  # nothing in this world waits for its frames
+        self.alone = True  # no part of this world waits for its frames
         if self._options.start == "by use":
             self.begin("running")
 

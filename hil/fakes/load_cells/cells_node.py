@@ -96,7 +96,7 @@ class CellLine(SerialChip):
         self._due_ns = int(world.rng(f"{cells.name}.phase").integers(1, self._period_ns))
 
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
-        """It listens to nothing: what comes in is for the propellers."""
+        """Ignore input: it is for the propellers."""
         return []
 
     def reset(self, t_ns: int) -> None:

@@ -39,7 +39,7 @@ class SteppedBody(Plant):
         faults: answers to device `plant`, kind `adhesion_loss` with `factor` (0) of the adhesion left,
             reached along a line within `over_s` (0).
         step_ns: internal step.
-        by_hand: something holds the robot until the first motor has torque; nothing moves before.
+        by_hand: the robot is held by hand until the first motor has torque; nothing moves before.
     """
 
     def __init__(

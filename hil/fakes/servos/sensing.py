@@ -113,7 +113,7 @@ class Sensing:
         self._dither = self._rng.normal(0.0, _DITHER_COUNTS, (_ROWS, 8))
 
     def tick(self) -> None:
-        """Take one sample of the grid: the angles; they become counts, all together, when something looks."""
+        """Take one sample of the grid: the angles; they become counts, all together, when they are read."""
         self.ticks += 1
         row = self._row + 1
         if row == _ROWS:

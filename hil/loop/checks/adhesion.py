@@ -41,7 +41,7 @@ class AdhesionLimits:
         statics: robot and surface, as on paper.
         reserve: the measured force exceeds the need by this share, at least.
         utilisation: no wheel uses more of its friction.
-        nominal_thrust_n, full_thrust_n: push of the propellers where nothing reports a throttle, and at full.
+        nominal_thrust_n, full_thrust_n: push of the propellers where no throttle is reported, and at full.
         wanted_n: what the fan is asked for at rest: all of the margin is what that is above the need.
         rated_n, rated_rpm, rated_w: force and battery power of the fan at a speed; NaN without one.
         low_input_v, hot_fet_c: of the fan's battery and controller.

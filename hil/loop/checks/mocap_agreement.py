@@ -67,7 +67,7 @@ class MocapAgreement:
     """Sums of motion capture's way against those of camera and wheels.
 
     Args:
-        wheels: their way, kept by something else.
+        wheels: their track, kept by another check.
         seen: what honest ones differ by.
         creep: m per rolled metre by which a robot gets lower than its wheels roll.
 

@@ -23,7 +23,7 @@ _REMEDY = "mend the estimator, or follow another (feedback: odometry, ekf or ukf
 
 
 def must_be_usable(state: RobotState, now_ns: int | None) -> None:
-    """Refuse an estimate that nothing can judge.
+    """Refuse an estimate that cannot be judged.
 
     Args:
         state: the estimate.

@@ -30,7 +30,7 @@ R = TypeVar("R")
 
 _RETRIES = 2
 _UNWATCHED = {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "1s"}
-"""Dask looks at the stack of each worker a hundred times a second, for a page that nothing opens here."""
+"""Dask looks at the stack of each worker a hundred times a second, for a page that is not used here."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def spread(
 
 
 def _settled(result: R | Unable, job: J, lost: Callable[[J, str], R]) -> R:
-    """The result of a job that nothing else can do again."""
+    """The result of a job that no other worker can do again."""
     return lost(job, result.reason) if isinstance(result, Unable) else result
 
 

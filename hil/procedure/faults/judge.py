@@ -106,7 +106,7 @@ def _ends(seen: Seen) -> list[Ended]:
 
 
 def _kinds(names: tuple[str, ...]) -> frozenset[str]:
-    """Kinds of devices by their names; who is no device is nothing."""
+    """Kinds of devices by their names; other names give nothing."""
     return frozenset(kind_of(name).name for name in names if name not in ("supervisor", "outside"))
 
 

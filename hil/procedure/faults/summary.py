@@ -23,7 +23,7 @@ _OF_ANY: Mapping[str, str] = {
 
 
 def why_quiet(device: str, fault: str, moments: Sequence[str] = ("motion",)) -> str:
-    """What there is to say of a fault of which nothing has said a word, at these moments."""
+    """What there is to say of a fault that was not reported, at these moments."""
     if list(moments) == ["stop"]:
         return _AT_THE_END
     passes = kind_of(device).silent_faults

@@ -94,7 +94,7 @@ def delete(losses: Sequence[Loss]) -> None:
             except OSError as error:
                 raise DataError(str(folder / name), f"cannot be deleted ({reason_of(error)})") from None
         for place in _emptied(item):
-            with suppress(OSError):  # something of another one's is in it
+            with suppress(OSError):  # it holds files of another program
                 os.rmdir(place)
 
 

@@ -22,7 +22,7 @@ from hil.report.pages import number
 MISSING = "missing"
 """State of a measurement of which the newest runs have no value."""
 ALARMS = (MISSING, DRIFTING, OUTSIDE)
-"""States that something has to look at."""
+"""States that need attention."""
 _URGENCY = (*ALARMS, STEADY, TOO_FEW)
 _COUNTED = (*PASSED, "FAIL")
 """Verdicts of runs that came to their end; what an aborted one measured is left out."""
