@@ -3,7 +3,7 @@
 `CanChannel` is the wire. `can.Bus(interface="hil", channel=NAME)` opens a `WorldBus` on a channel that
 has been put into the registry by `CanChannel.open`. Across processes it is served by `hil.fakes.can_server`.
 
-Parts of the world and our own drivers have a `CanFrame`, which everybody who hears it shares; a `can.Message`
+Parts of the world and our own drivers have a `CanFrame`, which all that receive it share; a `can.Message`
 is made of it only in `recv`, because that takes several times as long.
 """
 
@@ -120,7 +120,7 @@ class CanChannel:
         extended: bool = False,
         sender: deque[Heard] | None = None,
     ) -> None:
-        """Put a data frame on the bus, not before `t_ns`; everybody but the sender hears it."""
+        """Put a data frame on the bus, not before `t_ns`; all but the sender receive it."""
         if not self.faults.empty:
             message = can.Message(arbitration_id=frame_id, data=data, is_extended_id=extended)
             self.send(message, t_ns, sender=sender)
@@ -134,7 +134,7 @@ class CanChannel:
                     reported()
 
     def send(self, message: can.Message, t_ns: int, *, sender: deque[Heard] | None = None) -> None:
-        """Put any frame on the bus, which is the channel's from now on; everybody but the sender hears it."""
+        """Put any frame on the bus, which is the channel's from now on; all but the sender receive it."""
         arrival_ns = self._crossed_ns(message.is_extended_id, message.dlc, t_ns)
         copies = 1
         if not self.faults.empty:
@@ -250,7 +250,7 @@ class WorldBus(can.BusABC):
         return self.recv(timeout), True
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a copy of a frame to everybody else on the channel, and here if it is wanted here, too."""
+        """Send a copy of a frame to all others on the channel, and here if it is wanted here, too."""
         self._channel.check_plugged()
         sender = None if self._hears_itself else self._queue
         self._channel.send(_copied(msg), self._channel.world.now_ns, sender=sender)

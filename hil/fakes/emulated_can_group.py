@@ -92,7 +92,7 @@ def _free(device: str) -> _Held:
 def _right_to(number: int) -> socket.socket | None:
     """Reserve a port while the socket is open; None where another program has it.
 
-    The port itself cannot say so: everybody binds it shared. An abstract Unix address (Linux) is
+    The port itself cannot say so: all programs bind it shared. An abstract Unix address (Linux) is
     exclusive and vanishes with its owner.
     """
     right = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)

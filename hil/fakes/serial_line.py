@@ -3,8 +3,9 @@
 Bytes leave the client's adapter at the baud rate, reach the chip, and its answer comes back paced by
 the same rate. The adapter hands received bytes to the host in packets: a full one at once, the rest
 when its latency timer expires (16 ms as delivered, 1 ms as it should be set).
-Where both ends run at different rates each hears noise, whatever the chip thinks of that: `uart.py`.
-Everything happens in world time; `protocol_hil.py` and `serial_pty.py` connect clients to a line.
+Where both ends run at different rates each hears noise, whatever the chip thinks of that:
+`hil.fakes.imu.bno055_uart`. Everything happens in world time; `protocol_hil.py` and `serial_pty.py` connect
+clients to a line.
 """
 
 from __future__ import annotations

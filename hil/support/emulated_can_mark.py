@@ -69,7 +69,7 @@ def is_emulated(name: str) -> bool:
 
 
 class Emulation:
-    """Whether a bus was emulated, and no longer is. Everybody who looks after a device there ends then.
+    """Whether a bus was emulated, and no longer is. Daemons of devices there end then.
 
     Args:
         name: as `bus_name` gives it.

@@ -102,7 +102,7 @@ class HeldDevices:
             self._closed_ns = self.clock.now_ns()
         try:
             if self.rig.servos is not None and self.rig.servos.identity():
-                self.held = self._hold.unseen("ended before anybody had looked")
+                self.held = self._hold.unseen("ended before the hold was checked")
                 self.rig.servos.stop()
                 self.held = self._hold.look(self.config.exit.look_after_s, for_good=True)
                 if self.config.exit.policy == "release" and not self._steeper():

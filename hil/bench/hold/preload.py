@@ -161,7 +161,7 @@ class Preload:
         return max(limit_n, 0.9 * force_wanted_n(self._config))
 
     def _look(self) -> float:
-        """Newest force, the smaller of what is measured; NaN before everybody was heard."""
+        """Newest force, the smaller of what is measured; NaN before every sensor was heard."""
         limits = self._limits
         if limits is None:
             return math.nan

@@ -139,7 +139,7 @@ class BusReplies:
 def ask_who(
     link: CanLink, config: VescConfig, clock: Clock, answers: Answers, *, silent: bool = False
 ) -> BusReplies:
-    """Ping everybody, ask the controller how it is set, and listen until it is known or time is up.
+    """Ping all controllers, ask the own one for its settings, and listen until it is known or time is up.
 
     Args:
         link: open bus.

@@ -120,7 +120,7 @@ class CycleReader:
         self._ask(self._full if full else self._cycle, tuple(self._order), after)
 
     def look(self) -> Reading:
-        """A full look at everybody, those that have been given up too, in the time that it takes."""
+        """A full read of all servos, also those that have been given up, in the time that it takes."""
         if self.asked():
             self.read()
         if self._incomplete and self._roll.is_due():

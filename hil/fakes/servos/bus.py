@@ -1,7 +1,7 @@
 """Eight emulated servos on one half-duplex bus: addressing and the order of replies.
 
-Everything here is timing and addressing; what a servo does is in `servo.py` and `single.py`. The bus is
-a part of the world that ticks every 4 ms: measurement grid, profiles, bus watchdogs, and every 0.1 s
+Everything here is timing and addressing; what a servo does is in `servo.py` and `single_instructions.py`. The
+bus is a part of the world that ticks every 4 ms: measurement grid, profiles, bus watchdogs, and every 0.1 s
 heat, voltage and overload.
 """
 

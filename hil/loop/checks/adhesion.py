@@ -207,7 +207,7 @@ class AdhesionWatch(Check):
             self._excess_ns = t_ns
 
     def _fresh(self, t_ns: int, stop: ReportStop) -> bool:
-        """Whether everybody who measures the force has been heard lately."""
+        """Whether every sensor of the force has been heard lately."""
         oldest_ns = t_ns - self._stale_ns
         if (self._began_ns or 0) >= oldest_ns:
             return True

@@ -223,7 +223,7 @@ def _off_delay(order: Order) -> bytes:
 
 
 def ping_frame(controller_id: int, asker_id: int) -> CanFrame:
-    """Asks a controller, or everybody, for a `Pong` to `asker_id`; renews no time-out."""
+    """Asks a controller, or all, for a `Pong` to `asker_id`; renews no time-out."""
     return CanFrame(address(Packet.PING, controller_id), bytes([asker_id]))
 
 
