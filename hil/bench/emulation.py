@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from hil.bench.drivers import model_of
 from hil.bench.further_device_errors import named
-from hil.bench.third_party.emulated import parts_of, wrapped_endpoint
+from hil.bench.third_party.emulated import parts_of, wrapped_transport
 from hil.config.bench import BenchConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.config.servos import ServosConfig
@@ -21,7 +21,7 @@ from hil.core.errors import ConfigError, FaultNotSupportedError, HilError, Usage
 from hil.core.package_errors import OURS, PackageError, asked
 from hil.core.registry import base_of, kinds
 from hil.core.signals import KINDS
-from hil.devices.emulated_device import EmulatedDevice, EmulationRequest, Face
+from hil.devices.emulated_device import EmulatedDevice, EmulationRequest, Transport
 from hil.fakes.active_faults import FaultPlan
 from hil.fakes.body_interface import Plant
 from hil.fakes.fault import Fault, Supported, describe
@@ -32,7 +32,7 @@ from hil.fakes.server import EmulationServer
 from hil.fakes.world import World, random_stream
 
 _NUMBERS = itertools.count(1)
-_EMULATED = "an EmulatedDevice: connect() gives a Connection, serve() a Face"
+_EMULATED = "an EmulatedDevice: connect() gives a Connection, serve() a Transport"
 R = TypeVar("R")
 
 
@@ -149,7 +149,7 @@ def _reached(config: BenchConfig, world: World, kind: str, name: str, reach: Cal
     with parts_of(world, kind, model), named(base_of(kind), kind):
         found = asked(kind, model.package, f"{name}() of the emulated device", reach)
     if found is None:
-        message = f"model {model.name} has no wire face: serve() of the emulated device gave None"
+        message = f"model {model.name} has no wire transport: serve() of the emulated device gave None"
         if name == "connect":
             message = f"connect() of the emulated device of model {model.name} gave None"
         raise PackageError(kind, model.package, message, expected=_EMULATED)
@@ -281,15 +281,15 @@ def open_emulation(
         )
     plan = check_faults(config, faults, only=names)
     world = build_world(config, seed=seed, faults=plan)
-    faces: dict[str, Face] = {}
+    transports: dict[str, Transport] = {}
     try:
         for name in names:
             shown = kinds()[name].shown_as
             device = emulated(config, world, name, shown, standard_ports=standard_ports)
-            face = _reached(config, world, name, "serve", device.serve)
-            faces[shown] = wrapped_endpoint(world, name, model_of(config, name), face)
+            transport = _reached(config, world, name, "serve", device.serve)
+            transports[shown] = wrapped_transport(world, name, model_of(config, name), transport)
     except HilError:
-        for face in faces.values():
-            face.close()
+        for transport in transports.values():
+            transport.close()
         raise
-    return EmulationServer(world, MonotonicClock(), faces, lifeline=lifeline, await_start=await_start)
+    return EmulationServer(world, MonotonicClock(), transports, lifeline=lifeline, await_start=await_start)

@@ -126,7 +126,7 @@ def command(
     robot = (
         nothing
         if await_start
-        else _hold_reported(EmulatedSupport(config, server.world, "servos" in server.faces))
+        else _hold_reported(EmulatedSupport(config, server.world, "servos" in server.transports))
     )  # the caller that awaits the start reports it
     links, first = PortLinks(config, endpoints, of_hardware=standard_ports), config.loop.fifo_priority
     with _as_prompt_as_hardware(first), robot, file or nothing, _linked(links):

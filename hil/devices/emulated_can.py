@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.device import Connection
-from hil.devices.emulated_device import EmulatedDevice, EmulationRequest, Face, Wired
+from hil.devices.emulated_device import EmulatedDevice, EmulationRequest, Transport, Wired
 from hil.fakes.can_channel import CanChannel
-from hil.fakes.can_server import CanFace
+from hil.fakes.can_server import CanTransport
 from hil.fakes.emulated_can_group import DEFAULT_GROUP, DEFAULT_PORT, first_of_host, leave_port, take_port
 
 
@@ -51,22 +51,22 @@ def on_can(
         values = {"interface": "hil", "channel": opened.name, "options": {}}
         return Connection(values, parts=dict(parts or {}), close=opened.close)
 
-    def serve() -> Face:
+    def serve() -> Transport:
         config = request.config
         about: dict[str, Any] = {"dbc": dbc, "device": request.kind, "listens": listens, "printed": printed}
         if config.interface == "udp_multicast":
             at = {"port": DEFAULT_PORT, **config.options}
-            return CanFace(channel, address=config.channel, options=at, **about)
+            return CanTransport(channel, address=config.channel, options=at, **about)
         if request.standard_ports:
             bus = (config.bus, config.bitrate)
             at = {"port": take_port(*bus, request.kind)}
             leave = partial(leave_port, *bus)
-            return CanFace(channel, address=DEFAULT_GROUP, options=at, at_close=leave, **about)
+            return CanTransport(channel, address=DEFAULT_GROUP, options=at, at_close=leave, **about)
         address, right = f"239.74.{subnet}.{2 + os.getpid() % 250}", first_of_host()
         if right is None:
-            return CanFace(channel, address=address, **about)
+            return CanTransport(channel, address=address, **about)
         at = {"port": DEFAULT_PORT}
-        return CanFace(channel, address=address, options=at, at_close=right.close, **about)
+        return CanTransport(channel, address=address, options=at, at_close=right.close, **about)
 
     return Wired(connect, serve)
 

@@ -16,9 +16,9 @@ from hil.fakes.emulation_request import EmulationRequest
 from hil.fakes.serial_chip import SerialChip
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
-from hil.fakes.server import Face
+from hil.fakes.server import Transport
 
-__all__ = ["EmulatedDevice", "EmulationRequest", "Face", "Wired", "on_serial_line"]
+__all__ = ["EmulatedDevice", "EmulationRequest", "Transport", "Wired", "on_serial_line"]
 
 
 class EmulatedDevice(Protocol):
@@ -29,7 +29,7 @@ class EmulatedDevice(Protocol):
         """Make it reachable in this process, on the virtual clock."""
 
     @abstractmethod
-    def serve(self) -> Face:
+    def serve(self) -> Transport:
         """Make it reachable for any client, in real time."""
 
 
@@ -38,13 +38,13 @@ class Wired(EmulatedDevice):
     """An emulated device that is reached in two ways, each a function."""
 
     connecting: Callable[[], Connection]
-    serving: Callable[[], Face]
+    serving: Callable[[], Transport]
 
     def connect(self) -> Connection:
         """As `EmulatedDevice.connect`."""
         return self.connecting()
 
-    def serve(self) -> Face:
+    def serve(self) -> Transport:
         """As `EmulatedDevice.serve`."""
         return self.serving()
 
@@ -62,7 +62,7 @@ class SerialWired(EmulatedDevice):
         line = self.line.open()
         return Connection({"port": f"hil://{line.name}"}, close=line.close)
 
-    def serve(self) -> Face:
+    def serve(self) -> Transport:
         """Serve the line to other processes, as a PTY."""
         return SerialPty(self.line, dict(self.printed))
 

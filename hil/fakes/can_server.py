@@ -17,7 +17,7 @@ from hil.core.errors import DeviceError
 from hil.fakes.can_channel import CanChannel, message_of
 from hil.fakes.emulated_can_group import DEFAULT_GROUP
 from hil.fakes.free_port import free_udp_port
-from hil.fakes.server import Face
+from hil.fakes.server import Transport
 from hil.fakes.world import NEVER_NS
 from hil.support.emulated_can_mark import Mark, bus_name
 from hil.support.host_multicast import HostMulticastBus
@@ -25,7 +25,7 @@ from hil.support.host_multicast import HostMulticastBus
 _ECHOES = 256
 
 
-class CanFace(Face):
+class CanTransport(Transport):
     """A channel's frames in real time on another python-can interface, for any client.
 
     Args:
@@ -37,7 +37,7 @@ class CanFace(Face):
         printed: further values for clients.
         options: further keyword arguments of the interface. Multicast without a `port` has a free one,
             because python-can's own bus hears every group at the port that it listens to.
-        at_close: is called when the face is closed.
+        at_close: is called when the transport is closed.
 
     Raises:
         DeviceError: the interface cannot be opened.

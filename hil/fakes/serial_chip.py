@@ -1,7 +1,7 @@
 """The interface of a chip with a byte stream, as the serial line uses it.
 
 A chip is a model (registers, firmware, timing); the serial line (`serial_line.py`) adds pacing, USB
-latency and wire faults; a face (in-process pyserial URL or PTY) carries the bytes to a client.
+latency and wire faults; a transport (in-process pyserial URL or PTY) carries the bytes to a client.
 """
 
 from __future__ import annotations

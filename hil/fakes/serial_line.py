@@ -82,7 +82,7 @@ _LINES: dict[str, SerialLine] = {}
 
 
 class Unplugged(Exception):
-    """The adapter is gone; a face turns this into what its client expects."""
+    """The adapter is gone; a transport turns this into what its client expects."""
 
 
 class SerialLine(Scheduled):

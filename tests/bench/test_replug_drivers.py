@@ -59,11 +59,11 @@ def test_an_adapter_that_has_got_another_name_is_named_by_the_one_that_stays(ada
 def served(link):
     """An inertial unit at a terminal of its own, which `link` leads to until it hangs up."""
     world = World(TurningPlant(), seed=1)
-    face = SerialPty(SerialLine(world, MicrostrainChip(world)))
-    server = EmulationServer(world, CLOCK, {"imu": face})
+    transport = SerialPty(SerialLine(world, MicrostrainChip(world)))
+    server = EmulationServer(world, CLOCK, {"imu": transport})
     thread = threading.Thread(target=server.run)
     thread.start()
-    link.symlink_to(face.endpoint()["port"])
+    link.symlink_to(transport.endpoint()["port"])
     try:
         yield os.path.realpath(link)
     finally:

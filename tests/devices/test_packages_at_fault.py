@@ -188,7 +188,7 @@ def test_a_model_without_a_wire_says_so(package, hil):
     folder = package("hil-evil", PACKAGE + "ITEM = thing()\n", "ITEM", version="6.6")
     done = hil("emulate", "--bench", "bench.toml", "--only", "thing", packages=[folder])
     assert done.code == 3, done.said
-    assert "thing (hil-evil 6.6): model one has no wire face" in done.said
+    assert "thing (hil-evil 6.6): model one has no wire transport" in done.said
 
 
 @pytest.mark.usefixtures("bench")

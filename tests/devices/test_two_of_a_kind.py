@@ -217,8 +217,8 @@ def test_only_those_that_are_named_are_served(file, monkeypatch, capsys):
     assert main(["emulate", "--bench", file(IMUS), "--only", "imu_arm"]) == 0
     assert {*json.loads(capsys.readouterr().out)} == {"imu_arm"}
     for server in served:
-        for face in server.faces.values():
-            face.close()
+        for transport in server.transports.values():
+            transport.close()
     assert main(["emulate", "--bench", file(IMUS), "--only", "imu_leg"]) == 2
     assert "imu, imu_arm" in capsys.readouterr().err
 

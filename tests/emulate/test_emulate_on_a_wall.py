@@ -21,7 +21,7 @@ def served(profile, only=("servos",)):
     config = load_bench(profile, emulate=("all",))
     server = open_emulation(config, only=only)
     try:
-        robot = EmulatedSupport(config, server.world, "servos" in server.faces)
+        robot = EmulatedSupport(config, server.world, "servos" in server.transports)
         yield robot, lambda s: server.world.advance_to(server.world.now_ns + round(s * 1e9))
     finally:
         server.close()

@@ -33,8 +33,8 @@ def links(bench_file):
     made = PortLinks(config, server.endpoints())
     yield made
     made.remove()
-    for face in server.faces.values():
-        face.close()
+    for transport in server.transports.values():
+        transport.close()
 
 
 def test_a_named_port_is_a_link_while_it_is_served(links, tmp_path):

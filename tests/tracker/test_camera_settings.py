@@ -24,7 +24,7 @@ from hil.core.geometry import quat_from_rotvec
 from hil.drivers.tracker import T265Tracker
 from hil.drivers.tracker.t265_settings import wheel_calibration
 from hil.fakes.server import EmulationServer
-from hil.fakes.tracker import IDEAL, T265, TrackerFace, TrackerTruthOptions
+from hil.fakes.tracker import IDEAL, T265, TrackerTransport, TrackerTruthOptions
 from hil.fakes.tracker.wheel_odometer_input import WheelInput
 from hil.fakes.world import World
 from tests.tracker.software_device import SoftwareT265
@@ -219,11 +219,11 @@ def test_how_well_the_wheels_know_follows_from_the_estimators_noise():
 def test_settings_and_velocities_cross_the_feed(travelling_plant):
     world = World(travelling_plant(), seed=1)
     camera = T265(world)
-    face = TrackerFace(camera)
-    server = EmulationServer(world, MonotonicClock(), {"tracker": face})
+    transport = TrackerTransport(camera)
+    server = EmulationServer(world, MonotonicClock(), {"tracker": transport})
     thread = threading.Thread(target=server.run)
     thread.start()
-    where = face.endpoint()
+    where = transport.endpoint()
     endpoint = FeedEndpoint(host=where["host"], port=where["port"])
     driver = T265Tracker(T265Config(endpoint=endpoint, wheel_odometry=True, mapping=True), MonotonicClock())
     try:
@@ -235,7 +235,7 @@ def test_settings_and_velocities_cross_the_feed(travelling_plant):
                 break
         assert camera.wheels.taken > 5
         assert tuple(camera.settings[name] for name in MAP) == (1, 0, 0, 0)
-        assert face.strange == 0
+        assert transport.strange == 0
     finally:
         driver.close()
         server.stop()

@@ -14,7 +14,7 @@ from hil.bench.third_party.call_timeout import with_time_limit
 from hil.core.device import DeviceModel
 from hil.core.errors import HilError
 from hil.core.package_errors import OURS, PackageError, blamed
-from hil.devices.emulated_device import Face
+from hil.devices.emulated_device import Transport
 from hil.fakes.world import NEVER_NS, Scheduled, World
 
 _MOST_AT_ONCE = 10_000
@@ -32,9 +32,9 @@ def parts_of(world: World, kind: str, model: DeviceModel) -> Iterator[None]:
         world.enclose = None
 
 
-def wrapped_endpoint(world: World, kind: str, model: DeviceModel, face: Face) -> Face:
-    """A face; wrapped in a `ThirdPartyEndpoint` where another package brings its device."""
-    return face if model.package == OURS else ThirdPartyEndpoint(world, kind, model, face)
+def wrapped_transport(world: World, kind: str, model: DeviceModel, transport: Transport) -> Transport:
+    """A transport; wrapped in a `ThirdPartyTransport` where another package brings its device."""
+    return transport if model.package == OURS else ThirdPartyTransport(world, kind, model, transport)
 
 
 class ThirdPartyPart(Scheduled):
@@ -93,31 +93,31 @@ class ThirdPartyPart(Scheduled):
             self._part.on_due(t_ns)
 
 
-class ThirdPartyEndpoint(ThirdPartyPart, Face):
+class ThirdPartyTransport(ThirdPartyPart, Transport):
     """What a device of another package is served by."""
 
-    def __init__(self, world: World, kind: str, model: DeviceModel, face: Face) -> None:
-        super().__init__(world, kind, model, face)
-        self._face = face
+    def __init__(self, world: World, kind: str, model: DeviceModel, transport: Transport) -> None:
+        super().__init__(world, kind, model, transport)
+        self._transport = transport
 
     def filenos(self) -> list[int]:
-        """As of the face; none once it has failed."""
+        """As of the transport; none once it has failed."""
         if not self._failed:
             with self._contained("filenos()"):
-                return self._face.filenos()
+                return self._transport.filenos()
         return []
 
     def on_readable(self, fd: int, t_ns: int) -> None:
-        """Let the face take what has arrived."""
+        """Let the transport take what has arrived."""
         with self._contained("on_readable()"):
-            self._face.on_readable(fd, t_ns)
+            self._transport.on_readable(fd, t_ns)
 
     def endpoint(self) -> Mapping[str, object]:
-        """As of the face; raises its failure."""
+        """As of the transport; raises its failure."""
         with blamed(self._kind, self._model.package, "endpoint()"):
-            return self._face.endpoint()
+            return self._transport.endpoint()
 
     def close(self) -> None:
         """Let go; what that raises is kept."""
         with self._contained("close()"):
-            self._face.close()
+            self._transport.close()

@@ -37,7 +37,7 @@ class NatNet(DeviceModel):
     def emulate(self, request: Any) -> Any:
         """A server of its own."""
         from hil.devices.emulated_device import Wired
-        from hil.fakes.mocap import NatNetFace, NatNetServer
+        from hil.fakes.mocap import NatNetServer, NatNetTransport
 
         server, config = NatNetServer.build(request), request.config
         if request.standard_ports:
@@ -45,7 +45,8 @@ class NatNet(DeviceModel):
         chosen = {key: getattr(config, key) for key in _MOTIVE_PORTS if key in config.model_fields_set}
         ports = _MOTIVE_PORTS if request.standard_ports else chosen
         return Wired(
-            lambda: Connection(parts={"datagrams": server.datagrams}), lambda: NatNetFace(server, **ports)
+            lambda: Connection(parts={"datagrams": server.datagrams}),
+            lambda: NatNetTransport(server, **ports),
         )
 
     def connection(self, endpoint: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -28,10 +28,12 @@ class T265(DeviceModel):
         """A camera of its own."""
         from hil.devices.emulated_device import Wired
         from hil.fakes.tracker import T265 as Camera
-        from hil.fakes.tracker import TrackerFace
+        from hil.fakes.tracker import TrackerTransport
 
         camera = Camera.build(request)
-        return Wired(lambda: Connection(parts={"pipeline": camera.pipeline()}), lambda: TrackerFace(camera))
+        return Wired(
+            lambda: Connection(parts={"pipeline": camera.pipeline()}), lambda: TrackerTransport(camera)
+        )
 
     def connection(self, endpoint: Mapping[str, Any]) -> Mapping[str, Any]:
         """Address of the process that serves it."""

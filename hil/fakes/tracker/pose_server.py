@@ -24,7 +24,7 @@ from hil.core.tracker_feed import (
 )
 from hil.fakes.tracker.librealsense_frames import PoseFrame
 from hil.fakes.tracker.t265_camera import T265
-from hil.fakes.udp_server import DatagramFace
+from hil.fakes.udp_server import DatagramTransport
 
 _FORGET_NS = nanoseconds(5.0)
 _LARGEST = 2048
@@ -34,7 +34,7 @@ _HEAD_WHEELS = FEED_HEAD.pack(FEED_MAGIC, FEED_WHEELS)
 _HEAD_LEAVE = FEED_HEAD.pack(FEED_MAGIC, FEED_LEAVE)
 
 
-class TrackerFace(DatagramFace):
+class TrackerTransport(DatagramTransport):
     """One camera on one UDP port.
 
     Args:

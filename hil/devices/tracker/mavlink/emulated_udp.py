@@ -10,7 +10,7 @@ from hil.core.clock import nanoseconds
 from hil.core.errors import DeviceError, reason_of
 from hil.devices.tracker.mavlink.emulated_computer import Outlet, VisualInertialComputer
 from hil.devices.tracker.mavlink.transport_interface import Address
-from hil.fakes.udp_server import DatagramFace
+from hil.fakes.udp_server import DatagramTransport
 from hil.fakes.world import NEVER_NS
 
 _FORGET_NS = nanoseconds(5.0)
@@ -20,15 +20,15 @@ _LARGEST = 65535
 class _Client(Outlet):
     """A program that the stream is sent to."""
 
-    def __init__(self, face: MavlinkFace, address: Address, heard_ns: int) -> None:
-        self._face, self.address, self.heard_ns = face, address, heard_ns
+    def __init__(self, transport: MavlinkTransport, address: Address, heard_ns: int) -> None:
+        self._transport, self.address, self.heard_ns = transport, address, heard_ns
 
     def deliver(self, packet: bytes, t_ns: int) -> None:
         """Send a packet, unless the listener has long been silent."""
-        self._face.send(packet, self, t_ns)
+        self._transport.send(packet, self, t_ns)
 
 
-class MavlinkFace(DatagramFace):
+class MavlinkTransport(DatagramTransport):
     """One computer on one UDP socket.
 
     Args:

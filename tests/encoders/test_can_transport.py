@@ -13,7 +13,7 @@ from hil.core.signals import Status
 from hil.drivers.encoders import As5045Encoders
 from hil.drivers.links.can_bus import open_bus
 from hil.fakes.can_channel import CanChannel
-from hil.fakes.can_server import CanFace
+from hil.fakes.can_server import CanTransport
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import NEVER_NS
 
@@ -35,8 +35,8 @@ def serving(server):
 
 def test_third_party_client_hears_the_frames_on_udp_multicast(encoder_bench):
     bench = encoder_bench()
-    face = CanFace(bench.channel, address=GROUP, dbc=SHIPPED_DBC, options={"port": PORT})
-    server = EmulationServer(bench.world, MonotonicClock(), {"can": face})
+    transport = CanTransport(bench.channel, address=GROUP, dbc=SHIPPED_DBC, options={"port": PORT})
+    server = EmulationServer(bench.world, MonotonicClock(), {"can": transport})
     endpoint = server.endpoints()["can"]
     assert (endpoint["interface"], endpoint["channel"], endpoint["dbc"]) == (
         "udp_multicast",
@@ -55,15 +55,15 @@ def test_third_party_client_hears_the_frames_on_udp_multicast(encoder_bench):
     server.close()
     ids = [m.arbitration_id for m in heard if m.arbitration_id != 1]
     assert ids[:7] == [416, 417, 418] + [416, 417] * 2
-    assert face.sent >= 40
-    assert face.filenos() == []
-    face.on_readable(0, 0)
+    assert transport.sent >= 40
+    assert transport.filenos() == []
+    transport.on_readable(0, 0)
 
 
 def test_a_client_of_another_bit_rate_is_reported_both(encoder_bench):
     """Multicast would let it in, a real bus would not."""
     bench = encoder_bench()
-    face = CanFace(bench.channel, address=GROUP, dbc=SHIPPED_DBC, options={"port": PORT})
+    transport = CanTransport(bench.channel, address=GROUP, dbc=SHIPPED_DBC, options={"port": PORT})
     where = {"interface": "udp_multicast", "channel": GROUP, "options": {"port": PORT, "hop_limit": 0}}
     try:
         with pytest.raises(DeviceError, match=r"runs at 500000 bit/s, encoders.bitrate is 250000") as caught:
@@ -72,19 +72,19 @@ def test_a_client_of_another_bit_rate_is_reported_both(encoder_bench):
         assert caught.value.remedy == "set encoders.bitrate = 500000"
         open_bus("encoders", EncodersConfig(**where)).shutdown()
     finally:
-        face.close()
+        transport.close()
     open_bus("encoders", EncodersConfig(bitrate=250_000, **where)).shutdown()
 
 
 def test_the_driver_reads_the_served_bus_in_real_time(encoder_bench):
     bench = encoder_bench()
-    face = CanFace(bench.channel, address=GROUP, options={"port": PORT + 1})
+    transport = CanTransport(bench.channel, address=GROUP, options={"port": PORT + 1})
     clock = MonotonicClock()
     driver = As5045Encoders(
         EncodersConfig(interface="udp_multicast", channel=GROUP, options={"port": PORT + 1, "hop_limit": 0}),
         clock,
     )
-    with serving(EmulationServer(bench.world, MonotonicClock(), {"can": face})):
+    with serving(EmulationServer(bench.world, MonotonicClock(), {"can": transport})):
         driver.open()
         clock.sleep_until_ns(clock.now_ns() + 300_000_000)
         samples = driver.read()
@@ -95,21 +95,21 @@ def test_the_driver_reads_the_served_bus_in_real_time(encoder_bench):
 
 def test_an_interface_without_descriptor_and_a_full_one_are_served_too(encoder_bench):
     bench = encoder_bench()
-    face = CanFace(bench.channel, interface="virtual", address="face-test")
-    with can.Bus(interface="virtual", channel="face-test", preserve_timestamps=True) as client:
-        assert face.filenos() == []
-        bench.world.add(face)
+    transport = CanTransport(bench.channel, interface="virtual", address="transport-test")
+    with can.Bus(interface="virtual", channel="transport-test", preserve_timestamps=True) as client:
+        assert transport.filenos() == []
+        bench.world.add(transport)
         bench.clock.sleep_until_ns(50_000_000)
         assert client.recv(0).arbitration_id == 416
-    face.close()
-    face.close()
+    transport.close()
+    transport.close()
     bench.clock.sleep_until_ns(100_000_000)
-    assert face.next_due_ns() <= NEVER_NS
+    assert transport.next_due_ns() <= NEVER_NS
 
 
 def test_an_interface_that_cannot_be_served_is_a_device_error(encoder_bench):
     with pytest.raises(DeviceError, match="cannot be served"):
-        CanFace(encoder_bench().channel, interface="socketcan", address="can77")
+        CanTransport(encoder_bench().channel, interface="socketcan", address="can77")
 
 
 def test_channel_names_are_exclusive_and_listed(encoder_bench):
