@@ -221,8 +221,8 @@ def run(ctx: Context) -> None:
     with ctx.step("identity"):
         identify(ctx, bench)
     with ctx.step("streams", timeout_s=p.watch_s + 30.0):
-        stands_as_told = watch(ctx, bench)
-    if not stands_as_told:
+        stands_as_given = watch(ctx, bench)
+    if not stands_as_given:
         ctx.note(
             "Nothing was moved: by the IMU the robot is tilted otherwise than environment.tilt_rad says. "
             "Correct that, or the mount of the IMU (imu.mount_rotation_wxyz); `hil doctor` shows both angles."

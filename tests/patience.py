@@ -16,7 +16,7 @@ PATIENT = {
 }
 
 FANLESS = {"adhesion": None, "thrust": None, "load_cells": None}
-"""For tests of something else: nobody waits for a fan; the emulated robot is pressed on its wall anyway."""
+"""For tests of something else: a fan is not waited for; the emulated robot is pressed on its wall anyway."""
 
 
 def patient_bench(folder, profile):

@@ -13,8 +13,8 @@ import numpy as np
 from hil.bench.doctor.inertial_offsets import InertialWatch
 from hil.bench.drive_start import blind_to_the_drive, emulated_hold, must_begin_where_it_stands
 from hil.bench.hold.held_devices import HeldDevices
+from hil.bench.loop_settings import real_time
 from hil.bench.model import BenchModel
-from hil.bench.settings import real_time
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import ConfigError, DeviceError, check_number
 from hil.core.geometry import Array, ArrayLike
@@ -61,8 +61,8 @@ class Bench(HeldDevices):
             opened or it was driven is NOT HELD, "not checked"; one whose servos were not opened is not
             `opened`.
         warnings: what was logged about this bench before the robot moved.
-        tells_held: whether a warning is logged where it is left NOT HELD; whoever says so otherwise takes it
-            back.
+        warns_not_held: whether a warning is logged where it is left NOT HELD; False for programs that report
+            it otherwise.
         waits_for_sensors: whether a lost sensor is waited for beyond its `fail_after_s`, in real time: for
             programs that watch a resting robot. Said before it is entered.
         own_controller: makes, from the model, the controller that every trajectory is driven by; None for the
@@ -302,7 +302,7 @@ class Bench(HeldDevices):
             self.lost.append(str(error))
 
     def _until_tilted(self, until: Until) -> Until:
-        """The same, which judges the tilt once more, as soon as the IMU has told enough of it in this run."""
+        """Wrap `until` so that the tilt is checked once more as soon as the IMU has measured enough of it."""
         self._hold.tilt.forget()
         judged = False
 

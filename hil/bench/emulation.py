@@ -1,4 +1,4 @@
-"""The emulated devices of a configuration: built in one world, connected in process or served."""
+"""Builds the emulated devices of a configuration in one world, connected in process or served."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from hil.bench.drivers import model_of
-from hil.bench.named_errors import named
-from hil.bench.third_party.emulated import guarded_face, parts_of
+from hil.bench.further_device_errors import named
+from hil.bench.third_party.emulated import parts_of, wrapped_endpoint
 from hil.config.bench import BenchConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.config.servos import ServosConfig
@@ -204,7 +204,7 @@ def check_faults(
 ) -> tuple[Fault, ...]:
     """Read the faults of a bench, and refuse what none of its emulated devices can be or produce.
 
-    All of them are built once, so that a wrong `[emulation.KIND]` is told here. Nothing is opened.
+    All of them are built once, so that a wrong `[emulation.KIND]` is reported here. Nothing is opened.
 
     Args:
         config: the bench; the faults that it names come first.
@@ -287,7 +287,7 @@ def open_emulation(
             shown = kinds()[name].shown_as
             device = emulated(config, world, name, shown, standard_ports=standard_ports)
             face = _reached(config, world, name, "serve", device.serve)
-            faces[shown] = guarded_face(world, name, model_of(config, name), face)
+            faces[shown] = wrapped_endpoint(world, name, model_of(config, name), face)
     except HilError:
         for face in faces.values():
             face.close()

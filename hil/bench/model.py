@@ -1,4 +1,4 @@
-"""What a bench makes out of its configuration alone: pipelines, estimators, the head of a recording.
+"""Makes pipelines, estimators and the header of a recording from a configuration, without devices.
 
 No device, clock or loop: a replay needs this half of a bench only, and gets the same pipelines from it as
 the loop had.
@@ -8,7 +8,13 @@ from __future__ import annotations
 
 from copy import copy
 
-from hil.bench.settings import alignment_parameters, checks, motion_limits, safety_limits, with_measured_scale
+from hil.bench.loop_settings import (
+    alignment_parameters,
+    checks,
+    motion_limits,
+    safety_limits,
+    with_measured_scale,
+)
 from hil.config.bench import BenchConfig
 from hil.config.estimator import EstimatorConfig
 from hil.config.servos import ServosConfig

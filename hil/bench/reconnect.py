@@ -1,4 +1,4 @@
-"""Sensors that come back: a port that has gone is opened again while the run goes on.
+"""Opens a lost port of a sensor again while the run goes on.
 
 Opening takes up to seconds, so it happens in a thread, and only on the host's clock: ports of virtual time
 come back by themselves. Meanwhile the sensor delivers nothing. A sensor that is silent for longer than its

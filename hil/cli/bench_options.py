@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start_question
-from hil.cli.answers import watching
 from hil.cli.completion_types import BENCH, CONTROLLER, DEVICES, FAULT, SETTING
 from hil.cli.options import FILE, SEED
+from hil.cli.question_answers import watching
 from hil.core.choices import HIGHEST_DOMAIN, LAWS
 
 if TYPE_CHECKING:

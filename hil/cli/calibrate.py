@@ -131,7 +131,7 @@ def _write(out: Path, result: Calibration, config: BenchConfig | None) -> None:
 
     from hil import __version__
     from hil.calibration.calibration_file import write_calibration
-    from hil.calibration.usable import made_for
+    from hil.calibration.usability_check import made_for
     from hil.config.robot_record.overlay import identity
 
     created = datetime.now(timezone.utc).isoformat(timespec="seconds")

@@ -140,7 +140,7 @@ def _way_in(folder: Path) -> str:
     if is_private(folder / STOP):
         return f"open {_address(stopper)} in a browser"
     return (
-        f"its address is not told, because {folder / STOP}, where the token lies, is not yours alone: "
+        f"its address is not shown, because {folder / STOP}, where the token lies, is not yours alone: "
         f"end that console (kill {read(folder / PAGE)['pid']}) and start it again"
     )
 

@@ -121,8 +121,10 @@ def command(
     line = json.dumps(endpoints)
     nothing = contextlib.nullcontext()
     robot = (
-        nothing if await_start else _told_of(EmulatedSupport(config, server.world, "servos" in server.faces))
-    )  # whoever awaits the start looks after it
+        nothing
+        if await_start
+        else _hold_reported(EmulatedSupport(config, server.world, "servos" in server.faces))
+    )  # the caller that awaits the start reports it
     links, first = PortLinks(config, endpoints, of_hardware=standard_ports), config.loop.fifo_priority
     ending = _ended_by_signals(server.stop, only_by_sigterm=await_start)
     with ending, _as_prompt_as_hardware(first), robot, file or nothing, _linked(links):
@@ -150,8 +152,8 @@ def _ended_by_signals(
 
 
 @contextlib.contextmanager
-def _told_of(robot: EmulatedSupport) -> Iterator[None]:
-    """How the robot is held on its wall is said on stderr, at the start and at the end."""
+def _hold_reported(robot: EmulatedSupport) -> Iterator[None]:
+    """Print on stderr how the robot is held on its wall, at the start and at the end of the block."""
     if reported := robot.at_the_start():
         click.echo(reported, err=True)
     try:

@@ -20,7 +20,8 @@ _LOOK_S = 0.05
 class EndpointsFile:
     """A file that clients wait for: what an earlier run left is removed at once.
 
-    While its emulator lives it is locked (`flock`), so that one that was left behind can be told from it.
+    While its emulator lives it is locked (`flock`), so that one that was left behind can be distinguished
+    from it.
 
     Args:
         path: where it shall appear; only an endpoints file that was left behind, or an empty one, may be

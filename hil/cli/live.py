@@ -14,8 +14,15 @@ import click
 
 from hil.cli import start_question
 from hil.cli.bench_options import BenchRequest, bench_options
-from hil.cli.options import FILE, JSON, FiniteRange, on_recording_failure_option, rerun_option, tell_view
-from hil.cli.output import Answered, tell_the_end, unreadable
+from hil.cli.options import (
+    FILE,
+    JSON,
+    FiniteRange,
+    on_recording_failure_option,
+    rerun_option,
+    say_rerun_files,
+)
+from hil.cli.output import Answered, print_end, unreadable
 from hil.cli.ros2_options import published
 from hil.core.choices import ESTIMATORS
 from hil.core.errors import EXIT_PASS, Aborted, DataError, DeviceError, HilError, UsageError, reason_of
@@ -126,7 +133,7 @@ def command(
         with published(request) as publisher, _commands(request, commands, publisher) as lines:
             plan = LivePlan(reference, lines, duration_s, feedback, observers, dead_man_s, known)
             opened = replace(bench, publish=None if publisher is None else publisher.sink).open()
-            opened.tells_held = False
+            opened.warns_not_held = False
             with closing(opened):
                 recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
                 monitor = _monitor(opened, view)
@@ -154,7 +161,7 @@ def _commanded(request: BenchRequest, commands: str) -> str:
 def _commands(
     request: BenchRequest, commands: str, publisher: Ros2Publisher | None
 ) -> Iterator[CommandLines | None]:
-    """Velocity commands, told where they are taken from; None where none are."""
+    """Open the source of velocity commands and print where it listens; None without one."""
     from hil.core.clock import MonotonicClock
     from hil.live import open_commands
 
@@ -202,7 +209,7 @@ def _source(request: BenchRequest, repeated: Path | None) -> BenchSource:
 
 
 def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
-    """The session on the open bench; whatever ends it, also before it begins, the summary is told."""
+    """Run the session on the open bench; the summary is printed however it ends, also before it begins."""
     from hil.bench.hold.result import seen_in_words
 
     bench = session.bench
@@ -218,7 +225,7 @@ def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
         bench.close()
         _report(session, as_json=as_json)
         if view is not None:
-            tell_view(view)
+            say_rerun_files(view)
 
 
 def _dated() -> Path:
@@ -258,7 +265,7 @@ def _report(session: LiveSession, *, as_json: bool) -> None:
     if monitor is not None:
         summary["monitor"] = {"dropped": monitor.dropped, "failure": monitor.failure}
     held: Any = summary["held"]
-    tell_the_end(json.dumps(summary) if as_json else _text(summary), held)
+    print_end(json.dumps(summary) if as_json else _text(summary), held)
     answered = click.get_current_context().find_object(Answered)
     if answered is not None:
         answered.already = True

@@ -122,7 +122,7 @@ def on_recording_failure_option(what: str) -> Callable[[Any], Any]:
     )
 
 
-def tell_view(view: str) -> None:
+def say_rerun_files(view: str) -> None:
     """Say on stderr which files `--rerun` has left and how to open them, and which of them are incomplete."""
     from hil.monitor.rrd_check import files_of, what_is_missing
 

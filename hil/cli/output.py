@@ -52,7 +52,7 @@ def error_as_json(error: HilError) -> dict[str, Any]:
     }
 
 
-def tell_calls(frames: Sequence[Mapping[str, Any]], where: str = "") -> None:
+def print_user_calls(frames: Sequence[Mapping[str, Any]], where: str = "") -> None:
     """Print on standard error the calls in the user's code that led to an error, if there are any.
 
     Args:
@@ -119,7 +119,7 @@ def unreadable() -> str:
     return f"the output cannot be written any more ({why})" if why else ""
 
 
-def tell_the_end(text: str, held: Mapping[str, Any]) -> None:
+def print_end(text: str, held: Mapping[str, Any]) -> None:
     """Print how a run ended; where nothing reads it, standard error says at least how the robot was left.
 
     Args:

@@ -47,8 +47,8 @@ def published(request: BenchRequest) -> Iterator[Ros2Publisher | None]:
         click.echo(f"ROS 2: {network.in_words()}", err=True)
         if network.reaches_out:
             does = "drive this robot" if request.ros2_topic else "read this bench"
-            told = f"hil: whoever reaches {network.interface} can {does}: ROS 2 has no password"
-            click.echo(told, err=True)
+            warning = f"hil: any program that reaches {network.interface} can {does}: ROS 2 has no password"
+            click.echo(warning, err=True)
         yield publisher
     finally:
         publisher.close()

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start_question
-from hil.cli.answers import answers_option, asked_to_end, operator
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.completion_types import SCRIPT
 from hil.cli.options import JSON, OUT, on_recording_failure_option, results_folder
-from hil.cli.output import kept_for_json, tell_calls, tell_the_end
+from hil.cli.output import kept_for_json, print_end, print_user_calls
 from hil.cli.progress import reporting
+from hil.cli.question_answers import answers_option, asked_to_end, operator
 from hil.cli.ros2_options import published
 from hil.core.clock import local_time
 from hil.core.errors import HilError, UsageError, shown_path
@@ -145,13 +145,13 @@ def command(
                 source = replace(source, publish=publisher.sink)
             result = run_procedure(proc, source, options)
         for problem in filter(None, (result.error, *result.teardown_errors)):
-            tell_calls(problem.frames, problem.place)
+            print_user_calls(problem.frames, problem.place)
         page, code = _report_of(result)
         if as_json:
             tree = result.to_json() | {"folder": str(result.folder), "report": page}
-            tell_the_end(json.dumps(tree, allow_nan=False), result.facts["held"])
+            print_end(json.dumps(tree, allow_nan=False), result.facts["held"])
         else:
-            tell_the_end(text_of(result), result.facts["held"])
+            print_end(text_of(result), result.facts["held"])
             click.echo(f"report: {shown_path(Path(page)) if page else 'could not be written'}")
     return code
 

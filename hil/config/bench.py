@@ -9,14 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Discriminator, Field, Tag, ValidationError, create_model
 
-from hil.config.control import ControlConfig
-from hil.config.device import DeviceConfig
-from hil.config.environment import EnvironmentConfig
-from hil.config.estimator import EstimatorConfig
-from hil.config.mocap import MocapConfig
-from hil.config.monitor import MonitorConfig
-from hil.config.robot import RobotConfig
-from hil.config.sections import (
+from hil.config.common_sections import (
     AlignmentConfig,
     EmulationConfig,
     ExitConfig,
@@ -24,6 +17,13 @@ from hil.config.sections import (
     RecordConfig,
     SafetyConfig,
 )
+from hil.config.control import ControlConfig
+from hil.config.device import DeviceConfig
+from hil.config.environment import EnvironmentConfig
+from hil.config.estimator import EstimatorConfig
+from hil.config.mocap import MocapConfig
+from hil.config.monitor import MonitorConfig
+from hil.config.robot import RobotConfig
 from hil.config.servos import ServosConfig
 from hil.config.values import Strict, Switch
 from hil.core.device import DeviceKind, DeviceModel
@@ -106,7 +106,7 @@ class BenchConfig(Strict):
         return tuple(name for name in self.elsewhere() if kinds()[name].holds_robot)
 
     def of_one_world(self) -> BenchConfig:
-        """The same bench without the devices that are `elsewhere`: all that tells of the servos' robot."""
+        """The same bench without the devices that are `elsewhere`: all that see the servos' robot."""
         others = self.elsewhere()
         return self.model_copy(update=dict.fromkeys(others)) if others else self
 

@@ -64,7 +64,7 @@ class CanConfig(DeviceConfig):
         return {**reported, **found}
 
     def claims(self) -> Iterable[Claim]:
-        """Identifiers that are its own, as far as the table tells."""
+        """Identifiers that are its own, as far as the table says."""
         return ()
 
 

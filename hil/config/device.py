@@ -1,4 +1,4 @@
-"""What every table of a device in the bench file has."""
+"""The keys that every table of a device in the bench file has."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 `MonotonicClock` is real time. The virtual clock lives in `hil.fakes.world` because sleeping on it
 advances the emulated world. Either is handed in. The host's own clock serves the programs beside the loop
-(keeper, console, viewer, command line), what waits for them, the watch for calls that do not return, the
+(fan daemon, console, viewer, command line), what waits for them, the watch for calls that do not return, the
 doctor's look at slow reads, and the day on which a record is still valid. `pyproject.toml` lists these
 modules; ruff refuses `time` in all others.
 """

@@ -1,4 +1,4 @@
-"""The seams: what a device, an estimator, a controller and a sink are. Inherit them explicitly.
+"""The interfaces of devices, estimators, controllers and sinks. Inherit them explicitly.
 
 Synchronous. A thread may live only inside a driver or a sink. Time, randomness and devices are
 arguments. `stop()` on a wall means: wheels at rest, steering held, torque **on**; only `release()`
@@ -107,7 +107,7 @@ class Actuators(Device, Protocol):
 class Holding(Sensor[S_co], Protocol[S_co]):
     """What keeps the robot on its surface beside its wheels: the fan, the propellers.
 
-    Opening and closing it changes nothing: it goes on as the last command said, whoever gave it.
+    Opening and closing it changes nothing: it goes on with the last command, of whichever program.
     """
 
     @abstractmethod
@@ -147,7 +147,7 @@ class Estimator(Protocol):
 
 
 class Controller(Protocol):
-    """Pose tracking."""
+    """Computes wheel set-points that make the robot track a reference."""
 
     @abstractmethod
     def reset(self) -> None:
@@ -167,10 +167,10 @@ class Sink(Protocol):
 
     @abstractmethod
     def write(self, record: CycleRecord) -> None:
-        """Take one record."""
+        """Take the record of one cycle."""
 
     def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
-        """Told what belongs between two cycles: how a run begins, how the robot was left. Never raises.
+        """Take a note between two cycles: how a run begins, how the robot was left. Never raises.
 
         Args:
             t_ns: bench time.
@@ -184,7 +184,7 @@ class Sink(Protocol):
         return None
 
     def rest(self) -> None:
-        """Told that the loop sleeps until its next cycle: the moment for a thread of the sink to work."""
+        """Called while the loop sleeps until its next cycle: a thread of the sink may work now."""
         return
 
     @abstractmethod

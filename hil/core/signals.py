@@ -1,4 +1,4 @@
-"""What flows through the loop: samples from devices, states, references, setpoints, cycle records.
+"""The types that flow through the loop: samples, states, references, setpoints, cycle records.
 
 Frozen dataclasses, SI units, unit and frame in the name. Wheel order is FL, BL, BR, FR everywhere
 (the paper's 1..4); an array over servos has the four drives first, then the four steers, each in
@@ -285,7 +285,7 @@ _KNOWN = frozenset(KINDS)
 
 
 def samples_of(kind: str) -> Callable[[Inputs], tuple[Any, ...]]:
-    """What takes the samples of a kind out of inputs: `Inputs.of` for whoever asks in every cycle."""
+    """A function that takes the samples of a kind out of inputs: `Inputs.of` for a caller in every cycle."""
     if kind in _KNOWN:
         return attrgetter(kind)
     return lambda inputs: inputs.added.get(kind, ())

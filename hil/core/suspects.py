@@ -1,4 +1,4 @@
-"""Which kinds of devices may be the cause of a stop, by its reason, as data."""
+"""The kinds of devices that may be the cause of a stop, by its reason."""
 
 from __future__ import annotations
 

@@ -15,11 +15,11 @@ import numpy as np
 from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.cleaning import Log, clean, count, count_gaps, emptiest, recorded_rates, with_angles
-from hil.datasets.nominal import Nominal, lever_m
+from hil.datasets.nominal_robot import Nominal, lever_m
 from hil.datasets.segments import in_words, split
 from hil.datasets.truth_jumps import Bools, fastest_m_s, find_leaps
+from hil.datasets.unit_check import check_leaps, check_time, check_units, rolled_m
 from hil.datasets.unit_factors import Drive, check_rates, check_ways
-from hil.datasets.units import check_leaps, check_time, check_units, rolled_m
 from hil.datasets.wheel_turns import whole_turns
 
 FROZEN = "ground-truth rows that repeat an earlier pose while the wheels roll (a frozen source) left out"

@@ -1,4 +1,4 @@
-"""How emulated devices on CAN are connected: a channel in this process, or one that any client can open."""
+"""Connects emulated devices on CAN: by a channel in this process, or by one that any client can open."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def on_can(
     subnet: int,
     dbc: Path | str,
     listens: bool = False,
-    told: Mapping[str, object] | None = None,
+    printed: Mapping[str, object] | None = None,
     parts: Mapping[str, Any] | None = None,
     begin: Callable[[], None] = lambda: None,
 ) -> EmulatedDevice:
@@ -38,9 +38,9 @@ def on_can(
         channel: its bus.
         subnet: third byte of its multicast group, so that devices of one process do not share one; at
             standard ports those of one bus do.
-        dbc: told to clients; empty where there is none.
+        dbc: path for clients; empty where there is none.
         listens: whether it hears what clients send.
-        told: what clients are told besides.
+        printed: further values for clients.
         parts: of the connection in this process.
         begin: called when it is connected in this process: it may be at work when the bench comes.
     """
@@ -53,7 +53,7 @@ def on_can(
 
     def serve() -> Face:
         config = request.config
-        about: dict[str, Any] = {"dbc": dbc, "device": request.kind, "listens": listens, "told": told}
+        about: dict[str, Any] = {"dbc": dbc, "device": request.kind, "listens": listens, "printed": printed}
         if config.interface == "udp_multicast":
             at = {"port": DEFAULT_PORT, **config.options}
             return CanFace(channel, address=config.channel, options=at, **about)
@@ -71,11 +71,11 @@ def on_can(
     return Wired(connect, serve)
 
 
-def where(endpoint: Mapping[str, Any], told: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Keys of a table from an endpoint that was printed; `told` are no options of the interface."""
+def where(endpoint: Mapping[str, Any], printed: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Keys of a table from an endpoint that was printed; `printed` are no options of the interface."""
     keys = ("interface", "channel", "bitrate")
-    options = {key: value for key, value in endpoint.items() if key not in (*keys, "dbc", *told)}
+    options = {key: value for key, value in endpoint.items() if key not in (*keys, "dbc", *printed)}
     if endpoint["interface"] == "udp_multicast":
         options["hop_limit"] = 0
-    own = {key: tuple(v) if isinstance(v := endpoint[key], list) else v for key in told}
+    own = {key: tuple(v) if isinstance(v := endpoint[key], list) else v for key in printed}
     return {**{key: endpoint[key] for key in keys}, "options": options, **own}

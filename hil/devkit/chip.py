@@ -1,4 +1,4 @@
-"""What an emulated chip of an added device uses."""
+"""The public names for emulated chips of added devices."""
 
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.device import Connection

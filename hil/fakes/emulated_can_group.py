@@ -1,4 +1,4 @@
-"""python-can's default `udp_multicast` group and port, and which emulated bus of this host is there.
+"""Assigns python-can's default `udp_multicast` group and ports to the emulated CAN buses of this host.
 
 At standard ports the devices of one bus share a port, as they share a cable. The first bus of an emulator has
 python-can's own port, each further one the next: its own bus hears every multicast group at the port that it

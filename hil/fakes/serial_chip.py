@@ -1,4 +1,4 @@
-"""What a chip with a byte-stream interface looks like to the line that carries its bytes.
+"""The interface of a chip with a byte stream, as the serial line uses it.
 
 A chip is a model (registers, firmware, timing); the serial line (`serial_line.py`) adds pacing, USB
 latency and wire faults; a face (in-process pyserial URL or PTY) carries the bytes to a client.

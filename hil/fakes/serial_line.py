@@ -109,7 +109,7 @@ class SerialLine(Scheduled):
         self._listens_at: Callable[[], int] | None = None
         self.in_use = False
         self._polls = getattr(type(chip), "next_poll_ns", None) is not SerialChip.next_poll_ns
-        self.tells = getattr(chip, "polls_alone", False)
+        self.announces = getattr(chip, "polls_alone", False)
         world.faults.declare(chip.name, {**chip.supported_faults, **LINE_FAULTS})
         world.add(self)
 

@@ -25,7 +25,7 @@ class SerialPty(Face):
 
     Args:
         line: the emulated line; also a part of the world of its own.
-        nominal: what clients are told beside the port (`baud`, `ids`, ...).
+        nominal: values for clients beside the port (`baud`, `ids`, ...).
     """
 
     def __init__(self, line: SerialLine, nominal: dict[str, object] | None = None) -> None:

@@ -51,11 +51,11 @@ class Face(Scheduled, Protocol):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go. Idempotent."""
+        """Close. Idempotent."""
 
 
 class EmulationServer:
-    """Runs a world and its faces until told to stop.
+    """Runs a world and its faces until a stop is asked for.
 
     Args:
         world: the emulated devices.

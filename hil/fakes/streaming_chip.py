@@ -82,7 +82,7 @@ class StreamingChip:
         self._due_ns = self.world.now_ns + self._period_ns()
 
     def reset(self, t_ns: int) -> None:
-        """Power was cycled."""
+        """Reset everything, as a power cycle does."""
         self.restart(t_ns)
         self._ready_ns = self._due_ns = t_ns + nanoseconds(self.boot_s)
 

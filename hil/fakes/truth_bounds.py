@@ -1,4 +1,4 @@
-"""Which values of `[emulation.KIND]` can be meant: bounds by unit, so that every device has them.
+"""Bounds of the values of `[emulation.KIND]`, by unit, for every device.
 
 Names say their unit (`latency_s`, `scale_sigma`), and what is wrong with a device has a size that belongs to
 the unit: a pose that comes a year late, or noise below zero, is a slip of the pen. A device that needs other

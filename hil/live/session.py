@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.bench import Bench
-from hil.bench.settings import motion_limits
+from hil.bench.loop_settings import motion_limits
 from hil.config.servos import ServosConfig
 from hil.core.clock import nanoseconds
 from hil.core.errors import Aborted, HilError

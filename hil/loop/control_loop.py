@@ -44,8 +44,8 @@ OUTSIDE = "loop"
 """Source of the event in the last record of a run that was ended by something other than its pipeline."""
 
 _OWN = ""
-_SHAKEN_M_S, _SHAKEN_RAD_S = 0.05, 0.1
-"""By how much speeds may be off that a lying device had told."""
+_DOUBTED_M_S, _DOUBTED_RAD_S = 0.05, 0.1
+"""By how much speeds from a device with wrong values may be off."""
 
 ReferenceAt = Callable[[float], Reference]
 Lap = Callable[[str], None]
@@ -130,7 +130,7 @@ class ControlPipeline:
 
         Args:
             inputs: what the devices delivered.
-            lap: told when `estimate` (2 to 4) and `control` (5 to 7) are done; decides nothing.
+            lap: called when `estimate` (2 to 4) and `control` (5 to 7) are done; decides nothing.
 
         Raises:
             SafetyStop: the robot must be held.
@@ -170,13 +170,13 @@ class ControlPipeline:
         )
 
     def _inflate(self, off_m: float, off_rad: float) -> None:
-        """Go on from the last states, which may be off by what a lying device had told.
+        """Widen the covariance of the last states by what a device with wrong values may have caused.
 
         Args:
             off_m: along each axis.
             off_rad: of the heading.
         """
-        more = np.array([off_m, off_m, off_rad, _SHAKEN_M_S, _SHAKEN_M_S, _SHAKEN_RAD_S])
+        more = np.array([off_m, off_m, off_rad, _DOUBTED_M_S, _DOUBTED_M_S, _DOUBTED_RAD_S])
         for name, estimator in {_OWN: self.estimator, **self.observers}.items():
             last = self._states[name]
             unsure = replace(last, covariance=last.covariance + np.diag(more**2), diagnostics={})

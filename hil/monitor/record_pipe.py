@@ -1,4 +1,4 @@
-"""What goes through the pipe from the loop's process to the monitor's: pieces, each of them a pickle.
+"""The format of the pipe from the loop's process to the monitor's: pieces, each of them a pickle.
 
 The first piece is the scene. Every other one is a list of what is to be shown, oldest first: cycle records
 and paths. An empty piece is the end. Before each stands how many cycles were not shown so far.

@@ -272,7 +272,7 @@ class _Running:
         """Contract and delays of the servos; the first that fails is the last that moves."""
         source = self._asked.source.changed(overrides=off_the_wall(self._config)).with_its_faults()
         bench = source.open()
-        bench.tells_held = False
+        bench.warns_not_held = False
         try:
             with bench:
                 self._checks_in_motion(stage, bench)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.calibration.calibration_file import read_calibration
-from hil.calibration.usable import check_usable
+from hil.calibration.usability_check import check_usable
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.core.interfaces import Sink

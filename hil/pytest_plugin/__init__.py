@@ -188,7 +188,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
 def bench(request: pytest.FixtureRequest) -> Generator[Bench, None, None]:
     """An opened bench of its own for every test: fresh world, devices open, held and closed at the end.
 
-    Then it is told how the robot was left.
+    Then the report says how the robot was left.
     """
     from hil.pytest_plugin.bench_selection import opened
     from hil.pytest_plugin.test_outcome import end

@@ -1,4 +1,4 @@
-"""Which bench a test runs on, whether it can run there, and its entry in the report."""
+"""Selects the bench of a test, skips it where it cannot run there, and fills its entry in the report."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def opened(item: pytest.Item) -> Generator[Bench, None, None]:
             source = replace(source, faults=(*source.faults, *faults))
             item.user_properties.extend(properties(source))
             bench = source.open()
-            bench.tells_held = False
+            bench.warns_not_held = False
             stack.enter_context(bench)
         yield bench
 

@@ -49,7 +49,7 @@ def fitting(bench: BenchModel, sensors: Iterable[str]) -> BenchModel:
     )
 
 
-def told_of_sensors(bench: BenchModel, sensors: Sequence[str]) -> str:
+def sensors_text(bench: BenchModel, sensors: Sequence[str]) -> str:
     """Which sensors a run has, and what filters make of a run of wheels alone."""
     absent = [word for name, word in SENSORS.items() if name not in sensors]
     text = "sensors: " + ", ".join(SENSORS[name] for name in sensors)

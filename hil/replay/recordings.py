@@ -10,20 +10,20 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from hil.bench.loop_settings import geometry_of, nominal_of, with_wheel_model
 from hil.bench.model import BenchModel
-from hil.bench.settings import geometry_of, nominal_of, with_wheel_model
 from hil.calibration.calibration_file import read_calibration
 from hil.calibration.excitation import mismatch
-from hil.calibration.usable import check_made_for, failed_validation
+from hil.calibration.usability_check import check_made_for, failed_validation
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.config.recorded import recorded_bench
 from hil.core.errors import DataError, HilError, UsageError
 from hil.datasets.as_cycles import to_run
 from hil.datasets.blocks import reduce_recordings
-from hil.datasets.coverage import covered
 from hil.datasets.dataset import Recording
-from hil.datasets.nominal import Nominal
+from hil.datasets.drive_coverage import covered
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import find_recordings, read_recordings
 from hil.datasets.rosbag import is_bag, read_bag
 from hil.datasets.topic_map import read_topic_map
@@ -79,9 +79,9 @@ class OpenedRecording:
         failed = [self.failed] if self.failed else []
         if not self.tables:
             return failed
-        from hil.calibration.warnings import told_by
+        from hil.calibration.warnings import warnings_of
 
-        reported = told_by(self.tables)
+        reported = warnings_of(self.tables)
         assumed = [] if self.named or len(self.tables[0].sources) == _PAIR else [self._assumed()]
         robot = replace(self.robot, geometry=self.bench.geometry)
         found = mismatch(reduce_recordings(self.tables, _BLOCK_S), robot)

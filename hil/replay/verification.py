@@ -1,4 +1,4 @@
-"""Whether a recording repeats: its inputs are decided upon again and every number is compared.
+"""Verifies that a recording repeats: its inputs go through the pipeline again, and every number is compared.
 
 Where the same arithmetic decides, every bit must be equal. Where it is another one, numbers may differ within
 the limits of `hil.replay.difference_limits`.
@@ -16,7 +16,7 @@ from hil.core.choices import ESTIMATORS, LAWS
 from hil.core.errors import SafetyStop, UsageError
 from hil.core.signals import CycleRecord, Inputs, Reference
 from hil.loop.control_loop import OUTSIDE, ControlPipeline
-from hil.recording.compare import first_difference
+from hil.recording.record_comparison import first_difference
 from hil.recording.runs import RecordedRun, RunStart, read_cycles_of_runs
 from hil.replay.difference_limits import LIMITS, Agreement, same_text
 from hil.replay.recordings import OpenedRecording

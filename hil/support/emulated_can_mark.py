@@ -1,9 +1,9 @@
-"""A CAN bus that a process emulates is marked so, for as long as that process lives: by a name in the kernel.
+"""Marks a CAN bus as emulated while the emulating process lives, by a name in the kernel.
 
 Who keeps a fan running must outlive everything but the fan itself. A real fan outlives every program, an
 emulated one ends with its emulator. The name is in Linux' abstract space; elsewhere no bus is marked. Any
 user of the machine can take a name there, so a mark counts for the buses that are emulated, multicast groups,
-and never for an adapter: nothing ends the keeper of a real fan by it.
+and never for an adapter: nothing ends the daemon of a real fan by it.
 
 Where the emulated bus has no bit rate on its way, as multicast has none, a second name says which it has.
 """

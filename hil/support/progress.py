@@ -1,4 +1,4 @@
-"""How far work is and how long it will still take: what reports it, and the estimate of the time left."""
+"""Progress of work: its reports, and the estimate of the time left."""
 
 from __future__ import annotations
 

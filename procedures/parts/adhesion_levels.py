@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench import Bench
-from hil.bench.settings import adhesion_limits, force_wanted_n, thrust_wanted_n
+from hil.bench.loop_settings import adhesion_limits, force_wanted_n, thrust_wanted_n
 from hil.config.bench import BenchConfig
 from hil.core.errors import ConfigError, DataError
 from hil.core.geometry import Array
@@ -82,11 +82,11 @@ class Level:
 
     @property
     def cells_n(self) -> float:
-        """Both cells."""
+        """Force by both cells together, N."""
         return self.cell_1_n + self.cell_2_n
 
     def to_json(self) -> dict[str, Any]:
-        """Plain figures."""
+        """The figures as plain values for JSON."""
         return asdict(self)
 
 

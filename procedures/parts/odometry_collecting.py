@@ -63,15 +63,15 @@ def collect(
     names: list[str] = []
     recordings = sum(len(r.motions) for r in repetitions)
 
-    def told() -> None:
+    def report() -> None:
         whole = (so_far.before + len(names), so_far.expected)
         ctx.progress(f"{so_far.title}, recording", len(names), recordings, whole)
 
     with ctx.step(label), closing(_driven(ctx, label, missing, calibration, workers)) as found:
-        told()
+        report()
         for title in titles:
             names += ctx.checkpoint(title, lambda: next(found))
-            told()
+            report()
     return names
 
 

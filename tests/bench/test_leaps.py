@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.bench.hold.frame_jumps import Leaps
+from hil.bench.hold.frame_jumps import FrameJumps
 from hil.core.clock import nanoseconds
 from hil.core.errors import SafetyStop
 from hil.robot.trajectories import line
@@ -13,7 +13,7 @@ from tests.patience import FANLESS
 FAR = np.array([0.12, 0.0, 0.0])
 
 
-def told(leaps, name, *places, dt_s=0.01, begin_s=0.0, estimated=None):
+def reported(leaps, name, *places, dt_s=0.01, begin_s=0.0, estimated=None):
     """Names whose frame has moved, by a row of samples."""
     found = []
     for k, x_m in enumerate(places):
@@ -27,16 +27,16 @@ def test_a_robot_that_drives_stops_and_falls_makes_no_leap():
     driven = np.where(t_s < 0.3, 0.12 * t_s, 0.036)
     fallen = 0.5 * 9.81 * np.maximum(t_s - 0.4, 0.0) ** 2
     noise = np.random.default_rng(1).normal(0.0, 5e-4, len(t_s))
-    leaps = Leaps()
-    assert told(leaps, "mocap", *(driven + fallen + noise)) == []
+    leaps = FrameJumps()
+    assert reported(leaps, "mocap", *(driven + fallen + noise)) == []
     assert leaps.size_m("mocap") == 0.0
 
 
-def test_a_leap_is_told_once_and_a_wild_sample_leaves_nothing():
-    leaps = Leaps()
-    assert told(leaps, "mocap", 0.0, 0.0, 0.02, 0.02, 0.02) == ["mocap"]
+def test_a_leap_is_reported_once_and_a_wild_sample_leaves_nothing():
+    leaps = FrameJumps()
+    assert reported(leaps, "mocap", 0.0, 0.0, 0.02, 0.02, 0.02) == ["mocap"]
     assert leaps.size_m("mocap") == pytest.approx(0.02)
-    assert told(leaps, "mocap", 0.02, 0.3, 0.02, 0.02, begin_s=0.1) == ["mocap", "mocap"]
+    assert reported(leaps, "mocap", 0.02, 0.3, 0.02, 0.02, begin_s=0.1) == ["mocap", "mocap"]
     assert leaps.size_m("mocap") == pytest.approx(0.02)
 
 
@@ -44,8 +44,8 @@ def test_a_leap_is_told_once_and_a_wild_sample_leaves_nothing():
     ("gone_m", "estimated_m", "leapt"), [(0.05, 0.05, 0), (0.03, 0.05, 1), (0.0, 0.0, 0)]
 )
 def test_behind_a_gap_of_a_drive_it_is_held_against_the_estimate(gone_m, estimated_m, leapt):
-    leaps = Leaps()
-    found = told(leaps, "mocap", 0.0, gone_m, dt_s=1.0, estimated=(0.0, estimated_m))
+    leaps = FrameJumps()
+    found = reported(leaps, "mocap", 0.0, gone_m, dt_s=1.0, estimated=(0.0, estimated_m))
     assert found == ["mocap"] * leapt
     assert leaps.size_m("mocap") == pytest.approx(abs(gone_m - estimated_m) if leapt else 0.0)
 
@@ -53,12 +53,12 @@ def test_behind_a_gap_of_a_drive_it_is_held_against_the_estimate(gone_m, estimat
 @pytest.mark.parametrize(
     ("mocap_m", "tracker_m", "who"), [(0.1, 0.001, "mocap"), (0.0, 0.1, "tracker"), (0.1, 0.1, None)]
 )
-def test_when_nobody_has_looked_who_alone_went_away_has_leapt(mocap_m, tracker_m, who):
-    leaps = Leaps()
+def test_without_other_samples_a_sensor_that_alone_went_away_has_jumped(mocap_m, tracker_m, who):
+    leaps = FrameJumps()
     found = []
     for t_s, far in ((0.0, 0.0), (60.0, 1.0)):
         for name, way_m in (("tracker", tracker_m), ("mocap", mocap_m)):
-            found += told(leaps, name, far * way_m, begin_s=t_s)
+            found += reported(leaps, name, far * way_m, begin_s=t_s)
     assert found == ([who] if who else [])
 
 

@@ -13,10 +13,10 @@ from hil.calibration.synthetic import MOTIONS, hidden_robot, make_set
 from hil.cli import main
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import write_plain
 from hil.datasets.read import read_recordings
-from hil.datasets.signs import check_signs, contradictions
+from hil.datasets.wrong_signs import check_signs, contradictions
 from hil.robot.kinematics import WheelGeometry
 
 CAD = WheelGeometry.nominal()
@@ -86,14 +86,14 @@ def test_a_single_drive_is_enough_however_short_or_of_turns_only(good, number, s
 def test_every_command_refuses_by_file(tmp_path, capsys, good, command):
     write_plain(tmp_path / "line_x_1.csv", CHANGES["wheel angles (phi) had"](good[0]))
     assert main([command, str(tmp_path / "line_x_1.csv")]) == 2
-    told = capsys.readouterr().err
-    assert "line_x_1.csv: the wheels contradict the ground truth" in told
-    assert "wheel angles (phi)" in told
+    reported = capsys.readouterr().err
+    assert "line_x_1.csv: the wheels contradict the ground truth" in reported
+    assert "wheel angles (phi)" in reported
 
 
 @pytest.mark.parametrize("motion", ["circle_ccw", "circle_cw"])
 @pytest.mark.parametrize("words", CHANGES)
-def test_a_circle_on_its_own_tells_every_sign(good, motion, words):
+def test_a_circle_on_its_own_reports_every_sign(good, motion, words):
     one = next(one for one in good if one.motion == motion)
     with pytest.raises(DataError, match=rf"^{one.name}: the wheels contradict .*{re.escape(words)}"):
         check_signs([CHANGES[words](one)], Nominal())
@@ -181,10 +181,10 @@ def test_the_commands_warn_of_wheels_in_another_order(tmp_path, capsys, good, co
     write_plain(file, exchanged(one, [3, 1, 2, 0]))
     few = ["--evaluations", "2", "--parameter", "wheels.step_m"] if command == "tune" else []
     assert main([command, str(file), "--json", *few]) == 0
-    told = capsys.readouterr()
-    (line,) = [w for w in json.loads(told.out)["warnings"] if "wheels in another order" in w]
+    reported = capsys.readouterr()
+    (line,) = [w for w in json.loads(reported.out)["warnings"] if "wheels in another order" in w]
     assert line.startswith("circle_ccw_1: ")
-    assert f"warning: {line}" in told.err
+    assert f"warning: {line}" in reported.err
 
 
 def test_a_calibration_that_explains_nothing_is_not_written(tmp_path, capsys, good):
@@ -194,12 +194,12 @@ def test_a_calibration_that_explains_nothing_is_not_written(tmp_path, capsys, go
     for file, one in zip(files, good, strict=True):
         write_plain(file, MIXED_UP["a heading turned by a radian"](one))
     assert main(["calibrate", *map(str, files), "--no-validation", "--json", "--out", str(out)]) == 1
-    told = capsys.readouterr()
-    found = json.loads(told.out)
+    reported = capsys.readouterr()
+    found = json.loads(reported.out)
     assert found["verdict"] == "FAIL"
     assert any("no tolerance explains" in line for line in found["warnings"])
     assert any("do not use it" in line for line in found["warnings"])
-    assert f"{out} is not written: the result does not explain the recordings" in told.err
+    assert f"{out} is not written: the result does not explain the recordings" in reported.err
     assert not out.exists()
 
 

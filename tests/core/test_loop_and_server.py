@@ -175,12 +175,12 @@ def test_cycles_fall_on_the_grid_and_the_robot_is_held_at_the_end():
     assert motion.events == ()
 
 
-def test_sinks_are_told_when_the_loop_sleeps_after_every_cycle_and_at_the_end():
-    told = []
+def test_sinks_are_reported_when_the_loop_sleeps_after_every_cycle_and_at_the_end():
+    reported = []
 
     class Resting(Busy):
         def rest(self):
-            told.append((len(self.seen), self.clock.now_ns()))
+            reported.append((len(self.seen), self.clock.now_ns()))
 
     def until(record):
         if record.cycle == 3:
@@ -190,7 +190,7 @@ def test_sinks_are_told_when_the_loop_sleeps_after_every_cycle_and_at_the_end():
     _, loop = make(sinks=lambda clock: (Resting(clock, 1, nanoseconds(0.004)),))
     with pytest.raises(RuntimeError, match="enough"):
         loop.run(until)
-    assert told == [(1, 0), (2, 14_000_000), (3, 20_000_000), (4, 30_000_000)]
+    assert reported == [(1, 0), (2, 14_000_000), (3, 20_000_000), (4, 30_000_000)]
 
 
 def test_a_missed_deadline_is_counted_and_never_made_up_for():
@@ -329,26 +329,26 @@ def test_an_emulator_that_was_starved_hears_what_came_meanwhile_before_its_time_
 
 
 class Speaker(Echo):
-    """Notes whether it was told, at each tick, that the world is far behind."""
+    """Notes whether it was reported, at each tick, that the world is far behind."""
 
     def __init__(self):
         super().__init__()
-        self.told = []
+        self.reported = []
 
     def on_due(self, t_ns):
         super().on_due(t_ns)
-        self.told.append(self.behind)
+        self.reported.append(self.behind)
 
 
-def test_devices_are_told_while_the_world_is_far_behind():
+def test_devices_are_reported_while_the_world_is_far_behind():
     """What a chip says of the past would be taken for the present."""
     clock, face = JumpingClock(), Speaker()
     server = EmulationServer(World(StillPlant()), clock, {"echo": face})
     clock.t_ns += nanoseconds(0.04)
     while server.world.now_ns < nanoseconds(0.04):
         server.step()
-    assert set(face.told) == {False}
-    face.told.clear()
+    assert set(face.reported) == {False}
+    face.reported.clear()
     clock.t_ns += nanoseconds(0.3)
     while server.world.now_ns < nanoseconds(0.34):
         server.step()
@@ -356,8 +356,8 @@ def test_devices_are_told_while_the_world_is_far_behind():
     server.step()
     server.close()
     face.far.close()
-    late = face.told.count(True)
-    assert face.told == [True] * late + [False] * (len(face.told) - late)
+    late = face.reported.count(True)
+    assert face.reported == [True] * late + [False] * (len(face.reported) - late)
     assert 0.2 <= late * 0.005 <= 0.25
 
 

@@ -18,7 +18,7 @@ FAULTS = (
 )
 
 
-def told(bench_name, faults):
+def reported(bench_name, faults):
     """Everything that the devices of a bench say in two seconds, and how the world's clock stood."""
     seen = []
     with hil.open_bench(bench_name, seed=3, faults=faults) as bench:
@@ -37,12 +37,12 @@ def told(bench_name, faults):
 
 
 def test_telling_and_being_asked_are_the_same(monkeypatch):
-    telling = told("emulated_delivered", FAULTS)
+    telling = reported("emulated_delivered", FAULTS)
     add = World.add
 
     def add_to_be_asked(self, part):
-        part.tells = False
+        part.announces = False
         add(self, part)
 
     monkeypatch.setattr(World, "add", add_to_be_asked)
-    assert told("emulated_delivered", FAULTS) == telling
+    assert reported("emulated_delivered", FAULTS) == telling

@@ -104,9 +104,9 @@ def test_a_controller_and_an_estimator_of_ones_own_run_as_printed(name, tmp_path
         if f"def {name}(" in b
     ]
     (tmp_path / "test_mine.py").write_text(block)
-    told = run("-m", "pytest", "-q", "test_mine.py", cwd=tmp_path)
-    assert "1 passed" in told
-    assert "NOT HELD" not in told
+    reported = run("-m", "pytest", "-q", "test_mine.py", cwd=tmp_path)
+    assert "1 passed" in reported
+    assert "NOT HELD" not in reported
 
 
 def test_a_comparison_of_an_estimator_of_ones_own_runs_as_printed(tmp_path):

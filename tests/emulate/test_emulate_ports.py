@@ -34,7 +34,7 @@ def bench_file(tmp_path):
 
 @pytest.fixture
 def motive_ports():
-    """Motive's command port, where nobody else on this host has it."""
+    """Motive's command port, where no other program on this host has it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind(("127.0.0.1", MOTIVE[0]))

@@ -92,13 +92,13 @@ def test_every_entry_has_hashes_and_none_says_where_to_fetch_it():
 )
 def test_make_takes_what_is_locked_the_newest_or_the_oldest(given, folder, by):
     """In a folder each, so that none is taken for another."""
-    told = subprocess.run(
+    reported = subprocess.run(
         ["make", "--always-make", "--dry-run", *given, "lint"],
         cwd=ROOT,
         text=True,
         capture_output=True,
         check=True,
     ).stdout
-    installing = told[: told.index("hil info --compile")].splitlines()
+    installing = reported[: reported.index("hil info --compile")].splitlines()
     assert any(by in line for line in installing)
     assert {path for line in installing for path in re.findall(r"\.venv[a-z-]*/", line)} == {folder}

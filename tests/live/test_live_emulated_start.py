@@ -21,14 +21,14 @@ SECOND = 1_000_000_000
 class Deaf(Face):
     def __init__(self):
         self.near, self.far = socket.socketpair()
-        self.told_ns = []
+        self.reported_ns = []
 
     def filenos(self):
         return [self.near.fileno()]
 
     def on_readable(self, fd, t_ns):
         os.read(fd, 10)
-        self.told_ns.append(t_ns)
+        self.reported_ns.append(t_ns)
 
     def next_due_ns(self):
         return NEVER_NS
@@ -52,7 +52,7 @@ def test_world_time_waits_for_the_bench_and_ends_with_it():
     face.far.send(b"?")
     server.step()
     server.step()
-    assert face.told_ns == [begun_ns]
+    assert face.reported_ns == [begun_ns]
     assert server.world.now_ns == begun_ns
     os.write(writes, b"\n")
     server.step()

@@ -186,7 +186,7 @@ def test_a_stranger_on_the_data_port_does_not_reach_the_loop(served, settings_of
         driver.close()
 
 
-def test_nobody_there_is_an_error_with_the_address():
+def test_no_server_is_an_error_with_the_address():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as quiet:
         quiet.bind(("127.0.0.1", 0))
         port = quiet.getsockname()[1]
@@ -222,7 +222,7 @@ def test_requests_that_cannot_leave_the_host_are_silence():
         NatNetMocap(config, MonotonicClock()).open()
 
 
-def test_a_port_that_nobody_reads_loses_and_counts():
+def test_a_port_that_is_not_read_loses_and_counts():
     port = UdpPort(MonotonicClock(), None, 0, "127.0.0.1")
     try:
         address = port._socket.getsockname()

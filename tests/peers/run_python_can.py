@@ -26,7 +26,7 @@ from hil.fakes.world import World
 
 
 class Still:
-    """A plant that nobody looks at."""
+    """A plant that is not observed."""
 
     t_ns = 0
 
@@ -57,8 +57,8 @@ def serve(stack, world, channel):
     thread.start()
     stack.callback(thread.join)
     stack.callback(server.stop)
-    told = face.endpoint()
-    return {key: told[key] for key in ("interface", "channel", "port")}
+    reported = face.endpoint()
+    return {key: reported[key] for key in ("interface", "channel", "port")}
 
 
 def run(suite, where):

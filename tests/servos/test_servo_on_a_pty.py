@@ -189,7 +189,7 @@ def test_the_driver_drives_across_the_terminal(served_bus, baud):
         driver.close()
 
 
-def test_a_busy_terminal_is_told(served_bus):
+def test_a_busy_terminal_is_reported(served_bus):
     served, clock = served_bus(), MonotonicClock()
     driver = DynamixelServos(ServosConfig(port=served.port), clock)
     with (

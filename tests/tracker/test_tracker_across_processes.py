@@ -95,7 +95,7 @@ def test_a_feed_serves_several_clients_and_forgets_the_silent(tracker_bench):
     assert face.next_due_ns() > bench.clock.now_ns()
 
 
-def test_nobody_at_the_other_end_is_a_device_error(tracker_bench):
+def test_nothing_at_the_other_end_is_a_device_error(tracker_bench):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
         silent.bind(("127.0.0.1", 0))
         config = T265Config(endpoint={"port": silent.getsockname()[1]})

@@ -75,7 +75,7 @@ def test_a_driver_that_speaks_first_follows_a_computer_on_udp(mavlink_bench):
     face.close()
 
 
-def test_a_driver_that_waits_follows_a_computer_that_was_told_its_address(mavlink_bench):
+def test_a_driver_that_waits_follows_a_computer_that_was_reported_its_address(mavlink_bench):
     bench, port = mavlink_bench(options=ComputerTruthOptions()), free_udp_port()
     face = MavlinkFace(bench.computer, target=("127.0.0.1", port))
     real = RealTime(port=f"udpin:127.0.0.1:{port}")
@@ -127,7 +127,7 @@ def test_what_lay_in_a_serial_ports_buffer_is_no_sign_of_life(serial_bench):
         bench.driver.open()
 
 
-def test_a_serial_line_at_another_rate_is_told_from_silence(serial_bench):
+def test_a_serial_line_at_another_rate_is_reported_from_silence(serial_bench):
     bench = serial_bench(baud=57_600, open_timeout_s=1.0)
     with pytest.raises(DeviceTimeoutError, match=r"no MAVLink.*talks at 57600 baud"):
         bench.driver.open()
@@ -151,7 +151,7 @@ def test_a_serial_port_in_real_time(mavlink_bench):
         real.driver.close()
 
 
-def test_nobody_at_the_other_end_says_where_to_look():
+def test_nothing_at_the_other_end_says_where_to_look():
     port = free_udp_port()
     with pytest.raises(DeviceTimeoutError, match=f"nothing arrives within 0.2 s.*UDP port {port} of this"):
         RealTime(port=f"udpin:127.0.0.1:{port}", open_timeout_s=0.2).driver.open()
@@ -173,7 +173,7 @@ def test_a_port_that_another_program_holds_or_that_is_not_there_is_a_device_erro
         RealTime(port="udpin:203.0.113.7:14550").driver.open()
 
 
-def test_another_program_that_sends_to_the_port_is_told_from_a_sender(by_hand):
+def test_another_program_that_sends_to_the_port_is_reported_from_a_sender(by_hand):
     bench = by_hand(opened=False)
     bench.link.arrive(raw=b'{"not": "mavlink"}')
     with pytest.raises(DeviceTimeoutError, match=r"what arrives is no MAVLink.*another program"):

@@ -256,7 +256,7 @@ def test_a_terminal_client_is_heard_at_the_rate_it_has_set(baud):
     assert not os.path.exists(face.endpoint()["port"] or "gone")
 
 
-def test_a_terminal_that_nobody_reads_loses_and_counts():
+def test_a_terminal_that_is_not_read_loses_and_counts():
     chip = Echo()
     world = World(Still())
     line = SerialLine(world, chip, latency_s=0.001)

@@ -1,4 +1,4 @@
-"""What the servos promise when they are commanded. Wheels turn: the robot is on a stand or on an open floor.
+"""Contract checks of commanded servos. Wheels turn: the robot is on a stand or on an open floor.
 
 Every check takes a bench whose servos are open, ends with wheels at rest and torque on, and puts the steering
 back to where it was.
@@ -13,7 +13,7 @@ from typing import Any, cast
 import numpy as np
 
 from hil.bench.bench import Bench
-from hil.bench.contract.subject import Broken
+from hil.bench.contract.device_under_test import Broken
 from hil.config.servos import ServosConfig
 from hil.core.clock import nanoseconds
 from hil.core.geometry import Array

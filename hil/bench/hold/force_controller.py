@@ -1,11 +1,11 @@
-"""The fan's force follows the need: posture, surface and tilt, with a margin, to spare the battery."""
+"""Sets the fan's force by posture, surface and tilt, with a margin, to spare the battery."""
 
 from __future__ import annotations
 
 import contextlib
 import math
 
-from hil.bench.settings import adhesion_limits, force_wanted_n, thrust_wanted_n
+from hil.bench.loop_settings import adhesion_limits, force_wanted_n, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.core.clock import nanoseconds

@@ -28,8 +28,8 @@ _ESTIMATED = 0.1
 _KEPT = 64
 
 
-class _Told:
-    """What one of them has told.
+class _Track:
+    """What one of them has track.
 
     Attributes:
         seen: its newest places.
@@ -52,7 +52,7 @@ class _Gap:
     seen: dict[str, Place]
 
 
-class Leaps:
+class FrameJumps:
     """Follows all that tell a place.
 
     Attributes:
@@ -60,7 +60,7 @@ class Leaps:
     """
 
     def __init__(self) -> None:
-        self._told: dict[str, _Told] = {}
+        self._tracks: dict[str, _Track] = {}
         self._gaps: dict[str, _Gap] = {}
         self.off_m: dict[str, Place] = {}
 
@@ -70,12 +70,12 @@ class Leaps:
 
     def run_ended(self) -> None:
         """The next run may begin to estimate anywhere."""
-        for reported in self._told.values():
-            reported.estimated = None
+        for track in self._tracks.values():
+            track.estimated = None
 
     def begins_anew(self, name: str) -> None:
         """It says itself that it has begun anew: nothing follows from what it said before."""
-        self._told.pop(name, None)
+        self._tracks.pop(name, None)
         self._gaps.pop(name, None)
 
     def follow(self, name: str, t_ns: int, place: Array, estimated: Array | None = None) -> tuple[str, ...]:
@@ -88,46 +88,46 @@ class Leaps:
             estimated: (2,) m, where the robot is by the estimate that is followed, if one is.
         """
         here: Place = place.tolist()
-        reported = self._told.get(name)
-        if reported is None:
-            self._told[name] = _Told(t_ns, here, estimated)
+        track = self._tracks.get(name)
+        if track is None:
+            self._tracks[name] = _Track(t_ns, here, estimated)
             return tuple(self._behind_gaps(t_ns))
-        before_ns, before = reported.seen[-1]
+        before_ns, before = track.seen[-1]
         if t_ns <= before_ns:
             return ()
-        was = reported.estimated
+        was = track.estimated
         if estimated is not None:
-            reported.estimated = estimated
+            track.estimated = estimated
         step, leap = list(map(sub, here, before)), None
         if t_ns - before_ns <= _GAP_NS:
-            leap = self._step(reported, step, (t_ns - before_ns) / NS_PER_S)
+            leap = self._step(track, step, (t_ns - before_ns) / NS_PER_S)
         else:
-            reported.step, reported.step_s = [0.0] * len(here), 1.0
+            track.step, track.step_s = [0.0] * len(here), 1.0
             if was is not None and estimated is not None:
                 leap = _beyond(step, math.dist(estimated, was))
             else:
                 self._gaps[name] = _Gap(t_ns, step, dict(self._others(name, before_ns)))
-        reported.seen.append((t_ns, here))
+        track.seen.append((t_ns, here))
         if leap is None and not self._gaps:
             return ()
         moved = [] if leap is None else [self._moved(name, leap)]
         return (*moved, *self._behind_gaps(t_ns))
 
-    def _step(self, told: _Told, step: Place, dt_s: float) -> Place | None:
+    def _step(self, track: _Track, step: Place, dt_s: float) -> Place | None:
         """By how much it differs from the one before, where that is a leap."""
-        before_s = told.step_s
-        as_before = [a / before_s * dt_s for a in told.step]
+        before_s = track.step_s
+        as_before = [a / before_s * dt_s for a in track.step]
         if math.dist(step, as_before) > _SLACK_M + _PULL_M_S2 * dt_s**2:
             return list(map(sub, step, as_before))
-        told.step, told.step_s = step, dt_s
+        track.step, track.step_s = step, dt_s
         return None
 
     def _others(self, name: str, at_ns: int) -> Iterator[tuple[str, Place]]:
         """Where others saw the robot about then."""
-        for other, reported in self._told.items():
+        for other, track in self._tracks.items():
             if other == name:
                 continue
-            t_ns, place = min(reported.seen, key=lambda one: abs(one[0] - at_ns))
+            t_ns, place = min(track.seen, key=lambda one: abs(one[0] - at_ns))
             if abs(t_ns - at_ns) <= _TOGETHER_NS:
                 yield other, place
 

@@ -1,4 +1,4 @@
-"""The devices of a bench, opened and closed together with its sinks: whatever happens, the robot is held."""
+"""Opens and closes devices and sinks of a bench together; whatever happens, the robot stays held."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from hil.bench.hold.force_controller import by_need
 from hil.bench.hold.monitor import HoldMonitor
 from hil.bench.hold.preload import Preload
 from hil.bench.hold.result import Held, untouched
+from hil.bench.loop_settings import can_fall, fail_limits
 from hil.bench.model import BenchModel
 from hil.bench.reconnect import reconnecting
-from hil.bench.settings import can_fall, fail_limits
 from hil.bench.unreached_faults import not_begun, not_begun_in_words
 from hil.controller.joint_script import JointScript
 from hil.core.clock import Clock
@@ -50,7 +50,7 @@ class HeldDevices:
         self.config, self.geometry = model.config, model.geometry
         self.seed, self.calibration = model.seed, model.calibration
         self.held = untouched("no device was opened: the robot is as it was before")
-        self.tells_held = True
+        self.warns_not_held = True
         self.waits_for_sensors = False
         self.own_controller: MakeController | None = None
         self.lost: list[str] = []
@@ -110,7 +110,7 @@ class HeldDevices:
                     self.held = self._hold.released()
                 self._looked_ns = self.clock.now_ns()
                 self._note(self._looked_ns, HELD_NOTE, self.held.to_json())
-                if self.tells_held and self.held.lost:
+                if self.warns_not_held and self.held.lost:
                     LOG.warning("bench %s: the robot is left %s", self.config.name, self.held)
         finally:
             self._let_go()
@@ -133,7 +133,7 @@ class HeldDevices:
         self._before_opening.append(callback)
 
     def begin(self) -> None:
-        """Let an emulated world at the wire run, for whoever opens devices one by one. Idempotent."""
+        """Let an emulated world at the wire run, for a caller that opens devices one by one. Idempotent."""
         while self._before_opening:
             self._before_opening.pop(0)()
         if self._begun_ns is None:

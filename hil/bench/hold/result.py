@@ -21,7 +21,7 @@ class Held:
             where it was not measured: on a wall wheels do not see a slide.
         why: what confirms it; or what is missing, and what is left to do.
         opened: whether servos were opened: without, nothing was done after which the robot must be held.
-        wanted: whether the servos were asked to hold it, and the bench was not told to let go (`release`,
+        wanted: whether the servos were asked to hold it, and the bench was not asked to let go (`release`,
             `exit.policy`); torque that something else switched off does not make it unwanted.
     """
 

@@ -1,12 +1,12 @@
-"""Calls into another package that do not come back: named while they run, and ended where that can be done.
+"""Names calls into another package that do not return, and ends them where that can be done.
 
-A driver that waits for ever would stop the loop without a word. A thread looks at what is running. It says
-what takes too long, and then interrupts the main thread by a signal, which reaches Python and system calls.
-Foreign code that heeds neither cannot be ended from here: that is said, too. Servos hold a robot meanwhile:
-their driver looks after them when nothing else does.
+A driver that waits for ever would stop the loop silently. A thread watches the running call. It warns when
+that takes too long, and then interrupts the main thread by a signal, which reaches Python and system calls.
+Foreign code that reacts to neither cannot be ended from here: that is reported, too. Servos hold a robot
+meanwhile: their driver keeps asking them when nothing else does.
 
-Opening a device may take seconds, so it has limits of its own; and whoever has asked for the end of a run
-need not wait for all of them (`leave`).
+Opening a device may take seconds, so it has limits of its own; and a user who has asked for the end of a
+run need not wait for all of them (`leave`).
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ class Patience:
     """How long a call may take, in looks at it; while the process is stopped nothing looks.
 
     Attributes:
-        told: after which it is told of.
+        reported: after which a warning is logged.
         ended: after which it is ended.
         expected: of a call that is not ended.
-        may_be_left: whether `leave` ends it once it is told of.
+        may_be_left: whether `leave` ends it once the warning is logged.
     """
 
-    told: int
+    reported: int
     ended: int
     expected: str
     may_be_left: bool = False
@@ -94,7 +94,7 @@ class _Call:
     @property
     def most(self) -> int:
         """Looks after which it is ended."""
-        return self.patience.ended if self.asked is None else self.patience.told
+        return self.patience.ended if self.asked is None else self.patience.reported
 
     def __str__(self) -> str:
         return f"{self.kind} ({self.package}): {self.what}"
@@ -144,7 +144,7 @@ def with_time_limit(kind: str, package: str, what: str, patience: Patience = IN_
 
 
 def leave(error: Callable[[str], HilError]) -> None:
-    """From a signal handler: have the call that runs, if it may be left, end as soon as it is told of.
+    """From a signal handler: end the running call, if it may be left, as soon as its warning is logged.
 
     Until then it may come back by itself, so that a healthy device is open before it is let go of.
 
@@ -194,7 +194,7 @@ def _compiles(frame: FrameType | None) -> bool:
 
 def _judge(ident: int, call: _Call) -> None:
     ran_s = time.monotonic() - call.began_s
-    if call.looks == call.patience.told:
+    if call.looks == call.patience.reported:
         LOG.warning("%s has been running for %.1f s", call, ran_s)
     if call.looks == 0 or call.looks % call.most:
         return

@@ -25,7 +25,7 @@ from hil.bench.third_party.call_timeout import (
 )
 from hil.bench.third_party.sample_checks import checks_of, short
 from hil.core.device import DeviceKind, DeviceModel
-from hil.core.errors import HilError, told
+from hil.core.errors import HilError, error_text
 from hil.core.interfaces import Device
 from hil.core.package_errors import OURS, PackageError, blamed
 
@@ -36,10 +36,10 @@ MOST_SAMPLES = 10_000
 Failures = Mapping[str, HilError]
 
 
-def guarded(
+def wrapped_driver(
     kind: DeviceKind, model: DeviceModel, make: Callable[[], Device], failures: Failures, timeouts_s: float
 ) -> Device:
-    """The driver that `make` makes; behind a `Guarded` where another package brings it."""
+    """The driver that `make` makes; wrapped in a `ThirdPartyDriver` where another package brings it."""
     return make() if model.package == OURS else ThirdPartyDriver(kind, model, make, failures, timeouts_s)
 
 
@@ -119,7 +119,7 @@ class ThirdPartyDriver:
         except CallTimeoutError as error:
             LOG.warning("%s", error)
         except (Exception, SystemExit, GeneratorExit) as error:
-            LOG.warning("%s (%s): close() raised %s", self._kind.name, self._package, told(error))
+            LOG.warning("%s (%s): close() raised %s", self._kind.name, self._package, error_text(error))
 
     def identity(self) -> Mapping[str, str]:
         """What the driver says it found."""

@@ -32,8 +32,8 @@ def parts_of(world: World, kind: str, model: DeviceModel) -> Iterator[None]:
         world.enclose = None
 
 
-def guarded_face(world: World, kind: str, model: DeviceModel, face: Face) -> Face:
-    """A face; guarded where another package brings its device."""
+def wrapped_endpoint(world: World, kind: str, model: DeviceModel, face: Face) -> Face:
+    """A face; wrapped in a `ThirdPartyEndpoint` where another package brings its device."""
     return face if model.package == OURS else ThirdPartyEndpoint(world, kind, model, face)
 
 
@@ -53,7 +53,7 @@ class ThirdPartyPart(Scheduled):
         self._at_ns, self._acted = -1, 0
 
     @contextmanager
-    def _guarded(self, what: str) -> Iterator[None]:
+    def _contained(self, what: str) -> Iterator[None]:
         """Run code of the package; its failure is kept."""
         try:
             with blamed(self._kind, self._model.package, f"{what} of the emulated {self._model.name}"):
@@ -69,7 +69,7 @@ class ThirdPartyPart(Scheduled):
     def next_due_ns(self) -> int:
         """As the part says; never again once it has failed."""
         if not self._failed:
-            with self._guarded("next_due_ns()"):
+            with self._contained("next_due_ns()"):
                 return self._part.next_due_ns()
         return NEVER_NS
 
@@ -82,7 +82,7 @@ class ThirdPartyPart(Scheduled):
         self._acted = self._acted + 1 if t_ns == self._at_ns else 0
         self._at_ns = t_ns
         what = f"on_due() of the emulated {self._model.name}"
-        with self._guarded("on_due()"), with_time_limit(self._kind, self._model.package, what):
+        with self._contained("on_due()"), with_time_limit(self._kind, self._model.package, what):
             if self._acted > _MOST_AT_ONCE:
                 raise PackageError(
                     self._kind,
@@ -103,13 +103,13 @@ class ThirdPartyEndpoint(ThirdPartyPart, Face):
     def filenos(self) -> list[int]:
         """As of the face; none once it has failed."""
         if not self._failed:
-            with self._guarded("filenos()"):
+            with self._contained("filenos()"):
                 return self._face.filenos()
         return []
 
     def on_readable(self, fd: int, t_ns: int) -> None:
         """Let the face take what has arrived."""
-        with self._guarded("on_readable()"):
+        with self._contained("on_readable()"):
             self._face.on_readable(fd, t_ns)
 
     def endpoint(self) -> Mapping[str, object]:
@@ -119,5 +119,5 @@ class ThirdPartyEndpoint(ThirdPartyPart, Face):
 
     def close(self) -> None:
         """Let go; what that raises is kept."""
-        with self._guarded("close()"):
+        with self._contained("close()"):
             self._face.close()

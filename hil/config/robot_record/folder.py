@@ -292,10 +292,10 @@ def read_version(path: Path, remedy: str) -> RecordFile:
         raise ConfigError(f"{path}: no record of schema 1", problems=problems, remedy=remedy) from None
 
 
-def _holds(told: object, tree: dict[str, Any]) -> bool:
+def _holds(digest: object, tree: dict[str, Any]) -> bool:
     """Whether a digest is that of a tree; never of one with dates or NaN, which no record has."""
     try:
-        return told == digest_of(tree)
+        return digest == digest_of(tree)
     except (TypeError, ValueError):
         return False
 

@@ -104,9 +104,9 @@ def of_part(path: Path, tree: Mapping[str, Any]) -> Origin:
     return _by_the_result(path, said)
 
 
-def _robot(path: Path, told: object) -> Identity:
+def _robot(path: Path, given: object) -> Identity:
     try:
-        return Identity.model_validate(json_value(told) if isinstance(told, str) else told)
+        return Identity.model_validate(json_value(given) if isinstance(given, str) else given)
     except (ValidationError, ValueError):
         raise ConfigError(
             f"{path}: robot: it cannot be read of which robot this is", remedy="measure it again"

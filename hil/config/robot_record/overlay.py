@@ -1,4 +1,4 @@
-"""A record laid over a bench file: its values count above those of the file, `--set` above both."""
+"""Overlays a bench file with a robot's record: its values override the file's, `--set` both."""
 
 from __future__ import annotations
 

@@ -262,7 +262,7 @@ class RecordFile(_Model):
         return self.model_dump(mode="json", by_alias=True, exclude_none=True, exclude={"sha256"})
 
     def sealed(self) -> RecordFile:
-        """With its digest."""
+        """The record with its digest filled in."""
         return self.model_copy(update={"sha256": digest_of(self.tree())})
 
     def contradictions(self) -> Iterator[str]:

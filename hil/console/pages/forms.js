@@ -38,8 +38,8 @@ function row(field, index) {
   const id = `field-${index}`;
   const box = input(field, id);
   box.name = field.name;
-  const told = [range(field), field.help].filter(Boolean).join(" ");
-  const help = make("div", { class: "soft", id: `${id}-help` }, told);
+  const help_text = [range(field), field.help].filter(Boolean).join(" ");
+  const help = make("div", { class: "soft", id: `${id}-help` }, help_text);
   const wrong = make("div", { class: "wrong", id: `${id}-wrong`, role: "alert" });
   box.setAttribute("aria-describedby", `${id}-help ${id}-wrong`);
   const title = field.name.replace(/^--/, "").replaceAll("-", " ");

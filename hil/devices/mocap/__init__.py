@@ -49,7 +49,7 @@ class NatNet(DeviceModel):
         )
 
     def connection(self, endpoint: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Server and ports."""
+        """Keys of the bench file that reach an emulated server."""
         where = {key: endpoint[key] for key in ("server", "command_port", "data_port", "multicast")}
         return {**where, "local_address": endpoint["server"]}
 
@@ -116,8 +116,8 @@ class Mocap(DeviceKind):
     topics = (Topic("/mocap/pose", "geometry_msgs/msg/PoseStamped", _pose),)
     motion_threshold, measures_position = 0.0005, True
     silent_faults: ClassVar[Mapping[str, str]] = {
-        "intermittent": "the stream is judged second by second: told within two seconds of a longer run",
-        "delayed": "the stream is judged second by second: told within two seconds of a longer run",
+        "intermittent": "the stream is judged second by second: reported within two seconds of a longer run",
+        "delayed": "the stream is judged second by second: reported within two seconds of a longer run",
     }
 
     def rate_hz(self, config: Any, loop_hz: float) -> float:

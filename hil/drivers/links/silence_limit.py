@@ -1,4 +1,4 @@
-"""When a driver gives up: the error of one that is used while closed, and what silence of poses is."""
+"""Decides when a silent device is an error; also the error of a driver that is used while closed."""
 
 from __future__ import annotations
 

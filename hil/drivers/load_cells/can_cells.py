@@ -32,7 +32,7 @@ class CanCells(CanSensor[CanCellsConfig, LoadCellSample]):
         return (frame_id,)
 
     def identify(self) -> Mapping[str, str]:
-        """DBC and frame."""
+        """DBC file and frame in use."""
         (frame_id,) = self._ids
         return {"model": "HX711", "dbc": str(self.config.dbc_path), "frame": f"0x{frame_id:X}"}
 
@@ -56,7 +56,7 @@ class _Field:
         self._order, self._shift = order, shift
 
     def take(self, data: bytes | bytearray) -> int:
-        """The signed counts."""
+        """Decode the signed counts of a frame."""
         value = int.from_bytes(data, self._order) >> self._shift & (1 << _BITS) - 1
         return value - (1 << _BITS) if value >> (_BITS - 1) else value
 

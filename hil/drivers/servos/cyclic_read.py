@@ -1,4 +1,4 @@
-"""The read of every cycle, and what becomes of it when servos do not answer.
+"""Reads all servos in every cycle, and handles those that do not answer.
 
 Now and then it is a full look: the same exchange shows torque, watchdog, voltage and temperature too, a
 fifth of a millisecond more on the wire instead of two exchanges of their own.

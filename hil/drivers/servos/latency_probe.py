@@ -1,4 +1,4 @@
-"""Which servos answer late: asked one by one, each waited for, after a stop.
+"""Finds servos that answer late, by asking them one by one after a stop.
 
 One late answer holds up everything that is asked behind it, so that nothing is heard in time and nothing
 seems

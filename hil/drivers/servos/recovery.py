@@ -146,7 +146,7 @@ class RamRecovery:
                 return
         raise DeviceError(
             self._device,
-            "torque is not off: " + (", ".join(left) if state else "nobody answers"),
+            "torque is not off: " + (", ".join(left) if state else "no servo answers"),
             port=self._config.port,
             expected="Torque Enable 0",
             remedy="cut the servos' supply",

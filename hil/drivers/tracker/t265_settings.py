@@ -1,6 +1,6 @@
 """The settings of a T265 before and while it streams: map handling, wheel odometry.
 
-The velocity is that of the body's origin in the body's axes. Where these are is told once, in librealsense's
+The velocity is that of the body's origin in the body's axes. Where these are is set once, in librealsense's
 JSON (its manual of the T265): `T` and `W` are place and rotation vector of the velocity sensor's frame in the
 camera's axes, `noise_variance` the variance of a velocity, (m/s)^2.
 """

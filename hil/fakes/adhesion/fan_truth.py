@@ -1,4 +1,4 @@
-"""What is true of the emulated fan: how its controller is set, its battery, and how it begins."""
+"""True parameters of the emulated fan: settings of its controller, its battery, its initial state."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from hil.config.values import Within
-from hil.fakes.tether import Start
+from hil.fakes.initial_support import Start
 
 StatusMessage = Annotated[int, Within(1, 6, "a VESC has status messages 1 to 6")]
 Rate = Annotated[float, Within(0.0, 1000.0, "messages per second")]

@@ -21,7 +21,7 @@ from hil.fakes.body_interface import HoldingForces
 from hil.fakes.can_channel import WIRE_FAULTS, CanChannel, CanFrame
 from hil.fakes.emulation_request import EmulationRequest
 from hil.fakes.fault import PERIODIC, STRIKES, Supported
-from hil.fakes.tether import Start
+from hil.fakes.initial_support import Start
 from hil.fakes.world import NEVER_NS, Scheduled, World
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class MotorNode(Scheduled):
 
     Options = AdhesionTruthOptions
     supported_faults = FAN_FAULTS
-    tells = True
+    announces = True
 
     @classmethod
     def build(cls, request: EmulationRequest, channel: CanChannel) -> Self:

@@ -1,4 +1,4 @@
-"""How the wheels touch the surface in MuJoCo: two settings of its soft contacts, and what is drawn of them.
+"""Contact of wheels and surface in MuJoCo: two settings of its soft contacts, and their random draw.
 
 Friction there is a constraint with a regularisation R: a wheel that bears a force F along the surface gives
 way with v = F R / b. Two choices of R are of use on a wall:

@@ -1,4 +1,4 @@
-"""What every emulated body does alike: commands and forces in, a fixed grid of internal steps, looks out.
+"""Base of all emulated bodies: takes commands and forces, steps on a fixed grid, gives its state.
 
 A command acts from the next internal step. `advance` integrates whole steps only, so that results do
 not depend on how a stretch of time is split.

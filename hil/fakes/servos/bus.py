@@ -42,7 +42,7 @@ class ServoBus(SerialChip, Scheduled):
 
     Options = ServoBusOptions
     alone = True
-    tells = True
+    announces = True
     polls_alone = True
 
     @classmethod
@@ -100,7 +100,7 @@ class ServoBus(SerialChip, Scheduled):
             self._thermal.step(self.servos, _SLOW_TICKS * GRID_NS * 1e-9)
 
     def reset(self, t_ns: int) -> None:
-        """Power was cycled."""
+        """Reset everything, as a power cycle does."""
         self._parser.reset()
         encoder = self._sensing.counts()
         for servo in self.servos:

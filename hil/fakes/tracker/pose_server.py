@@ -79,10 +79,10 @@ class TrackerFace(DatagramFace):
         elif not (data.startswith(_HEAD_SETTINGS) and self._set(data[len(_HEAD_SETTINGS) :])):
             self.strange += 1
 
-    def _set(self, told: bytes) -> bool:
+    def _set(self, data: bytes) -> bool:
         """Take settings as JSON; whether they were settings."""
         try:
-            given = json.loads(told)
+            given = json.loads(data)
             options = {str(key): float(value) for key, value in given["options"].items()}
             wheels = given["wheels"]
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):

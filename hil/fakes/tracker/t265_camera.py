@@ -26,7 +26,7 @@ _NS_PER_MS = 1e6
 _FIRST_NUMBER = 1
 _JUMPS, _PRESERVATION = "enable_pose_jumping", "enable_map_preservation"
 SETTINGS = ("enable_mapping", "enable_relocalization", _JUMPS, _PRESERVATION)
-"""What the camera can be told of its map, by librealsense's names; all on when it is plugged in."""
+"""Options of the camera's map, by librealsense's names; all on when it is plugged in."""
 
 
 class T265(Scheduled):
@@ -43,7 +43,7 @@ class T265(Scheduled):
 
     Options = TrackerTruthOptions
     alone = True
-    tells = True
+    announces = True
 
     @classmethod
     def build(cls, request: EmulationRequest) -> T265:
@@ -119,7 +119,7 @@ class T265(Scheduled):
 
     @property
     def now_ns(self) -> int:
-        """World time."""
+        """World time, ns."""
         return self._world.now_ns
 
     def next_due_ns(self) -> int:

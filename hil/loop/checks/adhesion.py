@@ -1,4 +1,4 @@
-"""Measured fan force against the force that is needed, and agreement of its two measurements.
+"""Compares the measured fan force with the needed one, and its two measurements with each other.
 
 The force is what the load cells say without their zeros, and what a fan of this speed gives; the smaller one
 counts, and the two are held against each other and against what the battery gives. The robot stops while
@@ -124,7 +124,7 @@ class AdhesionWatch(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Forget all that was seen before."""
         self.heading_rad = 0.0
         self.figures: dict[str, float] = {}
         self._thrust_n = self._reported_push_n = self.limits.nominal_thrust_n

@@ -43,7 +43,7 @@ class AgreementCheck(Check):
         self.doubted: dict[str, bool] = {}
 
     def reset(self) -> None:
-        """Forget the run."""
+        """Forget all that was seen in the run."""
         self._motion.reset()
         self.doubted.clear()
 

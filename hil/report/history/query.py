@@ -1,4 +1,4 @@
-"""Which of the results a user means: by words that are in them, by the name of one."""
+"""Selects results by words that are in them, or by the name of one."""
 
 from __future__ import annotations
 

@@ -138,7 +138,7 @@ class MicrostrainChip(SerialChip):
         self._boot(-nanoseconds(options.boot_s) - self._initialisation_ns - _HEADING_NS)
 
     def reset(self, t_ns: int) -> None:
-        """Power was cycled."""
+        """Reset everything, as a power cycle does."""
         self._boot(t_ns)
 
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:

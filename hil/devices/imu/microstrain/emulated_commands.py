@@ -46,7 +46,7 @@ class Commands:
 
     Attributes:
         settings, saved: in use, and kept without power.
-        idle: whether it has been told to send nothing.
+        idle: whether a command has stopped its stream.
         filter_resets, soft_resets: how often it was asked for them.
     """
 

@@ -1,4 +1,4 @@
-"""What is inside the MIP packets that a bench uses: descriptors, layouts, and one set of filter data.
+"""Fields of the MIP packets that a bench uses: descriptors, layouts, and one set of filter data.
 
 Numbers and layouts as in the public MIP protocol (MIP SDK, MIT licence). Vectors are in the sensor's
 "vehicle" frame, which the driver makes the sensor's own: x and y as printed on the case, z out of its

@@ -60,7 +60,7 @@ _HEARTBEAT_NS = NS_PER_S
 _ANSWER_NS = 100_000
 _LONGEST_UP_NS = 100_000 * NS_PER_S
 _QUALITIES = (-1, 10, 35, 90)
-_SHAKEN_QUALITY, _UNKNOWN_QUALITY = 10, 0
+_DOUBTED_QUALITY, _UNKNOWN_QUALITY = 10, 0
 _FIRMWARE = 1 << 24 | 4 << 16 | 2 << 8
 
 
@@ -143,7 +143,7 @@ class VisualInertialComputer(Scheduled):
 
     @property
     def now_ns(self) -> int:
-        """World time."""
+        """World time, ns."""
         return self._world.now_ns
 
     def attach(self, outlet: Outlet) -> None:
@@ -255,7 +255,7 @@ class VisualInertialComputer(Scheduled):
         if abs(omega) > options.fast_rad_s or math.hypot(vx, vy) > options.fast_m_s:
             self._shaken_until_ns = t_ns + nanoseconds(options.shaken_s)
         if t_ns < self._shaken_until_ns:
-            return _SHAKEN_QUALITY
+            return _DOUBTED_QUALITY
         age_s = (t_ns - self._booted_ns) / NS_PER_S
         steps = itertools.accumulate(options.settle_s)
         return _QUALITIES[sum(age_s >= until_s for until_s in steps)]

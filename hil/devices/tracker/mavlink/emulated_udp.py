@@ -1,6 +1,6 @@
 """Serves the emulated visual-inertial computer on real UDP, to any MAVLink program.
 
-It streams to a fixed address, as a computer does that is told where its ground station is, and to whoever
+It streams to a fixed address, as a computer does that knows its ground station, and to every program that
 has spoken to it in the last seconds.
 """
 
@@ -18,7 +18,7 @@ _LARGEST = 65535
 
 
 class _Client(Outlet):
-    """One listener."""
+    """A program that the stream is sent to."""
 
     def __init__(self, face: MavlinkFace, address: Address, heard_ns: int) -> None:
         self._face, self.address, self.heard_ns = face, address, heard_ns
@@ -64,7 +64,7 @@ class MavlinkFace(DatagramFace):
             self._client(target, NEVER_NS)
 
     def on_readable(self, fd: int, t_ns: int) -> None:
-        """Take one datagram; whoever sends it is a listener from now on."""
+        """Take one datagram; its sender is a listener from now on."""
         taken = self.receive(_LARGEST)
         if taken is None:
             return

@@ -101,7 +101,9 @@ class Session:
         if wasted >= _MOST_WASTED:
             self.floods += 1
             if self.floods == 1:
-                _LOG.warning("somebody floods %s with datagrams of no use to the tracker", self._config.port)
+                _LOG.warning(
+                    "another program floods %s with datagrams of no use to the tracker", self._config.port
+                )
         self._speak()
 
     def trip(self) -> Trip | None:

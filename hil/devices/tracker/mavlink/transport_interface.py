@@ -1,4 +1,4 @@
-"""The shape of what carries packets between a sender of odometry and its driver."""
+"""The interface of a transport of packets between an odometry source and its driver."""
 
 from __future__ import annotations
 
