@@ -35,7 +35,7 @@ _SIGNAL = signal.SIGUSR2
 
 
 @dataclass(frozen=True)
-class Patience:
+class TimeLimit:
     """How long a call may take, in looks at it; while the process is stopped nothing looks.
 
     Attributes:
@@ -51,19 +51,19 @@ class Patience:
     may_be_left: bool = False
 
 
-IN_A_CYCLE = Patience(
+IN_A_CYCLE = TimeLimit(
     2 * _LOOKS_PER_S, 5 * _LOOKS_PER_S, "a call that comes back without waiting for anything"
 )
-BESIDE_CYCLES = Patience(2 * _LOOKS_PER_S, 10 * _LOOKS_PER_S, "a call that comes back soon")
+BESIDE_CYCLES = TimeLimit(2 * _LOOKS_PER_S, 10 * _LOOKS_PER_S, "a call that comes back soon")
 AT_THE_END = replace(BESIDE_CYCLES, may_be_left=True)
 _OPENING_S = 30.0
 _BEYOND_TIMEOUTS_S = 5.0
 
 
-def opening(timeouts_s: float = 0.0) -> Patience:
+def opening(timeouts_s: float = 0.0) -> TimeLimit:
     """For opening a device: 30 s, or 5 s more than the time-outs of its table in the bench file."""
     ended_s = max(_OPENING_S, timeouts_s + _BEYOND_TIMEOUTS_S)
-    return Patience(
+    return TimeLimit(
         5 * _LOOKS_PER_S,
         math.ceil(ended_s * _LOOKS_PER_S),
         f"a call that gives up after less than {ended_s:g} s and raises DeviceError",
@@ -86,7 +86,7 @@ class _Call:
     kind: str
     package: str
     what: str
-    patience: Patience
+    limit: TimeLimit
     began_s: float
     looks: int = 0
     asked: Callable[[str], HilError] | None = None
@@ -94,7 +94,7 @@ class _Call:
     @property
     def most(self) -> int:
         """Looks after which it is ended."""
-        return self.patience.ended if self.asked is None else self.patience.reported
+        return self.limit.ended if self.asked is None else self.limit.reported
 
     def __str__(self) -> str:
         return f"{self.kind} ({self.package}): {self.what}"
@@ -106,14 +106,14 @@ _WATCHMEN: list[threading.Thread] = []
 
 
 @contextmanager
-def with_time_limit(kind: str, package: str, what: str, patience: Patience = IN_A_CYCLE) -> Iterator[None]:
+def with_time_limit(kind: str, package: str, what: str, limit: TimeLimit = IN_A_CYCLE) -> Iterator[None]:
     """Run code of a package that is to come back soon.
 
     Args:
         kind: of the device.
         package: name and version.
         what: is run, for example `read()`.
-        patience: how long it may take.
+        limit: how long it may take.
 
     Raises:
         CallTimeoutError: it has been ended.
@@ -122,7 +122,7 @@ def with_time_limit(kind: str, package: str, what: str, patience: Patience = IN_
     _watch()
     ident = threading.get_ident()
     outer = _RUNNING.get(ident)
-    call = _Call(kind, package, what, patience, time.monotonic())
+    call = _Call(kind, package, what, limit, time.monotonic())
     try:
         _RUNNING[ident] = call
         yield
@@ -134,7 +134,7 @@ def with_time_limit(kind: str, package: str, what: str, patience: Patience = IN_
             kind,
             package,
             f"{what} had not come back after {ran_s:.1f} s and was ended",
-            expected=patience.expected,
+            expected=limit.expected,
         ) from None
     finally:
         if outer is None:
@@ -152,7 +152,7 @@ def leave(error: Callable[[str], HilError]) -> None:
         error: makes what the call is left with; given the call in words.
     """
     call = _RUNNING.get(threading.get_ident())
-    if call is not None and call.patience.may_be_left:
+    if call is not None and call.limit.may_be_left:
         call.asked = error
         _end()
 
@@ -194,7 +194,7 @@ def _compiles(frame: FrameType | None) -> bool:
 
 def _judge(ident: int, call: _Call) -> None:
     ran_s = time.monotonic() - call.began_s
-    if call.looks == call.patience.reported:
+    if call.looks == call.limit.reported:
         LOG.warning("%s has been running for %.1f s", call, ran_s)
     if call.looks == 0 or call.looks % call.most:
         return

@@ -19,7 +19,7 @@ from hil.bench.third_party.call_timeout import (
     BESIDE_CYCLES,
     IN_A_CYCLE,
     CallTimeoutError,
-    Patience,
+    TimeLimit,
     opening,
     with_time_limit,
 )
@@ -83,9 +83,9 @@ class ThirdPartyDriver:
         return blamed(self._kind.name, self._package, what)
 
     @contextmanager
-    def _watched(self, what: str, patience: Patience) -> Iterator[None]:
+    def _watched(self, what: str, limit: TimeLimit) -> Iterator[None]:
         """Run code of the package that is to come back, and whose exceptions are its own."""
-        with self._blamed(what), with_time_limit(self._kind.name, self._package, what, patience):
+        with self._blamed(what), with_time_limit(self._kind.name, self._package, what, limit):
             yield
 
     def _blame(self, message: str, expected: str) -> NoReturn:
@@ -179,11 +179,11 @@ class ThirdPartyDriver:
         if not callable(found):
             return found
 
-        patience = self._opening if name == "reopen" else BESIDE_CYCLES
+        limit = self._opening if name == "reopen" else BESIDE_CYCLES
 
         @functools.wraps(found)
         def call(*given: Any, **named: Any) -> Any:
-            with self._watched(f"{name}()", patience):
+            with self._watched(f"{name}()", limit):
                 return found(*given, **named)
 
         return call
