@@ -73,7 +73,7 @@ class Parameters(BaseModel):
 
     @property
     def body(self) -> str:
-        """Whose poses show how the body moves."""
+        """Devices whose poses show how the body moves."""
         return "mocap" if "mocap" in self.devices else "tracker"
 
     @model_validator(mode="after")
@@ -257,7 +257,7 @@ def _signs(ctx: Context) -> dict[str, Any]:
 
 
 def identify(ctx: Context, bench: Bench) -> None:
-    """Who is there, and what the servos' registers say."""
+    """The devices, and the servos' registers."""
     found = {d.name: dict(d.identity()) for d in bench.rig.devices()}
     ctx.measure("devices", sum(bool(f) for f in found.values()))
     rows = [

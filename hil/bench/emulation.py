@@ -103,7 +103,7 @@ def hidden_truth(world: World) -> dict[str, object]:
 
 
 def _servo_model(config: BenchConfig) -> ServoModel:
-    """Whose motors drive and steer the emulated robot."""
+    """The kind of device whose motors drive and steer the emulated robot."""
     servos = config.of(ServosConfig)
     return servo_model((servos and servos.model_number) or DEFAULT_MODEL)
 

@@ -23,7 +23,7 @@ answers_option = click.option(
 
 
 def operator(answers: Path | None) -> Operator:
-    """Who answers: a person at the terminal, the lines of stdin for `-`, a file.
+    """The source of answers: a person at the terminal, the lines of stdin for `-`, a file.
 
     Raises:
         ConfigError: the file cannot be read.

@@ -23,7 +23,7 @@ from hil.fakes.world import Scheduled, World
 _LONGEST_WAIT_S = 0.05
 _PIECE_NS = 20_000_000
 _BEHIND_NS = 50_000_000
-"""Who waits for an answer has given up by then."""
+"""A client that waits for an answer has given up by then."""
 _TOO_SHORT_TO_SLEEP_S = 80e-6
 _WARM_UP_NS = 3_000_000
 

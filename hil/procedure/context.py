@@ -103,7 +103,7 @@ class Context:
 
         Args:
             errands: what to drive.
-            workers: who drives it.
+            workers: the processes that drive it.
 
         Yields:
             What each drive returned, in the order of the errands.

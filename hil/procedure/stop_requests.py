@@ -31,7 +31,7 @@ _BY = {
     "SIGTERM": "STOP or another program (SIGTERM)",
     "SIGHUP": "its terminal, which was closed (SIGHUP)",
 }
-"""Who sends a signal, for people who did not send it by that name."""
+"""The source of a signal, in words."""
 
 
 class Interrupts:

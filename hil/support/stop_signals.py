@@ -34,7 +34,7 @@ def handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[Non
 
 
 class StopRequest:
-    """Signals that are noted and nothing more; who is at work heeds them where it suits.
+    """Signals that are noted and nothing more; the work in progress reacts at a suitable point.
 
     Attributes:
         name: of the first one; empty before.

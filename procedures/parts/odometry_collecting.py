@@ -52,7 +52,7 @@ def collect(
         label: of the round, `round 2`.
         repetitions: what to drive.
         calibration: parameters to drive with, the bench's own without.
-        workers: who drives them, if there are several.
+        workers: the processes that drive them, if there are several.
         so_far: the round's place in the run.
 
     Returns:

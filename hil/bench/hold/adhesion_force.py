@@ -36,7 +36,7 @@ FAN, _CELLS = "the fan's speed", "the load cells"
 
 
 def measured_n(limits: AdhesionLimits, samples: Iterable[Any]) -> Iterator[tuple[str, int, float]]:
-    """Who measures what presses the robot, when (ns), and the force (N): of samples that can be used.
+    """(sensor, time in ns, force in N) of each usable sample of what presses the robot.
 
     Args:
         limits: of the bench.

@@ -132,7 +132,7 @@ class FrameJumps:
                 yield other, place
 
     def _behind_gaps(self, now_ns: int) -> Iterator[str]:
-        """Who says that the robot has gone away in its gap, while another saw it rest."""
+        """Sensors that have moved away in their gap, while another saw the robot rest."""
         for name, gap in list(self._gaps.items()):
             for other, place in self._others(name, gap.ended_ns):
                 if other in gap.seen and math.dist(place, gap.seen[other]) <= _SLACK_M < math.hypot(*gap.way):

@@ -132,7 +132,8 @@ class Part(_Model):
     """What one procedure found.
 
     Attributes:
-        procedure, verdict: who found it, and how that run ended; `not verified` of a file that does not say.
+        procedure, verdict: the procedure that measured it, and how its run ended; `not verified` of a file
+            that does not say.
         measured: date and time, ISO 8601.
         bench: name of the bench.
         surface: of the environment that it holds for; empty for everywhere.
@@ -182,7 +183,7 @@ class Part(_Model):
 
 
 class Identity(_Model):
-    """Whose record it is: name, servos and wheels on paper, as the bench file has them.
+    """The identity of a robot: name, servos and wheels on paper, as the bench file has them.
 
     `body` is the body behind it: `real`, or which emulated one; None where it was not said.
     """

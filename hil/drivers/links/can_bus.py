@@ -108,7 +108,7 @@ def remedy_of_silence(device: str, config: Any, node: str) -> str:
     Args:
         device: name in the bench file.
         config: its table.
-        node: who should be heard, as in `check the supply of {node}`.
+        node: the node that should be heard, as in `check the supply of {node}`.
     """
     shown = f", `ip -details link show {config.channel}`" * (config.interface == "socketcan")
     return (

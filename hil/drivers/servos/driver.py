@@ -73,7 +73,7 @@ class DynamixelServos(Actuators):
         self._keep_alive = KeepAlive(clock, self._talking, self._visit, watchdog_s=config.watchdog_s)
 
     def open(self) -> None:
-        """Open the port, check who is there and how they are set up, write RAM. Torque is left as it is.
+        """Open the port, check which servos are there and their settings, write RAM. Torque is left as it is.
 
         Raises:
             DeviceError: port, identity or EEPROM are not as expected; the message has a table.
@@ -97,7 +97,7 @@ class DynamixelServos(Actuators):
             raise
 
     def _set_up(self, bus: Bus, *, last: bool = False) -> None:
-        """Who is there, and RAM; from the beginning once more where a servo falls silent in between."""
+        """Check the servos and write RAM; once more from the beginning where one falls silent in between."""
         config = self._config
         acknowledge_all(bus, config.ids)
         answers = ident.read_blocks(bus, config, self._clock)
@@ -240,7 +240,7 @@ class DynamixelServos(Actuators):
                 self._clock.sleep_until_ns(self._clock.now_ns() + _RETRY_NS)
 
     def _enable(self, bus: Bus, *, last: bool) -> bool:
-        """One attempt; False where it is worth another: who is silent may be starting up after a dip."""
+        """One attempt; False where it is worth another: a silent servo may be starting up after a dip."""
         try:
             self._await_answers(bus)
             self._upkeep.audit(self._cycle.live_ids)

@@ -22,9 +22,9 @@ _QUIET_S, _SETTLES_NS, _MOST_BYTES = 0.02, nanoseconds(0.3), 4096
 _WHOLE_NS = nanoseconds(0.4)
 """After so long a roll call is broken off, and goes on there: one that restarts waits for its torque."""
 _LONGEST_S = 0.25
-"""Who takes longer than that to answer is as good as dead."""
+"""A servo that takes longer than that to answer counts as dead."""
 _SPARE, _EDGE_S, _ATTEMPTS = 1.5, 0.001, 3
-"""The computer may be busy: who is asked alone and is late so many times is late."""
+"""The computer may be busy: a servo that is asked alone and is late so many times is late."""
 _PAUSE_NS = nanoseconds(1.0)
 """From one to the next: meanwhile the servos are looked after as usual."""
 

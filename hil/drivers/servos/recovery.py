@@ -225,7 +225,7 @@ class RamRecovery:
         return tuple(repaired)
 
     def insist(self, status: Sequence[Status]) -> None:
-        """Torque on for those that are not heard: who has restarted may hear, though its answers are lost.
+        """Send torque on to silent servos: one that has restarted may receive it, but its answers are lost.
 
         It holds by what it wakes up with, goals at which it stands still, until it can be set up again.
         """

@@ -56,7 +56,7 @@ class Samples:
         return np.array(self._registers if reading is None else self._known(reading), dtype=np.int64)
 
     def _known(self, reading: Reading) -> Sequence[int]:
-        """Position registers (8,) of a reading; of who has not answered, as last known."""
+        """Position registers (8,) of a reading; of servos that have not answered, as last known."""
         now = reading.registers["position"]
         if reading.status is ALL_OK:
             return now

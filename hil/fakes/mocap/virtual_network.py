@@ -45,7 +45,7 @@ class Served(Protocol):
 
     @abstractmethod
     def receive(self, data: bytes, client: Address, outlet: Outlet, t_ns: int) -> None:
-        """Take one request that came from `client`, who is on `outlet`."""
+        """Take one request that came from `client` by `outlet`."""
 
 
 class WorldPort:

@@ -301,7 +301,7 @@ class AdhesionWatch(Check):
         )
 
     def _by_whom(self) -> str:
-        """Who says so, where another says otherwise: it may be that one that is wrong."""
+        """The sensors in words, where another contradicts: that one may be wrong."""
         if not apart(self._cells_n, self._speed_n):
             return ""
         reported = [(self._cells_n, "the load cells"), (self._speed_n, "the fan's speed")]

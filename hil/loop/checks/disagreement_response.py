@@ -16,7 +16,7 @@ from hil.loop.safety import Checks
 
 
 class AgreementCheck(Check):
-    """Camera, wheels, gyro and motion capture against each other: whom to believe, and whether to stop.
+    """Camera, wheels, gyro and motion capture against each other: which to believe, and whether to stop.
 
     Args:
         motion: what compares them.

@@ -161,7 +161,7 @@ class MocapEstimate(Check):
             stop("sensors_disagree", self._text(off / unit, beyond_m, party))
 
     def _whom(self, off: complex) -> MotionSource:
-        """Who has led the estimate astray, by what each has gone beside motion capture.
+        """Devices that have led the estimate astray, by their displacement beside motion capture.
 
         Where camera and wheels are both off as the estimate is, they agree against motion capture.
         """
@@ -180,7 +180,7 @@ class MocapEstimate(Check):
         Args:
             off: by what the estimate is off along the way and across it.
             beyond_m: how far it is off beyond what turned axes explain.
-            party: who may be wrong.
+            party: the device that may be wrong.
         """
         gone_m, true_m = abs(self._gone), abs(self._true)
         camera_m, wheels_m = (abs(way) for way in self._capture.ways())

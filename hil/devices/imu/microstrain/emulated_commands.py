@@ -40,7 +40,7 @@ class Commands:
     """The part of the firmware that listens.
 
     Args:
-        info: who the sensor says it is.
+        info: identity of the sensor.
         base_rate_hz: of its filter.
         saved: settings that it has after power-up.
 

@@ -75,7 +75,7 @@ _FORMAT_ENTRY = struct.Struct(">BH")
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """Who the sensor says it is. `firmware` is a number such as 1007 for 1.0.07."""
+    """Identity of the sensor. `firmware` is a number such as 1007 for 1.0.07."""
 
     firmware: int
     model: str

@@ -40,7 +40,7 @@ class Session:
     Args:
         link: open; closed with the session.
         common: the MAVLink dialect.
-        config: who is wanted.
+        config: the wanted sender.
         clock: the bench clock.
 
     Attributes:

@@ -92,8 +92,8 @@ class Pong:
     """The answer to a ping.
 
     Attributes:
-        controller_id: who answers.
-        asker_id: whom it answers.
+        controller_id: of the controller that answers.
+        asker_id: of the node that asked.
         hardware: 0 for a motor controller; None from firmware that does not say.
     """
 
