@@ -62,7 +62,7 @@ def blind_to_the_drive(config: BenchConfig) -> str:
 
 
 def emulated_hold(config: BenchConfig) -> str:
-    """That what is to hold a real robot on its wall is emulated; empty where it is not, or it cannot fall."""
+    """A warning where devices that hold a real robot on its wall are emulated; else empty."""
     holders = pretended_holders(config)
     if not holders:
         return ""

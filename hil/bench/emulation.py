@@ -232,7 +232,7 @@ def supported_faults(config: BenchConfig) -> dict[str, Supported]:
 
 
 def faults_within(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[str, ...]:
-    """Of faults, those that name a device which the bench emulates; each as a spec.
+    """The faults that name a device which the bench emulates; each as a spec.
 
     Args:
         config: the bench; the faults that it names come first.

@@ -41,7 +41,7 @@ class Reopenable(Protocol):
 def reconnecting(
     sensors: Mapping[str, Sensor[Any]], clock: Clock, fail_after_s: Mapping[str, float] | None = None
 ) -> dict[str, Sensor[Any]]:
-    """Those sensors that can come back behind a `Reconnecting`; in virtual time just as they are.
+    """Wrap sensors that can come back in a `Reconnecting`; in virtual time none.
 
     Args:
         sensors: by kind.

@@ -237,7 +237,7 @@ def calibrate(
 def _intervals(
     recordings: Sequence[Recording], found: Fit, cad: WheelGeometry, choice: Choice | None
 ) -> StandardErrors:
-    """Those of a fit, as wide as its rivals' fits call for."""
+    """Intervals of a fit, widened by the differences of its rivals' fits."""
     rivals = [_rival_fit(recordings, c) for c in choice.rivals] if choice is not None else []
     return standard_errors(found, cad).beside(
         found.solution.z, [(other.solution.z, standard_errors(other, cad)) for other in rivals]

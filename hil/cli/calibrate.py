@@ -196,5 +196,5 @@ def _text(result: Calibration) -> str:
 
 
 def _errors(row: Mapping[str, float]) -> str:
-    """Of one motion, or of their mean: mm and deg."""
+    """Errors of one motion, or of the mean of all, in mm and deg."""
     return f"{1e3 * row['rmse_position_m']:.1f} /{math.degrees(row['rmse_theta_rad']):6.2f}"

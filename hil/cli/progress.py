@@ -103,7 +103,7 @@ class _Lines:
         click.echo(f"{words}, {left}" if left else words, err=True)
 
     def _left(self, pace: Pace) -> str:
-        """Of the whole work where that is known, else of this piece."""
+        """Seconds left of the whole work where that is known, else of this piece."""
         whole = self._paces.get(WHOLE)
         if whole is not None and whole.left_s is not None:
             return f"{in_words(whole.left_s)} {WHOLE}"

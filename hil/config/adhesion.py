@@ -17,7 +17,7 @@ Force = Annotated[float, Within(1.0, 500.0, "N: more than a fan of this size giv
 
 
 class AdhesionConfig(DeviceConfig):
-    """Of a fan with any controller: what bench, guards and procedures need of it.
+    """A fan with any controller: the keys that bench, checks and procedures need.
 
     Attributes:
         force_n: what it is asked for on a wall; `robot.edf_force_n` when left out.

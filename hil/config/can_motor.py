@@ -11,7 +11,7 @@ HIGHEST_DUTY = 0.95
 
 
 class DaemonMotorConfig(CanConfig):
-    """Of a motor whose commands come from a process of its own, its daemon.
+    """A motor whose commands come from a daemon, a process of its own.
 
     Attributes:
         timeout_s: after which the controller lets go of the motor when it hears no command, as set in VESC

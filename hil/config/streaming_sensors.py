@@ -34,7 +34,7 @@ class StreamConfig(DeviceConfig):
 
 
 class SerialSensorConfig(StreamConfig):
-    """Of a sensor at a serial port.
+    """A sensor at a serial port.
 
     Attributes:
         port: device path or any pyserial URL.
@@ -46,11 +46,11 @@ class SerialSensorConfig(StreamConfig):
 
 
 class CanSensorConfig(StreamConfig, CanConfig):
-    """Of a sensor on a CAN bus."""
+    """A sensor on a CAN bus."""
 
     FRAME_IDS: ClassVar[tuple[int, ...]] = ()
     """Identifiers of the frames of one sample, in the order in which they are sent."""
 
     def claims(self) -> tuple[Claim, ...]:
-        """Its frames: no other device of the bus may send them."""
+        """The frames of the sensor: no other device of the bus may send them."""
         return tuple(Claim("channel", "frame", frame_id) for frame_id in self.FRAME_IDS)

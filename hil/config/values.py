@@ -169,7 +169,7 @@ Quaternion = tuple[Cosine, Cosine, Cosine, Cosine]
 
 
 def _unit(value: Quaternion) -> Quaternion:
-    """Of norm 1, and the same again when it is read back: what has norm 1 but for rounding stays as it is."""
+    """Scale a quaternion to norm 1; one that has norm 1 but for rounding stays as it is."""
     norm = math.sqrt(sum(v * v for v in value))
     if not 0.99 < norm < 1.01:
         raise ValueError(f"the quaternion (w, x, y, z) has norm {norm:.3g}, not 1")

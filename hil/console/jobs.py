@@ -68,7 +68,7 @@ class Job:
 
     @property
     def name(self) -> str:
-        """Of the folder; unique."""
+        """Name of the folder; unique."""
         return self.folder.name
 
 

@@ -33,7 +33,7 @@ class Alarm:
         self._ended: dict[Job, dict[str, Any]] = {}
 
     def not_held(self) -> list[dict[str, str]]:
-        """Of each bench the job that left its robot so and what to say of it, as `job` and `words`."""
+        """For each bench with a robot NOT HELD: the job that left it so, and the message."""
         secured = self._secured()
         left: dict[tuple[str, ...], dict[str, str]] = {}
         looked: set[tuple[str, ...]] = set()

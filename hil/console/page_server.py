@@ -129,7 +129,7 @@ class PageProcess:
         return as_json({"jobs": [self._job(job) for job in jobs.jobs(self._jobs, _SHOWN_JOBS)]})
 
     def _job(self, job: jobs.Job) -> dict[str, Any]:
-        """Its state; that of one that has ended is kept, because it changes no more."""
+        """State of a job; that of one that has ended is kept, because it changes no more."""
         if job.name not in self._ended:
             state = jobs.state(job)
             if state["running"]:

@@ -44,7 +44,7 @@ class Job:
 
     @property
     def identity(self) -> tuple[Path, ...]:
-        """The same for the same run, whatever path leads to it."""
+        """A value that is the same for one run, by whatever path it is given."""
         return tuple(file.resolve() for file in self.files)
 
 

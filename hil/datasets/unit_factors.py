@@ -43,7 +43,7 @@ class _Unit:
 
     @property
     def alone(self) -> tuple[float, float]:
-        """The same with nothing but what is converted: a column that says little cannot be blamed."""
+        """A copy with the converted columns only: a column that says little cannot be blamed."""
         return (self.to_si, 0.0) if self.column == "x, y" else (0.0, self.to_si)
 
 

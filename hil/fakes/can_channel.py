@@ -262,7 +262,7 @@ class WorldBus(can.BusABC):
         super().shutdown()
 
     def __del__(self) -> None:
-        """It holds nothing that outlives it: the daemon of an emulated fan goes with its world."""
+        """Close nothing: the daemon of an emulated fan ends with its world."""
 
     @staticmethod
     def _detect_available_configs() -> list[Any]:

@@ -50,7 +50,7 @@ class SerialChip(Protocol):
         """Power was cycled (brownout, unplug and replug)."""
 
     def begin_in_use(self) -> None:
-        """It is at work when the bench comes; nothing by default."""
+        """Run before the bench opens; nothing by default."""
         return
 
     def poll(self, t_ns: int) -> list[Reply]:

@@ -112,7 +112,7 @@ def _of_the_unit(key: str, hint: Any) -> tuple[float, float] | None:
 
 
 def ranges(imperfections: type[Any]) -> dict[str, tuple[str, ...]]:
-    """Of every field with numbers, in words, what each may be; none for a number without bounds.
+    """Bounds in words of every field with numbers; none for a number without bounds.
 
     Args:
         imperfections: dataclass of the device.

@@ -129,7 +129,7 @@ class Supervisor:
         cycle.events[before:] = map(self._may_slide, cycle.events[before:])
 
     def _may_slide(self, event: Event) -> Event:
-        """The same of wheels that tell more or less than others: they may slip, because the robot slides."""
+        """As above, for wheels that measure more or less than others: they may slip as the robot slides."""
         if event.source != WHEELS.name or not self._holders:
             return event
         message = event.message + look_at(self._holders, "if it slides, look")

@@ -12,7 +12,7 @@ _END = 0
 
 
 def files_of(targets: Iterable[str]) -> tuple[str, ...]:
-    """Of the outputs of a monitor, those that are files."""
+    """The outputs of a monitor that are files."""
     return tuple(name for name in targets if "://" not in name and Path(name).suffix == ".rrd")
 
 

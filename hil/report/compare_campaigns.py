@@ -62,7 +62,7 @@ class _Row(_Part):
         return not (self.lost or self.faults_not_begun)
 
     def value(self, name: str) -> float | None:
-        """Of a measurement; None where it has none."""
+        """Value of a measurement; None where it has none."""
         return self.measurements[name].value if name in self.measurements else None
 
 

@@ -55,7 +55,7 @@ def was_set(row: Mapping[str, Any]) -> bool:
 
 
 def _left_out_after_a_failure(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Those at the end that were never set, where what was set before them failed by a number."""
+    """Measurements at the end that were never set, after one that failed by its value."""
     count = next((k for k, row in enumerate(reversed(rows)) if was_set(row)), len(rows))
     before, later = rows[: len(rows) - count], rows[len(rows) - count :]
     failed = any(r["outcome"] == "FAIL" and _is_number(r) for r in before)

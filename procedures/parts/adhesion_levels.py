@@ -50,7 +50,7 @@ class Needs:
 
 
 def needs_of(config: BenchConfig) -> Needs:
-    """Of a configuration with fan and cells; raises `ConfigError`."""
+    """Force needed by a configuration with fan and cells; raises `ConfigError`."""
     limits = adhesion_limits(config)
     if limits is None or not limits.has_fan:
         raise ConfigError(f"{config.name} has no fan", remedy="add the section [adhesion] to the bench file")

@@ -17,7 +17,7 @@ _AT_THE_ENDS = 1
 
 
 def loses_next_to_nothing(subject: Subject) -> str:
-    """Of the samples that are due as many are good as `bring_up` asks for; none says that it began anew.
+    """Check that as many of the due samples are good as `bring_up` asks for, and that none reports a restart.
 
     It begins to count when the device has had time to start, as the doctor does.
     """

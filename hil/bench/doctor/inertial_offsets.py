@@ -85,7 +85,7 @@ def _level(size: float, warn: float, stop: float) -> Level:
 def changed_between(
     config: BenchConfig, parameters: AlignmentParameters, seen: Mapping[str, Sequence[Any]]
 ) -> Iterator[Finding]:
-    """The same for the doctor, of samples as they come.
+    """As `inertial_changes`, for the doctor, of raw samples.
 
     Args:
         config: of the bench.

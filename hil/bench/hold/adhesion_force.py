@@ -249,7 +249,7 @@ def _to_be_seen(left_s: float) -> str:
 
 
 def press_watch(config: BenchConfig, rig: DeviceSet) -> AdhesionForceCheck:
-    """That of a bench: it looks at what presses a robot that hangs on a wall without a tether.
+    """Make the check of a bench: for a robot that hangs on a wall without a tether.
 
     What is in another world than the servos presses another robot, or none.
     """

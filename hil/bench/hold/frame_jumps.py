@@ -74,7 +74,7 @@ class FrameJumps:
             track.estimated = None
 
     def begins_anew(self, name: str) -> None:
-        """It says itself that it has begun anew: nothing follows from what it said before."""
+        """Forget a sensor that has reported a restart: its earlier positions do not count."""
         self._tracks.pop(name, None)
         self._gaps.pop(name, None)
 

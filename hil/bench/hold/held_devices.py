@@ -146,7 +146,7 @@ class HeldDevices:
 
     @property
     def looked_ns(self) -> int:
-        """The same until the look at the stopped robot was over; never less than `world_ns`."""
+        """World time until the check of the stopped robot was over; never less than `world_ns`."""
         return self._since_begun_ns(self._closed_ns if self._looked_ns is None else self._looked_ns)
 
     def _since_begun_ns(self, ended_ns: int | None) -> int:

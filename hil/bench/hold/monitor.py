@@ -208,11 +208,11 @@ class HoldMonitor(Sink):
             self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)
 
     def _believed(self, seen: Collection[str]) -> list[str]:
-        """Those who have seen the robot and whose word was not in doubt."""
+        """Sensors that have seen the robot and were not in doubt."""
         return [name for name in seen if name == JOINTS or name not in self._doubted]
 
     def _places(self, seen: Collection[str]) -> list[str]:
-        """Those of them who would see a slide, and are believed.
+        """Trusted sensors that would see a slide.
 
         Of two that contradicted each other one is right: when both see it rest, it rests.
         """

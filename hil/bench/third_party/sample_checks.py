@@ -49,7 +49,7 @@ def short(value: Any) -> str:
 
 
 def checks_of(kind: DeviceKind) -> list[tuple[str, str, Wrong]]:
-    """Of each field of a kind's sample: its name, what is expected there, and what is wrong with a value."""
+    """(name, expected, check of a value) for each field of a kind's sample."""
     shapes = _SHAPES.get(kind.sample.__name__, {})
     found: list[tuple[str, str, Wrong]] = []
     for field, hint in typing.get_type_hints(kind.sample).items():

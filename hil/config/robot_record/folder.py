@@ -69,7 +69,7 @@ class RobotRecord:
 
     @property
     def path(self) -> Path:
-        """Of the version in place."""
+        """Path of the version in place."""
         return self.folder / IN_PLACE
 
     def exists(self) -> bool:
@@ -118,7 +118,7 @@ class RobotRecord:
                     yield f"{name}: {path} was changed after it was measured"
 
     def path_of(self, part: Part, key: str) -> Path:
-        """Of a file that a part names."""
+        """Path of a file that a part names."""
         return (self.folder / FILES / str(part.values[key])).resolve()
 
     def history(self) -> History:

@@ -174,7 +174,7 @@ class Part(_Model):
         return value
 
     def digest(self) -> str:
-        """Of what others may be measured on top of: the values, and the files by their content."""
+        """Digest of what other parts may rest on: the values, and the files by their content."""
         return digest_of({"values": {**self.values, **self.files}})
 
     def over(self, today: date) -> bool:

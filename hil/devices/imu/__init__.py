@@ -91,7 +91,7 @@ class Imu(DeviceKind):
         return float(safety.imu_stale_s)
 
     def rate_hz(self, config: Any, loop_hz: float) -> float:
-        """That of its table, else the loop rate up to 100 Hz."""
+        """Sample rate of its table, else the loop rate up to 100 Hz."""
         return float(getattr(config, "rate_hz", min(loop_hz, 100.0)))
 
     def motion_value(self, sample: ImuSample) -> Array | None:

@@ -129,7 +129,7 @@ class Servos(DeviceKind):
         return float(safety.servo_stale_s)
 
     def rate_hz(self, config: Any, loop_hz: float) -> float:
-        """They are asked in each cycle."""
+        """The loop rate: they are read in each cycle."""
         return loop_hz
 
     def figures(self, inputs: Inputs) -> Iterator[tuple[str, Figures]]:

@@ -67,7 +67,7 @@ class Tracker(DeviceKind):
         return float(safety.tracker_stale_s)
 
     def rate_hz(self, config: Any, loop_hz: float) -> float:
-        """That of its table, else 200 Hz."""
+        """Sample rate of its table, else 200 Hz."""
         return float(getattr(config, "rate_hz", 200.0))
 
     def motion_value(self, sample: TrackerSample) -> Array | None:

@@ -59,7 +59,7 @@ class T265(DeviceModel):
         return Found({"serial": serial_number})
 
     def check(self, watched: Watched) -> Iterator[Finding]:
-        """Its firmware: the library loads one whenever it is plugged in; another one is another library's."""
+        """Finding on the firmware, which the library loads whenever the camera is plugged in."""
         config: T265Config = watched.config
         found, expected = watched.device.identity().get("firmware", "unknown"), " or ".join(config.firmware)
         right = found in config.firmware

@@ -29,7 +29,7 @@ class Usefulness:
         self.begin(0)
 
     def begin(self, now_ns: int) -> None:
-        """It was of use at `now_ns`."""
+        """Note that the device was of use at `now_ns`."""
         self.good_ns = self._asked_ns = now_ns
         self._between_ns = 0
 

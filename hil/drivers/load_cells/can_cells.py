@@ -26,7 +26,7 @@ class CanCells(CanSensor[CanCellsConfig, LoadCellSample]):
     remedy = "check load_cells.dbc and load_cells.node_id"
 
     def frame_ids(self) -> tuple[int, ...]:
-        """That of the DBC, with the node's number; raises `DataError` where the DBC cannot be used."""
+        """Frame identifier of the DBC, with the node's number; raises `DataError` for a wrong DBC."""
         frame_id, self._length, self._fields = _layout(self.config)
         self._judge = Judge(self.config)
         return (frame_id,)

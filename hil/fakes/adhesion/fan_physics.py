@@ -75,7 +75,7 @@ class Fan:
         return motor_v / input_v
 
     def begin(self, speed_rpm: float) -> None:
-        """It has been running at a speed for long."""
+        """Set the state of a fan that has been running at a speed for long."""
         self.demand = Demand("duty", self.duty_for(speed_rpm))
         self.speed_rpm = speed_rpm
         motor_a = self._a_per_rpm2 * speed_rpm**2

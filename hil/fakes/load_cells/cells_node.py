@@ -50,7 +50,7 @@ class CellNode(Scheduled):
         world.add(self)
 
     def begin_in_use(self) -> None:
-        """It is heard in this process only."""
+        """Nothing: it is heard in this process only."""
         self.alone = True
 
     def next_due_ns(self) -> int:

@@ -41,7 +41,7 @@ class ContactSetting:
     noslip_passes: int
 
     def drawn(self, rng: np.random.Generator) -> ContactSetting:
-        """That of one robot: tyres differ by a tenth."""
+        """Draw the contact of one robot: tyres differ by a tenth."""
         return replace(self, creep_per_n=self.creep_per_n * float(rng.uniform(0.9, 1.1)))
 
     def ratio_times_speed(self, normal_r: float) -> float:

@@ -69,7 +69,7 @@ class AgreementCheck(Check):
                 cycle.stop("sensors_disagree", event.message, event.suspects)
 
     def _event(self, doubt: Disagreement, t_ns: int) -> Event:
-        """Of one device, or of both where it is not known which is wrong, and of what holds the robot."""
+        """Event of one device, or of both where either may be wrong, and of what holds the robot."""
         names, message = [doubt.source, *([] if doubt.confirmed else [doubt.against])], doubt.message
         if doubt.may_slide:
             names += self._holders

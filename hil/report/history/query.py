@@ -24,7 +24,7 @@ def chosen(
     words: Sequence[str] = (),
     within: bool = False,
 ) -> list[Kept]:
-    """Those that fit everything that is asked for, in their order.
+    """Results that fit all conditions, in their order.
 
     Args:
         found: to choose from.

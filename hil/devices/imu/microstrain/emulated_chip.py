@@ -235,7 +235,7 @@ class MicrostrainChip(SerialChip):
         return encode(f.FILTER_DATA, (Field(key, f.LAYOUTS[key].pack(*values[key])) for key in due))
 
     def _state(self, t_ns: int) -> int:
-        """Of the filter: initialising, vertical gyro, or AHRS once the magnetometer has had its time."""
+        """State of the filter: initialising, vertical gyro, or AHRS once the magnetometer has settled."""
         running_ns = t_ns - self._filter_ns - self._initialisation_ns
         if running_ns < 0:
             return f.FIRST_RUNNING_STATE - 1

@@ -46,7 +46,7 @@ class VescThrustConfig(ThrustConfig, DaemonMotorConfig):
         return self.full_rpm * math.sqrt(force_n / self.full_force_n)
 
     def motors(self) -> tuple[VescConfig, ...]:
-        """Its controllers one by one, as if each had all of the force."""
+        """The controllers one by one, as if each had all of the force."""
         return tuple(
             VescConfig(
                 interface=self.interface,

@@ -186,7 +186,7 @@ class VisualInertialComputer(Scheduled):
             self._let_go(message, t_ns, only)
 
     def device_ns(self, t_ns: int) -> int:
-        """Its own clock at a world time, ns since it booted (or what it takes for that)."""
+        """The computer's own clock at a world time, ns since it booted (or what it takes for that)."""
         return self._up_ns + round((t_ns - self._zero_ns) / self._stretch)
 
     def _boot(self, t_ns: int) -> None:
