@@ -7,10 +7,13 @@ LOCK := $(if $(OLDEST),,requirements/ci.lock)
 VENV := $(if $(OLDEST),.venv-oldest,$(if $(LOCK),.venv,.venv-newest))
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 BIN := $(VENV)/bin
+RECORDED := out/recorded
 EXTRAS := rerun parquet campaign mujoco paper ros2 test lint docs
 CLIMB := out/demo/recording_x_line_ekf_seed_1
 
-.PHONY: help demo demo-calibration docs site dist notebooks pictures test test-slowest test-long test-portable test-aarch64 lint lock bench clean
+SCHEMA = $(BIN)/check-jsonschema --quiet --builtin-schema
+
+.PHONY: help demo demo-calibration record verify docs site dist notebooks pictures test test-slowest test-long test-portable test-aarch64 lint lock bench clean
 
 help:
 	@echo "make demo       the robot climbs an emulated wall: report, recording, Rerun file, replay"
@@ -20,7 +23,9 @@ help:
 	@echo "make test-long  run the tests that take minutes, too"
 	@echo "make test-portable  run what depends on numbers as other processors would compute (SHORT=1: a part)"
 	@echo "make test-aarch64  the bench on an emulated aarch64 computer (Debian on x86-64; takes an hour)"
-	@echo "make lint       ruff, mypy --strict, import-linter"
+	@echo "make record     record a short drive in $(RECORDED), for another computer"
+	@echo "make verify     verify what another computer has recorded and left in $(RECORDED)"
+	@echo "make lint       ruff, mypy --strict, import-linter, schemas of the workflows"
 	@echo "make docs       write docs/bench-file.md, docs/faults.md and the pictures of rooms and robot afresh"
 	@echo "make site       build the documentation site in out/site, every warning an error"
 	@echo "make notebooks  run both notebooks of docs/notebooks"
@@ -89,11 +94,25 @@ test-aarch64: $(BIN)/.installed
 	$(PIP) uv
 	$(BIN)/python tests/on_aarch64.py
 
+record: $(BIN)/.installed
+	rm -rf $(RECORDED)
+	$(BIN)/hil run wall_tracking --seed 1 --out $(RECORDED) --set 'cases=["x_line"]' \
+	--set 'feedbacks=["ekf", "ukf"]' --set optimal=false --set length_m=0.3 --set duration_s=6
+
+verify: $(BIN)/.installed
+	@test -n "$(wildcard $(RECORDED)/*.mcap)" || { echo "$(RECORDED) holds no recording: make record"; exit 2; }
+	for recording in $(RECORDED)/*.mcap; do $(BIN)/hil replay $$recording --verify || exit 1; done
+
 lint: $(BIN)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(SCHEMA) vendor.github-workflows .github/workflows/*.yml docs/ci-template/.github/workflows/*.yml
+	$(SCHEMA) custom.github-workflows-require-timeout .github/workflows/*.yml
+	$(SCHEMA) vendor.github-actions .github/actions/*/action.yml
+	$(SCHEMA) vendor.gitlab-ci --data-transform gitlab-ci docs/ci-template/.gitlab-ci.yml
+	$(SCHEMA) vendor.github-issue-forms .github/ISSUE_TEMPLATE/*.yml
 
 bench: $(BIN)/.installed
 	$(BIN)/python benchmarks/table.py

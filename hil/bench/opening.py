@@ -23,6 +23,7 @@ from hil.calibration.calibration_file import read_calibration
 from hil.calibration.usability_check import check_usable, failed_validation
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
+from hil.core import bench_openings
 from hil.core.clock import MonotonicClock
 from hil.core.device import Connection
 from hil.core.errors import DeviceError, UsageError
@@ -76,16 +77,25 @@ def open_bench(
         overrides = {**(overrides or {}), "environment.start_pose": [float(v) for v in start_pose]}
     checked = load_bench(config, emulate=emulate, overrides=overrides, seed=seed).settled(realtime=realtime)
     model = _model(with_wheel_sigma(checked), calibration, int(seed))
-    checked, plan = model.config, planned_faults(model.config, faults)
-    if not checked.emulated():
+    bench = _put_together(model, planned_faults(model.config, faults), sinks, realtime=realtime)
+    bench_openings.show(bench)
+    return bench
+
+
+def _put_together(
+    model: BenchModel, plan: tuple[Fault, ...], sinks: tuple[Sink, ...], *, realtime: bool
+) -> Bench:
+    """The devices of a model with their clock: real, at the wire, or in virtual time."""
+    config = model.config
+    if not config.emulated():
         clock = MonotonicClock()
-        return Bench(model, clock, make_device_set(checked, clock, {}), sinks=sinks)
-    if realtime or len(checked.emulated()) < len(checked.devices()):
+        return Bench(model, clock, make_device_set(config, clock, {}), sinks=sinks)
+    if realtime or len(config.emulated()) < len(config.devices()):
         return _at_the_wire(model, plan, sinks)
-    world = build_world(checked, seed=seed, faults=plan)
-    connected = connect_in_process(checked, world)
+    world = build_world(config, seed=model.seed, faults=plan)
+    connected = connect_in_process(config, world)
     virtual = VirtualClock(world)
-    rig = make_device_set(checked, virtual, connected.connections, world.failures)
+    rig = make_device_set(config, virtual, connected.connections, world.failures)
     bench = Bench(model, virtual, rig, world=world, sinks=sinks, faults=plan)
     bench.on_close(connected.close)
     return bench

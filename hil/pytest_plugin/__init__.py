@@ -26,8 +26,12 @@ MARKERS = (
 )
 NOT_HELD = "not_held"
 """Property of a test case whose robot should be held and is not: how far it went, and why."""
+KEPT = ("recording", "page")
+"""Properties of a failed test: paths of what `--hil-keep` has kept of it."""
 _OPENED = pytest.StashKey["Bench"]()
 _PASSED = pytest.StashKey[bool]()
+_SEEN = pytest.StashKey["list[Bench]"]()
+_FAILED = pytest.StashKey[pytest.TestReport]()
 
 pytest.register_assert_rewrite("hil.pytest_plugin.selfcheck", "hil.pytest_plugin.contract")
 
@@ -37,7 +41,7 @@ class NotHeldWarning(pytest.PytestWarning):
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`--bench`, `--emulate`, `--hil-seed`, `--hil-realtime`, and the ini key `hil_bench`."""
+    """`--bench`, `--emulate`, `--hil-seed`, `--hil-realtime`, `--hil-keep`, and the ini key `hil_bench`."""
     group = parser.getgroup("hil", "hardware in the loop")
     group.addoption(
         "--bench", metavar="FILE", help="bench file or profile; its real devices are used as they are"
@@ -52,6 +56,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
     group.addoption("--hil-seed", metavar="N", type=_seed, default=0, help="seed of every emulated world")
     group.addoption("--hil-realtime", action="store_true", help="emulated devices at the wire, in real time")
+    group.addoption(
+        "--hil-keep",
+        metavar="FOLDER",
+        help="record every bench, and keep of each failed test its recordings in this folder, with a page",
+    )
     group.addoption(
         "--hil-blind-spots",
         metavar="PATTERN",
@@ -122,8 +131,9 @@ def pytest_runtestloop(session: pytest.Session) -> bool | None:
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
-    """The robots that are not held, and the table of blind spots."""
+    """The robots that are not held, what is kept of failed tests, and the table of blind spots."""
     _tell_lost(terminalreporter)
+    _tell_kept(terminalreporter)
     session = terminalreporter._session
     if config.getoption("hil_blind_spots") and session is not None:
         from hil.pytest_plugin import blind_spots
@@ -133,15 +143,29 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
             blind_spots.summary(terminalreporter, found)
 
 
+def _ended(reporter: Any) -> list[pytest.TestReport]:
+    """The last reports of all tests."""
+    reports = [one for some in reporter.stats.values() for one in some]
+    return [report for report in reports if getattr(report, "when", "") == "teardown"]
+
+
 def _tell_lost(reporter: Any) -> None:
     """The tests that have left a robot that should be held and is not; one that was run again is one."""
-    reports = [one for some in reporter.stats.values() for one in some]
-    ended = [report for report in reports if getattr(report, "when", "") == "teardown"]
+    ended = _ended(reporter)
     lost = {r.nodeid: value for r in ended for name, value in r.user_properties if name == NOT_HELD}
     if lost:
         reporter.section("robots left NOT HELD")
     for nodeid, held in lost.items():
         reporter.write_line(f"{nodeid}: {held}")
+
+
+def _tell_kept(reporter: Any) -> None:
+    """The files that are kept of failed tests."""
+    kept = {(r.nodeid, path) for r in _ended(reporter) for name, path in r.user_properties if name in KEPT}
+    if kept:
+        reporter.section("kept of failed tests")
+    for nodeid, path in sorted(kept):
+        reporter.write_line(f"{nodeid}: {path}")
 
 
 def _named(config: pytest.Config) -> bool:
@@ -167,21 +191,52 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 @pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, None, None]:
+    """See every bench that is opened during a test."""
+    from hil.core.bench_openings import shown_to
+
+    def opened(found: Bench) -> None:
+        item.stash.setdefault(_SEEN, []).append(found)
+        if folder := item.config.getoption("hil_keep"):
+            from hil.pytest_plugin.kept_failures import record
+
+            record(item, found, folder)
+
+    with shown_to(opened):
+        yield
+
+
+@pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
-    """Say with a failure how to have it again."""
+    """Say with a failure how to have it again; at the end report what the test has opened and left."""
     outcome = yield
     report = outcome.get_result()
     opened = item.stash.get(_OPENED, None)
-    if opened is None:
-        return
     if report.failed:
-        from hil.pytest_plugin.bench_selection import how_to_repeat
+        item.stash.setdefault(_FAILED, report)
+        if opened is not None:
+            from hil.pytest_plugin.bench_selection import how_to_repeat
 
-        report.sections.append(("bench", how_to_repeat(item, opened)))
+            report.sections.append(("bench", how_to_repeat(item, opened)))
     if report.when == "call":
         item.stash[_PASSED] = report.passed
     elif report.when == "teardown":
-        del item.stash[_OPENED]
+        _end(item, report)
+
+
+def _end(item: pytest.Item, report: pytest.TestReport) -> None:
+    """Put into the last report of a test which benches it has opened itself, and what is kept of it."""
+    seen, failed = item.stash.get(_SEEN, []), item.stash.get(_FAILED, None)
+    if seen:
+        from hil.pytest_plugin.bench_selection import properties_of
+        from hil.pytest_plugin.kept_failures import finish
+
+        own = [one for one in seen if one is not item.stash.get(_OPENED, None)]
+        added = dict.fromkeys(entry for one in own for entry in properties_of(one))
+        report.user_properties += [*added, *finish(item, failed)]
+    for key in (_OPENED, _SEEN, _FAILED):
+        if key in item.stash:
+            del item.stash[key]
 
 
 @pytest.fixture

@@ -85,6 +85,21 @@ def properties(source: BenchSource) -> list[tuple[str, object]]:
     ]
 
 
+def properties_of(bench: Bench) -> list[tuple[str, object]]:
+    """The same of a bench that a test has opened by itself, with how it has left the robot."""
+    from hil.bench import describe_fault
+
+    version = bench.calibration.rpartition(" version ")[2].partition(" ")[0]
+    return [
+        ("bench", bench.config.name),
+        ("calibration_version", version or "none"),
+        ("seed", bench.seed),
+        ("emulated", ",".join(bench.config.emulated()) or "none"),
+        *(("fault", describe_fault(fault)) for fault in bench.faults),
+        *([("held", bench.held.state)] if bench.held.opened else []),
+    ]
+
+
 def skip_where_impossible(item: pytest.Item) -> None:
     """Mark a test as skipped, with the reason, where the bench of the session cannot run it.
 

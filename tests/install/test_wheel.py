@@ -110,3 +110,48 @@ def test_it_runs_away_from_the_checkout(unpacked, tmp_path):
     ran = json.loads(call(unpacked, tmp_path, "-m", "hil", "run", "bring_up", *brief))
     assert ran["verdict"] in ("PASS", "MARGINAL")
     assert (tmp_path / "o" / "report.html").stat().st_size > 10_000
+
+
+def environment_with(wheel, folder):
+    """An environment with the wheel, and of other packages those of this one."""
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder)], check=True)
+    (there,) = folder.glob("lib/*/site-packages")
+    (there / "others.pth").write_text("\n".join(path for path in sys.path if path.endswith("-packages")))
+    install = ("-m", "pip", "--python", str(folder / "bin" / "python"), "install", "--quiet", "--no-deps")
+    subprocess.run([sys.executable, *install, "--no-index", str(wheel)], check=True)
+    bring_machine_code(there)
+
+
+@pytest.mark.long
+def test_a_repository_made_of_the_ci_template_passes_and_keeps_what_a_failed_test_recorded(wheel, tmp_path):
+    """Away from the checkout, by the commands of the template; then with a test that fails."""
+    project = tmp_path / "my robot"
+    ignored = shutil.ignore_patterns("__pycache__", ".pytest_cache", "results")
+    shutil.copytree(ROOT / "docs" / "ci-template", project, ignore=ignored)
+    environment_with(wheel[0], project / ".venv")
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    path = os.pathsep.join((str(project / ".venv" / "bin"), os.environ["PATH"]))
+    environment = {**kept, "PATH": path, "GITHUB_ACTIONS": "true"}
+
+    def ci():
+        return subprocess.run(
+            ["sh", "ci.sh"], cwd=project, env=environment, capture_output=True, text=True, timeout=280
+        )
+
+    where = "import hil; print(hil.__file__)"
+    asked = ["python", "-c", where]
+    imported = subprocess.run(asked, cwd=project, env=environment, capture_output=True, text=True).stdout
+    assert imported.startswith(str(project / ".venv"))
+    done = ci()
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "::error" not in done.stdout
+    (project / "tests" / "test_bench.py").unlink()
+    tests, procedure = project / "tests" / "test_my_robot.py", project / "procedures" / "short_line.py"
+    tests.write_text(tests.read_text().replace("< 0.006", "< 0.0"))
+    procedure.write_text(procedure.read_text().replace("high=20.0", "high=0.0"))
+    done = ci()
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "::error file=procedures/short_line.py::" in done.stdout
+    (folder,) = (project / "results" / "failed").iterdir()
+    assert {path.name for path in folder.iterdir()} == {"recording.mcap", "recording.html"}
+    assert (project / "results" / "short_line" / "junit.xml").exists()

@@ -1,4 +1,7 @@
-"""The template repository in `docs/`, copied and run as a user's CI would run it."""
+"""The template repository in `docs/`, copied and run as a user's CI would run it.
+
+From the wheel alone it is run by `tests/install/test_wheel.py`.
+"""
 
 import json
 import os
@@ -7,6 +10,9 @@ import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
+
+import pytest
+import yaml
 
 TEMPLATE = Path(__file__).parents[2] / "docs" / "ci-template"
 
@@ -40,3 +46,18 @@ def test_the_template_runs_as_it_stands(tmp_path):
     result = json.loads((project / "results" / "short_line" / "result.json").read_text())
     assert (result["verdict"], result["bench"]) == ("PASS", "my_bench")
     assert (project / "results" / "short_line" / "report.html").stat().st_size > 10_000
+    assert not (project / "results" / "failed").exists() or not list(
+        (project / "results" / "failed").iterdir()
+    )
+
+
+@pytest.mark.parametrize("jobs", [".github/workflows/bench.yml", ".gitlab-ci.yml"])
+def test_a_job_keeps_what_it_has_made_and_the_machine_code(jobs):
+    job = yaml.safe_load((TEMPLATE / jobs).read_text(encoding="utf-8"))
+    steps = job["jobs"]["bench"]["steps"] if "jobs" in job else [job["bench"]]
+    text = str(steps)
+    assert "sh ci.sh" in text
+    assert "site-packages/hil/__pycache__" in text
+    kept = [s for s in steps if "artifact" in s.get("uses", "") or "artifacts" in s]
+    assert len(kept) == 1
+    assert "always" in (kept[0].get("if") or kept[0]["artifacts"]["when"])
