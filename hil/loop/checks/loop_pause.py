@@ -44,8 +44,7 @@ class LoopPause(Check):
         Args:
             t_ns: of the cycle.
             stop: called with the reason to stop: it is not known what the robot did during a long pause, and
-            its
-                servos' watchdogs have stopped it.
+                its servos' watchdogs have stopped it.
         """
         before_ns, self._last_ns = self._last_ns, t_ns
         if before_ns is None:
