@@ -19,7 +19,7 @@ from hil.datasets.blocks import reduce_recordings
 from hil.datasets.dataset import Recording
 from hil.datasets.nominal_robot import Nominal, lever_m
 from hil.datasets.time_offset import time_offset_s
-from hil.datasets.truth_jumps import Bools, fastest_m_s, find_leaps
+from hil.datasets.truth_jumps import Bools, fastest_m_s, find_jumps
 from hil.datasets.wrong_signs import RATES_AGAINST, missed_shares, rates_against_angles, wrong_signs
 
 Reasons = dict[int, str]
@@ -57,7 +57,7 @@ def _leaping(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
     out = {}
     for k, one in enumerate(recordings):
         speed_m_s = fastest_m_s(one.t_s, one.wheel_angle_rad, nominal.radius_m)
-        lasting = find_leaps(one.truth_t_s, one.truth_pose, speed_m_s, lever_m(nominal.geometry)).lasting
+        lasting = find_jumps(one.truth_t_s, one.truth_pose, speed_m_s, lever_m(nominal.geometry)).lasting
         if lasting:
             at_s, leap_m = lasting[0]
             out[k] = f"its ground truth leaps by {leap_m:.2g} m {at_s:.1f} s after its begin, and stays there"

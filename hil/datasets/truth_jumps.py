@@ -48,7 +48,7 @@ def fastest_m_s(t_s: Array, angle: Array, radius_m: float) -> float:
     return float(max(ways)) * radius_m / _GRID_S
 
 
-def find_leaps(t_s: Array, pose: Array, speed_m_s: float, lever: float) -> TruthJumps:
+def find_jumps(t_s: Array, pose: Array, speed_m_s: float, lever: float) -> TruthJumps:
     """TruthJumps in poses, seen from the longest part without one.
 
     A step is possible within five times what the fastest wheel rolls meanwhile, and noise: 30 mm, or ten

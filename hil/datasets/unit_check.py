@@ -44,7 +44,7 @@ def check_time(where: str, t_s: Array) -> None:
     )
 
 
-def check_leaps(where: str, t_s: Array) -> None:
+def check_stamp_jumps(where: str, t_s: Array) -> None:
     """Refuse times (n,), s, increasing, with a day or more between two rows, as a damaged stamp leaves.
 
     A drive is shorter, and the straight way that bridges a gap says nothing across one. Raises `DataError`.

@@ -117,10 +117,10 @@ def _fastest_rad_s(t_s: Array, angle: Array) -> float:
     for column in angle.T:
         rolled = column if np.ptp(column) > _TURN + _LITTLE_RAD else np.unwrap(column)
         ways.append(np.sort(np.abs(np.diff(np.interp(grid_s, t_s, rolled)))))
-    return max(map(_without_leaps, ways)) / _GRID_S
+    return max(map(_without_jumps, ways)) / _GRID_S
 
 
-def _without_leaps(ways: Array) -> float:
+def _without_jumps(ways: Array) -> float:
     """The largest of some (n,) in order, without those that leaps may be."""
     left_out = max(_FEWEST_LEFT_OUT, int(_LEFT_OUT * len(ways)))
     return float(ways[-1 - left_out]) if len(ways) > left_out else 0.0

@@ -131,7 +131,7 @@ def test_on_the_floor_nothing_holds_the_robot_and_every_session_of_the_camera_is
     assert placed(STAGES[-1], 9, config) == {"emulation.tracker.session": 9}
 
 
-def test_signs_that_bring_up_found_are_reported_from_those_believed(tmp_path):
+def test_signs_that_bring_up_found_are_distinguished_from_those_believed(tmp_path):
     config = load_bench("emulated")
     (tmp_path / "bench_fragment.toml").write_text(
         "[alignment]\ndrive_sign = [1, -1, 1, 1]\nsteer_sign = [1, 1, 1, 1]\n"

@@ -33,7 +33,7 @@ class _Track:
 
     Attributes:
         seen: its newest places.
-        step, step_s: the latest step that was no leap, and how long it took.
+        step, step_s: the latest step that was no jump, and how long it took.
         estimated: (2,) m, where the estimate had the robot at its newest place; None where nothing did.
     """
 
@@ -98,23 +98,23 @@ class FrameJumps:
         was = track.estimated
         if estimated is not None:
             track.estimated = estimated
-        step, leap = list(map(sub, here, before)), None
+        step, jump = list(map(sub, here, before)), None
         if t_ns - before_ns <= _GAP_NS:
-            leap = self._step(track, step, (t_ns - before_ns) / NS_PER_S)
+            jump = self._step(track, step, (t_ns - before_ns) / NS_PER_S)
         else:
             track.step, track.step_s = [0.0] * len(here), 1.0
             if was is not None and estimated is not None:
-                leap = _beyond(step, math.dist(estimated, was))
+                jump = _beyond(step, math.dist(estimated, was))
             else:
                 self._gaps[name] = _Gap(t_ns, step, dict(self._others(name, before_ns)))
         track.seen.append((t_ns, here))
-        if leap is None and not self._gaps:
+        if jump is None and not self._gaps:
             return ()
-        moved = [] if leap is None else [self._moved(name, leap)]
+        moved = [] if jump is None else [self._moved(name, jump)]
         return (*moved, *self._behind_gaps(t_ns))
 
     def _step(self, track: _Track, step: Place, dt_s: float) -> Place | None:
-        """By how much it differs from the one before, where that is a leap."""
+        """By how much it differs from the one before, where that is a jump."""
         before_s = track.step_s
         as_before = [a / before_s * dt_s for a in track.step]
         if math.dist(step, as_before) > _SLACK_M + _PULL_M_S2 * dt_s**2:

@@ -89,7 +89,7 @@ class HoldMonitor(Sink):
         sources = [(name, self._seeing[name]) for name in self._travel.names]
         self._motion_sources = [(n, samples_of(n), k.motion_value, k.measures_position) for n, k in sources]
         self._doubted: dict[str, bool] = {}
-        self._leaps = FrameJumps()
+        self._jumps = FrameJumps()
         self._let_go = False
         self.last_state: RobotState | None = None
 
@@ -109,7 +109,7 @@ class HoldMonitor(Sink):
                 if place is None:
                     continue
                 if is_place:
-                    self._leapt(name, sample, place, estimated)
+                    self._follow(name, sample, place, estimated)
                 passed(name, t_ns, place)
 
     def passed_over(self, inputs: Inputs) -> None:
@@ -119,7 +119,7 @@ class HoldMonitor(Sink):
             for sample in among(inputs) if is_place else ():
                 place = value_of(sample)
                 if place is not None:
-                    self._leapt(name, sample, place)
+                    self._follow(name, sample, place)
 
     def close(self) -> None:
         """Nothing to let go of."""
@@ -137,7 +137,7 @@ class HoldMonitor(Sink):
         for name, sure in (doubted or {}).items():
             self._doubted[name] = sure or self._doubted.get(name, False)
         self._travel.stopped(self._clock.now_ns())
-        self._leaps.run_ended()
+        self._jumps.run_ended()
 
     def at_rest(self, left: RobotState) -> RobotState:
         """A robot that a run left there, unsure by what it moved since, or may have without being seen."""
@@ -148,7 +148,7 @@ class HoldMonitor(Sink):
 
     def frame_moved_m(self, name: str) -> float:
         """How far the frame has moved in which a kind of device measures places, as far as that was seen."""
-        return self._leaps.size_m(name)
+        return self._jumps.size_m(name)
 
     def look(self, limit_s: float, *, strict: bool = False, for_good: bool = False) -> Held:
         """Look after the robot until it is held, for `limit_s` at the most.
@@ -274,16 +274,16 @@ class HoldMonitor(Sink):
                 self.tilt.saw((sample,))
             if name in self._travel.names and worst(sample) is Status.RESET:
                 self._travel.begins_anew(name)
-                self._leaps.begins_anew(name)
+                self._jumps.begins_anew(name)
         values = [(sample, self._seeing[name].motion_value(sample)) for sample in samples]
         for sample, value in values:
             if value is not None and self._seeing[name].measures_position:
-                self._leapt(name, sample, value)
+                self._follow(name, sample, value)
         return [value for _, value in values if value is not None]
 
-    def _leapt(self, name: str, sample: Any, place: Array, estimated: Array | None = None) -> None:
+    def _follow(self, name: str, sample: Any, place: Array, estimated: Array | None = None) -> None:
         """Follow a position; a jump of its frame begins the displacement anew."""
-        for moved in self._leaps.follow(name, sample.stamp.t_ns, place, estimated):
+        for moved in self._jumps.follow(name, sample.stamp.t_ns, place, estimated):
             self._travel.begins_anew(moved)
 
     def _doubt(
