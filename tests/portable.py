@@ -45,7 +45,7 @@ FEW = (
     "tests/kinematics",
     "tests/trajectories",
 )
-"""Of these what reports most in a minute; without the computer as it is, which `make test` looks at."""
+"""The most telling of these within a minute; without the computer as it is, which `make test` looks at."""
 OPTIONS = ("-q", "-n", "2", "--dist", "worksteal", "-m", "not long and not real_time and not alone")
 
 

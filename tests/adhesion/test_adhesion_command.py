@@ -251,7 +251,7 @@ def test_status_reports_the_fan_where_the_propellers_daemon_is_another_users(at_
         assert "thrust: its daemon refuses to say how it runs" in out
 
 
-def test_propellers_that_need_no_daemon_are_reported_what_does(at_wire, hil):
+def test_propellers_that_need_no_daemon_are_refused_with_what_stops_them(at_wire, hil):
     _, _, path = at_wire
     with path.open("a") as file:
         file.write('[thrust]\nport = "/dev/ttyACM0"\n')
@@ -325,7 +325,7 @@ def test_a_level_robot_with_nothing_pressed_is_off_the_wall(monkeypatch):
         (LEVEL, -30.0, "load cells -30.0 N"),
     ],
 )
-def test_one_witness_that_says_it_may_hang_is_enough_to_refuse(monkeypatch, up, cells_n, reported):
+def test_one_sensor_that_says_it_may_hang_is_enough_to_refuse(monkeypatch, up, cells_n, reported):
     with pytest.raises(UsageError, match=rf"may hang by its fan: .*{reported}.*9.0 N.*--tethered"):
         fan_interlock.seen_off_the_wall(robot(monkeypatch, up=up, cells_n=cells_n, rpm=30_000.0))
 

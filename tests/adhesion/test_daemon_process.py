@@ -236,7 +236,7 @@ def test_another_users_daemon_is_not_asked_and_named_with_the_remedy_and_its_end
 
 
 @pytest.mark.parametrize("asked_before_it_is_let_in", [True, False])
-def test_who_is_turned_away_is_reported_why_and_not_answered(wire, monkeypatch, asked_before_it_is_let_in):
+def test_a_refused_client_gets_the_reason_and_no_answer(wire, monkeypatch, asked_before_it_is_let_in):
     _, spec = wire
     listener = Server(spec)
     monkeypatch.setattr(server, "may_ask", lambda uid, owner: False)
@@ -285,7 +285,7 @@ BECOME_NOBODY = "os.setgroups([]); os.setgid(65534); os.setuid(65534)"
 
 
 @as_root
-def test_root_asks_the_daemon_of_another_user_and_is_reported_whose_it_is(wire):
+def test_root_asks_the_daemon_of_another_user_and_learns_whose_it_is(wire):
     _, spec = wire
     code = (
         "import os, sys, can.interfaces.udp_multicast; "
@@ -307,7 +307,7 @@ def test_root_asks_the_daemon_of_another_user_and_is_reported_whose_it_is(wire):
 
 
 @as_root
-def test_another_user_is_reported_that_the_daemon_is_roots(daemon):
+def test_another_user_learns_that_the_daemon_is_roots(daemon):
     _, spec, _ = daemon
     code = (
         "import os, sys; from hil.drivers.adhesion.fan_daemon import client, spec; "

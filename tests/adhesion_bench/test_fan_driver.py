@@ -194,7 +194,7 @@ def test_the_doctor_reads_time_out_messages_and_firmware_from_the_controller(dri
         assert (daemon.level, daemon.found) == ("ok", "keeps it running")
 
 
-def test_what_a_controller_does_not_tell_is_reported_with_a_remedy(driver):
+def test_what_a_controller_does_not_report_is_named_with_a_remedy(driver):
     with fan_world(**ON) as (_world, clock, node, _bus):
         node._answer = lambda *asked: None
         fan = driver(clock)

@@ -82,7 +82,7 @@ def place(bench):
         *(pytest.param(fault, "mujoco", marks=pytest.mark.long) for fault in DEAF),
     ],
 )
-def test_propellers_that_do_not_understand_what_they_are_reported_are_no_ground_for_held(fault, plant):
+def test_propellers_that_do_not_understand_their_commands_are_no_ground_for_held(fault, plant):
     """They take their throttle down step by step: the robot rests for seconds before it slides."""
     if plant == "mujoco":
         pytest.importorskip("mujoco")

@@ -149,7 +149,7 @@ def test_propellers_that_report_nothing_count_once_deaf_ones_would_have_let_the_
     assert press.alone == [True, False]
 
 
-def test_a_robot_that_moves_meanwhile_is_waited_for_anew_and_its_propellers_are_reported_their_force_again():
+def test_a_robot_that_moves_meanwhile_is_waited_for_anew_and_its_propellers_are_sent_their_force_again():
     press, slides_s = Press(WITHOUT), gives_way_s()
     steady(press, slides_s, fan=ENOUGH_N)
     assert press.doubt(fan=ENOUGH_N, sees_slide=False, moves=True)
@@ -167,7 +167,7 @@ def test_a_camera_that_is_blind_for_a_moment_does_not_begin_it_anew(blind_s, goe
     assert press.alone == ([True] if goes_on else [True, False])
 
 
-def test_a_bench_that_goes_on_reports_them_their_force_all_the_time():
+def test_a_bench_that_goes_on_sends_them_their_force_all_the_time():
     press = Press(WITHOUT)
     press.watch.begin(for_good=False)
     assert steady(press, gives_way_s() + 3.0, fan=ENOUGH_N)[-1] == ""

@@ -41,7 +41,7 @@ class OnTheBus(COMMON.AbstractDriver):
 
 @pytest.fixture
 def theirs(fan_world):
-    """(world, a node of PyPI dronecan beside the fan's, what that node was reported by type)."""
+    """(world, a node of PyPI dronecan beside the fan's, what that node received by type)."""
     with fan_world() as made:
         node = dronecan.node.Node(OnTheBus(made.bus), node_id=10)
         reported = {"Status": [], "NodeStatus": []}
@@ -76,7 +76,7 @@ def test_pypi_dronecan_drives_the_emulated_fan_and_it_times_out(theirs, command)
     assert made.node.fan.speed_rpm < 2_000
 
 
-def test_pypi_dronecan_is_reported_who_it_is(theirs):
+def test_pypi_dronecan_gets_the_node_information(theirs):
     made, node, reported = theirs
     answers = []
     node.request(dronecan.uavcan.protocol.GetNodeInfo.Request(), 42, answers.append)
@@ -208,7 +208,7 @@ def test_forces_that_cannot_be_meant_are_refused(force_n, fan_world, driver):
             fan.set_force_n(force_n)
 
 
-def test_what_the_daemon_is_reported_is_what_it_takes():
+def test_the_spec_of_the_daemon_is_what_it_takes():
     spec = Spec(**DroneCanConfig(node_id=5, esc_index=2, own_id=9).daemon_spec())
     protocol_of(spec)
     assert (spec.controller_id, spec.details["esc_index"], spec.details["node_id"]) == (5, 2, 9)

@@ -31,7 +31,7 @@ def drive(seed, overrides=None, **options):
 
 
 def log_hash(motion):
-    """Of everything that the devices said and were reported; the loop's own timing is the host's."""
+    """Of everything that the devices sent and received; the loop's own timing is the host's."""
     reported = [(r.inputs, r.setpoint, r.state.pose_body_in_wall.tobytes()) for r in motion.records]
     return hashlib.sha256(pickle.dumps(reported)).hexdigest()
 

@@ -40,7 +40,7 @@ def test_a_bench_without_any_device_is_not_ok(without_devices, capsys, words, re
         ('"1"', "schema: write it without quotes: schema = 1 (found '1')"),
     ],
 )
-def test_a_bench_file_of_another_schema_is_reported_what_to_do(tmp_path, schema, reported):
+def test_a_bench_file_of_another_schema_names_what_to_do(tmp_path, schema, reported):
     path = tmp_path / "bench.toml"
     path.write_text(f'schema = {schema}\nname = "x"\n[imu]\nport = "/dev/x"\n')
     with pytest.raises(ConfigError) as refused:

@@ -49,7 +49,7 @@ def test_a_few_places_do_not_show_that_it_stands():
         reported("mocap", lambda sample: (sample,) if next(left, None) is not None else ())
 
 
-def test_what_reports_no_place_is_not_asked():
+def test_a_sensor_without_a_position_is_not_asked():
     assert (
         reported("imu", lambda sample: (sample,))
         == reported("encoders", lambda s: (s,))
@@ -89,6 +89,6 @@ def test_the_best_of_them_is_reported_where_none_is_good_enough(monkeypatch, goo
     assert "too busy" in of_three_times(monkeypatch, *good, late=8)
 
 
-def test_a_device_that_delivers_nothing_is_reported_so_on_a_busy_computer_too(monkeypatch):
+def test_a_device_that_delivers_nothing_is_reported_on_a_busy_computer_too(monkeypatch):
     with pytest.raises(Broken, match=r"0 of 201 due are good \(0%\)"):
         of_three_times(monkeypatch, 0, 0, 0, late=50)

@@ -105,7 +105,7 @@ def test_a_device_that_falls_ill_while_it_is_read_is_named(capsys, opened_at_s, 
     assert {sick for (sick, _), level in levels(result).items() if level == "failure"} == {device}
 
 
-def test_an_ill_can_bus_is_reported_from_an_ill_node(capsys, opened_at_s):
+def test_an_ill_can_bus_is_distinguished_from_an_ill_node(capsys, opened_at_s):
     _, result = doctor(capsys, "--fault", f"encoders:bus_off@{opened_at_s['encoders']}")
     state = next(f for f in result["findings"] if f["check"] == "CAN state")
     assert state["level"] == "warning"
@@ -195,7 +195,7 @@ def test_discover_names_a_port_at_which_nothing_answered_beside_one_where_someth
     assert "[imu]" in said.out
 
 
-def test_discover_reports_ports_that_hold_something_from_silent_ones(tmp_path, monkeypatch):
+def test_discover_distinguishes_ports_that_hold_something_from_silent_ones(tmp_path, monkeypatch):
     monkeypatch.setattr("can.detect_available_configs", lambda interfaces: [])
     world = build_world(load_bench("emulated"), seed=1)
     nowhere = str(tmp_path / "nope")

@@ -1,4 +1,4 @@
-"""A real robot that no motion capture sees has to be reported where it stands."""
+"""A real robot that no motion capture sees has to be given where it stands."""
 
 import math
 import sys
@@ -101,7 +101,7 @@ def test_a_start_is_metres_and_radians_or_degrees(text, pose):
 
 
 @pytest.mark.parametrize("text", ["", "1,2", "1,2,3,4", "a,b,c", "1,2,nan", "inf,0,0", "1,2,deg"])
-def test_what_is_no_start_is_reported_how_it_is_written(text):
+def test_what_is_no_start_names_how_it_is_written(text):
     with pytest.raises(UsageError, match="x,y,theta: m, m, rad"):
         start_question.parse_start(text)
 

@@ -177,7 +177,7 @@ def test_a_run_that_lacked_room_is_run_again(campaign, tmp_path):
     assert (code, tree["verdicts"]) == (0, {"PASS": 1})
 
 
-def test_who_resumes_with_files_that_have_changed_is_refused_and_reported_which(campaign, tmp_path):
+def test_who_resumes_with_files_that_have_changed_is_refused_with_their_names(campaign, tmp_path):
     profile = resources.files("hil.config.profiles").joinpath("emulated.toml").read_text()
     (tmp_path / "bench.toml").write_text(profile)
     options = ("--bench", "bench.toml", "--workers", "0", "--keep", "results", "--out", "o")

@@ -163,7 +163,7 @@ def test_a_robot_as_delivered_ends_within_8_mm(tmp_path, capsys, seed):
     assert set(reported["procedures"].values()) <= {"PASS", "MARGINAL"}
 
 
-def test_who_has_ended_it_is_reported_how_it_goes_on_and_not_to_mend_anything(tmp_path):
+def test_an_ended_commissioning_names_how_it_goes_on_and_nothing_to_mend(tmp_path):
     interrupts = Interrupts()
 
     def strike(what, done, total):

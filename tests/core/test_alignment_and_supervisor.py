@@ -150,7 +150,7 @@ def test_gravity_in_the_wall_plane_gives_heading_through_the_mount(heading):
 
 @pytest.mark.parametrize(("share", "known"), [(0.09, False), (0.11, True)])
 @pytest.mark.parametrize("heading", [0.0, math.pi / 2, 2.0])
-def test_gravity_reports_a_heading_only_where_enough_of_it_lies_in_the_plane(heading, share, known):
+def test_gravity_gives_a_heading_only_where_enough_of_it_lies_in_the_plane(heading, share, known):
     """On a surface that is almost level it would be noise."""
     up = 9.81 * np.array(
         [share * math.cos(heading), -share * math.sin(heading), math.sqrt(1.0 - share * share)]

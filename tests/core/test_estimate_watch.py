@@ -128,7 +128,7 @@ def test_motion_capture_that_camera_and_wheels_contradict_stops_no_robot():
     assert 3.0 * run.sigma_m + 0.005 > 0.03 * 1.5
 
 
-def test_who_does_not_follow_the_estimate_is_reported_only():
+def test_without_following_the_estimate_there_is_only_a_warning():
     run = Run(UP, estimate=0.95 * UP, camera=0.95 * UP, follows=False).go(1000)
     assert run.reported
     assert 3.0 * run.sigma_m + 0.005 > 0.05 * 1.0

@@ -175,7 +175,7 @@ def test_cycles_fall_on_the_grid_and_the_robot_is_held_at_the_end():
     assert motion.events == ()
 
 
-def test_sinks_are_reported_when_the_loop_sleeps_after_every_cycle_and_at_the_end():
+def test_sinks_are_called_when_the_loop_sleeps_after_every_cycle_and_at_the_end():
     reported = []
 
     class Resting(Busy):
@@ -329,7 +329,7 @@ def test_an_emulator_that_was_starved_hears_what_came_meanwhile_before_its_time_
 
 
 class Speaker(Echo):
-    """Notes whether it was reported, at each tick, that the world is far behind."""
+    """Notes, at each tick, whether it was informed that the world is far behind."""
 
     def __init__(self):
         super().__init__()
@@ -340,7 +340,7 @@ class Speaker(Echo):
         self.reported.append(self.behind)
 
 
-def test_devices_are_reported_while_the_world_is_far_behind():
+def test_devices_are_informed_while_the_world_is_far_behind():
     """What a chip says of the past would be taken for the present."""
     clock, transport = JumpingClock(), Speaker()
     server = EmulationServer(World(StillPlant()), clock, {"echo": transport})

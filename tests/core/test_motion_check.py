@@ -1,4 +1,4 @@
-"""Camera, wheels and gyro that tell one motion are left alone; one that reports another is named."""
+"""Camera, wheels and gyro that measure one motion are left alone; one that reports another is named."""
 
 import math
 from dataclasses import replace

@@ -266,7 +266,7 @@ def test_a_steering_angle_beyond_the_limit_is_refused_on_both_sides(angle_rad):
 
 
 class Unsure(Asked):
-    """A watch that makes the estimate unsure, and can be reported that wheels slip."""
+    """A watch that makes the estimate unsure, and can be informed that wheels slip."""
 
     def __init__(self, off_m, off_rad):
         super().__init__()

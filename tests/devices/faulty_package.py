@@ -162,7 +162,7 @@ class Of(Driver):
 
 ITEM = varied(thing(Of), sample=Two, labels=("left", "right"))
 """
-"""A kind of two channels whose driver reports of three."""
+"""A kind of two channels whose driver reports three."""
 
 
 def driver(body):

@@ -62,7 +62,7 @@ OTHERS = [line for shown in SHOWN.values() for line in shown if not line.startsw
 
 
 @pytest.mark.parametrize("line", OTHERS)
-def test_what_the_machine_is_reported_is_a_line_of_shell_with_programs_that_there_are(line):
+def test_a_remedy_for_the_machine_is_a_line_of_shell_with_programs_that_there_are(line):
     assert subprocess.run(["sh", "-n", "-c", line], check=False).returncode == 0
     for part in line.split(" | "):
         program, *rest = shlex.split(part)
@@ -264,7 +264,7 @@ def test_the_page_can_be_walked(tmp_path, monkeypatch):
 def only_late(reported):
     """Whether a run measured its motions right, and failed by limits of punctuality alone, which a computer
     that is shared cannot keep: what comes after them is then not measured. Where samples come late, the clock
-    of a device cannot be reported from them either."""
+    of a device cannot be known from them either."""
     failed = [line.split()[1:3] for line in reported.stdout.splitlines() if line.startswith("FAIL ")]
     wrong = [name for name, value in failed if value != "-"]
     late = [name for name in wrong if name.endswith((".delivered", ".largest_gap", ".age"))]

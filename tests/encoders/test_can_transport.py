@@ -60,7 +60,7 @@ def test_third_party_client_hears_the_frames_on_udp_multicast(encoder_bench):
     transport.on_readable(0, 0)
 
 
-def test_a_client_of_another_bit_rate_is_reported_both(encoder_bench):
+def test_a_client_of_another_bit_rate_is_given_both(encoder_bench):
     """Multicast would let it in, a real bus would not."""
     bench = encoder_bench()
     transport = CanTransport(bench.channel, address=GROUP, dbc=SHIPPED_DBC, options={"port": PORT})

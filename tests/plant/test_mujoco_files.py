@@ -163,7 +163,9 @@ def test_a_robot_that_cannot_stand_is_refused(written):
         robot(mjcf=lame)
 
 
-def test_a_robot_that_keeps_swinging_is_reported_from_one_that_stands_on_three_wheels(written, monkeypatch):
+def test_a_robot_that_keeps_swinging_is_distinguished_from_one_that_stands_on_three_wheels(
+    written, monkeypatch
+):
     monkeypatch.setattr(robot_module, "_AT_REST", 0.0)
     with pytest.raises(ConfigError, match=r"come to rest .*: .* still moves with \S+ (m|rad)/s 0\.4 s"):
         robot(mjcf=written(TIMESTEP))

@@ -50,7 +50,7 @@ def one_after_the_other(ctx):
 
 @pytest.fixture(scope="module")
 def fell(tmp_path_factory):
-    """Folder, result and what was informed of a run whose first robot fell."""
+    """Folder, result and what was reported of a run whose first robot fell."""
     folder = tmp_path_factory.mktemp("fell") / "run"
     return folder, *ran(folder, one_after_the_other)
 

@@ -295,7 +295,7 @@ def test_a_killed_process_loses_at_most_the_last_second(tmp_path, last):
 
 
 @pytest.mark.parametrize("name", ["odom_1.csv", "odom_1.csv.gz"])
-def test_a_table_in_place_of_a_recording_is_reported_what_takes_it(tmp_path, name):
+def test_a_table_in_place_of_a_recording_names_what_takes_it(tmp_path, name):
     path = tmp_path / name
     path.write_bytes(b"t,phi1\n0,1\n" * 10)
     with pytest.raises(DataError, match="is not an MCAP file") as caught:

@@ -42,7 +42,7 @@ def test_a_scan_reports_different_rates_and_delays(bus_of):
     assert found[3].return_delay_s == pytest.approx(500e-6)
 
 
-def test_a_scan_asks_only_what_it_is_reported_to(bus_of):
+def test_a_scan_asks_only_what_is_given(bus_of):
     bench = bus_of()
     assert [s.servo_id for s in scan(PORT, bench.clock, bauds=(1_000_000,), ids=(2, 5, 9))] == [2, 5]
     assert scan(PORT, bench.clock, bauds=(57_600,)) == ()

@@ -1,4 +1,4 @@
-"""What the camera is reported: how to treat its map, and the velocity of the wheels; what it makes of that.
+"""What the camera is given: how to treat its map, and the velocity of the wheels; what it makes of that.
 
 librealsense's software device takes the settings of the map. It has no wheel odometer: for that stands the
 emulated camera, in process and behind its feed.
@@ -39,7 +39,7 @@ SCALED = dataclasses.replace(IDEAL, scale_sigma=0.03)
     ("keys", "reported"),
     [({}, (0, 0, 0, 0)), ({"mapping": True}, (1, 0, 0, 0)), (dict.fromkeys(KEYS, True), (1, 1, 1, 1))],
 )
-def test_the_camera_is_reported_what_to_do_with_its_map(tracker_bench, keys, reported):
+def test_the_camera_gets_the_options_of_its_map(tracker_bench, keys, reported):
     bench = tracker_bench(config=keys)
     assert tuple(bench.camera.settings[name] for name in MAP) == (1, 1, 1, 1)  # as it is plugged in
     bench.driver.open()
@@ -142,7 +142,7 @@ def test_the_calibration_leads_from_the_body_to_the_cameras_axes(mount):
 
 
 def driven(bench, follow, v_x, v_y, seconds=4.0):
-    """Poses while the camera is reported a velocity every 10 ms."""
+    """Poses while the camera is given a velocity every 10 ms."""
     samples = []
     for _ in range(round(seconds / 0.01)):
         bench.driver.take_wheel_velocity(v_x, v_y)
@@ -151,7 +151,7 @@ def driven(bench, follow, v_x, v_y, seconds=4.0):
 
 
 @pytest.mark.parametrize("mount", [(1.0, 0.0, 0.0, 0.0), TILTED])
-def test_wheels_that_are_reported_rightly_lessen_the_cameras_error_of_scale(
+def test_correct_wheel_odometry_lessens_the_cameras_error_of_scale(
     tracker_bench, travelling_plant, follow, mount
 ):
     """Told in other axes, or wrongly, they would make it worse: frames are looked at, too."""

@@ -28,7 +28,7 @@ def position_step(samples, index):
 
 
 def test_a_reset_count_stops_the_use_of_poses_until_they_are_steady(mavlink_bench):
-    """A correction of 5 mm looks like motion: only the count reports that the frame is another one."""
+    """A correction of 5 mm looks like motion: only the count shows that the frame is another one."""
     bench = mavlink_bench("tracker:jump@2,distance_m=0.005")
     bench.driver.open()
     samples = follow(bench, 3.0)

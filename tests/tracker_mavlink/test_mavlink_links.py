@@ -127,7 +127,7 @@ def test_what_lay_in_a_serial_ports_buffer_is_no_sign_of_life(serial_bench):
         bench.driver.open()
 
 
-def test_a_serial_line_at_another_rate_is_reported_from_silence(serial_bench):
+def test_a_serial_line_at_another_rate_is_distinguished_from_silence(serial_bench):
     bench = serial_bench(baud=57_600, open_timeout_s=1.0)
     with pytest.raises(DeviceTimeoutError, match=r"no MAVLink.*talks at 57600 baud"):
         bench.driver.open()
@@ -173,7 +173,7 @@ def test_a_port_that_another_program_holds_or_that_is_not_there_is_a_device_erro
         RealTime(port="udpin:203.0.113.7:14550").driver.open()
 
 
-def test_another_program_that_sends_to_the_port_is_reported_from_a_sender(by_hand):
+def test_another_program_that_sends_to_the_port_is_distinguished_from_a_sender(by_hand):
     bench = by_hand(opened=False)
     bench.link.arrive(raw=b'{"not": "mavlink"}')
     with pytest.raises(DeviceTimeoutError, match=r"what arrives is no MAVLink.*another program"):

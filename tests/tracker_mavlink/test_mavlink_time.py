@@ -157,7 +157,7 @@ def test_a_pose_that_comes_twice_or_after_a_newer_one_is_passed_over(by_hand, od
     assert bench.driver.counts["repeated"] == 2
 
 
-def test_a_sender_without_a_clock_is_reported_from_a_silent_one(by_hand, odometry):
+def test_a_sender_without_a_clock_is_distinguished_from_a_silent_one(by_hand, odometry):
     """Every pose bears the same time stamp, though packets go on arriving."""
     bench = by_hand()
 
