@@ -349,7 +349,7 @@ class Bench(HeldDevices):
 
 
 def _as_decided(start: RunStart, pipeline: ControlPipeline) -> RunStart:
-    """How a run began, with parts of one's own under their own names: nothing of ours has decided there."""
+    """The start of a run, with the user's own parts under their own names."""
     observers = [own_name(one) or name for name, one in pipeline.observers.items()]
     return replace(
         start,

@@ -74,7 +74,7 @@ class OwnName(Device):
             return driver.read()
 
     def __getattr__(self, name: str) -> Any:
-        """Whatever else the driver has."""
+        """Give all other attributes of the driver."""
         if name.startswith("_"):
             raise AttributeError(name)
         found = getattr(self._driver, name)

@@ -57,7 +57,7 @@ def real_time(config: BenchConfig, clock: Clock) -> RealTime | None:
 
 
 def motion_limits(config: BenchConfig) -> MotionLimits:
-    """What references of a configuration have to keep within."""
+    """The limits for references of a configuration."""
     control, safety = config.control, config.safety
     heading_limit_rad = min(control.heading_limit_rad, safety.heading_limit_rad)
     return MotionLimits(
@@ -86,7 +86,7 @@ def safety_limits(config: BenchConfig) -> SafetyLimits:
 
 
 def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedback: str) -> Checks:
-    """Which sensors of a configuration are held against each other.
+    """The checks of a configuration that compare sensors with each other.
 
     Args:
         config: of the bench.
@@ -140,7 +140,7 @@ def healthy(config: BenchConfig) -> dict[str, Healthy]:
 
 
 def motion_check(config: BenchConfig, geometry: WheelGeometry) -> MotionCheck:
-    """What holds the way of camera, wheels, gyro and motion capture against each other.
+    """Make the check that compares the motion of camera, wheels, gyro and motion capture.
 
     Args:
         config: of the bench.

@@ -104,7 +104,7 @@ def _put_together(
 def make_bench_model(
     config: str | Path | BenchConfig, *, calibration: str | Path | None = None
 ) -> BenchModel:
-    """What a bench is made from, without its devices.
+    """Make the model of a bench, without its devices.
 
     Args:
         config: path of a bench file, name of a shipped profile, or a configuration.

@@ -55,7 +55,7 @@ def delays_at_rest(subject: Subject) -> str:
 
 
 def punctuality(config: BenchConfig) -> Finding:
-    """How punctual this computer is for now: a loop that does nothing, at the bench's rate, in real time."""
+    """Measure how punctual this computer is: by an idle loop at the bench's rate, in real time."""
     found = idle_for(config, _IDLE_S)
     late = found.late / max(found.cycles, 1)
     return Finding(

@@ -38,7 +38,7 @@ class Broken(AssertionError):
 
 @dataclass(frozen=True)
 class Delivered:
-    """What a device delivered while it was open: samples, who it said it is, and when it was read.
+    """The data of a device while it was open: samples, identity, and times of reading.
 
     Attributes:
         samples: oldest first.

@@ -93,7 +93,7 @@ def stable_name(port: str) -> str:
 
 
 def what_is_written() -> list[str]:
-    """What discovery writes to a serial port that it asks, in the order in which it does."""
+    """The requests that discovery writes to a serial port, in order."""
     return [model.probe_writes for model in _asking() if model.probe_writes]
 
 

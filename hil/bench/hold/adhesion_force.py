@@ -242,7 +242,7 @@ class AdhesionForceCheck:
 
 
 def _to_be_seen(left_s: float) -> str:
-    """What is still missing before propellers that report nothing count, in words."""
+    """The observation time that propellers without reports still need to count, in words."""
     if math.isfinite(left_s):
         return f"the robot is to be seen at rest for {left_s:.1f} s more"
     return "no sensor sees whether it slides, or knows how long they would need to let it"

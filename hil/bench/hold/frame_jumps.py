@@ -1,7 +1,7 @@
 """Detects jumps of a sensor's reference frame (body redefined, camera relocalised); they are not motion.
 
 Motion capture whose rigid body was defined anew, and a camera that corrects its map, say from one sample to
-the next that the robot is somewhere else. What they say from then on is no way that the robot has gone.
+the next that the robot is somewhere else. Positions before and after must not be subtracted.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _KEPT = 64
 
 
 class _Track:
-    """What one of them has track.
+    """The recent positions of one sensor.
 
     Attributes:
         seen: its newest places.
@@ -53,7 +53,7 @@ class _Gap:
 
 
 class FrameJumps:
-    """Follows all that tell a place.
+    """Follows all sensors of a position.
 
     Attributes:
         off_m: by how much a frame has moved since the beginning, by kind.
@@ -114,7 +114,7 @@ class FrameJumps:
         return (*moved, *self._behind_gaps(t_ns))
 
     def _step(self, track: _Track, step: Place, dt_s: float) -> Place | None:
-        """By how much it differs from the one before, where that is a jump."""
+        """The difference to the step before, where that is a jump; else None."""
         before_s = track.step_s
         as_before = [a / before_s * dt_s for a in track.step]
         if math.dist(step, as_before) > _SLACK_M + _PULL_M_S2 * dt_s**2:
@@ -123,7 +123,7 @@ class FrameJumps:
         return None
 
     def _others(self, name: str, at_ns: int) -> Iterator[tuple[str, Place]]:
-        """Where others saw the robot about then."""
+        """Positions of the robot by other sensors at about that time."""
         for other, track in self._tracks.items():
             if other == name:
                 continue
@@ -148,7 +148,7 @@ class FrameJumps:
 
 
 def _beyond(step: Place, way_m: float) -> Place | None:
-    """What of a step is no part of a way of that length, where it is too much for that."""
+    """The part of a step beyond a displacement of that length; None within tolerance."""
     length_m = math.hypot(*step)
     further_m = length_m - way_m
     if abs(further_m) <= _SLACK_M + _ESTIMATED * way_m:

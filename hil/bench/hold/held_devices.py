@@ -232,7 +232,7 @@ class HeldDevices:
         return self.rig.get(name) is not None
 
     def _steeper(self) -> str:
-        """What speaks against letting go of a robot without a tether that the bench file has on a floor."""
+        """Why an untethered robot must not be released on what the bench file calls a floor; else empty."""
         return "" if self.config.safety.tethered else self._hold.tilt.steeper()
 
     @property
@@ -241,7 +241,7 @@ class HeldDevices:
         return self.config.environment.on_wall
 
     def look(self, limit_s: float | None = None) -> Held:
-        """How a stopped robot is, after looking after it until it is held; `held` is that from then on.
+        """Check a stopped robot until it is held or time is up; `held` is the result from then on.
 
         Args:
             limit_s: the longest look. By default 1 s, and as much longer as propellers that report nothing
@@ -256,7 +256,7 @@ class HeldDevices:
         return self.held
 
     def _not_looked_at(self, why: str) -> None:
-        """What was found no longer holds."""
+        """Set the result to NOT HELD, "not checked"."""
         if self.rig.servos is None:
             self.held = untouched("the bench has no servos: the robot is as it was before")
         else:

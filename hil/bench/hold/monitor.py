@@ -122,7 +122,7 @@ class HoldMonitor(Sink):
                     self._follow(name, sample, place)
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing: there is nothing to close."""
 
     def stopped(self, doubted: Mapping[str, bool] | None = None, agreed: Collection[str] = ()) -> None:
         """The robot has been stopped: what it moves from here on counts.
@@ -289,7 +289,7 @@ class HoldMonitor(Sink):
     def _doubt(
         self, hold: ServoHold, trails: dict[str, Trail], seen: Collection[str], places: Collection[str]
     ) -> str:
-        """What speaks against calling the robot held; empty when nothing does.
+        """Why the robot is not called held; empty when nothing speaks against it.
 
         Args:
             hold: what the servos say.

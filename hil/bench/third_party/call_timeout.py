@@ -81,7 +81,7 @@ class _Overdue(BaseException):
 
 @dataclass(eq=False)
 class _Call:
-    """What a thread is at."""
+    """The call that a thread is in."""
 
     kind: str
     package: str
@@ -167,7 +167,7 @@ def _watch() -> None:
 
 
 def _end(_number: int = _SIGNAL, _frame: FrameType | None = None) -> None:
-    """In the main thread: leave the call that is overdue, if it still runs."""
+    """In the main thread: leave the call that takes too long, if it still runs."""
     call = _RUNNING.get(threading.get_ident())
     if call is not None and call.looks >= call.most:
         raise _Overdue

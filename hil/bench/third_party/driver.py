@@ -172,7 +172,7 @@ class ThirdPartyDriver:
         return samples
 
     def __getattr__(self, name: str) -> Any:
-        """Whatever else the driver has; its functions are blamed as the others are."""
+        """Give all other attributes of the driver; errors of its functions name the package, too."""
         if name.startswith("_") or self._driver is None:
             raise AttributeError(name)
         found = getattr(self._driver, name)

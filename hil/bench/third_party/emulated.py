@@ -94,7 +94,7 @@ class ThirdPartyPart(Scheduled):
 
 
 class ThirdPartyTransport(ThirdPartyPart, Transport):
-    """What a device of another package is served by."""
+    """The transport of a device of another package."""
 
     def __init__(self, world: World, kind: str, model: DeviceModel, transport: Transport) -> None:
         super().__init__(world, kind, model, transport)

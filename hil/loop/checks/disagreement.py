@@ -29,7 +29,7 @@ CAMERA, WHEELS = MotionSource("tracker", "the camera"), MotionSource("servos", "
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Something is wrong.
+    """Two devices disagree.
 
     Attributes:
         source: the device that is alone with what it says, or the first of two.
@@ -63,7 +63,7 @@ class Disagreement:
 
 
 class Sum:
-    """What two devices differ by so far, in the plane of the body (m), or in heading (rad).
+    """Accumulated difference of two devices, in the plane of the body (m), or in heading (rad).
 
     Args:
         first, second: the devices.

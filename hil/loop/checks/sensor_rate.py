@@ -26,7 +26,7 @@ _SETTLED_NS = 700_000_000
 
 @dataclass(frozen=True)
 class Healthy:
-    """What a healthy sensor of a kind does.
+    """Rates and delays of a healthy sensor of a kind.
 
     Attributes:
         rate_hz: samples per second; NaN where its owner chooses.

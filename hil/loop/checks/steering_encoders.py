@@ -81,7 +81,7 @@ class _Axis:
         self.lasting = wrap(self.lasting + _MEMORY * wrap(raw_rad - self.lasting))
 
     def _correct(self) -> None:
-        """What was learnt is replaced by what is known, where the two are too far apart."""
+        """Replace a learned offset by the known one, where the two are too far apart."""
         known_rad = self._known_rad
         if known_rad is not None and abs(wrap(self.reference - known_rad)) > self._astray_rad:
             self.reference = known_rad

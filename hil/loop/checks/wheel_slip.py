@@ -57,7 +57,7 @@ class WheelSlipCheck(Check):
         self._way_m = self._since_m = self._sigma_m = self._off_m = 0.0
 
     def _forget(self) -> None:
-        """Nothing is known of the wheels."""
+        """Forget what is known of the wheels."""
         self._last: tuple[int, list[float], list[float]] | None = None
         self._steps: deque[tuple[int, list[float], list[float], float]] = deque()
         self._rolled_m, self._said_m, self._loose_m = [0.0] * 4, [0.0] * 4, 0.0
