@@ -3,7 +3,8 @@
 //   wall_line_dds [--domain N] [--commands joints|twist] [--topic /joint_commands] [--up M] [--across M]
 //                 [--speed M_S]
 //
-// Every estimate on /odom is answered with one command. Prints `ready`, and `done` at the line's end. Runs until SIGINT or SIGTERM.
+// Every estimate on /odom is answered with one command. Prints `ready`, `begun` at the first one, and `done`
+// at the end of the line. Runs until SIGINT or SIGTERM.
 #include <atomic>
 #include <cmath>
 #include <csignal>
@@ -137,20 +138,22 @@ void run(const Options &o) {
   std::optional<wall_line::Four> steering_rad;
   bool fresh = false;  // whether joint states came since the last answer
   wall_line::JointState state;
-  bool told = false;
+  bool begun = false, told = false;
   std::cout << "ready" << std::endl;
   while (!ended) {
     fast::ConditionSeq found;
     waiting.wait(found, eprosima::fastrtps::Duration_t(0, 100'000'000));
-    while (take(states, state)) {
-      steering_rad = wall_line::steering_of(state);
-      fresh = true;
-    }
     wall_line::Odometry estimate;
     while (take(estimates, estimate)) {
+      while (take(states, state)) {  // the bench sends them before its estimate
+        steering_rad = wall_line::steering_of(state);
+        fresh = true;
+      }
       if (!steering_rad) continue;
       const double time_s = estimate.stamp.sec + 1e-9 * estimate.stamp.nanosec;
       const double *q = estimate.quaternion_xyzw, *p = estimate.position_m;
+      if (!begun) std::cout << "begun" << std::endl;
+      begun = true;
       const auto twist = law.twist(time_s, {p[0], p[1], 2 * std::atan2(q[2], q[3])});
       if (o.joints) {
         wall_line::JointState command;
