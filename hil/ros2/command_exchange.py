@@ -95,6 +95,7 @@ class Exchange:
         """The one command of a cycle."""
         self._topic.take()
         stamps, t_ns = self._shown.show(seen), seen.inputs.t_ns
+        latest_ns = max(stamps, default=t_ns)
         config, began_ns = self._config, self._clock.now_ns()
         limit_s = config.answer_timeout_s if self._heard else config.start_timeout_s
         others, turns = 0, 0
@@ -108,7 +109,7 @@ class Exchange:
                 return found
             for command in found.commands:
                 copied = command.stamp_ns in stamps and command.stamp_ns != t_ns
-                if copied or command.stamp_ns is None or command.stamp_ns >= t_ns:
+                if copied or command.stamp_ns is None or t_ns <= command.stamp_ns <= latest_ns:
                     self._heard = True
                     self.answered += 1
                     return ExternalCommands((command,), only_synchronised=not copied)
@@ -149,7 +150,7 @@ class Exchange:
         why = self._why()
         if others:
             why = (
-                f"{others} commands came with stamps of earlier cycles; copy the stamp of /joint_states, or "
+                f"{others} commands came with stamps of other cycles; copy the stamp of /joint_states, or "
                 "set use_sim_time, so that the stamp is /clock's"
             )
         return f"cycle {cycle}: its command did not come within {limit_s:g} s: {why}"
