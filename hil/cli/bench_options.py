@@ -59,8 +59,8 @@ _OPTIONS = {
         "--controller",
         type=CONTROLLER,
         metavar="LAW|FILE.py:NAME|MODULE:NAME|ros2:TOPIC",
-        help="Control law (nonlinear, optimal), or a class of your own, that drives every trajectory "
-        "[default: control.law]. `hil live` takes Twist and TwistStamped from ROS 2, too.",
+        help="Control law (nonlinear, optimal), a class of your own, or a program on ROS 2 that publishes "
+        "JointState, Twist or TwistStamped, that drives every trajectory [default: control.law].",
     ),
     "ros2": _stated("--ros2", is_flag=True, help="Publish the bench as ROS 2 topics, on this computer only."),
     "ros2_domain": _stated(
@@ -110,7 +110,7 @@ class BenchRequest:
 
     @property
     def ros2_topic(self) -> str:
-        """ROS 2 topic from which velocity commands come; empty for none."""
+        """ROS 2 topic from which a program drives the robot; empty for none."""
         kind, _, topic = self.controller.partition(":")
         return topic or "/" if kind == "ros2" else ""
 
@@ -128,7 +128,7 @@ class BenchRequest:
         from hil.procedure.bench_request import BenchSource
         from hil.procedure.user_controllers import check_named
 
-        own = "" if self.controller in LAWS or self.ros2_topic else self.controller
+        own = "" if self.controller in LAWS else self.controller
         if self.controller and not self.ros2_topic:
             check_named(self.controller)
             overrides = {**overrides, **({} if own else {"control.law": self.controller})}

@@ -17,8 +17,12 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def published(request: BenchRequest) -> Iterator[Ros2Publisher | None]:
+def published(request: BenchRequest, *, patient: bool = False) -> Iterator[Ros2Publisher | None]:
     """Be on ROS 2, if that is asked for.
+
+    Args:
+        request: of the command line.
+        patient: whether a program that drives is waited for as long as it takes.
 
     Returns:
         What publishes benches; None without `--ros2` and without a controller on ROS 2.
@@ -42,7 +46,7 @@ def published(request: BenchRequest) -> Iterator[Ros2Publisher | None]:
     from hil.ros2.publisher import Ros2Publisher
 
     network = Network(domain_of(request.ros2_domain, os.environ), request.ros2_interface)
-    publisher = Ros2Publisher(network)
+    publisher = Ros2Publisher(network, request.ros2_topic, patient=patient)
     try:
         click.echo(f"ROS 2: {network.in_words()}", err=True)
         if network.reaches_out:
