@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,12 +20,12 @@ pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 
 PATIENCE_S = 240
 ROLLS = {"on": 50, "stamp": "wall", "velocity": [0.5] * 4}
-TIMES = "\n[ros2]\nlate_after_s = 1.0\nstart_timeout_s = 60.0\n"
+TIMES = {"late_after_s": 1.0, "start_timeout_s": 60.0, "answer_timeout_s": 20.0}
 MOVES = """
 from hil.procedure import Context, Measurement, procedure
 from hil.robot.trajectories import line
 
-@procedure(name="moves", needs=("servos",), measurements=[Measurement("end_m", "m", "where it ends")])
+@procedure(name="moves", needs=("servos",), measurements=[Measurement("end_m", "m")])
 def run(ctx: Context) -> None:
     \"\"\"Follows a line.\"\"\"
     pose = ctx.bench.settle()
@@ -39,8 +38,7 @@ def run(ctx: Context) -> None:
 @pytest.fixture
 def live(tmp_path, domain):
     """Begins `hil live` in a process of its own; it is ended with the test."""
-    bench = patient_bench(tmp_path, "emulated_floor")
-    bench.write_text(bench.read_text() + TIMES)
+    bench = patient_bench(tmp_path, "emulated_floor", ros2=TIMES)
     begun = []
 
     def begin(*options):
@@ -126,8 +124,7 @@ def test_a_program_that_is_killed_slow_or_wrong_stops_a_live_session(settings, t
 def test_a_procedure_is_driven_by_a_program(realtime, tmp_path, domain, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "moves.py").write_text(MOVES)
-    bench = patient_bench(tmp_path, "emulated_floor")
-    bench.write_text(bench.read_text() + TIMES + "answer_timeout_s = 20.0\n")
+    bench = patient_bench(tmp_path, "emulated_floor", ros2=TIMES)
     words = ["run", "moves.py", "--bench", str(bench), "--controller", f"ros2:{TOPIC}", *realtime]
     out = io.StringIO()
     with driver(domain, {"on": "states", "follow": 120}), contextlib.redirect_stdout(out):
