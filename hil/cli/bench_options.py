@@ -13,7 +13,7 @@ import click
 from hil.cli import start_question
 from hil.cli.answers import watching
 from hil.cli.completion_types import BENCH, CONTROLLER, DEVICES, FAULT, SETTING
-from hil.cli.options import FILE, SEED
+from hil.cli.options import FILE, SEED, FiniteRange
 from hil.core.choices import HIGHEST_DOMAIN, LAWS
 
 if TYPE_CHECKING:
@@ -68,6 +68,13 @@ _OPTIONS = {
         type=click.IntRange(0, HIGHEST_DOMAIN),
         help="DDS domain of --ros2 [default: ROS_DOMAIN_ID, else 0].",
     ),
+    "ros2_wait": _stated(
+        "--ros2-wait",
+        type=FiniteRange(0.0, 0.8),
+        metavar="SHARE",
+        help="Share of a cycle in real time for which a controller on ROS 2 is waited for "
+        "[default: ros2.wait_share, 0.3].",
+    ),
     "ros2_interface": _stated(
         "--ros2-interface",
         metavar="NAME",
@@ -92,6 +99,7 @@ class BenchRequest:
         controller: law, class of the user's own, or `ros2:` and a topic; empty for what the file says.
         ros2: published as ROS 2 topics.
         ros2_domain: DDS domain; None for that of the environment.
+        ros2_wait: share of a cycle to wait for a program that drives; None for what the file says.
         ros2_interface: network interface beside loopback; empty for none.
     """
 
@@ -106,6 +114,7 @@ class BenchRequest:
     controller: str = ""
     ros2: bool = False
     ros2_domain: int | None = None
+    ros2_wait: float | None = None
     ros2_interface: str = ""
 
     @property
@@ -132,6 +141,8 @@ class BenchRequest:
         if self.controller and not self.ros2_topic:
             check_named(self.controller)
             overrides = {**overrides, **({} if own else {"control.law": self.controller})}
+        if self.ros2_wait is not None:
+            overrides = {**overrides, "ros2.wait_share": self.ros2_wait}
         return BenchSource(
             self.bench or otherwise,
             emulate=self.emulate,

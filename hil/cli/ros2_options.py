@@ -38,6 +38,11 @@ def published(request: BenchRequest, *, patient: bool = False) -> Iterator[Ros2P
         }
         for option in (name for name, given in beside.items() if given):
             raise UsageError(f"{option} says where --ros2 publishes", remedy=f"give --ros2, or no {option}")
+    if request.ros2_wait is not None and not request.ros2_topic:
+        raise UsageError(
+            "--ros2-wait is for a controller on ROS 2", remedy="give --controller ros2:TOPIC, too"
+        )
+    if not (request.ros2 or request.ros2_topic):
         yield None
         return
     from hil.ros2.network import Network, domain_of, must_be_usable

@@ -76,7 +76,7 @@ class _WithParameters(click.Command):
         "repeatable. docs/faults.md lists devices, kinds and options."
     },
 )
-@bench_options("controller", "ros2", "ros2_domain", "ros2_interface")
+@bench_options("controller", "ros2", "ros2_domain", "ros2_wait", "ros2_interface")
 @click.option("--out", type=OUT, help="Results folder [default: out/NAME/TIME].")
 @click.option("--resume", is_flag=True, help="Continue an interrupted run (of --out, else the latest).")
 @click.option(
