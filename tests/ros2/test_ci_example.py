@@ -29,4 +29,7 @@ def test_the_repository_for_ci_runs_as_it_stands(wall_line_dds, domain, tmp_path
         timeout=1000,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    assert len(list(ElementTree.parse(project / "tests.xml").iter("testcase"))) == 2
+    cases = list(ElementTree.parse(project / "tests.xml").iter("testcase"))
+    assert len(cases) == 3
+    held = {p.get("value") for case in cases for p in case.iter("property") if p.get("name") == "held"}
+    assert held == {"HELD"}
