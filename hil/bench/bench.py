@@ -67,6 +67,7 @@ class Bench(HeldDevices):
             programs that watch a resting robot. Said before it is entered.
         own_controller: makes, from the model, the controller that every trajectory is driven by; None for the
             configured law.
+        driven_by: name of a program that drives every trajectory, and by what it is asked; None for none.
         lost: what devices failed of that ended one of its runs, in words.
         faults: planned for its emulated devices.
     """
@@ -271,7 +272,7 @@ class Bench(HeldDevices):
             ConfigError: the robot is to move, and the IMU shows another tilt than `environment.tilt_rad`.
             DeviceError: it is to move by a filter, and the IMU has changed by far since it was measured.
         """
-        if start.trajectory is not None:
+        if start.controller is not None:
             self._not_looked_at("it has been driven since bench.look() was called")
             self._warn(blind_to_the_drive(self.config))
             self._hold.tilt.must_agree()
@@ -293,7 +294,9 @@ class Bench(HeldDevices):
                 loop.run(until)
             finally:
                 self._hold.stopped(pipeline.supervisor.doubted, pipeline.supervisor.agreed)
-                if start.trajectory is not None:
+                if pipeline.external is not None:
+                    self._warn(pipeline.external.warning)
+                if start.controller is not None:
                     self._left = self._hold.last_state
 
     def _lost_device(self, _: object, error: BaseException | None, __: object) -> None:
@@ -333,6 +336,8 @@ class Bench(HeldDevices):
         """
         begun = replace(_as_decided(start, pipeline), state=replace(start.state, t_ns=self.clock.now_ns()))
         pipeline.reset(begun.state)
+        if pipeline.external is not None and self.driven_by is not None:
+            pipeline.external.ask = self.driven_by[1].ask
         self._note(begun.state.t_ns, RUN_NOTE, begun.note())
         config = self.config.loop
         loop = ControlLoop(
@@ -351,9 +356,10 @@ class Bench(HeldDevices):
 def _as_decided(start: RunStart, pipeline: ControlPipeline) -> RunStart:
     """The start of a run, with the user's own parts under their own names."""
     observers = [own_name(one) or name for name, one in pipeline.observers.items()]
+    program = "" if pipeline.external is None else pipeline.external.name
     return replace(
         start,
-        controller=own_name(pipeline.controller) or start.controller,
+        controller=program or own_name(pipeline.controller) or start.controller,
         feedback=own_name(pipeline.estimator) or start.feedback,
         observers=tuple(observers) or start.observers,
     )

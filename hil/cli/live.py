@@ -31,6 +31,7 @@ from hil.support.atomic_files import check_new_file
 if TYPE_CHECKING:
     from hil.bench import Bench
     from hil.live import CommandLines, LiveSession
+    from hil.live.ros2_program import Ros2Program
     from hil.monitor import RerunMonitor
     from hil.procedure.bench_request import BenchSource
     from hil.recording.mcap_writer import McapRecorder, OnFailure
@@ -89,7 +90,7 @@ if TYPE_CHECKING:
 @click.option(
     "--replay", "repeated", type=FILE, help="Recording whose motion the emulated robot repeats, at the wire."
 )
-@bench_options("faults", "ros2", "ros2_domain", "ros2_interface")
+@bench_options("faults", "ros2", "ros2_domain", "ros2_wait", "ros2_interface")
 @JSON
 def command(
     request: BenchRequest,
@@ -109,8 +110,8 @@ def command(
     """Run the control-estimate loop at its rate in real time.
 
     Every session is recorded, in a new file: see --record and --no-record.
-    Without --trajectory and --command it only watches: no wheel moves. On a wall torque is switched on, so
-    that the robot is held; on the floor the servos are left as they are.
+    Without --trajectory, --command and a program on ROS 2 it only watches: no wheel moves. On a wall torque
+    is switched on, so that the robot is held; on the floor the servos are left as they are.
     SIGINT, SIGTERM and SIGHUP stop the robot, watch it until it is held, print the summary and end with
     exit code 4; further signals do not shorten that. While the bench opens, it is opened first.
     A session that ends well but leaves the robot NOT HELD ends with exit code 3.
@@ -121,7 +122,11 @@ def command(
     from hil.live import LivePlan, LiveSession, load_trajectory
     from hil.support.stop_signals import StopRequest
 
-    _must_agree(source, _commanded(request, commands), repeated, record, unrecorded=unrecorded)
+    if request.ros2_topic and commands != "none":
+        raise UsageError(f"--command and --controller {request.controller} both want to move the robot")
+    _must_agree(source, commands, repeated, record, unrecorded=unrecorded)
+    if repeated is not None and request.ros2_topic:
+        raise UsageError("--replay: a repeated recording takes no commands", remedy="only watch it")
     bench = _source(request, repeated)
     reference, known = None, None
     if source is not None:
@@ -130,11 +135,20 @@ def command(
         )
     stop = StopRequest()
     with stop.noted():
-        with published(request) as publisher, _commands(request, commands, publisher) as lines:
-            plan = LivePlan(reference, lines, duration_s, feedback, observers, dead_man_s, known)
+        with published(request, patient=True) as publisher, _commands(commands) as lines:
             opened = replace(bench, publish=None if publisher is None else publisher.sink).open()
             opened.warns_not_held = False
             with closing(opened):
+                plan = LivePlan(
+                    reference,
+                    lines,
+                    _program(request, publisher),
+                    duration_s,
+                    feedback,
+                    observers,
+                    dead_man_s,
+                    known,
+                )
                 recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
                 monitor = _monitor(opened, view)
                 session = LiveSession(opened, plan, recorder=recorder, monitor=monitor, stop=stop)
@@ -150,29 +164,23 @@ def command(
     return EXIT_PASS
 
 
-def _commanded(request: BenchRequest, commands: str) -> str:
-    """Where velocity commands come from: `--command`, or the topic of `--controller`."""
-    if request.ros2_topic and commands != "none":
-        raise UsageError(f"--command and --controller {request.controller} both want to move the robot")
-    return request.controller if request.ros2_topic else commands
+def _program(request: BenchRequest, publisher: Ros2Publisher | None) -> Ros2Program | None:
+    """The program on ROS 2 that drives the open bench, told where it is looked for; None where none does."""
+    if publisher is None or not request.ros2_topic:
+        return None
+    from hil.live.ros2_program import Ros2Program
+
+    found = Ros2Program(publisher, request.controller)
+    click.echo(f"commands: {found.where}", err=True)
+    return found
 
 
 @contextmanager
-def _commands(
-    request: BenchRequest, commands: str, publisher: Ros2Publisher | None
-) -> Iterator[CommandLines | None]:
+def _commands(commands: str) -> Iterator[CommandLines | None]:
     """Open the source of velocity commands and print where it listens; None without one."""
-    from hil.core.clock import MonotonicClock
     from hil.live import open_commands
 
-    if publisher is not None and request.ros2_topic:
-        from hil.live.ros2_commands import TwistCommands
-
-        lines: CommandLines | None = TwistCommands(
-            publisher.participant, request.ros2_topic, MonotonicClock()
-        )
-    else:
-        lines = open_commands(commands)
+    lines = open_commands(commands)
     if lines is None:
         yield None
         return

@@ -18,7 +18,7 @@ from hil.cli.progress import reporting
 from hil.cli.question_answers import answers_option, asked_to_end, operator
 from hil.cli.ros2_options import published
 from hil.core.clock import local_time
-from hil.core.errors import HilError, UsageError, shown_path
+from hil.core.errors import HilError, shown_path
 from hil.core.result_files import JOURNAL
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class _WithParameters(click.Command):
         "repeatable. docs/faults.md lists devices, kinds and options."
     },
 )
-@bench_options("controller", "ros2", "ros2_domain", "ros2_interface")
+@bench_options("controller", "ros2", "ros2_domain", "ros2_wait", "ros2_interface")
 @click.option("--out", type=OUT, help="Results folder [default: out/NAME/TIME].")
 @click.option("--resume", is_flag=True, help="Continue an interrupted run (of --out, else the latest).")
 @click.option(
@@ -108,12 +108,6 @@ def command(
     from hil.procedure.procedure_lookup import load_procedure
     from hil.procedure.runner import RunOptions, run_procedure
 
-    if request.ros2_topic:
-        raise UsageError(
-            f"--controller {request.controller} drives no trajectory",
-            expected="a law, or FILE.py:NAME or MODULE:NAME of your own",
-            remedy="hil live takes velocity commands from a ROS 2 topic",
-        )
     with kept_for_json(as_json):
         proc = load_procedure(script)
     given, overrides = split_settings(request.settings)

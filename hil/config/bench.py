@@ -24,6 +24,7 @@ from hil.config.estimator import EstimatorConfig
 from hil.config.mocap import MocapConfig
 from hil.config.monitor import MonitorConfig
 from hil.config.robot import RobotConfig
+from hil.config.ros2 import Ros2Config
 from hil.config.servos import ServosConfig
 from hil.config.values import Strict, Switch
 from hil.core.device import DeviceKind, DeviceModel
@@ -61,6 +62,7 @@ class BenchConfig(Strict):
     control: ControlConfig = ControlConfig()
     estimator: EstimatorConfig = EstimatorConfig()
     monitor: MonitorConfig = MonitorConfig()
+    ros2: Ros2Config = Ros2Config()
 
     def devices(self) -> dict[str, DeviceConfig]:
         """Configured devices by name, in the fixed order: further ones of a kind after the one named so."""

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 from hil.core.errors import HilError
+from hil.core.external_commands import ExternalCommands
 from hil.core.signals import (
     CycleRecord,
     Measurements,
@@ -158,6 +159,45 @@ class Controller(Protocol):
         """Wheel setpoints at the state's time; `wheels` gives the measured steering angles."""
 
 
+Ask = Callable[[CycleRecord], ExternalCommands]
+"""Shows a cycle, before anything is commanded in it, to another program; returns what that commands."""
+
+
+class ExternalController(Protocol):
+    """A controller that is another program: what came of it decides, and is recorded.
+
+    Attributes:
+        name: as `--controller` has it.
+        ask: gets its commands; a pipeline that nothing is attached to hears none.
+        begun: whether there was a command since `reset`; until then nothing moves, and no time passes for the
+            reference.
+        heard: of the latest cycle.
+        warning: what is to be known of the run so far; empty for nothing.
+    """
+
+    name: str
+    ask: Ask
+    begun: bool
+    heard: ExternalCommands | None
+    warning: str
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forget the run."""
+
+    @abstractmethod
+    def update(self, seen: CycleRecord, wheels: WheelMeasurement | None) -> WheelSetpoint | None:
+        """Setpoint of a cycle; None to rest where the wheels stand.
+
+        Args:
+            seen: the cycle; its setpoint and command mean nothing yet.
+            wheels: newest aligned wheels; None where none were read.
+
+        Raises:
+            SafetyStop: by what it commands, or because it does not.
+        """
+
+
 RUN_NOTE, HELD_NOTE = "run", "held"
 """Kinds of notes between two cycles: how a run begins, and how the bench left the robot."""
 
@@ -190,3 +230,12 @@ class Sink(Protocol):
     @abstractmethod
     def close(self) -> None:
         """Flush and let go. Never raises."""
+
+
+@runtime_checkable
+class CommandingSink(Sink, Protocol):
+    """A sink beyond which a program is that commands the robot."""
+
+    @abstractmethod
+    def ask(self, seen: CycleRecord) -> ExternalCommands:
+        """Show a cycle before anything is commanded in it; waits for an answer, for as long as may be."""

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, fields
 from operator import attrgetter
 from typing import Any
 
+from hil.core.external_commands import ExternalCommands
 from hil.core.geometry import Array
 from hil.core.suspects import SEPARATOR
 
@@ -436,6 +437,7 @@ class CycleRecord:
     `observers` holds the states of estimators that run beside the one in the loop, by name. `truth` is what
     an emulated robot really did, where its world lives in this process: `t_ns`, `pose_body_in_wall` (3,),
     `steering_true_rad` (4,), `normal_load_n` (4,), `slip_m_s` (4, 2) along and across each wheel, `fallen`.
+    `external` is what a controller that is another program sent; None where there is none.
     """
 
     cycle: int
@@ -451,3 +453,4 @@ class CycleRecord:
     observers: Mapping[str, RobotState] = field(default_factory=dict)
     timing_ns: Mapping[str, int] = field(default_factory=dict)
     truth: Mapping[str, Any] | None = None
+    external: ExternalCommands | None = None

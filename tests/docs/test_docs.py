@@ -128,7 +128,10 @@ def test_a_comparison_of_an_estimator_of_ones_own_runs_as_printed(tmp_path):
     assert [row[0] for row in rows[1:4]] == ["recorded", "ekf", "mine.py:MotionCapture"]
 
 
-COPIED = (ROOT / "docs" / "ci-template", ROOT / "examples" / "rangefinder")
+COPIED = (
+    ROOT / "docs" / "ci-template",
+    *(ROOT / "examples" / name for name in ("rangefinder", "ros2", "ros2/ci")),
+)
 """Folders to start from; what a page says of their files is relative to them."""
 
 OF_A_USER = {

@@ -15,6 +15,7 @@ except ModuleNotFoundError:
 ROOT = Path(__file__).resolve().parents[2]
 LOCK = (ROOT / "requirements" / "ci.lock").read_text(encoding="utf-8")
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
+EXTRAS = re.search(r"^EXTRAS := (.*)$", MAKEFILE, re.MULTILINE)[1].split()
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 PYTHONS = ("3.10", "3.11", "3.12", "3.13")
 MACHINES = ("x86_64", "aarch64")
@@ -47,12 +48,11 @@ def holds(requirement, python, machine):
 
 
 def wanted():
-    extras = re.search(r"^EXTRAS := (.*)$", MAKEFILE, re.MULTILINE)[1].split()
     optional = PROJECT["project"]["optional-dependencies"]
     groups = [
         PROJECT["project"]["dependencies"],
         PROJECT["build-system"]["requires"],
-        *map(optional.get, extras),
+        *map(optional.get, EXTRAS),
     ]
     return [Requirement(text) for group in groups for text in group]
 
@@ -82,23 +82,50 @@ def test_every_entry_has_hashes_and_none_says_where_to_fetch_it():
     assert [line for line in LOCK.splitlines() if line.startswith("-")] == []
 
 
+def dry_run(*words):
+    """What make would run, anew from an empty folder."""
+    done = subprocess.run(
+        ["make", "--always-make", "--dry-run", *words], cwd=ROOT, text=True, capture_output=True, check=True
+    )
+    return done.stdout.splitlines()
+
+
 @pytest.mark.parametrize(
     ("given", "folder", "by"),
     [
-        ((), ".venv/", "--require-hashes"),
-        (("LOCK=",), ".venv-newest/", "-e '.["),
+        ((), ".venv/", "-c requirements/ci.lock --require-hashes"),
+        (("LOCK=",), ".venv-newest/", "-r pyproject.toml"),
         (("OLDEST=1",), ".venv-oldest/", "--resolution lowest-direct"),
     ],
 )
 def test_make_takes_what_is_locked_the_newest_or_the_oldest(given, folder, by):
     """In a folder each, so that none is taken for another."""
-    reported = subprocess.run(
-        ["make", "--always-make", "--dry-run", *given, "lint"],
-        cwd=ROOT,
-        text=True,
-        capture_output=True,
-        check=True,
-    ).stdout
-    installing = reported[: reported.index("hil info --compile")].splitlines()
-    assert any(by in line for line in installing)
+    installing = [line for line in dry_run(*given, "test") if "install" in line]
+    packages = [line for line in installing if "--extra" in line]
+    assert len(packages) == 1
+    assert by in packages[0]
+    assert ("ci.lock" in packages[0]) == (not given)
     assert {path for line in installing for path in re.findall(r"\.venv[a-z-]*/", line)} == {folder}
+
+
+@pytest.mark.parametrize(
+    ("target", "extras"),
+    [
+        ("demo", {"rerun"}),
+        ("demo RERUN=", set()),
+        ("test", set(EXTRAS) - {"lint", "docs"}),
+        ("lint", set(EXTRAS) - {"docs"}),
+        ("site", set(EXTRAS) - {"lint"}),
+    ],
+)
+def test_a_target_installs_the_extras_that_it_needs_and_no_others(target, extras):
+    (packages,) = (line for line in dry_run(*target.split()) if "-r pyproject.toml" in line)
+    assert set(re.findall(r"--extra (\w+)", packages)) == extras
+
+
+def test_what_installs_the_packages_is_locked_itself():
+    """It comes by pip with its hash, and brings the others."""
+    pip = [line for line in dry_run("demo") if " -m pip " in line]
+    assert len(pip) == 1
+    assert "--require-hashes" in pip[0]
+    assert [name_of(locked) for locked, _ in entries()].count("uv") == 1

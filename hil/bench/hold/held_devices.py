@@ -20,7 +20,7 @@ from hil.bench.unreached_faults import not_begun, not_begun_in_words
 from hil.controller.joint_script import JointScript
 from hil.core.clock import Clock
 from hil.core.errors import UsageError, check_number
-from hil.core.interfaces import HELD_NOTE, Controller, Sink
+from hil.core.interfaces import HELD_NOTE, CommandingSink, Controller, Sink
 from hil.fakes.fault import Fault
 from hil.loop.control_loop import ControlPipeline
 from hil.loop.device_set import DeviceSet
@@ -53,6 +53,7 @@ class HeldDevices:
         self.warns_not_held = True
         self.waits_for_sensors = False
         self.own_controller: MakeController | None = None
+        self.driven_by: tuple[str, CommandingSink] | None = None
         self.lost: list[str] = []
         self.faults = faults
         self._is_open = False
@@ -190,12 +191,14 @@ class HeldDevices:
     ) -> ControlPipeline:
         """The deterministic part of the loop for one motion or script (also what replay runs).
 
-        Where the bench has a controller of the user's own, that drives every trajectory.
+        A controller of the user's own follows every trajectory, and so does a program that drives the bench.
 
         Raises:
             UsageError: unknown feedback or controller.
             ConfigError: the controller of the user's own cannot be made.
         """
+        if self.driven_by is not None and isinstance(trajectory, Trajectory):
+            controller = self.driven_by[0]
         pipeline = self.model.make_pipeline(
             trajectory, controller=controller, feedback=feedback, observers=observers
         )
