@@ -236,7 +236,8 @@ def _end(item: pytest.Item, report: pytest.TestReport) -> None:
         own = [one for one in seen if one is not item.stash.get(_OPENED, None)]
         added = dict.fromkeys(entry for one in own for entry in properties_of(one))
         report.user_properties += [*added, *finish(item, failed)]
-    for key in (_OPENED, _SEEN, _FAILED):
+    keys: tuple[pytest.StashKey[Any], ...] = (_OPENED, _SEEN, _FAILED)
+    for key in keys:
         if key in item.stash:
             del item.stash[key]
 
