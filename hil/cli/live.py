@@ -165,7 +165,7 @@ def command(
 
 
 def _program(request: BenchRequest, publisher: Ros2Publisher | None) -> Ros2Program | None:
-    """The program on ROS 2 that drives the open bench, told where it is looked for; None where none does."""
+    """The program on ROS 2 that drives the open bench; prints where it is looked for; None without one."""
     if publisher is None or not request.ros2_topic:
         return None
     from hil.live.ros2_program import Ros2Program

@@ -62,14 +62,14 @@ class Ros2Program:
             over: whether to wait no longer.
         """
         begun_ns = bench.clock.now_ns()
-        told = False
+        warned = False
 
         def until(record: CycleRecord) -> bool:
-            nonlocal told
+            nonlocal warned
             if over(record) or self.found():
                 return True
-            if not told and record.start_ns - begun_ns > _PATIENCE_NS:
-                told = True
+            if not warned and record.start_ns - begun_ns > _PATIENCE_NS:
+                warned = True
                 LOG.warning("%s", self._topic.why_nobody())
             return False
 

@@ -220,7 +220,7 @@ class ControlPipeline:
 
     @property
     def commands(self) -> bool:
-        """Whether it tells the servos anything."""
+        """Whether the loop commands the servos."""
         return self.controller is not None or self.external is not None
 
     @property

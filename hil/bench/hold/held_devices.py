@@ -259,7 +259,7 @@ class HeldDevices:
         return self.held
 
     def _not_looked_at(self, why: str) -> None:
-        """Set the result to NOT HELD, "not checked"."""
+        """Set `held` for a robot that was not checked since its devices were opened or driven."""
         if self.rig.servos is None:
             self.held = untouched("the bench has no servos: the robot is as it was before")
         else:
