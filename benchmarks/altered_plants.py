@@ -74,8 +74,8 @@ def validated(seed: int, change: dict[str, float], folder: Path, full: bool) -> 
     if result.error is not None:
         raise SystemExit(f"seed {seed}: {result.error}")
     values = {row["name"]: row["value"] for row in result.measurements}
-    told = [note for note in result.facts["notes"] if note.startswith("Forward model")]
-    return values["position_rmse_after"], values["heading_rmse_after"], told[-1] if told else ""
+    notes = [note for note in result.facts["notes"] if note.startswith("Forward model")]
+    return values["position_rmse_after"], values["heading_rmse_after"], notes[-1] if notes else ""
 
 
 def main() -> int:
@@ -91,9 +91,9 @@ def main() -> int:
     for case in given.case or CASES:
         for seed in given.seeds:
             with tempfile.TemporaryDirectory() as scratch:
-                mm, deg, told = validated(seed, CASES[case], Path(scratch) / "run", given.full)
+                mm, deg, notes = validated(seed, CASES[case], Path(scratch) / "run", given.full)
             runs, within = runs + 1, within + (mm <= LIMIT_MM)
-            print(f"{case}, seed {seed}: {mm:.2f} mm, {deg:.2f} deg. {told}", flush=True)
+            print(f"{case}, seed {seed}: {mm:.2f} mm, {deg:.2f} deg. {notes}", flush=True)
     print(f"{within} of {runs} within {LIMIT_MM:g} mm")
     return 0 if within >= WANTED * runs else 1
 

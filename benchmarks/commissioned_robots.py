@@ -26,11 +26,11 @@ def commissioned(seed, folder, asked):
     said = StringIO()
     with redirect_stdout(said):
         code = main(words if asked.full else [*words, "--quick"])
-    told = json.loads(said.getvalue())
-    if code != 0 or NAMES[1] not in told.get("wall", {}):
-        print(f"seed {seed}: exit code {code}, {told.get('stopped') or told.get('error')}", flush=True)
+    summary = json.loads(said.getvalue())
+    if code != 0 or NAMES[1] not in summary.get("wall", {}):
+        print(f"seed {seed}: exit code {code}, {summary.get('stopped') or summary.get('error')}", flush=True)
         return None
-    return told["wall"]
+    return summary["wall"]
 
 
 def row(wall):

@@ -44,7 +44,7 @@ UNSETTLED = 2
 
 @contextmanager
 def left_out() -> Iterator[None]:
-    """Nobody compares."""
+    """A check that compares nothing."""
 
     def nothing(*given: object) -> tuple[()]:
         return ()
@@ -95,8 +95,8 @@ def main() -> None:
     values = np.concatenate([one for one, _ in found])
     ratio = round(float(np.median(values)), 3)
     costs = {form: round(float(np.median([cost[form] for _, cost in found])), 1) for form in FORMS}
-    told = {"us_per_cycle": costs, "ratio": ratio, "interval": interval(values), "most": MOST}
-    print(json.dumps({**told, "turns": len(values)}, indent=1))
+    figures = {"us_per_cycle": costs, "ratio": ratio, "interval": interval(values), "most": MOST}
+    print(json.dumps({**figures, "turns": len(values)}, indent=1))
     sys.exit(1 if ratio > MOST else 0)
 
 

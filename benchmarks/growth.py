@@ -111,13 +111,13 @@ def runs() -> Sizes:
 def _campaign(count: int) -> None:
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as quiet:
         for stream in (contextlib.redirect_stdout, contextlib.redirect_stderr):
-            quiet.enter_context(stream(told := io.StringIO()))
+            quiet.enter_context(stream(printed := io.StringIO()))
         script = Path(folder, "rest.py")
         script.write_text(REST)
         asked = ["campaign", str(script), "--seeds", f"0:{count}", "--workers", "0", "--out", f"{folder}/out"]
         code = command_line(asked)
     if code:
-        raise SystemExit(f"the campaign ended with {code}: {told.getvalue()}")
+        raise SystemExit(f"the campaign ended with {code}: {printed.getvalue()}")
 
 
 DIMENSIONS: dict[str, Callable[[], Sizes]] = {

@@ -89,8 +89,8 @@ def main() -> None:
         parser.error("valgrind is not installed: apt install valgrind")
     tree = arguments.tree.resolve()
     with tempfile.TemporaryDirectory() as scratch:
-        told = {work: count(tree, work, Path(scratch)) for work in arguments.works or WORKS}
-    print(json.dumps(told, indent=1))
+        counts = {work: count(tree, work, Path(scratch)) for work in arguments.works or WORKS}
+    print(json.dumps(counts, indent=1))
 
 
 if __name__ == "__main__":

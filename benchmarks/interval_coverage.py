@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.bench import hidden_truth, open_bench
-from hil.bench.settings import nominal_of
+from hil.bench.loop_settings import nominal_of
 from hil.calibration.calibrate import Calibration, calibrate
 from hil.calibration.identifiability import data_information
 from hil.calibration.model_choice import candidates, choose
@@ -29,7 +29,7 @@ from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock
 from hil.core.geometry import Array
 from hil.datasets.dataset import Recording
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import read_plain
 from hil.procedure.odometry_motions import MOTIONS, Repetition, Sizes, drive_repetition, unused
 
@@ -53,9 +53,9 @@ def recorded(generator: str, seed: int, folder: Path) -> tuple[list[Recording], 
         with open_bench(config, seed=seed) as bench:
             names = drive_repetition(bench, Repetition(folder, MOTIONS, number, Sizes(1.0, 0.4, 0.5)))
             assert bench.world is not None
-            told = hidden_truth(bench.world)
+            hidden = hidden_truth(bench.world)
         found += [read_plain(folder / name) for name in names]
-    truth = np.concatenate([np.array(told[key]) for key in ("x_w_m", "y_w_m", "r_m", "delta0_rad")])
+    truth = np.concatenate([np.array(hidden[key]) for key in ("x_w_m", "y_w_m", "r_m", "delta0_rad")])
     return found, truth
 
 

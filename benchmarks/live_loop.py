@@ -200,7 +200,7 @@ def rounds(seconds: float) -> Callable[[Array], Trajectory]:
 
 
 def start_viewer(stack: ExitStack, kind: str) -> tuple[str, int | None]:
-    """URL of a Rerun server, and its process group; nobody listens there when it is to be absent."""
+    """URL of a Rerun server, and its process group; no server listens there when it is to be absent."""
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = probe.getsockname()[1]
     url = f"rerun+http://127.0.0.1:{port}/proxy"

@@ -4,7 +4,7 @@
     python benchmarks/lying_sensors.py --only "scale 0.9,clean" --plant mujoco
 
 Every lie begins in motion (`--at`) in every world, on lines up and across. A line of the table says in how
-many runs somebody was told of the device, after how long, and how far the robot truly was from its reference
+many runs gave a warning about the device, after how long, and how far the robot truly was from its reference
 by then; how many runs were stopped; how many ended well while the estimate was wrong by more than three of
 its sigmas plus 5 mm; and how many broke the promise: that, or found neither within 0.5 s nor within 15 mm of
 true path error. `clean` counts false alarms. Exit code 1 where the promise is broken.
@@ -57,14 +57,14 @@ class Outcome:
     """What became of one drive.
 
     Attributes:
-        told_s: from the lie to the first word about the device; None without one.
+        warned_s: from the lie to the first word about the device; None without one.
         off_m: how far the robot was from its reference by then, at the worst.
         stopped: reason of the stop; empty where the drive came to its end.
         passed_wrong: it came to its end while the estimate was further off than it says.
         said: the first word.
     """
 
-    told_s: float | None
+    warned_s: float | None
     off_m: float
     stopped: str
     passed_wrong: bool
@@ -73,7 +73,7 @@ class Outcome:
     @property
     def broken(self) -> bool:
         """Whether the promise was not kept."""
-        late = self.told_s is None or self.told_s > SOON_S
+        late = self.warned_s is None or self.warned_s > SOON_S
         return self.passed_wrong or (late and self.off_m > NEAR_M)
 
 
@@ -82,17 +82,17 @@ class Watch:
 
     def __init__(self, bench: Any, at_s: float, names: Sequence[str]) -> None:
         self._bench, self._at_s, self._names = bench, at_s, names
-        self.off_m, self.told_s, self.said = 0.0, None, ""
+        self.off_m, self.warned_s, self.said = 0.0, None, ""
         self.wrong = False
 
     def look(self, record: CycleRecord) -> None:
         """Take one cycle."""
         t_s = record.start_ns * 1e-9
         truth = self._bench.truth().pose_body_in_wall
-        if self.told_s is None and record.reference is not None and t_s >= self._at_s:
+        if self.warned_s is None and record.reference is not None and t_s >= self._at_s:
             self.off_m = max(self.off_m, math.hypot(*(truth[:2] - record.reference.pose_in_wall[:2])))
         for event in record.events:
-            if self.told_s is None and (not self._names or event.source in self._names):
+            if self.warned_s is None and (not self._names or event.source in self._names):
                 self.tell(t_s, f"{event.source}: {event.message}")
         error_m = np.abs(truth[:2] - record.state.pose_body_in_wall[:2])
         sigma_m = np.sqrt(np.diag(record.state.covariance)[:2])
@@ -100,8 +100,8 @@ class Watch:
 
     def tell(self, t_s: float, what: str) -> None:
         """Somebody has said what is wrong."""
-        if self.told_s is None:
-            self.told_s, self.said = t_s - self._at_s, what
+        if self.warned_s is None:
+            self.warned_s, self.said = t_s - self._at_s, what
 
 
 def drive(way: str, faults: Sequence[str], names: Sequence[str], seed: int, options: Any) -> Outcome:
@@ -118,7 +118,7 @@ def drive(way: str, faults: Sequence[str], names: Sequence[str], seed: int, opti
             stop = error
             watch.tell(bench.clock.now_ns() * 1e-9, str(error))
     return Outcome(
-        watch.told_s,
+        watch.warned_s,
         watch.off_m,
         "" if stop is None else getattr(stop, "reason", type(stop).__name__),
         stop is None and watch.wrong,
@@ -137,14 +137,15 @@ def at(spec: str, at_s: float) -> str:
 
 def table_line(lie: str, way: str, outcomes: Sequence[Outcome], clean: bool) -> tuple[str, bool]:
     """One line of the table, and whether the promise was broken."""
-    told = [o.told_s for o in outcomes if o.told_s is not None]
-    broken = [o for o in outcomes if (o.told_s is not None or o.passed_wrong if clean else o.broken)]
-    median = f"{statistics.median(told):6.2f}" if told else "     -"
+    warned = [o.warned_s for o in outcomes if o.warned_s is not None]
+    broken = [o for o in outcomes if (o.warned_s is not None or o.passed_wrong if clean else o.broken)]
+    median = f"{statistics.median(warned):6.2f}" if warned else "     -"
     worst = 1e3 * max(o.off_m for o in outcomes)
     stops = sorted({o.stopped for o in outcomes if o.stopped})
     stopped = sum(bool(o.stopped) for o in outcomes)
     text = (
-        f"{lie:13s} {way:7s} {len(told):3d}/{len(outcomes):<3d} {median} {max(told, default=math.nan):6.2f} "
+        f"{lie:13s} {way:7s} {len(warned):3d}/{len(outcomes):<3d} {median} "
+        f"{max(warned, default=math.nan):6.2f} "
         f"{worst:8.1f} {stopped:5d} {sum(o.passed_wrong for o in outcomes):6d} {len(broken):6d}  "
         f"{', '.join(stops)}"
     )
@@ -167,7 +168,7 @@ def main() -> None:
     options = parser.parse_args()
     only = [name for name in options.only.split(",") if name] or list(LIES)
     failed = False
-    print("lie           way      told    median  worst  path mm stops passed broken  reasons")
+    print("lie           way      warned  median  worst  path mm stops passed broken  reasons")
     for lie in only:
         faults, names = LIES[lie]
         specs = [at(spec, options.at) for spec in faults]

@@ -64,7 +64,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "doubts": ("hil/loop/checks/disagreement.py", _SENSES),
     "agreement": ("hil/loop/checks/disagreement_response.py", ("tests/core/test_supervisor.py", _SENSES[1])),
     "lost_check": ("hil/loop/checks/lost_sensor.py", ("tests/core/test_supervisor.py", _GUARDS[0])),
-    "path_check": ("hil/loop/checks/path.py", ("tests/core/test_supervisor.py", _GUARDS[0])),
+    "path_check": ("hil/loop/checks/path_error.py", ("tests/core/test_supervisor.py", _GUARDS[0])),
     "left_out": ("hil/loop/checks/exclusion.py", (_SENSES[1], "tests/core/test_supervisor.py")),
     "stream_watch": ("hil/loop/checks/sensor_rate.py", (_STREAMS,)),
     "sample_watch": ("hil/loop/checks/sensor_status.py", ("tests/core/test_sample_watch.py", _STREAMS)),
@@ -80,7 +80,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "alignment": ("hil/loop/alignment.py", (_GUARDS[0],)),
     "poses": ("hil/loop/pose_alignment.py", (_GUARDS[0],)),
-    "leaps": ("hil/bench/hold/frame_jumps.py", ("tests/bench/test_leaps.py",)),
+    "leaps": ("hil/bench/hold/frame_jumps.py", ("tests/bench/test_frame_jumps.py",)),
     "state_check": ("hil/loop/checks/state_valid.py", ("tests/core/test_state_check.py",)),
     "filter_watch": ("hil/loop/checks/filter_fit.py", ("tests/core/test_filter_watch.py",)),
     "own_parts": ("hil/loop/user_parts.py", ("tests/core/test_own_parts.py",)),
@@ -125,17 +125,17 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
         "hil/report/history/own_files.py",
         ("tests/report/test_removal.py", "-k", "not command and not terminal"),
     ),
-    "coverage": ("hil/datasets/coverage.py", ("tests/calibration/test_coverage_of_a_drive.py",)),
+    "coverage": ("hil/datasets/drive_coverage.py", ("tests/calibration/test_coverage_of_a_drive.py",)),
     "copies": (
-        "hil/datasets/copies.py",
+        "hil/datasets/duplicate_recordings.py",
         ("tests/recording/test_names_and_copies.py", "-k", "no_copy or another_clock or packed_and"),
     ),
     "unit_factors": ("hil/datasets/unit_factors.py", ("tests/calibration/test_units.py",)),
     "applied": (
-        "hil/calibration/applied.py",
+        "hil/calibration/applied_warnings.py",
         ("tests/calibration/test_calibration_commands.py", "-k", "fitted or names_no_files or another_model"),
     ),
-    "signs": ("hil/datasets/signs.py", ("tests/calibration/test_signs.py",)),
+    "signs": ("hil/datasets/wrong_signs.py", ("tests/calibration/test_wrong_signs.py",)),
     "truth_leaps": ("hil/datasets/truth_jumps.py", ("tests/calibration/test_leaps_of_ground_truth.py",)),
     "caveats": ("hil/calibration/warnings.py", ("tests/calibration/test_caveats.py",)),
     "alike": ("hil/procedure/campaign/ineffective_settings.py", ("tests/campaign/test_campaign_alike.py",)),
@@ -275,7 +275,7 @@ class Alter(ast.NodeTransformer):
         return node
 
     def visit_Expr(self, node: ast.Expr) -> ast.AST:
-        """A call whose value nobody takes, left out; never a docstring."""
+        """A call whose value is not used, left out; never a docstring."""
         if isinstance(node.value, ast.Constant):
             return node
         self.generic_visit(node)

@@ -50,7 +50,7 @@ Client = Callable[[str, bool], AbstractContextManager[Cycle]]
 
 
 def serve(pipe: Connection, lifeline: int, faults: tuple[str, ...]) -> None:
-    """Body of the emulator's process: tells its port and runs until the lifeline ends."""
+    """Body of the emulator's process: prints its port and runs until the lifeline ends."""
     plan = FaultPlan([parse_fault(spec) for spec in faults])
     plant = make_plant(
         RobotConfig(), surface="floor", tilt_rad=0.0, rng=random_stream(1, "plant"), faults=plan

@@ -11,12 +11,12 @@ failed. A line of the table is one stretch: cycles, faults, stops, memory that t
 ended (MB; what is free goes back to the system first), open files and threads, processor time for a second
 of virtual time, cycles that were left out because the one before took longer, cycles that began beside
 the grid, and seconds of processor time that other machines on the same computer took away from this one (on
-Linux). Exit code 1 for a stop that nobody explains, a robot that is not held, a cycle left out while
+Linux). Exit code 1 for an unexplained stop, a robot that is not held, a cycle left out while
 nothing fails, one beside the grid, a file or thread too many, or memory that grows by more than `--leak` MB
 an hour, by the median slope between any two stretches of the second half: a module that is loaded for the
 first time is a step, not a leak. With `--real` the same in real time, against
 emulated devices in a process of their own; cycles that are left out are counted only, because other
-programs delay them too. A stop that nobody explains counts in any case: look at the stolen time first.
+programs delay them too. An unexplained stop counts in any case: look at the stolen time first.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ WAY_M, MINUTE_S = 0.12, 60.0
 LEAST_MINUTES = 5.0
 """Of the second half: with fewer its slope says nothing."""
 LASTING = ("jump", "unplug")
-"""Faults that leave a device another one than before, or one that somebody has to open again."""
+"""Faults that leave a device another one than before, or one that has to be opened again."""
 LETS_GO = ("plant", "adhesion", "thrust", "load_cells")
-"""Devices whose faults may truly let the robot go, or leave nobody who knows how it is held."""
+"""Devices whose faults may truly let the robot go, or leave no sensor that shows how it is held."""
 _REFUSALS = 3
 """So many drives in a row that end before their first cycle are no device that fails just then."""
 _OPENS_S = 3.0
@@ -111,7 +111,7 @@ class Trouble:
         return bool(self.recent) and self._now_s() < self.recent[-1][0] + LONGEST_S + BACK_S
 
     def explains(self, message: str) -> bool:
-        """Whether a message names a device that has failed lately, or one whose motion it told wrongly."""
+        """Whether a message names a device that has failed lately, or whose motion was wrong."""
         words = {w for _, device in self.recent for w in _words(device)}
         return any(word in message.lower() for word in words)
 

@@ -27,7 +27,7 @@ TARGET_S = 2.0
 COLD_TARGET_S = 10.0
 PROCEDURES = ("wall_tracking", "steering_zero")
 _KEPT = {"PYTHONDONTWRITEBYTECODE": ""}
-_TOLD = "first driven cycle: "
+_LINE_HEAD = "first driven cycle: "
 
 
 def drive(procedure: str, begun_ns: int) -> None:
@@ -44,7 +44,7 @@ def drive(procedure: str, begun_ns: int) -> None:
             """Tell and end."""
             if record.reference is not None:
                 times = {"wall_s": (time.monotonic_ns() - begun_ns) / 1e9, "processor_s": time.process_time()}
-                os.write(1, f"{_TOLD}{json.dumps(times)}\n".encode())
+                os.write(1, f"{_LINE_HEAD}{json.dumps(times)}\n".encode())
                 os._exit(0)
 
         def close(self) -> None:
@@ -70,10 +70,10 @@ def once(procedure: str, *options: str, **environment: str) -> tuple[dict[str, f
         done = subprocess.run(
             command, cwd=folder, capture_output=True, text=True, env={**os.environ, **_KEPT, **environment}
         )
-    told = [line for line in done.stdout.splitlines() if line.startswith(_TOLD)]
-    if not told:
+    times_line = [line for line in done.stdout.splitlines() if line.startswith(_LINE_HEAD)]
+    if not times_line:
         raise SystemExit(f"{procedure}: {done.stderr[-2000:]}")
-    times: dict[str, float] = json.loads(told[0].removeprefix(_TOLD))
+    times: dict[str, float] = json.loads(times_line[0].removeprefix(_LINE_HEAD))
     return times, done.stderr
 
 
@@ -100,7 +100,7 @@ def measured(procedure: str, runs: int, *, cold: bool) -> dict[str, Any]:
     for name, us in loaded.items():
         by_package[name.split(".")[0]] += us
     best = {key: round(min(run[key] for run in found), 3) for key in found[0]}
-    told = {
+    figures = {
         **best,
         "target_s": TARGET_S,
         "import_share": round(share, 2),
@@ -108,9 +108,9 @@ def measured(procedure: str, runs: int, *, cold: bool) -> dict[str, Any]:
     }
     if cold:
         with tempfile.TemporaryDirectory() as folder:
-            told |= {"cold_s": round(once(procedure, NUMBA_CACHE_DIR=folder)[0]["wall_s"], 1)}
-            told["cold_target_s"] = COLD_TARGET_S
-    return told
+            figures |= {"cold_s": round(once(procedure, NUMBA_CACHE_DIR=folder)[0]["wall_s"], 1)}
+            figures["cold_target_s"] = COLD_TARGET_S
+    return figures
 
 
 def main() -> None:

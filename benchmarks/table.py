@@ -50,15 +50,15 @@ def _faster(what: str, ours: float, peer: str, theirs: float, unit: str) -> Row:
     return Row(what, ours, peer, theirs, unit, ours / theirs)
 
 
-def of_estimator(told: Any) -> Iterator[Row]:
+def of_estimator(result: Any) -> Iterator[Row]:
     """Our engines against filterpy's."""
-    for kind, it in told.items():
+    for kind, it in result.items():
         yield _slower(f"{kind.upper()}, one sample", it["ours_us"], "filterpy", it["filterpy_us"], "us")
 
 
-def of_servo_bus(told: Any) -> Iterator[Row]:
+def of_servo_bus(result: Any) -> Iterator[Row]:
     """Our servo driver against the DYNAMIXEL SDK."""
-    it = told["sync_read"]
+    it = result["sync_read"]
     yield _faster("servo bus, rate", it["ours_hz"], "DYNAMIXEL SDK", it["sdk_hz"], "Hz")
     yield _slower(
         "servo bus, processor time of a cycle",
@@ -69,37 +69,37 @@ def of_servo_bus(told: Any) -> Iterator[Row]:
     )
 
 
-def of_calibration(told: Any) -> Iterator[Row]:
+def of_calibration(result: Any) -> Iterator[Row]:
     """One evaluation of the cost against a plain loop."""
-    it = told["cost"]
+    it = result["cost"]
     yield _slower("calibration, one cost", it["ours_ms"], "plain Python loop", it["loop_ms"], "ms")
 
 
-def of_virtual_bench(told: Any) -> Iterator[Row]:
+def of_virtual_bench(result: Any) -> Iterator[Row]:
     """The rig against real time."""
-    yield _faster("emulated rig in virtual time", told["ratio"], "real time", 1.0, "x")
+    yield _faster("emulated rig in virtual time", result["ratio"], "real time", 1.0, "x")
 
 
-def of_second_physics(told: Any) -> Iterator[Row]:
+def of_second_physics(result: Any) -> Iterator[Row]:
     """MuJoCo's plant against ours."""
-    real = told["times_real_time"]
+    real = result["times_real_time"]
     for name, value in real.items():
         if name != "own":
             yield _faster(f"climb, plant {name}", value, "own plant", real["own"], "x real time")
 
 
-def of_plant(told: Any) -> Iterator[Row]:
+def of_plant(result: Any) -> Iterator[Row]:
     """The plant alone against real time."""
-    yield _faster("physics of the robot alone", told["compiled"], "real time", 1.0, "x")
+    yield _faster("physics of the robot alone", result["compiled"], "real time", 1.0, "x")
 
 
-def of_replay(told: Any) -> Iterator[Row]:
+def of_replay(result: Any) -> Iterator[Row]:
     """Replay against real time."""
     for name, words in (
         ("verify", "replay, every bit verified"),
         ("compare", "replay, four estimators compared"),
     ):
-        yield _faster(words, told[name]["median"], "real time", 1.0, "x")
+        yield _faster(words, result[name]["median"], "real time", 1.0, "x")
 
 
 BENCHMARKS: dict[str, tuple[Sequence[str], Callable[[Any], Iterator[Row]]]] = {

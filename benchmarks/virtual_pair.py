@@ -125,8 +125,8 @@ def turn(process: subprocess.Popen[str]) -> list[float]:
     with suppress(BrokenPipeError):
         process.stdin.write("\n")
         process.stdin.flush()
-    told = process.stdout.readline()
-    return [float(told)] if told else []
+    line = process.stdout.readline()
+    return [float(line)] if line else []
 
 
 def in_turns(processes: dict[str, subprocess.Popen[str]]) -> dict[str, list[float]]:

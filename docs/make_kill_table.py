@@ -33,7 +33,7 @@ def table(kills: int = KILLS, both: int = BOTH) -> str:
     import wall_trials
     from fan_on_the_wire import fan_on_the_wire
 
-    from hil.bench.fan_commands import keeper_spec
+    from hil.bench.fan_commands import daemon_spec
     from hil.config.loading import load_bench
 
     rows = []
@@ -43,22 +43,22 @@ def table(kills: int = KILLS, both: int = BOTH) -> str:
             path = robot.bench_file(Path(folder))
             runs = (
                 ("bench, driving", wall_trials.benches_killed),
-                ("fan daemon", wall_trials.keepers_killed),
+                ("fan daemon", wall_trials.daemons_killed),
             )
             for killed, run in runs:
                 found = run(robot, path, kills, SEED)
                 held = sum(kill.held for kill in found)
                 rows.append(row(killed, [k.gap_s for k in found], f"held {held} times"))
-            trials.end_keeper(keeper_spec(load_bench(str(path))))
+            trials.end_daemon(daemon_spec(load_bench(str(path))))
         with fan_on_the_wire() as (fan, spec):
-            pairs = trials.keepers_killed(fan, spec, kills, SEED)
+            pairs = trials.daemons_killed(fan, spec, kills, SEED)
             went_on = sum(kill.lowest_duty == trials.HELD_DUTY for kill in pairs)
             outcome = f"fan ran on {went_on} times: the bench took over"
             rows.append(row("fan daemon and standby", [k.gap_s for k in pairs], outcome))
-            trials.end_keeper(spec)
+            trials.end_daemon(spec)
             released_s = trials.all_killed(fan, spec, both, SEED)
             rows.append(row("all three", released_s, "the controller let go of the motor"))
-            trials.end_keeper(spec)
+            trials.end_daemon(spec)
     return HEAD + "".join(rows)
 
 

@@ -22,28 +22,28 @@ DURATION_S, PATIENCE_S = 2.0, 60.0
 
 def read(port: serial.Serial, register: int, count: int) -> bytes:
     """Registers; the chip's busy answers are retried, as every driver of it must."""
-    told = b""
+    reply = b""
     for _ in range(20):
         port.reset_input_buffer()
         port.write(bytes((0xAA, 0x01, register, count)))
-        told = port.read(2)
-        if len(told) == 2 and told[0] == READ_ANSWER and told[1] == count:
+        reply = port.read(2)
+        if len(reply) == 2 and reply[0] == READ_ANSWER and reply[1] == count:
             data = port.read(count)
             if len(data) == count:
                 return data
-    raise SystemExit(f"register 0x{register:02X} cannot be read: {told.hex() or 'silence'}")
+    raise SystemExit(f"register 0x{register:02X} cannot be read: {reply.hex() or 'silence'}")
 
 
 def write(port: serial.Serial, register: int, value: int) -> None:
     """One register, acknowledged."""
-    told = b""
+    reply = b""
     for _ in range(20):
         port.reset_input_buffer()
         port.write(bytes((0xAA, 0x00, register, 1, value)))
-        told = port.read(2)
-        if told == bytes((STATUS, WRITTEN)):
+        reply = port.read(2)
+        if reply == bytes((STATUS, WRITTEN)):
             return
-    raise SystemExit(f"register 0x{register:02X} cannot be written: {told.hex() or 'silence'}")
+    raise SystemExit(f"register 0x{register:02X} cannot be written: {reply.hex() or 'silence'}")
 
 
 def endpoints(path: str) -> dict:

@@ -73,7 +73,7 @@ class Parameters(BaseModel):
 
     @property
     def body(self) -> str:
-        """Whose poses show how the body moves."""
+        """Devices whose poses show how the body moves."""
         return "mocap" if "mocap" in self.devices else "tracker"
 
     @model_validator(mode="after")
@@ -221,8 +221,8 @@ def run(ctx: Context) -> None:
     with ctx.step("identity"):
         identify(ctx, bench)
     with ctx.step("streams", timeout_s=p.watch_s + 30.0):
-        stands_as_told = watch(ctx, bench)
-    if not stands_as_told:
+        stands_as_given = watch(ctx, bench)
+    if not stands_as_given:
         ctx.note(
             "Nothing was moved: by the IMU the robot is tilted otherwise than environment.tilt_rad says. "
             "Correct that, or the mount of the IMU (imu.mount_rotation_wxyz); `hil doctor` shows both angles."
@@ -257,7 +257,7 @@ def _signs(ctx: Context) -> dict[str, Any]:
 
 
 def identify(ctx: Context, bench: Bench) -> None:
-    """Who is there, and what the servos' registers say."""
+    """The devices, and the servos' registers."""
     found = {d.name: dict(d.identity()) for d in bench.rig.devices()}
     ctx.measure("devices", sum(bool(f) for f in found.values()))
     rows = [

@@ -165,7 +165,7 @@ def covered_cells(path: Array, start: ArrayLike, p: Parameters) -> Array:
     """Cells of the scanned rectangle that the probe has seen, shape (along X, along Y), true or false.
 
     Args:
-        path: true positions (n, 2) in order, m; NaN where nothing saw the robot, and so not what it covered.
+        path: true positions (n, 2) in order, m; NaN where the robot was not seen.
         start: where the scan began, its corner.
         p: size of scan and probe.
     """

@@ -17,12 +17,12 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from hil.bench.settings import geometry_of, motion_limits
+from hil.bench.loop_settings import geometry_of, motion_limits
 from hil.calibration.calibrate import Calibration
 from hil.calibration.calibration_file import calibration_file, save_calibration
 from hil.calibration.evaluation import evaluate
 from hil.calibration.problem import PARAMETER_NAMES, make_setting
-from hil.calibration.usable import made_for
+from hil.calibration.usability_check import made_for
 from hil.calibration.validation import score
 from hil.calibration.versions import shelve
 from hil.config.bench import BenchConfig
@@ -107,7 +107,7 @@ class Parameters(BaseModel):
 
     @property
     def sizes(self) -> Sizes:
-        """Of the motions."""
+        """Sizes of the motions, m and rad."""
         return Sizes(self.line_m, self.radius_m, self.turns, self.speed_m_s)
 
 

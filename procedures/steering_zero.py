@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from hil.bench import Bench
-from hil.bench.settings import load_shares
+from hil.bench.loop_settings import load_shares
 from hil.config.bench import BenchConfig
 from hil.config.robot_record import Figure
 from hil.config.robot_record.limits import ZERO_LIMIT_RAD

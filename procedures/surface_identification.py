@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.bench import Bench
-from hil.bench.settings import adhesion_limits, thrust_wanted_n
+from hil.bench.loop_settings import adhesion_limits, thrust_wanted_n
 from hil.config.bench import BenchConfig
 from hil.config.robot_record import Figure
 from hil.core.errors import ConfigError
@@ -214,7 +214,7 @@ def repetition(
     bench: Bench,
     p: Parameters,
     number: int,
-    told: Callable[[int, int], object],
+    on_line: Callable[[int, int], object],
     ways: Sequence[str] = DIRECTIONS,
 ) -> Slips:
     """Drive the lines; returns slip per metre (downhill, leftward, turning) by direction.
@@ -227,7 +227,7 @@ def repetition(
         bench: freshly opened.
         p: of the run.
         number: of the repetition, from 1.
-        told: called with the number of lines driven, and of all.
+        on_line: called with the number of lines driven, and of all.
         ways: directions to drive.
     """
     filtered = _filtered(bench.config)
@@ -241,7 +241,7 @@ def repetition(
         )
         rolled = motion.observer("odometry") if filtered else motion.estimate
         found[direction] = list(slip_of(motion, rolled).per_metre())
-        told(k, len(ways))
+        on_line(k, len(ways))
     return found
 
 

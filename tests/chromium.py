@@ -94,25 +94,25 @@ class Browser:
         self._note(message.get("method"), message.get("params"))
         return message
 
-    def _note(self, method, told):
+    def _note(self, method, reported):
         if method == "Page.loadEventFired":
             self._loaded = True
         elif method == "Runtime.executionContextCreated":
-            context = told["context"]
+            context = reported["context"]
             if context["auxData"].get("isDefault"):
                 self._worlds[context["id"]] = context["origin"]
         elif method == "Runtime.executionContextDestroyed":
-            self._worlds.pop(told["executionContextId"], None)
+            self._worlds.pop(reported["executionContextId"], None)
         elif method == "Runtime.executionContextsCleared":
             self._worlds.clear()
         elif method == "Log.entryAdded":
-            self.complaints.append(told["entry"]["text"] + " " + told["entry"].get("url", ""))
+            self.complaints.append(reported["entry"]["text"] + " " + reported["entry"].get("url", ""))
         elif method == "Runtime.consoleAPICalled":
-            self.complaints.append(str(told["args"]))
+            self.complaints.append(str(reported["args"]))
         elif method == "Runtime.exceptionThrown":
-            self.complaints.append(str(told["exceptionDetails"]))
+            self.complaints.append(str(reported["exceptionDetails"]))
         elif method == "Network.requestWillBeSent":
-            url = told["request"]["url"]
+            url = reported["request"]["url"]
             self.requests += [] if url == self._url or url.startswith("data:") else [url]
 
     def resize(self, width: int, height: int = 900, *, dark: bool = False, mobile: bool = False):
@@ -142,9 +142,9 @@ class Browser:
 
     def run(self, script: str):
         """Value of a JavaScript expression in the page."""
-        told = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
-        assert "exceptionDetails" not in told, told
-        return told["result"].get("value")
+        reported = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in reported, reported
+        return reported["result"].get("value")
 
     def ask(self, code: str, frame: str = ""):
         """The value of an expression in the page, or in its frame of an origin; None while there is none."""
@@ -154,10 +154,10 @@ class Browser:
             return None
         where = {} if world is None else {"contextId": world}
         with contextlib.suppress(AssertionError):
-            told = self.call(
+            reported = self.call(
                 "Runtime.evaluate", expression=code, returnByValue=True, awaitPromise=True, **where
             )
-            return told["result"].get("value")
+            return reported["result"].get("value")
         return None
 
     def until(self, code: str, frame: str = "", limit_s: float = _PATIENCE_S):

@@ -40,7 +40,7 @@ def command(folder, name, *options):
 
 
 def give_way():
-    """Run only while nobody else wants the core, where the kernel shares it by sessions, too."""
+    """Run only while no other process wants the core, where the kernel shares it by sessions, too."""
     os.nice(19)
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))

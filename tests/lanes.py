@@ -8,8 +8,8 @@ from pathlib import Path
 
 REAL_TIME = (
     "adhesion/test_adhesion_command.py",
-    "adhesion/test_keeper_of_an_emulated_fan.py",
-    "adhesion/test_keeper_process.py",
+    "adhesion/test_daemon_of_an_emulated_fan.py",
+    "adhesion/test_daemon_process.py",
     "adhesion_dronecan/test_dronecan_node_at_the_wire.py",
     "emulate/",
     "live/test_live_command.py",
@@ -30,7 +30,7 @@ WIRED = (
 """Where else tests talk to the `wire` or to an `emulator`: no other file is looked through for them."""
 ALONE = (
     "adhesion/test_asking_commands.py",
-    "adhesion/test_keeper_killed.py",
+    "adhesion/test_daemon_killed.py",
     "adhesion/test_stopped_for_a_while.py",
     "bench/test_bench_assembly.py::test_a_mix_of_real_and_emulated_devices",
     "bench/test_bench_assembly.py::test_the_same_drive_at_the_wire_in_real_time",
@@ -72,7 +72,7 @@ THINNED = {
     "adhesion_bench/test_hanging_on_the_wall.py::test_who_lies": 6,
     "bench/test_doctor_discover_setup.py::test_a_sick_device": 2,
     "bench/test_held.py::test_whenever_it_happens": 4,
-    "bench/test_held.py::test_whoever_loses_servos": 6,
+    "bench/test_held.py::test_lost_servos": 6,
     "adhesion_bench/test_hanging_on_the_wall.py::test_no_torque_and_no_motion": 6,
     "bench/test_doctor_discover_setup.py::test_a_device_that_falls_ill": 2,
     "bench/test_doctor_discover_setup.py::test_the_emulated_bench_is_healthy": 2,

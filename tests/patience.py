@@ -16,12 +16,12 @@ PATIENT = {
 }
 
 FANLESS = {"adhesion": None, "thrust": None, "load_cells": None}
-"""For tests of something else: nobody waits for a fan; the emulated robot is pressed on its wall anyway."""
+"""For tests of something else: a fan is not waited for; the emulated robot is pressed on its wall anyway."""
 
 
-def patient_bench(folder, profile):
-    """A bench file like a shipped profile, for a busy computer and without a fan."""
-    config = load_bench(profile, overrides={**PATIENT, **FANLESS})
+def patient_bench(folder, profile, **tables):
+    """A bench file like a shipped profile, for a busy computer, without a fan; `tables` override it."""
+    config = load_bench(profile, overrides={**PATIENT, **FANLESS, **tables})
     path = folder / "bench.toml"
     path.write_bytes(tomli_w.dumps(config.model_dump(mode="json", by_alias=True, exclude_none=True)).encode())
     return path

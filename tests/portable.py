@@ -1,6 +1,6 @@
 """Runs the tests that depend on numbers as other processors would compute them.
 
-numpy, OpenBLAS and the C library choose their code by what the processor can do, and each can be told to do
+numpy, OpenBLAS and the C library choose their code by what the processor can do, and each can be asked to do
 without. A test that passes under all of these does not depend on the make of the processor.
 
     python tests/portable.py [--short]
@@ -45,7 +45,7 @@ FEW = (
     "tests/kinematics",
     "tests/trajectories",
 )
-"""Of these what tells most in a minute; without the computer as it is, which `make test` looks at."""
+"""The most telling of these within a minute; without the computer as it is, which `make test` looks at."""
 OPTIONS = ("-q", "-n", "2", "--dist", "worksteal", "-m", "not long and not real_time and not alone")
 
 

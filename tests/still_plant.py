@@ -17,7 +17,7 @@ class StillPlant(Plant):
         self.tilt_rad = tilt_rad
 
     def command(self, joint, command):
-        raise AssertionError("whoever measures commands nothing")
+        raise AssertionError("a measurement commands nothing")
 
     def advance(self, t_ns):
         self.t_ns = t_ns

@@ -68,16 +68,16 @@ class Template:
             raise RuntimeError(f"the template of warm commands ended with {self._process.wait()}")
 
     def fork(self, request, streams):
-        """A new process: its id, and a descriptor that tells its wait status when it has ended."""
-        status, told = os.pipe()
+        """A new process: its id, and a descriptor that reports its wait status when it has ended."""
+        status, reported = os.pipe()
         try:
             with self._one_at_a_time:
                 if self._process is None:
                     self._start()
-                socket.send_fds(self._control, [pickle.dumps(request)], [*streams, told])
+                socket.send_fds(self._control, [pickle.dumps(request)], [*streams, reported])
                 return STATUS.unpack(self._control.recv(STATUS.size))[0], status
         finally:
-            os.close(told)
+            os.close(reported)
 
     def close(self):
         """End it; commands that still run are not touched."""
@@ -136,11 +136,11 @@ class Warm(STARTED):
             return super()._try_wait(flags)
         os.set_blocking(self._status, not flags & os.WNOHANG)
         try:
-            told = os.read(self._status, STATUS.size)
+            reported = os.read(self._status, STATUS.size)
         except BlockingIOError:
             return 0, 0
         os.close(self._status)
-        return self.pid, STATUS.unpack(told)[0]
+        return self.pid, STATUS.unpack(reported)[0]
 
     def _internal_poll(self, _deadstate=None, **_):
         if self._status is None:

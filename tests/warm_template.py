@@ -3,7 +3,7 @@
     python tests/warm_template.py DESCRIPTOR
 
 A request on the Unix socket is a pickled dict; with it come the descriptors of the command's three streams
-and one that is told its wait status. What is forked has folder, environment, arguments and session of its
+and one that is reported its wait status. What is forked has folder, environment, arguments and session of its
 own, signals as a program begins with them, and ends as every interpreter does. See tests/warm.py.
 """
 
@@ -62,13 +62,13 @@ def prepare():
 
 def serve(control, searched):
     """Fork commands until the socket is closed; returns in each of them, with the words to run."""
-    poll, told = select.poll(), {}
+    poll, reported = select.poll(), {}
     poll.register(control, select.POLLIN)
     while True:
         for descriptor, _ in poll.poll():
-            if descriptor in told:
+            if descriptor in reported:
                 poll.unregister(descriptor)
-                pid, status = told.pop(descriptor)
+                pid, status = reported.pop(descriptor)
                 os.close(descriptor)
                 os.write(status, STATUS.pack(os.waitpid(pid, 0)[1]))
                 os.close(status)
@@ -83,7 +83,7 @@ def serve(control, searched):
             for stream in streams[:3]:
                 os.close(stream)
             ended = os.pidfd_open(pid)
-            told[ended] = pid, streams[3]
+            reported[ended] = pid, streams[3]
             poll.register(ended, select.POLLIN)
 
 

@@ -15,8 +15,8 @@ from hil.bench.emulation import (
     supported_faults,
 )
 from hil.bench.hold.result import Held
+from hil.bench.loop_settings import alignment_parameters, safety_limits
 from hil.bench.opening import make_bench_model, open_bench
-from hil.bench.settings import alignment_parameters, safety_limits
 from hil.drivers.servos import set_up
 from hil.fakes.fault import Fault, make_fault
 from hil.fakes.fault import check_kind as check_fault_kind

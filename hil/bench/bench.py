@@ -13,8 +13,8 @@ import numpy as np
 from hil.bench.doctor.inertial_offsets import InertialWatch
 from hil.bench.drive_start import blind_to_the_drive, emulated_hold, must_begin_where_it_stands
 from hil.bench.hold.held_devices import HeldDevices
+from hil.bench.loop_settings import real_time
 from hil.bench.model import BenchModel
-from hil.bench.settings import real_time
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import ConfigError, DeviceError, check_number
 from hil.core.geometry import Array, ArrayLike
@@ -56,17 +56,18 @@ class Bench(HeldDevices):
         statistics: punctuality of the latest run.
         real_time: what the operating system was asked for; None in virtual time.
         pressed: the force with which a robot was pressed on its wall before its servos got torque, in words;
-            empty where nothing measures it.
+            empty where no sensor measures it.
         held: what `look` or, at the end, `close` found last. A robot that was not checked since devices were
             opened or it was driven is NOT HELD, "not checked"; one whose servos were not opened is not
             `opened`.
         warnings: what was logged about this bench before the robot moved.
-        tells_held: whether a warning is logged where it is left NOT HELD; whoever says so otherwise takes it
-            back.
+        warns_not_held: whether a warning is logged where it is left NOT HELD; False for programs that report
+            it otherwise.
         waits_for_sensors: whether a lost sensor is waited for beyond its `fail_after_s`, in real time: for
             programs that watch a resting robot. Said before it is entered.
         own_controller: makes, from the model, the controller that every trajectory is driven by; None for the
             configured law.
+        driven_by: name of a program that drives every trajectory, and by what it is asked; None for none.
         lost: what devices failed of that ended one of its runs, in words.
         faults: planned for its emulated devices.
     """
@@ -271,7 +272,7 @@ class Bench(HeldDevices):
             ConfigError: the robot is to move, and the IMU shows another tilt than `environment.tilt_rad`.
             DeviceError: it is to move by a filter, and the IMU has changed by far since it was measured.
         """
-        if start.trajectory is not None:
+        if start.controller is not None:
             self._not_looked_at("it has been driven since bench.look() was called")
             self._warn(blind_to_the_drive(self.config))
             self._hold.tilt.must_agree()
@@ -293,7 +294,9 @@ class Bench(HeldDevices):
                 loop.run(until)
             finally:
                 self._hold.stopped(pipeline.supervisor.doubted, pipeline.supervisor.agreed)
-                if start.trajectory is not None:
+                if pipeline.external is not None:
+                    self._warn(pipeline.external.warning)
+                if start.controller is not None:
                     self._left = self._hold.last_state
 
     def _lost_device(self, _: object, error: BaseException | None, __: object) -> None:
@@ -302,7 +305,7 @@ class Bench(HeldDevices):
             self.lost.append(str(error))
 
     def _until_tilted(self, until: Until) -> Until:
-        """The same, which judges the tilt once more, as soon as the IMU has told enough of it in this run."""
+        """Wrap `until` so that the tilt is checked once more as soon as the IMU has measured enough of it."""
         self._hold.tilt.forget()
         judged = False
 
@@ -324,7 +327,7 @@ class Bench(HeldDevices):
     def make_loop(self, pipeline: ControlPipeline, start: RunStart) -> ControlLoop:
         """A loop over this bench's devices, clock and sinks; its statistics become the bench's.
 
-        The pipeline is reset to the start, now, and the sinks get a note: without that note nothing could
+        The pipeline is reset to the start, now, and the sinks get a note: without that note no program could
         repeat the run from its recording.
 
         Args:
@@ -333,6 +336,8 @@ class Bench(HeldDevices):
         """
         begun = replace(_as_decided(start, pipeline), state=replace(start.state, t_ns=self.clock.now_ns()))
         pipeline.reset(begun.state)
+        if pipeline.external is not None and self.driven_by is not None:
+            pipeline.external.ask = self.driven_by[1].ask
         self._note(begun.state.t_ns, RUN_NOTE, begun.note())
         config = self.config.loop
         loop = ControlLoop(
@@ -349,11 +354,12 @@ class Bench(HeldDevices):
 
 
 def _as_decided(start: RunStart, pipeline: ControlPipeline) -> RunStart:
-    """How a run began, with parts of one's own under their own names: nothing of ours has decided there."""
+    """The start of a run, with the user's own parts under their own names."""
     observers = [own_name(one) or name for name, one in pipeline.observers.items()]
+    program = "" if pipeline.external is None else pipeline.external.name
     return replace(
         start,
-        controller=own_name(pipeline.controller) or start.controller,
+        controller=program or own_name(pipeline.controller) or start.controller,
         feedback=own_name(pipeline.estimator) or start.feedback,
         observers=tuple(observers) or start.observers,
     )

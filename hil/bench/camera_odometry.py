@@ -1,7 +1,7 @@
-"""Tells a tracking camera that asks for it how the wheels move: calibrated odometry, cycle by cycle.
+"""Sends calibrated wheel odometry to a tracking camera that asks for it, cycle by cycle.
 
-The odometry is the wheels' alone, not the state of the filter, which has heard the camera: a camera that is
-told its own opinion believes it twice.
+The odometry is the wheels' alone, not the state of the filter, which contains the camera's poses:
+these would count twice in the camera.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class WheelFeed(Sink):
 
 
 def wheel_feed(model: BenchModel, rig: DeviceSet) -> tuple[Sink, ...]:
-    """What tells the camera of the wheels, if `tracker.wheel_odometry` asks for it."""
+    """The sink that sends wheel odometry to the camera, if `tracker.wheel_odometry` asks for it."""
     camera = model.config.of(T265Config)
     if camera is None or not camera.wheel_odometry:
         return ()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hil.bench.settings import pretended_holders
+from hil.bench.loop_settings import pretended_holders
 from hil.config.bench import BenchConfig
 from hil.core.errors import TrajectoryError
 from hil.core.geometry import Array, wrap
@@ -38,7 +38,7 @@ def must_begin_where_it_stands(trajectory: Trajectory, stands: Array) -> None:
     if near and turned_rad <= _NEAR_RAD:
         return
     raise TrajectoryError(
-        f"{trajectory.name}: it begins at {_told(begins)}, the robot stands at {_told(stands)}",
+        f"{trajectory.name}: it begins at {_pose_text(begins)}, the robot stands at {_pose_text(stands)}",
         t_s=0.0,
         quantity="angle between them (rad)" if near else "distance between them (m)",
         value=turned_rad if near else far_m,
@@ -56,13 +56,13 @@ def blind_to_the_drive(config: BenchConfig) -> str:
     return (
         f"{', '.join(blind)}: in another world than the servos (emulated beside real ones, or the reverse), "
         "so they do not see the robot move. A drive whose estimate needs one of them ends in a SafetyStop "
-        "(sensors_disagree), and none is a witness that the robot is held. Emulate only devices that do not "
+        "(sensors_disagree), and none shows whether the robot is held. Emulate only devices that do not "
         "see it move, emulate the servos as well, or drive by odometry"
     )
 
 
 def emulated_hold(config: BenchConfig) -> str:
-    """That what is to hold a real robot on its wall is emulated; empty where it is not, or it cannot fall."""
+    """A warning where devices that hold a real robot on its wall are emulated; else empty."""
     holders = pretended_holders(config)
     if not holders:
         return ""
@@ -72,6 +72,6 @@ def emulated_hold(config: BenchConfig) -> str:
     )
 
 
-def _told(pose: Array) -> str:
+def _pose_text(pose: Array) -> str:
     x_m, y_m, heading_rad = pose.tolist()
     return f"x {x_m:.3f} m, y {y_m:.3f} m, theta {heading_rad:.3f} rad"

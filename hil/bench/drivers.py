@@ -1,4 +1,4 @@
-"""From a checked configuration to the rig: the drivers of the registry, and where each finds its device."""
+"""Makes the drivers of a checked configuration, each with the address of its device."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, cast
 
-from hil.bench.named_errors import OwnName, making
-from hil.bench.third_party.driver import guarded
+from hil.bench.further_device_errors import OwnName, making
+from hil.bench.third_party.driver import wrapped_driver
 from hil.config.bench import BenchConfig
 from hil.config.device import DeviceConfig
 from hil.core.clock import Clock
@@ -46,8 +46,8 @@ def make_device_set(
         model, kind = model_of(config, name), base_of(name)
         make = partial(model.make_driver, at, clock, **found.parts)
         if kind == name:
-            return guarded(kinds()[name], model, make, failures, at.timeouts_s())
-        device = guarded(kinds()[name], model, making(make, name), failures, at.timeouts_s())
+            return wrapped_driver(kinds()[name], model, make, failures, at.timeouts_s())
+        device = wrapped_driver(kinds()[name], model, making(make, name), failures, at.timeouts_s())
         return OwnName(device, kind, name)
 
     made = {name: driver(name, table) for name, table in config.devices().items()}

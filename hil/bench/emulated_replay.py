@@ -1,4 +1,4 @@
-"""From a recording to a robot that repeats its motion in the emulated world."""
+"""Makes an emulated robot that repeats the motion of a recording."""
 
 from __future__ import annotations
 

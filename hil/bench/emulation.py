@@ -1,4 +1,4 @@
-"""The emulated devices of a configuration: built in one world, connected in process or served."""
+"""Builds the emulated devices of a configuration in one world, connected in process or served."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from hil.bench.drivers import model_of
-from hil.bench.named_errors import named
-from hil.bench.third_party.emulated import guarded_face, parts_of
+from hil.bench.further_device_errors import named
+from hil.bench.third_party.emulated import parts_of, wrapped_transport
 from hil.config.bench import BenchConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.config.servos import ServosConfig
@@ -21,7 +21,7 @@ from hil.core.errors import ConfigError, FaultNotSupportedError, HilError, Usage
 from hil.core.package_errors import OURS, PackageError, asked
 from hil.core.registry import base_of, kinds
 from hil.core.signals import KINDS
-from hil.devices.emulated_device import EmulatedDevice, EmulationRequest, Face
+from hil.devices.emulated_device import EmulatedDevice, EmulationRequest, Transport
 from hil.fakes.active_faults import FaultPlan
 from hil.fakes.body_interface import Plant
 from hil.fakes.fault import Fault, Supported, describe
@@ -32,7 +32,7 @@ from hil.fakes.server import EmulationServer
 from hil.fakes.world import World, random_stream
 
 _NUMBERS = itertools.count(1)
-_EMULATED = "an EmulatedDevice: connect() gives a Connection, serve() a Face"
+_EMULATED = "an EmulatedDevice: connect() gives a Connection, serve() a Transport"
 R = TypeVar("R")
 
 
@@ -81,7 +81,7 @@ def _simulated(config: BenchConfig, seed: int, plan: FaultPlan) -> Plant:
 
 
 def hidden_truth(world: World) -> dict[str, object]:
-    """What the robot of a world truly is, as JSON values; nothing that measures may look at it.
+    """What the robot of a world truly is, as JSON values; no measurement may use it.
 
     Raises:
         UsageError: its robot repeats a recording: it is not known.
@@ -103,7 +103,7 @@ def hidden_truth(world: World) -> dict[str, object]:
 
 
 def _servo_model(config: BenchConfig) -> ServoModel:
-    """Whose motors drive and steer the emulated robot."""
+    """The kind of device whose motors drive and steer the emulated robot."""
     servos = config.of(ServosConfig)
     return servo_model((servos and servos.model_number) or DEFAULT_MODEL)
 
@@ -149,7 +149,7 @@ def _reached(config: BenchConfig, world: World, kind: str, name: str, reach: Cal
     with parts_of(world, kind, model), named(base_of(kind), kind):
         found = asked(kind, model.package, f"{name}() of the emulated device", reach)
     if found is None:
-        message = f"model {model.name} has no wire face: serve() of the emulated device gave None"
+        message = f"model {model.name} has no wire transport: serve() of the emulated device gave None"
         if name == "connect":
             message = f"connect() of the emulated device of model {model.name} gave None"
         raise PackageError(kind, model.package, message, expected=_EMULATED)
@@ -204,7 +204,7 @@ def check_faults(
 ) -> tuple[Fault, ...]:
     """Read the faults of a bench, and refuse what none of its emulated devices can be or produce.
 
-    All of them are built once, so that a wrong `[emulation.KIND]` is told here. Nothing is opened.
+    All of them are built once, so that a wrong `[emulation.KIND]` is reported here. Nothing is opened.
 
     Args:
         config: the bench; the faults that it names come first.
@@ -232,7 +232,7 @@ def supported_faults(config: BenchConfig) -> dict[str, Supported]:
 
 
 def faults_within(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[str, ...]:
-    """Of faults, those that name a device which the bench emulates; each as a spec.
+    """The faults that name a device which the bench emulates; each as a spec.
 
     Args:
         config: the bench; the faults that it names come first.
@@ -281,15 +281,15 @@ def open_emulation(
         )
     plan = check_faults(config, faults, only=names)
     world = build_world(config, seed=seed, faults=plan)
-    faces: dict[str, Face] = {}
+    transports: dict[str, Transport] = {}
     try:
         for name in names:
             shown = kinds()[name].shown_as
             device = emulated(config, world, name, shown, standard_ports=standard_ports)
-            face = _reached(config, world, name, "serve", device.serve)
-            faces[shown] = guarded_face(world, name, model_of(config, name), face)
+            transport = _reached(config, world, name, "serve", device.serve)
+            transports[shown] = wrapped_transport(world, name, model_of(config, name), transport)
     except HilError:
-        for face in faces.values():
-            face.close()
+        for transport in transports.values():
+            transport.close()
         raise
-    return EmulationServer(world, MonotonicClock(), faces, lifeline=lifeline, await_start=await_start)
+    return EmulationServer(world, MonotonicClock(), transports, lifeline=lifeline, await_start=await_start)

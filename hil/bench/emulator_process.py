@@ -1,4 +1,4 @@
-"""Emulated devices in a process of their own: `hil emulate`, started, asked for its endpoints, ended."""
+"""Runs `hil emulate` as a child process: starts it, reads its endpoints, ends it."""
 
 from __future__ import annotations
 

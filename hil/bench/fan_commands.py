@@ -1,4 +1,4 @@
-"""Fan and propellers of a bench outside any run: what `hil adhesion` does, by their keepers and devices."""
+"""Switches a bench's fan and propellers outside any run, for `hil adhesion`, by their daemons and devices."""
 
 from __future__ import annotations
 
@@ -10,55 +10,55 @@ from typing import Any
 
 from hil.bench.drivers import make_device_set
 from hil.bench.fan_interlock import DEVICE, STEP_NS, WATCH_S, duty_n, fan_of, must_be_enough
-from hil.bench.settings import force_wanted_n
+from hil.bench.loop_settings import force_wanted_n
 from hil.config.adhesion import AdhesionConfig, MotorConfig
 from hil.config.bench import BenchConfig
-from hil.config.can_motor import KeptMotorConfig
+from hil.config.can_motor import DaemonMotorConfig
 from hil.core.clock import MonotonicClock, nanoseconds
 from hil.core.errors import ConfigError, DeviceError, UsageError
 from hil.core.signals import Status as SampleStatus
 from hil.core.signals import worst
-from hil.drivers.adhesion.keeper import client
-from hil.drivers.adhesion.keeper.client import Status, of_whom
-from hil.drivers.adhesion.keeper.door import bus_of, keepers
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon import client
+from hil.drivers.adhesion.fan_daemon.client import Status, of_whom
+from hil.drivers.adhesion.fan_daemon.server import bus_of, running_daemons
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.support.port_users import Program, ending, named, running
 
 __all__ = [
     "Spec",
     "Status",
+    "daemon_command",
+    "daemon_spec",
+    "daemon_specs",
+    "daemon_status",
     "described",
-    "keeper_command",
-    "keeper_spec",
-    "keeper_status",
-    "kept_specs",
     "of_whom",
-    "other_keepers",
+    "other_daemons",
     "switch_off",
     "switch_on",
 ]
 
-_NEAR, _STEADY_NS, _TELL_NS = 0.05, nanoseconds(0.5), nanoseconds(1.0)
+_NEAR, _STEADY_NS, _SAY_NS = 0.05, nanoseconds(0.5), nanoseconds(1.0)
 
 Say = Callable[[str], None]
 
 
-def kept_specs(config: BenchConfig) -> dict[str, Spec]:
-    """What is kept running of a bench, by kind: the fan first, and propellers behind VESCs.
+def daemon_specs(config: BenchConfig) -> dict[str, Spec]:
+    """Specs of all daemons of a bench, by kind: the fan's first, then of propellers behind VESCs.
 
     Raises:
         ConfigError: it has neither, or a fan that no other program can reach.
     """
     found = {
-        name: Spec(**table.keeper())
+        name: Spec(**table.daemon_spec())
         for name, table in config.devices().items()
-        if isinstance(table, KeptMotorConfig) and table.backend == "real"
+        if isinstance(table, DaemonMotorConfig) and table.backend == "real"
     }
-    return found if found and config.of(AdhesionConfig) is None else {DEVICE: keeper_spec(config), **found}
+    return found if found and config.of(AdhesionConfig) is None else {DEVICE: daemon_spec(config), **found}
 
 
-def keeper_spec(config: BenchConfig) -> Spec:
-    """What keeps the fan of a bench.
+def daemon_spec(config: BenchConfig) -> Spec:
+    """Spec of the daemon of a bench's fan.
 
     Raises:
         ConfigError: it has no fan, or one that no other program can reach.
@@ -66,15 +66,15 @@ def keeper_spec(config: BenchConfig) -> Spec:
     table = fan_of(config)
     if not isinstance(table, MotorConfig):
         raise ConfigError(
-            f"{config.name}: a fan without a keeper",
+            f"{config.name}: a fan without a daemon",
             expected="one whose controller is on CAN",
             remedy='adhesion.model = "vesc" or "dronecan"',
         )
-    return Spec(**table.keeper())
+    return Spec(**table.daemon_spec())
 
 
-def keeper_status(spec: Spec) -> Status | None:
-    """What a keeper says; None where there is none. Raises `DeviceError`."""
+def daemon_status(spec: Spec) -> Status | None:
+    """Status of a running daemon; None where there is none. Raises `DeviceError`."""
     connection = client.connect(spec)
     if connection is None:
         return None
@@ -82,10 +82,10 @@ def keeper_status(spec: Spec) -> Status | None:
         return client.ask(connection, {"do": "status"}, spec)
 
 
-def other_keepers(specs: Collection[Spec]) -> list[str]:
-    """Names of fans and propellers on the buses of these that have a keeper and are not among them."""
+def other_daemons(specs: Collection[Spec]) -> list[str]:
+    """Names of fans and propellers on the buses of these that have a daemon and are not among them."""
     named, buses = {spec.name for spec in specs}, {spec.bus for spec in specs}
-    return [name for name in keepers() if name not in named and bus_of(name) in buses]
+    return [name for name in running_daemons() if name not in named and bus_of(name) in buses]
 
 
 def switch_on(
@@ -104,8 +104,8 @@ def switch_on(
         force_n: what to ask for; what the bench wants on its wall when None.
         duty: asked for in place of a force.
         wait_s: how long it may take.
-        say: told how far it is.
-        tethered: the robot is tethered or off the wall: the operator has looked.
+        say: takes a line of progress each second.
+        tethered: the operator has confirmed that the robot is tethered or off the wall.
 
     Returns:
         The force that the fan's speed gives, N. The fan goes on, whatever ends this.
@@ -117,9 +117,9 @@ def switch_on(
     table, clock = fan_of(config), MonotonicClock()
     wanted_n = force_wanted_n(config) if force_n is None else force_n
     if isinstance(table, MotorConfig):
-        _must_be_free(keeper_spec(config))
+        _must_be_free(daemon_spec(config))
     fan: Any = make_device_set(config, clock, {}).get(DEVICE)
-    if not tethered:  # and closed again: nothing would command it while the others are looked at
+    if not tethered:  # and closed again: it would not be commanded while the others are read
         fan.open()
         with contextlib.closing(fan):
             now = _first_report(fan, clock)
@@ -132,7 +132,7 @@ def switch_on(
             fan.set_force_n(wanted_n)
         else:
             fan.set_duty(duty)
-        near_ns, told_ns, newest = None, 0, None
+        near_ns, said_ns, newest = None, 0, None
         end_ns = clock.now_ns() + nanoseconds(wait_s)
         while (now_ns := clock.now_ns()) < end_ns:
             newest = (*fan.read()[-1:], newest)[0]
@@ -142,8 +142,8 @@ def switch_on(
                 near_ns = (near_ns or now_ns) if abs(off) <= _NEAR else None
                 if near_ns is not None and now_ns - near_ns >= _STEADY_NS:
                     return is_n
-                if now_ns - told_ns > _TELL_NS:
-                    told_ns = now_ns
+                if now_ns - said_ns > _SAY_NS:
+                    said_ns = now_ns
                     say(f"{newest.speed_rpm:.0f} 1/min, good for {is_n:.1f} N")
             clock.sleep_until_ns(now_ns + STEP_NS)
         raise _not_reached(newest, f"{wanted_n:g} N" if duty is None else f"duty {duty:g}", wait_s)
@@ -153,9 +153,9 @@ def _must_be_free(spec: Spec) -> None:
     """Refuse a fan that another program commands: that one would ask for its own set-point at once.
 
     Raises:
-        UsageError: a bench, or another `hil adhesion on`, has asked its keeper for a set-point and goes on.
+        UsageError: a bench, or another `hil adhesion on`, has asked its daemon for a set-point and goes on.
     """
-    setters = set((keeper_status(spec) or {}).get("set_by", ())) - {os.getpid()}
+    setters = set((daemon_status(spec) or {}).get("set_by", ())) - {os.getpid()}
     if not setters:
         return
     names = {program.pid: program.name for program in running()}
@@ -195,15 +195,15 @@ def _not_reached(newest: Any, wanted: str, wait_s: float) -> DeviceError:
 
 
 def switch_off(spec: Spec, confirmed_by: str, *, say: Say) -> Status | None:
-    """Let a fan or propellers come to rest along the ramp and wait for it; None where they have no keeper.
+    """Let a fan or propellers come to rest along the ramp and wait for it; None where they have no daemon.
 
     Args:
-        spec: what is kept.
+        spec: the fan or propellers.
         confirmed_by: why nothing hangs by it.
-        say: told how far it is.
+        say: takes a line of progress each half second.
 
     Raises:
-        UsageError: something has asked for the force again meanwhile.
+        UsageError: another program has asked for the force again meanwhile.
     """
     connection = client.connect(spec)
     if connection is None:
@@ -215,16 +215,18 @@ def switch_off(spec: Spec, confirmed_by: str, *, say: Say) -> Status | None:
             time.sleep(0.5)
             status = client.ask(connection, {"do": "status"}, spec)
             if status["state"] == "keeping":
-                raise UsageError(f"somebody has asked for {spec.noun} again", remedy="`hil adhesion status`")
+                raise UsageError(
+                    f"another program has asked for {spec.noun} again", remedy="`hil adhesion status`"
+                )
         return status
 
 
 def described(status: Mapping[str, Any], spec: Spec) -> str:
-    """One line about a kept fan, or propellers."""
+    """One line on how a fan, or propellers, run by their daemon's status."""
     sent, report = status["sent"], status["report"]
     parts = [status["state"] + (f" at {sent[0]} {sent[1]:.3g}" if sent else "")]
     units = (
-        ("erpm", "1/min" if spec.dialect == "dronecan" else "electrical 1/min", 0),
+        ("erpm", "1/min" if spec.protocol == "dronecan" else "electrical 1/min", 0),
         ("current_a", "A", 1),
         ("input_v", "V", 1),
         ("fet_c", "degC", 0),
@@ -239,6 +241,6 @@ def described(status: Mapping[str, Any], spec: Spec) -> str:
     return ", ".join(parts)
 
 
-def keeper_command(spec: Spec) -> list[str]:
-    """The command line of a keeper that stays in the foreground."""
-    return [*client.KEEPER, spec.to_json(), "--stay"]
+def daemon_command(spec: Spec) -> list[str]:
+    """The command line of a daemon that stays in the foreground."""
+    return [*client.DAEMON, spec.to_json(), "--stay"]

@@ -1,4 +1,4 @@
-"""Whether a robot may hang by its fan: it is lowered only where IMU and load cells say that it does not."""
+"""Refuses to lower the fan's force while the robot may hang by it, by IMU and load cells."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.bench.drivers import make_device_set
 from hil.bench.hold.tilt import tilt_rad
-from hil.bench.settings import adhesion_limits, can_fall, thrust_wanted_n
+from hil.bench.loop_settings import adhesion_limits, can_fall, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig, MotorConfig
 from hil.config.bench import BenchConfig
 from hil.core.clock import MonotonicClock, nanoseconds
@@ -57,7 +57,7 @@ def must_be_enough(config: BenchConfig, is_n: float, asked_n: float) -> None:
     Args:
         config: of the bench.
         is_n: what the fan gives now, N.
-        asked_n: what it is to give, N; NaN where it cannot be told.
+        asked_n: what it is to give, N; NaN where that is unknown.
 
     Raises:
         UsageError: IMU and load cells do not say that the robot is off the wall.
@@ -80,7 +80,7 @@ def must_be_enough(config: BenchConfig, is_n: float, asked_n: float) -> None:
 
 
 def duty_n(table: AdhesionConfig, duty: float, now: Any) -> float:
-    """Force that a duty gives, N: by how the fan runs now, else by its ratings; NaN where nothing tells."""
+    """Force that a duty gives, N: by how the fan runs now, else by its ratings; NaN without both."""
     if now.duty > 0.0 and now.speed_rpm > _TURNS_RPM:
         return table.force_at_n(now.speed_rpm * duty / now.duty)
     if not isinstance(table, MotorConfig):
@@ -95,7 +95,7 @@ def seen_off_the_wall(config: BenchConfig) -> str:
     Both have to say so, because either may lie.
 
     Raises:
-        UsageError: something says that it may hang, or nothing can see.
+        UsageError: a sensor says that it may hang, or no sensor can see.
     """
     table = fan_of(config)
     rig, clock = make_device_set(config, MonotonicClock(), {}), MonotonicClock()

@@ -1,4 +1,4 @@
-"""What a bench makes out of its configuration alone: pipelines, estimators, the head of a recording.
+"""Makes pipelines, estimators and the header of a recording from a configuration, without devices.
 
 No device, clock or loop: a replay needs this half of a bench only, and gets the same pipelines from it as
 the loop had.
@@ -8,13 +8,19 @@ from __future__ import annotations
 
 from copy import copy
 
-from hil.bench.settings import alignment_parameters, checks, motion_limits, safety_limits, with_measured_scale
+from hil.bench.loop_settings import (
+    alignment_parameters,
+    checks,
+    motion_limits,
+    safety_limits,
+    with_measured_scale,
+)
 from hil.config.bench import BenchConfig
 from hil.config.estimator import EstimatorConfig
 from hil.config.servos import ServosConfig
-from hil.controller import make_controller
+from hil.controller import make_controller, make_modules
 from hil.controller.joint_script import JointScript, ScriptedController
-from hil.core.choices import ESTIMATORS, LAWS
+from hil.core.choices import ESTIMATORS, LAWS, ROS2
 from hil.core.errors import UsageError
 from hil.core.interfaces import Controller, Estimator
 from hil.estimator import make_estimator
@@ -25,6 +31,7 @@ from hil.loop.supervisor import Supervisor
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import check
 from hil.robot.trajectories import Trajectory
+from hil.ros2.external_controller import JointLimits, Ros2Controller
 from hil.support.arithmetic_fingerprint import fingerprint
 from hil.support.versions import versions
 
@@ -85,14 +92,18 @@ class BenchModel:
     ) -> ControlPipeline:
         """The deterministic part of the loop for one motion or script (also what replay runs).
 
+        A program on ROS 2 (`ros2:TOPIC`) drives without a trajectory, too.
+
         Raises:
             UsageError: unknown feedback or controller.
         """
         config = self.config
         law: Controller | None = None
-        follows = trajectory is not None and not isinstance(trajectory, JointScript)
+        external = None
         if isinstance(trajectory, JointScript):
             law = ScriptedController(trajectory)
+        elif controller is not None and controller.startswith(ROS2):
+            external = self._external(controller)
         elif trajectory is not None:
             control = config.control
             if controller not in (None, *LAWS):
@@ -100,6 +111,8 @@ class BenchModel:
             if controller is not None:
                 control = control.model_copy(update={"law": controller})
             law = make_controller(control, self.geometry, trajectory, rate_hz=config.loop.rate_hz)
+        scripted = trajectory is None or isinstance(trajectory, JointScript)
+        follows = external is not None or not scripted
         restart = self._restart()
         reference_at = None
         if trajectory is not None:
@@ -115,7 +128,21 @@ class BenchModel:
             reference_at,
             {name: self.make_estimator(name, diagnostics=False) for name in observers},
             restart,
+            external,
         )
+
+    def _external(self, name: str) -> Ros2Controller:
+        """A program on ROS 2 that drives; nothing is attached to it yet."""
+        config = self.config
+        limits = JointLimits(
+            config.safety.wheel_rate_limit_rad_s,
+            config.safety.steering_limit_rad,
+            config.control.steering_rate_rad_s,
+            config.ros2.late_after_s,
+            1.0 / config.loop.rate_hz,
+        )
+        modules = make_modules(config.control, self.geometry, rate_hz=config.loop.rate_hz)
+        return Ros2Controller(name, limits, self.alignment_parameters, modules)
 
     def _restart(self) -> Restart | None:
         """How it goes on after a pause that its servos' watchdogs did not wait for."""

@@ -17,10 +17,10 @@ from hil.bench.camera_odometry import with_wheel_sigma
 from hil.bench.drivers import make_device_set, model_of
 from hil.bench.emulation import build_world, check_faults, connect_in_process, planned_faults
 from hil.bench.emulator_process import EmulatorProcess
+from hil.bench.loop_settings import geometry_of, with_wheel_model
 from hil.bench.model import BenchModel
-from hil.bench.settings import geometry_of, with_wheel_model
 from hil.calibration.calibration_file import read_calibration
-from hil.calibration.usable import check_usable, failed_validation
+from hil.calibration.usability_check import check_usable, failed_validation
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.core import bench_openings
@@ -104,7 +104,7 @@ def _put_together(
 def make_bench_model(
     config: str | Path | BenchConfig, *, calibration: str | Path | None = None
 ) -> BenchModel:
-    """What a bench is made from, without its devices.
+    """Make the model of a bench, without its devices.
 
     Args:
         config: path of a bench file, name of a shipped profile, or a configuration.
@@ -124,7 +124,7 @@ def _at_the_wire(model: BenchModel, plan: tuple[Fault, ...], sinks: tuple[Sink, 
     try:
         emulator = EmulatorProcess(served, seed=model.seed, faults=[describe(f) for f in plan])
     except DeviceError:
-        check_faults(served, plan)  # where a key of the bench file is at fault, that is told instead
+        check_faults(served, plan)  # where a key of the bench file is at fault, that is reported instead
         raise
     clock = MonotonicClock()
     rig = make_device_set(config, clock, _reach(config, emulator.endpoints))

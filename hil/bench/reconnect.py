@@ -1,9 +1,9 @@
-"""Sensors that come back: a port that has gone is opened again while the run goes on.
+"""Opens a lost port of a sensor again while the run goes on.
 
 Opening takes up to seconds, so it happens in a thread, and only on the host's clock: ports of virtual time
 come back by themselves. Meanwhile the sensor delivers nothing. A sensor that is silent for longer than its
 `fail_after_s` is an error, in virtual time and in real time alike, so that a procedure ends the same in both.
-Only a program that watches a resting robot, as `hil live` may, waits longer.
+Only a program that watches a resting robot, such as `hil live`, waits longer.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Reopenable(Protocol):
 def reconnecting(
     sensors: Mapping[str, Sensor[Any]], clock: Clock, fail_after_s: Mapping[str, float] | None = None
 ) -> dict[str, Sensor[Any]]:
-    """Those sensors that can come back behind a `Reconnecting`; in virtual time just as they are.
+    """Wrap sensors that can come back in a `Reconnecting`; in virtual time none.
 
     Args:
         sensors: by kind.

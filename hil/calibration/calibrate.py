@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from hil.calibration.corrupt import corrupt
+from hil.calibration.corrupt_recordings import corrupt
 from hil.calibration.evaluation import cost, track_all
 from hil.calibration.excitation import Driven, check_geometry, driven
 from hil.calibration.fitting import Fit, fit, twist_between
@@ -31,7 +31,7 @@ from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.blocks import Blocks, reduce_recordings
 from hil.datasets.dataset import Recording
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.robot.kinematics import WheelGeometry
 from hil.support.progress import WHOLE, Report, silent
 
@@ -42,8 +42,8 @@ _VALIDATION_BLOCK_S = 0.5
 class Calibration:
     """Everything that a calibration found; `to_json` gives the documented keys.
 
-    `robot` is what errors before are counted from; `choice` tells how held-out recordings decided the forward
-    model, None where they did not; all figures are of `recordings`, those that were fitted; `rejected` tells
+    `robot` is what errors before are counted from; `choice` says how held-out recordings decided the forward
+    model, None where they did not; all figures are of `recordings`, those that were fitted; `rejected` says
     why others were left out, by name; `wall_s` is the compute time of the calibration itself, `validation_s`
     that of judging the recordings and of the cross-validations.
     """
@@ -237,7 +237,7 @@ def calibrate(
 def _intervals(
     recordings: Sequence[Recording], found: Fit, cad: WheelGeometry, choice: Choice | None
 ) -> StandardErrors:
-    """Those of a fit, as wide as its rivals' fits call for."""
+    """Intervals of a fit, widened by the differences of its rivals' fits."""
     rivals = [_rival_fit(recordings, c) for c in choice.rivals] if choice is not None else []
     return standard_errors(found, cad).beside(
         found.solution.z, [(other.solution.z, standard_errors(other, cad)) for other in rivals]

@@ -1,4 +1,4 @@
-"""Odometry against ground truth: the error table of recordings (`hil evaluate`).
+"""Compares odometry with ground truth: the error table of recordings (`hil evaluate`).
 
 Two preprocessings. `paper` follows the authors' own (arXiv 2509.04016): receive stamps made
 increasing, servo signals interpolated onto the ground-truth stamps, the first 29 samples dropped,

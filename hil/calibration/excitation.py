@@ -1,4 +1,4 @@
-"""What recordings drove: how far in which direction, and whether their geometry can be right.
+"""Measures what recordings excite: how far in which direction, and whether their geometry is plausible.
 
 A calibration is a 3x3 map of body motion at least. A direction that no recording drives on its own leaves
 a column of it to the prior and to what the other motions happen to imply, and odometry there extrapolates.
@@ -15,7 +15,7 @@ from hil.calibration.motion_models import make_model
 from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.blocks import Blocks
-from hil.datasets.nominal import Nominal, lever_m
+from hil.datasets.nominal_robot import Nominal, lever_m
 from hil.robot.kinematics import WheelGeometry
 
 DIRECTIONS = ("forward", "sideways", "turning")

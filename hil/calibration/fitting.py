@@ -1,4 +1,4 @@
-"""From recordings to a fitted parameter vector: robust weights, continuation, then the chosen method.
+"""Fits a parameter vector to recordings: robust weights, continuation, then the chosen method.
 
 The dry-friction model has bad minima, so it is fitted through a chain of easier problems: friction
 exponent 2 (least squares), 1.5, 1.2, 1 (Coulomb), each started at the last one's solution.

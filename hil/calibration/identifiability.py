@@ -1,4 +1,4 @@
-"""What the data determine: singular values, determined directions, intervals."""
+"""Computes which parameters the data determine: singular values, directions, intervals."""
 
 from __future__ import annotations
 

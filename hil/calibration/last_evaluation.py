@@ -1,4 +1,4 @@
-"""What is known of the parameters that a fit asked about last, so that nothing is computed twice in a row."""
+"""Keeps costs and terms of the parameters that a fit evaluated last, so that none is computed twice."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Which forward model, wheel loads and tyre ratio: decided by recordings that the fit did not see.
+"""Chooses forward model, wheel loads and tyre ratio by recordings that the fit did not see.
 
 On the emulated wall's own plant creep under unequal loads predicts best, in another physics and on the
-recordings of the real robot dry friction does (`docs/calibration.md`). No residual tells which: a wrong
+recordings of the real robot dry friction does (`docs/calibration.md`). No residual shows which: a wrong
 model fits what it was fitted to about as well. So every candidate is fitted without one repetition at a time
 and judged on that one.
 

@@ -41,7 +41,7 @@ class Parameters(BaseModel):
 
 
 class Tyres(BaseModel):
-    """What the forward model `creep` was told of the wheels; see `hil.robot.kinematics.WheelGeometry`."""
+    """The wheels as given to the forward model `creep`; see `hil.robot.kinematics.WheelGeometry`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     load: Four

@@ -1,4 +1,4 @@
-"""One pass over recordings: what a fit asks for again and again, block by block, compiled by numba.
+"""Computes residuals and derivatives in one pass over recordings, block by block, compiled by numba.
 
 The arithmetic is that of `hil.calibration.motion_models` and `hil.robot.odometry`, which numpy runs on
 arrays; here it runs on numbers, and no array is made between wheels and residuals.

@@ -235,7 +235,7 @@ def _searched(
     first = drawn.uniform(-_SEARCH_STD, _SEARCH_STD, (people, dimension))
     first[0] = 0.0
 
-    class Told(Callback):  # type: ignore[misc]
+    class Progress(Callback):  # type: ignore[misc]
         """Passes each generation on."""
 
         def notify(self, algorithm: Any) -> None:
@@ -249,7 +249,7 @@ def _searched(
         algorithm,
         ("n_gen", generations),
         seed=seed,
-        callback=Told(),
+        callback=Progress(),
         verbose=False,
     )
     return np.asarray(found.X, dtype=np.float64), generations

@@ -1,4 +1,4 @@
-"""How well a calibration predicts motions that it has not seen: leave one repetition or one motion out."""
+"""Cross-validates a calibration: leaves one repetition or one motion out, and predicts it."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def left_out(
             found.update(tracks)
             if progress is not None:
                 progress(number, len(labels))
-    finally:  # whoever interrupts does not wait for folds that have not begun
+    finally:  # an interrupt does not wait for folds that have not begun
         pool.shutdown(cancel_futures=True)
     return [found[k] for k in sorted(found)]
 

@@ -21,7 +21,7 @@ from hil.calibration.calibration_file import (
     read_calibration,
     save_calibration,
 )
-from hil.calibration.usable import check_made_for, check_passed, made_for
+from hil.calibration.usability_check import check_made_for, check_passed, made_for
 from hil.config.bench import BenchConfig
 from hil.config.robot_record.parts import Identity
 from hil.core.errors import ConfigError, reason_of

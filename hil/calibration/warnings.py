@@ -1,4 +1,4 @@
-"""What the user of a calibration has to know about it, in sentences: `warnings` of the result."""
+"""Makes the sentences under `warnings` of a calibration's result."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from hil.calibration.validation import Deployed, Table
 from hil.datasets.blocks import Blocks
 from hil.datasets.dataset import Recording
 from hil.datasets.initial_rest import start_of
-from hil.datasets.nominal import lever_m
+from hil.datasets.nominal_robot import lever_m
 from hil.datasets.sampling import LONGEST_GAP_S
-from hil.datasets.signs import LOOK, contradictions
 from hil.datasets.time_offset import different_clocks
+from hil.datasets.wrong_signs import LOOK, contradictions
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate
 
@@ -56,7 +56,7 @@ def caveats(
         tables: validation by name, empty without.
         deployed: errors of the result on the recordings.
     """
-    out = told_by(recordings)
+    out = warnings_of(recordings)
     out += contradictions(recordings, found.problem.tyres.with_vector(found.problem.nominal))
     if len(recordings) == 1:
         out.append("one recording only: no interval, no cross-validation; repeat the motion")
@@ -113,7 +113,7 @@ def motions_apart(found: Fit) -> list[str]:
     ]
 
 
-def told_by(recordings: Sequence[Recording]) -> list[str]:
+def warnings_of(recordings: Sequence[Recording]) -> list[str]:
     """What recordings say about themselves: damage, repairs, a start in motion, and clocks that differ."""
     lines = [line for r in recordings for line in (*r.warnings(), *start_of(r).doubt(r.name))]
     return [*lines, *different_clocks(recordings)]

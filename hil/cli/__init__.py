@@ -18,9 +18,9 @@ import click
 
 from hil import __version__
 from hil.cli.options import PROGRESS, SuggestingGroup
-from hil.cli.output import Answered, Output, error_as_json, tell_calls
+from hil.cli.output import Answered, Output, error_as_json, print_user_calls
 from hil.core.errors import EXIT_ABORTED, Aborted, DefectError, HilError, UsageError
-from hil.core.errors import told as in_a_line
+from hil.core.errors import error_text as in_a_line
 from hil.support.file_reading import printable
 from hil.support.stop_signals import deaf_from_now_on
 
@@ -108,8 +108,8 @@ def cli(verbose: int, progress: str) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line.
 
-    With `--json` an error is told on stdout too, as the one object that is promised there. An exception that
-    was not foreseen is told with its traceback.
+    With `--json` an error is printed on stdout too, as the one object that is promised there. An unexpected
+    exception is printed with its traceback.
 
     Returns:
         The exit code: 0 pass, 1 a limit failed, 2 usage or configuration, 3 device, 4 aborted, or a defect.
@@ -120,7 +120,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         result = cli.main(args=words, prog_name="hil", standalone_mode=False, obj=answered)
     except HilError as error:
         reported = error_as_json(error)
-        tell_calls(reported["frames"])
+        print_user_calls(reported["frames"])
         click.echo(printable(f"hil: {error}"), err=True)
     except click.exceptions.Exit as leave:
         return leave.exit_code

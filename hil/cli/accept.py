@@ -8,10 +8,10 @@ from typing import Any
 
 import click
 
-from hil.cli.answers import answers_option, asked_to_end, operator
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.options import JSON, OUT, results_folder
 from hil.cli.progress import reporting
+from hil.cli.question_answers import answers_option, asked_to_end, operator
 from hil.core.clock import local_time
 from hil.core.errors import shown_path
 from hil.core.result_files import ACCEPTANCE_TABLE
@@ -71,9 +71,9 @@ def command(
     return code
 
 
-def _text(told: dict[str, Any]) -> str:
+def _text(summary: dict[str, Any]) -> str:
     lines = []
-    for stage in told["stages"]:
+    for stage in summary["stages"]:
         lines.append(f"{stage['verdict']:8}{stage['name']:10}{stage['why']}".rstrip())
         for finding in stage["findings"]:
             if finding["level"] == "ok":
@@ -84,8 +84,8 @@ def _text(told: dict[str, Any]) -> str:
             if hints := "; ".join(filter(None, (expected, finding["remedy"]))):
                 lines.append(f"       {hints}")
     written = "the page to sign could not be written"
-    if told["page"]:
-        page, data = (shown_path(Path(told[key])) for key in ("page", "data"))
+    if summary["page"]:
+        page, data = (shown_path(Path(summary[key])) for key in ("page", "data"))
         written = f"the page to sign is {page}, its data {data}"
-    lines.append(f"{told['verdict']}: {written}")
+    lines.append(f"{summary['verdict']}: {written}")
     return "\n".join(lines)

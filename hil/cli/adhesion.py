@@ -1,4 +1,4 @@
-"""`hil adhesion`: the fan that presses the robot on its wall, switched on and off, looked at, kept."""
+"""`hil adhesion`: switches the fan that presses the robot on its wall, shows it, runs its daemon."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ _TETHERED = click.option(
 
 @click.group(cls=SuggestingGroup)
 def command() -> None:
-    """The fan that presses the robot on its wall, and the process that keeps it running.
+    """The fan that presses the robot on its wall, and the daemon that keeps it running.
 
-    The fan goes on when a program ends, however it ends: a process of its own, its keeper, goes on commanding
-    it. Only `hil adhesion off` lets it come to rest. Neither `off` nor less force from `on` is possible while
-    the robot may hang by the fan, unless --tethered says that you have looked.
+    The fan goes on when a program ends, however it ends: a process of its own, the fan daemon, goes on
+    commanding it. Only `hil adhesion off` lets it come to rest. Neither `off` nor less force from `on` is
+    possible while the robot may hang by the fan, unless --tethered says that you have looked.
     """
 
 
@@ -70,13 +70,13 @@ def switch_on(
     if force_n is not None and duty is not None:
         raise UsageError("--force and --duty are both given", expected="one of them", remedy="leave one out")
     config = _config(bench)
-    spec = fan_commands.keeper_spec(config)
+    spec = fan_commands.daemon_spec(config)
     reached_n = fan_commands.switch_on(
         config, force_n=force_n, duty=duty, wait_s=wait_s, say=_progress, tethered=tethered
     )
-    status = fan_commands.keeper_status(spec)
+    status = fan_commands.daemon_status(spec)
     if as_json:
-        click.echo(json.dumps({"fan": spec.name, "force_n": reached_n, "keeper": status}))
+        click.echo(json.dumps({"fan": spec.name, "force_n": reached_n, "daemon": status}))
     else:
         click.echo(f"{spec.name}: good for {reached_n:.1f} N; it stays on until `hil adhesion off`")
     return EXIT_PASS
@@ -87,7 +87,7 @@ def switch_on(
 @_TETHERED
 @JSON
 def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
-    """Let the fan, and propellers that have a keeper, come to rest along a ramp.
+    """Let the fan, and propellers that have a daemon, come to rest along a ramp.
 
     Refused unless --tethered is given, or IMU and load cells both say that the robot does not hang by it.
 
@@ -97,26 +97,26 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
     from hil.bench.fan_interlock import seen_off_the_wall
 
     config = _config(bench)
-    specs = fan_commands.kept_specs(config)
+    specs = fan_commands.daemon_specs(config)
     why = "the operator: tethered or off the wall" if tethered else seen_off_the_wall(config)
     found = {kind: fan_commands.switch_off(spec, why, say=_progress) for kind, spec in specs.items()}
     kind, spec = next(iter(specs.items()))
-    if found[kind] is None and (others := fan_commands.other_keepers(specs.values())):
+    if found[kind] is None and (others := fan_commands.other_daemons(specs.values())):
         raise DeviceError(
             kind,
-            "it has no keeper and was not stopped; on its bus is kept " + "; ".join(others),
+            "it has no daemon and was not stopped; a daemon on its bus commands " + "; ".join(others),
             port=spec.name,
             expected="the one that runs",
             remedy=f"name that one in [{kind}] of {bench}",
         )
     if as_json:
-        click.echo(json.dumps({**_told(specs, found), "confirmed_by": why}))
+        click.echo(json.dumps({**_as_json(specs, found), "confirmed_by": why}))
         return EXIT_PASS
     for kind, spec in specs.items():
-        status, message = found[kind], "it has no keeper; nothing was running that could be stopped"
+        status, message = found[kind], "it has no daemon; nothing was running that could be stopped"
         if status is not None:
             message = f"off ({why})" + (
-                f", by the keeper{other}" if (other := fan_commands.of_whom(status)) else ""
+                f", by the daemon{other}" if (other := fan_commands.of_whom(status)) else ""
             )
         click.echo(f"{spec.name}: {message}")
     return EXIT_PASS
@@ -126,57 +126,59 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
 @_BENCH
 @JSON
 def show_status(bench: str, as_json: bool) -> int:
-    """How fan and propellers run, and who keeps them; ends with 3 where nothing keeps one, or does not tell.
+    """How fan and propellers run, and their daemons; ends with 3 where one has none, or it does not answer.
 
     Example: hil adhesion status --bench my.toml
     """
     from hil.bench import fan_commands
 
-    specs = fan_commands.kept_specs(_config(bench))
+    specs = fan_commands.daemon_specs(_config(bench))
     found = {kind: _asked(spec) for kind, spec in specs.items()}
     if as_json:
-        click.echo(json.dumps(_told(specs, found)))
+        click.echo(json.dumps(_as_json(specs, found)))
     else:
         for kind, spec in specs.items():
             _show(spec, found[kind])
-    return _all_kept(found)
+    return _exit_code(found)
 
 
 def _asked(spec: Spec) -> Status | DeviceError | None:
-    """What a keeper says, or why it does not; None where there is none."""
+    """Status of a daemon, or why it refuses; None where there is none."""
     from hil.bench import fan_commands
 
     try:
-        return fan_commands.keeper_status(spec)
+        return fan_commands.daemon_status(spec)
     except DeviceError as error:
         return error
 
 
-def _all_kept(found: Mapping[str, Status | DeviceError | None]) -> int:
-    """Exit code: whether everything that holds the robot has a keeper that tells how; else why, on stderr."""
+def _exit_code(found: Mapping[str, Status | DeviceError | None]) -> int:
+    """0 where everything that holds the robot has a daemon that answers; else 3, with why on stderr."""
     code = EXIT_PASS
     for kind, status in found.items():
         if status is None or isinstance(status, DeviceError):
-            code, message = EXIT_DEVICE, status or f"{kind} has no keeper: nobody commands it now"
+            code, message = EXIT_DEVICE, status or f"{kind} has no daemon: nothing commands it now"
             click.echo(f"hil: {message}", err=True)
     return code
 
 
-def _told(specs: Mapping[str, Spec], found: Mapping[str, Status | DeviceError | None]) -> dict[str, object]:
-    """What is kept, for a program: the fan as `fan` and `keeper`, propellers by their kind."""
+def _as_json(
+    specs: Mapping[str, Spec], found: Mapping[str, Status | DeviceError | None]
+) -> dict[str, object]:
+    """The daemons' states for `--json`: the fan as `fan` and `daemon`, propellers by their kind."""
     plain = {kind: None if isinstance(status, DeviceError) else status for kind, status in found.items()}
-    own = {kind: {"name": spec.name, "keeper": plain[kind]} for kind, spec in specs.items()}
+    own = {kind: {"name": spec.name, "daemon": plain[kind]} for kind, spec in specs.items()}
     fan = own.pop("adhesion", None)
-    return {**({} if fan is None else {"fan": fan["name"], "keeper": fan["keeper"]}), **own}
+    return {**({} if fan is None else {"fan": fan["name"], "daemon": fan["daemon"]}), **own}
 
 
 def _how(spec: Spec, status: Status | DeviceError | None) -> str:
-    """How it runs, in words."""
+    """How the fan or propellers of `spec` run, in words."""
     from hil.bench import fan_commands
 
     if isinstance(status, DeviceError):
-        return "its keeper does not tell how it runs"
-    return "no keeper" if status is None else fan_commands.described(status, spec)
+        return "its daemon refuses to say how it runs"
+    return "no daemon" if status is None else fan_commands.described(status, spec)
 
 
 def _show(spec: Spec, status: Status | DeviceError | None) -> None:
@@ -190,9 +192,9 @@ def _show(spec: Spec, status: Status | DeviceError | None) -> None:
     if status is None or isinstance(status, DeviceError):
         return
     since = time.strftime("%Y-%m-%d %H:%M", time.localtime(status["since"]))
-    behind = f"process {status['understudy']}" if status["understudy"] else "none"
+    behind = f"process {status['standby']}" if status["standby"] else "none"
     click.echo(
-        f"kept by process {status['pid']}{fan_commands.of_whom(status)} since {since}, understudy: {behind}"
+        f"daemon: process {status['pid']}{fan_commands.of_whom(status)} since {since}, standby: {behind}"
     )
     click.echo(f"log: {status['log'] or 'that of its service'}")
 
@@ -220,7 +222,7 @@ def watch(bench: str, every_s: float, duration_s: float | None) -> int:
     """
     from hil.bench import fan_commands
 
-    specs = fan_commands.kept_specs(_config(bench))
+    specs = fan_commands.daemon_specs(_config(bench))
     end_s = None if duration_s is None else time.monotonic() + duration_s
     while True:
         found = {kind: _asked(spec) for kind, spec in specs.items()}
@@ -228,15 +230,15 @@ def watch(bench: str, every_s: float, duration_s: float | None) -> int:
             which = f"{kind}: " if len(specs) > 1 else ""
             click.echo(f"{time.strftime('%H:%M:%S')} {which}{_how(specs[kind], status)}")
         if end_s is not None and time.monotonic() + every_s > end_s:
-            return _all_kept(found)
+            return _exit_code(found)
         time.sleep(every_s)
 
 
 @command.command("keep")
 @_BENCH
-@click.option("--propellers", is_flag=True, help="Keep the propellers on VESCs, not the fan.")
+@click.option("--propellers", is_flag=True, help="Run the daemon of the propellers on VESCs, not the fan's.")
 def keep(bench: str, propellers: bool) -> int:
-    """Be the fan's keeper, in the foreground: for a service of the robot's computer.
+    """Run the fan daemon in the foreground: for a service of the robot's computer.
 
     Takes over a fan that runs, else waits until it is asked for. Heeds no signal that can be caught.
 
@@ -244,21 +246,21 @@ def keep(bench: str, propellers: bool) -> int:
     """
     from hil.bench import fan_commands
 
-    specs = fan_commands.kept_specs(_config(bench))
+    specs = fan_commands.daemon_specs(_config(bench))
     if (spec := specs.get("thrust" if propellers else "adhesion")) is None:
         missing, wanted = ("propellers", "propellers on VESCs") if propellers else ("fan", "a fan on CAN")
         raise UsageError(
-            f"{bench} has no {missing} that can be kept",
+            f"{bench} has no {missing} that a daemon could run",
             expected=f"{wanted}, not emulated here",
             remedy="leave out --propellers" if propellers else "add [adhesion] to the bench file",
         )
-    if fan_commands.keeper_status(spec) is not None:
+    if fan_commands.daemon_status(spec) is not None:
         raise UsageError(
-            f"{spec.name} has a keeper already", remedy="`hil adhesion status` names its process"
+            f"{spec.name} has a daemon already", remedy="`hil adhesion status` names its process"
         )
     sys.stdout.flush()
     sys.stderr.flush()
-    os.execv(sys.executable, fan_commands.keeper_command(spec))
+    os.execv(sys.executable, fan_commands.daemon_command(spec))
 
 
 def _config(bench: str) -> BenchConfig:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start_question
-from hil.cli.answers import watching
 from hil.cli.completion_types import BENCH, CONTROLLER, DEVICES, FAULT, SETTING
-from hil.cli.options import FILE, SEED
+from hil.cli.options import FILE, SEED, FiniteRange
+from hil.cli.question_answers import watching
 from hil.core.choices import HIGHEST_DOMAIN, LAWS
 
 if TYPE_CHECKING:
@@ -59,14 +59,21 @@ _OPTIONS = {
         "--controller",
         type=CONTROLLER,
         metavar="LAW|FILE.py:NAME|MODULE:NAME|ros2:TOPIC",
-        help="Control law (nonlinear, optimal), or a class of your own, that drives every trajectory "
-        "[default: control.law]. `hil live` takes Twist and TwistStamped from ROS 2, too.",
+        help="Control law (nonlinear, optimal), a class of your own, or a program on ROS 2 that publishes "
+        "JointState, Twist or TwistStamped, that drives every trajectory [default: control.law].",
     ),
     "ros2": _stated("--ros2", is_flag=True, help="Publish the bench as ROS 2 topics, on this computer only."),
     "ros2_domain": _stated(
         "--ros2-domain",
         type=click.IntRange(0, HIGHEST_DOMAIN),
         help="DDS domain of --ros2 [default: ROS_DOMAIN_ID, else 0].",
+    ),
+    "ros2_wait": _stated(
+        "--ros2-wait",
+        type=FiniteRange(0.0, 0.8),
+        metavar="SHARE",
+        help="Share of a cycle in real time for which a controller on ROS 2 is waited for "
+        "[default: ros2.wait_share, 0.3].",
     ),
     "ros2_interface": _stated(
         "--ros2-interface",
@@ -92,6 +99,7 @@ class BenchRequest:
         controller: law, class of the user's own, or `ros2:` and a topic; empty for what the file says.
         ros2: published as ROS 2 topics.
         ros2_domain: DDS domain; None for that of the environment.
+        ros2_wait: share of a cycle to wait for a program that drives; None for what the file says.
         ros2_interface: network interface beside loopback; empty for none.
     """
 
@@ -106,11 +114,12 @@ class BenchRequest:
     controller: str = ""
     ros2: bool = False
     ros2_domain: int | None = None
+    ros2_wait: float | None = None
     ros2_interface: str = ""
 
     @property
     def ros2_topic(self) -> str:
-        """ROS 2 topic from which velocity commands come; empty for none."""
+        """ROS 2 topic from which a program drives the robot; empty for none."""
         kind, _, topic = self.controller.partition(":")
         return topic or "/" if kind == "ros2" else ""
 
@@ -128,10 +137,12 @@ class BenchRequest:
         from hil.procedure.bench_request import BenchSource
         from hil.procedure.user_controllers import check_named
 
-        own = "" if self.controller in LAWS or self.ros2_topic else self.controller
+        own = "" if self.controller in LAWS else self.controller
         if self.controller and not self.ros2_topic:
             check_named(self.controller)
             overrides = {**overrides, **({} if own else {"control.law": self.controller})}
+        if self.ros2_wait is not None:
+            overrides = {**overrides, "ros2.wait_share": self.ros2_wait}
         return BenchSource(
             self.bench or otherwise,
             emulate=self.emulate,

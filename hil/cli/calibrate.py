@@ -131,7 +131,7 @@ def _write(out: Path, result: Calibration, config: BenchConfig | None) -> None:
 
     from hil import __version__
     from hil.calibration.calibration_file import write_calibration
-    from hil.calibration.usable import made_for
+    from hil.calibration.usability_check import made_for
     from hil.config.robot_record.overlay import identity
 
     created = datetime.now(timezone.utc).isoformat(timespec="seconds")
@@ -196,5 +196,5 @@ def _text(result: Calibration) -> str:
 
 
 def _errors(row: Mapping[str, float]) -> str:
-    """Of one motion, or of their mean: mm and deg."""
+    """Errors of one motion, or of the mean of all, in mm and deg."""
     return f"{1e3 * row['rmse_position_m']:.1f} /{math.degrees(row['rmse_theta_rad']):6.2f}"

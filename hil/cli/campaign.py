@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,8 @@ from hil.cli.ended_early import shown_when_ended
 from hil.cli.options import FILE, JSON, OUT
 from hil.cli.output import kept_for_json
 from hil.cli.progress import reporting
+from hil.cli.ros2_options import published
+from hil.core.choices import LAWS
 from hil.core.errors import (
     EXIT_ABORTED,
     EXIT_LIMIT_FAILED,
@@ -31,6 +34,7 @@ from hil.core.result_files import CAMPAIGN_CSV, CAMPAIGN_PAGE, CAMPAIGN_TABLE, L
 from hil.support.atomic_files import check_name, write_text
 
 if TYPE_CHECKING:
+    from hil.core.interfaces import Sink
     from hil.procedure.campaign import Case, Row
     from hil.procedure.campaign.run_case import Setup
     from hil.procedure.declaration import Procedure
@@ -59,6 +63,9 @@ _VERDICTS = {EXIT_PASS: "PASS", EXIT_LIMIT_FAILED: "FAIL"}
     "settings",
     "faults",
     "calibration",
+    "controller",
+    "ros2_domain",
+    "ros2_interface",
     bench={"default": None, "help": "Bench file, or a shipped profile [default: the procedure's]."},
     settings={"help": "As in hil run, for all cases."},
     faults={"help": "As in hil run, for all cases."},
@@ -96,6 +103,8 @@ def command(
 ) -> int:
     """Run a procedure over seeds and settings on the emulated bench, in parallel, into one table.
 
+    With a controller on ROS 2 the cases run here, one after the other.
+
     Example: hil campaign wall_tracking --seeds 0:20 --vary fault=imu:off@5,tracker:off@5
     """
     from hil.procedure.campaign import check_dask, expand, parse_axis, parse_seeds
@@ -118,7 +127,19 @@ def command(
         _optional(request.calibration),
         _optional(answers),
         keep,
+        _optional(request.controller or None),
+        request.ros2_domain,
     )
+    if request.controller:
+        from hil.procedure.user_controllers import check_named
+
+        if not request.ros2_topic:
+            check_named(request.controller)
+        if scheduler and request.controller not in LAWS:
+            raise UsageError(
+                f"--controller {request.controller} is not sent to other computers",
+                remedy="leave --scheduler out",
+            )
     check(setup, proc, cases)
     if workers or scheduler:
         check_dask()
@@ -139,8 +160,9 @@ def command(
             return _write(out, proc, setup, cases, rows)["page"] if rows else ""
 
         try:
-            with kept_for_json(as_json), shown_when_ended(finished, show):
-                _run(setup, proc, cases, done, out, workers, scheduler or "")
+            with published(request) as publisher, kept_for_json(as_json), shown_when_ended(finished, show):
+                publish = None if publisher is None else publisher.sink
+                _run(setup, proc, cases, done, out, workers, scheduler or "", publish)
             rows = [done[case] for case in cases]
             tree = _write(out, proc, setup, cases, rows)
         except DataError as error:
@@ -178,8 +200,12 @@ def _run(
     out: Path,
     workers: int,
     scheduler: str,
+    publish: Callable[[Mapping[str, Any]], Sink] | None,
 ) -> None:
-    """Run what is not finished; `rows` receives all that is, as it comes."""
+    """Run what is not finished; `rows` receives all that is, as it comes.
+
+    What is published runs here, one case after the other: one program drives one robot.
+    """
     from hil.procedure.campaign import spread, write_rows
     from hil.procedure.campaign.input_files import files_of
     from hil.procedure.campaign.run_case import (
@@ -219,6 +245,8 @@ def _run(
                 scheduler=scheduler,
                 parcel=parcel,
             )
+        elif missing and publish is not None:
+            spread(partial(run_case, publish=publish), missing, lost=lost, done=done, workers=0)
         elif missing:
             spread(run_case, missing, lost=lost, done=done, workers=workers)
 

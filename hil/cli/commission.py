@@ -10,10 +10,10 @@ from typing import Any
 import click
 
 from hil.cli import start_question
-from hil.cli.answers import answers_option, asked_to_end, operator
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.options import JSON, OUT, results_folder
 from hil.cli.progress import reporting
+from hil.cli.question_answers import answers_option, asked_to_end, operator
 from hil.core.clock import local_time
 from hil.core.errors import shown_path
 from hil.core.result_files import COMMISSIONING_TABLE
@@ -84,29 +84,36 @@ def _overrides(settings: tuple[str, ...]) -> dict[str, object]:
     return overrides
 
 
-def _text(told: dict[str, Any]) -> str:
+def _text(summary: dict[str, Any]) -> str:
     from hil.bench.hold.result import held_in_words
 
     lines = [
-        f"{stage['verdict']:10}{stage['name']:26}{stage.get('why', '')}".rstrip() for stage in told["stages"]
+        f"{stage['verdict']:10}{stage['name']:26}{stage.get('why', '')}".rstrip()
+        for stage in summary["stages"]
     ]
-    if told["wall"]:
+    if summary["wall"]:
         lines.append(f"{'known':44}{'line':>8}{'end mm':>9}{'RMSE x':>9}{'RMSE y':>9}{'heading deg':>13}")
-        for name, cases in told["wall"].items():
+        for name, cases in summary["wall"].items():
             for case, row in cases.items():
                 numbers = "".join(f"{1e3 * row[key]:9.2f}" for key in ("end_m", "rmse_x_m", "rmse_y_m"))
                 heading = f"{math.degrees(row['rmse_heading_rad']):13.3f}"
                 lines.append(f"{name:44}{case:>8}{numbers}{heading}")
-    if told["stopped"] is not None:
-        stopped = told["stopped"]
+    if summary["stopped"] is not None:
+        stopped = summary["stopped"]
         lines.append(f"stopped at {stopped['procedure']} ({stopped['verdict']}): {stopped['why']}")
         if stopped["held"] is not None:
             lines.append(held_in_words(stopped["held"]))
         if stopped["held"] is not None and stopped["report"] is None:
             lines.append("the report of this procedure could not be written")
         lines.append(f"what to do: {stopped['do']}")
-    if told["stopped"] is None and not told["wall"]:
+    if summary["stopped"] is None and not summary["wall"]:
         lines.append("no line was driven on a wall: what the record brings is not verified")
-    page = f"the page {shown_path(Path(told['page']))}" if told["page"] else "the page could not be written"
-    lines.append(f"{told['verdict']}: the record of the robot is {shown_path(Path(told['robot']))}, {page}")
+    page = (
+        f"the page {shown_path(Path(summary['page']))}"
+        if summary["page"]
+        else "the page could not be written"
+    )
+    lines.append(
+        f"{summary['verdict']}: the record of the robot is {shown_path(Path(summary['robot']))}, {page}"
+    )
     return "\n".join(lines)

@@ -34,7 +34,7 @@ _START_S, _POLL_S, _STOP_S = 10.0, 0.05, 60.0
 def command(bench: str | None, where: Path, port: int, stopping: bool, as_json: bool) -> int:
     """The bench in a browser of this computer: devices, procedures, live figures, STOP, history.
 
-    Prints an address with a token. Only who has it gets in, and only from this computer. Ctrl-C ends the
+    Prints an address with a token. It is needed to get in, and only this computer can. Ctrl-C ends the
     console; what it has started goes on, and `hil console --stop` stops it. STOP is no emergency stop: keep
     the switch that cuts the power.
 
@@ -140,7 +140,7 @@ def _way_in(folder: Path) -> str:
     if is_private(folder / STOP):
         return f"open {_address(stopper)} in a browser"
     return (
-        f"its address is not told, because {folder / STOP}, where the token lies, is not yours alone: "
+        f"its address is not shown, because {folder / STOP}, where the token lies, is not yours alone: "
         f"end that console (kill {read(folder / PAGE)['pid']}) and start it again"
     )
 

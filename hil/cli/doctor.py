@@ -9,7 +9,7 @@ import click
 
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.options import JSON, OUT, FiniteRange
-from hil.cli.output import tell_calls
+from hil.cli.output import print_user_calls
 from hil.core.errors import EXIT_DEVICE, EXIT_PASS
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "failure": ("FAIL", "red")}
@@ -70,7 +70,7 @@ def command(request: BenchRequest, watch_s: float, fix: bool, out: Path | None, 
             if finding.level != "ok":
                 hints = [f"expected {finding.expected}"] * bool(finding.expected) + [finding.remedy]
                 click.echo(" " * (width + 6) + "; ".join(h for h in hints if h))
-        tell_calls(finding.frames)
+        print_user_calls(finding.frames)
     failed = [f for f in findings if f.level == "failure"]
     if as_json:
         result = {"bench": opened.config.name, "ok": not failed, "findings": [f.to_json() for f in findings]}

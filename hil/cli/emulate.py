@@ -20,6 +20,7 @@ from hil.cli.options import FILE, OUT
 from hil.cli.output import Answered
 from hil.core.clock import sleep_punctually
 from hil.core.errors import EXIT_PASS, UsageError
+from hil.support.stop_signals import handled_by
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -29,9 +30,6 @@ if TYPE_CHECKING:
 
 _NICE = -5
 _PATIENCE_S = 60.0
-_ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
-"""A terminal sends them to whoever started this as well, who may yet have a robot to look after."""
 
 
 @click.command()
@@ -119,38 +117,43 @@ def command(
         standard_ports=standard_ports,
     )
 
-    _end_when_asked(server.stop, only_by_sigterm=await_start)
     endpoints = server.endpoints()
     line = json.dumps(endpoints)
     nothing = contextlib.nullcontext()
     robot = (
-        nothing if await_start else _told_of(EmulatedSupport(config, server.world, "servos" in server.faces))
-    )  # whoever awaits the start looks after it
+        nothing
+        if await_start
+        else _hold_reported(EmulatedSupport(config, server.world, "servos" in server.transports))
+    )  # the caller that awaits the start reports it
     links, first = PortLinks(config, endpoints, of_hardware=standard_ports), config.loop.fifo_priority
-    with _as_prompt_as_hardware(first), robot, file or nothing, _linked(links):
+    ending = _ended_by_signals(server.stop, only_by_sigterm=await_start)
+    with ending, _as_prompt_as_hardware(first), robot, file or nothing, _linked(links):
         _answer(line)
         server.run(ready=partial(file.write, line) if file is not None else None)
     return EXIT_PASS
 
 
-def _end_when_asked(stop: Callable[[], None], *, only_by_sigterm: bool) -> None:
-    """A signal ends the server in order; one from the terminal does not where only SIGTERM may.
+def _ended_by_signals(
+    stop: Callable[[], None], *, only_by_sigterm: bool
+) -> contextlib.AbstractContextManager[None]:
+    """While it lasts a signal ends the server in order.
 
-    Under `nohup` a closed terminal ends nothing.
+    Args:
+        stop: ends the server.
+        only_by_sigterm: whether SIGINT and SIGHUP end nothing: a terminal sends them to the bench that
+            started this, too, which has a robot to hold first.
     """
 
-    def leave(signum: int, frame: FrameType | None) -> None:
-        stop()
+    def leave(number: int, frame: FrameType | None) -> None:
+        if number == signal.SIGTERM or not only_by_sigterm:
+            stop()
 
-    for number in _ENDS:
-        if number == signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
-            continue
-        signal.signal(number, signal.SIG_IGN if only_by_sigterm and number in _OF_A_TERMINAL else leave)
+    return handled_by(leave)
 
 
 @contextlib.contextmanager
-def _told_of(robot: EmulatedSupport) -> Iterator[None]:
-    """How the robot is held on its wall is said on stderr, at the start and at the end."""
+def _hold_reported(robot: EmulatedSupport) -> Iterator[None]:
+    """Print on stderr how the robot is held on its wall, at the start and at the end of the block."""
     if reported := robot.at_the_start():
         click.echo(reported, err=True)
     try:

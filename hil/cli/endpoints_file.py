@@ -20,7 +20,8 @@ _LOOK_S = 0.05
 class EndpointsFile:
     """A file that clients wait for: what an earlier run left is removed at once.
 
-    While its emulator lives it is locked (`flock`), so that one that was left behind can be told from it.
+    While its emulator lives it is locked (`flock`), so that one that was left behind can be distinguished
+    from it.
 
     Args:
         path: where it shall appear; only an endpoints file that was left behind, or an empty one, may be
@@ -136,7 +137,7 @@ def await_endpoints(path: Path, patience_s: float) -> str:
 
 
 def _of_a_living_emulator(path: Path) -> str | None:
-    """The text of a file that something has locked; None where there is no such file."""
+    """The text of a locked file; None where there is none, or it is not locked."""
     try:
         with path.open(encoding="utf-8") as file:
             try:

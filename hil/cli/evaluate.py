@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hil.calibration.calibration_file import CalibrationFile
     from hil.calibration.evaluation import Track
     from hil.datasets.dataset import Recording
-    from hil.datasets.nominal import Nominal
+    from hil.datasets.nominal_robot import Nominal
 
 _BLOCK_S = 0.1
 _COLUMNS = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
@@ -64,10 +64,10 @@ def command(
 
     Example: hil evaluate recordings/ --calibration calibration.toml
     """
-    from hil.calibration.applied import in_sample, used_otherwise
+    from hil.calibration.applied_warnings import in_sample, used_otherwise
     from hil.calibration.evaluation import evaluate
-    from hil.calibration.usable import failed_validation
-    from hil.calibration.warnings import crossed_gaps, told_by
+    from hil.calibration.usability_check import failed_validation
+    from hil.calibration.warnings import crossed_gaps, warnings_of
     from hil.core.errors import UsageError
     from hil.datasets.read import read_recordings
     from hil.support.atomic_files import check_folder
@@ -98,7 +98,7 @@ def command(
             seen.in_words(),
         ]
     failed = "" if file is None else failed_validation(file, str(calibration))
-    warnings = [failed, *told_by(recordings)] if failed else told_by(recordings)
+    warnings = [failed, *warnings_of(recordings)] if failed else warnings_of(recordings)
     warnings += crossed_gaps(recordings) if used_model == "paper" else []
     warnings += [] if file is None else used_otherwise(file, model, used_signal, deploy)
     warnings += _doubts(recordings, file, robot, used_signal, deploy)
@@ -122,7 +122,7 @@ def _robot(calibration: Path | None, bench: str | None) -> tuple[CalibrationFile
         ConfigError: the calibration was made for another robot than the bench's.
     """
     from hil.calibration.calibration_file import read_calibration
-    from hil.calibration.usable import check_made_for
+    from hil.calibration.usability_check import check_made_for
 
     config = configured(bench)
     robot = on_paper(config)
@@ -159,7 +159,7 @@ def _doubts(
     from hil.calibration.validation import deployed
     from hil.calibration.warnings import beyond_driven, worse_as_twist
     from hil.datasets.blocks import reduce_recordings
-    from hil.datasets.signs import contradictions
+    from hil.datasets.wrong_signs import contradictions
 
     blocks = reduce_recordings(recordings, _BLOCK_S, signal)
     found = mismatch(blocks, robot)
@@ -177,13 +177,13 @@ def _doubts(
     return out
 
 
-def _text(table: dict[str, Any], told: list[str]) -> str:
+def _text(table: dict[str, Any], warnings: list[str]) -> str:
     geometry = table["geometry"]
     lines = [
         f"{table['recordings']} recordings, model {table['model']}, signal {table['signal']}, "
         f"cost J = {table['cost']:.1f}",
         f"nominal robot: {geometry['source']}",
-        *told,
+        *warnings,
         f"{'motion':14}" + "".join(f"{c:>10}" for c in _COLUMNS) + f"{'RMSE mm':>10}{'RMSE deg':>10}",
     ]
     motions: dict[str, dict[str, float]] = table["motions"]

@@ -209,7 +209,7 @@ def _json(verdicts: Sequence[CellVerdict], table: Path, page: Path) -> dict[str,
             for v in verdicts
             if v.why
         ],
-        "quiet": [v.cell.name for v in verdicts if not v.told and not v.why],
+        "quiet": [v.cell.name for v in verdicts if not v.reported and not v.why],
         "table": str(table),
         "page": str(page),
     }

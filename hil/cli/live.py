@@ -14,8 +14,15 @@ import click
 
 from hil.cli import start_question
 from hil.cli.bench_options import BenchRequest, bench_options
-from hil.cli.options import FILE, JSON, FiniteRange, on_recording_failure_option, rerun_option, tell_view
-from hil.cli.output import Answered, tell_the_end, unreadable
+from hil.cli.options import (
+    FILE,
+    JSON,
+    FiniteRange,
+    on_recording_failure_option,
+    rerun_option,
+    say_rerun_files,
+)
+from hil.cli.output import Answered, print_end, unreadable
 from hil.cli.ros2_options import published
 from hil.core.choices import ESTIMATORS
 from hil.core.errors import EXIT_PASS, Aborted, DataError, DeviceError, HilError, UsageError, reason_of
@@ -24,6 +31,7 @@ from hil.support.atomic_files import check_new_file
 if TYPE_CHECKING:
     from hil.bench import Bench
     from hil.live import CommandLines, LiveSession
+    from hil.live.ros2_program import Ros2Program
     from hil.monitor import RerunMonitor
     from hil.procedure.bench_request import BenchSource
     from hil.recording.mcap_writer import McapRecorder, OnFailure
@@ -82,7 +90,7 @@ if TYPE_CHECKING:
 @click.option(
     "--replay", "repeated", type=FILE, help="Recording whose motion the emulated robot repeats, at the wire."
 )
-@bench_options("faults", "ros2", "ros2_domain", "ros2_interface")
+@bench_options("faults", "ros2", "ros2_domain", "ros2_wait", "ros2_interface")
 @JSON
 def command(
     request: BenchRequest,
@@ -102,8 +110,8 @@ def command(
     """Run the control-estimate loop at its rate in real time.
 
     Every session is recorded, in a new file: see --record and --no-record.
-    Without --trajectory and --command it only watches: no wheel moves. On a wall torque is switched on, so
-    that the robot is held; on the floor the servos are left as they are.
+    Without --trajectory, --command and a program on ROS 2 it only watches: no wheel moves. On a wall torque
+    is switched on, so that the robot is held; on the floor the servos are left as they are.
     SIGINT, SIGTERM and SIGHUP stop the robot, watch it until it is held, print the summary and end with
     exit code 4; further signals do not shorten that. While the bench opens, it is opened first.
     A session that ends well but leaves the robot NOT HELD ends with exit code 3.
@@ -114,7 +122,11 @@ def command(
     from hil.live import LivePlan, LiveSession, load_trajectory
     from hil.support.stop_signals import StopRequest
 
-    _must_agree(source, _commanded(request, commands), repeated, record, unrecorded=unrecorded)
+    if request.ros2_topic and commands != "none":
+        raise UsageError(f"--command and --controller {request.controller} both want to move the robot")
+    _must_agree(source, commands, repeated, record, unrecorded=unrecorded)
+    if repeated is not None and request.ros2_topic:
+        raise UsageError("--replay: a repeated recording takes no commands", remedy="only watch it")
     bench = _source(request, repeated)
     reference, known = None, None
     if source is not None:
@@ -123,11 +135,20 @@ def command(
         )
     stop = StopRequest()
     with stop.noted():
-        with published(request) as publisher, _commands(request, commands, publisher) as lines:
-            plan = LivePlan(reference, lines, duration_s, feedback, observers, dead_man_s, known)
+        with published(request, patient=True) as publisher, _commands(commands) as lines:
             opened = replace(bench, publish=None if publisher is None else publisher.sink).open()
-            opened.tells_held = False
+            opened.warns_not_held = False
             with closing(opened):
+                plan = LivePlan(
+                    reference,
+                    lines,
+                    _program(request, publisher),
+                    duration_s,
+                    feedback,
+                    observers,
+                    dead_man_s,
+                    known,
+                )
                 recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
                 monitor = _monitor(opened, view)
                 session = LiveSession(opened, plan, recorder=recorder, monitor=monitor, stop=stop)
@@ -143,29 +164,23 @@ def command(
     return EXIT_PASS
 
 
-def _commanded(request: BenchRequest, commands: str) -> str:
-    """Where velocity commands come from: `--command`, or the topic of `--controller`."""
-    if request.ros2_topic and commands != "none":
-        raise UsageError(f"--command and --controller {request.controller} both want to move the robot")
-    return request.controller if request.ros2_topic else commands
+def _program(request: BenchRequest, publisher: Ros2Publisher | None) -> Ros2Program | None:
+    """The program on ROS 2 that drives the open bench, told where it is looked for; None where none does."""
+    if publisher is None or not request.ros2_topic:
+        return None
+    from hil.live.ros2_program import Ros2Program
+
+    found = Ros2Program(publisher, request.controller)
+    click.echo(f"commands: {found.where}", err=True)
+    return found
 
 
 @contextmanager
-def _commands(
-    request: BenchRequest, commands: str, publisher: Ros2Publisher | None
-) -> Iterator[CommandLines | None]:
-    """Velocity commands, told where they are taken from; None where none are."""
-    from hil.core.clock import MonotonicClock
+def _commands(commands: str) -> Iterator[CommandLines | None]:
+    """Open the source of velocity commands and print where it listens; None without one."""
     from hil.live import open_commands
 
-    if publisher is not None and request.ros2_topic:
-        from hil.live.ros2_commands import TwistCommands
-
-        lines: CommandLines | None = TwistCommands(
-            publisher.participant, request.ros2_topic, MonotonicClock()
-        )
-    else:
-        lines = open_commands(commands)
+    lines = open_commands(commands)
     if lines is None:
         yield None
         return
@@ -202,7 +217,7 @@ def _source(request: BenchRequest, repeated: Path | None) -> BenchSource:
 
 
 def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
-    """The session on the open bench; whatever ends it, also before it begins, the summary is told."""
+    """Run the session on the open bench; the summary is printed however it ends, also before it begins."""
     from hil.bench.hold.result import seen_in_words
 
     bench = session.bench
@@ -218,7 +233,7 @@ def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
         bench.close()
         _report(session, as_json=as_json)
         if view is not None:
-            tell_view(view)
+            say_rerun_files(view)
 
 
 def _dated() -> Path:
@@ -258,7 +273,7 @@ def _report(session: LiveSession, *, as_json: bool) -> None:
     if monitor is not None:
         summary["monitor"] = {"dropped": monitor.dropped, "failure": monitor.failure}
     held: Any = summary["held"]
-    tell_the_end(json.dumps(summary) if as_json else _text(summary), held)
+    print_end(json.dumps(summary) if as_json else _text(summary), held)
     answered = click.get_current_context().find_object(Answered)
     if answered is not None:
         answered.already = True

@@ -19,7 +19,7 @@ from hil.support.atomic_files import check_name
 SEED = click.IntRange(min=0)
 JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 PROGRESS = ("auto", "json")
-"""Who reads progress, questions and figures on stderr: a person, or a program."""
+"""The reader of progress, questions and figures on stderr: a person, or a program."""
 
 
 def results_folder(name: str, out: Path | None, resumed_by: str | None) -> Path:
@@ -122,7 +122,7 @@ def on_recording_failure_option(what: str) -> Callable[[Any], Any]:
     )
 
 
-def tell_view(view: str) -> None:
+def say_rerun_files(view: str) -> None:
     """Say on stderr which files `--rerun` has left and how to open them, and which of them are incomplete."""
     from hil.monitor.rrd_check import files_of, what_is_missing
 

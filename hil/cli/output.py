@@ -52,7 +52,7 @@ def error_as_json(error: HilError) -> dict[str, Any]:
     }
 
 
-def tell_calls(frames: Sequence[Mapping[str, Any]], where: str = "") -> None:
+def print_user_calls(frames: Sequence[Mapping[str, Any]], where: str = "") -> None:
     """Print on standard error the calls in the user's code that led to an error, if there are any.
 
     Args:
@@ -113,14 +113,14 @@ def _to_nowhere(descriptor: int) -> None:
 
 
 def unreadable() -> str:
-    """Why nothing reads standard output or standard error any more; empty while something does."""
+    """Why standard output or standard error have no reader any more; empty while they have one."""
     raws = (getattr(getattr(stream, "buffer", None), "raw", None) for stream in (sys.stdout, sys.stderr))
     why = next((raw.lost for raw in raws if isinstance(raw, _Raw) and raw.lost), "")
     return f"the output cannot be written any more ({why})" if why else ""
 
 
-def tell_the_end(text: str, held: Mapping[str, Any]) -> None:
-    """Print how a run ended; where nothing reads it, standard error says at least how the robot was left.
+def print_end(text: str, held: Mapping[str, Any]) -> None:
+    """Print how a run ended; without a reader, standard error says at least how the robot was left.
 
     Args:
         text: all that is to be said.

@@ -63,7 +63,7 @@ class PortLinks:
         return ""
 
     def remove(self) -> None:
-        """Remove those that were made, unless something has put something else there."""
+        """Remove the links that were made, unless another program has replaced them."""
         for path, served in self._made.items():
             with suppress(OSError):
                 if os.readlink(path) == served:

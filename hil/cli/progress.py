@@ -63,15 +63,15 @@ class _Objects:
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._paces: dict[str, Pace] = {}
-        self._told_ns: dict[str, int] = {}
+        self._shown_ns: dict[str, int] = {}
 
     def __call__(self, what: str, done: int, total: int) -> None:
         pace = self._paces.setdefault(what, Pace(self._clock))
         pace.update(done, total)
         now_ns = self._clock.now_ns()
-        if 0 < done < total and now_ns < self._told_ns.get(what, now_ns) + _BETWEEN_NS:
+        if 0 < done < total and now_ns < self._shown_ns.get(what, now_ns) + _BETWEEN_NS:
             return
-        self._told_ns[what] = now_ns
+        self._shown_ns[what] = now_ns
         tell("progress", {"what": what, "done": done, "total": total, "left_s": pace.left_s})
 
 
@@ -82,7 +82,7 @@ class _Lines:
         self._clock = clock
         self._paces: dict[str, Pace] = {}
         self._tenths: dict[str, int] = {}
-        self._told_ns = 0
+        self._shown_ns = 0
 
     def __call__(self, what: str, done: int, total: int) -> None:
         pace = self._paces.setdefault(what, Pace(self._clock))
@@ -91,18 +91,19 @@ class _Lines:
             return
         tenth = 10 * done // max(total, 1)
         now_ns = self._clock.now_ns()
-        nothing_new = self._tenths.get(what) == tenth and done != total and now_ns < self._told_ns + _QUIET_NS
+        quiet = now_ns < self._shown_ns + _QUIET_NS
+        nothing_new = self._tenths.get(what) == tenth and done != total and quiet
         again = what in self._tenths and (total == 1 or nothing_new)
         self._tenths[what] = tenth
         if again:
             return
-        self._told_ns = now_ns
+        self._shown_ns = now_ns
         words = what if total == 1 else f"{what}: {done}/{total}"
         left = self._left(pace)
         click.echo(f"{words}, {left}" if left else words, err=True)
 
     def _left(self, pace: Pace) -> str:
-        """Of the whole work where that is known, else of this piece."""
+        """Seconds left of the whole work where that is known, else of this piece."""
         whole = self._paces.get(WHOLE)
         if whole is not None and whole.left_s is not None:
             return f"{in_words(whole.left_s)} {WHOLE}"

@@ -12,7 +12,7 @@ import click
 import numpy as np
 
 from hil.cli.completion_types import BENCH
-from hil.cli.options import FILE, JSON, rerun_option, tell_view
+from hil.cli.options import FILE, JSON, rerun_option, say_rerun_files
 from hil.cli.output import error_as_json
 from hil.core.choices import COMPARED
 from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, DataError, UsageError
@@ -91,7 +91,7 @@ def command(
     Example: hil replay recording.mcap --page replay.html --estimator ekf --estimator mine.py:MyFilter
     """
     from hil.core.signals import heard
-    from hil.replay.estimator_comparison import told_of_sensors
+    from hil.replay.estimator_comparison import sensors_text
     from hil.replay.recordings import open_recording
     from hil.replay.user_estimators import check_named, unknown_states
     from hil.support.atomic_files import check_ending, check_file
@@ -115,7 +115,7 @@ def command(
         result["cycles"] = sum(len(r.records) for r in runs)
         run = max(runs, key=lambda r: len(r.records))
         sensors = heard(r.measurements for r in run.records)
-        result["sensors"], result["note"] = sensors, told_of_sensors(opened.bench, sensors)
+        result["sensors"], result["note"] = sensors, sensors_text(opened.bench, sensors)
         motions, result["estimators"] = _compared(opened, run, estimators or COMPARED)
         unknown = (line for name in estimators for line in unknown_states(name, motions[name]))
         result["warnings"] = [*opened.doubts(), *unknown]
@@ -204,7 +204,7 @@ def _show(bench: BenchModel, run: RecordedRun, motions: dict[str, Motion], view:
     for record in beside(motions):
         monitor.write(record)
     monitor.close()
-    tell_view(view)
+    say_rerun_files(view)
     return monitor.failure
 
 

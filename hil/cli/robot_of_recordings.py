@@ -10,7 +10,7 @@ from hil.cli.completion_types import BENCH as BENCH_FILE
 
 if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
-    from hil.datasets.nominal import Nominal
+    from hil.datasets.nominal_robot import Nominal
 
 BENCH = click.option(
     "--bench",
@@ -28,10 +28,10 @@ def configured(bench: str | None) -> BenchConfig | None:
 
 def on_paper(config: BenchConfig | None) -> Nominal:
     """The robot of a bench before any calibration, the CAD model without one."""
-    from hil.datasets.nominal import Nominal
+    from hil.datasets.nominal_robot import Nominal
 
     if config is None:
         return Nominal()
-    from hil.bench.settings import nominal_of
+    from hil.bench.loop_settings import nominal_of
 
     return nominal_of(config)

@@ -17,8 +17,12 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def published(request: BenchRequest) -> Iterator[Ros2Publisher | None]:
+def published(request: BenchRequest, *, patient: bool = False) -> Iterator[Ros2Publisher | None]:
     """Be on ROS 2, if that is asked for.
+
+    Args:
+        request: of the command line.
+        patient: whether a program that drives is waited for as long as it takes.
 
     Returns:
         What publishes benches; None without `--ros2` and without a controller on ROS 2.
@@ -34,6 +38,11 @@ def published(request: BenchRequest) -> Iterator[Ros2Publisher | None]:
         }
         for option in (name for name, given in beside.items() if given):
             raise UsageError(f"{option} says where --ros2 publishes", remedy=f"give --ros2, or no {option}")
+    if request.ros2_wait is not None and not request.ros2_topic:
+        raise UsageError(
+            "--ros2-wait is for a controller on ROS 2", remedy="give --controller ros2:TOPIC, too"
+        )
+    if not (request.ros2 or request.ros2_topic):
         yield None
         return
     from hil.ros2.network import Network, domain_of, must_be_usable
@@ -42,13 +51,13 @@ def published(request: BenchRequest) -> Iterator[Ros2Publisher | None]:
     from hil.ros2.publisher import Ros2Publisher
 
     network = Network(domain_of(request.ros2_domain, os.environ), request.ros2_interface)
-    publisher = Ros2Publisher(network)
+    publisher = Ros2Publisher(network, request.ros2_topic, patient=patient)
     try:
         click.echo(f"ROS 2: {network.in_words()}", err=True)
         if network.reaches_out:
             does = "drive this robot" if request.ros2_topic else "read this bench"
-            told = f"hil: whoever reaches {network.interface} can {does}: ROS 2 has no password"
-            click.echo(told, err=True)
+            warning = f"hil: any program that reaches {network.interface} can {does}: ROS 2 has no password"
+            click.echo(warning, err=True)
         yield publisher
     finally:
         publisher.close()

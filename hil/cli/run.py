@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start_question
-from hil.cli.answers import answers_option, asked_to_end, operator
 from hil.cli.bench_options import BenchRequest, bench_options
 from hil.cli.completion_types import SCRIPT
 from hil.cli.options import JSON, OUT, on_recording_failure_option, results_folder
-from hil.cli.output import kept_for_json, tell_calls, tell_the_end
+from hil.cli.output import kept_for_json, print_end, print_user_calls
 from hil.cli.progress import reporting
+from hil.cli.question_answers import answers_option, asked_to_end, operator
 from hil.cli.ros2_options import published
 from hil.core.clock import local_time
-from hil.core.errors import HilError, UsageError, shown_path
+from hil.core.errors import HilError, shown_path
 from hil.core.result_files import JOURNAL
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class _WithParameters(click.Command):
         "repeatable. docs/faults.md lists devices, kinds and options."
     },
 )
-@bench_options("controller", "ros2", "ros2_domain", "ros2_interface")
+@bench_options("controller", "ros2", "ros2_domain", "ros2_wait", "ros2_interface")
 @click.option("--out", type=OUT, help="Results folder [default: out/NAME/TIME].")
 @click.option("--resume", is_flag=True, help="Continue an interrupted run (of --out, else the latest).")
 @click.option(
@@ -108,12 +108,6 @@ def command(
     from hil.procedure.procedure_lookup import load_procedure
     from hil.procedure.runner import RunOptions, run_procedure
 
-    if request.ros2_topic:
-        raise UsageError(
-            f"--controller {request.controller} drives no trajectory",
-            expected="a law, or FILE.py:NAME or MODULE:NAME of your own",
-            remedy="hil live takes velocity commands from a ROS 2 topic",
-        )
     with kept_for_json(as_json):
         proc = load_procedure(script)
     given, overrides = split_settings(request.settings)
@@ -145,13 +139,13 @@ def command(
                 source = replace(source, publish=publisher.sink)
             result = run_procedure(proc, source, options)
         for problem in filter(None, (result.error, *result.teardown_errors)):
-            tell_calls(problem.frames, problem.place)
+            print_user_calls(problem.frames, problem.place)
         page, code = _report_of(result)
         if as_json:
             tree = result.to_json() | {"folder": str(result.folder), "report": page}
-            tell_the_end(json.dumps(tree, allow_nan=False), result.facts["held"])
+            print_end(json.dumps(tree, allow_nan=False), result.facts["held"])
         else:
-            tell_the_end(text_of(result), result.facts["held"])
+            print_end(text_of(result), result.facts["held"])
             click.echo(f"report: {shown_path(Path(page)) if page else 'could not be written'}")
     return code
 

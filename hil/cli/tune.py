@@ -166,9 +166,9 @@ def _read(
 ) -> tuple[BenchConfig, list[TruthRun]]:
     """Bench and runs of recordings; `problems` and `doubts` receive what is wrong with files and columns."""
     from hil.calibration.calibration_file import read_calibration
-    from hil.calibration.usable import check_not_failed
+    from hil.calibration.usability_check import check_not_failed
     from hil.datasets.dataset import Recording
-    from hil.datasets.signs import contradictions
+    from hil.datasets.wrong_signs import contradictions
     from hil.estimator.tuning import TruthRun
     from hil.loop.recorded_motion import Motion
     from hil.replay.estimator_comparison import truth_of
@@ -236,7 +236,7 @@ def _same_robot(path: Path, header: dict[str, Any], config: BenchConfig) -> None
 
 def _geometry(used: WheelGeometry, bench: str | None) -> dict[str, object]:
     """The wheels that the estimators read with, as results name them."""
-    from hil.datasets.nominal import Nominal
+    from hil.datasets.nominal_robot import Nominal
 
     source = "the recording" if bench is None else f"the recording, else bench {bench}"
     described = Nominal(used, source=source).to_json()

@@ -7,17 +7,17 @@ from collections.abc import Iterable
 from typing import Annotated, Any, ClassVar, Literal
 
 from hil.config.can_bus import Claim
-from hil.config.can_motor import HIGHEST_DUTY, KeptMotorConfig
+from hil.config.can_motor import HIGHEST_DUTY, DaemonMotorConfig
 from hil.config.device import DeviceConfig
 from hil.config.values import PolePairs, Switch, Within
 
 VESC_ID = "VESC id"
-VescId = Annotated[int, Within(0, 254, "255 is everybody")]
+VescId = Annotated[int, Within(0, 254, "255 addresses all")]
 Force = Annotated[float, Within(1.0, 500.0, "N: more than a fan of this size gives, or less than any need")]
 
 
 class AdhesionConfig(DeviceConfig):
-    """Of a fan with any controller: what bench, guards and procedures need of it.
+    """A fan with any controller: the keys that bench, checks and procedures need.
 
     Attributes:
         force_n: what it is asked for on a wall; `robot.edf_force_n` when left out.
@@ -51,7 +51,7 @@ class AdhesionConfig(DeviceConfig):
         return self.rated_rpm * math.sqrt(force_n / self.rated_force_n)
 
 
-class MotorConfig(AdhesionConfig, KeptMotorConfig):
+class MotorConfig(AdhesionConfig, DaemonMotorConfig):
     """A fan whose motor controller is on CAN.
 
     Attributes:
@@ -70,15 +70,15 @@ class MotorConfig(AdhesionConfig, KeptMotorConfig):
         """What the controller counts as speed for each turn of the fan in a minute."""
         return 1
 
-    def keeper(self) -> dict[str, Any]:
-        """As of any motor, with the highest set-points of a fan."""
+    def daemon_spec(self) -> dict[str, Any]:
+        """The arguments of its daemon's `Spec`, with the highest set-points of a fan."""
         fastest_rpm = self.speed_for_rpm(self.highest_force_n)
         highest = {
             "duty": HIGHEST_DUTY,
             "current_a": 4.0 * self.rated_input_a,
             "erpm": self.counts_per_turn * fastest_rpm,
         }
-        return {**super().keeper(), "highest": highest}
+        return {**super().daemon_spec(), "highest": highest}
 
 
 class VescConfig(MotorConfig):
@@ -97,13 +97,13 @@ class VescConfig(MotorConfig):
 
     @property
     def counts_per_turn(self) -> int:
-        """Electrical turns."""
+        """Electrical turns per turn of the fan."""
         return self.pole_pairs
 
     def claims(self) -> Iterable[Claim]:
-        """The controller's and ours."""
+        """The ids of the controller and of this program."""
         return (Claim("controller_id", VESC_ID, self.controller_id), Claim("own_id", VESC_ID, self.own_id))
 
-    def keeper(self) -> dict[str, Any]:
-        """As of any motor controller."""
-        return {**super().keeper(), "controller_id": self.controller_id}
+    def daemon_spec(self) -> dict[str, Any]:
+        """The arguments of its daemon's `Spec`, with the controller's id."""
+        return {**super().daemon_spec(), "controller_id": self.controller_id}

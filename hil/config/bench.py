@@ -9,14 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Discriminator, Field, Tag, ValidationError, create_model
 
-from hil.config.control import ControlConfig
-from hil.config.device import DeviceConfig
-from hil.config.environment import EnvironmentConfig
-from hil.config.estimator import EstimatorConfig
-from hil.config.mocap import MocapConfig
-from hil.config.monitor import MonitorConfig
-from hil.config.robot import RobotConfig
-from hil.config.sections import (
+from hil.config.common_sections import (
     AlignmentConfig,
     EmulationConfig,
     ExitConfig,
@@ -24,6 +17,14 @@ from hil.config.sections import (
     RecordConfig,
     SafetyConfig,
 )
+from hil.config.control import ControlConfig
+from hil.config.device import DeviceConfig
+from hil.config.environment import EnvironmentConfig
+from hil.config.estimator import EstimatorConfig
+from hil.config.mocap import MocapConfig
+from hil.config.monitor import MonitorConfig
+from hil.config.robot import RobotConfig
+from hil.config.ros2 import Ros2Config
 from hil.config.servos import ServosConfig
 from hil.config.values import Strict, Switch
 from hil.core.device import DeviceKind, DeviceModel
@@ -61,6 +62,7 @@ class BenchConfig(Strict):
     control: ControlConfig = ControlConfig()
     estimator: EstimatorConfig = EstimatorConfig()
     monitor: MonitorConfig = MonitorConfig()
+    ros2: Ros2Config = Ros2Config()
 
     def devices(self) -> dict[str, DeviceConfig]:
         """Configured devices by name, in the fixed order: further ones of a kind after the one named so."""
@@ -106,7 +108,7 @@ class BenchConfig(Strict):
         return tuple(name for name in self.elsewhere() if kinds()[name].holds_robot)
 
     def of_one_world(self) -> BenchConfig:
-        """The same bench without the devices that are `elsewhere`: all that tells of the servos' robot."""
+        """The same bench without the devices that are `elsewhere`: all that see the servos' robot."""
         others = self.elsewhere()
         return self.model_copy(update=dict.fromkeys(others)) if others else self
 

@@ -20,7 +20,7 @@ Option = Annotated[bool | int | float | str, Within(-1e12, 1e12, "no option of a
 
 
 class Claim(NamedTuple):
-    """An identifier that nothing else on the bus may have.
+    """An identifier that no other device on the bus may have.
 
     Attributes:
         key: of the device's table.
@@ -58,13 +58,13 @@ class CanConfig(DeviceConfig):
         return True
 
     def table(self, **found: Any) -> dict[str, Any]:
-        """Its table in a bench file, with what was found; how long discovery waited is no part of it."""
+        """The device's table in a bench file, with what was found, without discovery's time-out."""
         waited = {"open_timeout_s"}
         reported = self.model_dump(mode="json", exclude_none=True, exclude_defaults=True, exclude=waited)
         return {**reported, **found}
 
     def claims(self) -> Iterable[Claim]:
-        """Identifiers that are its own, as far as the table tells."""
+        """Identifiers that are its own, as far as the table says."""
         return ()
 
 

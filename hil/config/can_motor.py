@@ -10,8 +10,8 @@ from hil.config.values import Patience, Within
 HIGHEST_DUTY = 0.95
 
 
-class KeptMotorConfig(CanConfig):
-    """Of a motor whose commands come from a process of its own, its keeper.
+class DaemonMotorConfig(CanConfig):
+    """A motor whose commands come from a daemon, a process of its own.
 
     Attributes:
         timeout_s: after which the controller lets go of the motor when it hears no command, as set in VESC
@@ -27,8 +27,8 @@ class KeptMotorConfig(CanConfig):
     ramp_down_s: Annotated[float, Within(1.0, 60.0, "s; a fan that stops at once drops the robot")] = 4.0
     fail_after_s: Patience = 1.0
 
-    def keeper(self) -> dict[str, Any]:
-        """What the process that keeps it running is told (`hil.drivers.adhesion.keeper.spec.Spec`)."""
+    def daemon_spec(self) -> dict[str, Any]:
+        """The arguments of its daemon's `hil.drivers.adhesion.fan_daemon.spec.Spec`."""
         return {
             "interface": self.interface,
             "channel": self.channel,

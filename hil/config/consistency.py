@@ -1,4 +1,4 @@
-"""What no table of a bench file can see alone: values that contradict each other, or the wall."""
+"""Checks values of a bench file across its tables: those that contradict each other, or the wall."""
 
 from __future__ import annotations
 

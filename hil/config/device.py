@@ -1,4 +1,4 @@
-"""What every table of a device in the bench file has."""
+"""The keys that every table of a device in the bench file has."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class DeviceConfig(Strict):
 
 
 class MountedConfig(DeviceConfig):
-    """Of a device whose place on the robot counts.
+    """A device whose place on the robot counts.
 
     Attributes:
         mount_position_m, mount_rotation_wxyz: its frame in the body.
@@ -54,11 +54,11 @@ class MountedConfig(DeviceConfig):
 
 
 class ImuConfig(MountedConfig):
-    """Of an inertial unit of any model: what alignment and estimator need of it."""
+    """An inertial unit of any model: the keys that alignment and estimator need."""
 
 
 class TrackerConfig(MountedConfig):
-    """Of a tracking camera of any model: what alignment and estimator need of it.
+    """A tracking camera of any model: the keys that alignment and estimator need.
 
     Attributes:
         scale: distance that the camera reports over the true distance; the alignment divides by it.

@@ -1,4 +1,4 @@
-"""How a `bench.toml` is found, read, overridden and checked.
+"""Finds, reads, overrides and checks a `bench.toml`.
 
 Strict: unknown keys are errors, and every problem is reported at once with its dotted path.
 """
@@ -145,7 +145,7 @@ def load_bench(
         overrides: dotted key -> value, applied before validation. With another model of a device
             (`imu.model`) the keys of its table that only the model of the source has are left out.
         today: what the validity of the record's parts is judged on, today by default.
-        seed: of the emulated world, which tells whether the record is that of its robot.
+        seed: of the emulated world, by which the record of its robot is recognised.
 
     Raises:
         ConfigError: listing every problem with its dotted path, or a record that cannot be used.

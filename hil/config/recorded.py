@@ -1,4 +1,4 @@
-"""Configurations that were recorded: read as they were, whatever would be refused today."""
+"""Reads recorded configurations as they were, also values that would be refused today."""
 
 from __future__ import annotations
 

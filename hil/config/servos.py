@@ -41,8 +41,7 @@ class ServosConfig(DeviceConfig):
         retry_budget_s: extra time that one `read` may take for lost replies and their repetition.
         dead_poll_s: how often a servo that has fallen silent is asked again.
         fail_after_s: uninterrupted failure of a servo that raises instead of being reported as data.
-        watchdog_s: bus watchdog, a multiple of 20 ms up to 2.54 s: when nothing talks to them for so long,
-        the
+        watchdog_s: bus watchdog, a multiple of 20 ms up to 2.54 s: without a request for so long, the
             servos stop by themselves. On a wall at most 0.1 s; 0 leaves it off, on the floor only.
         health_period_s: how often voltage and temperature are read; torque and watchdog four times as often.
         model_number: of all eight servos: 1010 (XH430-W210), 1000 (XH430-W350), 1050 (XH430-V210), 1040

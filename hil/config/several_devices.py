@@ -40,7 +40,7 @@ def spread(tree: Mapping[str, Any], origin: str) -> dict[str, Any]:
 
 
 def _devices(key: str, value: Any, problems: list[str]) -> Iterator[tuple[str, Any]]:
-    """Devices of one kind by their names on the bench; those that are wrong are left out and told."""
+    """Devices of one kind by their names on the bench; those that are wrong are left out and reported."""
     tables = value if isinstance(value, list) else [value]
     if not all(isinstance(table, Mapping) for table in tables) or not tables:
         if isinstance(value, list):

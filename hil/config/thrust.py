@@ -19,7 +19,7 @@ Thrust = Annotated[float, Within(1.0, 500.0, "N of all propellers together")]
 
 
 class ThrustConfig(DeviceConfig):
-    """Of propellers with any controller.
+    """Propellers with any controller.
 
     Attributes:
         force_n: what they are asked for on a wall; `robot.thrust_compensation` of the weight along the

@@ -1,4 +1,4 @@
-"""What all tables of the bench file share: their strict base, bounds of numbers, and types of values."""
+"""The strict base of all tables of the bench file, bounds of numbers, and types of values."""
 
 from __future__ import annotations
 
@@ -104,7 +104,9 @@ class Within:
                 return value
             if self.permits(value, whole=whole):
                 return value
-            raise PydanticCustomError("beyond", "must {told}", {"told": self.told(whole=whole)})
+            raise PydanticCustomError(
+                "beyond", "must {requirement}", {"requirement": self.requirement(whole=whole)}
+            )
 
         return core_schema.with_info_before_validator_function(check, numbers)
 
@@ -116,7 +118,7 @@ class Within:
         inside = bool(self.low <= number <= self.high and abs(number) >= self.smallest)
         return inside and (not whole or number == round(number))
 
-    def told(self, *, whole: bool = False) -> str:
+    def requirement(self, *, whole: bool = False) -> str:
         """The bounds and their reason in words."""
         number = "be a whole number within " if whole else "lie within "
         return f"{'be ' if self._is_sign() else number}{self.range_text()}: {self.why}"
@@ -167,7 +169,7 @@ Quaternion = tuple[Cosine, Cosine, Cosine, Cosine]
 
 
 def _unit(value: Quaternion) -> Quaternion:
-    """Of norm 1, and the same again when it is read back: what has norm 1 but for rounding stays as it is."""
+    """Scale a quaternion to norm 1; one that has norm 1 but for rounding stays as it is."""
     norm = math.sqrt(sum(v * v for v in value))
     if not 0.99 < norm < 1.01:
         raise ValueError(f"the quaternion (w, x, y, z) has norm {norm:.3g}, not 1")

@@ -1,4 +1,4 @@
-"""What the page offers to start: a command of `hil` as a form, and the words that a filled form makes."""
+"""Commands of `hil` as forms of the page, and the command line that a filled form makes."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from hil.console.jobs import FINISH, STOPPED, UNTOLD, Job, alive, first, jobs, send, state
+from hil.console.jobs import FINISH, NO_RESULT, STOPPED, Job, alive, first, jobs, send, state
 
 _GRACE_S = 0.3
 _POLL_S = 0.02
@@ -72,13 +72,13 @@ def wait_for(asked: Sequence[Job], limit_s: float) -> list[dict[str, Any]]:
     return [state(job) for job in asked]
 
 
-def in_words(told: dict[str, Any]) -> str:
+def in_words(ended: dict[str, Any]) -> str:
     """One line of how a job that was stopped has left the robot."""
-    if told["running"]:
-        return f"{told['title']}: still stopping; secure the robot"
-    held = told.get("held")
+    if ended["running"]:
+        return f"{ended['title']}: still stopping; secure the robot"
+    held = ended.get("held")
     if held:
-        return f"{told['title']}: {held['state']}: {held['why']}"
-    if told["verdict"] == UNTOLD:
-        return f"{told['title']}: {told['why']}; check whether the robot is held"
-    return f"{told['title']}: {told['verdict']}"
+        return f"{ended['title']}: {held['state']}: {held['why']}"
+    if ended["verdict"] == NO_RESULT:
+        return f"{ended['title']}: {ended['why']}; check whether the robot is held"
+    return f"{ended['title']}: {ended['verdict']}"

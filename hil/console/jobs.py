@@ -1,4 +1,4 @@
-"""Commands that run for the console: started, listed, read, answered, stopped; standard library alone.
+"""Starts, lists, reads, answers and stops the commands of the console; standard library alone.
 
 All there is to know of a job lies in its folder, so that any process of the console, also one that was
 started later, can read it, answer it and stop it:
@@ -36,14 +36,14 @@ from hil.console.json_files import read
 
 COMMAND, PROCESS, STDIN, STDOUT, STDERR = "command.json", "process.json", "stdin", "stdout", "stderr"
 STOPPED, FINISH, ANSWER = "stopped.json", "finish", "answer-"
-UNTOLD = "ENDED"
+NO_RESULT = "ENDED"
 """Verdict of a job that left no result."""
 _HOLDS = {"progress": dict, "live": dict, "held": dict, "question": str, "answered": str}
 """What a line of standard error may be about, and what it then holds."""
 _BY_ITSELF = ("duration", "trajectory")
 """Why a live loop ends that was not stopped."""
 _TAIL_BYTES = 1 << 17
-_MOST_TOLD = 30
+_MOST_SHOWN = 30
 _STOPPING_S = 2.0
 """After STOP, within which what was being asked is asked no more."""
 _START_S = 20.0
@@ -68,7 +68,7 @@ class Job:
 
     @property
     def name(self) -> str:
-        """Of the folder; unique."""
+        """Name of the folder; unique."""
         return self.folder.name
 
 
@@ -129,7 +129,7 @@ def job_in(folder: Path) -> Job | None:
 
 
 def identity(pid: int) -> dict[str, Any]:
-    """What tells a process from all others: PID, when it started, since which boot. Empty once it is gone."""
+    """What identifies a process: PID, when it started, since which boot. Empty once it is gone."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
@@ -138,10 +138,10 @@ def identity(pid: int) -> dict[str, Any]:
     return {} if fields[0] in "ZX" else {"pid": pid, "ticks": int(fields[19]), "boot": boot}
 
 
-def same(told: Mapping[str, Any]) -> bool:
+def same(process: Mapping[str, Any]) -> bool:
     """Whether the process that a file names is still running, and is that one."""
-    pid = told.get("pid")
-    return isinstance(pid, int) and pid > 0 and identity(pid) == dict(told)
+    pid = process.get("pid")
+    return isinstance(pid, int) and pid > 0 and identity(pid) == dict(process)
 
 
 def alive(job: Job) -> bool:
@@ -157,16 +157,16 @@ def send(job: Job, number: int) -> bool:
     return signal_process(read(job.folder / PROCESS), number)
 
 
-def signal_process(told: Mapping[str, Any], number: int) -> bool:
+def signal_process(process: Mapping[str, Any], number: int) -> bool:
     """Send a signal to the process that a file names, and to no other; returns whether it was there."""
-    if not same(told):
+    if not same(process):
         return False
     try:
-        handle = os.pidfd_open(told["pid"])
+        handle = os.pidfd_open(process["pid"])
     except OSError:
         return False
     try:
-        if same(told):  # the handle is that of this process, whatever becomes of its number
+        if same(process):  # the handle is that of this process, whatever becomes of its number
             signal.pidfd_send_signal(handle, number)
             return True
     except OSError:
@@ -201,7 +201,7 @@ def answer(job: Job, question_id: int, text: str) -> str:
         return f"{job.title} is being stopped: nothing is answered"
     claim = job.folder / f"{ANSWER}{question_id}"
     if not first(claim):
-        return "somebody else has just answered that question"
+        return "another user has just answered that question"
     if _put(job, line):
         return ""
     claim.unlink(missing_ok=True)
@@ -209,7 +209,7 @@ def answer(job: Job, question_id: int, text: str) -> str:
 
 
 def first(claim: Path) -> bool:
-    """Make an empty file; returns whether nothing else had, in whatever process. Raises `OSError`."""
+    """Make an empty file; returns whether it is new, also against other processes. Raises `OSError`."""
     try:
         os.close(os.open(claim, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
     except FileExistsError:
@@ -235,8 +235,8 @@ def _put(job: Job, line: bytes) -> bool:
 def state(job: Job) -> dict[str, Any]:
     """What a page shows of a job: progress, question, figures, messages, how it ended. Plain values.
 
-    `question_id` tells the question from all others of the job: the byte at which it begins in `stderr`.
-    A question that has got its answer is none any more.
+    `question_id` identifies the question among those of the job: it is the byte at which it begins in
+    `stderr`. A question that has got its answer is none any more.
     """
     running = alive(job)
     reported: dict[str, Any] = {
@@ -258,13 +258,13 @@ def state(job: Job) -> dict[str, Any]:
     }
     for place, line in _tail(job.folder / STDERR):
         _take(reported, place, line)
-    del reported["messages"][:-_MOST_TOLD], reported["events"][:-_MOST_TOLD]
+    del reported["messages"][:-_MOST_SHOWN], reported["events"][:-_MOST_SHOWN]
     if not running or (job.folder / f"{ANSWER}{reported['question_id']}").exists():
         reported |= {"question": None, "question_id": None}
     return reported if running else reported | _end(job, reported)
 
 
-def _take(told: dict[str, Any], place: int, line: str) -> None:
+def _take(shown: dict[str, Any], place: int, line: str) -> None:
     """One line of standard error, which begins at that byte."""
     try:
         ((kind, data),) = json.loads(line).items()
@@ -272,22 +272,22 @@ def _take(told: dict[str, Any], place: int, line: str) -> None:
     except (ValueError, AttributeError, KeyError, RecursionError):
         fits = False
     if not fits:
-        told["messages"].append(line)
+        shown["messages"].append(line)
         return
     if kind == "progress":
-        told["whole" if data.get("what") == "in all" else "progress"] = data
+        shown["whole" if data.get("what") == "in all" else "progress"] = data
     elif kind == "question":
-        told |= {"question": data, "question_id": place}
+        shown |= {"question": data, "question_id": place}
     elif kind == "answered":
-        told |= {"question": None, "question_id": None}
+        shown |= {"question": None, "question_id": None}
     elif kind == "live":
-        told["live"], told["held"] = data, None  # of a bench before this one
-        told["events"] += data.get("events", ())
+        shown["live"], shown["held"] = data, None  # of a bench before this one
+        shown["events"] += data.get("events", ())
     else:
-        told[kind] = data
+        shown[kind] = data
 
 
-def _end(job: Job, told: Mapping[str, Any]) -> dict[str, Any]:
+def _end(job: Job, shown: Mapping[str, Any]) -> dict[str, Any]:
     """How a job ended, from the one object that it wrote."""
     result = read(job.folder / STDOUT)
     error = result.get("error")
@@ -298,8 +298,8 @@ def _end(job: Job, told: Mapping[str, Any]) -> dict[str, Any]:
         verdict = str(result.get("verdict") or _judged(result))
         why = error["message"] if isinstance(error, dict) else _why(result)
     else:
-        verdict, why = UNTOLD, "it ended without a result: it was killed, or could not start"
-    held = found if isinstance(found := result.get("held"), dict) else told["held"]
+        verdict, why = NO_RESULT, "it ended without a result: it was killed, or could not start"
+    held = found if isinstance(found := result.get("held"), dict) else shown["held"]
     pages: dict[str, Any] = {
         k: v for k in ("report", "page", "folder") if isinstance(v := result.get(k), str)
     }

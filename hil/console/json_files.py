@@ -21,7 +21,7 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def is_private(path: Path) -> bool:
-    """Whether a file is this user's, and nothing else can read or write it."""
+    """Whether a file is this user's, and no other user can read or write it."""
     try:
         reported = path.lstat()
     except OSError:

@@ -1,4 +1,4 @@
-"""Which robots the jobs of a console have left NOT HELD: an alarm that stays. Standard library alone.
+"""The alarm for robots that jobs of the console left NOT HELD; it stays until reset. Standard library only.
 
 It is read from the folders of the jobs, so that it is the same after a reload or a restart. A later job takes
 it away only where it was on the same bench and has found the robot held: one that opened no device, or only
@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.console.jobs import PROCESS, UNTOLD, Job, job_folders, job_in, state
+from hil.console.jobs import NO_RESULT, PROCESS, Job, job_folders, job_in, state
 from hil.console.json_files import put_private, read
 
 SECURED = "secured.json"
@@ -33,13 +33,13 @@ class Alarm:
         self._ended: dict[Job, dict[str, Any]] = {}
 
     def not_held(self) -> list[dict[str, str]]:
-        """Of each bench the job that left its robot so and what to say of it, as `job` and `words`."""
+        """For each bench with a robot NOT HELD: the job that left it so, and the message."""
         secured = self._secured()
         left: dict[tuple[str, ...], dict[str, str]] = {}
         looked: set[tuple[str, ...]] = set()
         for job in self._latest_first():
             bench = _bench(job)
-            reported = {} if bench in looked else self._told(job)
+            reported = {} if bench in looked else self._reported_of(job)
             if _is_loose(reported) or _found_held(reported):
                 looked.add(bench)
                 if _is_loose(reported) and job.name not in secured:
@@ -54,7 +54,7 @@ class Alarm:
             if job is not None:
                 yield job
 
-    def _told(self, job: Job) -> Mapping[str, Any]:
+    def _reported_of(self, job: Job) -> Mapping[str, Any]:
         """How a job ended; empty while it runs."""
         if job not in self._ended:
             reported = state(job)
@@ -76,33 +76,33 @@ class Alarm:
         return set(map(str, names)) if isinstance(names, list) else set()
 
 
-def _is_loose(told: Mapping[str, Any]) -> bool:
+def _is_loose(ended: Mapping[str, Any]) -> bool:
     """Whether a job that has ended left its robot NOT HELD, or drove and was killed before it could say."""
-    held = told.get("held")
+    held = ended.get("held")
     if held:
         return bool(held.get("state") == "NOT HELD")
-    return told.get("verdict") == UNTOLD and told.get("live") is not None
+    return ended.get("verdict") == NO_RESULT and ended.get("live") is not None
 
 
-def _found_held(told: Mapping[str, Any]) -> bool:
+def _found_held(ended: Mapping[str, Any]) -> bool:
     """Whether a job has looked at the robot and found it held, or at rest where it need not be held."""
-    held = told.get("held") or {}
+    held = ended.get("held") or {}
     return held.get("state") == "HELD" or (
         held.get("state") == "not needed" and held.get("moved_m") is not None
     )
 
 
 def _bench(job: Job) -> tuple[str, ...]:
-    """What tells the bench of a job from others: its file, and which of its devices are emulated."""
+    """What identifies the bench of a job: its file, and which of its devices are emulated."""
     words = job.words[: job.words.index("--")] if "--" in job.words else job.words
     return tuple(sorted(word for word in words if word.startswith((_BENCH, _EMULATE))))
 
 
-def _in_words(job: Job, told: Mapping[str, Any]) -> str:
-    held = told.get("held")
+def _in_words(job: Job, ended: Mapping[str, Any]) -> str:
+    held = ended.get("held")
     if not held:
         return f"{job.title} was killed while its loop ran. Check whether the robot is held."
     why = str(held.get("why")).rstrip(".")
-    if told.get("emulated") or not any(word.startswith(_BENCH) for word in _bench(job)):
+    if ended.get("emulated") or not any(word.startswith(_BENCH) for word in _bench(job)):
         return f"{job.title} left its emulated robot NOT HELD: {why}."
     return f"The robot is NOT HELD since {job.title}: {why}. Secure it before you do anything else."

@@ -1,4 +1,4 @@
-"""The console's page: what there is to start, what runs, the devices, the history. It touches no device.
+"""Serves the console's page: commands, running jobs, devices, history. It touches no device.
 
 Everything that moves is an ordinary command in a process of its own (`hil.console.jobs`). So this process may
 be killed, started again, or asked anything at any time.
@@ -110,7 +110,7 @@ class PageProcess:
             ("GET", PAGES): self._file,
             ("GET", "/trends"): self._trends,
         }
-        return pages | {key: _told(route) for key, route in asked.items()}
+        return pages | {key: _with_errors(route) for key, route in asked.items()}
 
     def _offer(self, request: Request) -> Reply:
         offered = [action.to_json() for action in self._actions.values()]
@@ -129,7 +129,7 @@ class PageProcess:
         return as_json({"jobs": [self._job(job) for job in jobs.jobs(self._jobs, _SHOWN_JOBS)]})
 
     def _job(self, job: jobs.Job) -> dict[str, Any]:
-        """Its state; that of one that has ended is kept, because it changes no more."""
+        """State of a job; that of one that has ended is kept, because it changes no more."""
         if job.name not in self._ended:
             state = jobs.state(job)
             if state["running"]:
@@ -256,7 +256,7 @@ def _elsewhere(place: str) -> Reply:
     return Reply(b"", status=HTTPStatus.SEE_OTHER, headers={"Location": place})
 
 
-def _told(route: Route) -> Route:
+def _with_errors(route: Route) -> Route:
     """A route whose errors on purpose are answered in a sentence."""
 
     def answered(request: Request) -> Reply:

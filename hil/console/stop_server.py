@@ -45,9 +45,9 @@ def asset(name: str) -> Reply:
     return Reply(content, f"{kinds[name.rpartition('.')[2]]}; charset=utf-8")
 
 
-def runs(told: dict[str, Any]) -> bool:
+def runs(process: dict[str, Any]) -> bool:
     """Whether the process that such a file names is running."""
-    return jobs.same({key: told.get(key) for key in IDENTITY})
+    return jobs.same({key: process.get(key) for key in IDENTITY})
 
 
 def end_without_page(folder: Path) -> bool:

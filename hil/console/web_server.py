@@ -42,7 +42,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Reply:
-    """What it gets."""
+    """The answer to a request."""
 
     content: bytes
     kind: str = "text/html; charset=utf-8"

@@ -1,5 +1,5 @@
 """Pose tracking: control laws, the module layer, limits."""
 
-from hil.controller.tracking import TrackingController, make_controller
+from hil.controller.tracking import TrackingController, make_controller, make_modules
 
-__all__ = ["TrackingController", "make_controller"]
+__all__ = ["TrackingController", "make_controller", "make_modules"]

@@ -115,7 +115,7 @@ class ScriptedController(Controller):
         self._script = script
 
     def reset(self) -> None:
-        """Nothing is remembered."""
+        """Do nothing: there is no state."""
 
     def update(self, state: RobotState, reference: Reference, wheels: WheelMeasurement) -> WheelSetpoint:
         """What the script says for the reference's time.

@@ -1,4 +1,4 @@
-"""Control laws: from pose error and reference to a commanded body twist.
+"""Control laws: compute a commanded body twist from pose error and reference.
 
 Pose error in the measured body frame: e = (R(th)' (p_d - p), wrap(th_d - th)); reference twist t_d in
 the reference's body frame.

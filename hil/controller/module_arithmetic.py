@@ -1,4 +1,4 @@
-"""What the module layer reckons for four wheels, on a flat vector.
+"""The arithmetic of the module layer for four wheels, on a flat vector.
 
 Between both functions numpy takes sines and cosines, whose last bit may be another one in machine code.
 """

@@ -1,4 +1,4 @@
-"""The module layer: from a body twist to four wheel speeds and steering angles, in one fixed order.
+"""The module layer: computes four wheel speeds and steering angles from a body twist, in a fixed order.
 
 1. inverse kinematics; 2. a wheel that hardly moves holds its last angle (a centre of rotation on a
 wheel is singular); 3. flip by half a turn when that is the shorter turn from the **measured** angle,
@@ -34,7 +34,7 @@ class ModuleLayer:
         dt_s: period of the loop, s.
 
     Attributes:
-        following: whether the latest twist is what the wheels were told to do: not held, limited or slowed.
+        following: whether the latest twist is what the wheels were commanded: not held, limited or slowed.
     """
 
     def __init__(self, geometry: WheelGeometry, limits: ModuleLimits, dt_s: float) -> None:

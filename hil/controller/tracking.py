@@ -75,6 +75,25 @@ class TrackingController(Controller):
         return setpoint
 
 
+def make_modules(config: ControlConfig, geometry: WheelGeometry, *, rate_hz: float) -> ModuleLayer:
+    """What turns body twists into setpoints of the wheels, within the limits of a configuration.
+
+    Args:
+        config: `[control]` of the bench file.
+        geometry: of the wheels.
+        rate_hz: of the loop.
+    """
+    limits = ModuleLimits(
+        config.wheel_speed_m_s,
+        config.steering_limit_rad,
+        config.steering_rate_rad_s,
+        config.still_speed_m_s,
+        config.flip_hysteresis_rad,
+        config.contradiction_m_s,
+    )
+    return ModuleLayer(geometry, limits, 1.0 / rate_hz)
+
+
 def make_controller(
     config: ControlConfig, geometry: WheelGeometry, trajectory: Trajectory, *, rate_hz: float = 100.0
 ) -> TrackingController:
@@ -101,17 +120,9 @@ def make_controller(
             ),
             clamp=config.integral_clamp,
         )
-    limits = ModuleLimits(
-        config.wheel_speed_m_s,
-        config.steering_limit_rad,
-        config.steering_rate_rad_s,
-        config.still_speed_m_s,
-        config.flip_hysteresis_rad,
-        config.contradiction_m_s,
-    )
     return TrackingController(
         law,
-        ModuleLayer(geometry, limits, dt_s),
+        make_modules(config, geometry, rate_hz=rate_hz),
         dead_zone=config.dead_zone,
         goal_position_m=config.goal_position_m,
         goal_heading_rad=config.goal_heading_rad,

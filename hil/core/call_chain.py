@@ -16,7 +16,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hil.core.errors import HilError, shown_path, told
+from hil.core.errors import HilError, error_text, shown_path
 from hil.core.registry import GROUP
 
 _PACKAGE = os.path.realpath(Path(__file__).parents[1])
@@ -27,7 +27,7 @@ _FROM_ELSEWHERE = "_hil_frames"
 _MOST = 50
 
 
-class Frame(NamedTuple):
+class Call(NamedTuple):
     """One call of a chain.
 
     Attributes:
@@ -52,7 +52,7 @@ class Frame(NamedTuple):
         return self[:3]
 
 
-def chain_of(error: BaseException, *, shipped: bool = False) -> tuple[Frame, ...]:
+def chain_of(error: BaseException, *, shipped: bool = False) -> tuple[Call, ...]:
     """The frames of the user's code, the outermost call first, at most 50; empty where there is none.
 
     An exception that was raised from another is followed by the frames of that one.
@@ -69,8 +69,8 @@ def keep_chain(error: BaseException) -> None:
     setattr(error, _FROM_ELSEWHERE, chain_of(error))
 
 
-def as_json(chain: Iterable[Frame]) -> list[dict[str, Any]]:
-    """A chain as JSON values; its keys are the attributes of `Frame`."""
+def as_json(chain: Iterable[Call]) -> list[dict[str, Any]]:
+    """A chain as JSON values; its keys are the attributes of `Call`."""
     return [frame._asdict() for frame in chain]
 
 
@@ -93,7 +93,7 @@ def place_of(error: BaseException) -> str:
     return "unknown place" if last is None else f"{Path(last.filename).name}, line {last.lineno}"
 
 
-def _frames(error: BaseException, shipped: bool) -> Iterator[Frame]:
+def _frames(error: BaseException, shipped: bool) -> Iterator[Call]:
     seen: set[int] = set()
     link: BaseException | None = error
     while link is not None and id(link) not in seen:
@@ -101,7 +101,7 @@ def _frames(error: BaseException, shipped: bool) -> Iterator[Frame]:
         kept = getattr(link, _FROM_ELSEWHERE, ())
         own = [frame for frame in _own(link, shipped) if frame.call not in {known.call for known in kept}]
         if own and not kept and not isinstance(link, HilError):
-            own[-1] = own[-1]._replace(raised=told(link))
+            own[-1] = own[-1]._replace(raised=error_text(link))
         yield from own
         yield from kept
         if kept:  # its causes are among them, also where a library has sent those, too
@@ -109,13 +109,13 @@ def _frames(error: BaseException, shipped: bool) -> Iterator[Frame]:
         link = link.__cause__ or (None if link.__suppress_context__ else link.__context__)
 
 
-def _own(error: BaseException, shipped: bool) -> Iterator[Frame]:
+def _own(error: BaseException, shipped: bool) -> Iterator[Call]:
     """The user's frames of one exception."""
     every = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in every if _is_users(frame.filename, shipped)]
     for (file, line, function), same in groupby(own, key=lambda s: (s.filename, s.lineno, s.name)):
         alike = list(same)
-        yield Frame(shown_path(Path(file)), line or 0, function, alike[0].line or "", len(alike))
+        yield Call(shown_path(Path(file)), line or 0, function, alike[0].line or "", len(alike))
 
 
 @lru_cache(maxsize=512)

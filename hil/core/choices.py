@@ -18,5 +18,7 @@ LAWS: tuple[LawName, ...] = get_args(LawName)
 METHODS = ("lm", "interior-point", "ga", "pso")
 """Solvers of a calibration."""
 
+ROS2 = "ros2:"
+"""Begins the name of a controller that is a program on ROS 2; its topic follows."""
 HIGHEST_DOMAIN = 101
 """Of the domains of ROS 2 (DDS): above it their ports run into those that Linux gives to any program."""

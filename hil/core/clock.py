@@ -2,7 +2,7 @@
 
 `MonotonicClock` is real time. The virtual clock lives in `hil.fakes.world` because sleeping on it
 advances the emulated world. Either is handed in. The host's own clock serves the programs beside the loop
-(keeper, console, viewer, command line), what waits for them, the watch for calls that do not return, the
+(fan daemon, console, viewer, command line), what waits for them, the watch for calls that do not return, the
 doctor's look at slow reads, and the day on which a record is still valid. `pyproject.toml` lists these
 modules; ruff refuses `time` in all others.
 """
@@ -56,7 +56,7 @@ class Clock(Protocol):
     def schedule(self, task: Task, due_ns: int) -> Callable[[], None]:
         """Have something done beside the caller's work, at `due_ns` and whenever it says from then on.
 
-        In real time it runs in a thread of its own; in virtual time while something sleeps.
+        In real time it runs in a thread of its own; in virtual time while another call sleeps.
 
         Returns:
             Ends it; a call that is under way is not waited for. May be called twice.

@@ -307,5 +307,5 @@ class DeviceKind:
 
     @property
     def shown_as(self) -> str:
-        """Its name in what `hil emulate` prints."""
+        """Name of the device in the output of `hil emulate`."""
         return self.endpoint or self.name

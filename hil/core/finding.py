@@ -31,7 +31,7 @@ class Finding:
     frames: tuple[Mapping[str, Any], ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """As plain data."""
+        """The finding as plain data for JSON."""
         return {key: list(v) if key == "frames" else str(v) for key, v in asdict(self).items()}
 
     @classmethod

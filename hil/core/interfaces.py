@@ -1,4 +1,4 @@
-"""The seams: what a device, an estimator, a controller and a sink are. Inherit them explicitly.
+"""The interfaces of devices, estimators, controllers and sinks. Inherit them explicitly.
 
 Synchronous. A thread may live only inside a driver or a sink. Time, randomness and devices are
 arguments. `stop()` on a wall means: wheels at rest, steering held, torque **on**; only `release()`
@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 from hil.core.errors import HilError
+from hil.core.external_commands import ExternalCommands
 from hil.core.signals import (
     CycleRecord,
     Measurements,
@@ -96,7 +97,7 @@ class Actuators(Device, Protocol):
     def look_after(self) -> ServoHold:
         """Wheels at rest; what a servo has lost (torque, goals, watchdog) is put right. Never raises.
 
-        From `enable` until `release` or `close` the driver does so by itself when nothing else talks to it.
+        From `enable` until `release` or `close` the driver does so by itself when no call talks to it.
         """
 
     @abstractmethod
@@ -107,7 +108,7 @@ class Actuators(Device, Protocol):
 class Holding(Sensor[S_co], Protocol[S_co]):
     """What keeps the robot on its surface beside its wheels: the fan, the propellers.
 
-    Opening and closing it changes nothing: it goes on as the last command said, whoever gave it.
+    Opening and closing it changes nothing: it goes on with the last command, of whichever program.
     """
 
     @abstractmethod
@@ -147,7 +148,7 @@ class Estimator(Protocol):
 
 
 class Controller(Protocol):
-    """Pose tracking."""
+    """Computes wheel set-points that make the robot track a reference."""
 
     @abstractmethod
     def reset(self) -> None:
@@ -156,6 +157,45 @@ class Controller(Protocol):
     @abstractmethod
     def update(self, state: RobotState, reference: Reference, wheels: WheelMeasurement) -> WheelSetpoint:
         """Wheel setpoints at the state's time; `wheels` gives the measured steering angles."""
+
+
+Ask = Callable[[CycleRecord], ExternalCommands]
+"""Shows a cycle, before anything is commanded in it, to another program; returns what that commands."""
+
+
+class ExternalController(Protocol):
+    """A controller that is another program: what came of it decides, and is recorded.
+
+    Attributes:
+        name: as `--controller` has it.
+        ask: gets its commands; a pipeline that nothing is attached to hears none.
+        begun: whether there was a command since `reset`; until then nothing moves, and no time passes for the
+            reference.
+        heard: of the latest cycle.
+        warning: what is to be known of the run so far; empty for nothing.
+    """
+
+    name: str
+    ask: Ask
+    begun: bool
+    heard: ExternalCommands | None
+    warning: str
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forget the run."""
+
+    @abstractmethod
+    def update(self, seen: CycleRecord, wheels: WheelMeasurement | None) -> WheelSetpoint | None:
+        """Setpoint of a cycle; None to rest where the wheels stand.
+
+        Args:
+            seen: the cycle; its setpoint and command mean nothing yet.
+            wheels: newest aligned wheels; None where none were read.
+
+        Raises:
+            SafetyStop: by what it commands, or because it does not.
+        """
 
 
 RUN_NOTE, HELD_NOTE = "run", "held"
@@ -167,10 +207,10 @@ class Sink(Protocol):
 
     @abstractmethod
     def write(self, record: CycleRecord) -> None:
-        """Take one record."""
+        """Take the record of one cycle."""
 
     def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
-        """Told what belongs between two cycles: how a run begins, how the robot was left. Never raises.
+        """Take a note between two cycles: how a run begins, how the robot was left. Never raises.
 
         Args:
             t_ns: bench time.
@@ -184,9 +224,18 @@ class Sink(Protocol):
         return None
 
     def rest(self) -> None:
-        """Told that the loop sleeps until its next cycle: the moment for a thread of the sink to work."""
+        """Called while the loop sleeps until its next cycle: a thread of the sink may work now."""
         return
 
     @abstractmethod
     def close(self) -> None:
         """Flush and let go. Never raises."""
+
+
+@runtime_checkable
+class CommandingSink(Sink, Protocol):
+    """A sink beyond which a program is that commands the robot."""
+
+    @abstractmethod
+    def ask(self, seen: CycleRecord) -> ExternalCommands:
+        """Show a cycle before anything is commanded in it; waits for an answer, for as long as may be."""

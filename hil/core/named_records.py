@@ -1,4 +1,4 @@
-"""Numbers by name: what stands in a block of numbers, as kernels read and write it.
+"""Names the numbers in a flat block, as kernels read and write it.
 
 A class derived from `Record` lists its fields with their types: `float` or `int`, an array with its shape
 (`Four`, `Annotated[Ints, 2]`), or another such class. `dtype_of` makes the numpy type from it; a kernel then

@@ -1,4 +1,4 @@
-"""Which fields of a sample are not finite although its status is good."""
+"""Finds fields of a sample that are not finite although its status is good."""
 
 from __future__ import annotations
 

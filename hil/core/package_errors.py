@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from hil.core.call_chain import place_of
-from hil.core.errors import ConfigError, DeviceError, HilError, told
+from hil.core.errors import ConfigError, DeviceError, HilError, error_text
 
 OURS = "hil"
 T = TypeVar("T")
@@ -43,7 +43,7 @@ def of_a_script(what: str) -> Iterator[None]:
         raise
     except BaseException as error:
         raise ConfigError(
-            f"{what}: {told(error)} ({place_of(error)})", remedy="mend the script there"
+            f"{what}: {error_text(error)} ({place_of(error)})", remedy="mend the script there"
         ) from error
 
 
@@ -66,7 +66,7 @@ def blamed(kind: str, package: str, what: str) -> Iterator[None]:
     except (Exception, SystemExit, GeneratorExit) as error:
         if package == OURS:
             raise
-        raise PackageError(kind, package, f"{what} raised {told(error)}") from error
+        raise PackageError(kind, package, f"{what} raised {error_text(error)}") from error
 
 
 def asked(kind: str, package: str, what: str, call: Callable[..., T], *given: Any) -> T:

@@ -1,4 +1,4 @@
-"""Which kinds and models of devices there are: everything about devices follows this.
+"""The registry of all kinds and models of devices, shipped and of installed packages.
 
 The shipped kinds are packages of `hil.devices`, named like the fields of `hil.core.signals.Inputs`;
 each has its `DeviceKind` as `KIND`. An installed package adds kinds, or models to a kind, by entry points

@@ -1,4 +1,4 @@
-"""Whether a kind or a model of devices that an installed package adds can work; one that can is added."""
+"""Checks a kind or a model of devices that an installed package adds, and registers it."""
 
 from __future__ import annotations
 

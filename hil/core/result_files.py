@@ -1,6 +1,6 @@
 """Names of the files that make a folder a result, and the verdicts that count as passed.
 
-Whoever writes such a folder, reads, shows or deletes it takes them from here.
+All code that writes, reads, shows or deletes such a folder takes them from here.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What flows through the loop: samples from devices, states, references, setpoints, cycle records.
+"""The types that flow through the loop: samples, states, references, setpoints, cycle records.
 
 Frozen dataclasses, SI units, unit and frame in the name. Wheel order is FL, BL, BR, FR everywhere
 (the paper's 1..4); an array over servos has the four drives first, then the four steers, each in
@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, fields
 from operator import attrgetter
 from typing import Any
 
+from hil.core.external_commands import ExternalCommands
 from hil.core.geometry import Array
 from hil.core.suspects import SEPARATOR
 
@@ -285,7 +286,7 @@ _KNOWN = frozenset(KINDS)
 
 
 def samples_of(kind: str) -> Callable[[Inputs], tuple[Any, ...]]:
-    """What takes the samples of a kind out of inputs: `Inputs.of` for whoever asks in every cycle."""
+    """A function that takes the samples of a kind out of inputs: `Inputs.of` for a caller in every cycle."""
     if kind in _KNOWN:
         return attrgetter(kind)
     return lambda inputs: inputs.added.get(kind, ())
@@ -436,6 +437,7 @@ class CycleRecord:
     `observers` holds the states of estimators that run beside the one in the loop, by name. `truth` is what
     an emulated robot really did, where its world lives in this process: `t_ns`, `pose_body_in_wall` (3,),
     `steering_true_rad` (4,), `normal_load_n` (4,), `slip_m_s` (4, 2) along and across each wheel, `fallen`.
+    `external` is what a controller that is another program sent; None where there is none.
     """
 
     cycle: int
@@ -451,3 +453,4 @@ class CycleRecord:
     observers: Mapping[str, RobotState] = field(default_factory=dict)
     timing_ns: Mapping[str, int] = field(default_factory=dict)
     truth: Mapping[str, Any] | None = None
+    external: ExternalCommands | None = None

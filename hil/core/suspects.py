@@ -1,4 +1,4 @@
-"""Which kinds of devices may be the cause of a stop, by its reason, as data."""
+"""The kinds of devices that may be the cause of a stop, by its reason."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _BY_REASON: Mapping[str, tuple[str, ...]] = {
     "tracking": ("servos",),
     "heading": ("servos", "imu", "tracker"),
 }
-"""Of a reason that is not here, `stale_KIND` and `lost_KIND` accuse that kind, others nothing."""
+"""Of a reason that is not here, `stale_KIND` and `lost_KIND` accuse that kind, others none."""
 _OF_ONE = ("stale_", "lost_")
 
 

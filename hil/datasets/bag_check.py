@@ -1,4 +1,4 @@
-"""Looks through a bag before it is read: whether it is one, and whole, and what to do where it is not."""
+"""Checks that a file is a whole bag before it is read, with a remedy where it is not."""
 
 from __future__ import annotations
 

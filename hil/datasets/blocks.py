@@ -1,4 +1,4 @@
-"""Recordings reduced to what a fit needs: wheel vectors per block of time, truth at the block ends.
+"""Reduces recordings to what a fit needs: wheel vectors per block of time, truth at the block ends.
 
 Two facts make a fit quick: the wheel vectors dphi (cos d, sin d)
 do not depend on the parameters, and increments may be summed to blocks of 0.1 s, because the SE(2)

@@ -1,4 +1,4 @@
-"""Rows of a log made usable: numbers only, stamps that increase, and a count of each repair."""
+"""Repairs the rows of a log: numbers only, increasing stamps, and a count of each repair."""
 
 from __future__ import annotations
 

@@ -15,11 +15,11 @@ import numpy as np
 from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.cleaning import Log, clean, count, count_gaps, emptiest, recorded_rates, with_angles
-from hil.datasets.nominal import Nominal, lever_m
+from hil.datasets.nominal_robot import Nominal, lever_m
 from hil.datasets.segments import in_words, split
-from hil.datasets.truth_jumps import Bools, fastest_m_s, find_leaps
+from hil.datasets.truth_jumps import Bools, fastest_m_s, find_jumps
+from hil.datasets.unit_check import check_stamp_jumps, check_time, check_units, rolled_m
 from hil.datasets.unit_factors import Drive, check_rates, check_ways
-from hil.datasets.units import check_leaps, check_time, check_units, rolled_m
 from hil.datasets.wheel_turns import whole_turns
 
 FROZEN = "ground-truth rows that repeat an earlier pose while the wheels roll (a frozen source) left out"
@@ -177,7 +177,7 @@ def _build(
         shared_s = max(end_s - begin_s, 0.0)
         raise DataError(where, f"wheels and ground truth share {shared_s:.2f} s", expected=">= 1 s")
     for stamps in (t_s, truth_t_s):
-        check_leaps(where, stamps)
+        check_stamp_jumps(where, stamps)
     rate = recorded_rates(w, repairs)
     turns = whole_turns(where, t_s, w[:, :4], rate)
     angle = turns.angle
@@ -193,7 +193,7 @@ def _build(
             expected="a source that goes on to the end",
             remedy="look at what the capture system sent",
         )
-    keep = _without_leaps(where, truth_t_s, pose, fastest_m_s(t_s, angle, robot.radius_m), robot, repairs)
+    keep = _without_jumps(where, truth_t_s, pose, fastest_m_s(t_s, angle, robot.radius_m), robot, repairs)
     truth_t_s, pose, truth_receive_s = truth_t_s[keep], pose[keep], truth_receive_s[keep]
     count_gaps(repairs, t_s, "wheel gaps over {:g} s bridged")
     count_gaps(repairs, truth_t_s, "ground-truth gaps over {:g} s, in which nothing is compared")
@@ -233,11 +233,11 @@ def _build(
     )
 
 
-def _without_leaps(
+def _without_jumps(
     where: str, t_s: Array, pose: Array, speed_m_s: float, robot: Nominal, repairs: dict[str, int]
 ) -> Bools:
     """Which rows (m,) of a ground truth stay; raises `DataError` where that is not even half of them."""
-    found = find_leaps(t_s, pose, speed_m_s, lever_m(robot.geometry))
+    found = find_jumps(t_s, pose, speed_m_s, lever_m(robot.geometry))
     dropped = np.count_nonzero(~found.keep)
     if 2 * dropped > len(t_s):
         raise DataError(

@@ -25,7 +25,7 @@ from hil.core.geometry import Array
 from hil.core.signals import CycleRecord, WheelMeasurement
 from hil.datasets.cleaning import Log
 from hil.datasets.dataset import Recording, build_recording
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import RATE_COLUMNS, TRUTH_COLUMNS, TRUTH_GAP_S, WHEEL_COLUMNS
 from hil.datasets.recording_names import motion_of
 from hil.datasets.sampling import truth_at

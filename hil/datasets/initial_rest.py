@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.core.geometry import Array
 from hil.datasets.dataset import Recording
-from hil.datasets.nominal import lever_m
+from hil.datasets.nominal_robot import lever_m
 from hil.datasets.sampling import interpolate, truth_window, wheel_edges, wheel_steps
 from hil.robot.kinematics import twist_of_vectors, wheel_vectors
 from hil.robot.odometry import integrate, sample_path

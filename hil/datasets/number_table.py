@@ -56,7 +56,7 @@ def _by_numpy(quick: bytes, lines: int, width: int) -> Array | None:
     if len(between) != lines * width or np.any(between[width - 1 :: width] != ord("\n")) or b",," in quick:
         return None
     with warnings.catch_warnings(), suppress(ValueError, DeprecationWarning):
-        warnings.simplefilter("error", DeprecationWarning)  # how numpy tells of text like 1e or 1-2
+        warnings.simplefilter("error", DeprecationWarning)  # how numpy reports text like 1e or 1-2
         text = quick.replace(b"\n", b",").decode("ascii")
         return np.fromstring(text, sep=",", count=lines * width).reshape(-1, width)
     return None

@@ -18,7 +18,7 @@ from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.cleaning import Log
 from hil.datasets.dataset import Recording, build_recording
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.number_table import numbers_at_once
 from hil.datasets.public_csv import read_bytes
 from hil.datasets.recording_names import motion_of

@@ -19,7 +19,7 @@ from hil.core.geometry import Array
 from hil.core.signals import WHEELS
 from hil.datasets.cleaning import Log, credible
 from hil.datasets.dataset import Recording, build_recording
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.number_table import numbers_at_once
 from hil.datasets.unpacking import read_packed
 
@@ -160,7 +160,7 @@ def _abs_numbers(path: Path, data: bytes) -> Array:
 
 
 def _numbers(path: Path, quick: bytes, body: bytes, columns: list[str], width: int) -> Array:
-    """Rows (n, width)."""
+    """Parse the rows of a CSV file as numbers, (n, width)."""
     return credible(_rows(path, quick, body, columns, width))
 
 

@@ -1,4 +1,4 @@
-"""Which reader reads what: turns the paths of a command line into recordings."""
+"""Reads the paths of a command line as recordings, each with the right reader."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from pathlib import Path
 from hil.core.errors import DataError
 from hil.core.wrong_path_hint import meant
 from hil.datasets import export, plain_csv, public_csv, rosbag
-from hil.datasets.copies import without_copies
-from hil.datasets.coverage import covered
 from hil.datasets.dataset import Recording
-from hil.datasets.nominal import Nominal
+from hil.datasets.drive_coverage import covered
+from hil.datasets.duplicate_recordings import without_copies
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.recording_names import named_apart
-from hil.datasets.signs import check_signs
 from hil.datasets.topic_map import TopicMap, read_topic_map
 from hil.datasets.unpacking import PACKED
+from hil.datasets.wrong_signs import check_signs
 from hil.recording.mcap_reader import NEEDS_TOPICS
 from hil.recording.mcap_records import COPY_AGAIN
 from hil.support.atomic_files import check_name
@@ -44,7 +44,7 @@ class Job:
 
     @property
     def identity(self) -> tuple[Path, ...]:
-        """The same for the same run, whatever path leads to it."""
+        """A value that is the same for one run, by whatever path it is given."""
         return tuple(file.resolve() for file in self.files)
 
 

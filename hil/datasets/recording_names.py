@@ -18,7 +18,7 @@ def motion_of(name: str) -> str:
     """Motion that a recording of this name shows: `line_x_2` is a repetition of `line_x`, by its number.
 
     Args:
-        name: of the file or folder, without what tells its kind.
+        name: of the file or folder, without the part for its kind.
     """
     return _REPETITION.sub("", name) or name
 

@@ -23,7 +23,7 @@ from hil.datasets.bag_check import CONVERT, check_bag
 from hil.datasets.cleaning import Log
 from hil.datasets.dataset import Recording, build_recording
 from hil.datasets.joint_rows import JointRows
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.recording_names import motion_of
 from hil.datasets.topic_map import TopicMap, WheelTopic
 from hil.datasets.truth_poses import TruthPoses

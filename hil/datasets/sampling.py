@@ -1,4 +1,4 @@
-"""Wheels and ground truth of a recording at instants that are asked for.
+"""Samples wheels and ground truth of a recording at given instants.
 
 Two logs of one drive have stamps and gaps of their own. Wheels are read at their own rows and never across a
 gap of the ground truth in one step; ground truth is known where it has rows, and nowhere else.

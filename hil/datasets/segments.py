@@ -1,4 +1,4 @@
-"""Where stamps step back within a recording: the clock was set, and what follows is a recording of its own.
+"""Splits a recording where its stamps step back, because the clock was set.
 
 Rows that come in another order are sorted; they fill places that no row has yet. Rows behind a step back lie
 between rows that are there already: sorted, they would mix two times.

@@ -1,4 +1,4 @@
-"""Whether wheels and ground truth share a clock, by when both begin and end to move."""
+"""Checks that wheels and ground truth share a clock, by when both begin and end to move."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.core.geometry import Array
 from hil.datasets.dataset import Recording
-from hil.datasets.nominal import lever_m
+from hil.datasets.nominal_robot import lever_m
 from hil.datasets.sampling import LONGEST_GAP_S, interpolate, truth_window, wheel_steps
 from hil.datasets.truth_jumps import Bools
 from hil.robot.kinematics import twist_of_vectors, wheel_vectors

@@ -1,4 +1,4 @@
-"""Ground truth that leaps: rows that no robot can have reached from their neighbours.
+"""Finds jumps of ground truth: rows that no robot can have reached from their neighbours.
 
 A capture system that takes another marker for the robot's puts single rows metres away. Such rows leave and
 come back; a pose that leaves and stays is another matter, and only counted.
@@ -23,8 +23,8 @@ _GRID_S = 0.1
 
 
 @dataclass(frozen=True)
-class Leaps:
-    """Leaps of a ground truth.
+class TruthJumps:
+    """TruthJumps of a ground truth.
 
     Attributes:
         keep: (m,) whether a row stays; the others leave for half a second at most.
@@ -48,8 +48,8 @@ def fastest_m_s(t_s: Array, angle: Array, radius_m: float) -> float:
     return float(max(ways)) * radius_m / _GRID_S
 
 
-def find_leaps(t_s: Array, pose: Array, speed_m_s: float, lever: float) -> Leaps:
-    """Leaps in poses, seen from the longest part without one.
+def find_jumps(t_s: Array, pose: Array, speed_m_s: float, lever: float) -> TruthJumps:
+    """TruthJumps in poses, seen from the longest part without one.
 
     A step is possible within five times what the fastest wheel rolls meanwhile, and noise: 30 mm, or ten
     typical steps, so that wrong units are not taken for leaps.
@@ -84,7 +84,7 @@ def find_leaps(t_s: Array, pose: Array, speed_m_s: float, lever: float) -> Leaps
             if leap_m:
                 lasting.append((float(t_s[max(last, part[near])] - t_s[0]), leap_m))
             keep[part], last = True, part[far]
-    return Leaps(keep, tuple(sorted(lasting)))
+    return TruthJumps(keep, tuple(sorted(lasting)))
 
 
 def _apart_m(pose: Array, one: Rows, other: Rows, lever: float) -> Array:

@@ -42,7 +42,7 @@ class TruthPoses:
         self._repairs = dict.fromkeys((_NO_HEADING, _UNKNOWN), 0)
 
     def add(self, message: Any) -> None:
-        """Take a message."""
+        """Take the poses of a message."""
         pose = getattr(message.pose, "pose", message.pose)
         spread = getattr(message.pose, "covariance", None)
         q, at = pose.orientation, pose.position

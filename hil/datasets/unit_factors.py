@@ -1,4 +1,4 @@
-"""Which unit a column is in, by its factor: wheels against ground truth, wheel rates against wheel angles.
+"""Finds the unit of a column by its factor: wheels to ground truth, wheel rates to wheel angles.
 
 In stretches of half a second: how far did each wheel roll, how far did ground truth move it, how far did it
 turn by its rate? Slip, noise and tolerances change such a way by tenths, or in single stretches; another unit
@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.core.errors import DataError
 from hil.core.geometry import Array
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.robot.kinematics import WheelGeometry
 
 _STRETCH_S = 0.5
@@ -43,7 +43,7 @@ class _Unit:
 
     @property
     def alone(self) -> tuple[float, float]:
-        """The same with nothing but what is converted: a column that says little cannot be blamed."""
+        """A copy with the converted columns only: a column that says little cannot be blamed."""
         return (self.to_si, 0.0) if self.column == "x, y" else (0.0, self.to_si)
 
 
@@ -173,7 +173,7 @@ def check_rates(where: str, t_s: Array, angle: Array, rate: Array) -> None:
 
     A wheel counts where it turns at 0.2 rad/s or more, by either, in three stretches or more: a register that
     counts in steps reads slower ones badly. It disagrees where seven tenths of them are off by twice or more,
-    or turn the other way. Where all wheels turn the other way, `hil.datasets.signs` says so.
+    or turn the other way. Where all wheels turn the other way, `hil.datasets.wrong_signs` says so.
 
     Args:
         where: the file, for messages.
@@ -182,7 +182,7 @@ def check_rates(where: str, t_s: Array, angle: Array, rate: Array) -> None:
         rate: (n, 4) wheel rates; not checked where one is no number.
 
     Raises:
-        DataError: names the columns, and the unit where the factor tells it.
+        DataError: names the columns, and the unit where the factor shows it.
     """
     if not np.all(np.isfinite(rate)):
         return

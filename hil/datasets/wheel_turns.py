@@ -1,4 +1,4 @@
-"""Whole turns of wheel angles: what is a counter that wrapped, and what is a gap, a restart or unknown.
+"""Unwraps wheel angles: distinguishes wrapped counters from gaps, restarts and unknown turns.
 
 An angle that leaps by a whole number of turns, from one edge of what its column holds to the other, wrapped.
 One that a wheel can have rolled since the row before is left as it is, however long that was. Where a counter
@@ -70,7 +70,7 @@ class _Steps:
 def whole_turns(where: str, t_s: Array, angle: Array, rate: Array) -> Turns:
     """Undo what is a wrap in wheel angles, and find what is none.
 
-    How far a wheel gets between two rows is told by the fastest one of the recording, with a quarter to
+    How far a wheel can get between two rows follows from the fastest one of the recording, with a quarter to
     spare, and at least 5 rad/s. A step of half a turn or less is always left alone within that reach.
 
     Args:
@@ -86,7 +86,7 @@ def whole_turns(where: str, t_s: Array, angle: Array, rate: Array) -> Turns:
     turns, wraps = _wrapped(angle, steps, far)
     unsure = (steps.reach >= np.pi)[:, None] & one_turn & np.any(wraps[:, one_turn])
     unsure &= np.any((size > _UNMOVED_RAD) | np.isfinite(steps.by_rate), axis=1, keepdims=True)
-    reported, agrees = _told(steps)
+    reported, agrees = _by_rates(steps)
     by_rate = unsure & agrees
     wraps &= ~unsure
     turns = np.where(by_rate, reported, np.where(wraps, turns, 0.0))
@@ -117,10 +117,10 @@ def _fastest_rad_s(t_s: Array, angle: Array) -> float:
     for column in angle.T:
         rolled = column if np.ptp(column) > _TURN + _LITTLE_RAD else np.unwrap(column)
         ways.append(np.sort(np.abs(np.diff(np.interp(grid_s, t_s, rolled)))))
-    return max(map(_without_leaps, ways)) / _GRID_S
+    return max(map(_without_jumps, ways)) / _GRID_S
 
 
-def _without_leaps(ways: Array) -> float:
+def _without_jumps(ways: Array) -> float:
     """The largest of some (n,) in order, without those that leaps may be."""
     left_out = max(_FEWEST_LEFT_OUT, int(_LEFT_OUT * len(ways)))
     return float(ways[-1 - left_out]) if len(ways) > left_out else 0.0
@@ -140,7 +140,7 @@ def _wrapped(angle: Array, steps: _Steps, far: Bools) -> tuple[Array, Bools]:
     return turns, far & whole & across & (steps.reach < np.pi)[:, None]
 
 
-def _told(steps: _Steps) -> tuple[Array, Bools]:
+def _by_rates(steps: _Steps) -> tuple[Array, Bools]:
     """Turns (n - 1, 4) by which angles go as far as the rates say, and where they do to a quarter turn.
 
     A rate that changes by much within a long gap says too little: it is not known when it did.

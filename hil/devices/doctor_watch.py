@@ -1,4 +1,4 @@
-"""What `hil doctor` asks of a device that it has watched for a while, and what most devices are asked."""
+"""A device as `hil doctor` has watched it, and the findings that most devices share."""
 
 from __future__ import annotations
 

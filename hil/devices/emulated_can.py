@@ -1,4 +1,4 @@
-"""How emulated devices on CAN are connected: a channel in this process, or one that any client can open."""
+"""Connects emulated devices on CAN: by a channel in this process, or by one that any client can open."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.device import Connection
-from hil.devices.emulated_device import EmulatedDevice, EmulationRequest, Face, Wired
+from hil.devices.emulated_device import EmulatedDevice, EmulationRequest, Transport, Wired
 from hil.fakes.can_channel import CanChannel
-from hil.fakes.can_server import CanFace
+from hil.fakes.can_server import CanTransport
 from hil.fakes.emulated_can_group import DEFAULT_GROUP, DEFAULT_PORT, first_of_host, leave_port, take_port
 
 
@@ -27,7 +27,7 @@ def on_can(
     subnet: int,
     dbc: Path | str,
     listens: bool = False,
-    told: Mapping[str, object] | None = None,
+    printed: Mapping[str, object] | None = None,
     parts: Mapping[str, Any] | None = None,
     begin: Callable[[], None] = lambda: None,
 ) -> EmulatedDevice:
@@ -38,9 +38,9 @@ def on_can(
         channel: its bus.
         subnet: third byte of its multicast group, so that devices of one process do not share one; at
             standard ports those of one bus do.
-        dbc: told to clients; empty where there is none.
+        dbc: path for clients; empty where there is none.
         listens: whether it hears what clients send.
-        told: what clients are told besides.
+        printed: further values for clients.
         parts: of the connection in this process.
         begin: called when it is connected in this process: it may be at work when the bench comes.
     """
@@ -51,31 +51,31 @@ def on_can(
         values = {"interface": "hil", "channel": opened.name, "options": {}}
         return Connection(values, parts=dict(parts or {}), close=opened.close)
 
-    def serve() -> Face:
+    def serve() -> Transport:
         config = request.config
-        about: dict[str, Any] = {"dbc": dbc, "device": request.kind, "listens": listens, "told": told}
+        about: dict[str, Any] = {"dbc": dbc, "device": request.kind, "listens": listens, "printed": printed}
         if config.interface == "udp_multicast":
             at = {"port": DEFAULT_PORT, **config.options}
-            return CanFace(channel, address=config.channel, options=at, **about)
+            return CanTransport(channel, address=config.channel, options=at, **about)
         if request.standard_ports:
             bus = (config.bus, config.bitrate)
             at = {"port": take_port(*bus, request.kind)}
             leave = partial(leave_port, *bus)
-            return CanFace(channel, address=DEFAULT_GROUP, options=at, at_close=leave, **about)
+            return CanTransport(channel, address=DEFAULT_GROUP, options=at, at_close=leave, **about)
         address, right = f"239.74.{subnet}.{2 + os.getpid() % 250}", first_of_host()
         if right is None:
-            return CanFace(channel, address=address, **about)
+            return CanTransport(channel, address=address, **about)
         at = {"port": DEFAULT_PORT}
-        return CanFace(channel, address=address, options=at, at_close=right.close, **about)
+        return CanTransport(channel, address=address, options=at, at_close=right.close, **about)
 
     return Wired(connect, serve)
 
 
-def where(endpoint: Mapping[str, Any], told: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Keys of a table from an endpoint that was printed; `told` are no options of the interface."""
+def where(endpoint: Mapping[str, Any], printed: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Keys of a table from an endpoint that was printed; `printed` are no options of the interface."""
     keys = ("interface", "channel", "bitrate")
-    options = {key: value for key, value in endpoint.items() if key not in (*keys, "dbc", *told)}
+    options = {key: value for key, value in endpoint.items() if key not in (*keys, "dbc", *printed)}
     if endpoint["interface"] == "udp_multicast":
         options["hop_limit"] = 0
-    own = {key: tuple(v) if isinstance(v := endpoint[key], list) else v for key in told}
+    own = {key: tuple(v) if isinstance(v := endpoint[key], list) else v for key in printed}
     return {**{key: endpoint[key] for key in keys}, "options": options, **own}

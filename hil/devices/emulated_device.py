@@ -1,4 +1,4 @@
-"""How an emulated device is built and connected: in this process for virtual time, or at the wire.
+"""Builds and connects an emulated device: in this process for virtual time, or at the wire.
 
 A model's `emulate` takes an `EmulationRequest` and gives an `EmulatedDevice`. Most are a chip behind a serial
 line (`on_serial_line`) or on a CAN bus (`hil.devices.emulated_can`); the others state how they are reached.
@@ -16,9 +16,9 @@ from hil.fakes.emulation_request import EmulationRequest
 from hil.fakes.serial_chip import SerialChip
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
-from hil.fakes.server import Face
+from hil.fakes.server import Transport
 
-__all__ = ["EmulatedDevice", "EmulationRequest", "Face", "Wired", "on_serial_line"]
+__all__ = ["EmulatedDevice", "EmulationRequest", "Transport", "Wired", "on_serial_line"]
 
 
 class EmulatedDevice(Protocol):
@@ -29,7 +29,7 @@ class EmulatedDevice(Protocol):
         """Make it reachable in this process, on the virtual clock."""
 
     @abstractmethod
-    def serve(self) -> Face:
+    def serve(self) -> Transport:
         """Make it reachable for any client, in real time."""
 
 
@@ -38,13 +38,13 @@ class Wired(EmulatedDevice):
     """An emulated device that is reached in two ways, each a function."""
 
     connecting: Callable[[], Connection]
-    serving: Callable[[], Face]
+    serving: Callable[[], Transport]
 
     def connect(self) -> Connection:
         """As `EmulatedDevice.connect`."""
         return self.connecting()
 
-    def serve(self) -> Face:
+    def serve(self) -> Transport:
         """As `EmulatedDevice.serve`."""
         return self.serving()
 
@@ -54,17 +54,17 @@ class SerialWired(EmulatedDevice):
     """A chip at the far end of a serial line: `hil://NAME`, or a PTY."""
 
     line: SerialLine
-    told: Mapping[str, object] = field(default_factory=dict)
+    printed: Mapping[str, object] = field(default_factory=dict)
 
     def connect(self) -> Connection:
-        """A pyserial URL."""
+        """Serve the line in process, as a pyserial URL."""
         self.line.chip.begin_in_use()
         line = self.line.open()
         return Connection({"port": f"hil://{line.name}"}, close=line.close)
 
-    def serve(self) -> Face:
-        """A PTY."""
-        return SerialPty(self.line, dict(self.told))
+    def serve(self) -> Transport:
+        """Serve the line to other processes, as a PTY."""
+        return SerialPty(self.line, dict(self.printed))
 
 
 def on_serial_line(
@@ -72,7 +72,7 @@ def on_serial_line(
     chip: SerialChip,
     *,
     latency_s: float = 0.001,
-    told: Mapping[str, object] | None = None,
+    printed: Mapping[str, object] | None = None,
 ) -> EmulatedDevice:
     """A chip behind a USB serial adapter.
 
@@ -80,9 +80,9 @@ def on_serial_line(
         request: where it is built.
         chip: what is at the far end of the line.
         latency_s: latency timer of the adapter.
-        told: what `hil emulate` prints beside the port; the table's baud rate by default.
+        printed: what `hil emulate` prints beside the port; the table's baud rate by default.
     """
     line = SerialLine(request.world, chip, name=request.name, latency_s=latency_s)
-    if told is None:
-        told = {"baud": request.config.baud} if hasattr(request.config, "baud") else {}
-    return SerialWired(line, told)
+    if printed is None:
+        printed = {"baud": request.config.baud} if hasattr(request.config, "baud") else {}
+    return SerialWired(line, printed)

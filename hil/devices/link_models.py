@@ -81,7 +81,7 @@ class CanModel(DeviceModel):
             subnet=self.subnet or _BY_NAME + zlib.crc32(f"{self.kind}.{self.name}".encode()) % _NAMES,
             dbc=getattr(request.config, "dbc_path", ""),
             listens=self.listens,
-            told={key: getattr(request.config, key) for key in self.printed},
+            printed={key: getattr(request.config, key) for key in self.printed},
             begin=getattr(node, "begin_in_use", lambda: None),
         )
 

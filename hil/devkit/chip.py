@@ -1,9 +1,9 @@
-"""What an emulated chip of an added device uses."""
+"""The public names for emulated chips of added devices."""
 
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.device import Connection
 from hil.core.geometry import rotated
-from hil.devices.emulated_device import EmulatedDevice, Face, Wired, on_serial_line
+from hil.devices.emulated_device import EmulatedDevice, Transport, Wired, on_serial_line
 from hil.fakes.active_faults import DeviceFaults
 from hil.fakes.can_channel import CanChannel
 from hil.fakes.can_node import CanStreamingNode
@@ -24,7 +24,6 @@ __all__ = [
     "DeviceFaults",
     "EmulatedDevice",
     "EmulationRequest",
-    "Face",
     "Fault",
     "Reply",
     "Scheduled",
@@ -32,6 +31,7 @@ __all__ = [
     "SerialStreamingChip",
     "StreamingChip",
     "Supported",
+    "Transport",
     "Wired",
     "World",
     "nanoseconds",

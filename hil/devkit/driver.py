@@ -1,4 +1,4 @@
-"""What a driver of an added device uses."""
+"""The public names for drivers of added devices."""
 
 from hil.core.clock import NS_PER_S, Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
@@ -9,7 +9,7 @@ from hil.drivers.links.packets import LineParser, PacketParser
 from hil.drivers.links.serial_port import PortLostError, SerialPort
 from hil.drivers.links.serial_sensor import SerialSensor
 from hil.drivers.links.silence_limit import Usefulness, used_while_closed
-from hil.drivers.links.streaming import StreamingSensor
+from hil.drivers.links.streaming_sensor import StreamingSensor
 from hil.drivers.links.stuck_values import StuckTest
 
 __all__ = [

@@ -6,7 +6,7 @@ is how far the state's numbers go in the k-th direction. `h` (8, 20) is a deriva
 
 A library call or a temporary array costs more than the work on a 20x20 matrix. All go along rows in memory,
 so that the compiler takes several numbers at once; each sum is added up in the same order as one by one.
-Where one matrix is read and written (`hil.estimator.process_model`), `check_size` tells the compiler how far
+Where one matrix is read and written (`hil.estimator.process_model`), `check_size` gives the compiler how far
 its
 rows lie apart; without that it would not dare. Copies are here because numba takes four seconds to compile
 the message of one that does not fit.

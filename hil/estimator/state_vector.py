@@ -41,7 +41,7 @@ POSE = slice(X, THETA + 1)
 TWIST = slice(V_X, OMEGA + 1)
 CLONE = slice(CLONE_X, CLONE_THETA + 1)
 MOTION = OMEGA + 1
-"""How many states, the leading ones, are pose and twist: those that others are told."""
+"""How many states, the leading ones, are pose and twist: those that are published."""
 CURVED = SCALE + 1
 """How many, the leading ones, the nonlinear part of the process model has to do with."""
 

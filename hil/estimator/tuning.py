@@ -216,7 +216,7 @@ def tune(
         runs: recordings with truth.
         names: dotted names of `tunable`, in the order in which they are tried.
         evaluations: budget: how often all runs are estimated at most.
-        report: told (what, done, total).
+        report: called with (what, done, total).
         every: whether a name about which the recordings say nothing is refused; else it is left out.
 
     Raises:

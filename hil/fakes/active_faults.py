@@ -162,7 +162,7 @@ class Once:
         """The fault, if there is one and it has not been asked about before.
 
         Args:
-            of: tells it from others that begin at the same time.
+            of: distinguishes it from others that begin at the same time.
             fault: active now.
         """
         if fault is None or (of, fault.start_ns) in self._done:
@@ -180,7 +180,7 @@ class DeviceFaults:
         rng: for faults that strike at random.
 
     Attributes:
-        plan: what concerns it; whoever asks at every step looks at `plan.empty` itself, which is `none`.
+        plan: what concerns it; a caller in every step reads `plan.empty` itself, which is `none`.
     """
 
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:

@@ -1,4 +1,4 @@
-"""The seam between emulated chips and the robot body: joint commands in, physical truth out.
+"""The interface between emulated chips and the robot body: joint commands in, physical truth out.
 
 Joints are numbered 0..7: drives FL, BL, BR, FR, then steers FL, BL, BR, FR (`hil.core.signals.SERVOS`).
 """

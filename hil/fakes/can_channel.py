@@ -3,8 +3,8 @@
 `CanChannel` is the wire. `can.Bus(interface="hil", channel=NAME)` opens a `WorldBus` on a channel that
 has been put into the registry by `CanChannel.open`. Across processes it is served by `hil.fakes.can_server`.
 
-Parts of the world and our own drivers have a `CanFrame`, which everybody who hears it shares; a `can.Message`
-is made of it for whoever calls `recv`, because that takes several times as long.
+Parts of the world and our own drivers have a `CanFrame`, which all that receive it share; a `can.Message`
+is made of it only in `recv`, because that takes several times as long.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class CanChannel:
         self._listeners: list[tuple[deque[Heard], Callable[[], None] | None]] = []
         self._rng = world.rng(f"can.{device}")
         self._free_ns = 0
-        self._told_bus_off = False
+        self._bus_off_seen = False
 
     def open(self) -> CanChannel:
         """Make the channel known to `can.Bus`; raises `UsageError` if the name is taken."""
@@ -97,14 +97,14 @@ class CanChannel:
         if _CHANNELS.get(self.name) is self:
             del _CHANNELS[self.name]
 
-    def listen(self, told: Callable[[], None] | None = None) -> deque[Heard]:
+    def listen(self, on_frames: Callable[[], None] | None = None) -> deque[Heard]:
         """A new queue of (arrival time, frame); the oldest frames are lost when nothing reads.
 
         Args:
-            told: called when frames have been added.
+            on_frames: called when frames have been added.
         """
         queue: deque[Heard] = deque(maxlen=_QUEUE)
-        self._listeners.append((queue, told))
+        self._listeners.append((queue, on_frames))
         return queue
 
     def leave(self, queue: deque[Heard]) -> None:
@@ -120,7 +120,7 @@ class CanChannel:
         extended: bool = False,
         sender: deque[Heard] | None = None,
     ) -> None:
-        """Put a data frame on the bus, not before `t_ns`; everybody but the sender hears it."""
+        """Put a data frame on the bus, not before `t_ns`; all but the sender receive it."""
         if not self.faults.empty:
             message = can.Message(arbitration_id=frame_id, data=data, is_extended_id=extended)
             self.send(message, t_ns, sender=sender)
@@ -134,7 +134,7 @@ class CanChannel:
                     reported()
 
     def send(self, message: can.Message, t_ns: int, *, sender: deque[Heard] | None = None) -> None:
-        """Put any frame on the bus, which is the channel's from now on; everybody but the sender hears it."""
+        """Put any frame on the bus, which is the channel's from now on; all but the sender receive it."""
         arrival_ns = self._crossed_ns(message.is_extended_id, message.dlc, t_ns)
         copies = 1
         if not self.faults.empty:
@@ -170,11 +170,11 @@ class CanChannel:
         """The frame as it arrives and how often, or None when it does not."""
         faults = {f.kind: f for f in self.faults.active(self._device, t_ns)}
         if "bus_off" in faults or "baud_mismatch" in faults:
-            if self._told_bus_off:
+            if self._bus_off_seen:
                 return None
-            self._told_bus_off = True
+            self._bus_off_seen = True
             return can.Message(is_error_frame=True, dlc=8, data=bytes(8)), 1
-        self._told_bus_off = False
+        self._bus_off_seen = False
 
         def hit(kind: str) -> bool:
             fault = faults.get(kind)
@@ -217,7 +217,7 @@ class WorldBus(can.BusABC):
         super().__init__(channel, can_filters=can_filters, **kwargs)
 
     def take(self) -> CanFrame | can.Message | None:
-        """As `recv` without waiting, for whoever leaves the frame as it is.
+        """As `recv` without waiting, for a caller that does not change the frame.
 
         Raises:
             can.CanOperationError: unplugged.
@@ -250,7 +250,7 @@ class WorldBus(can.BusABC):
         return self.recv(timeout), True
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a copy of a frame to everybody else on the channel, and here if it is wanted here, too."""
+        """Send a copy of a frame to all others on the channel, and here if it is wanted here, too."""
         self._channel.check_plugged()
         sender = None if self._hears_itself else self._queue
         self._channel.send(_copied(msg), self._channel.world.now_ns, sender=sender)
@@ -262,7 +262,7 @@ class WorldBus(can.BusABC):
         super().shutdown()
 
     def __del__(self) -> None:
-        """It holds nothing that outlives it: the keeper of an emulated fan goes with its world."""
+        """Close nothing: the daemon of an emulated fan ends with its world."""
 
     @staticmethod
     def _detect_available_configs() -> list[Any]:

@@ -15,7 +15,7 @@ from hil.fakes.world import NEVER_NS, Scheduled
 class CanStreamingNode(StreamingChip, Scheduled):
     """A node on a CAN bus that sends the frames of its table's `FRAME_IDS`; give `measure` and `encode`."""
 
-    tells = True
+    announces = True
 
     def __init__(self, request: EmulationRequest, channel: CanChannel) -> None:
         super().__init__(request)

@@ -17,7 +17,7 @@ from hil.core.errors import DeviceError
 from hil.fakes.can_channel import CanChannel, message_of
 from hil.fakes.emulated_can_group import DEFAULT_GROUP
 from hil.fakes.free_port import free_udp_port
-from hil.fakes.server import Face
+from hil.fakes.server import Transport
 from hil.fakes.world import NEVER_NS
 from hil.support.emulated_can_mark import Mark, bus_name
 from hil.support.host_multicast import HostMulticastBus
@@ -25,19 +25,19 @@ from hil.support.host_multicast import HostMulticastBus
 _ECHOES = 256
 
 
-class CanFace(Face):
+class CanTransport(Transport):
     """A channel's frames in real time on another python-can interface, for any client.
 
     Args:
         channel: the emulated wire.
         interface, address: python-can interface and channel that clients open too.
-        dbc: path told to clients.
+        dbc: path for clients.
         device: name in errors.
         listens: whether something on the emulated bus hears what clients send.
-        told: what clients are told besides.
+        printed: further values for clients.
         options: further keyword arguments of the interface. Multicast without a `port` has a free one,
             because python-can's own bus hears every group at the port that it listens to.
-        at_close: is called when the face is closed.
+        at_close: is called when the transport is closed.
 
     Raises:
         DeviceError: the interface cannot be opened.
@@ -52,13 +52,13 @@ class CanFace(Face):
         dbc: Path | str = "",
         device: str = "encoders",
         listens: bool = False,
-        told: Mapping[str, object] | None = None,
+        printed: Mapping[str, object] | None = None,
         options: Mapping[str, Any] | None = None,
         at_close: Callable[[], None] = lambda: None,
     ) -> None:
         self._at_close = at_close
         self._channel, self._dbc, self._listens = channel, str(dbc), listens
-        self._told = dict(told or {})
+        self._printed = dict(printed or {})
         self._echoes: deque[tuple[int, bytes]] = deque(maxlen=_ECHOES)
         self._interface, self._address, self._options = interface, address, dict(options or {})
         if interface == "udp_multicast" and "port" not in self._options:
@@ -111,7 +111,7 @@ class CanFace(Face):
         return []
 
     def on_readable(self, fd: int, t_ns: int) -> None:
-        """Take one frame, and throw it away where nothing listens; multicast hears itself, too."""
+        """Take one frame, and throw it away without a listener; multicast hears itself, too."""
         message = None
         if self._bus is not None:
             with contextlib.suppress(can.CanError, OSError):
@@ -131,7 +131,7 @@ class CanFace(Face):
             "channel": self._address,
             "bitrate": self._channel.bitrate,
             "dbc": self._dbc,
-            **self._told,
+            **self._printed,
             **{key: value for key, value in self._options.items() if key != "hop_limit"},
         }
 

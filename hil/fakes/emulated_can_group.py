@@ -1,4 +1,4 @@
-"""python-can's default `udp_multicast` group and port, and which emulated bus of this host is there.
+"""Assigns python-can's default `udp_multicast` group and ports to the emulated CAN buses of this host.
 
 At standard ports the devices of one bus share a port, as they share a cable. The first bus of an emulator has
 python-can's own port, each further one the next: its own bus hears every multicast group at the port that it
@@ -90,9 +90,9 @@ def _free(device: str) -> _Held:
 
 
 def _right_to(number: int) -> socket.socket | None:
-    """The right to a port, held while the socket is open; None where something has it.
+    """Reserve a port while the socket is open; None where another program has it.
 
-    The port itself cannot say so: everybody binds it shared. An abstract Unix address (Linux) is
+    The port itself cannot say so: all programs bind it shared. An abstract Unix address (Linux) is
     exclusive and vanishes with its owner.
     """
     right = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)

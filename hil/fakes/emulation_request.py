@@ -1,4 +1,4 @@
-"""What an emulated device is built from: world, table of the bench file, and what is true of the device."""
+"""The arguments for building an emulated device: world, table of the bench file, true parameters."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ class Fault:
             if not option.takes(value):
                 raise UsageError(
                     f"fault {describe(self)}: {key} is {value:g}",
-                    expected=f"{option.told} ({option.meaning})",
+                    expected=f"{option.expected} ({option.meaning})",
                 )
 
     def active(self, t_ns: int) -> bool:

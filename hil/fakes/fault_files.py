@@ -1,4 +1,4 @@
-"""Faults from whatever a user writes: a spec, a `Fault`, or a TOML timeline file.
+"""Reads faults from a spec, a `Fault`, or a TOML timeline file.
 
 A timeline is a list of tables, seconds counted from the world's start::
 

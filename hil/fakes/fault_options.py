@@ -22,7 +22,7 @@ class Option(NamedTuple):
         return f"{'whole, ' if self.whole else ''}{self.least:.7g} to {self.most:.7g}"
 
     @property
-    def told(self) -> str:
+    def expected(self) -> str:
         """Which numbers it takes, for a message."""
         return f"a {'whole ' if self.whole else ''}number from {self.least:.7g} to {self.most:.7g}"
 

@@ -40,7 +40,7 @@ class Serial(SerialBase):
         if line.in_use:
             raise SerialException(errno.EBUSY, f"hil://{name} is in use")
         line.in_use = True
-        line.discard()  # as a kernel does with what came while nothing had the port open
+        line.discard()  # as a kernel does with bytes for a closed port
         line.listen(lambda: int(self._baudrate))
         self._line = line
         self.is_open = True

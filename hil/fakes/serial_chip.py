@@ -1,7 +1,7 @@
-"""What a chip with a byte-stream interface looks like to the line that carries its bytes.
+"""The interface of a chip with a byte stream, as the serial line uses it.
 
 A chip is a model (registers, firmware, timing); the serial line (`serial_line.py`) adds pacing, USB
-latency and wire faults; a face (in-process pyserial URL or PTY) carries the bytes to a client.
+latency and wire faults; a transport (in-process pyserial URL or PTY) carries the bytes to a client.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class SerialChip(Protocol):
         """Power was cycled (brownout, unplug and replug)."""
 
     def begin_in_use(self) -> None:
-        """It is at work when the bench comes; nothing by default."""
+        """Run before the bench opens; nothing by default."""
         return
 
     def poll(self, t_ns: int) -> list[Reply]:

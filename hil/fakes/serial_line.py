@@ -3,8 +3,9 @@
 Bytes leave the client's adapter at the baud rate, reach the chip, and its answer comes back paced by
 the same rate. The adapter hands received bytes to the host in packets: a full one at once, the rest
 when its latency timer expires (16 ms as delivered, 1 ms as it should be set).
-Where both ends run at different rates each hears noise, whatever the chip thinks of that: `uart.py`.
-Everything happens in world time; `protocol_hil.py` and `serial_pty.py` connect clients to a line.
+Where both ends run at different rates each hears noise, whatever the chip thinks of that:
+`hil.fakes.imu.bno055_uart`. Everything happens in world time; `protocol_hil.py` and `serial_pty.py` connect
+clients to a line.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ _LINES: dict[str, SerialLine] = {}
 
 
 class Unplugged(Exception):
-    """The adapter is gone; a face turns this into what its client expects."""
+    """The adapter is gone; a transport turns this into what its client expects."""
 
 
 class SerialLine(Scheduled):
@@ -109,7 +110,7 @@ class SerialLine(Scheduled):
         self._listens_at: Callable[[], int] | None = None
         self.in_use = False
         self._polls = getattr(type(chip), "next_poll_ns", None) is not SerialChip.next_poll_ns
-        self.tells = getattr(chip, "polls_alone", False)
+        self.announces = getattr(chip, "polls_alone", False)
         world.faults.declare(chip.name, {**chip.supported_faults, **LINE_FAULTS})
         world.add(self)
 

@@ -13,19 +13,19 @@ import os
 import tty
 
 from hil.fakes.serial_line import SerialLine, Unplugged
-from hil.fakes.server import Face
+from hil.fakes.server import Transport
 
 _TCGETS2 = 0x802C542A
 _TERMIOS2_WORDS, _OSPEED_WORD = 11, 10
 _CHUNK = 4096
 
 
-class SerialPty(Face):
+class SerialPty(Transport):
     """The client side of a line as a terminal device.
 
     Args:
         line: the emulated line; also a part of the world of its own.
-        nominal: what clients are told beside the port (`baud`, `ids`, ...).
+        nominal: values for clients beside the port (`baud`, `ids`, ...).
     """
 
     def __init__(self, line: SerialLine, nominal: dict[str, object] | None = None) -> None:

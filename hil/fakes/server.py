@@ -1,6 +1,6 @@
 """Serves the emulated devices in real time to any client: the engine of `hil emulate`.
 
-The world follows the monotonic clock; a client's bytes are handed to the face they arrive at as
+The world follows the monotonic clock; a client's bytes are handed to the transport they arrive at as
 soon as the kernel reports them. One thread, no sleeping beyond the next planned action.
 
 A process that got no processor time catches up in short pieces, and takes what has arrived meanwhile
@@ -23,12 +23,12 @@ from hil.fakes.world import Scheduled, World
 _LONGEST_WAIT_S = 0.05
 _PIECE_NS = 20_000_000
 _BEHIND_NS = 50_000_000
-"""Who waits for an answer has given up by then."""
+"""A client that waits for an answer has given up by then."""
 _TOO_SHORT_TO_SLEEP_S = 80e-6
 _WARM_UP_NS = 3_000_000
 
 
-class Face(Scheduled, Protocol):
+class Transport(Scheduled, Protocol):
     """An emulated device's connection to the outside: PTY, socket or CAN interface.
 
     Attributes:
@@ -51,16 +51,16 @@ class Face(Scheduled, Protocol):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go. Idempotent."""
+        """Close. Idempotent."""
 
 
 class EmulationServer:
-    """Runs a world and its faces until told to stop.
+    """Runs a world and its transports until a stop is asked for.
 
     Args:
         world: the emulated devices.
         clock: what the world follows.
-        faces: connections to the outside by name.
+        transports: connections to the outside by name.
         lifeline: file descriptor of a pipe; the server ends when its other end is closed.
         await_start: world time stands still until a byte comes down the lifeline: a robot without torque
             slides down the wall while its bench loads.
@@ -70,35 +70,35 @@ class EmulationServer:
         self,
         world: World,
         clock: Clock,
-        faces: Mapping[str, Face],
+        transports: Mapping[str, Transport],
         *,
         lifeline: int | None = None,
         await_start: bool = False,
     ) -> None:
-        self.world, self.clock, self.faces = world, clock, dict(faces)
+        self.world, self.clock, self.transports = world, clock, dict(transports)
         self._lifeline = [] if lifeline is None else [lifeline]
         self._warm_up()
         self._start_ns = clock.now_ns() - world.now_ns
         self._waiting = await_start
         self._running = True
-        for face in self.faces.values():
-            world.add(face)
+        for transport in self.transports.values():
+            world.add(transport)
 
     def _warm_up(self) -> None:
-        """Let the first milliseconds pass before anything listens: compiling them may take seconds."""
+        """Let the first milliseconds pass before clients connect: compiling may take seconds."""
         self.world.advance_to(self.world.now_ns + _WARM_UP_NS)
         self.world.sync_plant()
 
     def endpoints(self) -> dict[str, Mapping[str, object]]:
-        """Endpoint of every face by name."""
-        return {name: face.endpoint() for name, face in self.faces.items()}
+        """Endpoint of every transport by name."""
+        return {name: transport.endpoint() for name, transport in self.transports.items()}
 
     def stop(self) -> None:
         """Make `run` return soon; safe to call from a signal handler."""
         self._running = False
 
     def run(self, ready: Callable[[], None] | None = None) -> None:
-        """Serve until `stop`; always closes the faces.
+        """Serve until `stop`; always closes the transports.
 
         Args:
             ready: called once, when time runs and every device is being served.
@@ -121,7 +121,7 @@ class EmulationServer:
         for error in self.world.failures.values():
             raise error
         caught_up = self._waiting or self._advance()
-        owners = {fd: face for face in self.faces.values() for fd in face.filenos()}
+        owners = {fd: transport for transport in self.transports.values() for fd in transport.filenos()}
         wait_s = _LONGEST_WAIT_S
         if not self._waiting:
             wait_s = (self.world.next_due_ns() - self._now_ns()) / NS_PER_S
@@ -143,9 +143,9 @@ class EmulationServer:
             self._waiting, self._start_ns = False, self.clock.now_ns() - self.world.now_ns
 
     def close(self) -> None:
-        """Close every face."""
-        for face in self.faces.values():
-            face.close()
+        """Close every transport."""
+        for transport in self.transports.values():
+            transport.close()
 
     def _now_ns(self) -> int:
         return self.clock.now_ns() - self._start_ns
@@ -159,7 +159,7 @@ class EmulationServer:
         now_ns = self._now_ns()
         reached_ns = min(now_ns, self.world.now_ns + _PIECE_NS)
         behind = now_ns - reached_ns > _BEHIND_NS
-        for face in self.faces.values():
-            face.behind = behind
+        for transport in self.transports.values():
+            transport.behind = behind
         self.world.advance_to(reached_ns)
         return reached_ns == now_ns

@@ -78,11 +78,11 @@ class StreamingChip:
         return 0.0 if fault is None else fault.option(option, default)
 
     def wake(self) -> None:
-        """It sends again after `rate_hz` was 0."""
+        """Send again after `rate_hz` was 0."""
         self._due_ns = self.world.now_ns + self._period_ns()
 
     def reset(self, t_ns: int) -> None:
-        """Power was cycled."""
+        """Reset everything, as a power cycle does."""
         self.restart(t_ns)
         self._ready_ns = self._due_ns = t_ns + nanoseconds(self.boot_s)
 
@@ -90,7 +90,7 @@ class StreamingChip:
         return round(NS_PER_S / self.rate_hz) if self.rate_hz else 0
 
     def _next(self, t_ns: int) -> Any:
-        """Its measurement of now, as faults leave it; None where it sends nothing."""
+        """The present measurement, with faults; None where it sends nothing."""
         off = any(self.fault(kind, t_ns) is not None for kind in ("off", "brownout"))
         was_off, self._was_off = self._was_off, off
         if (was_off and not off) or self.faults.news("reset", t_ns) is not None:

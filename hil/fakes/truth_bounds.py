@@ -1,4 +1,4 @@
-"""Which values of `[emulation.KIND]` can be meant: bounds by unit, so that every device has them.
+"""Bounds of the values of `[emulation.KIND]`, by unit, for every device.
 
 Names say their unit (`latency_s`, `scale_sigma`), and what is wrong with a device has a size that belongs to
 the unit: a pose that comes a year late, or noise below zero, is a slip of the pen. A device that needs other
@@ -112,7 +112,7 @@ def _of_the_unit(key: str, hint: Any) -> tuple[float, float] | None:
 
 
 def ranges(imperfections: type[Any]) -> dict[str, tuple[str, ...]]:
-    """Of every field with numbers, in words, what each may be; none for a number without bounds.
+    """Bounds in words of every field with numbers; none for a number without bounds.
 
     Args:
         imperfections: dataclass of the device.

@@ -1,15 +1,15 @@
-"""A face on one UDP socket, which answers and passes on, and plans nothing of its own."""
+"""A transport on one UDP socket, which answers and passes on, and plans nothing of its own."""
 
 from __future__ import annotations
 
 import contextlib
 import socket
 
-from hil.fakes.server import Face
+from hil.fakes.server import Transport
 from hil.fakes.world import NEVER_NS
 
 
-class DatagramFace(Face):
+class DatagramTransport(Transport):
     """An open UDP socket that never blocks; what its datagrams mean is up to the device.
 
     Args:

@@ -5,11 +5,11 @@ virtual time `VirtualClock.sleep_until_ns` moves the world; in real time the emu
 `advance_to` with the monotonic clock. World time starts at 0 in both cases, so the order of events
 and every random number depend on the seed alone.
 
-The parts stand in a list in the order in which they are due. A part that `tells` says when its place in it
-has to change; any other one is asked before every step.
+The parts stand in a list in the order in which they are due. A part that `announces` says when its place in
+it has to change; any other one is asked before every step.
 
 What a part raises is a defect of it. It is raised once; from then on the part is silent, as a device is that
-has died, so that whoever closes the bench can still look after the robot with the others.
+has died, so that a bench that closes can still hold the robot with the others.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ class Scheduled(Protocol):
 
     Attributes:
         alone: what it does in `on_due` never changes when another part is due.
-        tells: it calls `World.changed` whenever it will be due at another time than it has said, unless that
-            follows from its own `on_due`; so it need not be asked again and again.
+        announces: it calls `World.changed` whenever it will be due at another time than it has said, unless
+            that follows from its own `on_due`; so it need not be asked again and again.
         broken: set by the world once it has raised: it does not act any more.
     """
 
     alone: bool = False
-    tells: bool = False
+    announces: bool = False
     broken: bool = False
 
     @abstractmethod
@@ -80,17 +80,17 @@ class World:
         """Register a part; ties in time are resolved in order of registration."""
         if self.enclose is not None:
             part = self.enclose(part)
-        place, tells = len(self._parts), getattr(part, "tells", False)
+        place, announces = len(self._parts), getattr(part, "announces", False)
         self._parts.append(part)
-        due_ns = part.next_due_ns() if tells else NEVER_NS
+        due_ns = part.next_due_ns() if announces else NEVER_NS
         self._due_ns.append(due_ns)
         insort(self._order, (due_ns, place))
         self._places[id(part)] = place
-        if not tells:
+        if not announces:
             self._asked.append((place, part))
 
     def changed(self, part: Scheduled) -> None:
-        """A part that `tells` will be due at another time than it has said."""
+        """A part that `announces` will be due at another time than it has said."""
         place = self._places.get(id(part))
         if place is not None:
             self._move(place, part.next_due_ns())
@@ -125,7 +125,7 @@ class World:
         return random_stream(self.seed, name)
 
     def sync_plant(self) -> None:
-        """Bring the plant up to world time (lazily: it is only integrated when something looks)."""
+        """Bring the plant up to world time (lazily: it is only integrated when its state is read)."""
         self.plant.advance(self.now_ns)
 
     def advance_to(self, t_ns: int) -> None:
@@ -179,7 +179,7 @@ class _Planned:
 
 
 class VirtualClock(Clock):
-    """Time that moves only when something waits; waiting advances the world."""
+    """Time that moves only when a caller waits; waiting advances the world."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -203,7 +203,7 @@ class VirtualClock(Clock):
         self._world.advance_to(t_ns)
 
     def schedule(self, task: Task, due_ns: int) -> Callable[[], None]:
-        """Call `task` while something sleeps beyond its time; it may sleep itself, alone."""
+        """Call `task` while a caller sleeps beyond its time; it may sleep itself, alone."""
         planned = _Planned(task, due_ns)
         self._planned.append(planned)
 

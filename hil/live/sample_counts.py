@@ -53,7 +53,7 @@ class SampleCounter(Sink):
                 self.counts[name].add(sample)
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing: there is nothing to close."""
 
     def to_json(self) -> dict[str, dict[str, object]]:
         """As plain data, by device."""

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hil.bench import Bench
-from hil.bench.settings import motion_limits
+from hil.bench.loop_settings import motion_limits
 from hil.config.servos import ServosConfig
 from hil.core.clock import nanoseconds
 from hil.core.errors import Aborted, HilError
@@ -31,6 +32,9 @@ from hil.robot.paths import Segment, Straight
 from hil.robot.trajectories import Trajectory
 from hil.support.stop_signals import StopRequest
 
+if TYPE_CHECKING:
+    from hil.live.ros2_program import Ros2Program
+
 _SETTLE_S = 0.5
 _HOLD_S = 2.0
 _PATH_POINTS = 400
@@ -44,6 +48,7 @@ class LivePlan:
     Attributes:
         trajectory: gives the reference from the pose at which the robot stands; `commands` to obey
             instead; neither only watches.
+        program: on ROS 2, that drives; along the trajectory, if there is one.
         duration_s: when it ends; at the trajectory's end, or never, when None.
         feedback: estimator in the loop; `observers` run beside it.
         dead_man_s: age at which a velocity command counts as `stop`.
@@ -53,6 +58,7 @@ class LivePlan:
 
     trajectory: MakeTrajectory | None = None
     commands: CommandLines | None = None
+    program: Ros2Program | None = None
     duration_s: float | None = None
     feedback: str = "ekf"
     observers: tuple[str, ...] = ()
@@ -68,7 +74,7 @@ class LiveSession:
         plan: what to do.
         recorder: reported on in the summary; also a sink of the bench.
         monitor: shown what is going to be followed; also a sink of the bench.
-        stop: signals that whoever opens and closes the bench notes; its own by default.
+        stop: signals as noted by the caller that opens and closes the bench; its own by default.
 
     Attributes:
         ended: why it ended: `duration`, `trajectory`, the first signal's name, or the error's text.
@@ -91,9 +97,16 @@ class LiveSession:
         self._late = LateWarning(bench.config.loop.rate_hz, self._burdens)
         self._last: CycleRecord | None = None
         self._velocity: VelocityReference | None = None
+        self._commands = plan.commands
+        self._first_ns: int | None = None
         bench.waits_for_sensors = not self._moving
         here = np.array(bench.config.environment.start_pose, dtype=np.float64)
-        warm_up(self._pipeline(_standing(here) if self._moving else None), self.bench.start_state(here))
+        standing = _standing(here) if self._moving else None
+        warm_up(self._pipeline(standing), self.bench.start_state(here))
+        if bench.driven_by is not None:  # it may yet move the reference only
+            program, bench.driven_by = bench.driven_by, None
+            warm_up(self._pipeline(standing), self.bench.start_state(here))
+            bench.driven_by = program
 
     def run(self) -> None:
         """Settle, then cycle until the end.
@@ -136,9 +149,11 @@ class LiveSession:
             found["commands"] = {
                 "accepted": self._velocity.accepted,
                 "refused": self._velocity.refused,
-                **({} if self.plan.commands is None else self.plan.commands.counts()),
+                **({} if self._commands is None else self._commands.counts()),
                 "dead_man_stops": self._velocity.dead_man_stops,
             }
+        elif self.plan.program is not None:
+            found["commands"] = dict(self.plan.program.counts())
         if self.recorder is not None:
             found["recording"] = self.recorder.report()
         return found
@@ -149,22 +164,50 @@ class LiveSession:
         bench.config.must_know_start()
         if self._moving:
             bench.rig.actuators().enable()
-        rest = bench.observe(_SETTLE_S, feedback=plan.feedback, on_cycle=lambda _: self.end_if_asked())
-        pose = self.bench.measured_pose(rest.mocap)
-        trajectory = self._trajectory(pose) if self._moving else None
+        pose = self._settled()
+        if plan.program is not None:
+            if not plan.program.found():
+                start = RunStart(bench.start_state(pose), plan.feedback)
+                plan.program.wait(bench, start, self._is_over(lambda: 0, "duration", plan.duration_s))
+                if self.ended:
+                    self._must_not_be_asked()
+                    return
+                pose = self._settled()
+            if plan.trajectory is None and not plan.program.sends_joints():
+                bench.driven_by, self._commands = None, plan.program.velocities()
+        trajectory = self._trajectory(pose) if self._follows else None
         pipeline = self._pipeline(trajectory)
-        if plan.commands is not None:
-            self._velocity = self._obey(plan.commands, pose)
+        if self._commands is not None:
+            self._velocity = self._obey(self._commands, pose)
             pipeline.reference_at = self._velocity
         self._cycle(pipeline, trajectory, pose)
 
+    def _settled(self) -> Array:
+        """Rest for a moment, and return the pose (3,)."""
+        rest = self.bench.observe(
+            _SETTLE_S, feedback=self.plan.feedback, on_cycle=lambda _: self.end_if_asked()
+        )
+        return self.bench.measured_pose(rest.mocap)
+
     @property
     def _moving(self) -> bool:
-        return self.plan.trajectory is not None or self.plan.commands is not None
+        return self._follows or self.plan.program is not None
+
+    @property
+    def _follows(self) -> bool:
+        """Whether there is a reference."""
+        return self.plan.trajectory is not None or self._commands is not None
+
+    @property
+    def _driver(self) -> str | None:
+        """Name of a program that drives the wheels; None where the bench's own law does."""
+        return None if self.bench.driven_by is None else self.bench.driven_by[0]
 
     def _pipeline(self, trajectory: Trajectory | None) -> ControlPipeline:
         plan = self.plan
-        return self.bench.make_pipeline(trajectory, feedback=plan.feedback, observers=plan.observers)
+        return self.bench.make_pipeline(
+            trajectory, controller=self._driver, feedback=plan.feedback, observers=plan.observers
+        )
 
     def _trajectory(self, pose: Array) -> Trajectory:
         """What to follow, checked; for velocity commands the pose itself, from which they lead away."""
@@ -192,38 +235,44 @@ class LiveSession:
 
     def _cycle(self, pipeline: ControlPipeline, trajectory: Trajectory | None, pose: Array) -> None:
         bench, plan = self.bench, self.plan
-        law = None if trajectory is None else bench.config.control.law
+        law = self._driver or (None if trajectory is None else bench.config.control.law)
         reported = None if trajectory is None else trajectory.to_mapping()
-        if reported is not None and plan.commands is not None:
+        if reported is not None and self._commands is not None:
             reported["references"] = "recorded"
         bench.add_sink(self._samples)
         start = RunStart(self.bench.start_state(pose), plan.feedback, law, plan.observers, reported)
-        bench.run(pipeline, start, self._is_over(pipeline, trajectory))
+        reason, length_s, waited_ns = "duration", plan.duration_s, lambda: 0
+        if length_s is None and plan.trajectory is not None and trajectory is not None:
+            reason, length_s = "trajectory", trajectory.duration_s + _HOLD_S
+            self._first_ns, waited_ns = None, lambda: pipeline.waited_ns
+        bench.run(pipeline, start, self._is_over(waited_ns, reason, length_s))
+        self._must_not_be_asked()
+
+    def _must_not_be_asked(self) -> None:
         if self._stop.name:
             raise Aborted(f"ended by {self._stop.name}")
 
     def _is_over(
-        self, pipeline: ControlPipeline, trajectory: Trajectory | None
+        self, waited_ns: Callable[[], int], reason: str, length_s: float | None
     ) -> Callable[[CycleRecord], bool]:
-        """The condition that ends the loop; notes the latest record and why it ended."""
-        reason, length_ns = "", None
-        if self.plan.duration_s is not None:
-            reason, length_ns = "duration", nanoseconds(self.plan.duration_s)
-        elif self.plan.trajectory is not None and trajectory is not None:
-            reason, length_ns = "trajectory", nanoseconds(trajectory.duration_s + _HOLD_S)
-        first_ns: list[int] = []
+        """The condition that ends the loop; notes the latest record and why it ended.
 
-        def waited_ns() -> int:
-            return pipeline.waited_ns if reason == "trajectory" else 0
+        Args:
+            waited_ns: by how much the end is later.
+            reason: why it ends by itself.
+            length_s: when, from the first cycle on; None for never.
+        """
 
         def over(record: CycleRecord) -> bool:
             self._last = record
             self._late.look(self.bench.statistics)
-            if not first_ns:
-                first_ns.append(record.start_ns)
+            if self._first_ns is None:
+                self._first_ns = record.start_ns
             if self._stop.name:
                 self.ended = self._stop.name
-            elif length_ns is not None and record.start_ns >= first_ns[0] + length_ns + waited_ns():
+            elif length_s is not None and record.start_ns >= self._first_ns + waited_ns() + nanoseconds(
+                length_s
+            ):
                 self.ended = reason
             return bool(self.ended)
 

@@ -34,7 +34,7 @@ _LEAST_TOKEN = 16
 _DATAGRAMS_PER_CYCLE = 256
 _LINES_PER_CYCLE = 64
 _CHUNK = 4096
-_TOLD = 5
+_REPORTED = 5
 
 
 def parse_command(line: str) -> tuple[float, float, float]:
@@ -144,7 +144,7 @@ class UdpLines(CommandLines):
         if hmac.compare_digest(token, self._token):
             return rest.decode("ascii", "replace").splitlines()
         self.strangers += 1
-        if self.strangers <= _TOLD:
+        if self.strangers <= _REPORTED:
             LOG.warning("a velocity command from %s:%d without the token was refused", *sender)
         return []
 

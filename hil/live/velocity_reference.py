@@ -20,7 +20,7 @@ from hil.robot.motion_limits import MotionLimits
 LOG = logging.getLogger(__name__)
 
 _LONGEST_STEP_S = 0.1
-_TOLD = 5
+_REPORTED = 5
 
 
 class VelocityReference:
@@ -84,7 +84,7 @@ class VelocityReference:
                 self._wanted = self._within_speed(np.array(parse_command(line)))
             except UsageError as error:
                 self.refused += 1
-                if self.refused <= _TOLD:
+                if self.refused <= _REPORTED:
                     LOG.warning("%s", error)
                 continue
             self.accepted += 1

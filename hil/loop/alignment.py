@@ -1,4 +1,4 @@
-"""From device samples to body measurements and back: the only place that knows zeros, signs and mounts.
+"""Converts device samples to body measurements and back: the only place that knows zeros, signs and mounts.
 
 Everything before this module speaks the devices' own angles and frames, everything after it speaks
 the body and wall frames of `hil.core.signals`. Deterministic: output depends on the inputs seen since

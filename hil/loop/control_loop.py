@@ -16,7 +16,8 @@ import numpy as np
 
 from hil.core.clock import NS_PER_S, Clock
 from hil.core.errors import DeviceTimeoutError, HilError, SafetyStop
-from hil.core.interfaces import Controller, Estimator, Sink
+from hil.core.external_commands import ExternalCommands
+from hil.core.interfaces import Controller, Estimator, ExternalController, Sink
 from hil.core.signals import (
     CycleRecord,
     Event,
@@ -31,7 +32,7 @@ from hil.core.signals import (
 from hil.loop.alignment import Alignment
 from hil.loop.checks.adhesion import LETTING_GO
 from hil.loop.checks.loop_pause import HELD_UP_NS, stood_still
-from hil.loop.cycle import NO_INFLATION
+from hil.loop.cycle import NO_INFLATION, Cycle
 from hil.loop.device_set import DeviceSet
 from hil.loop.restart import Restart
 from hil.loop.supervisor import Supervisor
@@ -44,8 +45,8 @@ OUTSIDE = "loop"
 """Source of the event in the last record of a run that was ended by something other than its pipeline."""
 
 _OWN = ""
-_SHAKEN_M_S, _SHAKEN_RAD_S = 0.05, 0.1
-"""By how much speeds may be off that a lying device had told."""
+_DOUBTED_M_S, _DOUBTED_RAD_S = 0.05, 0.1
+"""By how much speeds from a device with wrong values may be off."""
 
 ReferenceAt = Callable[[float], Reference]
 Lap = Callable[[str], None]
@@ -62,10 +63,11 @@ class Decision:
     command: ServoSetpoint
     events: tuple[Event, ...]
     observers: Mapping[str, RobotState]
+    external: ExternalCommands | None = None
 
 
 def _untimed(section: str) -> None:
-    """Nothing measures how long the sections take."""
+    """A timer that does not measure the sections."""
 
 
 class ControlPipeline:
@@ -77,6 +79,7 @@ class ControlPipeline:
         reference_at: reference by seconds since the first cycle; None observes without moving.
         observers: further estimators that run on the same measurements; their states are recorded.
         restart: how it goes on after the loop stood still; None where the wheels go on meanwhile.
+        external: another program that drives in place of `controller`; None without.
 
     Attributes:
         estimator, controller, observers: may be exchanged before a run.
@@ -92,13 +95,16 @@ class ControlPipeline:
         reference_at: ReferenceAt | None = None,
         observers: Mapping[str, Estimator] | None = None,
         restart: Restart | None = None,
+        external: ExternalController | None = None,
     ) -> None:
+        self.external = external
         self.supervisor, self.alignment, self.restart = supervisor, alignment, restart
         self.estimator, self.controller = estimator, controller
         self.reference_at = reference_at
         self.observers = dict(observers or {})
         self.reference: Reference | None = None
         self._t0_ns: int | None = None
+        self._waited_ns = 0
         self._steering = np.zeros(4)
         self._states: dict[str, RobotState] = {}
         self._ask()
@@ -112,7 +118,7 @@ class ControlPipeline:
 
     def reset(self, state: RobotState) -> None:
         """Start a run from a known state; the reference's time starts with the next cycle."""
-        self._t0_ns = None
+        self._t0_ns, self._waited_ns = None, 0
         self._steering = np.zeros(4)
         self._states = dict.fromkeys((_OWN, *self.observers), state)
         self.supervisor.reset()
@@ -123,6 +129,8 @@ class ControlPipeline:
             reset_estimator(estimator, state)
         if self.controller is not None:
             self.controller.reset()
+        if self.external is not None:
+            self.external.reset()
         self._ask()
 
     def decide(self, inputs: Inputs, lap: Lap = _untimed) -> Decision:
@@ -130,15 +138,16 @@ class ControlPipeline:
 
         Args:
             inputs: what the devices delivered.
-            lap: told when `estimate` (2 to 4) and `control` (5 to 7) are done; decides nothing.
+            lap: called when `estimate` (2 to 4) and `control` (5 to 7) are done; decides nothing.
 
         Raises:
             SafetyStop: the robot must be held.
             UsageError: an estimator or a controller has returned something else than a state or setpoints.
         """
         self.reference = None
-        if self._t0_ns is None:
-            self._t0_ns = inputs.t_ns
+        if self.external is not None:
+            self.external.heard = None
+        self._count_from(inputs.t_ns)
         if self.restart is not None:
             self.restart.judge(inputs.t_ns)
         safety = self.supervisor
@@ -156,7 +165,7 @@ class ControlPipeline:
             self.reference = self.reference_at((inputs.t_ns - self._t0_ns) / NS_PER_S)
         cycle.reference = self.reference
         safety.check_estimate(cycle)
-        setpoint = safety.limit(self._control(state, cycle.reference, cycle.measurements))
+        setpoint = safety.limit(self._control(cycle, state))
         command = self.alignment.to_servos(setpoint)
         lap("control")
         return Decision(
@@ -167,37 +176,61 @@ class ControlPipeline:
             command,
             tuple(cycle.events),
             cycle.observers,
+            self.heard,
         )
 
+    def _count_from(self, t_ns: int) -> None:
+        """Let the reference's time begin, unless another program that drives has yet to begin."""
+        begins = self.external is not None and not self.external.begun
+        if self._t0_ns is None or begins:
+            self._waited_ns += 0 if self._t0_ns is None else t_ns - self._t0_ns
+            self._t0_ns = t_ns
+
     def _inflate(self, off_m: float, off_rad: float) -> None:
-        """Go on from the last states, which may be off by what a lying device had told.
+        """Widen the covariance of the last states by what a device with wrong values may have caused.
 
         Args:
             off_m: along each axis.
             off_rad: of the heading.
         """
-        more = np.array([off_m, off_m, off_rad, _SHAKEN_M_S, _SHAKEN_M_S, _SHAKEN_RAD_S])
+        more = np.array([off_m, off_m, off_rad, _DOUBTED_M_S, _DOUBTED_M_S, _DOUBTED_RAD_S])
         for name, estimator in {_OWN: self.estimator, **self.observers}.items():
             last = self._states[name]
             unsure = replace(last, covariance=last.covariance + np.diag(more**2), diagnostics={})
             reset_estimator(estimator, unsure)
 
-    def _control(
-        self, state: RobotState, reference: Reference | None, measurements: Measurements
-    ) -> WheelSetpoint:
+    def _control(self, cycle: Cycle, state: RobotState) -> WheelSetpoint:
+        measurements, reference = cycle.measurements, cycle.reference
         wheels = self._complete(measurements.wheels[-1]) if measurements.wheels else None
-        if self.controller is None or reference is None or wheels is None:
+        setpoint = None
+        if self.external is not None:
+            known = self.external.warning
+            setpoint = self.external.update(_before_control(cycle, state), wheels)
+            if self.external.warning != known:
+                cycle.events.append(Event(cycle.inputs.t_ns, "warning", OUTSIDE, self.external.warning))
+        elif self.controller is not None and reference is not None and wheels is not None:
+            if self._checks_controller:
+                setpoint = controlled(self.controller, measurements.cycle, state, reference, wheels)
+            else:
+                setpoint = self.controller.update(state, reference, wheels)
+        if setpoint is None:
             return WheelSetpoint(np.zeros(4), self._steering.copy())
-        if self._checks_controller:
-            setpoint = controlled(self.controller, measurements.cycle, state, reference, wheels)
-        else:
-            setpoint = self.controller.update(state, reference, wheels)
         return setpoint if self.restart is None else self.restart.limit(setpoint, wheels)
 
     @property
+    def commands(self) -> bool:
+        """Whether it tells the servos anything."""
+        return self.controller is not None or self.external is not None
+
+    @property
+    def heard(self) -> ExternalCommands | None:
+        """What another program that drives sent in the latest cycle."""
+        return None if self.external is None else self.external.heard
+
+    @property
     def waited_ns(self) -> int:
-        """By how much the reference is behind the clock, because the loop stood still."""
-        return 0 if self.restart is None else self.restart.waited_ns
+        """By how much the reference is behind the clock: the loop stood still, or a program had not begun."""
+        return self._waited_ns + (0 if self.restart is None else self.restart.waited_ns)
 
     def _complete(self, wheels: WheelMeasurement) -> WheelMeasurement:
         """Newest wheels; where a steering angle was not read, with the last one that was."""
@@ -207,6 +240,24 @@ class ControlPipeline:
             wheels = replace(wheels, steering_rad=steering)
         self._steering = steering
         return wheels
+
+
+def _before_control(cycle: Cycle, state: RobotState) -> CycleRecord:
+    """A cycle as far as it has come when its command is asked for."""
+    t_ns, zero = cycle.inputs.t_ns, np.zeros(4)
+    return CycleRecord(
+        cycle.inputs.cycle,
+        t_ns,
+        t_ns,
+        cycle.inputs,
+        cycle.measurements,
+        state,
+        cycle.reference,
+        WheelSetpoint(zero, zero),
+        ServoSetpoint(zero, zero),
+        tuple(cycle.events),
+        cycle.observers,
+    )
 
 
 def _with_figures(state: RobotState, figures: Mapping[str, float]) -> RobotState:
@@ -290,7 +341,7 @@ class ControlLoop:
         except SafetyStop as stop:
             self._stopped(inputs, stop)
             raise
-        if self.pipeline.controller is not None and self.rig.servos is not None:
+        if self.pipeline.commands and self.rig.servos is not None:
             self.rig.servos.command(decision.command)  # 8
         lap("write")
         timing = {**laps.timing_ns, "lateness": start_ns - deadline_ns, "sinks": self._sinks_ns}
@@ -308,6 +359,7 @@ class ControlLoop:
             decision.observers,
             timing,
             self._truth(),
+            decision.external,
         )
         for sink in self.sinks:  # 9
             sink.write(record)
@@ -380,6 +432,7 @@ class ControlLoop:
             WheelSetpoint(zero, zero),
             ServoSetpoint(zero, zero),
             (event,),
+            external=self.pipeline.heard,
         )
         for sink in self.sinks:
             sink.write(record)

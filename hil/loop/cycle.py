@@ -1,4 +1,4 @@
-"""One cycle of the loop: what came in, what was made of it, and what the checks report about it."""
+"""The data of one cycle that all checks share, and the protocol of a check."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class Check:
     """
 
     def reset(self) -> None:
-        """Forget the run."""
+        """Forget all that was seen in the run."""
 
     def on_samples(self, cycle: Cycle) -> None:
         """Judge what the devices delivered, before the estimate."""
@@ -140,7 +140,7 @@ class LastingCheck(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the run."""
+        """Forget all that was seen in the run."""
         self._since_ns: int | None = None
 
     def on_samples(self, cycle: Cycle) -> None:

@@ -82,8 +82,8 @@ class PoseAlignment:
         """The body's pose in the frame of the first good one; None without a usable one.
 
         A camera that has started again has another frame. Where it looks up a wall, that is turned about
-        the vertical by any angle. It begins with the next good pose; the reset itself is told as a pose that
-        is not valid.
+        the vertical by any angle. It begins with the next good pose; the reset itself is reported as a
+        pose that is not valid.
         """
         status = sample.status
         if status is _RESET:
@@ -150,7 +150,7 @@ def _seen_from(
         z: of the quaternion.
 
     Returns:
-        x and y (m) and heading (rad); NaN where the camera tells no pose.
+        x and y (m) and heading (rad); NaN where the camera gives no pose.
     """
     if not _is_pose(px, py, pz, w, x, y, z):
         return math.nan, math.nan, math.nan

@@ -50,7 +50,7 @@ class RealTime:
     """Scheduling and garbage collection of the calling thread while the context is open.
 
     Memory that exists at the start is taken out of the collector's sight; from then on it collects
-    only in time that a cycle has left. Whoever keeps every record makes a full collection longer than any
+    only in time that a cycle has left. A sink that keeps every record makes a full collection longer than any
     cycle: it is expected to take as long as the last one and 1.5 us (measured) for each object that has
     come since, and is left out where that does not fit. The interpreter hands its lock over more often, so
     that a sink's thread delays a cycle by a fifth of a millisecond at a time.

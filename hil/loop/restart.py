@@ -1,7 +1,7 @@
-"""Going on after the loop stood still for longer than the servos wait: gently, from where the robot is.
+"""Resumes the motion after a pause of the loop that has stopped the wheels: slowly, from the present pose.
 
 Meanwhile the servos' bus watchdogs have stopped the wheels. So the reference waits, too, and starts again
-from rest; no wheel is told to go faster than the limit of acceleration takes it there, nor much faster
+from rest; no wheel is commanded faster than the limit of acceleration takes it there, nor much faster
 than it really turns. Deterministic: depends on the times of the cycles and on the measured wheels.
 """
 
@@ -17,7 +17,7 @@ from hil.core.geometry import Array, rotation2
 from hil.core.signals import Reference, WheelMeasurement, WheelSetpoint
 
 _LAGS = 2.0
-"""A wheel may be told to go as much faster than it goes as its acceleration gives in so many servo lags."""
+"""A wheel may be commanded faster than it turns by what its acceleration gives in so many servo lags."""
 
 
 class Restart:
@@ -43,7 +43,7 @@ class Restart:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Forget all that was seen before."""
         self.waited_ns = 0
         self._last_ns: int | None = None
         self._pace, self._quicker, self._step_s = 1.0, 0.0, 0.0

@@ -1,4 +1,4 @@
-"""Limits of a bench, and which checks it has."""
+"""The limits of a bench, and the set of its checks."""
 
 from __future__ import annotations
 
@@ -37,15 +37,16 @@ class SafetyLimits:
 
 @dataclass(frozen=True)
 class Checks:
-    """Which sensors are held against each other, and whether the robot stops by it.
+    """Which sensors are compared with each other, and whether a disagreement stops the robot.
 
-    Where the robot does not steer by what is in doubt, it is told only: a script that turns single wheels
-    follows no pose, and odometry needs no camera.
+    Where the robot does not steer by the sensor in doubt, there is only a warning: a script that turns single
+    wheels follows no pose, and odometry needs no camera.
 
     Attributes:
         motion: camera against wheels and gyro; None without.
-        estimate: the estimate against motion capture; None where nothing is a witness.
-        wheels: each wheel against the other three; None where they are not told to roll by one motion.
+        estimate: the estimate against motion capture; None without motion capture or another independent
+            sensor.
+        wheels: each wheel against the other three; None where they are not commanded by one motion.
         needs_camera: whether the estimate that is followed uses the camera: the robot stops where that is
             in doubt or silent.
         steering: external encoders against the servos; None without.
@@ -55,7 +56,7 @@ class Checks:
         healthy: how often and how soon the samples of sensors should come.
         gap_s: by sensor, longest time without a good sample that is still healthy.
         brought: sensors that other packages bring, and fields of their samples that they do not measure.
-        hold: what presses the robot on its surface; None where nothing measures it.
+        hold: what presses the robot on its surface; None where no sensor measures it.
         lost_after_s: by sensor, how long it may send nothing at all before a robot that follows a pose stops;
             a sensor that can be plugged in again is waited for longer than that.
         added: checks that kinds of devices bring, by kind.

@@ -24,7 +24,7 @@ from hil.loop.checks.fall import FallCheck, look_at
 from hil.loop.checks.filter_fit import FilterFit
 from hil.loop.checks.loop_pause import LoopPause
 from hil.loop.checks.lost_sensor import LostCheck
-from hil.loop.checks.path import PathCheck
+from hil.loop.checks.path_error import PathCheck
 from hil.loop.checks.sensor_rate import SensorRate
 from hil.loop.checks.sensor_status import SensorStatus
 from hil.loop.checks.servos import ServoCheck
@@ -86,7 +86,7 @@ class Supervisor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the run."""
+        """Forget all that was seen in the run."""
         self.last = LastCycle()
         self.left_out.reset()
         for _, check in self.in_order:
@@ -129,7 +129,7 @@ class Supervisor:
         cycle.events[before:] = map(self._may_slide, cycle.events[before:])
 
     def _may_slide(self, event: Event) -> Event:
-        """The same of wheels that tell more or less than others: they may slip, because the robot slides."""
+        """As above, for wheels that measure more or less than others: they may slip as the robot slides."""
         if event.source != WHEELS.name or not self._holders:
             return event
         message = event.message + look_at(self._holders, "if it slides, look")
@@ -142,7 +142,7 @@ class Supervisor:
 
     @property
     def agreed(self) -> frozenset[str]:
-        """Devices that have told of a way since `reset` as others did."""
+        """Devices that have agreed with another on the motion since `reset`."""
         return frozenset() if self.checks.motion is None else self.checks.motion.agreed
 
     def limit(self, setpoint: WheelSetpoint) -> WheelSetpoint:
@@ -156,8 +156,8 @@ class Supervisor:
         if not math.isfinite(sum(rates) + sum(angles)):
             raise SafetyStop("not_finite", "a setpoint is not finite")
         if max(angles) > self._widest_rad or min(angles) < -self._widest_rad:
-            told_deg = np.degrees(angles).round(1).tolist()
-            raise SafetyStop("steering_limit", f"steering setpoint {told_deg} deg")
+            shown_deg = np.degrees(angles).round(1).tolist()
+            raise SafetyStop("steering_limit", f"steering setpoint {shown_deg} deg")
         fastest = self.limits.wheel_rate_limit_rad_s
         if max(rates) > fastest or min(rates) < -fastest:
             slowed = setpoint.wheel_rate_rad_s * (fastest / max(map(abs, rates)))

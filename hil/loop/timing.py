@@ -1,4 +1,4 @@
-"""How punctual a loop is: durations of its sections, cycles late and skipped, in a fixed amount of memory."""
+"""Measures how punctual a loop is: durations of its sections, late and skipped cycles, in constant memory."""
 
 from __future__ import annotations
 

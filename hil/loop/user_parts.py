@@ -1,4 +1,4 @@
-"""Controllers and estimators of one's own: what they are called, what they are given, and what they return.
+"""Calls controllers and estimators of the user's, and checks what they return.
 
 What they are given cannot be written to: the other estimators see it, too, and it is recorded. What they
 return is checked in every cycle and copied, because they may keep it and change it later. A wrong result

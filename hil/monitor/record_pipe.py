@@ -1,4 +1,4 @@
-"""What goes through the pipe from the loop's process to the monitor's: pieces, each of them a pickle.
+"""The format of the pipe from the loop's process to the monitor's: pieces, each of them a pickle.
 
 The first piece is the scene. Every other one is a list of what is to be shown, oldest first: cycle records
 and paths. An empty piece is the end. Before each stands how many cycles were not shown so far.
@@ -61,7 +61,7 @@ def put(pipe: IO[bytes], payload: bytes, dropped: int = 0) -> None:
         dropped: cycles that were not shown so far.
 
     Raises:
-        OSError, ValueError: nothing reads, or the pipe is closed.
+        OSError, ValueError: there is no reader, or the pipe is closed.
     """
     pipe.write(_HEAD.pack(len(payload), dropped) + payload)
     pipe.flush()

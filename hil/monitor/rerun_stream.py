@@ -1,7 +1,7 @@
 """Sends cycle records to Rerun in batches: columns for the plots, shapes for the wall, the robot in space.
 
 It lives in a process of its own (`hil.monitor.__main__`): neither the interpreter lock nor a stalled viewer,
-for which Rerun may wait without an end, can reach whoever shows something.
+for which Rerun may wait without an end, can delay the loop.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ def check_url(name: str) -> None:
 
 
 def answers(address: str) -> bool:
-    """Whether something listens at an address of Rerun; True also where it names no port."""
+    """Whether a server listens at an address of Rerun; True also where it names no port."""
     parts = urlsplit(address)
     try:
         if parts.port is not None:

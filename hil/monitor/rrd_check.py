@@ -1,4 +1,4 @@
-"""Whether a Rerun file is whole: its messages are walked through, by length, to the one that ends it."""
+"""Checks that a Rerun file is whole, by walking through its messages to the one that ends it."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ _END = 0
 
 
 def files_of(targets: Iterable[str]) -> tuple[str, ...]:
-    """Of the outputs of a monitor, those that are files."""
+    """The outputs of a monitor that are files."""
     return tuple(name for name in targets if "://" not in name and Path(name).suffix == ".rrd")
 
 
 def what_is_missing(path: Path) -> str:
     """Why a file of Rerun is not whole; empty where it is.
 
-    A disk that was full leaves a file that breaks off, of which the library tells nothing.
+    A disk that was full leaves a file that breaks off, of which the library says nothing.
     """
     try:
         size = path.stat().st_size

@@ -1,7 +1,7 @@
 """A Rerun file behind a pipe: Rerun writes into the pipe, a thread of ours into the file.
 
-Where Rerun itself meets a full disk, the thread of it that writes ends, and whoever lets go of the recording
-may wait for that thread for ever, in code that no signal reaches. A pipe is never full for long.
+Where Rerun itself meets a full disk, the thread of it that writes ends, and a caller that closes the
+recording may wait for that thread for ever, in code that no signal reaches. A pipe is never full for long.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the three-dimensional view is made of, taken from the bench's configuration; plain data, no Rerun.
+"""The parts of the three-dimensional view, from the bench's configuration; plain data, no Rerun.
 
 A `Scene` is what does not change while the robot moves: its geometry and looks, the surface that it stands
 on and how steep that is. `hil.monitor.solid_geometry` has the geometry, `hil.monitor.robot_view` draws it.

@@ -1,4 +1,4 @@
-"""What the three-dimensional view shows of each moment: the newest that is known of the robot; no Rerun.
+"""The state of the robot that the three-dimensional view shows, by the newest samples; no Rerun.
 
 Truth is that of the emulated robot where the record carries it, else what motion capture sees. Slip is the
 emulated robot's own, else what is left of the seen motion beyond what the wheels roll. Loads are the emulated
@@ -79,7 +79,7 @@ class Moments:
         self._failing: set[str] = set()
 
     def note(self, record: CycleRecord) -> None:
-        """Take what one cycle tells."""
+        """Take what the scene shows of one cycle: wheels, true pose, forces."""
         self._note_wheels(record)
         self._note_truth(record)
         self._note_forces(record.inputs)
@@ -134,7 +134,7 @@ class Moments:
                 self._forces[name] = reported
 
     def _forces_of(self, kind: DeviceKind, inputs: Inputs) -> tuple[Force, ...]:
-        """What a kind tells; one whose package fails is left out from then on, and named once."""
+        """Forces of a kind; one whose package fails is left out from then on, and named once."""
         own = self._scene.devices.get(kind.name)
         try:
             return asked(
@@ -172,7 +172,7 @@ class Moments:
         return self._scene.robot.wheel_loads_n(environment.tilt_rad, heading_rad, adheres=environment.on_wall)
 
     def _all_forces(self) -> tuple[Force, ...]:
-        """What is told, and what is assumed of fan or propellers while only the other one tells."""
+        """Reported forces, and those assumed of fan or propellers while only the other one reports."""
         reported = tuple(force for forces in self._forces.values() for force in forces)
         assumed = assumed_forces(self._scene) if self._forces.keys() <= _ASSUMED.keys() else ()
         known = tuple(_ASSUMED[name] for name in self._forces) if assumed else ()

@@ -2,7 +2,7 @@
 
 The records go to that process through a pipe, those of a tenth of a second together, for the view moves no
 more often. A stalled or dead viewer fills the pipe, then the queue. In real time that costs the oldest, which
-are counted and shown. Where nothing waits for a clock (`lossless`) whoever shows them waits, as long as the
+are counted and shown. Where nothing waits for a clock (`lossless`) the caller waits, as long as the
 viewer takes some. Rerun may wait for a viewer without an end: its process is then killed.
 """
 
@@ -140,7 +140,7 @@ class RerunMonitor(Sink):
             )
 
     def write(self, record: CycleRecord) -> None:
-        """Take one record."""
+        """Take the record of one cycle."""
         if self._closed:
             return
         if len(self._waiting) >= self._capacity and not (self._lossless and self._room_comes()):

@@ -45,7 +45,7 @@ TITLES = {
     LATENCY: "How old the samples are",
     MOTION: "With turning wheels, on a stand",
 }
-QUESTION = "is the robot on a stand, all four wheels free, and nobody's fingers near them? (yes/no)"
+QUESTION = "is the robot on a stand, all four wheels free, and no fingers near them? (yes/no)"
 
 
 @dataclass
@@ -263,7 +263,7 @@ class _Running:
             answer = asked.operator.ask(QUESTION)
         if answer.strip().lower() != "yes":
             raise Aborted(
-                "the wheels did not turn: nobody has said that the robot is on a stand",
+                "the wheels did not turn: it was not confirmed that the robot is on a stand",
                 expected="the word yes",
                 remedy="put it on a stand, then accept again",
             )
@@ -272,7 +272,7 @@ class _Running:
         """Contract and delays of the servos; the first that fails is the last that moves."""
         source = self._asked.source.changed(overrides=off_the_wall(self._config)).with_its_faults()
         bench = source.open()
-        bench.tells_held = False
+        bench.warns_not_held = False
         try:
             with bench:
                 self._checks_in_motion(stage, bench)

@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.calibration.calibration_file import read_calibration
-from hil.calibration.usable import check_usable
+from hil.calibration.usability_check import check_usable
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
-from hil.core.interfaces import Sink
+from hil.core.choices import ROS2
+from hil.core.errors import UsageError
+from hil.core.interfaces import CommandingSink, Sink
 from hil.procedure.user_controllers import make_own
 
 if TYPE_CHECKING:
@@ -32,8 +34,8 @@ class BenchSource:
         faults: fault specs.
         overrides: dotted key -> value.
         calibration: file to apply.
-        controller: class of the user's own that drives every trajectory, `FILE.py:NAME` or `MODULE:NAME`;
-            empty for the control law of the bench and the procedure.
+        controller: class of the user's own that drives every trajectory, `FILE.py:NAME` or `MODULE:NAME`, or
+            `ros2:TOPIC` of a program, which `publish` then asks; empty for the law of bench and procedure.
         watch: sinks that every opening of it is shown to.
         publish: makes one more sink from a bench's header, for every opening in this process; None for none.
     """
@@ -104,15 +106,32 @@ class BenchSource:
             sinks=(*self.watch, *sinks),
             calibration=self.calibration,
         )
-        if self.controller:
-            bench.own_controller = partial(make_own, self.controller)
-        if self.publish is not None:
-            try:
-                bench.add_sink(self.publish(bench.header()))
-            except BaseException:
-                bench.close()
-                raise
+        try:
+            self._attach(bench)
+        except BaseException:
+            bench.close()
+            raise
         return bench
+
+    @property
+    def on_ros2(self) -> bool:
+        """Whether a program on ROS 2 drives every trajectory."""
+        return self.controller.startswith(ROS2)
+
+    def _attach(self, bench: Bench) -> None:
+        """What publishes it, and what drives it."""
+        if self.controller and not self.on_ros2:
+            bench.own_controller = partial(make_own, self.controller)
+        sink = None if self.publish is None else self.publish(bench.header())
+        if sink is not None:
+            bench.add_sink(sink)
+        if isinstance(sink, CommandingSink):
+            bench.driven_by = (self.controller, sink)
+        elif self.on_ros2:
+            raise UsageError(
+                f"--controller {self.controller} drives no bench that another process opens",
+                remedy="open it in the process of the command, or leave --controller out",
+            )
 
     def changed(
         self,

@@ -93,7 +93,7 @@ class Context:
             prompt: what to ask of the operator of a real bench instead, also before the first opening.
 
         Raises:
-            Aborted: the operator says no, or nothing answers.
+            Aborted: the operator says no, or there is no answer.
         """
         changed = self.source.changed(seed=seed, calibration=calibration, overrides=overrides)
         return self.benches.reopen(changed, label, prompt)
@@ -103,7 +103,7 @@ class Context:
 
         Args:
             errands: what to drive.
-            workers: who drives it.
+            workers: the processes that drive it.
 
         Yields:
             What each drive returned, in the order of the errands.
@@ -114,7 +114,7 @@ class Context:
         return self.benches.at_once(errands, workers)
 
     def prompt(self, question: str) -> str:
-        """Ask the operator; raises `Aborted` when nothing can answer."""
+        """Ask the operator; raises `Aborted` where there is no operator."""
         with self.guard.paused():
             answer = self.options.operator.ask(question)
         return self.results.note_answer(question, answer)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hil.bench.settings import geometry_of, motion_limits
+from hil.bench.loop_settings import geometry_of, motion_limits
 from hil.procedure.bench_request import BenchSource
 from hil.procedure.declaration import Procedure
 from hil.procedure.parameters import as_dict, described, make_parameters

@@ -43,7 +43,7 @@ class HoldHistory(Sink):
         """Nothing to let go of; the next bench goes on."""
 
     def figure(self) -> Figure | None:
-        """Force and need, and friction in use, over the time driven; None where nothing measured."""
+        """Force and need, and friction in use, over the time driven; None without a measurement."""
         from hil.report.plot_style import SERIES, legend, new_figure, style
 
         if len(self._driven.rows) < 2:

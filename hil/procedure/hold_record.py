@@ -34,7 +34,7 @@ class HoldRecord:
     """Takes the last word of each bench, and keeps it in the journal.
 
     Args:
-        journal: told of each.
+        journal: gets a line for each.
         guard: knows whether the loop ran since a checkpoint was finished.
         past: what the journal of an interrupted run says of its benches.
         finished: titles of the checkpoints that are not repeated: what their benches left counts.

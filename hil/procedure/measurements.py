@@ -115,7 +115,7 @@ def check_unique(measurements: Iterable[Measurement], owner: str) -> tuple[Measu
 
     Args:
         measurements: as they were declared.
-        owner: who declares them, for the error.
+        owner: what declares them, for the error.
 
     Raises:
         UsageError: a name declared twice, or what is no measurement.

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hil.bench.settings import motion_limits
+from hil.bench.loop_settings import motion_limits
 from hil.core.clock import NS_PER_S
 from hil.core.errors import DataError
 from hil.core.geometry import Array, ArrayLike, rotation2
 from hil.core.signals import KINDS
 from hil.datasets.cleaning import Log
-from hil.datasets.coverage import covered
 from hil.datasets.dataset import Recording, build_recording
-from hil.datasets.nominal import Nominal
+from hil.datasets.drive_coverage import covered
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import write_plain
 from hil.loop.recorded_motion import Motion
 from hil.procedure.needed_devices import leaving

@@ -30,7 +30,7 @@ class Operator(Protocol):
 
     @abstractmethod
     def ask(self, question: str) -> str:
-        """The answer; raises `Aborted` when there is nothing."""
+        """The answer; raises `Aborted` when there is none."""
 
 
 class Terminal(Operator):
@@ -99,14 +99,14 @@ class Answers(Operator):
 
 
 def go_ahead(operator: Operator, question: str) -> str:
-    """The answer of whoever was asked to do something and then press Enter, once it means that it is done.
+    """The answer to a request to do something and then press Enter, once it means that it is done.
 
     Args:
         operator: who answers.
         question: what to do, and that Enter goes on.
 
     Raises:
-        Aborted: the answer is no, or one from a file means neither; or nothing answers.
+        Aborted: the answer is no, or one from a file means neither; or there is none.
     """
     answer = operator.ask(question)
     while (word := answer.strip().lower()) not in _YES:

@@ -94,7 +94,7 @@ def driven(sent: Sent[Any]) -> Driven:
         Exception: whatever is no error of the bench, a mistake in `drive` for one.
     """
     bench = sent.errand.source.open()
-    bench.tells_held = False
+    bench.warns_not_held = False
     hold, path = HoldHistory(), PathHistory()
     tethered = bench.config.safety.tethered
     result, error, driven_s = None, None, 0.0

@@ -80,7 +80,7 @@ class RunBenches:
             self._results.note_answer(question, go_ahead(self._operator, question))
         bench = source.open()
         self._bench_name = self.left.begin(label)
-        bench.tells_held = False
+        bench.warns_not_held = False
         try:
             self._recordings.record(bench, label, lossless=source.virtual)
             bench.add_sink(self.guard)

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 Keep = Literal["all", "results"]
 """What stays of a run: `all`, or `results` without recordings and figures."""
-_TOLD = 6
-"""Of how many values of a measurement that was set again a note tells."""
+_LISTED = 6
+"""How many values of a measurement that was set again a note lists."""
 
 
 @dataclass
@@ -126,8 +126,8 @@ class RunOutputs:
                 + f" ({measurement.judge(value).value})" * measurement.limited
                 for value in every
             ]
-            if len(reported) > _TOLD:
-                reported[_TOLD - 1 : -1] = ["..."]
+            if len(reported) > _LISTED:
+                reported[_LISTED - 1 : -1] = ["..."]
             said.append(f"{name} was set {len(every)} times: {', '.join(reported)}. The last one counts.")
         return said
 

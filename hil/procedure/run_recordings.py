@@ -20,7 +20,7 @@ class Recordings:
     """All recordings of one run.
 
     Args:
-        results: told of recordings that begin, and of what is missing from one.
+        results: takes the recordings that begin, and what is missing from one.
         interrupts: held off while a record is written.
         on_failure: as in the attribute.
 

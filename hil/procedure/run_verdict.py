@@ -76,12 +76,12 @@ def conclude(context: Context, error: Failure | None, late: list[Failure], facts
 
 
 def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str, Any]:
-    """What `result.json` tells beside verdict and measurements.
+    """The facts in `result.json` beside verdict and measurements.
 
     Args:
         context: as the body left it.
         wall_s: how long the body and the teardown took, in s.
-        error: what ended the body early; another device that failed is told in a note.
+        error: what ended the body early; another device that failed is named in a note.
     """
     from hil.bench import planned_faults
     from hil.support.versions import versions
@@ -89,7 +89,7 @@ def facts_of(context: Context, wall_s: float, error: Failure | None) -> dict[str
     proc, benches, past = context.proc, context.benches, context.benches.past
     findings, source = context.findings, context.source
     missed: tuple[str, ...] = ()
-    if past is None:  # of a run that was cut off nothing has kept how far its world had come
+    if past is None:  # a run that was cut off does not say how far its world had come
         missed = not_begun(planned_faults(source.config, source.faults), benches.world_ns)
     reported = [not_begun_in_words(missed, benches.world_ns, benches.looked_ns)] if missed else []
     known = "" if error is None else error.message

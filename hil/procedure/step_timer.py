@@ -43,7 +43,7 @@ class StepTimer(Sink):
 
         Args:
             clock: of the bench.
-            virtual: its time moves only while something waits for it.
+            virtual: its time moves only while a caller waits for it.
         """
         self._clock, self._virtual, self._since_ns = clock, virtual, clock.now_ns()
         self._set_alarm()
@@ -99,7 +99,7 @@ class StepTimer(Sink):
         return next((StepTimeoutError(what, limit_s) for what, limit_s in over), None)
 
     def _set_alarm(self) -> None:
-        """Have the virtual clock end whoever sleeps on it for long beyond the nearest limit, once."""
+        """Have the virtual clock end a call that sleeps on it for long beyond the nearest limit, once."""
         self._forget_alarm()
         self._forget_alarm = _nothing
         if self._clock is not None and self._virtual and self._limits:

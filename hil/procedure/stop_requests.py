@@ -28,10 +28,10 @@ _BY = {
     "SIGINT": "Ctrl-C or “Finish the step, then end” (SIGINT)",
     _LATE: "Ctrl-C (SIGINT): the step did not end in time",
     _TWICE: "Ctrl-C twice (a second SIGINT)",
-    "SIGTERM": "STOP or whoever else asked it to end (SIGTERM)",
+    "SIGTERM": "STOP or another program (SIGTERM)",
     "SIGHUP": "its terminal, which was closed (SIGHUP)",
 }
-"""Who sends a signal, for people who did not send it by that name."""
+"""The source of a signal, in words."""
 
 
 class Interrupts:

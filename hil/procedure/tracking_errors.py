@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.bench.settings import geometry_of, motion_limits
+from hil.bench.loop_settings import geometry_of, motion_limits
 from hil.config.bench import BenchConfig
 from hil.core.geometry import Array, wrap_array
 from hil.loop.recorded_motion import Motion

@@ -23,6 +23,8 @@ MARKERS = (
     "fault(device, kind, at=0.0, duration=None, **options): a fault on an emulated device, for example "
     'fault("imu", "stuck", at=2.0); seconds of bench time. Skipped where the device is real',
     "real_only: skip where a device is emulated",
+    'controller(name, domain=None): a control law, FILE.py:NAME, MODULE:NAME or "ros2:TOPIC" drives every '
+    "trajectory of `bench`; of ROS 2 in this DDS domain, else that of ROS_DOMAIN_ID",
 )
 NOT_HELD = "not_held"
 """Property of a test case whose robot should be held and is not: how far it went, and why."""
@@ -184,7 +186,7 @@ def pytest_report_header(config: pytest.Config) -> str | None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Skip what this bench cannot do, and say why."""
-    if any(item.get_closest_marker(name) for name in ("needs", "fault", "real_only")):
+    if any(item.get_closest_marker(name) for name in ("needs", "fault", "real_only", "controller")):
         from hil.pytest_plugin.bench_selection import skip_where_impossible
 
         skip_where_impossible(item)
@@ -243,7 +245,7 @@ def _end(item: pytest.Item, report: pytest.TestReport) -> None:
 def bench(request: pytest.FixtureRequest) -> Generator[Bench, None, None]:
     """An opened bench of its own for every test: fresh world, devices open, held and closed at the end.
 
-    Then it is told how the robot was left.
+    Then the report says how the robot was left.
     """
     from hil.pytest_plugin.bench_selection import opened
     from hil.pytest_plugin.test_outcome import end

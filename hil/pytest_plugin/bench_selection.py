@@ -1,4 +1,4 @@
-"""Which bench a test runs on, whether it can run there, and its entry in the report."""
+"""Selects the bench of a test, skips it where it cannot run there, and fills its entry in the report."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from hil.config.several_devices import meant
 from hil.core.errors import HilError, UsageError
 from hil.core.registry import kind_of, kinds
 from hil.procedure.bench_request import BenchSource
+from hil.pytest_plugin.controllers import driven
 
 if TYPE_CHECKING:
     from hil.bench import Bench, Fault
@@ -82,6 +83,7 @@ def properties(source: BenchSource) -> list[tuple[str, object]]:
         ("seed", source.seed),
         ("emulated", ",".join(source.config.emulated()) or "none"),
         *(("fault", spec) for spec in source.faults),
+        *((("controller", source.controller),) if source.controller else ()),
     ]
 
 
@@ -118,7 +120,14 @@ def skip_where_impossible(item: pytest.Item) -> None:
 def _must_have_bench(item: pytest.Item) -> None:
     """Refuse faults of a test that has no fixture `bench`: nothing would apply them."""
     faults = faults_of(item)
-    if faults and "bench" not in getattr(item, "fixturenames", ()):
+    if "bench" in getattr(item, "fixturenames", ()):
+        return
+    if mark := item.get_closest_marker("controller"):
+        raise UsageError(
+            f"marker {_written(mark)}: the test does not use the fixture `bench`, and the marker acts "
+            "through it only"
+        )
+    if faults:
         raise UsageError(
             f"marker fault for {', '.join(faults)}: the test does not use the fixture `bench`, and the "
             "marker acts through it only",
@@ -155,10 +164,10 @@ def opened(item: pytest.Item) -> Generator[Bench, None, None]:
         with plainly():
             faults = tuple(faults_of(item))
             source = source_of(item.config)
-            source = replace(source, faults=(*source.faults, *faults))
+            source = driven(item, replace(source, faults=(*source.faults, *faults)))
             item.user_properties.extend(properties(source))
             bench = source.open()
-            bench.tells_held = False
+            bench.warns_not_held = False
             stack.enter_context(bench)
         yield bench
 
@@ -175,6 +184,8 @@ def how_to_repeat(item: pytest.Item, bench: Bench) -> str:
         if given.partition("=")[0].strip() == "hil_bench":
             options += ["-o", given]
     faults = "".join(f", fault {spec}" for spec in faults_of(item))
+    if mark := item.get_closest_marker("controller"):
+        faults += f", controller {mark.args[0]}"
     return (
         f"bench {bench.config.name}{faults}, at {bench.clock.now_ns() * 1e-9:.3f} s of its clock\n"
         f"repeat with {shlex.join(options)}"

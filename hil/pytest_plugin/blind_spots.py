@@ -19,12 +19,12 @@ from hil.core.errors import HilError, did_you_mean
 from hil.pytest_plugin.bench_selection import in_several_processes, source_of, use_source
 from hil.pytest_plugin.broken_robots import Breakage, breakages
 
-FOUND = pytest.StashKey["list[Seen]"]()
+FOUND = pytest.StashKey["list[BreakageResult]"]()
 _CHOSEN = pytest.StashKey[list[Breakage]]()
 
 
 @dataclass(frozen=True)
-class Seen:
+class BreakageResult:
     """What became of one broken robot.
 
     Attributes:
@@ -80,7 +80,7 @@ def run(session: pytest.Session) -> None:
     try:
         for breakage in config.stash[_CHOSEN]:
             use_source(config, breakage.of(source))
-            found.append(Seen(breakage, _noticed(session, able)))
+            found.append(BreakageResult(breakage, _noticed(session, able)))
             if reporter is not None:
                 reporter.write("." if found[-1].by else "B" if breakage.matters else "b")
     finally:
@@ -121,8 +121,8 @@ def _noticed(session: pytest.Session, items: Sequence[pytest.Item]) -> str:
     return ""
 
 
-def summary(reporter: TerminalReporter, found: Sequence[Seen]) -> None:
-    """The table: what was noticed by whom, and what by nothing."""
+def summary(reporter: TerminalReporter, found: Sequence[BreakageResult]) -> None:
+    """The table: which breakages were noticed by which test, and which by none."""
     blind = [seen for seen in found if not seen.by and seen.breakage.matters]
     tolerated = [seen for seen in found if not seen.by and not seen.breakage.matters]
     reporter.section("blind spots")

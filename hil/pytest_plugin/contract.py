@@ -166,7 +166,7 @@ def test_it_loses_next_to_nothing(subject: Subject) -> None:
 
 
 def test_a_robot_at_rest_is_seen_to_stand(subject: Subject) -> None:
-    """The position that it tells drifts by less than 5 mm/s; devices that tell no position pass."""
+    """The reported position drifts by less than 5 mm/s; devices without a position pass."""
     sees_no_motion(subject)
 
 
@@ -181,7 +181,7 @@ def test_a_sample_is_delivered_once(subject: Subject) -> None:
 
 
 def test_a_read_never_waits_for_the_next_sample(subject: Subject) -> None:
-    """It takes what is there; two of twenty reads may be late because this computer was busy elsewhere."""
+    """A read takes what is there; two of twenty may be late because this computer was busy."""
     at_rest.reads_do_not_wait(subject)
 
 

@@ -24,7 +24,7 @@ import pytest
 
 from hil.bench import Bench, contract
 from hil.bench.contract import BUSY_SHARE, due, oldest_s
-from hil.bench.settings import alignment_parameters
+from hil.bench.loop_settings import alignment_parameters
 from hil.core.clock import nanoseconds
 from hil.core.geometry import rotated
 from hil.core.registry import kinds
@@ -36,7 +36,7 @@ from hil.pytest_plugin.bench_selection import plainly, properties, source_of
 from hil.robot.statics import GRAVITY_M_S2
 
 __all__ = [
-    "_told",
+    "_bench_in_results",
     "test_every_device_says_what_it_is",
     "test_gravity_and_rates_are_those_of_rest",
     "test_gravity_points_where_the_bench_file_says",
@@ -92,7 +92,7 @@ def watched(request: pytest.FixtureRequest) -> Watch:
     with plainly():
         idle = idle_for(source, watch_s * IDLE_SHARE)
         with source.open() as bench:
-            bench.tells_held = False
+            bench.warns_not_held = False
             if bench.rig.servos is not None:
                 bench.rig.servos.enable()
             identity = {d.name: dict(d.identity()) for d in bench.rig.devices()}
@@ -109,7 +109,7 @@ def idle_for(source: BenchSource, seconds: float) -> tuple[LoopStatistics, ...]:
 
 
 @pytest.fixture(autouse=True)
-def _told(request: pytest.FixtureRequest) -> None:
+def _bench_in_results(request: pytest.FixtureRequest) -> None:
     """Bench, calibration version and seed beside every result."""
     if "watched" in request.fixturenames:
         request.node.user_properties.extend(properties(source_of(request.config)))
@@ -266,6 +266,6 @@ def test_the_robot_is_left_held(watched: Watch) -> None:
 
 
 def test_the_supervisor_has_nothing_to_say(watched: Watch) -> None:
-    """No error events."""
+    """The supervisor reports no error events."""
     errors = [e.message for e in watched.motion.events if e.level == "error"]
     assert not errors

@@ -1,7 +1,7 @@
-"""How a test has left its robot, and whether the faults of its markers have acted.
+"""Checks after a test how it has left its robot, and that the faults of its markers have acted.
 
 An emulated robot may be lost on purpose; a real one never. So a robot that should be held and is not is an
-error of the test where a device is real, and at the wire where nothing asked for faults. In virtual time it
+error of the test where a device is real, and at the wire where no test asked for faults. In virtual time it
 is a warning, and with faults it only stands in the summary, in the report of the test and in JUnit XML.
 """
 

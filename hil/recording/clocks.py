@@ -1,7 +1,7 @@
 """Clocks of recordings: PTP hardware clocks beside the wall clock, and the way from one recording to another.
 
 Two computers that record one run agree as well as their clocks do. Where a network card keeps PTP time
-(`ptp4l`), that is better than the wall clock of a computer that nothing disciplines.
+(`ptp4l`), that is better than an undisciplined wall clock.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hil.recording.transform_tree import recorded_offset
 DEVICES = Path("/dev")
 _LOOKS = 25
 _CREDIBLE_NS = 60 * NS_PER_S
-"""A hardware clock that nothing sets begins at 1970 or when the computer did; TAI is 37 s before UTC."""
+"""A hardware clock that is not set begins at 1970 or when the computer did; TAI is 37 s before UTC."""
 _CLOCK_OF_FD = 3
 
 
@@ -100,7 +100,7 @@ def recorded_ptp(header: Mapping[str, Any]) -> tuple[PtpOffset, ...]:
 def shift_between(first: str | Path, second: str | Path) -> Shift:
     """What leads from the second recording's bench clock to that of the first.
 
-    By PTP where both have a hardware clock that something keeps, else by the wall clocks.
+    By PTP where both have a disciplined hardware clock, else by the wall clocks.
 
     Raises:
         DataError: a recording cannot be read, or was made in virtual time.
@@ -128,7 +128,7 @@ def shift_between(first: str | Path, second: str | Path) -> Shift:
 
 
 def _kept(header: Mapping[str, Any]) -> Iterator[PtpOffset]:
-    """Hardware clocks whose time is near the time of day: something keeps them."""
+    """Hardware clocks whose time is near the time of day, so that they are disciplined."""
     wall = recorded_offset(header)
     for ptp in recorded_ptp(header):
         if wall is not None and abs(ptp.offset_ns - wall.offset_ns) < _CREDIBLE_NS:

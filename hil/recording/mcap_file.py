@@ -42,7 +42,7 @@ _LATCHED = "- " + "\n  ".join(
     )
 )
 _QOS = {"/tf_static": _LATCHED, "/robot_description": _LATCHED}
-"""Quality of service with which a topic is to be played: who listens later gets the last message, too."""
+"""Quality of service with which a topic is to be played: a late subscriber gets the last message, too."""
 
 
 class _WholeWrites:

@@ -84,7 +84,7 @@ class McapRecorder(Sink):
         return self._recording.flushed + self._recording.unflushed
 
     def write(self, record: CycleRecord) -> None:
-        """Take one record."""
+        """Take the record of one cycle."""
         self._put(("cycle", record))
 
     def objection(self) -> RecordingError | None:

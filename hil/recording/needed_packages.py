@@ -1,4 +1,4 @@
-"""Which packages a recording needs: those that add the kinds and models of its devices."""
+"""Finds the packages that a recording needs: those that add the kinds and models of its devices."""
 
 from __future__ import annotations
 

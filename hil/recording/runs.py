@@ -1,4 +1,4 @@
-"""Where a run begins inside a recording, and with what: all that replay needs besides the inputs.
+"""Finds the runs in a recording, each with the initial state that replay needs besides the inputs.
 
 One recording holds every run made on the bench (settling, then driving, ...). A note of kind `run`
 before its first cycle says which estimator and controller decide, and from which state they start.

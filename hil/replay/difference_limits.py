@@ -1,4 +1,4 @@
-"""How far a replay may differ from its recording where the two were computed by different arithmetic.
+"""Limits of the difference between a replay and its recording where their arithmetic differs.
 
 Rounding differs in the last digits between processors and libraries (`hil.support.arithmetic_fingerprint`).
 On whole
@@ -20,7 +20,7 @@ import numpy as np
 
 from hil.core.geometry import Array
 from hil.core.signals import Event
-from hil.recording.compare import first_difference
+from hil.recording.record_comparison import first_difference
 
 
 @dataclass(frozen=True)

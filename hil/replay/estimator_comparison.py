@@ -49,7 +49,7 @@ def fitting(bench: BenchModel, sensors: Iterable[str]) -> BenchModel:
     )
 
 
-def told_of_sensors(bench: BenchModel, sensors: Sequence[str]) -> str:
+def sensors_text(bench: BenchModel, sensors: Sequence[str]) -> str:
     """Which sensors a run has, and what filters make of a run of wheels alone."""
     absent = [word for name, word in SENSORS.items() if name not in sensors]
     text = "sensors: " + ", ".join(SENSORS[name] for name in sensors)
@@ -156,7 +156,7 @@ def compare_run(
 
 
 def _own_observers(records: Sequence[CycleRecord]) -> dict[str, Motion]:
-    """What was recorded of observers that nothing can make again, those of the user's own, by row."""
+    """The recorded states of observers that replay cannot make again, the user's own, by row."""
     names = dict.fromkeys(name for r in records for name in r.observers if name not in ESTIMATORS)
     return {
         f"recorded {name}": Motion(

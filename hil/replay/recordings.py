@@ -10,20 +10,20 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from hil.bench.loop_settings import geometry_of, nominal_of, with_wheel_model
 from hil.bench.model import BenchModel
-from hil.bench.settings import geometry_of, nominal_of, with_wheel_model
 from hil.calibration.calibration_file import read_calibration
 from hil.calibration.excitation import mismatch
-from hil.calibration.usable import check_made_for, failed_validation
+from hil.calibration.usability_check import check_made_for, failed_validation
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.config.recorded import recorded_bench
 from hil.core.errors import DataError, HilError, UsageError
 from hil.datasets.as_cycles import to_run
 from hil.datasets.blocks import reduce_recordings
-from hil.datasets.coverage import covered
 from hil.datasets.dataset import Recording
-from hil.datasets.nominal import Nominal
+from hil.datasets.drive_coverage import covered
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import find_recordings, read_recordings
 from hil.datasets.rosbag import is_bag, read_bag
 from hil.datasets.topic_map import read_topic_map
@@ -47,7 +47,7 @@ class OpenedRecording:
         problems: what could not be read; complete once `runs` has been asked for.
         robot: whose wheels a foreign one is read for.
         tables: what was read of a foreign one; complete once `runs` has been asked for.
-        named: whether something has said which bench a foreign one is of.
+        named: whether the user has said which bench a foreign recording is of.
         failed: a sentence where the wheel geometry is of a calibration that failed its own validation run.
     """
 
@@ -79,9 +79,9 @@ class OpenedRecording:
         failed = [self.failed] if self.failed else []
         if not self.tables:
             return failed
-        from hil.calibration.warnings import told_by
+        from hil.calibration.warnings import warnings_of
 
-        reported = told_by(self.tables)
+        reported = warnings_of(self.tables)
         assumed = [] if self.named or len(self.tables[0].sources) == _PAIR else [self._assumed()]
         robot = replace(self.robot, geometry=self.bench.geometry)
         found = mismatch(reduce_recordings(self.tables, _BLOCK_S), robot)
@@ -209,7 +209,7 @@ def _bench(
 ) -> tuple[BenchModel, str]:
     """The bench of a configuration, and a sentence where the calibration failed its own validation run.
 
-    A recorded configuration names every value, chosen by something or not. Where the bench is not `known` its
+    A recorded configuration contains every value, chosen or default. Where the bench is not `known` its
     robot is assumed, and the calibration may be another's.
     """
     failed = ""

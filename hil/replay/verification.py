@@ -1,4 +1,4 @@
-"""Whether a recording repeats: its inputs are decided upon again and every number is compared.
+"""Verifies that a recording repeats: its inputs go through the pipeline again, and every number is compared.
 
 Where the same arithmetic decides, every bit must be equal. Where it is another one, numbers may differ within
 the limits of `hil.replay.difference_limits`.
@@ -6,17 +6,19 @@ the limits of `hil.replay.difference_limits`.
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from collections.abc import Iterable
 from typing import Any
 
 from hil.bench.model import BenchModel
 from hil.controller.joint_script import SCRIPT, JointScript
-from hil.core.choices import ESTIMATORS, LAWS
+from hil.core.choices import ESTIMATORS, LAWS, ROS2
 from hil.core.errors import SafetyStop, UsageError
+from hil.core.external_commands import ExternalCommands
 from hil.core.signals import CycleRecord, Inputs, Reference
 from hil.loop.control_loop import OUTSIDE, ControlPipeline
-from hil.recording.compare import first_difference
+from hil.recording.record_comparison import first_difference
 from hil.recording.runs import RecordedRun, RunStart, read_cycles_of_runs
 from hil.replay.difference_limits import LIMITS, Agreement, same_text
 from hil.replay.recordings import OpenedRecording
@@ -34,22 +36,49 @@ FLIP = (
 """What to know where a flag, a count or an event differs under another arithmetic."""
 
 
+_STOP = re.compile(r"robot stopped \((\w+)\): (.*)", re.DOTALL)
+"""How a `SafetyStop` reads."""
+
+
 class RecordedReferences:
     """The recorded references in their order: stands in for a trajectory that cannot be built again."""
 
     def __init__(self, records: Iterable[CycleRecord] = ()) -> None:
-        self._references = deque(r.reference for r in records)
+        self._records = deque(records)
 
     def add(self, record: CycleRecord) -> None:
         """Take the reference of a further cycle."""
-        self._references.append(record.reference)
+        self._records.append(record)
 
     def __call__(self, t_s: float) -> Reference:
-        """Reference of the next cycle."""
-        reference = self._references.popleft()
-        if reference is None:
-            raise ValueError(f"the recording has no reference at {t_s:.3f} s")
-        return reference
+        """Reference of the next cycle.
+
+        Raises:
+            SafetyStop: the command from outside has stopped the robot there.
+        """
+        record = self._records.popleft()
+        if record.reference is None:
+            said = [e.message for e in record.events if e.level == "error"]
+            found = _STOP.fullmatch(said[-1]) if said else None
+            if found is None:
+                raise ValueError(f"the recording has no reference at {t_s:.3f} s")
+            raise SafetyStop(*found.groups())
+        return record.reference
+
+
+class RecordedCommands:
+    """What a program that drove had sent, cycle by cycle: stands in for it."""
+
+    def __init__(self) -> None:
+        self._latest = ExternalCommands()
+
+    def add(self, record: CycleRecord) -> None:
+        """Take those of a further cycle."""
+        self._latest = record.external or ExternalCommands()
+
+    def __call__(self, _: CycleRecord) -> ExternalCommands:
+        """Those of the latest cycle."""
+        return self._latest
 
 
 def verify_cycle(
@@ -102,7 +131,7 @@ def rebuild(bench: BenchModel, start: RunStart) -> ControlPipeline:
     """The pipeline of a recorded run.
 
     References are computed again from the trajectory; those that came from outside (velocity commands) wait
-    in an empty `RecordedReferences` for the records.
+    in an empty `RecordedReferences` for the records, commands of a program that drove in `RecordedCommands`.
 
     Raises:
         UsageError: the note on how the run began describes no pipeline of this version.
@@ -117,6 +146,8 @@ def rebuild(bench: BenchModel, start: RunStart) -> ControlPipeline:
     )
     if start.trajectory is not None and start.trajectory.get("references") == "recorded":
         pipeline.reference_at = RecordedReferences()
+    if pipeline.external is not None:
+        pipeline.external.ask = RecordedCommands()
     return pipeline
 
 
@@ -154,6 +185,8 @@ class RunCheck:
             self._differs(problem)
             return
         self._pipeline = rebuild(bench, start)
+        ask = None if self._pipeline.external is None else self._pipeline.external.ask
+        self._asked = ask if isinstance(ask, RecordedCommands) else None
         self._given = self._pipeline.reference_at if _are_recorded(self._pipeline) else None
         if self._pipeline.reference_at is not None:
             self.result["references"] = "computed" if self._given is None else "recorded"
@@ -171,6 +204,8 @@ class RunCheck:
         self._latest = record.cycle
         if isinstance(self._given, RecordedReferences):
             self._given.add(record)
+        if self._asked is not None:
+            self._asked.add(record)
         verdict, difference = verify_cycle(record, self._pipeline, self.agreement, exact=self._exact)
         if verdict == DIFFERS:
             self._differs(f"cycle {record.cycle}: {difference}")
@@ -186,7 +221,9 @@ class RunCheck:
 
 def _foreign(start: RunStart) -> str:
     """Which parts of a run cannot be made again, because they are not of this package; empty for none."""
-    laws = (start.controller,) if start.controller not in (None, SCRIPT, *LAWS) else ()
+    named = start.controller
+    known = named in (None, SCRIPT, *LAWS) or (named is not None and named.startswith(ROS2))
+    laws = () if known else (named,)
     filters = [name for name in (start.feedback, *start.observers) if name not in ESTIMATORS]
     reported = [*(f"controller {name}" for name in laws), *(f"estimator {name}" for name in filters)]
     if not reported:

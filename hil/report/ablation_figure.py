@@ -1,4 +1,4 @@
-"""What each part of a robot's record is worth, as a figure: ends of the wall lines by what was known."""
+"""Draws what each part of a robot's record is worth: ends of wall lines by the parts that were used."""
 
 from __future__ import annotations
 

@@ -13,12 +13,12 @@ from hil.report.pages import environment
 from hil.support.atomic_files import staged
 
 
-def write_acceptance(folder: Path, told: Mapping[str, Any]) -> dict[str, Any]:
+def write_acceptance(folder: Path, summary: Mapping[str, Any]) -> dict[str, Any]:
     """Write `accept.json`, and `accept.html` which names its SHA-256.
 
     Args:
         folder: which need not exist.
-        told: as `hil.procedure.acceptance.accept` returns it.
+        summary: as `hil.procedure.acceptance.accept` returns it.
 
     Returns:
         The same with `page`, `data` and `folder`, the paths of what was written.
@@ -26,23 +26,23 @@ def write_acceptance(folder: Path, told: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         DataError: they cannot be written; then neither is there.
     """
-    text = (json.dumps(told, indent=2, allow_nan=False) + "\n").encode()
+    text = (json.dumps(summary, indent=2, allow_nan=False) + "\n").encode()
     page = (
         environment()
         .get_template("acceptance.html")
         .render(
-            told=told,
-            rows=[_counted(stage) for stage in told["stages"]],
+            summary=summary,
+            rows=[_counted(stage) for stage in summary["stages"]],
             digest=hashlib.sha256(text).hexdigest(),
             data=ACCEPTANCE_TABLE,
-            sentence=_sentence(told["stages"]),
+            sentence=_sentence(summary["stages"]),
         )
     )
     with staged(folder) as parts:
         (parts / ACCEPTANCE_TABLE).write_bytes(text)
         (parts / ACCEPTANCE_PAGE).write_text(page, encoding="utf-8", errors="backslashreplace")
     return {
-        **told,
+        **summary,
         "folder": str(folder),
         "page": str(folder / ACCEPTANCE_PAGE),
         "data": str(folder / ACCEPTANCE_TABLE),

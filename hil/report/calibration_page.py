@@ -34,7 +34,7 @@ def write_evaluation_page(
     tracks: Sequence[Track],
     nominal: Sequence[Track] | None,
     table: Mapping[str, Any],
-    told: Sequence[str] = (),
+    notes: Sequence[str] = (),
 ) -> Path:
     """Write figures and `index.html` of an error table; returns the page's path.
 
@@ -43,7 +43,7 @@ def write_evaluation_page(
         tracks: odometry of each recording as judged.
         nominal: the same with nominal parameters; None when `tracks` are these.
         table: the result of `hil evaluate`, JSON values.
-        told: what has to be known of the calibration, a line each.
+        notes: what has to be known of the calibration, a line each.
 
     Raises:
         DataError: they cannot be written.
@@ -58,7 +58,7 @@ def write_evaluation_page(
         sentence += f" With nominal parameters it errs by {_mm(dict[str, Any](evaluate(before))['mean'])} mm."
     facts = [
         f"model {table['model']}, signal {table['signal']}, cost J {number(table['cost'])}",
-        *(told or ["nominal parameters"]),
+        *(notes or ["nominal parameters"]),
     ]
     page = Overview(
         f"Odometry of {table['recordings']} recordings",

@@ -1,4 +1,4 @@
-"""What two campaigns were given differently: their options, files and versions, by their plans."""
+"""Finds the differences of two campaigns' inputs: options, files and versions, by their plans."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class _Plan(BaseModel):
     contents: dict[str, str] = {}
     make: dict[str, str] = {}
 
-    def told(self) -> dict[str, str]:
+    def given(self) -> dict[str, str]:
         """Option, file or package -> what it was."""
         given = {
             "SCRIPT": self.script,
@@ -53,7 +53,7 @@ def differences(first: Path, second: Path) -> list[dict[str, Any]] | None:
     plans = [_read(folder) for folder in (first, second)]
     if plans[0] is None or plans[1] is None:
         return None
-    one, two = plans[0].told(), plans[1].told()
+    one, two = plans[0].given(), plans[1].given()
     found = [
         {"key": k, "values": [one.get(k, _NONE), two.get(k, _NONE)]} for k in dict.fromkeys([*one, *two])
     ]

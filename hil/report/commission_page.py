@@ -24,12 +24,12 @@ from hil.support.atomic_files import put_whole, refused, write_text
 FIGURE = "ablation.svg"
 
 
-def write_commission_page(folder: Path, told: Mapping[str, Any], bench: str, now: str, seed: int) -> Path:
+def write_commission_page(folder: Path, summary: Mapping[str, Any], bench: str, now: str, seed: int) -> Path:
     """Write `commission.html`; returns its path.
 
     Args:
         folder: of the commissioning.
-        told: as `hil commission --json` prints it.
+        summary: as `hil commission --json` prints it.
         bench: its name.
         now: date and time, ISO 8601.
         seed: of the emulated world.
@@ -37,19 +37,19 @@ def write_commission_page(folder: Path, told: Mapping[str, Any], bench: str, now
     Raises:
         DataError: it cannot be written.
     """
-    wall = told["wall"]
+    wall = summary["wall"]
     page = (
         environment()
         .get_template("commission.html")
         .render(
-            told=told,
+            summary=summary,
             bench=bench,
             now=now,
             seed=seed,
             headline=headline(wall),
             figure=_figure(folder, wall) if wall else None,
-            parts=_parts(Path(told["robot"]), now),
-            stages=[s | {"took": duration(s.get("seconds"))} for s in told["stages"]],
+            parts=_parts(Path(summary["robot"]), now),
+            stages=[s | {"took": duration(s.get("seconds"))} for s in summary["stages"]],
         )
     )
     try:

@@ -1,8 +1,8 @@
 """Two campaigns over the same cases, case by case: is the second one better, and how sure is that?
 
-Both met the same worlds, so the difference of each case is free of what the worlds differ in. That tells two
-estimators or calibrations apart with far fewer runs than two averages would. What has a value in one campaign
-only makes no pair, and is named.
+Both met the same worlds, so the difference of each case is free of what the worlds differ in. That
+distinguishes two estimators or calibrations apart with far fewer runs than two averages would. What has a
+value in one campaign only makes no pair, and is named.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class _Row(_Part):
         return not (self.lost or self.faults_not_begun)
 
     def value(self, name: str) -> float | None:
-        """Of a measurement; None where it has none."""
+        """Value of a measurement; None where it has none."""
         return self.measurements[name].value if name in self.measurements else None
 
 

@@ -12,18 +12,18 @@ from hil.report.pages import environment
 from hil.support.atomic_files import put_whole, refused
 
 
-def write_faults(folder: Path, told: Mapping[str, Any]) -> Path:
+def write_faults(folder: Path, summary: Mapping[str, Any]) -> Path:
     """Write `faults.html` and `faults.json`; returns the path of the page.
 
     Args:
         folder: of the campaign; must exist.
-        told: as `hil.procedure.faults.summary` returns it, with `began`, ISO 8601.
+        summary: as `hil.procedure.faults.summary` returns it, with `began`, ISO 8601.
 
     Raises:
         DataError: they cannot be written.
     """
-    page = environment().get_template("faults.html").render(told=told)
-    data = json.dumps(told, indent=2, allow_nan=False) + "\n"
+    page = environment().get_template("faults.html").render(summary=summary)
+    data = json.dumps(summary, indent=2, allow_nan=False) + "\n"
     for name, text in ((FAULTS_PAGE, page), (FAULTS_TABLE, data)):
         try:
             put_whole(folder / name, text.encode("utf-8", "backslashreplace"))

@@ -1,4 +1,4 @@
-"""What can be read off a figure: its axes and the data in them, thinned, kept inside the SVG file.
+"""The data of a figure for its cross-hair: axes and series, thinned, kept inside the SVG file.
 
 A page draws these data again for a cross-hair and for enlarged parts. They are taken from the figure when it
 is saved, and checked when they come back, since a results folder may come from anywhere.
@@ -68,7 +68,7 @@ class Curve(_Part):
 
 
 class Area(_Part):
-    """A filled polygon."""
+    """A filled polygon of a figure."""
 
     colour: _Colour
     x: _Points

@@ -1,4 +1,4 @@
-"""What all pages share: templates, the script for figures, and how numbers, times and verdicts are said."""
+"""Shared by all pages: templates, the script for figures, the format of numbers, times and verdicts."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def environment() -> Environment:
 
 
 def number(value: object, digits: int = 4) -> str:
-    """A figure with four significant digits unless told otherwise, a dash for none."""
+    """A figure with four significant digits unless given otherwise, a dash for none."""
     if value is None:
         return "–"
     if isinstance(value, bool):

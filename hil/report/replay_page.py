@@ -157,7 +157,7 @@ def write_verification_page(
 def _sentence(numbers: Numbers) -> str:
     known = {n: 1e3 * v for n, row in numbers.items() if (v := row["rmse_position_m"]) is not None}
     if not known:
-        return "The recording has no motion capture, so nobody can say which estimator was right."
+        return "The recording has no motion capture, so it does not show which estimator was right."
     said = ", ".join(f"{_name(name)} {number(round(error, 2))}" for name, error in known.items())
     best = _name(min(known, key=lambda name: known[name]))
     return f"Position errors against motion capture (RMSE in mm): {said}. The smallest is that of {best}."
@@ -239,7 +239,7 @@ def _confidence(motions: Mapping[str, Motion], truth: Array) -> Figure:
 
 
 def _table(title: str, columns: Sequence[tuple[str, str, float]], numbers: Numbers, note: str = "") -> Table:
-    """Only the columns in which something has a figure."""
+    """The columns that have at least one figure."""
     known = [c for c in columns if any(row.get(c[0]) is not None for row in numbers.values())]
     rows = [
         [_name(name), *(number(_times(row.get(key), factor)) for key, _, factor in known)]

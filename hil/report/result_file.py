@@ -193,7 +193,7 @@ def inside(folder: Path, path: str) -> Path | None:
 
 
 def address(folder: Path, path: str) -> str:
-    """The same as a relative URL for a page in that folder; empty for a path that leads out of it."""
+    """A path as a relative URL for a page in that folder; empty for a path that leads out of it."""
     return "" if inside(folder, path) is None or Path(path).is_absolute() else quote(path)
 
 

@@ -21,7 +21,7 @@ _NAMED = 3
 def sentence(tree: Mapping[str, Any]) -> str:
     """What happened: what ended the run early, else what its procedure says, and how its limits did.
 
-    A procedure that says nothing of its own has its values told, those nearest to their limits first.
+    A procedure that says nothing of its own has its values listed, those nearest to their limits first.
 
     Args:
         tree: of `result.json`.
@@ -33,7 +33,7 @@ def sentence(tree: Mapping[str, Any]) -> str:
     if not rows:
         return f"{own} Nothing was measured.".strip()
     later = _left_out_after_a_failure(rows)
-    said = [own, _limits([r for r in rows if r not in later], rows, told=bool(own))]
+    said = [own, _limits([r for r in rows if r not in later], rows, also=bool(own))]
     if later:
         said.append(f"What comes after that was not measured: {_listed([_name(r) for r in later])}.")
     if unmeasured := [r for r in rows if not _has_limits(r) and r["outcome"] == "FAIL" and r not in later]:
@@ -55,14 +55,14 @@ def was_set(row: Mapping[str, Any]) -> bool:
 
 
 def _left_out_after_a_failure(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Those at the end that were never set, where what was set before them failed by a number."""
+    """Measurements at the end that were never set, after one that failed by its value."""
     count = next((k for k, row in enumerate(reversed(rows)) if was_set(row)), len(rows))
     before, later = rows[: len(rows) - count], rows[len(rows) - count :]
     failed = any(r["outcome"] == "FAIL" and _is_number(r) for r in before)
     return [r for r in later if r["outcome"] == "FAIL"] if failed else []
 
 
-def _limits(rows: Sequence[Mapping[str, Any]], every: Sequence[Mapping[str, Any]], *, told: bool) -> str:
+def _limits(rows: Sequence[Mapping[str, Any]], every: Sequence[Mapping[str, Any]], *, also: bool) -> str:
     """How the limits of `rows` did, counted against those of `every` row."""
     judged = [r for r in rows if _has_limits(r) and r["outcome"] != "NOT MEASURED"]
     failed = [r for r in judged if r["outcome"] == "FAIL"]
@@ -75,7 +75,7 @@ def _limits(rows: Sequence[Mapping[str, Any]], every: Sequence[Mapping[str, Any]
     if near:
         return f"{_of(near, judged, 'held by little')}: {_named(near)}."
     whole = "Its one limit held" if len(judged) == 1 else f"All {len(judged)} limits held"
-    if told:
+    if also:
         return f"{whole}."
     if len(judged) <= _NAMED:
         return f"{whole}: {_named(judged)}."

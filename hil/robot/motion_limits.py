@@ -1,4 +1,4 @@
-"""Whether a robot can follow a trajectory: checked before anything moves."""
+"""Checks that a robot can follow a trajectory, before anything moves."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ class _Held(NamedTuple):
 
 
 def _held(pose: Array, twist: Array, pull: Array, projection: Array, limits: MotionLimits) -> list[_Held]:
-    """What is held against the limits, in the order in which it is told.
+    """The quantities that have limits, in the order in which they are reported.
 
     Args:
         pose: (n, 3) in the wall frame.

@@ -136,7 +136,7 @@ def _pose(value: ArrayLike) -> Pose:
 
 
 def _checked(value: ArrayLike, name: str) -> Array:
-    """A pose (3,) that something gave; raises `UsageError` for anything else."""
+    """Check a given pose (3,); raises `UsageError` for anything else."""
     try:
         found = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
-from cyclonedds.core import DDSException
+from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
@@ -37,18 +37,19 @@ _LONGEST_BLOCK = duration(milliseconds=1)
 class Reader:
     """Messages of a topic, as CDR bytes.
 
-    Best effort, which takes from writers of either reliability.
+    Best effort takes from writers of either reliability.
 
     Args:
         participant: of Cyclone DDS.
         name: of the ROS 2 topic, with a slash.
         kind: of its messages.
+        reliable: whether nothing may be lost on the way.
     """
 
-    def __init__(self, participant: Any, name: str, kind: str) -> None:
+    def __init__(self, participant: Any, name: str, kind: str, *, reliable: bool = False) -> None:
         topic = Topic(participant, f"rt{name}", sample_type(kind))
         quality = Qos(
-            Policy.Reliability.BestEffort,
+            Policy.Reliability.Reliable(_LONGEST_BLOCK) if reliable else Policy.Reliability.BestEffort,
             Policy.Durability.Volatile,
             Policy.History.KeepLast(_DEPTH),
             _ENCODING,
@@ -62,6 +63,14 @@ class Reader:
     def writers(self) -> int:
         """How many writers the topic has now. Not after `close`."""
         return len(self._reader.get_matched_publications())
+
+    def arrival(self) -> Any:
+        """Condition, for a `WaitSet`, that something can be taken. Not after `close`."""
+        return ReadCondition(self._reader, ViewState.Any | InstanceState.Any | SampleState.Any)
+
+    def refused(self) -> int:
+        """How many writers of its type do not match by their quality of service. Not after `close`."""
+        return int(self._reader.get_requested_incompatible_qos_status().total_count)
 
     def close(self) -> None:
         """Let go of the participant. Idempotent; never raises."""
@@ -124,15 +133,23 @@ class Participant:
                 LOG.warning("ROS 2 topic %s: a message was not sent (%s); more are only counted", name, error)
             self.lost += 1
 
-    def add_reader(self, name: str, kind: str) -> Reader:
+    def add_reader(self, name: str, kind: str, *, reliable: bool = False) -> Reader:
         """Listen to a topic.
 
         Args:
             name: of the ROS 2 topic, with a slash.
             kind: of its messages.
+            reliable: as of `Reader`.
         """
-        self._heard.append(Reader(self._participant, name, kind))
+        self._heard.append(Reader(self._participant, name, kind, reliable=reliable))
         return self._heard[-1]
+
+    def wait_set(self, readers: Sequence[Reader]) -> Any:
+        """What can be waited on until one of the readers has something; to be let go of before `close`."""
+        made = WaitSet(self._participant)
+        for reader in readers:
+            made.attach(reader.arrival())
+        return made
 
     def other_types(self, name: str, kinds: Sequence[str]) -> list[str]:
         """Types, as DDS names them, with which others write a topic.

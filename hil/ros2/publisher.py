@@ -9,12 +9,14 @@ from __future__ import annotations
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-from hil.core.clock import NS_PER_S
+from hil.config.ros2 import Ros2Config
+from hil.core.clock import NS_PER_S, MonotonicClock
 from hil.core.errors import HilError
-from hil.core.interfaces import HELD_NOTE, Sink
+from hil.core.external_commands import ExternalCommands
+from hil.core.interfaces import HELD_NOTE, RUN_NOTE, CommandingSink, Sink
 from hil.core.signals import CycleRecord
 from hil.recording.needed_packages import recorded_kinds
 from hil.recording.ros_messages import CycleMessages
@@ -23,6 +25,8 @@ from hil.recording.topics import topics_with
 from hil.recording.transform_tree import FrameTree, recorded_offset
 from hil.recording.urdf import urdf
 from hil.ros2 import diagnostics
+from hil.ros2.command_exchange import Exchange
+from hil.ros2.command_topic import CommandTopic, check_topic
 from hil.ros2.network import Network
 from hil.ros2.participant import Participant
 
@@ -39,18 +43,26 @@ class Ros2Publisher:
 
     Args:
         network: where it can be found.
+        commanded_by: topic from which a program drives the benches; empty for none.
+        patient: whether in real time its first command is waited for as long as it takes.
 
     Attributes:
         participant: what it publishes by.
         dropped: cycles that were not published, because sending did not keep up or one was malformed.
+        commands: the topic of the latest bench; None before the first, and where no program drives.
+        exchange: the same of what goes to and fro.
 
     Raises:
-        UsageError: the network cannot be joined.
+        UsageError: the network cannot be joined, or no name of a topic.
     """
 
-    def __init__(self, network: Network) -> None:
+    def __init__(self, network: Network, commanded_by: str = "", *, patient: bool = False) -> None:
+        if commanded_by:
+            check_topic(commanded_by)
         self.participant, self.dropped = Participant(network), 0
-        self._latest_ns = 0
+        self.commands: CommandTopic | None = None
+        self.exchange: Exchange | None = None
+        self._commanded_by, self._patient, self._latest_ns = commanded_by, patient, 0
 
     def sink(self, header: Mapping[str, Any]) -> Sink:
         """A sink for one bench; topics of it that are not offered yet are from now on.
@@ -59,10 +71,24 @@ class Ros2Publisher:
             header: of the bench, as its recordings have it.
         """
         offset = recorded_offset(header)
-        if offset is not None:
-            return _InRealTime(_Messages(self, header, offset.offset_ns))
         # simulated time begins at 1 s, since 0 means "no time yet", and the next bench's after this one's
-        return _InVirtualTime(_Messages(self, header, self._latest_ns + NS_PER_S, self._passed))
+        wall_ns = self._latest_ns + NS_PER_S if offset is None else offset.offset_ns
+        messages = _Messages(self, header, wall_ns, self._passed if offset is None else None)
+        if self._commanded_by:
+            return self._commanded(messages, header, wall_ns, virtual=offset is None)
+        return _InVirtualTime(messages) if offset is None else _InRealTime(messages)
+
+    def _commanded(
+        self, messages: _Messages, header: Mapping[str, Any], wall_ns: int, *, virtual: bool
+    ) -> CommandingSink:
+        if self.commands is None:
+            self.commands = CommandTopic(self.participant, self._commanded_by, reliable=virtual)
+        config = Ros2Config.model_validate(header["config"].get("ros2", {}))
+        self.exchange = Exchange(
+            self.commands, messages, config, MonotonicClock(), wall_ns, patient=self._patient
+        )
+        wait_ns = round(config.wait_share * NS_PER_S / header["config"]["loop"]["rate_hz"])
+        return _Commanding(messages, self.exchange, None if virtual else wait_ns)
 
     def _passed(self, t_ns: int) -> None:
         self._latest_ns = t_ns
@@ -72,6 +98,8 @@ class Ros2Publisher:
         if self.dropped:
             LOG.warning("ROS 2: %d cycles were not published", self.dropped)
         self.dropped = 0
+        if self.commands is not None:
+            self.commands.close()
         self.participant.close()
 
 
@@ -97,7 +125,7 @@ class _Messages:
         self._messages = CycleMessages(kinds, FrameTree(header), wall_ns)
         self._diagnostics = diagnostics.Diagnostics(str(header["config"]["name"]), MessageMaker(wall_ns))
         self._description = urdf(header)
-        self._begun = False
+        self._begun, self._shown_ns, self._clock_data = False, -1, b""
         hidden = (*_OWN, _CLOCK) if passed is None else _OWN
         self._topics = {name: kind for name, kind in topics_with(kinds).items() if name not in hidden}
         self._participant = publisher.participant
@@ -105,23 +133,46 @@ class _Messages:
             self._participant.add_writer(name, kind)
 
     def cycle(self, record: CycleRecord) -> None:
-        """Send what a recording of this cycle holds; states first, then the time."""
-        clock = b""
+        """Send what a recording of this cycle holds; states first, then the time.
+
+        Of a cycle that was shown before it was decided only the events are left.
+        """
+        shown = record.inputs.t_ns == self._shown_ns
+        if not shown:
+            self._states(record)
+        if record.events:
+            data = self._diagnostics.events(record.start_ns, record.events)
+            self._participant.write(diagnostics.TOPIC, data)
+        if not shown:
+            self.show_time()
+
+    def show(self, seen: CycleRecord) -> Collection[int]:
+        """Send a cycle before it is decided, states first, then the time; returns the states' stamps."""
+        self._shown_ns, stamps = seen.inputs.t_ns, set[int]()
+        self.attempt(lambda: stamps.update(self._states(seen)))
+        self.show_time()
+        return stamps
+
+    def show_time(self) -> None:
+        """Send the latest time (again), where there is a `/clock`."""
+        if self._passed is not None and self._clock_data:
+            self._participant.write(_CLOCK, self._clock_data)
+
+    def _states(self, record: CycleRecord) -> list[int]:
+        stamps = []
         if not self._begun:
             self._begun = True
             for name, _, data in self._messages.first(record.start_ns, self._description):
                 self._participant.write(name, data)
-        for name, _, data in self._messages.of(record):
+        for name, t_ns, data in self._messages.of(record):
             if name == _CLOCK:
-                clock = data
+                self._clock_data = data
             elif name in self._topics:
                 self._participant.write(name, data)
-        if record.events:
-            data = self._diagnostics.events(record.start_ns, record.events)
-            self._participant.write(diagnostics.TOPIC, data)
+                stamps.append(t_ns)
         if self._passed is not None:
-            self._participant.write(_CLOCK, clock)
             self._passed(record.start_ns + self._wall_ns)
+        return stamps
 
     def held(self, t_ns: int, held: Mapping[str, object]) -> None:
         """Send how the robot was left."""
@@ -152,6 +203,39 @@ class _InVirtualTime(Sink):
     def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
         """Send how the robot was left."""
         if kind == HELD_NOTE:
+            self._messages.attempt(lambda: self._messages.held(t_ns, data))
+
+    def close(self) -> None:
+        """Everything is sent already."""
+
+
+class _Commanding(CommandingSink):
+    """Sends within the cycle, and gets the command of a program that drives.
+
+    Args:
+        messages: of the bench.
+        exchange: with the program.
+        wait_ns: after the beginning of a cycle, how long to wait for its command; None for lockstep.
+    """
+
+    def __init__(self, messages: _Messages, exchange: Exchange, wait_ns: int | None) -> None:
+        self._messages, self._exchange, self._wait_ns = messages, exchange, wait_ns
+
+    def ask(self, seen: CycleRecord) -> ExternalCommands:
+        """What the program commands in this cycle."""
+        if self._wait_ns is None:
+            return self._exchange.in_lockstep(seen)
+        return self._exchange.in_real_time(seen, seen.inputs.t_ns + self._wait_ns)
+
+    def write(self, record: CycleRecord) -> None:
+        """Send what was not shown before."""
+        self._messages.attempt(lambda: self._messages.cycle(record))
+
+    def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
+        """Send how the robot was left."""
+        if kind == RUN_NOTE:
+            self._exchange.begin()
+        elif kind == HELD_NOTE:
             self._messages.attempt(lambda: self._messages.held(t_ns, data))
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""The arithmetic of this computer: what decides the last bits of a computed number.
+"""Identifies the arithmetic of this computer, which decides the last bits of a computed number.
 
 The four operations and the square root give the same bits on every processor. Sines, matrix products,
 inverses and sums do not: numpy, OpenBLAS and the C library each choose code by what the processor can do.
@@ -90,7 +90,7 @@ def _processor_flags() -> set[str]:
 
 
 def _masked() -> set[str]:
-    """Features that the C library was told to do without, in lower case."""
+    """Features that the C library is set to do without, in lower case."""
     tunables = os.environ.get("GLIBC_TUNABLES", "").split(":")
     masks = ",".join(one.removeprefix(_HWCAPS) for one in tunables if one.startswith(_HWCAPS))
     return {name[1:].lower().removesuffix("_usable") for name in masks.split(",") if name.startswith("-")}

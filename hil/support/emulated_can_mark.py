@@ -1,9 +1,9 @@
-"""A CAN bus that a process emulates is marked so, for as long as that process lives: by a name in the kernel.
+"""Marks a CAN bus as emulated while the emulating process lives, by a name in the kernel.
 
 Who keeps a fan running must outlive everything but the fan itself. A real fan outlives every program, an
 emulated one ends with its emulator. The name is in Linux' abstract space; elsewhere no bus is marked. Any
 user of the machine can take a name there, so a mark counts for the buses that are emulated, multicast groups,
-and never for an adapter: nothing ends the keeper of a real fan by it.
+and never for an adapter: nothing ends the daemon of a real fan by it.
 
 Where the emulated bus has no bit rate on its way, as multicast has none, a second name says which it has.
 """
@@ -69,7 +69,7 @@ def is_emulated(name: str) -> bool:
 
 
 class Emulation:
-    """Whether a bus was emulated, and no longer is. Everybody who looks after a device there ends then.
+    """Whether a bus was emulated, and no longer is. Daemons of devices there end then.
 
     Args:
         name: as `bus_name` gives it.
@@ -84,7 +84,7 @@ class Emulation:
         self.known = known or is_emulated(name)
 
     def is_over(self) -> bool:
-        """Whether who emulated it has ended; never for a bus that nothing emulated."""
+        """Whether its emulator has ended; never for a bus that was not emulated."""
         return self.known and not is_emulated(self._name)
 
 

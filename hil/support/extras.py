@@ -1,4 +1,4 @@
-"""The extras of the package: the module that each brings, and the line that installs one in this Python.
+"""The extras of the package: their modules, and the line that installs one in this Python.
 
 The line names the packages behind an extra, read from the installed metadata. It works however this
 package itself came here: from a folder, a wheel or git.

@@ -62,7 +62,7 @@ def must_be_file(path: Path) -> None:
     """Refuse a pipe, a socket or a device before it is opened: it may let a reader wait for ever.
 
     Raises:
-        OSError: it is none, or is not there; a folder is left to whoever opens it.
+        OSError: it is none, or is not there; a folder fails where it is opened.
     """
     if not path.is_dir() and not stat.S_ISREG(path.stat().st_mode):
         raise OSError(errno.EINVAL, "a pipe, socket or device, not a file")

@@ -1,4 +1,4 @@
-"""python-can's `udp_multicast` among the programs of one host; frames of other hosts are dropped.
+"""Restricts python-can's `udp_multicast` to the programs of one host: frames of other hosts are dropped.
 
 python-can's own bus takes every datagram that reaches its port, from whomever, sent to the group or not. This
 one speaks the same and is understood by it. It is bound to the group, lets nothing leave the host, and drops

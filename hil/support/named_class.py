@@ -71,16 +71,16 @@ def make_named(named: str, option: str, parts: Sequence[str], given: object, *, 
     return made
 
 
-def _of_file(path: Path, told: str) -> ModuleType:
+def _of_file(path: Path, given: str) -> ModuleType:
     if not path.is_file():
-        raise ConfigError(f"{told}: {path}: no such file", expected="a Python file")
+        raise ConfigError(f"{given}: {path}: no such file", expected="a Python file")
     return run_file(path)
 
 
-def _of_package(name: str, told: str) -> ModuleType:
+def _of_package(name: str, given: str) -> ModuleType:
     here = Path.cwd()
     look_for_modules_in(str(here))
-    with of_a_script(f"{told}: import {name}"):
+    with of_a_script(f"{given}: import {name}"):
         try:
             return importlib.import_module(name)
         except ModuleNotFoundError as error:
@@ -89,7 +89,7 @@ def _of_package(name: str, told: str) -> ModuleType:
         except ValueError:  # an empty name
             pass
     raise ConfigError(
-        f"{told}: no module {name!r}",
+        f"{given}: no module {name!r}",
         expected=f"one in {here}, or an installed one",
         remedy="or name a file: FILE.py:NAME",
     )

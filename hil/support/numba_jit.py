@@ -1,4 +1,4 @@
-"""How numerical functions become machine code: numba's `njit`, and what a run needs around it.
+"""Compiles numerical functions by numba: `njit`, its cache, and messages while it compiles.
 
 `kernel` marks what Python calls, `inner` what kernels call and Python runs as it is.
 numba keeps the code of a kernel until the kernel's own file changes, although it contains the code of all
@@ -146,15 +146,15 @@ class _Watch(event.Listener):  # type: ignore[misc]
     """
 
     def __init__(self) -> None:
-        self._clock, self._depth, self._begun_ns, self._told_ns = MonotonicClock(), 0, 0, 0
+        self._clock, self._depth, self._begun_ns, self._reported_ns = MonotonicClock(), 0, 0, 0
         self._spent_ns, self._functions, self._not_kept = 0, 0, False
         self._handler: Any = None
         self._struck: Callable[[], object] | None = None
         self._raised: BaseException | None = None
 
-    def on_start(self, told: Any) -> None:
+    def on_start(self, event: Any) -> None:
         """A function, or a step of its compilation, begins."""
-        if told.kind == "numba:run_pass":
+        if event.kind == "numba:run_pass":
             try:
                 self._heed()
             except BaseException as error:
@@ -171,9 +171,9 @@ class _Watch(event.Listener):  # type: ignore[misc]
                     signal.signal(signal.SIGINT, self._strike)
         self._tell()
 
-    def on_end(self, told: Any) -> None:
-        """It has ended."""
-        if told.kind == "numba:run_pass":
+    def on_end(self, event: Any) -> None:
+        """Count the time of a compilation that has ended."""
+        if event.kind == "numba:run_pass":
             return
         self._depth -= 1
         if not self._depth:
@@ -206,8 +206,8 @@ class _Watch(event.Listener):  # type: ignore[misc]
 
     def _tell(self) -> None:
         spent_ns = self._spent_ns + self._clock.now_ns() - self._begun_ns
-        if spent_ns > self._told_ns + (_NEXT_WORD_NS if self._told_ns else _FIRST_WORD_NS):
-            self._told_ns = spent_ns
+        if spent_ns > self._reported_ns + (_NEXT_WORD_NS if self._reported_ns else _FIRST_WORD_NS):
+            self._reported_ns = spent_ns
             _LOG.warning(
                 "compiling the numerical kernels, once for this version (`hil info --compile` does it "
                 "beforehand): %d functions in %.0f s",

@@ -1,4 +1,4 @@
-"""Which programs have a port or a socket open, and which run: read from `/proc`, as far as this user may."""
+"""Finds the programs that have a port or a socket open, by `/proc`, as far as this user may read it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def programs_with(port: str, proc: Path = PROC) -> list[Program]:
 
     Args:
         port: device path, or a link to one.
-        proc: where the kernel tells of programs.
+        proc: folder in which the kernel lists programs.
     """
     path = os.path.realpath(port)
     found = _with_open({path}, proc)
@@ -59,7 +59,7 @@ def programs_with_udp(port: int, proc: Path = PROC) -> list[Program]:
 
     Args:
         port: its number.
-        proc: where the kernel tells of programs.
+        proc: folder in which the kernel lists programs.
     """
     rows = (line.split() for line in _lines(proc / "net" / "udp"))
     return _with_open(
@@ -72,7 +72,7 @@ def programs_with_name(name: str, proc: Path = PROC) -> list[Program]:
 
     Args:
         name: of the address, without its leading zero byte.
-        proc: where the kernel tells of programs.
+        proc: folder in which the kernel lists programs.
     """
     rows = (line.split() for line in _lines(proc / "net" / "unix"))
     return _with_open({f"socket:[{r[6]}]" for r in rows if len(r) > 7 and r[7] == f"@{name}"}, proc)
@@ -86,7 +86,7 @@ def _lines(table: Path) -> list[str]:
 
 
 def _with_open(files: set[str], proc: Path) -> list[Program]:
-    """Other programs that have one of these open; nobody is asked where there is none."""
+    """Other programs that have one of these open; programs are not listed where there is none."""
     if not files:
         return []
     return sorted(p for p in running(proc) if p.pid != os.getpid() and _has_open(proc / str(p.pid), files))

@@ -1,4 +1,4 @@
-"""How far work is and how long it will still take: what reports it, and the estimate of the time left."""
+"""Progress of work: its reports, and the estimate of the time left."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FREE_S = 1.0
 
 
 def silent(what: str, done: int, total: int) -> None:
-    """A report that nothing sees."""
+    """A report that does nothing."""
 
 
 @dataclass

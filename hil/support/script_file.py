@@ -13,7 +13,7 @@ from pathlib import Path
 from types import CodeType, ModuleType
 
 from hil.core.call_chain import place_of
-from hil.core.errors import ConfigError, HilError, told
+from hil.core.errors import ConfigError, HilError, error_text
 
 
 def run_file(path: Path) -> ModuleType:
@@ -31,7 +31,7 @@ def run_file(path: Path) -> ModuleType:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a script may raise anything, `sys.exit()` too
-        raise ConfigError(f"{path}: cannot be loaded: {told(error)} ({place_of(error)})") from error
+        raise ConfigError(f"{path}: cannot be loaded: {error_text(error)} ({place_of(error)})") from error
 
 
 class _AsItStands(SourceFileLoader):

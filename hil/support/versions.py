@@ -39,7 +39,7 @@ def version_of(package: str) -> str:
 
 @cache
 def versions() -> dict[str, str]:
-    """Package name to version, `absent` if not installed; `hil_sources` tells working copies apart."""
+    """Package name to version, `absent` if not installed; `hil_sources` distinguishes working copies."""
     return {
         "hil": hil.__version__,
         "hil_sources": _sources(),

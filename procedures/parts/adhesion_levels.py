@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench import Bench
-from hil.bench.settings import adhesion_limits, force_wanted_n, thrust_wanted_n
+from hil.bench.loop_settings import adhesion_limits, force_wanted_n, thrust_wanted_n
 from hil.config.bench import BenchConfig
 from hil.core.errors import ConfigError, DataError
 from hil.core.geometry import Array
@@ -50,7 +50,7 @@ class Needs:
 
 
 def needs_of(config: BenchConfig) -> Needs:
-    """Of a configuration with fan and cells; raises `ConfigError`."""
+    """Force needed by a configuration with fan and cells; raises `ConfigError`."""
     limits = adhesion_limits(config)
     if limits is None or not limits.has_fan:
         raise ConfigError(f"{config.name} has no fan", remedy="add the section [adhesion] to the bench file")
@@ -82,11 +82,11 @@ class Level:
 
     @property
     def cells_n(self) -> float:
-        """Both cells."""
+        """Force by both cells together, N."""
         return self.cell_1_n + self.cell_2_n
 
     def to_json(self) -> dict[str, Any]:
-        """Plain figures."""
+        """The figures as plain values for JSON."""
         return asdict(self)
 
 
@@ -129,7 +129,7 @@ def _present_n(bench: Bench) -> float:
 
 
 def _mean(motion: Motion, asked_n: float, thrust_n: float) -> Level:
-    """Means over a rest; raises `DataError` where nothing measured."""
+    """Means over a rest; raises `DataError` without measurements."""
     fan = [s for r in motion.records for s in r.inputs.adhesion if s.status is Status.OK]
     cells = [
         s.force_n for r in motion.records for s in r.inputs.load_cells if s.status == (Status.OK, Status.OK)

@@ -52,7 +52,7 @@ def collect(
         label: of the round, `round 2`.
         repetitions: what to drive.
         calibration: parameters to drive with, the bench's own without.
-        workers: who drives them, if there are several.
+        workers: the processes that drive them, if there are several.
         so_far: the round's place in the run.
 
     Returns:
@@ -63,15 +63,15 @@ def collect(
     names: list[str] = []
     recordings = sum(len(r.motions) for r in repetitions)
 
-    def told() -> None:
+    def report() -> None:
         whole = (so_far.before + len(names), so_far.expected)
         ctx.progress(f"{so_far.title}, recording", len(names), recordings, whole)
 
     with ctx.step(label), closing(_driven(ctx, label, missing, calibration, workers)) as found:
-        told()
+        report()
         for title in titles:
             names += ctx.checkpoint(title, lambda: next(found))
-            told()
+            report()
     return names
 
 

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.bench.settings import geometry_of, nominal_of
+from hil.bench.loop_settings import geometry_of, nominal_of
 from hil.calibration.calibrate import Calibration, calibrate
 from hil.calibration.calibration_file import read_calibration
-from hil.calibration.corrupt import corrupt
+from hil.calibration.corrupt_recordings import corrupt
 from hil.calibration.evaluation import Track, position_rmse, track_all
 from hil.calibration.model_choice import Candidate, Choice, candidates, choose
 from hil.calibration.problem import Setting

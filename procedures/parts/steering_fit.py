@@ -2,7 +2,7 @@
 
 Encoder minus servo is, per axis, the zero's error, half the backlash with the sign of the direction of
 turning, and once and twice per turn the error of an eccentric magnet (ams AS5045 datasheet).
-Over a sweep of some 200 degrees these can be told apart.
+Over a sweep of some 200 degrees these can be distinguished.
 
 Of the four zeros, motions in the plane only show their common part: toe and unequal wheel radii turn the
 body alike, whatever is driven. The common part is seen at the load
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.bench.settings import load_shares
+from hil.bench.loop_settings import load_shares
 from hil.config.bench import BenchConfig
 from hil.core.geometry import Array, rotation2, wrap_array
 from hil.loop.recorded_motion import Motion

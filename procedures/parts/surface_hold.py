@@ -25,7 +25,7 @@ def hold_angle(ctx: Context, low: float, high: float, step: float, sense: float)
 
     Returns:
         In deg; the second is None where the robot still stood at the largest heading, the first where it slid
-        at the smallest. The measured force of the fan (N) is None where nothing measures it.
+        at the smallest. The measured force of the fan (N) is None where no sensor measures it.
     """
     stood, force_n = stands(ctx, sense * low)
     if not stood:

@@ -101,7 +101,7 @@ def drive_trips(
 
 
 def _legs(
-    bench: Bench, trips: Sequence[Trip], speed_m_s: float, rest_s: float, told: Callable[[int], object]
+    bench: Bench, trips: Sequence[Trip], speed_m_s: float, rest_s: float, on_trip: Callable[[int], object]
 ) -> Iterator[Leg]:
     """Drive on one bench; odometry goes on from one leg to the next."""
     here = begin = stand(bench, rest_s)
@@ -111,7 +111,7 @@ def _legs(
         here = motion.estimate[-1]
         began_ns = motion.records[0].inputs.t_ns
         first_ns = began_ns if first_ns is None else first_ns
-        told(number)
+        on_trip(number)
         yield _seen(motion).later((began_ns - first_ns) / NS_PER_S)
 
 

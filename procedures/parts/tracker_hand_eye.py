@@ -46,11 +46,11 @@ class Intervals:
         return len(self.begin_s)
 
     def only(self, kept: NDArray[np.bool_]) -> Intervals:
-        """Those of which `kept` (n,) is true."""
+        """The rows of which `kept` (n,) is true."""
         return Intervals(self.begin_s[kept], self.end_s[kept], self.moved_m[kept], self.turned[kept])
 
     def seen_by(self, truth: Truth) -> Intervals:
-        """Those whose begin and end motion capture saw."""
+        """The legs whose begin and end motion capture saw."""
         return self.only(truth.sees(self.begin_s) & truth.sees(self.end_s))
 
 

@@ -76,7 +76,7 @@ def _camera_at(truth: Truth, t_s: Array, begin_s: float, end_s: float, found: Ex
 def session_spread(ctx: Context, scale: float) -> float:
     """Standard deviation of the camera's scale from one session to the next.
 
-    Assumed at first (the parameter, worth three sessions); every earlier version of the record tells more.
+    Assumed at first (the parameter, worth three sessions); every earlier version of the record adds to it.
     """
     assumed, folder = ctx.parameters.session_spread, ctx.source.config.record.folder
     found = [scale]

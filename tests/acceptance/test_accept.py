@@ -42,7 +42,7 @@ def bench(tmp_path):
 
 @pytest.fixture
 def hil(tmp_path, capsys):
-    """`hil accept` with `--json`: exit code and what it told."""
+    """`hil accept` with `--json`: exit code and what it reported."""
 
     def run(*arguments):
         code = main(["accept", "--json", "--out", str(tmp_path / "out"), *map(str, arguments)])
@@ -51,12 +51,12 @@ def hil(tmp_path, capsys):
     return run
 
 
-def stages(told):
-    return {stage["name"]: stage for stage in told["stages"]}
+def stages(reported):
+    return {stage["name"]: stage for stage in reported["stages"]}
 
 
-def failures(told):
-    return [f for s in told["stages"] for f in s["findings"] if f["level"] == "failure"]
+def failures(reported):
+    return [f for s in reported["stages"] for f in s["findings"] if f["level"] == "failure"]
 
 
 class Asked(Operator):
@@ -83,23 +83,23 @@ def healthy(tmp_path_factory):
     path = folder / "my.toml"
     path.write_text("\n".join((HEAD, SERVOS, ENCODERS)))
     steps = []
-    told, code = accept(Acceptance(BenchSource(path), now, report=lambda *step: steps.append(step)))
-    return folder, code, write_acceptance(folder, told), steps
+    reported, code = accept(Acceptance(BenchSource(path), now, report=lambda *step: steps.append(step)))
+    return folder, code, write_acceptance(folder, reported), steps
 
 
 def test_a_healthy_bench_passes_and_its_page_names_what_was_accepted(healthy):
-    folder, code, told, _ = healthy
-    assert (code, told["verdict"], failures(told)) == (0, "PASS", [])
-    motion = {(f["device"], f["check"]): f["found"] for f in stages(told)["motion"]["findings"]}
+    folder, code, reported, _ = healthy
+    assert (code, reported["verdict"], failures(reported)) == (0, "PASS", [])
+    motion = {(f["device"], f["check"]): f["found"] for f in stages(reported)["motion"]["findings"]}
     for axis in (
         ("servos", "command to steering"),
         ("encoders", "command to steering"),
         ("servos", "command to wheels"),
     ):
         assert 20.0 < float(motion[axis].split()[0]) < 150.0, axis  # 40 to 100 ms on the robot
-    promises = {f["check"] for f in stages(told)["contract"]["findings"] if f["device"] == "encoders"}
+    promises = {f["check"] for f in stages(reported)["contract"]["findings"] if f["device"] == "encoders"}
     assert promises == set(acceptance.AT_REST)
-    page, data = Path(told["page"]).read_text(), Path(told["data"]).read_bytes()
+    page, data = Path(reported["page"]).read_text(), Path(reported["data"]).read_bytes()
     for text in (
         hashlib.sha256((folder / "my.toml").read_bytes()).hexdigest(),
         hashlib.sha256(data).hexdigest(),
@@ -114,8 +114,8 @@ def test_a_healthy_bench_passes_and_its_page_names_what_was_accepted(healthy):
 
 
 def test_in_virtual_time_this_computer_is_not_judged(healthy):
-    told = healthy[2]
-    assert {f["device"] for f in stages(told)["latency"]["findings"]} == {"servos", "encoders"}
+    reported = healthy[2]
+    assert {f["device"] for f in stages(reported)["latency"]["findings"]} == {"servos", "encoders"}
 
 
 def test_all_that_the_bench_was_made_from_is_named_with_its_hash(looked, bench, tmp_path):
@@ -140,8 +140,8 @@ def test_all_that_the_bench_was_made_from_is_named_with_its_hash(looked, bench, 
                 )
                 == 0
             )
-        told, _ = accept(Acceptance(BenchSource(path), now))
-        files = {file["what"]: file for file in told["files"]}
+        reported, _ = accept(Acceptance(BenchSource(path), now))
+        files = {file["what"]: file for file in reported["files"]}
         assert list(files) == ["bench file", "configuration as used", *["record of the robot"] * known]
         used.append(files["configuration as used"]["sha256"])
     assert used[0] != used[1], "the record changes what is used"
@@ -158,10 +158,10 @@ def test_its_progress_counts_up_to_the_whole_of_each_part(healthy):
 
 
 def test_a_bench_without_servos_passes_and_says_that_nothing_could_turn(bench):
-    told, code = accept(Acceptance(BenchSource(bench(ENCODERS)), now))
-    assert (code, told["verdict"], stages(told)["motion"]["verdict"]) == (0, "PASS", "PASS")
-    assert "no servos" in stages(told)["motion"]["why"]
-    assert told["devices"]["encoders"]["identity"]["firmware"]
+    reported, code = accept(Acceptance(BenchSource(bench(ENCODERS)), now))
+    assert (code, reported["verdict"], stages(reported)["motion"]["verdict"]) == (0, "PASS", "PASS")
+    assert "no servos" in stages(reported)["motion"]["why"]
+    assert reported["devices"]["encoders"]["identity"]["firmware"]
 
 
 def test_who_asks_it_to_end_has_the_check_finished_that_is_under_way_and_no_other_begun(bench, monkeypatch):
@@ -176,9 +176,9 @@ def test_who_asks_it_to_end_has_the_check_finished_that_is_under_way_and_no_othe
 
     monkeypatch.setattr(acceptance, "judged", asked_to_end)
     with interrupts.deferred():
-        told, code = accept(Acceptance(BenchSource(bench(ENCODERS)), now, interrupts=interrupts))
-    assert (code, told["verdict"], len(begun)) == (4, "ABORTED", 2)
-    assert len(stages(told)["contract"]["findings"]) == 2
+        reported, code = accept(Acceptance(BenchSource(bench(ENCODERS)), now, interrupts=interrupts))
+    assert (code, reported["verdict"], len(begun)) == (4, "ABORTED", 2)
+    assert len(stages(reported)["contract"]["findings"]) == 2
 
 
 @pytest.mark.parametrize(
@@ -209,14 +209,14 @@ def test_a_sick_device_fails_with_its_name_and_what_to_do(
 ):
     text = SHIPPED_DBC.read_text().replace("BO_ 416 ", "BO_ 432 ").replace("BO_ 417 ", "BO_ 433 ")
     (tmp_path / "other.dbc").write_text(text)
-    code, told = hil("--bench", bench(*tables), *options)
-    assert (code, told["verdict"]) == (3, "FAIL")
-    first = failures(told)[0]
+    code, reported = hil("--bench", bench(*tables), *options)
+    assert (code, reported["verdict"]) == (3, "FAIL")
+    first = failures(reported)[0]
     assert first["device"] == device
     assert found in first["found"] + first["expected"]
     assert remedy in first["remedy"]
     assert remedy in (tmp_path / "out" / "accept.html").read_text()
-    assert not stages(told)["motion"]["findings"]
+    assert not stages(reported)["motion"]["findings"]
 
 
 def test_its_result_is_listed_and_opened_as_any_other(hil, bench, tmp_path, capsys):
@@ -239,12 +239,12 @@ def test_its_result_is_listed_and_opened_as_any_other(hil, bench, tmp_path, caps
 
 def test_when_no_device_answers_each_is_named_and_nothing_else_is_tried(hil, bench):
     path = bench(SERVOS, '[imu]\nbackend = "emulated"')
-    code, told = hil("--bench", path, "--fault", "servos:off", "--fault", "imu:off")
+    code, reported = hil("--bench", path, "--fault", "servos:off", "--fault", "imu:off")
     assert code == 3
-    assert {f["device"] for f in failures(told)} == {"servos", "imu"}
-    assert stages(told)["contract"]["findings"] == []
-    assert "imu, servos" in stages(told)["contract"]["why"]
-    assert "mend first" in stages(told)["motion"]["why"]
+    assert {f["device"] for f in failures(reported)} == {"servos", "imu"}
+    assert stages(reported)["contract"]["findings"] == []
+    assert "imu, servos" in stages(reported)["contract"]["why"]
+    assert "mend first" in stages(reported)["motion"]["why"]
 
 
 @pytest.fixture
@@ -265,26 +265,26 @@ REAL = SERVOS.replace("emulated", "real") + 'port = "/dev/serial/by-id/none"\n'
 @pytest.mark.parametrize("answer", ["no", "", "y", None])
 def test_without_consent_no_servo_is_even_opened(looked, bench, tmp_path, answer):
     person = Asked(answer)
-    told, code = accept(Acceptance(BenchSource(bench(REAL)), now, operator=person))
-    assert (code, told["verdict"], person.questions) == (4, "ABORTED", [QUESTION])
-    assert stages(told)["motion"]["findings"] == []
-    page = write_acceptance(tmp_path / "out", told)["page"]
+    reported, code = accept(Acceptance(BenchSource(bench(REAL)), now, operator=person))
+    assert (code, reported["verdict"], person.questions) == (4, "ABORTED", [QUESTION])
+    assert stages(reported)["motion"]["findings"] == []
+    page = write_acceptance(tmp_path / "out", reported)["page"]
     assert "ABORTED" in Path(page).read_text()
 
 
 @pytest.mark.parametrize(("answer", "on_stand", "asked"), [(" YES ", False, 1), (None, True, 0)])
 def test_with_consent_the_servos_are_opened(looked, bench, answer, on_stand, asked):
     person = Asked(answer)
-    told, code = accept(Acceptance(BenchSource(bench(REAL)), now, on_stand=on_stand, operator=person))
+    reported, code = accept(Acceptance(BenchSource(bench(REAL)), now, on_stand=on_stand, operator=person))
     assert len(person.questions) == asked
-    assert (code, told["verdict"]) == (1, "FAIL")
-    assert "port cannot be opened" in failures(told)[0]["found"]
+    assert (code, reported["verdict"]) == (1, "FAIL")
+    assert "port cannot be opened" in failures(reported)[0]["found"]
 
 
 def test_the_first_promise_that_is_broken_is_the_last_that_moves(looked, bench):
     source = BenchSource(bench(SERVOS), faults=("servo.drive_FL:stuck@1",))
-    told, code = accept(Acceptance(source, now))
-    motion = stages(told)["motion"]
+    reported, code = accept(Acceptance(source, now))
+    motion = stages(reported)["motion"]
     assert code == 1
     assert [f["level"] for f in motion["findings"]].count("failure") == 1
     assert motion["findings"][-1]["level"] == "failure"
@@ -302,10 +302,10 @@ def test_a_signal_ends_it_with_a_page(bench, monkeypatch):
 
     monkeypatch.setattr(acceptance, "judged", struck)
     with interrupts.deferred():
-        told, code = accept(Acceptance(BenchSource(bench(ENCODERS)), now, interrupts=interrupts))
-    assert (code, told["verdict"]) == (4, "ABORTED")
-    assert "SIGTERM" in told["stopped"]
-    assert stages(told)["contract"]["findings"]
+        reported, code = accept(Acceptance(BenchSource(bench(ENCODERS)), now, interrupts=interrupts))
+    assert (code, reported["verdict"]) == (4, "ABORTED")
+    assert "SIGTERM" in reported["stopped"]
+    assert stages(reported)["contract"]["findings"]
 
 
 IN_A_CHECK = {
@@ -316,7 +316,7 @@ IN_A_CHECK = {
 
 @pytest.mark.parametrize(("stage", "promises", "struck"), IN_A_CHECK.values(), ids=IN_A_CHECK)
 @pytest.mark.parametrize("swallowed", [False, True], ids=["heard", "swallowed by a driver"])
-def test_a_signal_within_a_check_is_nobodys_fault(bench, monkeypatch, stage, promises, struck, swallowed):
+def test_a_signal_within_a_check_is_no_devices_fault(bench, monkeypatch, stage, promises, struck, swallowed):
     interrupts = Interrupts()
 
     def check(_):
@@ -330,14 +330,14 @@ def test_a_signal_within_a_check_is_nobodys_fault(bench, monkeypatch, stage, pro
 
     monkeypatch.setattr(acceptance, promises, {**getattr(acceptance, promises), struck: check})
     with interrupts.deferred():
-        told, code = accept(Acceptance(BenchSource(bench(SERVOS)), now, interrupts=interrupts))
-    assert (code, told["verdict"], stages(told)[stage]["verdict"]) == (4, "ABORTED", "ABORTED")
-    assert "SIGTERM" in told["stopped"]
-    assert failures(told) == []
+        reported, code = accept(Acceptance(BenchSource(bench(SERVOS)), now, interrupts=interrupts))
+    assert (code, reported["verdict"], stages(reported)[stage]["verdict"]) == (4, "ABORTED", "ABORTED")
+    assert "SIGTERM" in reported["stopped"]
+    assert failures(reported) == []
 
 
 @pytest.mark.parametrize("swallowed", [False, True], ids=["heard", "swallowed by a driver"])
-def test_a_signal_while_the_doctor_looks_is_nobodys_fault(bench, monkeypatch, swallowed):
+def test_a_signal_while_the_doctor_looks_is_no_devices_fault(bench, monkeypatch, swallowed):
     interrupts = Interrupts()
 
     def read(self):
@@ -350,8 +350,8 @@ def test_a_signal_while_the_doctor_looks_is_nobodys_fault(bench, monkeypatch, sw
 
     monkeypatch.setattr(DynamixelServos, "read", read)
     with interrupts.deferred():
-        told, code = accept(Acceptance(BenchSource(bench(SERVOS)), now, interrupts=interrupts))
-    assert (code, told["verdict"], failures(told)) == (4, "ABORTED", [])
+        reported, code = accept(Acceptance(BenchSource(bench(SERVOS)), now, interrupts=interrupts))
+    assert (code, reported["verdict"], failures(reported)) == (4, "ABORTED", [])
 
 
 CAMERA = '[tracker]\nbackend = "emulated"\n'
@@ -377,21 +377,21 @@ FEW = ("a servo that restarts", "encoders that lose frames", "a camera that drif
     ],
 )
 def test_a_device_that_is_a_little_sick_does_not_pass(bench, tables, fault, device, found):
-    told, code = accept(Acceptance(BenchSource(bench(tables), seed=3, faults=(fault,)), now))
-    assert (code, told["verdict"]) == (1, "FAIL")
-    (failure,) = failures(told)
+    reported, code = accept(Acceptance(BenchSource(bench(tables), seed=3, faults=(fault,)), now))
+    assert (code, reported["verdict"]) == (1, "FAIL")
+    (failure,) = failures(reported)
     assert failure["device"] == device
     assert found in failure["found"]
     assert failure["remedy"]
-    (failed,) = (stage for stage in told["stages"] if stage["verdict"] == "FAIL")
+    (failed,) = (stage for stage in reported["stages"] if stage["verdict"] == "FAIL")
     assert failed["why"] == f"1 of {len(failed['findings'])} checks failed"
 
 
 def test_a_device_that_restarts_while_the_doctor_looks_is_named(bench):
     source = BenchSource(bench('[imu]\nbackend = "emulated"'), faults=("imu:reset@1.5",))
-    told, code = accept(Acceptance(source, now))
+    reported, code = accept(Acceptance(source, now))
     assert code == 3
-    assert "has restarted" in failures(told)[0]["found"]
+    assert "has restarted" in failures(reported)[0]["found"]
 
 
 @pytest.mark.parametrize("busy", [False, True])
@@ -417,16 +417,16 @@ def test_faults_of_devices_that_are_not_there_in_motion_do_not_end_it(bench, nam
     given = ("load_cells:wrong,factor=0.9",)
     if named_by == "bench file":
         tables.append(f"[emulation]\nfaults = {list(given)}")
-    told, _ = accept(Acceptance(BenchSource(bench(*tables), faults=given * (named_by == "--fault")), now))
-    assert stages(told)["motion"]["verdict"] == "PASS", told
+    reported, _ = accept(Acceptance(BenchSource(bench(*tables), faults=given * (named_by == "--fault")), now))
+    assert stages(reported)["motion"]["verdict"] == "PASS", reported
 
 
 def test_a_part_that_a_device_was_left_out_of_does_not_read_pass(hil, bench):
-    code, told = hil("--bench", bench(SERVOS, ENCODERS), "--fault", "servos:off")
+    code, reported = hil("--bench", bench(SERVOS, ENCODERS), "--fault", "servos:off")
     assert code == 3
     for name in ("contract", "latency"):
-        assert stages(told)[name]["verdict"] == "ABORTED"
-        assert "servos" in stages(told)[name]["why"]
+        assert stages(reported)[name]["verdict"] == "ABORTED"
+        assert "servos" in stages(reported)[name]["why"]
 
 
 def test_a_disk_that_takes_no_page_leaves_the_verdict_and_no_half_of_it(

@@ -5,9 +5,9 @@ import time
 
 from hil.core.clock import MonotonicClock
 from hil.core.errors import UsageError
-from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.deputy import KeptByProcess
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon.failover import FailoverClient
+from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 
 
 def tell(text):
@@ -16,7 +16,7 @@ def tell(text):
 
 
 def main():
-    kept = KeptByProcess(Spec.from_json(sys.argv[1]), MonotonicClock(), say=tell)
+    kept = FailoverClient(Spec.from_json(sys.argv[1]), MonotonicClock(), say=tell)
     kept.open()
     while not kept.status().get("report"):
         time.sleep(0.02)

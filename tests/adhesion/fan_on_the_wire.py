@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 import can
 
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.fakes.free_port import free_udp_port
 
 GROUP = "239.74.164.9"
@@ -72,7 +72,7 @@ class Fan:
 
 @contextmanager
 def fan_on_the_wire(controller_id=7):
-    """A fan that runs, and what a keeper is told of it."""
+    """A fan that runs, and what a daemon is given to it."""
     port = free_udp_port()
     fan = Fan(port, controller_id)
     fan.start()

@@ -1,4 +1,4 @@
-"""Trials: benches and keepers killed at random moments, and how long the fan was without a command.
+"""Trials: benches and daemons killed at random moments, and how long the fan was without a command.
 
 `python docs/make_kill_table.py` runs many of them and writes the table of docs/adhesion.md.
 """
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.core.errors import DeviceError
-from hil.drivers.adhesion.keeper import client
+from hil.drivers.adhesion.fan_daemon import client
 
 STAND_IN = Path(__file__).with_name("bench_stand_in.py")
 HELD_DUTY = 0.57
@@ -50,8 +50,8 @@ def bench(spec, duty=HELD_DUTY):
             process.kill()
 
 
-def keeper_pid(spec):
-    """Process id of the fan's keeper; None where there is none."""
+def daemon_pid(spec):
+    """Process id of the fan's daemon; None where there is none."""
     connection = client.connect(spec)
     if connection is None:
         return None
@@ -78,7 +78,7 @@ def killed(fan, pids, rng):
 
 
 def bench_killed(fan, spec, count, seed):
-    """Benches killed while the keeper lives; one after the other at the same fan."""
+    """Benches killed while the daemon lives; one after the other at the same fan."""
     rng, kills = random.Random(seed), []
     for _ in range(count):
         with bench(spec) as process:
@@ -87,37 +87,37 @@ def bench_killed(fan, spec, count, seed):
     return kills
 
 
-def keepers_killed(fan, spec, count, seed):
-    """Keeper and understudy killed at once under one bench, after it has had a new pair started."""
+def daemons_killed(fan, spec, count, seed):
+    """Daemon and standby killed at once under one bench, after it has had a new pair started."""
     rng, kills, last = random.Random(seed), [], []
     with bench(spec):
         reached(fan)
         for _ in range(count):
-            last = wait_until(lambda last=last: new_pair(spec, last), "a new keeper with an understudy")
+            last = wait_until(lambda last=last: new_pair(spec, last), "a new daemon with a standby")
             kills.append(killed(fan, last, rng))
     return kills
 
 
 def new_pair(spec, last):
-    """Process ids of understudy and keeper when neither is one of the last."""
+    """Process ids of standby and daemon when neither is one of the last."""
     pids = both(spec)
     return [] if set(pids) & set(last) else pids
 
 
 def both(spec):
-    """Process ids of understudy and keeper; empty before there are both."""
+    """Process ids of standby and daemon; empty before there are both."""
     pids = keeping_pids(spec)
     return pids if len(pids) == 2 else []
 
 
 def all_killed(fan, spec, count, seed):
-    """Bench, keeper and understudy killed at once: seconds until the controller lets go, for each trial."""
+    """Bench, daemon and standby killed at once: seconds until the controller lets go, for each trial."""
     rng, released_s = random.Random(seed), []
     for _ in range(count):
         with bench(spec) as process:
             reached(fan)
             time.sleep(rng.uniform(0.1, 0.6))
-            pids = [process.pid, *wait_until(lambda: both(spec), "an understudy")]
+            pids = [process.pid, *wait_until(lambda: both(spec), "a standby")]
             since_s = time.time()
             for pid in pids:
                 os.kill(pid, signal.SIGKILL)
@@ -127,21 +127,21 @@ def all_killed(fan, spec, count, seed):
     return released_s
 
 
-def end_keeper(spec):
-    """End whoever keeps a trial's fan, or would: the only way there is."""
+def end_daemon(spec):
+    """End the daemon of a trial's fan and its standby: the only way there is."""
     for _ in range(100):
         for pid in keeping_pids(spec):
             assert pid != os.getpid()
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
         time.sleep(0.05)
-        if keeper_pid(spec) is None:
+        if daemon_pid(spec) is None:
             return
-    raise AssertionError("the fan has a keeper again and again")
+    raise AssertionError("the fan has a daemon again and again")
 
 
 def keeping_pids(spec):
-    """Process ids of a fan's keeper and of its understudy, as far as there are any."""
+    """Process ids of a fan's daemon and of its standby, as far as there are any."""
     connection = client.connect(spec)
     if connection is None:
         return []
@@ -150,17 +150,17 @@ def keeping_pids(spec):
             status = client.ask(connection, {"do": "status"}, spec)
     except DeviceError:  # it was killed, and hangs up
         return []
-    return [pid for pid in (status["understudy"], status["pid"]) if pid is not None]
+    return [pid for pid in (status["standby"], status["pid"]) if pid is not None]
 
 
-def keeper_alone_killed(fan, spec, count, seed):
-    """Keepers killed while no bench is there: each understudy goes on, and gets one of its own."""
+def daemon_alone_killed(fan, spec, count, seed):
+    """Daemons killed while no bench is there: each standby goes on, and gets one of its own."""
     rng, kills = random.Random(seed), []
     with bench(spec):
         reached(fan)
     for _ in range(count):
-        _, keeper = wait_until(lambda: both(spec), "an understudy")
-        kills.append(killed(fan, [keeper], rng))
+        _, daemon = wait_until(lambda: both(spec), "a standby")
+        kills.append(killed(fan, [daemon], rng))
     return kills
 
 

@@ -14,19 +14,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from kills import end_keeper, keeper_pid
+from kills import daemon_pid, end_daemon
 
 from hil.bench import fan_commands, fan_interlock
 from hil.bench.drivers import make_device_set
-from hil.bench.fan_commands import keeper_spec, kept_specs
+from hil.bench.fan_commands import daemon_spec, daemon_specs
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, UsageError
 from hil.core.signals import Status
-from hil.drivers.adhesion.keeper import client
-from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.door import of_another
+from hil.drivers.adhesion.fan_daemon import client
+from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
+from hil.drivers.adhesion.fan_daemon.server import of_another
 from hil.support.emulated_can_mark import is_emulated
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
@@ -80,8 +80,8 @@ def served(tmp_path_factory):
                     f"options = {{ port = {push['port']}, hop_limit = 0 }}\n"
                 )
             yield path
-            for spec in kept_specs(load_bench(str(path))).values():
-                end_keeper(spec)
+            for spec in daemon_specs(load_bench(str(path))).values():
+                end_daemon(spec)
             process.terminate()
 
 
@@ -90,7 +90,7 @@ def at_wire(wire, tmp_path):
     """(fan, spec, bench file) of a fan that does nothing but obey."""
     fan, spec = wire
     path = bench_file(tmp_path, spec.interface, spec.channel, spec.controller_id, spec.options["port"])
-    assert keeper_spec(load_bench(str(path))).name == spec.name
+    assert daemon_spec(load_bench(str(path))).name == spec.name
     return fan, spec, path
 
 
@@ -109,32 +109,32 @@ def hil(capsys):
 
 def test_on_status_watch_and_off_at_an_emulated_vesc(served, hil):
     code, out, err = hil("adhesion", "status", "--bench", served)
-    assert (code, "no keeper" in out) == (3, True)
-    assert "adhesion has no keeper: nobody commands it now" in err
+    assert (code, "no daemon" in out) == (3, True)
+    assert "adhesion has no daemon: nothing commands it now" in err
     code, out, err = hil("adhesion", "on", "--bench", served, "--force", "40", "--json")
     assert code == 0, err
-    told = json.loads(out)
-    assert told["force_n"] == pytest.approx(40.0, rel=0.06)
-    assert told["keeper"]["state"] == "keeping"
+    reported = json.loads(out)
+    assert reported["force_n"] == pytest.approx(40.0, rel=0.06)
+    assert reported["daemon"]["state"] == "keeping"
     for words in (("status",), ("watch", "--duration", "0.1")):
         code, out, err = hil("adhesion", *words, "--bench", served)
-        assert (code, "keeping at duty" in out) == (3, True), "the propellers have no keeper yet"
-        assert "thrust has no keeper" in err
-        assert "adhesion has no keeper" not in err
+        assert (code, "keeping at duty" in out) == (3, True), "the propellers have no daemon yet"
+        assert "thrust has no daemon" in err
+        assert "adhesion has no daemon" not in err
     code, _, err = hil("adhesion", "off", "--bench", served)
     assert (code, "--tethered" in err) == (2, True)
     assert (
-        json.loads(hil("adhesion", "status", "--bench", served, "--json")[1])["keeper"]["state"] == "keeping"
+        json.loads(hil("adhesion", "status", "--bench", served, "--json")[1])["daemon"]["state"] == "keeping"
     )
     code, out, err = hil("adhesion", "off", "--bench", served, "--tethered")
     assert (code, "off (the operator" in out) == (0, True), err
-    assert json.loads(hil("adhesion", "status", "--bench", served, "--json")[1])["keeper"]["state"] == "idle"
+    assert json.loads(hil("adhesion", "status", "--bench", served, "--json")[1])["daemon"]["state"] == "idle"
 
 
-def test_propellers_on_vescs_are_kept_told_of_and_stopped_too(served, hil):
+def test_propellers_on_vescs_are_shown_and_stopped_too(served, hil):
     config = load_bench(str(served))
-    spec = kept_specs(config)["thrust"]
-    assert is_emulated(spec.bus), "so that their keeper ends with the emulator"
+    spec = daemon_specs(config)["thrust"]
+    assert is_emulated(spec.bus), "so that their daemon ends with the emulator"
     propellers = make_device_set(config, MonotonicClock(), {}).get("thrust")
     propellers.open()
     try:
@@ -148,13 +148,13 @@ def test_propellers_on_vescs_are_kept_told_of_and_stopped_too(served, hil):
     finally:
         propellers.close()
     code, out, _ = hil("adhesion", "status", "--bench", served, "--json")
-    told = json.loads(out)["thrust"]
-    assert (told["name"], told["keeper"]["state"]) == (spec.name, "keeping")
-    assert code == (0 if json.loads(out)["keeper"] else 3), "the fan may have been switched on before"
+    reported = json.loads(out)["thrust"]
+    assert (reported["name"], reported["daemon"]["state"]) == (spec.name, "keeping")
+    assert code == (0 if json.loads(out)["daemon"] else 3), "the fan may have been switched on before"
     code, out, err = hil("adhesion", "off", "--bench", served, "--tethered")
     assert (code, f"{spec.name}: off (the operator" in out) == (0, True), err
-    told = json.loads(hil("adhesion", "status", "--bench", served, "--json")[1])["thrust"]
-    assert told["keeper"]["state"] == "idle"
+    reported = json.loads(hil("adhesion", "status", "--bench", served, "--json")[1])["thrust"]
+    assert reported["daemon"]["state"] == "idle"
 
 
 def test_a_force_that_no_fan_has_changes_nothing(served, hil):
@@ -199,65 +199,65 @@ def test_off_of_another_controller_says_which_one_runs_on(at_wire, hil):
         wrong = bench_file(path.parent, spec.interface, spec.channel, spec.controller_id + 1, port)
         code, _, err = hil("adhesion", "off", "--bench", wrong, "--tethered")
         assert code == 3
-        assert f"was not stopped; on its bus is kept {spec.name}" in err
+        assert f"was not stopped; a daemon on its bus commands {spec.name}" in err
         assert client.ask(connection, {"do": "status"}, spec)["state"] == "keeping"
 
 
-def test_keep_is_a_keeper_in_the_foreground_that_no_signal_ends(at_wire, hil):
+def test_keep_is_a_daemon_in_the_foreground_that_no_signal_ends(at_wire, hil):
     _, spec, path = at_wire
     command = [sys.executable, "-m", "hil.cli", "adhesion", "keep", "--bench", str(path)]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
         try:
             assert json.loads(process.stdout.readline()) == {"pid": process.pid}
-            assert keeper_pid(spec) == process.pid
+            assert daemon_pid(spec) == process.pid
             process.send_signal(signal.SIGTERM)
             said = (process.stderr.readline() for _ in range(3))
             assert any("SIGTERM is not heeded" in line for line in said)
             code, out, _ = hil("adhesion", "status", "--bench", path)
             assert (code, f"process {process.pid}" in out) == (0, True)
             code, _, err = hil("adhesion", "keep", "--bench", path)
-            assert (code, "has a keeper already" in err) == (2, True)
+            assert (code, "has a daemon already" in err) == (2, True)
         finally:
             process.kill()
 
 
-def test_status_tells_of_the_fan_where_the_propellers_keeper_is_another_users(at_wire, hil, monkeypatch):
+def test_status_reports_the_fan_where_the_propellers_daemon_is_another_users(at_wire, hil, monkeypatch):
     _, spec, path = at_wire
     with path.open("a") as file:
         file.write(
             f'[thrust]\nmodel = "vesc"\ninterface = "{spec.interface}"\nchannel = "{spec.channel}"\n'
             f"controller_ids = [2, 3]\noptions = {{ port = {spec.options['port']}, hop_limit = 0 }}\n"
         )
-    ask = fan_commands.keeper_status
+    ask = fan_commands.daemon_status
 
     def refused(one):
         if one.device == "thrust":
             raise of_another(one, "root", "user robot (1000)")
         return ask(one)
 
-    monkeypatch.setattr(fan_commands, "keeper_status", refused)
+    monkeypatch.setattr(fan_commands, "daemon_status", refused)
     with client.find_or_start(spec):
         code, out, err = hil("adhesion", "status", "--bench", path)
         assert (code, f"{spec.name}: idle" in out) == (3, True)
-        assert ": its keeper does not tell how it runs" in out
+        assert ": its daemon refuses to say how it runs" in out
         assert err.startswith("hil: thrust at ")
-        assert "the propellers' keeper belongs to root, and this program to user robot (1000)" in err
+        assert "the propellers' daemon belongs to root, and this program to user robot (1000)" in err
         code, out, _ = hil("adhesion", "status", "--bench", path, "--json")
-        told = json.loads(out)
-        assert (code, told["keeper"]["state"], told["thrust"]["keeper"]) == (3, "idle", None)
+        reported = json.loads(out)
+        assert (code, reported["daemon"]["state"], reported["thrust"]["daemon"]) == (3, "idle", None)
         code, out, _ = hil("adhesion", "watch", "--bench", path, "--duration", "0.1")
         assert (code, "adhesion: idle" in out) == (3, True)
-        assert "thrust: its keeper does not tell how it runs" in out
+        assert "thrust: its daemon refuses to say how it runs" in out
 
 
-def test_propellers_that_need_no_keeper_are_told_what_does(at_wire, hil):
+def test_propellers_that_need_no_daemon_are_refused_with_what_stops_them(at_wire, hil):
     _, _, path = at_wire
     with path.open("a") as file:
         file.write('[thrust]\nport = "/dev/ttyACM0"\n')
     code, _, err = hil("adhesion", "keep", "--bench", path, "--propellers")
     assert code == 2
-    assert "no propellers that can be kept; expected propellers on VESCs, not emulated here" in err
+    assert "no propellers that a daemon could run; expected propellers on VESCs, not emulated here" in err
 
 
 def test_the_service_is_started_by_a_command_that_there_is():
@@ -271,7 +271,7 @@ def test_the_service_is_started_by_a_command_that_there_is():
 
 
 class Seen:
-    """A device of which somebody has written down what it says."""
+    """A device with prescribed samples."""
 
     def __init__(self, *samples):
         self._samples = samples
@@ -314,7 +314,7 @@ def test_a_level_robot_with_nothing_pressed_is_off_the_wall(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("up", "cells_n", "told"),
+    ("up", "cells_n", "reported"),
     [
         (ON_THE_WALL, 45.0, "tilted by 90 deg, load cells 45.0 N"),
         (ON_THE_WALL, 0.0, "tilted by 90 deg, load cells 0.0 N"),
@@ -325,8 +325,8 @@ def test_a_level_robot_with_nothing_pressed_is_off_the_wall(monkeypatch):
         (LEVEL, -30.0, "load cells -30.0 N"),
     ],
 )
-def test_one_witness_that_says_it_may_hang_is_enough_to_refuse(monkeypatch, up, cells_n, told):
-    with pytest.raises(UsageError, match=rf"may hang by its fan: .*{told}.*9.0 N.*--tethered"):
+def test_one_sensor_that_says_it_may_hang_is_enough_to_refuse(monkeypatch, up, cells_n, reported):
+    with pytest.raises(UsageError, match=rf"may hang by its fan: .*{reported}.*9.0 N.*--tethered"):
         fan_interlock.seen_off_the_wall(robot(monkeypatch, up=up, cells_n=cells_n, rpm=30_000.0))
 
 
@@ -350,7 +350,7 @@ def asked_of(monkeypatch, *, up, cells_n, rpm, **asked):
         set_force_n=lambda n: given.append(n),
         set_duty=lambda d: given.append(d),
     )
-    monkeypatch.setattr(fan_commands, "keeper_status", lambda spec: None)
+    monkeypatch.setattr(fan_commands, "daemon_status", lambda spec: None)
     with contextlib.suppress(DeviceError):  # it never gets there
         fan_commands.switch_on(
             config,
@@ -364,7 +364,7 @@ def asked_of(monkeypatch, *, up, cells_n, rpm, **asked):
 
 
 @pytest.mark.parametrize(
-    ("asked", "rpm", "told"),
+    ("asked", "rpm", "reported"),
     [
         ({"force_n": 3.0}, 30_000.0, "stays at 45.0 N, it is not set to 3.0 N; 29.2 N are the least"),
         ({"duty": 0.05}, 30_000.0, "stays at 45.0 N, it is not set to 0.2 N"),
@@ -374,8 +374,8 @@ def asked_of(monkeypatch, *, up, cells_n, rpm, **asked):
         ({}, 33_000.0, "stays at 54.5 N, it is not set to 45.0 N"),
     ],
 )
-def test_a_set_point_that_lets_the_robot_fall_is_refused_as_off_is(monkeypatch, asked, rpm, told):
-    with pytest.raises(UsageError, match=rf"{told}.*may hang by its fan: tilted by 90 deg.*--tethered"):
+def test_a_set_point_that_lets_the_robot_fall_is_refused_as_off_is(monkeypatch, asked, rpm, reported):
+    with pytest.raises(UsageError, match=rf"{reported}.*may hang by its fan: tilted by 90 deg.*--tethered"):
         asked_of(monkeypatch, up=ON_THE_WALL, cells_n=45.0, rpm=rpm, **asked)
 
 
@@ -425,9 +425,9 @@ def test_a_fan_that_a_bench_commands_is_left_to_it(at_wire, hil):
 
 SETS = """
 import sys
-from hil.drivers.adhesion.keeper import client
-from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon import client
+from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 
 spec = Spec.from_json(sys.argv[1])
 connection = client.connect(spec)

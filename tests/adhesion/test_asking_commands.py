@@ -1,6 +1,6 @@
 """A robot that hangs by fan and propellers stays where it is, whatever command only asks something.
 
-Robot, keeper and bench are processes of their own, in real time; what becomes of the robot is its own truth.
+Robot, daemon and bench are processes of their own, in real time; what becomes of the robot is its own truth.
 """
 
 import os
@@ -11,10 +11,10 @@ from contextlib import contextmanager
 from math import dist
 
 import pytest
-from kills import end_keeper, wait_until
+from kills import end_daemon, wait_until
 from wall_trials import ENVIRONMENT, bench_driving, robot_on_the_wall
 
-from hil.bench.fan_commands import keeper_spec
+from hil.bench.fan_commands import daemon_spec
 from hil.config.loading import load_bench
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
@@ -37,7 +37,7 @@ def robot(tmp_path_factory):
                 process.wait(LONGEST_S)
             yield robot, path
         finally:
-            end_keeper(keeper_spec(load_bench(str(path))))
+            end_daemon(daemon_spec(load_bench(str(path))))
 
 
 def at_the_ports(robot, path):
@@ -65,7 +65,7 @@ def all_others(robot, path):
 
 
 ENDS = {"discover": 4, "accept": 4, "adhesion": 0, "info": 0, "list": 0}
-"""Exit codes where nobody is at the terminal and nobody says that the robot stands."""
+"""Exit codes without an operator, and without an option for where the robot stands."""
 BOTH = pytest.mark.parametrize("commands", [at_the_ports, all_others])
 
 

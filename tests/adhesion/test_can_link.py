@@ -64,7 +64,7 @@ def test_in_real_time_a_thread_makes_the_samples_that_the_loop_takes():
     assert threading.get_ident() not in made_by
 
 
-def test_in_virtual_time_whoever_asks_makes_them_and_nothing_old_is_among_them():
+def test_in_virtual_time_a_read_makes_them_and_nothing_old_is_among_them():
     world, made_by = World(make_plant(RobotConfig(), rng=np.random.default_rng(0))), set()
     channel = CanChannel(world, "asked").open()
     link = CanLink("adhesion", CanConfig(interface="hil", channel="asked"), VirtualClock(world))

@@ -1,4 +1,4 @@
-"""The keeper's DroneCAN messages against what PyPI `dronecan` makes of the same values."""
+"""The daemon's DroneCAN messages against what PyPI `dronecan` makes of the same values."""
 
 import json
 import math

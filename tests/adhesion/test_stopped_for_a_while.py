@@ -1,6 +1,6 @@
 """Programs that are stopped for seconds while a robot drives on its wall, and then go on (SIGSTOP, SIGCONT).
 
-Robot, keeper and bench are processes of their own, in real time.
+Robot, daemon and bench are processes of their own, in real time.
 """
 
 import os
@@ -10,10 +10,10 @@ import time
 from math import dist
 
 import pytest
-from kills import both, end_keeper, wait_until
+from kills import both, end_daemon, wait_until
 from wall_trials import bench_driving, robot_on_the_wall
 
-from hil.bench.fan_commands import keeper_spec
+from hil.bench.fan_commands import daemon_spec
 from hil.config.loading import load_bench
 
 pytestmark = pytest.mark.timeout(120)
@@ -23,17 +23,17 @@ LEAST_SHARE, MOST_M, DRIVES_M = 0.9, 1e-3, 0.01
 
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory):
-    """(the emulated robot, the bench that drives it, the fan's keeper, what the bench says)."""
+    """(the emulated robot, the bench that drives it, the fan's daemon, what the bench says)."""
     folder = tmp_path_factory.mktemp("stopped")
     with pytest.MonkeyPatch.context() as patch, robot_on_the_wall(seed=1) as robot:
         patch.setenv("XDG_STATE_HOME", str(folder / "state"))
         path = robot.bench_file(folder)
-        spec = keeper_spec(load_bench(str(path)))
+        spec = daemon_spec(load_bench(str(path)))
         try:
             with bench_driving(path, "patient") as process:
                 yield robot, process, spec, folder / "bench.log"
         finally:
-            end_keeper(spec)
+            end_daemon(spec)
 
 
 def turning(robot):
@@ -70,20 +70,20 @@ def test_a_bench_that_stood_still_left_a_held_robot_and_blames_itself(driven):
     assert "check its bus" not in said
 
 
-def test_a_keeper_that_stands_still_costs_no_force(driven):
+def test_a_daemon_that_stands_still_costs_no_force(driven):
     robot, _, spec, log = driven
     before = turning(robot)
-    _, keeper = wait_until(lambda: both(spec), "an understudy")
-    os.kill(keeper, signal.SIGSTOP)
+    _, daemon = wait_until(lambda: both(spec), "a standby")
+    os.kill(daemon, signal.SIGSTOP)
     least = before["adhesion_n"]
     end_s = time.monotonic() + STOPPED_S
     while time.monotonic() < end_s:
         least = min(least, robot.truth()["adhesion_n"])
         time.sleep(0.1)
-    os.kill(keeper, signal.SIGCONT)
+    os.kill(daemon, signal.SIGCONT)
     assert least > LEAST_SHARE * before["adhesion_n"]
     goes_on(robot, before)
-    assert "keeper does not answer" in log.read_text()
+    assert "daemon does not answer" in log.read_text()
 
 
 @pytest.mark.long

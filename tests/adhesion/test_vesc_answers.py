@@ -15,7 +15,7 @@ def test_a_long_answer_of_no_bytes_says_nothing(length):
     assert answers.settings is None
 
 
-def test_firmware_is_told_in_one_frame():
+def test_firmware_is_reported_in_one_frame():
     answers = Answers()
     answers.take(SHORT, bytes((7, 0, 0, 6, 5)))
     assert answers.firmware == "6.05"

@@ -1,10 +1,10 @@
-"""Bench and keeper killed at random moments of wall runs in real time: the robot stays where it is."""
+"""Bench and daemon killed at random moments of wall runs in real time: the robot stays where it is."""
 
 import pytest
-from kills import end_keeper
-from wall_trials import benches_killed, keepers_killed, robot_on_the_wall
+from kills import end_daemon
+from wall_trials import benches_killed, daemons_killed, robot_on_the_wall
 
-from hil.bench.fan_commands import keeper_spec
+from hil.bench.fan_commands import daemon_spec
 from hil.config.loading import load_bench
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(3600)]
@@ -19,7 +19,7 @@ def robot(tmp_path_factory):
         patch.setenv("XDG_STATE_HOME", str(folder / "state"))
         path = robot.bench_file(folder)
         yield robot, path
-        end_keeper(keeper_spec(load_bench(str(path))))
+        end_daemon(daemon_spec(load_bench(str(path))))
 
 
 def test_benches_that_are_killed_while_they_drive_leave_a_held_robot(robot):
@@ -28,7 +28,7 @@ def test_benches_that_are_killed_while_they_drive_leave_a_held_robot(robot):
     assert all(kill.held for kill in found)
 
 
-def test_keepers_that_are_killed_under_a_driving_bench_drop_nobody(robot):
-    found = keepers_killed(*robot, 20, seed=2)
+def test_daemons_that_are_killed_under_a_driving_bench_do_not_drop_the_robot(robot):
+    found = daemons_killed(*robot, 20, seed=2)
     assert max(kill.gap_s for kill in found) <= MOST_S
     assert all(kill.held for kill in found)

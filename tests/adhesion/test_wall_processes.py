@@ -2,7 +2,7 @@
 
 The robot is emulated in a process of its own; a bench drives it in real time and meets with what processes
 meet with. A busy computer may end a drive: the robot has to be held all the same. Something else presses it
-on its wall: what becomes of the fan is seen in `test_wall_killed.py` and `test_keeper_killed.py`.
+on its wall: what becomes of the fan is seen in `test_wall_killed.py` and `test_daemon_killed.py`.
 """
 
 import json
@@ -44,7 +44,7 @@ def under_way(robot):
 
 
 def assert_held(robot, before, *, since_s=RESTS_S):
-    """All eight have torque and no wheel is told to turn; where it is then."""
+    """All eight have torque and no wheel is asked to turn; where it is then."""
     time.sleep(since_s)
     truth = robot.truth()
     assert truth["torque"] == [True] * 8
@@ -105,7 +105,7 @@ def test_a_bench_without_memory_leaves_it_held(robot):
         assert_held(robot, before)
 
 
-def test_busy_cores_drop_nobody(robot):
+def test_busy_cores_do_not_drop_the_robot(robot):
     robot, path = robot
     burn = [sys.executable, "-c", "while True: pass"]
     with bench_driving(path, "patient") as process:

@@ -1,4 +1,4 @@
-"""The emulated robot on its wall, at the wire, which tells the truth about itself when it is asked.
+"""The emulated robot on its wall, at the wire, which reports the truth about itself when it is asked.
 
 First line on stdout: the endpoints. Then an answer for each line on stdin, by the chips' own registers and
 with the fastest that wheels and steering turned since the last; it ends when stdin is closed.
@@ -41,7 +41,7 @@ def main():
                     "adhesion_n": float(truth.adhesion_n),
                     "thrust_n": float(truth.thrust_n),
                     "torque": [bool(servo.table.get("torque_enable")) for servo in bus.servos],
-                    "turning": [told_to_turn(servo) for servo in bus.servos[:4]],
+                    "turning": [asked_to_turn(servo) for servo in bus.servos[:4]],
                     "wheels_rad_s": fastest[0],
                     "steering_rad_s": fastest[1],
                 }
@@ -50,7 +50,7 @@ def main():
     server.close()
 
 
-def told_to_turn(servo):
+def asked_to_turn(servo):
     """Whether a goal turns the wheel, and the bus watchdog has not tripped."""
     return bool(servo.table.get("goal_velocity")) and not servo.axis.tripped
 

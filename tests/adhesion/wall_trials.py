@@ -1,4 +1,4 @@
-"""Wall runs in real time, killed: robot, bench and keeper in a process each."""
+"""Wall runs in real time, killed: robot, bench and daemon in a process each."""
 
 import json
 import os
@@ -15,9 +15,9 @@ from pathlib import Path
 
 import can
 import tomli_w
-from kills import both, keeper_pid, wait_until
+from kills import both, daemon_pid, wait_until
 
-from hil.bench.fan_commands import keeper_spec
+from hil.bench.fan_commands import daemon_spec
 from hil.config.loading import load_bench
 from hil.core.device import Connection
 from hil.core.registry import kinds
@@ -101,7 +101,7 @@ class Commands:
     """When commands for the fan were on the bus, by the kernel's clock."""
 
     def __init__(self, path):
-        spec = keeper_spec(load_bench(str(path)))
+        spec = daemon_spec(load_bench(str(path)))
         self._id = spec.controller_id
         self._bus = can.Bus(interface=spec.interface, channel=spec.channel, **spec.options)
 
@@ -150,13 +150,13 @@ def benches_killed(robot, path, count, seed):
     return found
 
 
-def keepers_killed(robot, path, count, seed):
-    """Keepers killed while one bench drives on."""
-    spec = keeper_spec(load_bench(str(path)))
+def daemons_killed(robot, path, count, seed):
+    """Daemons killed while one bench drives on."""
+    spec = daemon_spec(load_bench(str(path)))
     rng, found = random.Random(seed), []
     with Commands(path) as commands, bench_driving(path):
         for _ in range(count):
-            _, keeper = wait_until(lambda: both(spec), "an understudy")
-            gap_s, truth = killed(robot, commands, keeper, rng)
-            found.append(WallKill(gap_s, not truth["fallen"] and keeper_pid(spec) not in (None, keeper)))
+            _, daemon = wait_until(lambda: both(spec), "a standby")
+            gap_s, truth = killed(robot, commands, daemon, rng)
+            found.append(WallKill(gap_s, not truth["fallen"] and daemon_pid(spec) not in (None, daemon)))
     return found

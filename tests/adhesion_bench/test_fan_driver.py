@@ -8,7 +8,7 @@ from worlds import ON, fan_world
 from hil.config.adhesion import VescConfig
 from hil.core.errors import DeviceError, DeviceTimeoutError, UsageError
 from hil.core.signals import Status
-from hil.devices.adhesion.emulated_keeper import KeptInWorld
+from hil.devices.adhesion.emulated_daemon import DaemonInWorld
 from hil.drivers.adhesion.vesc_fan import VescFan
 from hil.fakes.adhesion import AdhesionTruthOptions, VescNode
 
@@ -22,7 +22,7 @@ def driver():
 
     def make(clock, **keys):
         config = VescConfig(**{"interface": "hil", "channel": "fan", **keys})
-        made.append(VescFan(config, clock, KeptInWorld(clock._world).keep))
+        made.append(VescFan(config, clock, DaemonInWorld(clock._world).commander))
         return made[-1]
 
     yield make
@@ -96,7 +96,7 @@ def test_slow_reports_are_no_numbers_before_they_came(driver):
 
 
 @pytest.mark.parametrize(
-    ("options", "keys", "told"),
+    ("options", "keys", "reported"),
     [
         (ON, {"controller_id": 9}, r"no controller has the id 9; there: 1.*set adhesion.controller_id to 1"),
         ({**ON, "twins": 1}, {}, r"2 controllers have the id 1.*an id of its own in VESC Tool"),
@@ -109,10 +109,10 @@ def test_slow_reports_are_no_numbers_before_they_came(driver):
         ({**ON, "timeout_s": 0.2}, {}, r"time-out of 0.2 s is too short.*set 1000 ms in VESC Tool"),
     ],
 )
-def test_a_controller_that_cannot_be_trusted_is_named_with_the_remedy(options, keys, told, driver):
+def test_a_controller_that_cannot_be_trusted_is_named_with_the_remedy(options, keys, reported, driver):
     with fan_world(**options) as (_world, clock, _node, bus):
         fan = driver(clock, **keys)
-        with pytest.raises(DeviceError, match=told) as caught:
+        with pytest.raises(DeviceError, match=reported) as caught:
             fan.open()
         assert caught.value.exit_code == 3
         assert not fan.identity()
@@ -122,10 +122,10 @@ def test_a_controller_that_cannot_be_trusted_is_named_with_the_remedy(options, k
 
 @pytest.mark.parametrize("fault", ["adhesion:baud_mismatch", "adhesion:off", "adhesion:bus_off"])
 def test_a_silent_bus_is_named_with_bit_rate_and_wiring(fault, driver):
-    told = r"no VESC answers.*500000 bit/s.*check first .*same bit rate .adhesion.bitrate = 500000"
+    reported = r"no VESC answers.*500000 bit/s.*check first .*same bit rate .adhesion.bitrate = 500000"
     with (
         fan_world(faults=[fault], **ON) as (_w, clock, _n, _b),
-        pytest.raises(DeviceTimeoutError, match=told),
+        pytest.raises(DeviceTimeoutError, match=reported),
     ):
         driver(clock).open()
 
@@ -164,7 +164,7 @@ def test_reports_that_cannot_be_true_are_marked(spec, status, driver):
         assert all(math.isnan(s.speed_rpm) for s in samples if s.status is status)
 
 
-def test_a_battery_and_a_heat_that_cannot_be_are_not_told(driver):
+def test_a_battery_and_a_heat_that_cannot_be_are_not_reported(driver):
     """They come in messages of their own, and stay until the next of them, beside samples that are well."""
     on = {**ON, "start": "running", "timeout_s": 30.0, "messages_2": (4, 5), "rate_2_hz": 10.0}
     with fan_world(faults=["adhesion:garbage@1+0.2"], **on) as (_w, clock, _n, _b):
@@ -185,16 +185,16 @@ def test_the_doctor_reads_time_out_messages_and_firmware_from_the_controller(dri
         assert (found["time-out"].level, found["time-out"].found) == ("warning", "2 s")
         assert (found["status messages"].level, found["status messages"].found) == ("warning", "1, 4")
         assert (found["firmware"].level, found["firmware"].found) == ("warning", "5.02")
-        assert found["keeper"].level == "ok"
-        assert found["keeper"].found == "it is at rest: nobody commands it until it is asked for"
+        assert found["daemon"].level == "ok"
+        assert found["daemon"].found == "it is at rest: no command is sent before a force is asked for"
         after(fan, clock, 0.3)
         fan.set_force_n(40.0)
         after(fan, clock, 1.0)
-        (keeper,) = (f for f in fan.diagnose() if f.check == "keeper")
-        assert (keeper.level, keeper.found) == ("ok", "keeps it running")
+        (daemon,) = (f for f in fan.diagnose() if f.check == "daemon")
+        assert (daemon.level, daemon.found) == ("ok", "keeps it running")
 
 
-def test_what_a_controller_does_not_tell_is_told_with_a_remedy(driver):
+def test_what_a_controller_does_not_report_is_named_with_a_remedy(driver):
     with fan_world(**ON) as (_world, clock, node, _bus):
         node._answer = lambda *asked: None
         fan = driver(clock)
@@ -204,15 +204,15 @@ def test_what_a_controller_does_not_tell_is_told_with_a_remedy(driver):
         assert found["firmware"].remedy == "update it with VESC Tool"
 
 
-def test_a_keeper_that_cannot_send_is_told_with_a_remedy(driver):
+def test_a_daemon_that_cannot_send_is_reported_with_a_remedy(driver):
     with fan_world(faults=["adhesion:unplug@1"], **ON) as (_world, clock, _node, _bus):
         fan = driver(clock)
         fan.open()
         after(fan, clock, 0.3)
         fan.set_force_n(40.0)
         clock.sleep_until_ns(2 * S)
-        (keeper,) = (f for f in fan.diagnose() if f.check == "keeper")
-    assert (keeper.level, keeper.remedy) == ("warning", "`hil adhesion status` says more"), keeper
+        (daemon,) = (f for f in fan.diagnose() if f.check == "daemon")
+    assert (daemon.level, daemon.remedy) == ("warning", "`hil adhesion status` says more"), daemon
 
 
 def test_a_fan_that_runs_is_taken_over_without_a_step(driver):

@@ -8,7 +8,7 @@ import pytest
 
 import hil
 from hil.bench.hold.preload import Preload
-from hil.bench.settings import adhesion_limits, thrust_wanted_n
+from hil.bench.loop_settings import adhesion_limits, thrust_wanted_n
 from hil.config.loading import load_bench
 from hil.core.errors import DeviceError, SafetyStop, UsageError
 from hil.procedure.faults import cells_of
@@ -19,7 +19,7 @@ from hil.robot.trajectories import line
 CLIMB = line((0, 0, 0), (0.12, 0, 0), duration_s=4.0)
 COLD = {"emulation.adhesion.start": "tethered", "emulation.thrust.start": "tethered"}
 BRIEFLY = {"exit.look_after_s": 1.0}
-"""For a bench of which nobody asks how it closed."""
+"""For a bench whose end is not checked."""
 AT_REST_RAD_S = 0.05
 
 
@@ -65,9 +65,9 @@ def test_falling_adhesion_stops_the_wheels_with_a_fifth_of_the_margin_left(seed)
     assert stop is not None
     assert stop.reason in ("adhesion", "utilisation")
     assert "s are left" in str(stop)
-    told = re.search(r"N of margin left \((\d+) %\)", str(stop))
-    assert told is not None
-    assert 20 <= int(told[1]) <= 90
+    reported = re.search(r"N of margin left \((\d+) %\)", str(stop))
+    assert reported is not None
+    assert 20 <= int(reported[1]) <= 90
     margin = (force_when_at_rest(seen, 2.0) - needed_n) / (whole_n - needed_n)
     assert margin >= 0.2
 
@@ -96,7 +96,7 @@ def test_a_force_that_stays_over_its_limit_and_a_little_drift_of_the_cells_stop_
 
 
 @pytest.mark.parametrize(
-    ("spec", "reasons", "told"),
+    ("spec", "reasons", "reported"),
     [
         ("load_cells:stuck@2", ("stale_load_cells",), "nothing usable from the load cells"),
         ("load_cells:jump@2,force_n=12", ("adhesion_disagree",), "the cells lie"),
@@ -110,17 +110,17 @@ def test_a_force_that_stays_over_its_limit_and_a_little_drift_of_the_cells_stop_
         ("adhesion:slow@2,factor=50", ("stale_adhesion",), "nothing usable from the fan's controller"),
     ],
 )
-def test_who_lies_about_the_force_is_found_against_the_others(spec, reasons, told):
+def test_who_lies_about_the_force_is_found_against_the_others(spec, reasons, reported):
     stop, seen, truth = climb(spec)
     assert stop is not None
     assert stop.reason in reasons
-    assert told in str(stop)
+    assert reported in str(stop)
     assert seen[-1][2] < AT_REST_RAD_S
     assert not truth.fallen
 
 
 @pytest.mark.parametrize(
-    ("overrides", "reason", "told"),
+    ("overrides", "reason", "reported"),
     [
         (
             {"emulation.adhesion.ambient_c": 60.0},
@@ -134,10 +134,10 @@ def test_who_lies_about_the_force_is_found_against_the_others(spec, reasons, tol
         ),
     ],
 )
-def test_a_hot_controller_and_a_low_battery_stop_the_robot(overrides, reason, told):
+def test_a_hot_controller_and_a_low_battery_stop_the_robot(overrides, reason, reported):
     stop, _, _ = climb(overrides=overrides)
     assert stop.reason == reason
-    assert re.search(told, str(stop))
+    assert re.search(reported, str(stop))
 
 
 def test_a_bus_that_is_gone_stops_the_robot_and_says_what_the_time_out_does():
@@ -168,9 +168,9 @@ def test_no_torque_and_no_motion_before_the_force_is_there(fault):
     bench = hil.open_bench("emulated", seed=1, overrides=COLD, faults=[fault])
     with pytest.raises((SafetyStop, DeviceError)) as caught:
         bench.__enter__()
-    told = str(caught.value)
-    assert "N are the least on this surface" in told or "adhesion" in told
-    assert bench.world.plant.by_hand, "nobody gave the servos torque"
+    reported = str(caught.value)
+    assert "N are the least on this surface" in reported or "adhesion" in reported
+    assert bench.world.plant.by_hand, "the servos got no torque"
 
 
 def test_the_state_carries_force_margin_and_what_each_wheel_uses():
@@ -210,7 +210,7 @@ def test_on_the_floor_nothing_waits_for_a_fan():
 
 
 @pytest.mark.parametrize(
-    ("keys", "told"),
+    ("keys", "reported"),
     [
         ({"adhesion.force_n": -5}, "adhesion.force_n"),
         ({"adhesion.controller_id": 300}, "adhesion.controller_id"),
@@ -220,8 +220,8 @@ def test_on_the_floor_nothing_waits_for_a_fan():
         ({"emulation.adhesion.pack_v": -3}, "emulation.adhesion.pack_v"),
     ],
 )
-def test_what_cannot_be_meant_is_named_by_its_key(keys, told):
-    with pytest.raises(hil.core.errors.ConfigError, match=told):
+def test_what_cannot_be_meant_is_named_by_its_key(keys, reported):
+    with pytest.raises(hil.core.errors.ConfigError, match=reported):
         hil.open_bench("emulated", overrides=keys)
     assert load_bench("emulated").adhesion.controller_id == 1
 
@@ -267,7 +267,7 @@ def test_cells_that_are_not_there_are_named_and_nothing_is_switched(model):
     with pytest.raises(DeviceError, match=r"load_cells at .*no conversion for 1.0 s.*supply") as caught:
         bench.__enter__()
     assert caught.value.exit_code == 3
-    assert bench.world.plant.by_hand, "nobody gave the servos torque"
+    assert bench.world.plant.by_hand, "the servos got no torque"
 
 
 def test_a_negative_push_is_refused_and_the_propellers_go_on():
@@ -293,7 +293,7 @@ def wait(bench, seconds):
 
 
 def least_force_n(bench, seconds):
-    """The least that presses it during a time in which somebody watches."""
+    """The least that presses it while it is watched."""
     seen = []
     bench.observe(seconds, feedback="odometry", on_cycle=lambda record: seen.append(bench.truth().adhesion_n))
     return min(seen)
@@ -312,9 +312,9 @@ def test_a_session_after_a_stop_that_raised_the_fan_leaves_it_so_and_is_not_ende
         wait(bench, 3.0)
         raised_n = bench.truth().adhesion_n
         assert raised_n > 49.0
-        told = Preload(bench.config, bench.rig, bench.clock).hold()
+        reported = Preload(bench.config, bench.rig, bench.clock).hold()
         assert re.search(
-            r"The fan ran at 5\d\.\d N, more than the 45 N of the bench's file, .*, and stays there", told
+            r"The fan ran at 5\d\.\d N, more than the 45 N of the bench's file, .*, and stays there", reported
         )
         assert least_force_n(bench, 4.0) > raised_n - 1.0
     assert bench.held.state == "HELD"

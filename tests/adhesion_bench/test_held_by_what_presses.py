@@ -35,7 +35,7 @@ def test_a_fan_off_its_bus_is_never_held_before_it_has_run_down(start_s):
 
 
 @pytest.mark.parametrize("reset_s", [1.31, *(pytest.param(s, marks=pytest.mark.long) for s in (1.25, 1.37))])
-def test_a_fan_that_runs_down_while_somebody_looks_is_not_held(reset_s):
+def test_a_fan_that_runs_down_during_the_hold_check_is_not_held(reset_s):
     """The last estimate before the stop is NaN; what is needed must not become NaN with it."""
     faults = ["servos:unplug@1+0.2", f"adhesion:reset@{reset_s}"]
     with hil.open_bench("emulated", seed=1, faults=faults) as bench:
@@ -54,10 +54,10 @@ def test_a_fan_that_runs_on_unheard_is_held_by_what_the_cells_feel_for_long_enou
     assert took_s > RUN_DOWN_S + 1.0
 
 
-def test_a_fan_that_nobody_hears_and_no_cell_feels_is_not_held():
+def test_a_fan_without_reports_and_load_cells_is_not_held():
     held, _, _ = left("adhesion:garbage@1", overrides={"load_cells": None})
     assert held.state == "NOT HELD"
-    assert "nobody measures it" in held.why
+    assert "no sensor measures it" in held.why
 
 
 def test_a_tether_holds_what_no_fan_presses():
@@ -82,7 +82,7 @@ def place(bench):
         *(pytest.param(fault, "mujoco", marks=pytest.mark.long) for fault in DEAF),
     ],
 )
-def test_propellers_that_do_not_understand_what_they_are_told_are_no_ground_for_held(fault, plant):
+def test_propellers_that_do_not_understand_their_commands_are_no_ground_for_held(fault, plant):
     """They take their throttle down step by step: the robot rests for seconds before it slides."""
     if plant == "mujoco":
         pytest.importorskip("mujoco")

@@ -8,7 +8,7 @@ import pytest
 
 from hil.bench.hold.adhesion_force import RUN_DOWN_S, AdhesionForceCheck
 from hil.bench.hold.propeller_handover import LeftAlone, least_push_n
-from hil.bench.settings import adhesion_limits
+from hil.bench.loop_settings import adhesion_limits
 from hil.config.loading import load_bench
 from hil.config.thrust import TeensyConfig, ThrustConfig
 from hil.core.errors import DeviceError
@@ -66,7 +66,7 @@ class Press:
 
 def test_enough_is_what_the_robot_needs_by_everybody_who_measures():
     press = Press()
-    assert "nobody measures it" in press.doubt()
+    assert "no sensor measures it" in press.doubt()
     assert press.doubt(fan=1.02 * NEED_N) == ""
     assert press.doubt(fan=1.02 * NEED_N, cells=1.02 * NEED_N) == ""
     assert f"{NEED_N:.1f} N are needed" in press.doubt(fan=1.02 * NEED_N, cells=0.98 * NEED_N)
@@ -77,7 +77,7 @@ def test_what_was_heard_a_while_ago_is_no_force():
     press = Press()
     assert press.doubt(fan=2.0 * NEED_N) == ""
     assert press.doubt(after_s=0.9 * STALE_S) == ""
-    assert "nobody measures it" in press.doubt(after_s=0.2 * STALE_S)
+    assert "no sensor measures it" in press.doubt(after_s=0.2 * STALE_S)
     assert press.words().endswith(
         "pressed on the wall: nothing by the fan's speed, nothing by the load cells"
     )
@@ -87,13 +87,13 @@ def test_a_look_right_after_another_one_begins_anew():
     press = Press()
     assert press.doubt(fan=2.0 * NEED_N) == ""
     press.watch.begin()
-    assert "nobody measures it" in press.doubt(after_s=0.0)
+    assert "no sensor measures it" in press.doubt(after_s=0.0)
 
 
 def test_a_fan_that_fails_to_answer_is_silent_and_ends_nothing():
     press = Press()
     press.waiting["adhesion"] = press.waiting["load_cells"] = None
-    assert "nobody measures it" in press.doubt()
+    assert "no sensor measures it" in press.doubt()
 
 
 def steady(press, seconds, **forces):
@@ -149,7 +149,7 @@ def test_propellers_that_report_nothing_count_once_deaf_ones_would_have_let_the_
     assert press.alone == [True, False]
 
 
-def test_a_robot_that_moves_meanwhile_is_waited_for_anew_and_its_propellers_are_told_their_force_again():
+def test_a_robot_that_moves_meanwhile_is_waited_for_anew_and_its_propellers_are_sent_their_force_again():
     press, slides_s = Press(WITHOUT), gives_way_s()
     steady(press, slides_s, fan=ENOUGH_N)
     assert press.doubt(fan=ENOUGH_N, sees_slide=False, moves=True)
@@ -167,14 +167,14 @@ def test_a_camera_that_is_blind_for_a_moment_does_not_begin_it_anew(blind_s, goe
     assert press.alone == ([True] if goes_on else [True, False])
 
 
-def test_a_bench_that_goes_on_tells_them_their_force_all_the_time():
+def test_a_bench_that_goes_on_sends_them_their_force_all_the_time():
     press = Press(WITHOUT)
     press.watch.begin(for_good=False)
     assert steady(press, gives_way_s() + 3.0, fan=ENOUGH_N)[-1] == ""
     assert not any(press.alone)
 
 
-def test_propellers_of_which_nobody_knows_how_they_give_way_are_no_ground():
+def test_propellers_with_unknown_failure_are_no_ground():
     press = Press(WITHOUT, ThrustConfig())
     assert all(steady(press, 60.0, fan=ENOUGH_N))
 

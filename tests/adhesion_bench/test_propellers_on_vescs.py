@@ -11,22 +11,22 @@ from worlds import duty_frame, heard, send
 import hil
 from hil.bench.doctor.discovery import Discovery
 from hil.bench.hold.preload import Preload
-from hil.bench.settings import thrust_wanted_n
+from hil.bench.loop_settings import thrust_wanted_n
 from hil.config.adhesion import VescConfig
 from hil.config.loading import load_bench
 from hil.config.robot import RobotConfig
 from hil.core.device import Search
 from hil.core.errors import ConfigError, DeviceError, DeviceTimeoutError, SafetyStop, UsageError
 from hil.core.signals import Status
-from hil.devices.adhesion.emulated_keeper import KeptInWorld
+from hil.devices.adhesion.emulated_daemon import DaemonInWorld
 from hil.devices.adhesion.vesc_model import Vesc
 from hil.devices.thrust.vesc import VescPropellers
 from hil.devices.thrust.vesc.config import VescThrustConfig
 from hil.devices.thrust.vesc.driver import VescThrust
 from hil.devices.thrust.vesc.emulated_propellers import PropellerNode, VescThrustTruthOptions, propellers
-from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.dialects import dialect
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
+from hil.drivers.adhesion.fan_daemon.protocols import protocol_of
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.fakes.active_faults import FaultPlan
 from hil.fakes.can_channel import CanChannel, WorldBus
 from hil.fakes.fault import parse_fault
@@ -40,7 +40,7 @@ ON_VESCS = {"thrust.model": "vesc"}
 
 
 @contextmanager
-def made(*, faults=(), keys=None, told=None, **options):
+def made(*, faults=(), keys=None, messages=None, **options):
     """A world with propellers on a bus: (world, clock, nodes, driver, a client's bus)."""
     plan = FaultPlan([parse_fault(spec) for spec in faults])
     plant = make_plant(
@@ -49,9 +49,11 @@ def made(*, faults=(), keys=None, told=None, **options):
     world = World(plant, seed=0, faults=plan)
     config = VescThrustConfig(interface="hil", channel="propellers", **(keys or {}))
     channel = CanChannel(world, "propellers", device="thrust").open()
-    nodes = propellers(world, channel, told or config, VescThrustTruthOptions(**{"start": "off", **options}))
+    nodes = propellers(
+        world, channel, messages or config, VescThrustTruthOptions(**{"start": "off", **options})
+    )
     clock = VirtualClock(world)
-    driver, bus = VescThrust(config, clock, KeptInWorld(world).keep), WorldBus("propellers")
+    driver, bus = VescThrust(config, clock, DaemonInWorld(world).commander), WorldBus("propellers")
     try:
         yield world, clock, nodes, driver, bus
     finally:
@@ -62,7 +64,7 @@ def made(*, faults=(), keys=None, told=None, **options):
 
 def found_on_one_bus(ids, tmp_path):
     """What discovery makes of a bus with controllers of these ids, asked for fan and propellers."""
-    with made(told=VescThrustConfig(controller_ids=ids)) as (_world, clock, _nodes, _driver, _bus):
+    with made(messages=VescThrustConfig(controller_ids=ids)) as (_world, clock, _nodes, _driver, _bus):
         bus = {"interface": "hil", "channel": "propellers", "open_timeout_s": 0.5}
         given = {"adhesion": [VescConfig(**bus)], "thrust": [VescThrustConfig(**bus)]}
         found = Discovery()
@@ -103,11 +105,11 @@ def orders(bus):
 
 def test_every_controller_is_given_the_same_command():
     spec = Spec("hil", "x", 2, also=(3, 5), device="thrust")
-    frames = dialect(spec).say(SetPoint("erpm", 60_000.0), 0)
+    frames = protocol_of(spec).say(SetPoint("erpm", 60_000.0), 0)
     assert frames == tuple((3 << 8 | one, bytes.fromhex("0000EA60")) for one in (2, 3, 5))
 
 
-def test_a_force_is_reached_by_both_and_told_by_their_speed():
+def test_a_force_is_reached_by_both_and_reported_by_their_speed():
     with made() as (world, clock, nodes, driver, _):
         driver.open()
         after(driver, clock, 0.3)
@@ -145,7 +147,7 @@ def test_the_push_goes_on_when_the_driver_is_closed():
 
 
 @pytest.mark.parametrize(
-    ("keys", "options", "told"),
+    ("keys", "options", "messages"),
     [
         ({"controller_ids": (2, 9)}, {}, r"no controller has the id 9; there: 2, 3.*thrust.controller_ids"),
         ({}, {"twins": 1}, r"2 controllers have the id 2.*an id of its own in VESC Tool"),
@@ -154,10 +156,10 @@ def test_the_push_goes_on_when_the_driver_is_closed():
         ({}, {"timeout_s": 0.2}, r"time-out of 0.2 s is too short.*set 1000 ms in VESC Tool"),
     ],
 )
-def test_controllers_that_cannot_be_trusted_are_named_with_the_remedy(keys, options, told):
+def test_controllers_that_cannot_be_trusted_are_named_with_the_remedy(keys, options, messages):
     there = VescThrustConfig(interface="hil", channel="propellers")
-    with made(keys=keys, told=there, **options) as (_, clock, _, driver, bus):
-        with pytest.raises(DeviceError, match=told) as caught:
+    with made(keys=keys, messages=there, **options) as (_, clock, _, driver, bus):
+        with pytest.raises(DeviceError, match=messages) as caught:
             driver.open()
         assert (caught.value.exit_code, driver.identity()) == (3, {})
         clock.sleep_until_ns(clock.now_ns() + S)
@@ -173,8 +175,8 @@ def test_the_doctor_names_the_controller_whose_settings_differ_with_the_remedy()
 
 @pytest.mark.parametrize("fault", ["thrust:baud_mismatch", "thrust:off", "thrust:bus_off"])
 def test_a_silent_bus_is_named_with_bit_rate_and_wiring(fault):
-    told = r"thrust.*no VESC answers.*500000 bit/s.*check first .*same bit rate .thrust.bitrate = 500000"
-    with made(faults=[fault]) as (_, _, _, driver, _), pytest.raises(DeviceTimeoutError, match=told):
+    messages = r"thrust.*no VESC answers.*500000 bit/s.*check first .*same bit rate .thrust.bitrate = 500000"
+    with made(faults=[fault]) as (_, _, _, driver, _), pytest.raises(DeviceTimeoutError, match=messages):
         driver.open()
 
 
@@ -287,8 +289,8 @@ def stopped_by(fault, overrides=ON_VESCS):
 def test_propellers_that_turn_faster_than_asked_stop_the_robot_and_count_as_no_push():
     stop, t_ns, bench = stopped_by("thrust:wrong@1.5,factor=1.3")
     assert stop.reason == "thrust_disagree"
-    told = r"propellers report 37\.\d N of push, more than the 22\.3 N that .* lost blade .*speed sensing"
-    assert re.search(told, str(stop))
+    messages = r"propellers report 37\.\d N of push, more than the 22\.3 N that .* lost blade .*speed sensing"
+    assert re.search(messages, str(stop))
     assert 1.7 * S < t_ns < 2.5 * S
     assert not bench.truth().fallen
     assert "without the propellers: they report 37." in bench.held.why

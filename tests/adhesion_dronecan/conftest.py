@@ -12,7 +12,7 @@ from hil.config.robot import RobotConfig
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.driver import DroneCanFan
 from hil.devices.adhesion.dronecan.emulated_node import DroneCanNode, DroneCanTruthOptions
-from hil.devices.adhesion.emulated_keeper import KeptInWorld
+from hil.devices.adhesion.emulated_daemon import DaemonInWorld
 from hil.fakes.active_faults import FaultPlan
 from hil.fakes.can_channel import CanChannel
 from hil.fakes.fault import parse_fault
@@ -30,10 +30,10 @@ def made(*, faults=(), nodes=((42, 0),), **options):
     )
     world = World(plant, seed=0, faults=plan)
     channel = CanChannel(world, CHANNEL, device="adhesion").open()
-    told = DroneCanTruthOptions(**{"start": "off", **options})
+    reported = DroneCanTruthOptions(**{"start": "off", **options})
     fans = [
         DroneCanNode(
-            world, channel, DroneCanConfig(node_id=node_id, esc_index=index), told, f"adhesion{n or ''}"
+            world, channel, DroneCanConfig(node_id=node_id, esc_index=index), reported, f"adhesion{n or ''}"
         )
         for n, (node_id, index) in enumerate(nodes)
     ]
@@ -61,7 +61,7 @@ def driver():
             DroneCanFan(
                 DroneCanConfig(interface="hil", channel=CHANNEL, **keys),
                 clock,
-                KeptInWorld(clock._world).keep,
+                DaemonInWorld(clock._world).commander,
             )
         )
         return opened[-1]

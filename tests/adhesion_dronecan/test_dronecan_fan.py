@@ -11,9 +11,9 @@ from hil.core.signals import Status
 from hil.devices.adhesion.dronecan import dronecan_library as libraries
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.driver import DroneCanFan
-from hil.devices.adhesion.emulated_keeper import KeptInWorld
-from hil.drivers.adhesion.keeper.dialects import dialect
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.devices.adhesion.emulated_daemon import DaemonInWorld
+from hil.drivers.adhesion.fan_daemon.protocols import protocol_of
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.drivers.links.can_bus import CanLink
 
 dronecan = pytest.importorskip("dronecan", reason="the extra dronecan is not installed")
@@ -41,15 +41,15 @@ class OnTheBus(COMMON.AbstractDriver):
 
 @pytest.fixture
 def theirs(fan_world):
-    """(world, a node of PyPI dronecan beside the fan's, what that node was told by type)."""
+    """(world, a node of PyPI dronecan beside the fan's, what that node received by type)."""
     with fan_world() as made:
         node = dronecan.node.Node(OnTheBus(made.bus), node_id=10)
-        told = {"Status": [], "NodeStatus": []}
-        node.add_handler(ESC.Status, lambda event: told["Status"].append(event.message))
+        reported = {"Status": [], "NodeStatus": []}
+        node.add_handler(ESC.Status, lambda event: reported["Status"].append(event.message))
         node.add_handler(
-            dronecan.uavcan.protocol.NodeStatus, lambda event: told["NodeStatus"].append(event.transfer)
+            dronecan.uavcan.protocol.NodeStatus, lambda event: reported["NodeStatus"].append(event.transfer)
         )
-        yield made, node, told
+        yield made, node, reported
         node.close()
 
 
@@ -65,25 +65,25 @@ def spin(made, node, seconds, message=None):
 
 @pytest.mark.parametrize("command", [ESC.RawCommand(cmd=[6000]), ESC.RPMCommand(rpm=[28_000])])
 def test_pypi_dronecan_drives_the_emulated_fan_and_it_times_out(theirs, command):
-    made, node, told = theirs
+    made, node, reported = theirs
     spin(made, node, 3.0, command)
-    assert told["Status"][-1].rpm == pytest.approx(made.node.fan.speed_rpm, abs=100)
+    assert reported["Status"][-1].rpm == pytest.approx(made.node.fan.speed_rpm, abs=100)
     assert 25_000 < made.node.fan.speed_rpm < 33_000
-    assert told["Status"][-1].voltage == pytest.approx(22.9, abs=0.5)
+    assert reported["Status"][-1].voltage == pytest.approx(22.9, abs=0.5)
     spin(made, node, 0.95)
     assert made.node.fan.speed_rpm > 25_000
     spin(made, node, 2.5)
     assert made.node.fan.speed_rpm < 2_000
 
 
-def test_pypi_dronecan_is_told_who_it_is(theirs):
-    made, node, told = theirs
+def test_pypi_dronecan_gets_the_node_information(theirs):
+    made, node, reported = theirs
     answers = []
     node.request(dronecan.uavcan.protocol.GetNodeInfo.Request(), 42, answers.append)
     spin(made, node, 2.5)
     assert bytes(answers[0].response.name.to_bytes()) == b"org.vesc.emulated"
-    assert {t.source_node_id for t in told["NodeStatus"]} == {42}
-    assert len(told["NodeStatus"]) in (2, 3)
+    assert {t.source_node_id for t in reported["NodeStatus"]} == {42}
+    assert len(reported["NodeStatus"]) in (2, 3)
 
 
 def test_a_command_for_others_is_not_obeyed(theirs):
@@ -142,7 +142,7 @@ def test_a_fan_that_runs_is_taken_over_as_it_runs(fan_world, driver, after):
         assert max(speeds) < 1.03 * before
 
 
-def test_a_node_that_does_not_say_who_it_is_is_told_with_a_remedy(fan_world, driver):
+def test_a_node_that_does_not_say_who_it_is_is_reported_with_a_remedy(fan_world, driver):
     with fan_world() as made:
         made.node._introduce = lambda *asked: None
         fan = driver(made.clock)
@@ -191,7 +191,7 @@ def test_damaged_reports_are_dropped_and_frozen_ones_marked(fan_world, driver, a
         assert after(fan, made.clock, 4.0)[-1].status is Status.FROZEN
 
 
-def test_silence_is_told_with_what_follows(fan_world, driver, after):
+def test_silence_is_reported_with_what_follows(fan_world, driver, after):
     with fan_world(start="running", faults=("adhesion:off@2",)) as made:
         fan = driver(made.clock)
         fan.open()
@@ -208,17 +208,17 @@ def test_forces_that_cannot_be_meant_are_refused(force_n, fan_world, driver):
             fan.set_force_n(force_n)
 
 
-def test_what_the_keeper_is_told_is_what_it_takes():
-    spec = Spec(**DroneCanConfig(node_id=5, esc_index=2, own_id=9).keeper())
-    dialect(spec)
+def test_the_spec_of_the_daemon_is_what_it_takes():
+    spec = Spec(**DroneCanConfig(node_id=5, esc_index=2, own_id=9).daemon_spec())
+    protocol_of(spec)
     assert (spec.controller_id, spec.details["esc_index"], spec.details["node_id"]) == (5, 2, 9)
     assert set(spec.highest) == {"duty", "erpm"}
 
 
-def test_without_the_library_the_line_that_installs_it_is_told(monkeypatch, fan_world):
+def test_without_the_library_the_line_that_installs_it_is_reported(monkeypatch, fan_world):
     monkeypatch.setattr(libraries, "is_installed", lambda extra: False)
     with fan_world(nodes=()) as made, pytest.raises(ConfigError, match=r"needs PyPI dronecan.*dronecan"):
-        DroneCanFan(DroneCanConfig(), made.clock, KeptInWorld(made.world).keep)
+        DroneCanFan(DroneCanConfig(), made.clock, DaemonInWorld(made.world).commander)
 
 
 def test_a_robot_on_its_wall_is_held_by_one():

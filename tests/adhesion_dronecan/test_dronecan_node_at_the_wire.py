@@ -9,7 +9,7 @@ import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
 
 from hil.core.clock import MonotonicClock
-from hil.fakes.can_server import CanFace
+from hil.fakes.can_server import CanTransport
 from hil.fakes.free_port import free_udp_port
 from hil.fakes.server import EmulationServer
 
@@ -31,10 +31,10 @@ def test_the_lines_of_the_page_turn_the_fan(fan_world, monkeypatch, tmp_path, ca
         monkeypatch.setattr(UdpMulticastBus, name, getattr(UdpMulticastBus, name))
     options = {"port": free_udp_port()}
     with fan_world() as made:
-        face = CanFace(
+        transport = CanTransport(
             made.channel, address="239.74.164.12", device="adhesion", listens=True, options=options
         )
-        server = EmulationServer(made.world, MonotonicClock(), {"adhesion": face})
+        server = EmulationServer(made.world, MonotonicClock(), {"adhesion": transport})
         (tmp_path / "fan.json").write_text(json.dumps(server.endpoints()), encoding="utf-8")
         thread = threading.Thread(target=server.run)
         thread.start()

@@ -30,7 +30,7 @@ def test_a_robot_that_was_put_there_by_hand_may_begin(stands):
         ((math.nan, 0.0, 0.0), r"distance between them \(m\) is nan", "at most 0.02"),
     ],
 )
-def test_both_poses_and_what_to_do_are_told(stands, value, limit):
+def test_both_poses_and_what_to_do_are_reported(stands, value, limit):
     with pytest.raises(TrajectoryError, match=value) as refused:
         must_begin_where_it_stands(UP, np.array(stands))
     said = str(refused.value)

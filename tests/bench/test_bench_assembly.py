@@ -31,9 +31,9 @@ def drive(seed, overrides=None, **options):
 
 
 def log_hash(motion):
-    """Of everything that the devices said and were told; the loop's own timing is the host's."""
-    told = [(r.inputs, r.setpoint, r.state.pose_body_in_wall.tobytes()) for r in motion.records]
-    return hashlib.sha256(pickle.dumps(told)).hexdigest()
+    """Of everything that the devices sent and received; the loop's own timing is the host's."""
+    reported = [(r.inputs, r.setpoint, r.state.pose_body_in_wall.tobytes()) for r in motion.records]
+    return hashlib.sha256(pickle.dumps(reported)).hexdigest()
 
 
 LATE = ("good samples a second", "old or more when they arrive")

@@ -19,7 +19,7 @@ def without_devices(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "reported"),
     [
         (["doctor"], "no device in none.toml: nothing was examined; add the table of a device"),
         (["doctor", "--json"], "no device in none.toml: nothing was examined; add the table of a device"),
@@ -27,25 +27,25 @@ def without_devices(tmp_path, monkeypatch):
         (["doctor", "--emulate", "imu"], "--emulate imu: the bench has no device at all; add the table"),
     ],
 )
-def test_a_bench_without_any_device_is_not_ok(without_devices, capsys, words, told):
+def test_a_bench_without_any_device_is_not_ok(without_devices, capsys, words, reported):
     assert main([*words, "--bench", "none.toml"]) == 2
-    assert told in capsys.readouterr().err
+    assert reported in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("schema", "told"),
+    ("schema", "reported"),
     [
         ("2", "another version of this program, which reads schema 1 (found 2); use a newer version of"),
         ("0", "another version of this program, which reads schema 1 (found 0); use the version of"),
         ('"1"', "schema: write it without quotes: schema = 1 (found '1')"),
     ],
 )
-def test_a_bench_file_of_another_schema_is_told_what_to_do(tmp_path, schema, told):
+def test_a_bench_file_of_another_schema_names_what_to_do(tmp_path, schema, reported):
     path = tmp_path / "bench.toml"
     path.write_text(f'schema = {schema}\nname = "x"\n[imu]\nport = "/dev/x"\n')
     with pytest.raises(ConfigError) as refused:
         load_bench(path)
-    assert told in str(refused.value)
+    assert reported in str(refused.value)
 
 
 @pytest.mark.parametrize(

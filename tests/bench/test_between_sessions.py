@@ -121,7 +121,7 @@ def test_the_zero_of_the_cells_is_held_against_the_fan(force_n, named):
 
 
 @pytest.mark.parametrize(("scale", "named"), [(1.0, False), (1.05, True)])
-def test_a_drive_tells_of_a_camera_with_another_scale_than_the_kept_one(scale, named):
+def test_a_drive_reports_a_camera_with_another_scale_than_the_kept_one(scale, named):
     kept = {"tracker.scale": scale, "tracker.scale_sigma": 0.002, "emulation.tracker.scale_sigma": 0.0}
     with open_bench("emulated", seed=SEED, overrides={**FANLESS, **kept}) as bench:
         records = bench.drive(line((0.0, 0.0, 0.0), (0.3, 0.0, 0.0)), hold_s=0.1).records

@@ -64,13 +64,13 @@ def test_a_sick_device_is_named_and_does_not_hide_the_others(capsys, fault, devi
 
 
 @pytest.mark.parametrize(
-    ("start", "faults", "told"),
+    ("start", "faults", "reported"),
     [("tethered", (), True), ("tethered", ("load_cells:wrong,factor=0.05",), False), ("running", (), False)],
 )
-def test_a_force_that_no_fan_makes_is_told_with_both_and_what_to_do(start, faults, told):
+def test_a_force_that_no_fan_makes_is_reported_with_both_and_what_to_do(start, faults, reported):
     bench = hil.open_bench("emulated", faults=faults, overrides={"emulation.adhesion.start": start})
     found = [f for f in examine(bench, watch_s=0.5) if f.check == "force without fan"]
-    assert len(found) == told
+    assert len(found) == reported
     assert all(
         re.match(r"the cells feel 45\.\d N, and the fan is at rest \(0 1/min\)", f.found) for f in found
     )
@@ -105,7 +105,7 @@ def test_a_device_that_falls_ill_while_it_is_read_is_named(capsys, opened_at_s, 
     assert {sick for (sick, _), level in levels(result).items() if level == "failure"} == {device}
 
 
-def test_an_ill_can_bus_is_told_from_an_ill_node(capsys, opened_at_s):
+def test_an_ill_can_bus_is_distinguished_from_an_ill_node(capsys, opened_at_s):
     _, result = doctor(capsys, "--fault", f"encoders:bus_off@{opened_at_s['encoders']}")
     state = next(f for f in result["findings"] if f["check"] == "CAN state")
     assert state["level"] == "warning"
@@ -132,21 +132,21 @@ def test_a_return_delay_is_taken_away_by_the_command_that_doctor_prints(tmp_path
     assert json.loads(capsys.readouterr().out)["registers"]["return_delay_time"][1] == 0
 
 
-def test_a_hardware_error_is_told_in_words(tmp_path):
+def test_a_hardware_error_is_reported_in_words(tmp_path):
     found = findings_with(tmp_path, "[emulation.servos]\nsupply_v = 9.0\n")["hardware errors"]
     assert found.level == "failure"
     assert "drive_FL: input voltage" in found.found
 
 
 @pytest.mark.parametrize(
-    ("models", "told"),
+    ("models", "reported"),
     [
         (dict.fromkeys("01234567", 1000), "model_number = 1000"),
         ({"3": 1050}, "# servos of model 1010 (XH430-W210), 1050 (XH430-V210) at"),
         (dict.fromkeys("01234567", 1060), "# servos of model 1060 (XL430-W250) at"),
     ],
 )
-def test_discover_writes_the_model_down_or_says_that_it_is_not_known(models, told):
+def test_discover_writes_the_model_down_or_says_that_it_is_not_known(models, reported):
     config = load_bench(
         "emulated",
         overrides=dict.fromkeys(("encoders", "imu", "tracker", "mocap"))
@@ -156,7 +156,7 @@ def test_discover_writes_the_model_down_or_says_that_it_is_not_known(models, tol
     connected = connect_in_process(config, world)
     port = connected.connections["servos"].values["port"]
     said = []
-    assert told in discover(VirtualClock(world), ports=[port], say=said.append).to_toml()
+    assert reported in discover(VirtualClock(world), ports=[port], say=said.append).to_toml()
     assert said[:2] == [f"asking {port}", f"found Dynamixel X servos on RS-485 or TTL at {port}"]
     connected.close()
 
@@ -195,7 +195,7 @@ def test_discover_names_a_port_at_which_nothing_answered_beside_one_where_someth
     assert "[imu]" in said.out
 
 
-def test_discover_tells_ports_that_hold_something_from_silent_ones(tmp_path, monkeypatch):
+def test_discover_distinguishes_ports_that_hold_something_from_silent_ones(tmp_path, monkeypatch):
     monkeypatch.setattr("can.detect_available_configs", lambda interfaces: [])
     world = build_world(load_bench("emulated"), seed=1)
     nowhere = str(tmp_path / "nope")
@@ -220,7 +220,7 @@ def test_discover_without_an_answer_and_with_nonsense(capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("place", "told"),
+    ("place", "reported"),
     [
         ("nothing.host=1", "kinds are encoders, tracker, mocap"),
         ("imu.port=x", "kinds are encoders"),
@@ -230,12 +230,12 @@ def test_discover_without_an_answer_and_with_nonsense(capsys, tmp_path):
         ("mocap.sever=x", "command_port"),
     ],
 )
-def test_discover_names_what_is_wrong_with_a_place(place, told, capsys):
+def test_discover_names_what_is_wrong_with_a_place(place, reported, capsys):
     assert main(["discover", "--at", place]) == 2
-    assert told in capsys.readouterr().err
+    assert reported in capsys.readouterr().err
 
 
-def test_discover_listens_where_it_is_told(capsys):
+def test_discover_listens_where_it_is_reported(capsys):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = f"udpin:127.0.0.1:{probe.getsockname()[1]}"
@@ -261,8 +261,8 @@ def test_setup_renames_a_servo_and_changes_its_baud_rate(emulator, capsys):
     assert code == 0
     assert back["id"] == [20, 8]
     assert setup("--baud", str(baud), "--id", "8", "--new-id", "1")[0] == 3
-    code, told = setup("--baud", str(baud), "--id", "8", "--register", "goal_velocity=3")
+    code, reported = setup("--baud", str(baud), "--id", "8", "--register", "goal_velocity=3")
     assert code == 2
-    assert "goal_velocity" in told
+    assert "goal_velocity" in reported
     assert setup("--baud", str(baud), "--id", "8", "--register", "shutdown=banana")[0] == 2
     assert setup("--baud", str(baud), "--id", "77")[0] == 3

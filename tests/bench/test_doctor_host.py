@@ -123,7 +123,7 @@ def test_a_program_that_takes_no_lock_is_named_whatever_the_port_is_called(machi
     assert found.found == f"{machine.stable} is open in minicom (process 812)"
 
 
-def test_a_name_that_changes_is_told_with_the_one_that_stays(machine):
+def test_a_name_that_changes_is_reported_with_the_one_that_stays(machine):
     found = only(machine, machine.port)
     assert (found.check, found.remedy) == ("port name", f'port = "{machine.stable}"')
 
@@ -177,7 +177,7 @@ def test_the_rules_are_those_of_the_adapters_that_are_plugged_in(machine):
     assert sum("8087" in line or "03e7" in line for line in lines) == 2
 
 
-def test_a_port_without_an_adapter_is_told_in_the_rules(machine):
+def test_a_port_without_an_adapter_is_reported_in_the_rules(machine):
     rules = udev_rules(bench(machine, "/dev/ttyS5"), machine.host.sysfs)
     assert "no USB adapter is behind /dev/ttyS5" in rules
 

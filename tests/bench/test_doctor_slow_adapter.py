@@ -49,7 +49,7 @@ def test_other_ports_have_no_timer(system, port):
     assert latency_timer(port, system / "sys") is None
 
 
-def test_doctor_tells_of_the_timer_of_a_linked_port_and_of_nothing_else_first(system):
+def test_doctor_reports_the_timer_of_a_linked_port_and_of_nothing_else_first(system):
     port = system / "dev/serial/by-id/usb-FTDI_U2D2_FT4T-if00-port0"
     values = {"servos.backend": "real", "servos.port": str(port)}
     bench = hil.open_bench("emulated", overrides=dict.fromkeys(set(KINDS) - {"servos"}) | values)

@@ -38,7 +38,7 @@ def test_one_that_runs_until_it_is_ended_says_nothing(emulator, caplog):
     assert caplog.text == ""
 
 
-def test_one_that_does_not_start_is_an_error_and_told_once(emulator, caplog):
+def test_one_that_does_not_start_is_an_error_and_reported_once(emulator, caplog):
     with pytest.raises(DeviceError, match="boom"):
         emulator(f"echo '{WORDS}' >&2; exit 3")
     assert caplog.text == ""

@@ -1,4 +1,4 @@
-"""However bus or servos fail: by the chips' own registers no wheel is told to turn 150 ms later."""
+"""However bus or servos fail: by the chips' own registers no wheel is asked to turn 150 ms later."""
 
 import pytest
 
@@ -17,20 +17,20 @@ SILENCES = [("servos", kind) for kind in BUS] + [
 QUICK = {("servos", "unplug"), ("servos", "brownout"), ("servo.steer_BR", "off")}
 
 
-def told_to_turn(servo):
+def asked_to_turn(servo):
     """Whether a servo has power, torque and a goal that turns its wheel, and its watchdog is quiet."""
     asked = servo.table.get("torque_enable") and servo.table.get("goal_velocity")
     return not servo.dead and asked and not servo.axis.tripped
 
 
 def resting_after_s(fault, seed):
-    """Seconds from a fault until no wheel was told to turn any more; whether one was when it struck."""
+    """Seconds from a fault until no wheel was asked to turn any more; whether one was when it struck."""
     with hil.open_bench("emulated", seed=seed, faults=[fault]) as bench:
         (bus,) = [part for part in bench.world._parts if isinstance(part, ServoBus)]
         since_s, turning = AT_S - 0.01, []
 
         def look(t_ns):
-            turning.extend([t_ns * 1e-9] if any(told_to_turn(s) for s in bus.servos[:4]) else [])
+            turning.extend([t_ns * 1e-9] if any(asked_to_turn(s) for s in bus.servos[:4]) else [])
             return t_ns + LOOK_NS
 
         bench.on_close(bench.clock.schedule(look, round(since_s * 1e9)))
@@ -44,7 +44,7 @@ def resting_after_s(fault, seed):
     ("device", "kind"),
     [pytest.param(*case, marks=() if case in QUICK else pytest.mark.long) for case in SILENCES],
 )
-def test_whatever_silences_servos_no_wheel_is_told_to_turn_for_long(device, kind):
+def test_whatever_silences_servos_no_wheel_is_asked_to_turn_for_long(device, kind):
     name, _, options = kind.partition(",")
     fault = f"{device}:{name}@{AT_S}" + (f",{options}" if options else "")
     late_s, turned = resting_after_s(fault, seed=3)

@@ -1,4 +1,4 @@
-"""After every stop somebody looks: servos that restart are caught, and "held" is said only if it is true."""
+"""After every stop the hold is checked: servos that restart are caught, and HELD is said only where true."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def wait(bench, duration_s):
 
 
 def moved_from(bench, duration_s):
-    """How far the robot gets in a time in which nobody calls anything, mm."""
+    """How far the robot gets in a time without calls, mm."""
     start, farthest = place(bench), 0.0
     for _ in range(round(duration_s / 0.05)):
         wait(bench, 0.05)
@@ -68,7 +68,7 @@ LOST = [
 
 
 @pytest.mark.parametrize(("kind", "duration_s", "at_s"), LOST)
-def test_whoever_loses_servos_has_them_back_without_calling_anything(kind, duration_s, at_s):
+def test_lost_servos_come_back_without_calling_anything(kind, duration_s, at_s):
     with hil.open_bench(
         "emulated", seed=3, faults=[fault(kind, at_s, duration_s)], overrides=FANLESS
     ) as bench:
@@ -136,7 +136,7 @@ def test_servos_that_do_not_come_back_while_they_are_enabled_are_named_in_time()
 @pytest.mark.parametrize(
     ("kind", "duration_s"), [*LOSSES, ("servos:brownout", 0.6), ("servo.steer_FL:off", 0.5)]
 )
-def test_whoever_loses_servos_has_them_back_in_five_worlds(kind, duration_s, at_s, seed):
+def test_lost_servos_come_back_in_five_worlds(kind, duration_s, at_s, seed):
     with hil.open_bench(
         "emulated", seed=seed, faults=[fault(kind, at_s, duration_s)], overrides=FANLESS
     ) as bench:
@@ -196,13 +196,13 @@ def left_without_servos(**how):
 
 def test_a_script_that_leaves_the_robot_falling_is_warned_once(caplog):
     bench = left_without_servos()
-    told = [r.getMessage() for r in caplog.records if r.name == "hil.bench.hold.held_devices"]
-    assert told == [f"bench emulated: the robot is left {bench.held}"]
+    reported = [r.getMessage() for r in caplog.records if r.name == "hil.bench.hold.held_devices"]
+    assert reported == [f"bench emulated: the robot is left {bench.held}"]
     assert bench.held.lost
 
 
-def test_whoever_says_it_otherwise_is_not_warned(caplog):
-    assert left_without_servos(tells_held=False).held.lost
+def test_a_program_that_reports_it_otherwise_is_not_warned(caplog):
+    assert left_without_servos(warns_not_held=False).held.lost
     with hil.open_bench("emulated_floor", seed=1, faults=["servos:off@1"]) as bench:
         wait(bench, 1.0)
     assert not bench.held.lost
@@ -221,7 +221,7 @@ def test_a_robot_that_came_off_while_its_servos_are_away_is_said_to_have_lost_bo
     assert "no servo answers" in bench.held.why
 
 
-def test_hardware_errors_are_told():
+def test_hardware_errors_are_reported():
     with hil.open_bench("emulated", seed=1, overrides={**FANLESS, "exit.look_after_s": 1.0}) as bench:
         bench.observe(0.2)
         servos = bench.world._parts[0].servos
@@ -230,7 +230,7 @@ def test_hardware_errors_are_told():
     assert "steer_BL (ID 6: hardware error: overload" in bench.held.why
 
 
-def test_a_wall_starts_held_and_release_is_told():
+def test_a_wall_starts_held_and_release_is_reported():
     on_a_tether = {"exit.policy": "release", "safety.tethered": True}
     with hil.open_bench("emulated", seed=1, overrides=on_a_tether) as bench:
         assert moved_from(bench, 1.0) < 0.3
@@ -250,7 +250,7 @@ def test_torque_that_was_switched_off_is_a_loss_unless_the_bench_was_asked(on_pu
 
 
 def test_a_robot_that_was_never_held_is_said_to_be():
-    """Nothing presses it on, so that torque stays off: whoever opens the bench is told both."""
+    """Nothing presses it on, so that torque stays off: opening the bench reports both."""
     bench = hil.open_bench("emulated", seed=1, faults=["plant:adhesion_loss@0.3"])
     with pytest.raises(SafetyStop, match="not pressed on the wall"), bench:
         raise AssertionError("it opened")

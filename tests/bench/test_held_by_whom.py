@@ -1,4 +1,4 @@
-"""HELD takes somebody who is believed and sees a slide; its way is told by those who saw where it stopped."""
+"""HELD takes a trusted sensor that sees a slide; its way is reported by sensors that saw where it stopped."""
 
 import math
 from contextlib import suppress
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.bench.hold.rest import JOINTS, MotionSinceStop
+from hil.bench.hold.motion_since_stop import JOINTS, MotionSinceStop
 from hil.core.device import DeviceKind
 from hil.core.errors import SafetyStop
 from hil.devices.servos import KIND as SERVO_KIND
@@ -20,7 +20,7 @@ FAR_M = 0.005
 VESCS = {"thrust.model": "vesc"}
 TETHER = {"safety.tethered": True}
 BRIEFLY = {"exit.look_after_s": 1.0}
-"""For a robot that is not found held, however long somebody looks."""
+"""For a robot that is not found held, however long the check lasts."""
 
 
 def left(*faults, without=(), seed=5, feedback="ekf", way=CLIMB, **overrides):
@@ -39,9 +39,9 @@ def left(*faults, without=(), seed=5, feedback="ekf", way=CLIMB, **overrides):
     return bench.held, stop, math.dist(there[:2], stopped[:2]), math.dist(later[:2], there[:2]) / 0.3
 
 
-def test_on_a_tether_nobody_has_to_see_a_slide_and_the_word_says_so():
+def test_on_a_tether_no_sensor_has_to_see_a_slide_and_the_word_says_so():
     blind = ("tracker", "mocap", "adhesion", "load_cells", "thrust")
-    said = "; on its tether, so nobody has to see whether it slides"
+    said = "; on its tether, so no sensor has to see whether it slides"
     with hil.open_bench("emulated", seed=1, overrides=dict.fromkeys(blind) | TETHER) as bench:
         bench.rig.actuators().enable()
     assert bench.held.state == "HELD"
@@ -78,16 +78,16 @@ def test_a_camera_that_was_just_in_doubt_does_not_witness_that_the_robot_rests(p
     assert stop.reason == "sensors_disagree"
     assert speed_m_s > 0.1, "it slides or falls"
     assert held.state == "NOT HELD"
-    assert held.moved_m is None, "nobody who is believed saw it"
+    assert held.moved_m is None, "no trusted sensor saw it"
 
 
 @pytest.mark.long
-def test_a_doubted_camera_is_named_where_nobody_else_could_see_a_slide():
+def test_a_doubted_camera_is_named_where_no_other_sensor_could_see_a_slide():
     held, stop, moved_m, speed_m_s = left("tracker:wrong@2.5,scale=0.3", without=("mocap", "load_cells"))
     assert stop.reason == "sensors_disagree"
     assert (held.state, held.moved_m) == ("NOT HELD", None)
     assert (
-        "nobody can tell whether the robot slides (what the camera said before the stop is in doubt)"
+        "no sensor can see whether the robot slides (what the camera said before the stop is in doubt)"
         in held.why
     )
     assert (moved_m < FAR_M, speed_m_s < 1e-4) == (True, True), (
@@ -105,11 +105,11 @@ def test_motion_capture_does_without_the_camera():
 
 @pytest.mark.long
 def test_load_cells_do_without_a_camera_where_the_propellers_report_or_are_not_needed():
-    """They feel what presses; that nobody carries a part of the weight any more they do not feel."""
+    """They feel what presses; that a part of the weight is not carried any more they do not feel."""
     blind, lie = ("mocap",), "tracker:wrong@2.5,scale=0.3"
     held, _, _, speed_m_s = left(lie, without=blind)
     assert (held.state, speed_m_s < 1e-4) == ("NOT HELD", True)
-    assert "without the propellers: they report nothing, and nobody sees whether it slides" in held.why
+    assert "without the propellers: they report nothing, and no sensor sees whether it slides" in held.why
     for overrides in (VESCS, {"environment.friction": 0.9}):
         held, stop, _, speed_m_s = left(lie, without=blind, **overrides)
         assert stop.reason == "sensors_disagree"
@@ -167,14 +167,14 @@ def test_a_camera_is_believed_again_only_after_a_way_on_which_others_agree():
         assert bench.look().state == "NOT HELD"
         bench.observe(2.0)
         doubted = bench.look()
-        assert doubted.state == "NOT HELD", "at rest nobody can tell a frozen camera"
+        assert doubted.state == "NOT HELD", "at rest a frozen camera is not recognised"
         assert "what the camera said before the stop is in doubt" in doubted.why
         bench.drive(line((0, 0, 0), (0.15, 0, 0), duration_s=3.0), start_pose=np.zeros(3), hold_s=0.5)
         assert bench.look().state == "HELD"
 
 
 def test_servos_alone_do_not_confirm_it_where_there_are_others_who_should():
-    """On a tether it cannot fall; that it stands still somebody else has to see, if the bench has anybody."""
+    """On a tether it cannot fall; that it stands still another sensor has to see, if the bench has one."""
     others, settings = ("imu", "tracker", "mocap"), TETHER | {"exit.look_after_s": 1.0}
     faults = [f"{name}:off@0.5" for name in others]
     with hil.open_bench("emulated", seed=1, faults=faults, overrides=settings) as bench:
@@ -210,7 +210,7 @@ def test_wheels_and_imu_alone_do_not_see_a_slide():
         pytest.param(["servos:brownout@3+1", "tracker:stuck@3"], ("mocap",), marks=pytest.mark.long),
     ],
 )
-def test_a_way_that_nobody_saw_is_not_told_as_nothing(faults, without):
+def test_a_way_that_no_sensor_saw_is_not_reported_as_nothing(faults, without):
     held, _, moved_m, _ = left(
         *faults, without=without, feedback="odometry" if "tracker" in without else "ekf", **TETHER
     )

@@ -1,4 +1,4 @@
-"""HELD in a mix: who is in another world than the servos is no witness of the robot that they hold."""
+"""HELD in a mix: a sensor of another world than the servos' does not see the robot that they hold."""
 
 import json
 import subprocess
@@ -22,7 +22,7 @@ HOP = line((0, 0, 0), (0.12, 0, 0), duration_s=2.4)
 SEES = ("imu", "tracker", "mocap")
 PRESSES = ("adhesion", "load_cells")
 BRIEFLY = {"exit.look_after_s": 1.0}
-"""For a bench of which nobody asks how it closed, or which cannot find the robot held."""
+"""For a bench whose end is not checked, or which cannot find the robot held."""
 REAL_SERVOS = {
     "servos.backend": "real",
     "servos.port": "/dev/no-such-port",
@@ -63,13 +63,14 @@ def test_who_is_in_the_servos_world_and_who_is_not():
     assert load_bench("emulated", overrides={"servos": None, "imu.backend": "real"}).elsewhere() == ()
 
 
-def test_nobody_of_another_world_says_that_the_robot_is_held(monkeypatch):
+def test_no_sensor_of_another_world_says_that_the_robot_is_held(monkeypatch):
     with mixed(monkeypatch, *SEES, *PRESSES, overrides=BRIEFLY) as bench:
         pass
     assert bench.held.state == "NOT HELD"
     assert bench.held.moved_m is None
     assert (
-        "nobody can tell whether the robot slides (camera, motion capture: in another world than the servos, "
+        "no sensor can see whether the robot slides "
+        "(camera, motion capture: in another world than the servos, "
         "blind to this robot)" in bench.held.why
     )
     assert "pressed" not in bench.held.why
@@ -106,7 +107,7 @@ def test_motion_capture_of_another_world_does_not_say_where_the_robot_stands(mon
         np.testing.assert_allclose(begun, end, atol=2e-3)
 
 
-def test_a_drive_past_blind_sensors_is_told_of_before_it_moves(monkeypatch, tmp_path, caplog):
+def test_a_drive_past_blind_sensors_is_reported_before_it_moves(monkeypatch, tmp_path, caplog):
     def body(ctx):
         ctx.bench.observe(0.1)
         assert "in another world" not in caplog.text, "nothing moves yet"
@@ -155,8 +156,8 @@ def test_an_emulated_camera_stops_the_drive_of_real_servos():
         with pytest.raises(SafetyStop) as stop:
             bench.drive(HOP)
         assert stop.value.reason == "sensors_disagree"
-        told = ("fan, propellers: emulated beside real", "IMU, camera, motion capture: in another world")
-        assert all(said.startswith(start) for said, start in zip(bench.warnings, told, strict=True))
+        reported = ("fan, propellers: emulated beside real", "IMU, camera, motion capture: in another world")
+        assert all(said.startswith(start) for said, start in zip(bench.warnings, reported, strict=True))
 
 
 def test_what_is_emulated_of_that_which_holds_a_real_robot_is_known():
@@ -178,7 +179,7 @@ def pretended(monkeypatch, *holders, blind=(), **given):
         yield bench
 
 
-def test_a_robot_whose_fan_is_emulated_is_not_held_whoever_sees_it_at_rest(monkeypatch, caplog):
+def test_a_robot_whose_fan_is_emulated_is_not_held_whichever_sensor_sees_it_at_rest(monkeypatch, caplog):
     with pretended(monkeypatch, "adhesion", blind=["load_cells"], overrides=BRIEFLY) as bench:
         bench.observe(0.2)
         bench.observe(0.2)

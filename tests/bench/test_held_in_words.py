@@ -12,15 +12,15 @@ from hil.core.signals import SERVOS, ServoHold
     [
         (Held("HELD", 0.0003, "torque on"), "HELD: moved 0.3 mm since the stop; torque on"),
         (Held("NOT HELD", 0.012, "it slides"), "NOT HELD: moved at least 12.0 mm since the stop; it slides"),
-        (Held("NOT HELD", None, "nobody looked"), "NOT HELD: nobody looked"),
+        (Held("NOT HELD", None, "not checked"), "NOT HELD: not checked"),
         (Held("not needed", 0.0, "on the floor"), "not needed: moved 0.0 mm since the stop; on the floor"),
     ],
 )
-def test_a_way_is_told_where_it_was_measured_and_as_the_least_where_the_robot_is_lost(held, words):
+def test_a_way_is_reported_where_it_was_measured_and_as_the_least_where_the_robot_is_lost(held, words):
     assert str(held) == held_in_words(held.to_json()) == words
 
 
-def test_of_a_robot_that_nobody_has_moved_yet_no_way_is_told():
+def test_of_a_robot_that_has_not_moved_yet_no_way_is_reported():
     assert seen_in_words(Held("HELD", 0.0003, "torque on")) == "HELD: torque on"
 
 
@@ -37,7 +37,7 @@ def test_lost_is_a_robot_that_should_be_held_and_is_not(state, wanted, lost):
     assert Held(state, None, "", wanted).lost is lost
 
 
-def test_a_robot_whose_bench_ended_is_lost_on_a_wall_and_needs_nobody_on_the_floor():
+def test_a_robot_whose_bench_ended_is_lost_on_a_wall_and_needs_no_hold_on_the_floor():
     on_wall, on_floor = (abandoned("the process was killed", on_wall=on_wall) for on_wall in (True, False))
     assert (on_wall.state, on_wall.lost, on_wall.moved_m) == ("NOT HELD", True, None)
     assert (on_floor.state, on_floor.lost) == ("not needed", False)
@@ -52,7 +52,7 @@ def test_a_robot_whose_bench_ended_is_lost_on_a_wall_and_needs_nobody_on_the_flo
         (dict.fromkeys(SERVOS[:7], "timeout"), True),
         ({**dict.fromkeys(SERVOS, "timeout"), "drive_FL": "no torque"}, True),
     ],
-    ids=["nobody answers", "one answers", "one answers and has no torque"],
+    ids=["no answer", "one answers", "one answers and has no torque"],
 )
 def test_all_that_are_silent_have_one_cause_and_others_are_named(trouble, named):
     words = lacking_in_words(ServoHold(0, np.zeros(8), True, trouble))

@@ -1,4 +1,4 @@
-"""After the stop nobody runs the loop: propellers and servos that restart then are told again anyway."""
+"""After the stop no loop runs: propellers and servos that restart then get their commands again anyway."""
 
 import itertools
 
@@ -84,11 +84,11 @@ def test_released_servos_that_are_not_heard_stay_released():
         assert not any(servo.torque for servo in bus.servos)
 
 
-def test_a_port_of_the_propellers_that_takes_nothing_is_told_once(caplog):
+def test_a_port_of_the_propellers_that_takes_nothing_is_reported_once(caplog):
     with hil.open_bench("emulated", seed=1, faults=[f"thrust:unplug@{ENDED_S + 0.2}"]) as bench:
         bench.drive(WAY, hold_s=0.5)
         bench.clock.sleep_until_ns(bench.clock.now_ns() + nanoseconds(3.0))
         assert not bench.truth().fallen
-    told = [r.getMessage() for r in caplog.records if "while nobody read" in r.getMessage()]
-    assert len(told) == 1
-    assert "the propellers go on as told last" in told[0]
+    reported = [r.getMessage() for r in caplog.records if "while no caller read" in r.getMessage()]
+    assert len(reported) == 1
+    assert "the propellers go on as last commanded" in reported[0]

@@ -42,28 +42,28 @@ def look(name, samples, device=None, table=None):
     return wrong(kinds()[name].check(watched(name, samples, device, table)))
 
 
-def test_gravity_that_is_none_is_told_with_the_axis_remap():
+def test_gravity_that_is_none_is_reported_with_the_axis_remap():
     still = [replace(INPUTS.imu[0], gravity_m_s2=np.array([0.0, 0.0, 4.0]))]
     assert look("imu", still)["gravity"].remedy == "check the axis remap"
 
 
-def test_motion_capture_that_is_late_is_told():
+def test_motion_capture_that_is_late_is_reported():
     frames = [replace(INPUTS.mocap[0], latency_s=0.2)]
     assert look("mocap", frames)["latency"].remedy == "use a wired network"
 
 
-def test_a_camera_without_texture_is_told():
+def test_a_camera_without_texture_is_reported():
     poses = [replace(INPUTS.tracker[0], confidence=1)]
     assert "texture" in look("tracker", poses)["confidence"].remedy
 
 
-def test_a_camera_of_other_firmware_is_told():
+def test_a_camera_of_other_firmware_is_reported():
     device = SimpleNamespace(identity=lambda: {"firmware": "0.2.0.100"})
     found = wrong(model_of(load_bench("emulated"), "tracker").check(watched("tracker", [], device)))
     assert 'tracker.firmware = ["0.2.0.100"]' in found["firmware"].remedy
 
 
-def test_hot_servos_are_told():
+def test_hot_servos_are_reported():
     health = replace(driving_record(0).inputs.health[0], temperature_c=np.full(8, 85.0))
     servos = SimpleNamespace(
         read=lambda: (), read_health=lambda: (health,), model=SimpleNamespace(low_supply_v=11.0)
@@ -73,7 +73,7 @@ def test_hot_servos_are_told():
     )
 
 
-def test_noisy_cells_are_told():
+def test_noisy_cells_are_reported():
     first = INPUTS.load_cells[0]
     samples = [replace(first, force_n=np.array([force_n, force_n])) for force_n in (10.0, 40.0)]
     table = LineCellsConfig(backend="emulated", port="hil://x")
@@ -81,7 +81,7 @@ def test_noisy_cells_are_told():
 
 
 @pytest.mark.parametrize(("fet_c", "level"), [(150.0, "failure"), (np.nan, "warning")])
-def test_a_hot_fan_and_one_that_does_not_report_are_told(fet_c, level):
+def test_a_hot_fan_and_one_that_does_not_report_are_reported(fet_c, level):
     stamp = INPUTS.imu[0].stamp
     sample = AdhesionSample(stamp, 20_000.0, 0.5, 10.0, 5.0, 24.0, fet_c, 30.0)
     table = kinds()["adhesion"].model("vesc").config(backend="emulated")
@@ -89,7 +89,7 @@ def test_a_hot_fan_and_one_that_does_not_report_are_told(fet_c, level):
     assert (found.level, found.remedy) == (level, "let it cool down; switch on status message 4")
 
 
-def test_a_package_that_breaks_its_promises_is_told_each_with_what_to_do():
+def test_a_package_that_breaks_its_promises_is_reported_each_with_what_to_do():
     first = INPUTS.tracker[0]
     late = replace(first.stamp, t_ns=10**12, host_ns=10**12 - 10**9)
     bad = replace(first, stamp=late, position_m=np.full(3, np.nan))

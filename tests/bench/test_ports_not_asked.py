@@ -120,7 +120,7 @@ def test_drivers_of_one_program_share_a_port_and_keep_other_programs_out(port):
     exclusive.close()
 
 
-@pytest.mark.parametrize("alone", ["by its bench file", "since nobody says that the robot stands"])
+@pytest.mark.parametrize("alone", ["by its bench file", "since no option says that the robot stands"])
 def test_nothing_is_written_to_a_port_that_is_left_alone(tmp_path, monkeypatch, capsys, port, alone):
     path, written = port
     monkeypatch.chdir(tmp_path)

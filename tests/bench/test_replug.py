@@ -8,8 +8,8 @@ import time
 import pytest
 
 import hil
+from hil.bench.loop_settings import fail_limits
 from hil.bench.reconnect import Reconnecting, reconnecting
-from hil.bench.settings import fail_limits
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock
@@ -34,7 +34,7 @@ class Plug(Sensor):
         self.tried += 1
         self.close()
         if not self.plugged:
-            raise self.raises("plug", "nobody there", remedy="plug it in")
+            raise self.raises("plug", "no device there", remedy="plug it in")
         self.handles += 1
         self.opened += 1
         self.port_gone = False
@@ -140,7 +140,7 @@ class Hands(MonotonicClock):
         return self.t_ns
 
 
-def test_where_nobody_waits_a_driver_that_gives_up_ends_the_run_in_its_own_words(plug):
+def test_without_waiting_a_driver_that_gives_up_ends_the_run_in_its_own_words(plug):
     before = threading.active_count()
     sensor = reconnecting({"plug": plug}, CLOCK, {"plug": 2.0})["plug"]
     sensor.open()
@@ -151,7 +151,7 @@ def test_where_nobody_waits_a_driver_that_gives_up_ends_the_run_in_its_own_words
     sensor.close()
 
 
-def test_where_nobody_waits_a_port_that_has_gone_is_opened_again_until_its_limit(plug):
+def test_without_waiting_a_port_that_has_gone_is_opened_again_until_its_limit(plug):
     clock = Hands()
     sensor = reconnecting({"plug": plug}, clock, {"plug": 2.0})["plug"]
     sensor.open()
@@ -223,8 +223,8 @@ def test_four_sensors_are_unplugged_while_hil_live_watches(tmp_path, capsys):
             *spec,
         ]
     )
-    told = json.loads(capsys.readouterr().out)
-    assert code == 0, told
+    reported = json.loads(capsys.readouterr().out)
+    assert code == 0, reported
     assert not [t for t in threading.enumerate() if t.name.endswith(" again")]
     records = list(read_cycles(recording))
     for name, (_, away_s) in faults.items():

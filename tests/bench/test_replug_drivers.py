@@ -38,30 +38,32 @@ def adapters(tmp_path, monkeypatch):
 
 def test_an_adapter_that_has_got_another_name_is_named_by_the_one_that_stays(adapters, tmp_path):
     gone = MicrostrainImu(MicrostrainConfig(port=str(tmp_path / "ttyUSB0")), CLOCK)
-    with pytest.raises(DeviceError, match="No such file") as told:
+    with pytest.raises(DeviceError, match="No such file") as reported:
         gone.open()
     (link,) = adapters.iterdir()
-    assert f"plugged in now: {link} (ttyUSB1): name the port by its link" in told.value.remedy
+    assert f"plugged in now: {link} (ttyUSB1): name the port by its link" in reported.value.remedy
     other = MicrostrainImu(MicrostrainConfig(port=str(adapters / "usb-FTDI_FT232R_OTHER-if00")), CLOCK)
-    with pytest.raises(DeviceError, match="No such file") as told:
+    with pytest.raises(DeviceError, match="No such file") as reported:
         other.open()
-    assert told.value.remedy.startswith("plug in the adapter with this serial number, or name another one")
-    assert str(link) in told.value.remedy
+    assert reported.value.remedy.startswith(
+        "plug in the adapter with this serial number, or name another one"
+    )
+    assert str(link) in reported.value.remedy
     link.unlink()
-    with pytest.raises(DeviceError, match="No such file") as told:
+    with pytest.raises(DeviceError, match="No such file") as reported:
         gone.open()
-    assert "`hil discover` lists ports" in told.value.remedy
+    assert "`hil discover` lists ports" in reported.value.remedy
 
 
 @contextlib.contextmanager
 def served(link):
     """An inertial unit at a terminal of its own, which `link` leads to until it hangs up."""
     world = World(TurningPlant(), seed=1)
-    face = SerialPty(SerialLine(world, MicrostrainChip(world)))
-    server = EmulationServer(world, CLOCK, {"imu": face})
+    transport = SerialPty(SerialLine(world, MicrostrainChip(world)))
+    server = EmulationServer(world, CLOCK, {"imu": transport})
     thread = threading.Thread(target=server.run)
     thread.start()
-    link.symlink_to(face.endpoint()["port"])
+    link.symlink_to(transport.endpoint()["port"])
     try:
         yield os.path.realpath(link)
     finally:
@@ -98,9 +100,9 @@ def test_a_port_that_is_gone_for_good_ends_the_run_with_what_is_plugged_in(adapt
     sensor = Reconnecting(MicrostrainImu(MicrostrainConfig(port=str(port)), CLOCK), CLOCK, patience_s=0.1)
     with served(port):
         sensor.open()
-    with pytest.raises(DeviceTimeoutError, match=r"its port has gone; it did not come back") as told:
+    with pytest.raises(DeviceTimeoutError, match=r"its port has gone; it did not come back") as reported:
         read_on(sensor)
-    assert "plugged in now: " in told.value.remedy
+    assert "plugged in now: " in reported.value.remedy
     sensor.close()
 
 

@@ -1,4 +1,4 @@
-"""A real robot that no motion capture sees has to be told where it stands."""
+"""A real robot that no motion capture sees has to be given where it stands."""
 
 import math
 import sys
@@ -63,8 +63,8 @@ def test_cameras_that_see_nothing_are_no_reason_to_believe_in_the_origin(blind):
     with pytest.raises(ConfigError, match="motion capture has not seen the robot"):
         bench.measured_pose(nothing)
     np.testing.assert_allclose(bench.measured_pose(np.ones((5, 3))), 1.0)
-    told = hil.open_bench(seen, overrides={"imu": None}, start_pose=(0.5, 1.0, 0.1))
-    np.testing.assert_allclose(told.measured_pose(nothing), (0.5, 1.0, 0.1))
+    reported = hil.open_bench(seen, overrides={"imu": None}, start_pose=(0.5, 1.0, 0.1))
+    np.testing.assert_allclose(reported.measured_pose(nothing), (0.5, 1.0, 0.1))
 
 
 def test_an_emulated_robot_is_where_its_environment_says():
@@ -101,7 +101,7 @@ def test_a_start_is_metres_and_radians_or_degrees(text, pose):
 
 
 @pytest.mark.parametrize("text", ["", "1,2", "1,2,3,4", "a,b,c", "1,2,nan", "inf,0,0", "1,2,deg"])
-def test_what_is_no_start_is_told_how_it_is_written(text):
+def test_what_is_no_start_names_how_it_is_written(text):
     with pytest.raises(UsageError, match="x,y,theta: m, m, rad"):
         start_question.parse_start(text)
 

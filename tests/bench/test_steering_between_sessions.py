@@ -53,18 +53,18 @@ def test_nothing_is_said_where_nothing_is_kept():
     assert not [f for f in examine(bench, watch_s=0.3) if f.check.endswith("against its servo")]
 
 
-def told(overrides, angle_rad):
+def reported(overrides, angle_rad):
     with open_bench("emulated_floor", seed=5, overrides=overrides, faults=slip(angle_rad)) as bench:
         records = bench.drive(WAY, hold_s=0.1).records
     return [e.message for r in records for e in r.events if e.source == "encoders"]
 
 
 def test_a_robot_that_is_to_move_says_what_has_slipped(kept):
-    assert told(kept, 0.0) == []
-    said = told(kept, 0.05)
+    assert reported(kept, 0.0) == []
+    said = reported(kept, 0.05)
     assert sum("slipped" in one for one in said) == 4
     with pytest.raises(SafetyStop, match="has slipped") as stop:
-        told(kept, 0.5)
+        reported(kept, 0.5)
     assert stop.value.reason == "horn_slip"
 
 

@@ -163,7 +163,7 @@ def test_a_look_at_a_robot_without_torque_waits_for_the_imu(moment):
         elif moment == "after a while":
             bench.clock.sleep_until_ns(bench.clock.now_ns() + 3_000_000_000)
     assert bench.held.state == "NOT HELD"
-    assert not bench.held.lost, "nobody has set it in motion"
+    assert not bench.held.lost, "it has not been set in motion"
 
 
 @pytest.mark.parametrize("mount", [turned(90.0, "z"), turned(15.0, "x")])

@@ -59,7 +59,7 @@ class _Robot:
     """Wheels (4, 2), m, radii, steering zeros and loads (4,) of a robot, how it slips and how it is driven.
 
     It is driven with steering zeros that it is believed to have, and a wheel turns by a share too little or
-    too much, which its encoder tells.
+    too much, which its encoder reports.
     """
 
     wheel_m: np.ndarray

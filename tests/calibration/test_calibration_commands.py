@@ -198,22 +198,22 @@ def test_copies_at_other_paths_count_once_and_are_named(data, tmp_path, capsys, 
     ("content", "said"),
     [("", "is empty"), ("# nothing\n", "is empty"), ('schema = 1\nname = "lab"\n', "is no")],
 )
-def test_what_is_no_calibration_file_is_told_in_one_line(data, tmp_path, capsys, content, said):
+def test_what_is_no_calibration_file_is_reported_in_one_line(data, tmp_path, capsys, content, said):
     path = tmp_path / "c.toml"
     path.write_text(content)
     assert main(["evaluate", str(data), "--calibration", str(path)]) == 2
-    told = capsys.readouterr().err
-    assert f"{path}: {said}" in told
-    assert "expected a file that hil calibrate --out FILE wrote" in told
-    assert told.count("\n") == 1
+    reported = capsys.readouterr().err
+    assert f"{path}: {said}" in reported
+    assert "expected a file that hil calibrate --out FILE wrote" in reported
+    assert reported.count("\n") == 1
 
 
 def test_one_recording_has_no_standard_errors(data, capsys):
     words = ["calibrate", str(data / "circle_cw_1.csv"), "--no-validation", "--model", "exact"]
     assert main(words) == 0
-    told = capsys.readouterr().out
-    assert "no standard errors from one recording" in told
-    assert "nan" not in told
+    reported = capsys.readouterr().out
+    assert "no standard errors from one recording" in reported
+    assert "nan" not in reported
     code, found = run_json(capsys, *words)
     assert (code, found["std"]["r_m"]) == (0, [None] * 4)
 
@@ -268,13 +268,13 @@ def test_a_robot_of_other_proportions_is_calibrated_with_its_bench_file(small, t
     assert read_calibration(out).nominal.r_m == (0.04,) * 4
 
 
-def test_without_the_bench_file_another_robot_is_told_apart(small, tmp_path, capsys):
+def test_without_the_bench_file_another_robot_is_distinguished(small, tmp_path, capsys):
     _, data = small
     assert main(["calibrate", str(data)]) == 2
-    told = capsys.readouterr().err
-    assert "the geometry does not fit the recordings" in told
-    assert "--bench" in told
-    assert "built-in CAD" in told
+    reported = capsys.readouterr().err
+    assert "the geometry does not fit the recordings" in reported
+    assert "--bench" in reported
+    assert "built-in CAD" in reported
     code, table = run_json(capsys, "evaluate", data)
     assert code == 0
     assert any("--bench" in line for line in table["warnings"])
@@ -342,7 +342,7 @@ def outputs(data):
     "command", ["demo-data", "evaluate --plots", "calibrate --plots", "calibrate --out", "tune --out"]
 )
 def test_what_cannot_be_written_is_named_before_the_work(data, tmp_path, capsys, monkeypatch, command):
-    """On a file, below a file, where nobody may write: exit 2, the path, no traceback, nothing left."""
+    """On a file, below a file, without write access: exit 2, the path, no traceback, nothing left."""
     words, option, targets = outputs(data)[command]
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").write_text("kept")
@@ -353,10 +353,10 @@ def test_what_cannot_be_written_is_named_before_the_work(data, tmp_path, capsys,
         path = target.format(proc="/proc/self") if "{" in target else str(tmp_path / target)
         capsys.readouterr()
         assert main([*words, *([option] if option else []), path]) == 2, target
-        told = capsys.readouterr()
-        assert path in told.err
-        assert "Traceback" not in told.err
-        assert told.out == ""
+        reported = capsys.readouterr()
+        assert path in reported.err
+        assert "Traceback" not in reported.err
+        assert reported.out == ""
     assert worked == []
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["file", "folder"]
     assert (tmp_path / "file").read_text() == "kept"
@@ -391,8 +391,8 @@ def test_nothing_is_half_written(tmp_path, capsys, monkeypatch):
     for folder, left in (("new", None), ("old", ["mine.txt"])):
         written.clear()
         assert main(["demo-data", str(tmp_path / folder), "--repetitions", "1"]) == 2
-        told = capsys.readouterr().err
-        assert f"{tmp_path / folder}: cannot be written (No space left on device)" in told
+        reported = capsys.readouterr().err
+        assert f"{tmp_path / folder}: cannot be written (No space left on device)" in reported
         assert not (tmp_path / folder).exists() if left is None else os.listdir(tmp_path / folder) == left
 
 
@@ -407,10 +407,10 @@ SMALL_SET = ("--motions", "line_x,line_y", "--repetitions", "1")
 def test_generated_recordings_neither_replace_nor_join_those_of_a_user(tmp_path, capsys, name):
     (tmp_path / name).write_text("mine")
     assert main(["demo-data", str(tmp_path), *SMALL_SET]) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert f"{tmp_path}: holds {name}, which" in told.err
-    assert "choose another folder" in told.err
+    reported = capsys.readouterr()
+    assert reported.out == ""
+    assert f"{tmp_path}: holds {name}, which" in reported.err
+    assert "choose another folder" in reported.err
     assert held(tmp_path) == {name: b"mine"}
 
 

@@ -15,7 +15,7 @@ from hil.calibration.synthetic import _springs, hidden_robot, make_set
 from hil.calibration.validation import table_of
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.robot.contact_laws import creep_motion
 from hil.robot.kinematics import WheelGeometry, projection, wheel_vectors
 
@@ -104,8 +104,8 @@ def test_hil_calibrate_lets_held_out_recordings_decide_and_says_so(monkeypatch):
     fit = result.fit
     again = left_out(recordings, fit.problem.blocks, result.setting, result.nominal, fit.solution.z, [0, 1])
     assert result.validation["leave_one_repetition_out"] == table_of(again)
-    told = result.to_json()["forward_models"]
-    assert told["best"] == min(told["held_out_rmse_m"], key=told["held_out_rmse_m"].get)
+    reported = result.to_json()["forward_models"]
+    assert reported["best"] == min(reported["held_out_rmse_m"], key=reported["held_out_rmse_m"].get)
     assert result.choice.best.setting.model == result.setting.model == "dry-friction"
     asked = make_setting("recommended", model="exact")
     assert calibrate(recordings, asked, MonotonicClock()).choice is None

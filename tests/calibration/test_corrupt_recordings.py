@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from hil.calibration.calibration_file import read_calibration
-from hil.calibration.corrupt import corrupt
+from hil.calibration.corrupt_recordings import corrupt
 from hil.calibration.synthetic import MOTIONS, hidden_robot, make_set
 from hil.cli import main
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import read_recordings
 from tests.calibration.spoilt_sets import KINDS, make_drives
 from tests.selected import every
@@ -34,8 +34,8 @@ def spoilt(drives):
 def hil(capsys, *words):
     capsys.readouterr()
     code = main([*map(str, words), "--json"])
-    told = capsys.readouterr()
-    return code, json.loads(told.out), told.err
+    reported = capsys.readouterr()
+    return code, json.loads(reported.out), reported.err
 
 
 @pytest.mark.parametrize("kind", every(2, KINDS))
@@ -89,9 +89,9 @@ def test_a_calibration_is_what_it_is_without_the_recording_that_it_names(tmp_pat
                 one.write(tmp_path / name)
     out = tmp_path / "calibration.toml"
     words = ["--model", "exact", "--no-validation"]
-    told = {name: hil(capsys, "calibrate", tmp_path / name, *words) for name in ("with", "without")}
-    assert (told["with"][0], told["without"][0]) == (code, 0)
-    found, alone = told["with"][1], told["without"][1]
+    reported = {name: hil(capsys, "calibrate", tmp_path / name, *words) for name in ("with", "without")}
+    assert (reported["with"][0], reported["without"][0]) == (code, 0)
+    found, alone = reported["with"][1], reported["without"][1]
     for key in ("parameters", "std", "cost_before", "cost_after", "recordings"):
         assert found[key] == alone[key], key
     (key,) = found["rejected"]
@@ -99,7 +99,7 @@ def test_a_calibration_is_what_it_is_without_the_recording_that_it_names(tmp_pat
     assert found["rejected_because"][key]
     assert found["weights"][key] == 0.0
     assert any(line.startswith(f"{key}: left out: ") for line in found["warnings"])
-    assert f"warning: {key}: left out: " in told["with"][2]
+    assert f"warning: {key}: left out: " in reported["with"][2]
     assert main(["calibrate", str(tmp_path / "with"), *words, "--out", str(out)]) == code
     assert bad in capsys.readouterr().out
     assert set(read_calibration(out).recordings) == {one.name for one in drives if not one.spoilt}
@@ -112,17 +112,17 @@ def mirror(one):
 def test_where_most_recordings_are_mirrored_they_are_refused(tmp_path, capsys):
     for one in make_drives(321):
         mirror(one).write(tmp_path)
-    code, told, _ = hil(capsys, "calibrate", tmp_path, "--no-validation")
+    code, reported, _ = hil(capsys, "calibrate", tmp_path, "--no-validation")
     assert code == 2
-    assert "the wheels contradict the ground truth" in told["error"]["message"]
+    assert "the wheels contradict the ground truth" in reported["error"]["message"]
 
 
 def test_as_many_wrong_files_as_right_ones_are_refused(tmp_path, capsys):
     for k, one in enumerate(make_drives(322)[:8]):
         (one if k % 2 else replace(one, angle=np.degrees(one.angle))).write(tmp_path)
-    code, told, _ = hil(capsys, "calibrate", tmp_path, "--no-validation")
+    code, reported, _ = hil(capsys, "calibrate", tmp_path, "--no-validation")
     assert code == 2
-    assert "degrees" in told["error"]["message"]
+    assert "degrees" in reported["error"]["message"]
 
 
 def exchanged(one):
@@ -133,7 +133,7 @@ def exchanged(one):
 
 
 def test_wheels_in_another_order_throughout_are_no_fault_of_the_recordings_that_show_it():
-    """Lines do not show it: they are no witness against the curves."""
+    """Lines do not show it: they do not contradict the curves."""
     data = make_set(hidden_robot(5), 5, ("line_x", "line_y", *MOTIONS[2:4]), 2)
     assert corrupt([exchanged(one) for one in data], Nominal()) == {}
 

@@ -8,9 +8,9 @@ import pytest
 from hil.cli import main
 from hil.core.errors import DataError
 from hil.datasets.cleaning import Log
-from hil.datasets.coverage import covered
 from hil.datasets.dataset import build_recording
-from hil.datasets.nominal import Nominal
+from hil.datasets.drive_coverage import covered
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import write_plain
 from hil.datasets.read import read_recordings
 from hil.robot.kinematics import NOMINAL_RADIUS_M
@@ -155,9 +155,9 @@ def test_one_file_without_truth_at_its_end_is_refused_by_every_command(tmp_path,
     write_plain(path, driven(truth=(0.0, 6.0)))
     for command in (["evaluate"], ["calibrate", "--no-validation"], ["replay"], ["tune"]):
         assert main([*command, str(path)]) == 2
-        told = capsys.readouterr()
-        assert f"{path}: the wheels cover 20.0 s, the ground truth 6.0 s" in told.err, command
-        assert told.out == ""
+        reported = capsys.readouterr()
+        assert f"{path}: the wheels cover 20.0 s, the ground truth 6.0 s" in reported.err, command
+        assert reported.out == ""
 
 
 def test_halves_of_a_real_recording_are_refused_and_whole_ones_are_not(public_data, tmp_path):

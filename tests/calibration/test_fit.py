@@ -203,13 +203,13 @@ def test_injected_truth_on_twenty_seeds():
 
 
 def test_the_cross_validations_tell_how_far_all_of_them_are(recordings):
-    told = []
+    reported = []
     few = [r for r in recordings if r.motion in ("line_x", "line_y")]
     setting = replace(RECOMMENDED, model="exact", choose_model=False)
-    calibrate(few, setting, CLOCK, report=lambda *now: told.append(now))
-    whole = [(done, total) for what, done, total in told if what == WHOLE]
+    calibrate(few, setting, CLOCK, report=lambda *now: reported.append(now))
+    whole = [(done, total) for what, done, total in reported if what == WHOLE]
     assert whole == [(k, 8) for k in range(1, 9)]
-    assert ("paper leave one motion out", 2, 2) in told
+    assert ("paper leave one motion out", 2, 2) in reported
 
 
 def test_rigid_commands_determine_six_of_the_papers_twelve_parameters(recordings):

@@ -103,8 +103,8 @@ def test_a_run_ends_before_the_bench_is_opened(tmp_path, capsys):
     path.write_text(text("parameters.x_w_m.0", -0.1117))
     out = tmp_path / "out"
     assert main(["run", "latency", "--calibration", str(path), "--out", str(out), "--json"]) == 2
-    assert "c.toml" in (told := capsys.readouterr().err)
-    assert "parameters.x_w_m.0: -0.1117 m" in told
+    assert "c.toml" in (reported := capsys.readouterr().err)
+    assert "parameters.x_w_m.0: -0.1117 m" in reported
     assert not out.exists()
 
 

@@ -11,7 +11,7 @@ from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
 from hil.datasets.cleaning import Log
 from hil.datasets.dataset import build_recording
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import read_recordings
 from hil.robot.kinematics import WheelGeometry
 
@@ -99,12 +99,14 @@ def test_one_row_in_a_hundred_is_no_reason_to_blame_the_geometry():
 def test_a_leap_that_lasts_stays_and_is_named_with_its_time(by_m):
     clean, spoilt = line(shift(slice(1100, None), by_m))
     assert len(spoilt.truth_pose) == len(clean.truth_pose)
-    (told,) = spoilt.warnings()
-    assert told.startswith("line_x_1: 1 ground-truth leaps that last left as they are (first 11.0 s after")
-    assert "leave the recording out" in told
+    (reported,) = spoilt.warnings()
+    assert reported.startswith(
+        "line_x_1: 1 ground-truth leaps that last left as they are (first 11.0 s after"
+    )
+    assert "leave the recording out" in reported
 
 
-def test_the_time_of_a_leap_is_told_from_the_begin_of_the_ground_truth(clean):
+def test_the_time_of_a_leap_is_reported_from_the_begin_of_the_ground_truth(clean):
     pose = clean.truth_pose.copy()
     pose[1100:, :2] += 0.5
     spoilt = build_recording(

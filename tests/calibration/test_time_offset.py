@@ -1,4 +1,4 @@
-"""Clocks of wheels and ground truth that differ are told; those of the real recordings do not."""
+"""Clocks of wheels and ground truth that differ are reported; those of the real recordings do not."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.calibration.synthetic import OTHER_MOTIONS, hidden_robot, make_set
-from hil.calibration.warnings import told_by
+from hil.calibration.warnings import warnings_of
 from hil.cli import main
 from hil.datasets.plain_csv import write_plain
 from hil.datasets.read import read_recordings
@@ -26,7 +26,7 @@ def late(one, by_s):
 def test_an_offset_is_measured_to_hundredths_of_a_second(data, by_s):
     found = [time_offset_s(late(one, by_s)) for one in data]
     assert found == pytest.approx([by_s] * len(data), abs=0.03)
-    (line,) = told_by([late(one, by_s) for one in data])
+    (line,) = warnings_of([late(one, by_s) for one in data])
     assert f"moves {abs(by_s):.2f} s {'later' if by_s > 0 else 'earlier'} than the wheels" in line
 
 
@@ -34,10 +34,10 @@ def test_clocks_that_agree_are_not_mentioned(data):
     others = make_set(hidden_robot(3, contact="coulomb"), 3, OTHER_MOTIONS, 2, corrupted="arc_1")
     for one in (*data, *others):
         assert time_offset_s(one) == pytest.approx(0.0, abs=0.03)
-    assert told_by(data) == different_clocks(others) == []
+    assert warnings_of(data) == different_clocks(others) == []
 
 
-def test_a_robot_that_never_rests_or_never_moves_tells_nothing(data):
+def test_a_robot_that_never_rests_or_never_moves_reports_nothing(data):
     steady = data[0]
     inside = (steady.t_s > 5.0) & (steady.t_s < 15.0)
     cut = replace(

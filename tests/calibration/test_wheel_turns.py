@@ -1,4 +1,4 @@
-"""Whole turns of wheel angles: wraps are undone, gaps left alone, restarts and what nobody knows refused."""
+"""Whole turns of wheel angles: wraps are undone, gaps left alone, restarts and unknown turns refused."""
 
 import numpy as np
 import pytest
@@ -104,7 +104,7 @@ def test_wheel_rates_that_fit_no_number_of_turns_count_none():
 
 @pytest.mark.parametrize("seconds", [3.0, 4.0, 4.5, 5.0, 5.3, 6.0])
 def test_wheel_rates_that_change_in_a_long_gap_count_no_turns(seconds):
-    """The wheels stand before it and roll behind it, and nobody knows since when."""
+    """The wheels stand before it and roll behind it, and it is unknown since when."""
     t, angle, w, truth = drive((0.5, 0.5 + seconds), rates=True)
     with pytest.raises(DataError, match="how often the wheels turned meanwhile is unknown"):
         read(t, wrapped(angle), w, truth)

@@ -36,13 +36,13 @@ def test_terminal_data_and_page_say_which_setting_changed_nothing(tmp_path, monk
     options = ("--seeds", "0:2", "--vary", "used=1,2", "--vary", "idle=3,4,5", "--workers", "0")
     assert main(["campaign", "idle.py", *options, "--keep", "results", "--out", "o"]) == 0
     said = capsys.readouterr().out
-    told = "idle: 3, 4, 5 gave the same values in every run, to the last bit"
-    assert told in said
+    reported = "idle: 3, 4, 5 gave the same values in every run, to the last bit"
+    assert reported in said
     assert "used: " not in said
     assert json.loads((tmp_path / "o" / "campaign.json").read_text())["alike"] == [
         {"key": "idle", "values": ["3", "4", "5"]}
     ]
-    assert told in (tmp_path / "o" / "campaign.html").read_text()
+    assert reported in (tmp_path / "o" / "campaign.html").read_text()
 
 
 def test_only_the_values_that_are_alike_in_every_run_are_named():

@@ -99,7 +99,7 @@ class Cluster:
 
     def start(self, *options):
         """The scheduler; its address comes from a file."""
-        told = self.folder / "scheduler.json"
+        reported = self.folder / "scheduler.json"
         self.scheduler = self._start(
             "scheduler",
             "distributed.cli.dask_scheduler",
@@ -109,13 +109,13 @@ class Cluster:
             "0",
             "--no-dashboard",
             "--scheduler-file",
-            str(told),
+            str(reported),
             *options,
         )
         deadline = time.monotonic() + 60
-        while not (told.exists() and told.read_text().endswith("}")) and time.monotonic() < deadline:
+        while not (reported.exists() and reported.read_text().endswith("}")) and time.monotonic() < deadline:
             time.sleep(0.05)
-        self.address = json.loads(told.read_text())["address"]
+        self.address = json.loads(reported.read_text())["address"]
         return self
 
     def worker(self, name, preload, *hidden):
@@ -245,15 +245,15 @@ def names(folder):
 @pytest.mark.long
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
-    ("preload", "told"),
+    ("preload", "reported"),
     [(None, "has no workers"), (OTHER, "has hil 0.0.7, this computer"), (BLIND, "")],
     ids=["none", "other version", "same"],
 )
-def test_a_cluster_of_another_make_is_refused(cluster, here, capsys, preload, told):
+def test_a_cluster_of_another_make_is_refused(cluster, here, capsys, preload, reported):
     if preload is not None:
         cluster.worker("one", preload, here)
     code, _, said = campaign(capsys, "--seeds", "0", "--scheduler", cluster.address, "--out", "far")
-    assert (code, told in said) == (2 if told else 0, True), said
+    assert (code, reported in said) == (2 if reported else 0, True), said
 
 
 @pytest.mark.long

@@ -88,9 +88,9 @@ def test_results_alone_are_the_same_without_recordings_and_figures(campaign, tmp
     assert "--keep" not in rows["results"]["command"]
     left = {k: {p.suffix for p in (tmp_path / k).rglob("*") if p.is_file()} for k in rows}
     assert left["all"] - left["results"] == {".mcap", ".svg"}
-    told = json.loads((tmp_path / "results/runs/seed=3/result.json").read_text())
-    assert told["recordings"] == []
-    assert "--keep results" in "".join(told["notes"])
+    reported = json.loads((tmp_path / "results/runs/seed=3/result.json").read_text())
+    assert reported["recordings"] == []
+    assert "--keep results" in "".join(reported["notes"])
     assert "not kept" in (tmp_path / "results/runs/seed=3/report.html").read_text()
 
 
@@ -177,7 +177,7 @@ def test_a_run_that_lacked_room_is_run_again(campaign, tmp_path):
     assert (code, tree["verdicts"]) == (0, {"PASS": 1})
 
 
-def test_who_resumes_with_files_that_have_changed_is_refused_and_told_which(campaign, tmp_path):
+def test_who_resumes_with_files_that_have_changed_is_refused_with_their_names(campaign, tmp_path):
     profile = resources.files("hil.config.profiles").joinpath("emulated.toml").read_text()
     (tmp_path / "bench.toml").write_text(profile)
     options = ("--bench", "bench.toml", "--workers", "0", "--keep", "results", "--out", "o")
@@ -253,7 +253,7 @@ def test_the_terminal_names_runs_that_ended_in_an_error_and_why(script, capsys):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "reported"),
     [
         (("--vary", "speed=1,2"), "speed: unknown parameter"),
         (("--set", "gain=much"), "gain"),
@@ -274,10 +274,10 @@ def test_the_terminal_names_runs_that_ended_in_an_error_and_why(script, capsys):
         (("--vary", "bench.loop.rate_hz=100,100.0"), "bench.loop.rate_hz=100.0 are the same setting"),
     ],
 )
-def test_what_cannot_run_is_refused_before_anything_runs(campaign, tmp_path, options, told):
+def test_what_cannot_run_is_refused_before_anything_runs(campaign, tmp_path, options, reported):
     code, tree, said = campaign("--workers", "0", "--out", "o", *options)
     assert (code, tree["error"]["exit_code"]) == (2, 2)
-    assert told in said
+    assert reported in said
     assert not (tmp_path / "o").exists()
 
 

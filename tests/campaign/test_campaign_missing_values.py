@@ -33,7 +33,7 @@ def holes(tmp_path, monkeypatch, capsys):
     return tmp_path / "o", capsys.readouterr().out
 
 
-def test_the_terminal_says_of_how_many_runs_a_range_tells(holes):
+def test_the_terminal_says_how_many_runs_a_range_covers(holes):
     folder, said = holes
     (two,) = [line for line in said.splitlines() if line.startswith("  two ")]
     assert two.endswith("[0 to 6] in 3 of 9 runs; 1 ended before, 3 never measured, 2 no finite number")

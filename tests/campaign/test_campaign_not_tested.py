@@ -1,4 +1,4 @@
-"""A fault that never acted is not withstood: such a run counts as neither good nor bad, and is told."""
+"""A fault that never acted is not withstood: such a run counts as neither good nor bad, and is reported."""
 
 import csv
 import errno
@@ -126,7 +126,7 @@ def test_a_run_that_left_no_result_is_lost_and_counts_as_neither_good_nor_bad(
     assert (code, "4 runs, 100 % good (95 %" in said) == (0, True), said
 
 
-def test_lost_runs_and_faults_that_never_acted_are_told_apart(campaign, monkeypatch):
+def test_lost_runs_and_faults_that_never_acted_are_distinguished(campaign, monkeypatch):
     no_room_for(monkeypatch, 0)
     code, said = campaign("--seeds", "0:4", "--set", "bench.name=a", "--fault", "tracker:off@2")
     assert code == 4

@@ -121,15 +121,16 @@ def test_what_a_script_prints_is_no_part_of_the_json_object(campaign, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"), [("hil_sources", "was begun with hil_sources"), ("numba", "was begun with numba")]
+    ("changed", "reported"),
+    [("hil_sources", "was begun with hil_sources"), ("numba", "was begun with numba")],
 )
-def test_other_versions_do_not_go_on_with_it(campaign, tmp_path, monkeypatch, changed, told):
+def test_other_versions_do_not_go_on_with_it(campaign, tmp_path, monkeypatch, changed, reported):
     (tmp_path / "plain.py").write_text(PLAIN)
     assert campaign("plain.py", "--seeds", "0", "--out", "o")[0] == 0
     here = versions.make()
     monkeypatch.setattr("hil.procedure.campaign.plan_file.make", lambda: {**here, changed: "another"})
     code, _, said = campaign("plain.py", "--seeds", "0:2", "--out", "o", "--resume")
-    assert (code, told in said) == (2, True), said
+    assert (code, reported in said) == (2, True), said
 
 
 def test_the_digest_of_the_package_holds_the_shipped_procedures(tmp_path, monkeypatch):

@@ -74,7 +74,7 @@ def test_a_mistyped_fault_is_refused_before_anything_is_opened(refused, unopened
 
 
 @pytest.mark.parametrize(
-    ("rows", "told"),
+    ("rows", "reported"),
     [
         ("0,0,0\n0,0,0\n", "line 3 repeats the waypoint before it"),
         ("0,0,0\n1e9,0,0\n", "line 3 holds 1e+09, 0, 0"),
@@ -84,18 +84,18 @@ def test_a_mistyped_fault_is_refused_before_anything_is_opened(refused, unopened
     ],
 )
 def test_waypoints_that_cannot_be_driven_are_refused_before_the_bench_opens(
-    refused, unopened, tmp_path_factory, rows, told
+    refused, unopened, tmp_path_factory, rows, reported
 ):
     path = tmp_path_factory.mktemp("given") / "way.csv"
     path.write_text("x,y,theta\n" + rows)
     said = refused("live", "--trajectory", path)
-    assert told in said
+    assert reported in said
     assert str(path) in said
 
 
 @pytest.mark.parametrize("way", [[], ["--dry-run"]])
 @pytest.mark.parametrize(
-    ("declared", "told"),
+    ("declared", "reported"),
     [
         (
             'parameters={"y": 0.0, "x": 0.2}',
@@ -107,7 +107,7 @@ def test_waypoints_that_cannot_be_driven_are_refused_before_the_bench_opens(
     ],
 )
 def test_a_declaration_that_means_nothing_is_refused_by_its_file(
-    refused, unopened, tmp_path_factory, way, declared, told
+    refused, unopened, tmp_path_factory, way, declared, reported
 ):
     path = tmp_path_factory.mktemp("given") / "mine.py"
     path.write_text(
@@ -115,7 +115,7 @@ def test_a_declaration_that_means_nothing_is_refused_by_its_file(
         f'@procedure(name="mine", {declared})\ndef run(ctx):\n    pass\n'
     )
     said = refused("run", path, *way)
-    assert told in said
+    assert reported in said
     assert str(path) in said
 
 

@@ -50,7 +50,7 @@ EMPTY_IS_FINE = {("empty", "answers"), ("a_folder", "where")}
 
 
 class Hasty(MonotonicClock):
-    """Nobody waits: what is waited for has passed."""
+    """A wait that returns at once."""
 
     def __init__(self):
         self._slept_ns = 0
@@ -111,12 +111,12 @@ def base(world, tmp_path, monkeypatch):
     """Good values for what a command needs, by its name; a new command gets names of nothing."""
     monkeypatch.chdir(tmp_path)
 
-    def nobody(self):
+    def no_stages(self):
         raise DeviceError("the robot", "is not commissioned in this test")
 
-    monkeypatch.setattr("hil.procedure.commission.run._Running.all", nobody)
+    monkeypatch.setattr("hil.procedure.commission.run._Running.all", no_stages)
 
-    monkeypatch.setattr("hil.procedure.acceptance._Running.all", nobody)
+    monkeypatch.setattr("hil.procedure.acceptance._Running.all", no_stages)
 
     def no_run(cell, bench):
         return lost(cell, "is not run in this test")
@@ -227,7 +227,7 @@ def test_a_wrong_value_is_answered_with_a_code_and_its_name(words, parameter, wo
     for value, refused in wrong_values(parameter, world):
         code, _, said = call(*words, *line(command, {**good, parameter.name: value}))
         names = (str(value), parameter.name, *parameter.opts)
-        told = code in (2, 3) and any(n and n.lower() in said.lower() for n in names)
-        if code not in (0, 1, 2, 3, 4) or "Traceback" in said or (refused and not told):
+        reported = code in (2, 3) and any(n and n.lower() in said.lower() for n in names)
+        if code not in (0, 1, 2, 3, 4) or "Traceback" in said or (refused and not reported):
             wrong_answers.append((str(value), code, said[-300:]))
     assert wrong_answers == []

@@ -76,7 +76,7 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("name", every(6, [name for name in COMMANDS if name != "live"]))
-def test_a_command_that_only_reports_ends_with_what_it_found_whoever_reads(folder, name):
+def test_a_command_that_only_reports_ends_with_what_it_found_whether_or_not_it_is_read(folder, name):
     code, *_ = hil(folder, *COMMANDS[name])
     assert code == (3 if name == "sick doctor" else 0)
     without, _, errors = hil(folder, *COMMANDS[name], output="gone")
@@ -90,7 +90,7 @@ def test_a_command_with_the_robot_in_hand_whose_reader_has_gone_ends_with_4(fold
     code, _, errors = hil(folder, "live", "--bench", "bench.toml", "--duration", "0.5", output="gone")
     assert code == 4
     assert "the output cannot be written any more (Broken pipe)" in errors
-    assert "not needed: on the floor" in errors, "how the robot was left is said where somebody may read it"
+    assert "not needed: on the floor" in errors, "how the robot was left is said where it can be read"
 
 
 @pytest.mark.parametrize(("name", "stream"), [("info", "output"), ("live", "output"), ("evaluate", "errors")])
@@ -104,7 +104,7 @@ def test_a_command_without_a_stream_does_not_begin(folder, name, stream):
 @pytest.mark.long
 def test_a_run_whose_reader_has_gone_leaves_everything(folder):
     code, _, errors = hil(folder, "run", "short.py", "--out", "gone", output="gone")
-    assert code == 0  # the verdict stood before it was told
+    assert code == 0  # the verdict stood before it was reported
     assert "\nHELD: " in errors
     result = json.loads((folder / "gone" / "result.json").read_text())
     assert (result["verdict"], result["exit_code"]) == ("PASS", 0)
@@ -114,7 +114,7 @@ def test_a_run_whose_reader_has_gone_leaves_everything(folder):
     assert json.loads((folder / "gone" / "journal.jsonl").read_text().splitlines()[-1])["kind"] == "end"
 
 
-def test_a_run_whose_progress_nobody_reads_is_aborted_with_the_robot_held(folder):
+def test_a_run_whose_progress_is_not_read_is_aborted_with_the_robot_held(folder):
     command = [sys.executable, "-m", "hil.cli", "run", "short.py", "--out", "quiet"]
     with subprocess.Popen(
         command, cwd=folder, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True

@@ -55,9 +55,9 @@ def test_the_form_of_a_procedure_says_what_its_parameters_accept(offered, name):
 
 def test_the_help_of_a_run_says_why_a_script_cannot_be_read(capsys):
     assert main(["run", "brng_up", "--help"]) == 0
-    told = capsys.readouterr().out
-    assert "did you mean bring_up?" in told
-    assert "--realtime" in told
+    reported = capsys.readouterr().out
+    assert "did you mean bring_up?" in reported
+    assert "--realtime" in reported
 
 
 def test_what_is_filled_in_becomes_the_words_of_the_command(offered):
@@ -198,9 +198,9 @@ def test_a_console_that_ends_in_order_takes_the_button_with_it(place, capsys, mo
     seen = []
 
     def ended(seconds, sleep=jobs.time.sleep):
-        told = read(place / "out" / "console" / PAGE)
-        if told and not seen:
-            seen.append(told)
+        reported = read(place / "out" / "console" / PAGE)
+        if reported and not seen:
+            seen.append(reported)
             os.kill(os.getpid(), 2)
         sleep(seconds)
 

@@ -15,8 +15,8 @@ class Compiled(event.Listener):
     def __init__(self):
         self.names = []
 
-    def on_start(self, told):
-        self.names.append(told.data["dispatcher"].py_func.__qualname__)
+    def on_start(self, reported):
+        self.names.append(reported.data["dispatcher"].py_func.__qualname__)
 
     def on_end(self, _):
         pass
@@ -24,8 +24,8 @@ class Compiled(event.Listener):
 
 def test_a_run_after_it_compiles_nothing(capsys):
     assert main(["info", "--compile", "--json"]) == 0
-    told = capsys.readouterr()
-    assert json.loads(told.out)["hil"]
+    reported = capsys.readouterr()
+    assert json.loads(reported.out)["hil"]
     with event.install_listener("numba:compile", listener := Compiled()), open_bench("emulated") as bench:
         bench.drive(line((0.0, 0.0, 0.0), (0.01, 0.0, 0.0), duration_s=1.0), feedback="ekf")
     assert listener.names == []

@@ -50,18 +50,18 @@ def one_object(capsys):
 def test_every_command_answers_a_mistake_with_one_object(tmp_path, monkeypatch, capsys, command):
     monkeypatch.chdir(tmp_path)
     code = main([command, *WRONG[command], "--json"])
-    told = one_object(capsys)["error"]
-    assert set(told) == {"message", "expected", "remedy", "exit_code", "frames"}
-    assert told["message"]
-    assert told["exit_code"] == code == 2
+    reported = one_object(capsys)["error"]
+    assert set(reported) == {"message", "expected", "remedy", "exit_code", "frames"}
+    assert reported["message"]
+    assert reported["exit_code"] == code == 2
 
 
-def test_the_parts_of_an_error_are_told_apart(capsys):
+def test_the_parts_of_an_error_are_distinguished(capsys):
     assert main(["run", "latency", "--bench", "emulatd", "--json"]) == 2
-    told = one_object(capsys)["error"]
-    assert told["message"] == "bench 'emulatd' is neither a file nor a shipped profile"
-    assert told["expected"].startswith("a path to a .toml file")
-    assert told["remedy"] == "did you mean emulated?"
+    reported = one_object(capsys)["error"]
+    assert reported["message"] == "bench 'emulatd' is neither a file nor a shipped profile"
+    assert reported["expected"].startswith("a path to a .toml file")
+    assert reported["remedy"] == "did you mean emulated?"
 
 
 @pytest.mark.parametrize(

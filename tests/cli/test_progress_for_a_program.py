@@ -9,7 +9,7 @@ import pytest
 from hil.cli import main
 
 SCRIPT = '''
-"""Asks, stands, and says what it was told."""
+"""Asks, stands, and says the answers."""
 from hil.procedure import procedure
 
 

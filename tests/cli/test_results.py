@@ -49,8 +49,8 @@ def test_the_list_says_what_ran_where_with_which_verdict_and_figures(place, caps
     assert {"PASS", "idle", "emulated", "(emulated)"} <= set(row.split())
     assert "width 5 mm (at most 6)" in out
     assert "written by another version of hil (schema 2; this one reads 1)" in out
-    told = json.loads(call(capsys, "list", "--json", "--verdict", "pass")[1])
-    assert [(r["name"], r["measurements"]) for r in told["results"]] == [("idle/one", {"width": 5.0})]
+    reported = json.loads(call(capsys, "list", "--json", "--verdict", "pass")[1])
+    assert [(r["name"], r["measurements"]) for r in reported["results"]] == [("idle/one", {"width": 5.0})]
 
 
 def test_of_a_run_that_broke_off_the_list_says_why(place, capsys):
@@ -101,7 +101,7 @@ def test_trends_of_a_folder_without_runs_write_no_page(tmp_path, capsys):
     }
 
 
-def test_a_path_that_is_refused_is_told_without_numbers_of_the_system(tmp_path, capsys, monkeypatch):
+def test_a_path_that_is_refused_is_reported_without_numbers_of_the_system(tmp_path, capsys, monkeypatch):
     with pytest.raises(
         DataError, match=r"cannot be written \(Permission denied\); choose a folder that you may"
     ):
@@ -111,9 +111,11 @@ def test_a_path_that_is_refused_is_told_without_numbers_of_the_system(tmp_path, 
     said = capsys.readouterr().err
     assert "nope: cannot be read (No such file or directory)" in said
     assert "Errno" not in said
-    with pytest.raises(DataError, match=r"cannot be written \(No such file or directory\); choose") as told:
+    with pytest.raises(
+        DataError, match=r"cannot be written \(No such file or directory\); choose"
+    ) as reported:
         write_table([], tmp_path / "none" / "x.csv", "csv")
-    assert "Errno" not in str(told.value)
+    assert "Errno" not in str(reported.value)
 
     def denied(*_args, **_keys):
         raise PermissionError(errno.EACCES, "Permission denied")
@@ -143,8 +145,8 @@ def test_trends_write_a_page_and_a_gate_for_ci(place, capsys):
     assert "width drifts by +0.01 mm a run" in out
     assert (place / "out" / "trends.html").stat().st_size > 4000
     assert call(capsys, "trends", "--strict", "--out", "elsewhere.html")[0] == 1
-    told = json.loads(call(capsys, "trends", "--json")[1])
-    assert told["groups"][0]["measurements"][0]["state"] == "drifting"
+    reported = json.loads(call(capsys, "trends", "--json")[1])
+    assert reported["groups"][0]["measurements"][0]["state"] == "drifting"
 
 
 def test_nothing_is_deleted_unless_it_is_confirmed(place, capsys, monkeypatch):
@@ -168,11 +170,11 @@ def test_without_a_question_only_whole_names_of_our_own_are_deleted(place, capsy
         code, _, said = call(capsys, "delete", name, "--yes")
         assert code == 2
         assert why in said
-    told = call(capsys, "delete", "idle/one", "--yes", "--json")[1]
-    assert told == '{"deleted": ["idle/one"], "stays": {}}\n'
+    reported = call(capsys, "delete", "idle/one", "--yes", "--json")[1]
+    assert reported == '{"deleted": ["idle/one"], "stays": {}}\n'
 
 
-def test_a_folder_without_results_is_told(place, capsys):
+def test_a_folder_without_results_is_reported(place, capsys):
     (place / "empty").mkdir()
     assert "nothing in empty fits" in call(capsys, "list", "--in", "empty")[1]
     code, _, said = call(capsys, "list", "--in", "absent")

@@ -1,4 +1,4 @@
-"""What nobody foresaw: a traceback for the bug report, exit code 4, one JSON object; and two causes of it."""
+"""Unexpected exceptions: a traceback for the bug report, exit code 4, one JSON object; and two causes."""
 
 import json
 import subprocess
@@ -50,18 +50,18 @@ def folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("raised", [KeyError("lost"), SystemExit(0), GeneratorExit()], ids=repr)
-def test_an_exception_that_nobody_foresaw_is_a_defect(raised, monkeypatch, capsys):
+def test_an_unexpected_exception_is_a_defect(raised, monkeypatch, capsys):
     def failing(*args, **kwargs):
         raise raised
 
     monkeypatch.setattr(benches, "open_emulation", failing)
     assert main(["emulate", "--json"]) == 4
     said = capsys.readouterr()
-    told = json.loads(said.out)["error"]
+    reported = json.loads(said.out)["error"]
     name = type(raised).__name__
-    assert told["message"].startswith(name)
-    assert told["message"].endswith("a defect of this program")
-    assert told["exit_code"] == 4
+    assert reported["message"].startswith(name)
+    assert reported["message"].endswith("a defect of this program")
+    assert reported["exit_code"] == 4
     assert "Traceback" in said.err
     *_, last = said.err.splitlines()
     assert last.startswith(f"hil: {name}")
@@ -74,9 +74,9 @@ def test_a_name_that_no_file_can_have_is_refused_in_a_line(case, folder, capsys,
     before = sorted(p.name for p in folder.iterdir())
     assert main([*NAMED[case], "--json"]) == 2
     said = capsys.readouterr()
-    told = json.loads(said.out)["error"]
-    assert LONG in told["message"]
-    assert told["remedy"] == "choose a shorter name"
+    reported = json.loads(said.out)["error"]
+    assert LONG in reported["message"]
+    assert reported["remedy"] == "choose a shorter name"
     assert "Traceback" not in said.err
     assert len(said.err.splitlines()) == 1
     assert sorted(p.name for p in folder.iterdir()) == before
@@ -147,12 +147,12 @@ if {where!r} == "load":
 """)
     assert main(["run", "bad.py", "--out", "out", "--json"]) == 2
     said = capsys.readouterr()
-    told = json.loads(said.out)
+    reported = json.loads(said.out)
     assert "Traceback" not in said.err
     if where in ("load", "measurements"):
-        assert "bad.py" in told["error"]["message"]
+        assert "bad.py" in reported["error"]["message"]
     else:
-        assert told["verdict"] == "ERROR"
-        found = told["error"] or told["teardown_errors"][0]
+        assert reported["verdict"] == "ERROR"
+        found = reported["error"] or reported["teardown_errors"][0]
         assert "(bad.py, line 5)" in found["message"]
-        assert told["held"]["state"] != "NOT HELD"
+        assert reported["held"]["state"] != "NOT HELD"

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from nobody import Nobody
+from absent_operator import AbsentOperator
 
 from hil.cli import main
 from hil.config import profiles
@@ -44,7 +44,7 @@ PROFILES = Path(profiles.__file__).parent
 
 
 def asked(folder, **changes):
-    given = {"source": SOURCE, "operator": Nobody(), "order": TINY, **changes}
+    given = {"source": SOURCE, "operator": AbsentOperator(), "order": TINY, **changes}
     return Commission(folder=folder, clock=MonotonicClock(), now=lambda: "2026-11-22T12:00:00+00:00", **given)
 
 
@@ -52,28 +52,28 @@ def asked(folder, **changes):
 def tiny(tmp_path_factory):
     folder = tmp_path_factory.mktemp("commission") / "out"
     said = []
-    told, code = commission(asked(folder, report=lambda *what: said.append(what)))
-    return folder, told, code, said
+    reported, code = commission(asked(folder, report=lambda *what: said.append(what)))
+    return folder, reported, code, said
 
 
 @pytest.mark.long
 def test_what_one_procedure_finds_the_next_one_uses(tiny):
-    _, told, code, _ = tiny
-    assert (told["verdict"], code, told["stopped"]) == ("PASS", 0, None), told
-    assert told["procedures"] == {"tracker_extrinsics": "PASS", "wall_ablation": "PASS"}
-    assert list(RobotRecord(Path(told["robot"])).read().parts) == ["camera"]
-    assert list(told["wall"]) == [NOTHING, EVERYTHING]
-    assert set(told["wall"][NOTHING]["x_line"]) >= {"end_m", "rmse_x_m", "rmse_y_m", "rmse_heading_rad"}
-    assert told["wall"][NOTHING] != told["wall"][EVERYTHING]
+    _, reported, code, _ = tiny
+    assert (reported["verdict"], code, reported["stopped"]) == ("PASS", 0, None), reported
+    assert reported["procedures"] == {"tracker_extrinsics": "PASS", "wall_ablation": "PASS"}
+    assert list(RobotRecord(Path(reported["robot"])).read().parts) == ["camera"]
+    assert list(reported["wall"]) == [NOTHING, EVERYTHING]
+    assert set(reported["wall"][NOTHING]["x_line"]) >= {"end_m", "rmse_x_m", "rmse_y_m", "rmse_heading_rad"}
+    assert reported["wall"][NOTHING] != reported["wall"][EVERYTHING]
 
 
 @pytest.mark.long
 def test_what_has_passed_is_not_repeated(tiny):
-    folder, told, _, _ = tiny
+    folder, reported, _, _ = tiny
     before = {p: p.stat().st_mtime_ns for p in folder.rglob("result.json")}
     again, code = commission(asked(folder, resume=True))
     assert code == 0
-    assert again["wall"] == told["wall"]
+    assert again["wall"] == reported["wall"]
     assert {p: p.stat().st_mtime_ns for p in folder.rglob("result.json")} == before
     with pytest.raises(ConfigError, match=r"differs in seed \(1 then, 2 now\)"):
         commission(asked(folder, resume=True, source=SOURCE.changed(seed=2)))
@@ -86,23 +86,23 @@ def test_what_has_passed_is_not_repeated(tiny):
 
 def test_the_first_failure_ends_it_with_what_to_do_and_resuming_goes_on_there(tmp_path):
     blind = replace(SOURCE, faults=("tracker:off@0",))
-    told, code = commission(asked(tmp_path / "out", source=blind))
-    assert (told["verdict"], code) == ("ERROR", 3)
-    assert list(told["procedures"]) == ["tracker_extrinsics"]
-    assert "hil commission --resume --out" in told["stopped"]["do"]
-    assert "tracker" in told["stopped"]["why"]
-    assert not Path(told["robot"]).exists()
-    assert told["stopped"]["report"].endswith("01_tracker_extrinsics/report.html")
-    assert "Stopped at tracker extrinsics" in Path(told["page"]).read_text()
+    reported, code = commission(asked(tmp_path / "out", source=blind))
+    assert (reported["verdict"], code) == ("ERROR", 3)
+    assert list(reported["procedures"]) == ["tracker_extrinsics"]
+    assert "hil commission --resume --out" in reported["stopped"]["do"]
+    assert "tracker" in reported["stopped"]["why"]
+    assert not Path(reported["robot"]).exists()
+    assert reported["stopped"]["report"].endswith("01_tracker_extrinsics/report.html")
+    assert "Stopped at tracker extrinsics" in Path(reported["page"]).read_text()
 
 
 @pytest.mark.long
 def test_a_procedure_that_does_not_pass_leaves_the_record_as_it_was(tmp_path):
     wrong = replace(SOURCE, faults=("tracker:wrong,scale=1.2",))
-    told, code = commission(asked(tmp_path / "out", source=wrong))
-    assert (told["verdict"], code) == ("FAIL", 1)
-    assert "scale" in told["stopped"]["why"]
-    assert not Path(told["robot"]).exists()
+    reported, code = commission(asked(tmp_path / "out", source=wrong))
+    assert (reported["verdict"], code) == ("FAIL", 1)
+    assert "scale" in reported["stopped"]["why"]
+    assert not Path(reported["robot"]).exists()
 
 
 def test_what_the_bench_lacks_is_left_out_and_said():
@@ -131,7 +131,7 @@ def test_on_the_floor_nothing_holds_the_robot_and_every_session_of_the_camera_is
     assert placed(STAGES[-1], 9, config) == {"emulation.tracker.session": 9}
 
 
-def test_signs_that_bring_up_found_are_told_from_those_believed(tmp_path):
+def test_signs_that_bring_up_found_are_distinguished_from_those_believed(tmp_path):
     config = load_bench("emulated")
     (tmp_path / "bench_fragment.toml").write_text(
         "[alignment]\ndrive_sign = [1, -1, 1, 1]\nsteer_sign = [1, 1, 1, 1]\n"
@@ -154,32 +154,32 @@ def test_the_command_refuses_what_cannot_be_meant(tmp_path, capsys):
 def test_a_robot_as_delivered_ends_within_8_mm(tmp_path, capsys, seed):
     """The whole quick form; `benchmarks/commissioned_robots.py` does it for many."""
     assert main(["commission", "--quick", "--seed", str(seed), "--out", str(tmp_path / "out"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    known, nothing = told["wall"][EVERYTHING], told["wall"][NOTHING]
+    reported = json.loads(capsys.readouterr().out)
+    known, nothing = reported["wall"][EVERYTHING], reported["wall"][NOTHING]
     assert known["x_line"]["end_m"] < 8e-3
     assert known["y_line"]["end_m"] < 5e-3
     assert known["x_line"]["rmse_heading_rad"] < 0.002
     assert known["x_line"]["end_m"] < nothing["x_line"]["end_m"]
-    assert set(told["procedures"].values()) <= {"PASS", "MARGINAL"}
+    assert set(reported["procedures"].values()) <= {"PASS", "MARGINAL"}
 
 
-def test_who_has_ended_it_is_told_how_it_goes_on_and_not_to_mend_anything(tmp_path):
+def test_an_ended_commissioning_names_how_it_goes_on_and_nothing_to_mend(tmp_path):
     interrupts = Interrupts()
 
     def strike(what, done, total):
         interrupts.handle(signal.SIGINT)
 
     with interrupts.deferred():
-        told, code = commission(asked(tmp_path / "out", interrupts=interrupts, report=strike))
-    assert (told["verdict"], code) == ("ABORTED", 4)
-    assert told["stopped"]["do"].startswith(f"hil commission --resume --out {tmp_path / 'out'}, with")
+        reported, code = commission(asked(tmp_path / "out", interrupts=interrupts, report=strike))
+    assert (reported["verdict"], code) == ("ABORTED", 4)
+    assert reported["stopped"]["do"].startswith(f"hil commission --resume --out {tmp_path / 'out'}, with")
 
 
 def test_a_signal_ends_it_while_a_person_is_asked_to_move_the_robot(tmp_path):
-    """Nobody answers then: a stop that waited for the answer would never come."""
+    """No operator answers then: a stop that waited for the answer would never come."""
     interrupts = Interrupts()
 
-    class Struck(Nobody):
+    class Struck(AbsentOperator):
         def ask(self, question):
             interrupts.handle(signal.SIGTERM)
             raise AssertionError("the question was waited for")
@@ -231,14 +231,18 @@ def test_anything_else_is_asked_again_and_from_a_file_ends_it():
         go_ahead(Says("banana", "yes"), "lift it, then press Enter")
 
 
-def test_a_robot_that_nobody_has_placed_is_not_driven(tmp_path, monkeypatch):
+def test_a_robot_that_was_not_placed_is_not_driven(tmp_path, monkeypatch):
     """ABORTED with its page, exit code 4, and nothing was opened."""
     monkeypatch.setattr(BenchSource, "real", ("servos",))
     monkeypatch.setattr(commission_run, "run_procedure", lambda *_: pytest.fail("something was run"))
-    told, code = commission(asked(tmp_path / "out", operator=Says("no")))
-    assert (told["verdict"], code, told["stopped"]["procedure"]) == ("ABORTED", 4, "tracker_extrinsics")
-    assert "'no' was the answer" in told["stopped"]["why"]
-    assert Path(told["page"]).is_file()
+    reported, code = commission(asked(tmp_path / "out", operator=Says("no")))
+    assert (reported["verdict"], code, reported["stopped"]["procedure"]) == (
+        "ABORTED",
+        4,
+        "tracker_extrinsics",
+    )
+    assert "'no' was the answer" in reported["stopped"]["why"]
+    assert Path(reported["page"]).is_file()
 
 
 CAMERA, ABLATION = TINY
@@ -306,12 +310,12 @@ def test_a_resumed_one_repeats_what_the_record_no_longer_holds_and_what_shows_it
     assert len(passing) == 3
     RobotRecord(folder / "robot").apply(1)
     said = []
-    told, code = commission(
+    reported, code = commission(
         asked(folder, order=three, resume=True, report=lambda what, *_: said.append(what))
     )
     assert (code, passing[3:]) == (0, ["tracker_extrinsics", "wall_ablation"])
     assert "tracker_extrinsics again: its part camera is no longer in the record" in said
-    why = {stage["name"]: stage.get("why", "") for stage in told["stages"]}
+    why = {stage["name"]: stage.get("why", "") for stage in reported["stages"]}
     assert why["steering_zero"] == ""
     assert "repeated: its part camera is no longer" in why["tracker_extrinsics"]
     assert "tracker_extrinsics is repeated" in why["wall_ablation"]
@@ -339,15 +343,15 @@ def test_what_was_left_out_is_run_once_the_bench_has_the_device(tmp_path, passin
     zero = (Stage("steering_zero", "floor", 1.0),)
     with_it = BenchSource(path, seed=1)
     path.write_text(text.replace('[encoders]\nbackend = "emulated"', ""))
-    told, _ = commission(asked(folder, order=zero, source=BenchSource(path, seed=1)))
-    assert (told["procedures"], passing) == ({"steering_zero": "SKIPPED"}, [])
+    reported, _ = commission(asked(folder, order=zero, source=BenchSource(path, seed=1)))
+    assert (reported["procedures"], passing) == ({"steering_zero": "SKIPPED"}, [])
     path.write_text(text)
     commission(asked(folder, order=zero, source=with_it, resume=True))
     assert passing == ["steering_zero"]
 
 
 def test_on_a_full_disk_it_ends_as_a_run_does(tmp_path, monkeypatch, capsys):
-    """Nothing can be kept: the verdict, how the robot was left and what to do are told all the same."""
+    """Nothing can be kept: the verdict, how the robot was left and what to do are reported all the same."""
     held = {"state": "HELD", "moved_m": 0.0, "why": "torque on"}
     problem = Failure("DataError", "result.json: cannot be written", KEEPING, 4)
 

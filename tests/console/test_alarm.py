@@ -23,9 +23,9 @@ def names(n):
     return f"20260101-00000{n}-000000"
 
 
-def left(folder, n, held, words=MINE, **told):
+def left(folder, n, held, words=MINE, **reported):
     """The nth job, which ended so."""
-    out = "" if held is None else json.dumps({"verdict": "PASS", "held": held, **told})
+    out = "" if held is None else json.dumps({"verdict": "PASS", "held": held, **reported})
     return job_in(folder / "jobs", names(n), out=out, words=words)
 
 
@@ -56,7 +56,7 @@ def folder(tmp_path):
     ],
     ids=["examined", "untouched", "no result", "another world", "another bench", "emulated", "still runs"],
 )
-def test_whoever_has_not_looked_at_that_robot_does_not_take_it_away(folder, later):
+def test_a_job_that_has_not_looked_at_that_robot_does_not_clear_it(folder, later):
     alarm = Alarm(folder)
     before = alarm.not_held()
     later(folder, 2)
@@ -69,7 +69,7 @@ def test_a_run_that_found_it_held_takes_it_away_and_the_next_one_may_bring_it_ba
     left(folder, 2, held)
     assert alarm.not_held() == []
     left(folder, 3, LOOSE | {"why": "again"})
-    assert [told["job"] for told in alarm.not_held()] == [names(3)]
+    assert [reported["job"] for reported in alarm.not_held()] == [names(3)]
 
 
 def test_a_job_that_was_looked_at_before_its_process_was_there_is_heard_all_the_same(tmp_path):
@@ -80,21 +80,21 @@ def test_a_job_that_was_looked_at_before_its_process_was_there_is_heard_all_the_
     assert alarm.not_held() == []
     process.rename(job.folder / jobs.PROCESS)
     (job.folder / jobs.STDOUT).write_text(json.dumps({"verdict": "FAIL", "held": LOOSE}))
-    assert [told["job"] for told in alarm.not_held()] == [job.name]
+    assert [reported["job"] for reported in alarm.not_held()] == [job.name]
 
 
 def test_it_is_kept_however_much_was_started_since(folder):
     for n in range(300):
         job_in(folder / "jobs", f"20260102-000000-{n:06}", out='{"ok": true}')
-    assert [told["job"] for told in Alarm(folder).not_held()] == [names(1)]
+    assert [reported["job"] for reported in Alarm(folder).not_held()] == [names(1)]
 
 
 def test_a_run_that_was_killed_while_it_drove_is_one_too_and_doctor_that_was_killed_is_none(tmp_path):
     moved = line(held=HELD) + line(live={"pose": [0, 0, 0]})
     job_in(tmp_path / "jobs", names(1), words=MINE, err=moved)
     job_in(tmp_path / "jobs", names(2), words=["doctor", "--bench=my.toml"])
-    (told,) = Alarm(tmp_path).not_held()
-    assert told["words"] == "x was killed while its loop ran. Check whether the robot is held."
+    (reported,) = Alarm(tmp_path).not_held()
+    assert reported["words"] == "x was killed while its loop ran. Check whether the robot is held."
 
 
 def asked(process, method, path, body=None):
@@ -107,7 +107,7 @@ def test_a_person_takes_away_what_the_page_shows_and_it_stays_away_after_a_resta
     other = left(folder, 2, LOOSE, words=["run", "x", "--bench=other.toml"])  # since the page was drawn
     assert asked(process, "POST", "/secured", {"jobs": [shown["job"], "../x"]}) == {}
     for later in (process, StopProcess(folder)):
-        assert [told["job"] for told in asked(later, "GET", "/state")["not_held"]] == [other.name]
+        assert [reported["job"] for reported in asked(later, "GET", "/state")["not_held"]] == [other.name]
     left(folder, 3, LOOSE)
     assert len(asked(process, "GET", "/state")["not_held"]) == 2
 

@@ -43,7 +43,7 @@ def run(ctx):
 
 
 class Console:
-    """`hil console` in a folder, as somebody starts it."""
+    """`hil console` in a folder, as a user starts it."""
 
     def __init__(self, place, results="out"):
         self.folder = place / results / "console"
@@ -113,7 +113,7 @@ def answer(browser, console, question, text):
     assert browser.ask(code, console.frame) == [""], "nothing of the question before is left in the field"
 
 
-def test_no_click_answers_a_question_that_nobody_has_seen(console, tmp_path):
+def test_no_click_answers_a_question_that_was_not_shown(console, tmp_path):
     browser = opened(console, tmp_path / "profile")
     try:
         start(browser, console, "a procedure of your own", SCRIPT="asking_thrice.py")

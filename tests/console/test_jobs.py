@@ -31,8 +31,8 @@ def run(ctx):
 def job_in(root, name="20260101-000000-000000", process=None, out="", err="", **changes):
     folder = root / name
     folder.mkdir(parents=True)
-    told = {"words": ["run", "x", "--json"], "title": "x", "started": 0.0, **changes}
-    (folder / jobs.COMMAND).write_text(json.dumps(told))
+    reported = {"words": ["run", "x", "--json"], "title": "x", "started": 0.0, **changes}
+    (folder / jobs.COMMAND).write_text(json.dumps(reported))
     (folder / jobs.PROCESS).write_text(json.dumps(process or {"pid": 1 << 22, "ticks": 1, "boot": ""}))
     (folder / jobs.STDOUT).write_text(out)
     (folder / jobs.STDERR).write_text(err)
@@ -43,18 +43,18 @@ def job_in(root, name="20260101-000000-000000", process=None, out="", err="", **
 def test_a_number_that_another_process_has_now_is_never_signalled(tmp_path, key):
     stranger = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
     try:
-        told = jobs.identity(stranger.pid)
-        job = job_in(tmp_path, process=told | {key: 1 if key == "ticks" else "another"})
+        reported = jobs.identity(stranger.pid)
+        job = job_in(tmp_path, process=reported | {key: 1 if key == "ticks" else "another"})
         assert not jobs.alive(job)
         assert not jobs.send(job, signal.SIGTERM)
         assert stop_all(tmp_path) == []
         assert finish(job) == "it has ended"
         time.sleep(0.05)
         assert stranger.poll() is None
-        assert jobs.same(told)
+        assert jobs.same(reported)
     finally:
         stranger.communicate(b"\n")
-    assert not jobs.same(told)
+    assert not jobs.same(reported)
 
 
 @pytest.fixture
@@ -64,9 +64,9 @@ def asking(tmp_path):
     os.mkfifo(job.folder / jobs.STDIN)
     pipe = os.open(job.folder / jobs.STDIN, os.O_RDWR | os.O_NONBLOCK)
 
-    def say(**told):
+    def say(**reported):
         with (job.folder / jobs.STDERR).open("a") as file:
-            file.write(line(**told))
+            file.write(line(**reported))
         return jobs.state(job)["question_id"]
 
     def got():
@@ -84,7 +84,7 @@ def test_an_answer_is_of_one_question_and_never_becomes_that_of_the_next(asking)
     job, say, got = asking
     one = say(question="is it on the stand?")
     assert jobs.answer(job, one, " on  it\nnow") == ""
-    assert jobs.state(job)["question"] is None, "it waits for nobody any more"
+    assert jobs.state(job)["question"] is None, "it does not wait any more"
     assert jobs.answer(job, one, "") == "that is not the question any more: nothing is asked any more"
     assert say(answered="on it now") is None
     two = say(question="is it on the stand?")
@@ -104,7 +104,7 @@ def test_of_two_answers_at_once_one_is_taken(asking, monkeypatch):
     monkeypatch.setattr(jobs, "state", lambda job: seen)
     assert [jobs.answer(job, one, "a"), jobs.answer(job, one, "b")] == [
         "",
-        "somebody else has just answered that question",
+        "another user has just answered that question",
     ]
     assert got() == "a\n"
 
@@ -158,8 +158,8 @@ def test_a_second_click_on_the_end_after_a_step_does_not_end_it_at_once(asking, 
     assert sent == [signal.SIGINT]
 
 
-def line(**told):
-    return json.dumps(told) + "\n"
+def line(**reported):
+    return json.dumps(reported) + "\n"
 
 
 def test_what_a_running_job_says_is_its_state(tmp_path):

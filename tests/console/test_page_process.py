@@ -46,10 +46,10 @@ def tree(reply):
 
 
 def test_what_is_wrong_stands_by_its_field_and_nothing_is_started(page):
-    told = tree(page("POST", "/api/start", {"action": "idle", "values": {"seed": "x"}}))
-    assert told == {"problems": {"seed": "no number"}}
-    told = tree(page("POST", "/api/start", {"action": "idle", "values": {"seed": "3", "sead": "4"}}))
-    assert told == {"problems": {"sead": "there is no such field"}}
+    reported = tree(page("POST", "/api/start", {"action": "idle", "values": {"seed": "x"}}))
+    assert reported == {"problems": {"seed": "no number"}}
+    reported = tree(page("POST", "/api/start", {"action": "idle", "values": {"seed": "3", "sead": "4"}}))
+    assert reported == {"problems": {"sead": "there is no such field"}}
     assert jobs.jobs(page.results / "console" / "jobs") == []
 
 
@@ -87,8 +87,8 @@ def test_only_a_question_that_is_open_is_answered(page):
 def test_an_answer_without_its_question_or_its_text_is_refused(page):
     asks = page.results / "console" / "jobs"
     job = job_in(asks, process=jobs.identity(os.getpid()), err=json.dumps({"question": "ready?"}) + "\n")
-    (told,) = tree(page("GET", "/api/state"))["jobs"]
-    assert (told["question"], told["question_id"]) == ("ready?", 0)
+    (reported,) = tree(page("GET", "/api/state"))["jobs"]
+    assert (reported["question"], reported["question_id"]) == ("ready?", 0)
     for body in (
         {"text": ""},
         {"question_id": None, "text": ""},
@@ -101,7 +101,7 @@ def test_an_answer_without_its_question_or_its_text_is_refused(page):
         assert refused.value.status == HTTPStatus.BAD_REQUEST
 
 
-def test_what_runs_and_how_it_ended_is_told_with_its_page(page):
+def test_what_runs_and_how_it_ended_is_reported_with_its_page(page):
     tree(page("POST", "/api/start", {"action": "idle", "values": {}}))
     (job,) = jobs.jobs(page.results / "console" / "jobs")
     (job.folder / jobs.PROCESS).write_text(json.dumps(jobs.identity(os.getpid())))
@@ -111,16 +111,16 @@ def test_what_runs_and_how_it_ended_is_told_with_its_page(page):
     (job.folder / jobs.STDOUT).write_text(
         json.dumps({"verdict": "PASS", "report": str(report), "error": None})
     )
-    (told,) = tree(page("GET", "/api/state"))["jobs"]
-    assert (told["verdict"], told["link"]) == ("PASS", "/pages/idle%20run/report.html")
+    (reported,) = tree(page("GET", "/api/state"))["jobs"]
+    assert (reported["verdict"], reported["link"]) == ("PASS", "/pages/idle%20run/report.html")
 
 
 def test_the_history_names_a_foreign_page_as_what_it_is_and_does_not_lead_there(page):
     (page.results / "notes").mkdir()
     (page.results / "notes" / "mine.html").write_text("<title>My notes</title>")
-    (told,) = tree(page("GET", "/api/results"))["results"]
-    assert (told["kind"], told["procedure"], told["link"]) == ("foreign", "My notes", None)
-    assert "mine.html" in told["why"]
+    (reported,) = tree(page("GET", "/api/results"))["results"]
+    assert (reported["kind"], reported["procedure"], reported["link"]) == ("foreign", "My notes", None)
+    assert "mine.html" in reported["why"]
     assert tree(page("GET", "/api/results", words="absent"))["found"] == 0
 
 
@@ -169,9 +169,9 @@ def test_nothing_else_of_this_computer_is_shown(page, tmp_path, name):
     assert refused.value.status == HTTPStatus.NOT_FOUND
 
 
-def test_the_devices_of_a_bench_are_told_and_a_bench_that_is_wrong_is_named(page):
-    told = tree(page("GET", "/api/bench", name="emulated_floor"))
-    assert {row["name"] for row in told["devices"]} >= {"servos", "imu"}
-    assert {row["backend"] for row in told["devices"]} == {"emulated"}
+def test_the_devices_of_a_bench_are_reported_and_a_bench_that_is_wrong_is_named(page):
+    reported = tree(page("GET", "/api/bench", name="emulated_floor"))
+    assert {row["name"] for row in reported["devices"]} >= {"servos", "imu"}
+    assert {row["backend"] for row in reported["devices"]} == {"emulated"}
     with pytest.raises(Refused, match="nothing_like_that"):
         page("GET", "/api/bench", name="nothing_like_that")

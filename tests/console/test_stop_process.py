@@ -88,9 +88,9 @@ def test_its_page_knows_whether_the_console_lives_and_how_the_last_run_left_the_
     process = StopProcess(tmp_path)
     (tmp_path / PAGE).write_text(json.dumps(jobs.identity(os.getpid()) | {"port": 4321}))
     job_in(tmp_path / "jobs", out=json.dumps({"verdict": "ABORTED", "held": HELD}))
-    told = json.loads(process.routes()["GET", "/state"](ASKING).content)
-    assert told["page"] == 4321
-    assert [job["words"] for job in told["jobs"]] == ["x: HELD: at rest"]
+    reported = json.loads(process.routes()["GET", "/state"](ASKING).content)
+    assert reported["page"] == 4321
+    assert [job["words"] for job in reported["jobs"]] == ["x: HELD: at rest"]
     (tmp_path / PAGE).write_text(json.dumps({"pid": 1 << 22, "ticks": 1, "boot": "", "port": 4321}))
     assert json.loads(process.routes()["GET", "/state"](ASKING).content)["page"] is None
 
@@ -104,10 +104,10 @@ def test_it_serves_by_itself_from_a_folder(tmp_path):
         while not (tmp_path / STOP).exists():
             assert time.monotonic() < end_s
             time.sleep(0.02)
-        told = json.loads((tmp_path / STOP).read_text())
+        reported = json.loads((tmp_path / STOP).read_text())
         assert (tmp_path / STOP).stat().st_mode & 0o077 == 0
         request = urllib.request.Request(
-            f"http://127.0.0.1:{told['port']}/stop",
+            f"http://127.0.0.1:{reported['port']}/stop",
             b"{}",
             {"Authorization": "Bearer secret", "Content-Type": "application/json"},
         )

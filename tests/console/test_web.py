@@ -1,4 +1,4 @@
-"""The server of the console: nobody gets in without the token, from another site or by another name."""
+"""The server of the console: no request is served without the token, from another site or by another name."""
 
 import http.client
 import json

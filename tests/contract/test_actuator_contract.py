@@ -1,4 +1,4 @@
-"""What the servos promise, whoever answers on the wire: those checks of `hil accept` that move."""
+"""What the servos promise, emulated and real: those checks of `hil accept` that move."""
 
 import pytest
 

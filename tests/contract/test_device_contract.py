@@ -1,4 +1,4 @@
-"""What every device promises, whoever answers on the wire: the public suite on every model there is."""
+"""What every device promises, emulated and real: the public suite on every model there is."""
 
 import pytest
 

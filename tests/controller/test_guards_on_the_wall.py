@@ -61,7 +61,7 @@ def test_a_fault_under_way_stops_and_holds(fault, reason):
         assert_held(bench)
 
 
-def test_a_robot_that_slides_under_rolling_wheels_is_stopped_where_nobody_measures_its_adhesion():
+def test_a_robot_that_slides_under_rolling_wheels_is_stopped_where_no_sensor_measures_its_adhesion():
     with open_wall(("plant:adhesion_loss@1.5,factor=0.42",), adhesion=None, load_cells=None) as bench:
         with pytest.raises(SafetyStop) as stop:
             drive(bench)

@@ -87,9 +87,9 @@ def driven_by(folder):
 
 @pytest.mark.parametrize("named", ["mine:Ahead", "mine.py:Ahead"])
 def test_a_class_of_ones_own_drives_what_the_procedure_asks_for(here, capsys, named):
-    code, told, err = run(capsys, "--controller", named)
+    code, reported, err = run(capsys, "--controller", named)
     assert code == 0, err
-    (way,) = (row["value"] for row in told["measurements"] if row["name"] == "way")
+    (way,) = (row["value"] for row in reported["measurements"] if row["name"] == "way")
     assert way == pytest.approx(0.01, abs=0.005), "a tenth of 0.1 m"
     assert driven_by(here) in (["mine.Ahead"], ["hil_script_mine.Ahead"])
     assert json.loads((here / "results" / "result.json").read_text())["controller"] == named
@@ -102,14 +102,14 @@ def test_a_law_is_that_of_the_bench_for_this_run(here, capsys):
 
 
 def test_what_it_returns_is_limited_and_checked_as_ever(here, capsys):
-    code, told, _ = run(capsys, "--controller", "mine:Lost")
+    code, reported, _ = run(capsys, "--controller", "mine:Lost")
     assert code != 0
-    assert told["error"] is not None
-    assert told["held"]["state"] in ("HELD", "not needed")
+    assert reported["error"] is not None
+    assert reported["held"]["state"] in ("HELD", "not needed")
 
 
 @pytest.mark.parametrize(
-    ("named", "told"),
+    ("named", "reported"),
     [
         ("optimaal", "did you mean optimal?"),
         ("mine.py", "mine.py:NAME"),
@@ -121,17 +121,19 @@ def test_what_it_returns_is_limited_and_checked_as_ever(here, capsys):
     ],
 )
 @pytest.mark.parametrize("words", [("run", "straight.py"), ("live", "--duration", "1")])
-def test_a_name_that_is_wrong_is_refused_before_anything_opens(here, capsys, words, named, told):
+def test_a_name_that_is_wrong_is_refused_before_anything_opens(here, capsys, words, named, reported):
     assert main([*words, "--controller", named]) == 2
     error = capsys.readouterr().err
-    assert told in error
+    assert reported in error
     assert "--controller" in error
     assert "Traceback" not in error
     assert not any(here.rglob("*.mcap"))
 
 
-@pytest.mark.parametrize(("named", "told"), [("mine:NoUpdate", "no update"), ("mine:Refuses", "no licence")])
-def test_one_that_cannot_be_made_ends_the_run_with_its_reason(here, capsys, named, told):
+@pytest.mark.parametrize(
+    ("named", "reported"), [("mine:NoUpdate", "no update"), ("mine:Refuses", "no licence")]
+)
+def test_one_that_cannot_be_made_ends_the_run_with_its_reason(here, capsys, named, reported):
     code, found, _ = run(capsys, "--controller", named)
     assert code == 2
-    assert told in found["error"]["message"]
+    assert reported in found["error"]["message"]

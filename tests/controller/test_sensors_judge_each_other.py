@@ -42,7 +42,7 @@ class Ride:
     def assert_near(self):
         assert max(self.off_m) < FAR_M
 
-    def told(self, source, word):
+    def reported(self, source, word):
         """Times at which a device was named, s."""
         return [e.t_ns * 1e-9 for e in self.events if source in e.suspects and word in e.message]
 
@@ -75,7 +75,7 @@ def test_a_camera_that_sees_another_scale_stops_the_robot(scale, motion):
     assert isinstance(ride.stop, SafetyStop)
     assert ride.stop.reason == "sensors_disagree"
     assert "camera" in str(ride.stop)
-    assert at_s < ride.told("tracker", "by the camera")[0] < ride.ended_s
+    assert at_s < ride.reported("tracker", "by the camera")[0] < ride.ended_s
     ride.assert_near()
 
 
@@ -91,7 +91,7 @@ def test_a_fifth_too_much_is_found_on_a_longer_way():
 def test_a_frozen_camera_is_named_at_once_and_lived_without_for_a_while(way, at_s, feedback):
     ride = Ride(straight(way), f"tracker:stuck@{at_s}", feedback=feedback)
     assert isinstance(ride.stop, DeviceTimeoutError)
-    assert at_s < ride.told("tracker", "frozen")[0] < at_s + 0.3
+    assert at_s < ride.reported("tracker", "frozen")[0] < at_s + 0.3
     ride.assert_near()
 
 
@@ -104,7 +104,7 @@ BLIND = {
 
 
 @pytest.mark.parametrize("fault", every(2, BLIND))
-def test_nobody_is_driven_far_past_a_camera_that_gives_no_usable_pose(fault):
+def test_no_robot_is_driven_far_past_a_camera_that_gives_no_usable_pose(fault):
     ride = Ride(LONG, fault)
     word, at_s = BLIND[fault]
     assert isinstance(ride.stop, SafetyStop | DeviceTimeoutError)
@@ -119,9 +119,9 @@ def test_a_camera_that_was_frozen_before_the_loop_began_is_named_at_once(at_s):
         bench.clock.sleep_until_ns(1_000_000_000)
         began_s, events = bench.clock.now_ns() * 1e-9, []
         bench.observe(0.5, on_cycle=lambda record: events.extend(record.events))
-    told_s = [e.t_ns * 1e-9 for e in events if e.source == "tracker" and "frozen" in e.message]
-    assert told_s
-    assert told_s[0] < began_s + 0.3
+    reported_s = [e.t_ns * 1e-9 for e in events if e.source == "tracker" and "frozen" in e.message]
+    assert reported_s
+    assert reported_s[0] < began_s + 0.3
 
 
 def test_who_follows_odometry_or_nothing_needs_no_camera():
@@ -140,22 +140,22 @@ def test_a_bench_without_a_camera_follows_its_filter():
 def test_other_frozen_streams_are_named_too():
     ride = Ride(straight([0.2, 0, 0]), "imu:stuck@1+0.6", "mocap:stuck@2+0.6")
     for device, at_s in (("imu", 1.0), ("mocap", 2.0)):
-        assert at_s < ride.told(device, "frozen")[0] < at_s + 0.3
+        assert at_s < ride.reported(device, "frozen")[0] < at_s + 0.3
     assert ride.stop is None
 
 
-def test_a_camera_that_falls_silent_or_sends_too_little_is_told_and_lived_with():
+def test_a_camera_that_falls_silent_or_sends_too_little_is_reported_and_lived_with():
     ride = Ride(straight(UP), "tracker:off@1.5+0.3", "tracker:slow@2.2,factor=5")
-    assert 1.5 < ride.told("tracker", "stale")[0] < 1.7
-    assert ride.told("tracker", "good samples a second")
+    assert 1.5 < ride.reported("tracker", "stale")[0] < 1.7
+    assert ride.reported("tracker", "good samples a second")
     assert ride.stop is None
 
 
 def test_a_gyro_that_turns_by_itself_is_the_one_that_is_named():
     ride = Ride(straight(UP), "imu:wrong@1.5,rate_rad_s=0.2")
     assert ride.stop.reason == "sensors_disagree"
-    assert ride.told("imu", "gyro")
-    assert not ride.told("tracker", "")
+    assert ride.reported("imu", "gyro")
+    assert not ride.reported("tracker", "")
     ride.assert_near()
 
 
@@ -194,7 +194,7 @@ def test_a_camera_that_sees_a_tenth_less_is_found_by_motion_capture(way):
 def test_a_camera_that_drifts_and_wheels_that_slip_are_named_within_half_a_second(fault, source):
     ride = Ride(straight(UP), fault)
     assert ride.stop.reason == "sensors_disagree"
-    assert ride.told(source, "moved")[0] < 1.75
+    assert ride.reported(source, "moved")[0] < 1.75
     ride.assert_near()
 
 
@@ -279,14 +279,14 @@ def test_a_horn_that_slips_is_named_with_both_devices(fault, wheel):
     assert "external encoder" in event.message
     assert f"servo steer_{wheel} (ID " in event.message
     assert ("+0.2" if "encoder." in fault else "-0.1") in event.message
-    assert ride.told("encoders", "")[0] < ride.ended_s
+    assert ride.reported("encoders", "")[0] < ride.ended_s
     ride.assert_near()
 
 
 @pytest.mark.long
-def test_who_steers_by_odometry_is_told_of_the_camera_and_drives_on():
+def test_who_steers_by_odometry_is_warned_about_the_camera_and_drives_on():
     ride = Ride(straight(UP), "tracker:wrong@1.5,scale=0.3", feedback="odometry")
-    assert ride.told("tracker", "camera")
+    assert ride.reported("tracker", "camera")
     assert ride.stop is None
 
 
@@ -327,8 +327,8 @@ def test_a_camera_that_was_off_is_used_again_across_the_wall(fault, far_m):
     """There its new frame is turned about the vertical by any angle."""
     ride = Ride(line(ORIGIN, [0.0, far_m, 0.0]), fault)
     assert ride.stop is None
-    assert ride.told("tracker", "started again")
-    assert not ride.told("tracker", "wheels")
+    assert ride.reported("tracker", "started again")
+    assert not ride.reported("tracker", "wheels")
     ride.assert_near()
 
 
@@ -382,8 +382,8 @@ def test_a_stop_by_disagreement_is_replayed(tmp_path):
             bench.drive(straight(UP), start_pose=ORIGIN)
     opened = open_recording(path)
     (run,) = opened.runs
-    *told, last = [e.source for r in run.records for e in r.events]
-    assert set(told) == {"tracker"}
+    *reported, last = [e.source for r in run.records for e in r.events]
+    assert set(reported) == {"tracker"}
     assert last == "supervisor"
     assert verify_run(opened.bench, run)["difference"] is None
 

@@ -31,7 +31,7 @@ class Ride:
         self.off_m = float(off_m.max())
         self.uncovered_m = max(self.uncovered_m, float((off_m - 3.0 * sigma_m).max()))
 
-    def told(self, source, word):
+    def reported(self, source, word):
         return [e for e in self.events if source in e.suspects and word in e.message]
 
 
@@ -48,14 +48,14 @@ def test_a_slow_lie_is_named_covered_and_stops_the_robot(lie):
     to, faults, source = LIES[lie]
     ride = Ride(to, *faults, duration_s=12.0)
     assert ride.stop.reason == "sensors_disagree"
-    assert ride.told(source, "the estimate has gone")
+    assert ride.reported(source, "the estimate has gone")
     assert ride.off_m < 0.035
     assert ride.uncovered_m < 0.005
 
 
-def test_a_camera_that_drifts_aside_is_told_and_covered():
+def test_a_camera_that_drifts_aside_is_reported_and_covered():
     ride = Ride((0.4, 0.0), "tracker:wrong@1.5,drift_y_m_s=0.002", duration_s=12.0)
-    assert ride.told("tracker", "aside")
+    assert ride.reported("tracker", "aside")
     assert ride.off_m > 0.008
     assert ride.uncovered_m < 0.005
 
@@ -65,8 +65,8 @@ def test_a_camera_that_drifts_aside_is_told_and_covered():
 )
 def test_one_wheel_that_slips_is_named_within_half_a_second(share, to):
     ride = Ride(to, f"servo.drive_BR:wrong@2.5,share={share}", duration_s=6.0, mocap=None)
-    (told,) = ride.told("servos", "wheel BR (drive_BR, ID ")
-    assert 2.5 < told.t_ns * 1e-9 < 3.0
+    (reported,) = ride.reported("servos", "wheel BR (drive_BR, ID ")
+    assert 2.5 < reported.t_ns * 1e-9 < 3.0
     assert not any(f"wheel {other} (" in e.message for e in ride.events for other in ("FL", "BL", "FR"))
     assert ride.uncovered_m < 0.005
 

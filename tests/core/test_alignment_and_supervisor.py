@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from supervised import Supervised
 
-from hil.bench.settings import checks, geometry_of
+from hil.bench.loop_settings import checks, geometry_of
 from hil.config.loading import load_bench
 from hil.core.errors import ConfigError, SafetyStop
 from hil.core.geometry import quat_conjugate, quat_from_rotvec, quat_from_yaw, quat_multiply, quat_rotate
@@ -91,7 +91,7 @@ def test_tracker_mount_scale_and_start_frame_cancel(attitude, scale):
 
 
 @pytest.mark.parametrize("turned", [0.0, 0.7, -2.0, 3.0])
-def test_a_camera_that_started_again_has_another_frame_and_tells_the_same_motion(turned):
+def test_a_camera_that_started_again_has_another_frame_and_reports_the_same_motion(turned):
     """Looking up the wall it finds down by gravity, but begins at any angle about it."""
     mount = Mount((0.15, 0.01, 0.07), tuple(quat_from_rotvec([0.02, -0.1, 0.3])))
     alignment = Alignment(AlignmentParameters(tracker=mount))
@@ -150,7 +150,7 @@ def test_gravity_in_the_wall_plane_gives_heading_through_the_mount(heading):
 
 @pytest.mark.parametrize(("share", "known"), [(0.09, False), (0.11, True)])
 @pytest.mark.parametrize("heading", [0.0, math.pi / 2, 2.0])
-def test_gravity_tells_a_heading_only_where_enough_of_it_lies_in_the_plane(heading, share, known):
+def test_gravity_gives_a_heading_only_where_enough_of_it_lies_in_the_plane(heading, share, known):
     """On a surface that is almost level it would be noise."""
     up = 9.81 * np.array(
         [share * math.cos(heading), -share * math.sin(heading), math.sqrt(1.0 - share * share)]
@@ -178,7 +178,7 @@ def test_a_servo_that_stays_silent_stops_the_robot_but_one_gap_does_not():
         supervisor.check(Inputs(4, 201_000_001, servos=(silent,)))
 
 
-def test_a_silent_imu_is_told_once_and_its_return_too():
+def test_a_silent_imu_is_reported_once_and_its_return_too():
     supervisor = Supervised(SafetyLimits(stale_s=IMU))
     events = [supervisor.check(Inputs(k, k * 100_000_000)) for k in range(12)]
     assert [len(e) for e in events] == [0] * 6 + [1] + [0] * 5
@@ -404,7 +404,7 @@ def test_an_absurd_gravity_leaves_no_trace():
         assert math.isnan(gyro.gravity_heading_rad) == (cycle == 1)
 
 
-def test_a_camera_at_the_origin_tells_the_bodys_own_way_and_motion_capture_its_quality():
+def test_a_camera_at_the_origin_reports_the_bodys_own_way_and_motion_capture_its_quality():
     alignment = PoseAlignment(AT_ORIGIN, 1.0)
     one, none = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
     for x_m in (0.0, 0.2):

@@ -1,4 +1,4 @@
-"""The bench file is strict and tells every problem at once."""
+"""The bench file is strict and reports every problem at once."""
 
 import pytest
 
@@ -47,7 +47,7 @@ def test_relative_paths_start_at_the_file(bench, tmp_path, monkeypatch):
     assert config.encoders.dbc == "/mine.dbc"
 
 
-def test_every_problem_is_told_at_once(bench):
+def test_every_problem_is_reported_at_once(bench):
     bench.write_text(
         GOOD.replace("schema = 1", "schema = 9")
         + "whim = 3\n[loop]\nrate_hz = -1\n[alignment]\ndrive_sign=[1,1,0,1]\n"
@@ -60,7 +60,7 @@ def test_every_problem_is_told_at_once(bench):
         assert part in text
 
 
-def test_what_was_set_over_the_file_is_told_apart_from_what_it_says(bench):
+def test_what_was_set_over_the_file_is_distinguished_from_what_it_says(bench):
     bench.write_text(GOOD + "whim = 3\n")
     with pytest.raises(ConfigError) as error:
         load_bench(bench, overrides={"loop.rate_hz": -1, "imu.baud": 115200, "safety": {"fancy": 1}})
@@ -91,7 +91,7 @@ def test_unknown_sources_devices_and_overrides_are_refused(bench, tmp_path):
 
 
 def test_a_profile_speaks_of_the_noise_of_what_it_emulates_only():
-    """A real camera beside emulated devices is read with the noise of hardware, unless somebody says so."""
+    """A real camera beside emulated devices is read with the noise of hardware, unless the file says so."""
     hardware = EstimatorConfig()
     own, mixed = load_bench("emulated"), load_bench("emulated", overrides={"tracker.backend": "real"})
     assert own.estimator.tracker.position_m < 0.5 * hardware.tracker.position_m

@@ -70,7 +70,7 @@ def test_what_is_no_finite_positive_number_or_beyond_any_robot_is_refused_with_i
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "told"),
+    ("path", "value", "reported"),
     [
         ("safety.wheel_rate_limit_rad_s", 7.5, "XH430"),
         ("safety.steering_limit_rad", 2.2, "servos.steer_limit_rad = 2.0944"),
@@ -96,10 +96,10 @@ def test_what_is_no_finite_positive_number_or_beyond_any_robot_is_refused_with_i
         ("imu.mount_position_m.2", [0.0, 0.0, 80.0], "m in the body"),
     ],
 )
-def test_a_limit_says_what_it_would_take(path, value, told):
+def test_a_limit_says_what_it_would_take(path, value, reported):
     (problem,) = refused(**{re.sub(r"\.\d+$", "", path): value})
     assert problem.startswith(f"{path}: ")
-    assert told in problem
+    assert reported in problem
 
 
 SWITCHES = (
@@ -117,8 +117,10 @@ SWITCHES = (
 
 @pytest.mark.parametrize("value", ["yes", "true", 1, 0, 1.0])
 def test_a_switch_is_true_or_false(value):
-    told = f"must be true or false, without quotes (found {value!r})"
-    assert sorted(refused(**dict.fromkeys(SWITCHES, value))) == sorted(f"{path}: {told}" for path in SWITCHES)
+    reported = f"must be true or false, without quotes (found {value!r})"
+    assert sorted(refused(**dict.fromkeys(SWITCHES, value))) == sorted(
+        f"{path}: {reported}" for path in SWITCHES
+    )
     assert load_bench("emulated", overrides=dict.fromkeys(SWITCHES, False))
 
 
@@ -146,7 +148,7 @@ def test_a_switch_is_true_or_false(value):
     ],
 )
 def test_who_shares_a_bus_shares_no_identifier_and_its_bit_rate(overrides, paths, tmp_path):
-    """Everything that quarrels is told; what is on a bus of its own may be called as it likes."""
+    """Everything that quarrels is reported; what is on a bus of its own may be called as it likes."""
     path = tmp_path / "bench.toml"
     tables = '[adhesion]\n[thrust]\nmodel = "vesc"\n[load_cells]\nmodel = "hx711_can"\n[encoders]\n'
     path.write_text(f'schema = 1\nname = "one bus"\n{tables}', encoding="utf-8")
@@ -169,7 +171,7 @@ def test_on_a_wall_the_watchdog_stops_the_wheels_within_a_tenth_of_a_second(watc
     assert load_bench("emulated_floor", overrides={"servos.watchdog_s": watchdog_s}).servos is not None
 
 
-def test_every_senseless_limit_is_told_at_once_also_beside_a_contradiction():
+def test_every_senseless_limit_is_reported_at_once_also_beside_a_contradiction():
     problems = refused(
         safety__wheel_rate_limit_rad_s=1e9,
         safety__tracking_error_limit_m=math.inf,
@@ -227,7 +229,7 @@ PORTS = (
 
 
 @pytest.mark.parametrize(
-    ("key", "port", "told"),
+    ("key", "port", "reported"),
     [
         ("thrust.port", "usb0", "thrust.port: '{dev}/usb0' is the port of servos.port = '{dev}/usb0', too"),
         ("thrust.port", "usb1", "thrust.port: '{dev}/usb1' is the port of imu.port = '{dev}/usb1', too"),
@@ -240,7 +242,7 @@ PORTS = (
     ],
 )
 def test_no_two_devices_have_one_serial_port_but_cells_and_propellers_of_one_teensy(
-    key, port, told, tmp_path
+    key, port, reported, tmp_path
 ):
     dev = tmp_path / "dev"
     dev.mkdir()
@@ -251,7 +253,7 @@ def test_no_two_devices_have_one_serial_port_but_cells_and_propellers_of_one_tee
     assert load_bench(str(path)).devices()
     with pytest.raises(ConfigError) as caught:
         load_bench(str(path), overrides={key: f"{dev}/{port}"})
-    assert any(problem.startswith(told.format(dev=dev)) for problem in caught.value.problems)
+    assert any(problem.startswith(reported.format(dev=dev)) for problem in caught.value.problems)
     kind = key.partition(".")[0]
     load_bench(str(path), overrides={key: f"{dev}/{port}", f"{kind}.backend": "emulated"})
 

@@ -78,13 +78,16 @@ def test_a_number_has_bounds_and_names_them_where_it_is_refused(model, name, fie
         kind, bound = bounds[place or 0] if len(bounds) > (place or 0) else bounds[0]
         for value in (*WRONG, bound.low, bound.high):
             given = value if place is None else [*default[:place], value, *default[place + 1 :]]
-            told = problems_of(model, key, given)
+            reported = problems_of(model, key, given)
             if (text and isinstance(value, str)) or (truth and isinstance(value, bool)):
                 continue
             if bound.permits(value, whole=kind is int):
-                assert not any(bound.range_text() in one for one in told)
+                assert not any(bound.range_text() in one for one in reported)
             else:
-                assert any(bound.range_text() in one or "number" in one for one in told), (value, told)
+                assert any(bound.range_text() in one or "number" in one for one in reported), (
+                    value,
+                    reported,
+                )
 
 
 @pytest.mark.parametrize(("model", "field"), IMPERFECT)

@@ -1,4 +1,4 @@
-"""Motion capture beside camera and wheels: who is alone with the way that it tells is named."""
+"""Motion capture beside camera and wheels: who is alone with the way that it reports is named."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from hil.core.signals import GyroMeasurement, Inputs, Measurements, PoseMeasurem
 from hil.loop.checks.dead_reckoning import WheelTrack
 from hil.loop.checks.disagreement import CAMERA, WHEELS, Disagreement, Relocalisation, Sum
 from hil.loop.checks.exclusion import Exclusion
-from hil.loop.checks.mocap_agreement import MocapAgreement, Seen
+from hil.loop.checks.mocap_agreement import MocapAgreement, MocapTolerances
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.cycle import Cycle
 from hil.loop.safety import Checks, SafetyLimits
@@ -70,11 +70,11 @@ def test_honest_sensors_on_a_creeping_robot_leave_nothing_to_doubt(rolled, scale
 @pytest.mark.parametrize("rolled", [UP, ACROSS])
 @pytest.mark.parametrize("scale", [0.9, 1.1])
 def test_a_tenth_of_scale_is_found_where_motion_capture_looks_on(rolled, scale):
-    """Beside wheels that creep nobody could tell it from creep."""
+    """Beside wheels that creep it cannot be distinguished from creep."""
     true = true_of(rolled)
-    (told_s, first), *_ = doubts(rolled, true * scale, true)
+    (reported_s, first), *_ = doubts(rolled, true * scale, true)
     assert first.source == "tracker"
-    assert 0.1 * np.hypot(*true) * told_s < 0.015
+    assert 0.1 * np.hypot(*true) * reported_s < 0.015
     assert doubts(rolled, true * scale, true, 160, mocap=False) == []
 
 
@@ -135,7 +135,7 @@ def test_what_a_camera_invents_in_the_wall_adds_up_while_the_robot_turns():
     """In the body's axes it goes round: the sum has to go round with it."""
     rate, drift_m_s = 1.0, np.array([0.006, 0.0])
     speed, steering = inverse(GEOMETRY, np.array([0.0, 0.0, rate]))
-    check, found = MotionCheck(GEOMETRY, seen=Seen(lever_m=0.0, rest_m_s=0.0)), []
+    check, found = MotionCheck(GEOMETRY, seen=MocapTolerances(lever_m=0.0, rest_m_s=0.0)), []
     for k in range(3, 260):
         t_ns = k * PERIOD_NS
         t_s, late_ns = t_ns * 1e-9, t_ns - 25_000_000
@@ -177,7 +177,7 @@ def test_who_can_be_left_out_depends_on_the_surface(source, on_wall, spared):
     assert not left_out.can_do_without(doubt(source, confirmed=False))
 
 
-def test_who_is_left_out_is_measured_no_more_and_shakes_the_estimate():
+def test_who_is_left_out_is_measured_no_more_and_widens_the_covariance():
     left_out = Exclusion(USED, on_wall=False)
     gyro = GyroMeasurement(Stamp(0, 0, 0), 0.0, 0.0, np.zeros(2))
     given = replace(cycle(5, at(UP), at(UP), at(UP)), gyro=(gyro,))
@@ -258,8 +258,8 @@ def test_shares_of_the_way_are_taken_off_alike_on_both_sides(axis, share):
 
 def test_half_a_second_after_a_leap_another_may_be_put_right():
     leap = Relocalisation()
-    told = [leap.jumped(round(t_s * 1e9), 0.1, 0.0) for t_s in (1.0, 1.4, 1.95)]
-    assert told == [True, False, True]
+    reported = [leap.jumped(round(t_s * 1e9), 0.1, 0.0) for t_s in (1.0, 1.4, 1.95)]
+    assert reported == [True, False, True]
 
 
 def slid(sees_from):
@@ -283,13 +283,15 @@ def test_a_slide_that_only_motion_capture_saw_is_unseen_and_one_that_the_camera_
     assert not any(d.unseen for d in early)
 
 
-@pytest.mark.parametrize(("unseen", "shaken_m"), [(True, 0.008), (False, 0.0)])
-def test_an_unseen_slide_shakes_the_estimate(unseen, shaken_m):
-    told = replace(doubt("mocap", confirmed=False, off=0.008), grave=False, against="servos", unseen=unseen)
-    checks = Checks(motion=Doubts(told), needs_camera=True, holders=HOLDERS)
+@pytest.mark.parametrize(("unseen", "inflated_m"), [(True, 0.008), (False, 0.0)])
+def test_an_unseen_slide_widens_the_covariance(unseen, inflated_m):
+    reported = replace(
+        doubt("mocap", confirmed=False, off=0.008), grave=False, against="servos", unseen=unseen
+    )
+    checks = Checks(motion=Doubts(reported), needs_camera=True, holders=HOLDERS)
     supervisor = Supervised(SafetyLimits(stale_s={}), checks=checks)
     (event,) = supervisor.check(Inputs(0, 0), Measurements(0, 0))
-    assert supervisor.inflation == (shaken_m, 0.0)
+    assert supervisor.inflation == (inflated_m, 0.0)
     assert set(event.suspects) == {"mocap", "servos", *HOLDERS}
 
 
@@ -331,7 +333,7 @@ def test_two_that_contradict_each_other_are_both_in_doubt_until_others_agree_aga
         (UP, 0.0 * UP, True, {"tracker", "servos"}),
     ],
 )
-def test_who_tells_of_a_way_as_somebody_else_does_agrees(seen, captured, mocap, agreed):
+def test_a_sensor_that_moves_as_another_agrees(seen, captured, mocap, agreed):
     check = MotionCheck(GEOMETRY)
     watching = Supervised(SafetyLimits(stale_s={}), checks=Checks(motion=check))
     for k in range(3, 90):
@@ -359,8 +361,8 @@ def test_a_camera_beside_motion_capture_is_grave_ten_millimetres_beyond_what_it_
     assert 0.009 < (0.05 - 0.004) * grave_s < 0.015
 
 
-def test_a_step_is_compared_once_and_only_where_somebody_else_looked_too():
-    check = MocapAgreement(WheelTrack(GEOMETRY), Seen(), creep=0.0)
+def test_a_step_is_compared_once_and_only_where_another_sensor_looked_too():
+    check = MocapAgreement(WheelTrack(GEOMETRY), MocapTolerances(), creep=0.0)
     compared = []
     for k in range(100, 130):
         t_ns = k * PERIOD_NS
@@ -376,7 +378,7 @@ def test_a_step_is_compared_once_and_only_where_somebody_else_looked_too():
 @pytest.mark.parametrize(("slip", "left"), [(0.0, 0.0), (0.03, 0.0), (0.1, 0.04)])
 def test_what_wheels_are_off_counts_without_what_they_may_creep(slip, left):
     """Climbing: 6 % of the way are creep, what is beyond is an error of the wheels."""
-    check = MotionCheck(GEOMETRY, seen=Seen(slipped_stop_m=1.0))
+    check = MotionCheck(GEOMETRY, seen=MocapTolerances(slipped_stop_m=1.0))
     for k in range(3, 103):
         check.update(cycle(k, at(UP), at((1.0 - slip) * UP), at((1.0 - slip) * UP)))
     way_m = abs(check.capture.ways()[1])

@@ -11,7 +11,7 @@ from hil.fakes.servos.sensing import Sensing
 
 
 class Joints:
-    """Joints that turn as told."""
+    """Joints that turn as given."""
 
     def __init__(self):
         self.now = np.zeros((3, 8))

@@ -51,16 +51,18 @@ def test_mounting_sign_and_zero_are_taken_out():
 
 
 @pytest.mark.parametrize(
-    ("zero_rad", "off_rad", "told"),
+    ("zero_rad", "off_rad", "reported"),
     [(None, 0.5, False), ((0.0,) * 4, 0.5, True), ((0.0,) * 4, -0.2, True), ((0.0,) * 4, 0.1, False)],
 )
-def test_an_axis_that_is_far_off_from_the_start_is_told_where_zeros_are_known(zero_rad, off_rad, told):
-    """A servo's encoder that slipped while nobody looked; zeros of a workshop are off by 0.05."""
+def test_an_axis_that_is_far_off_from_the_start_is_reported_where_zeros_are_known(
+    zero_rad, off_rad, reported
+):
+    """A servo's encoder that slipped while the bench was closed; zeros of a workshop are off by 0.05."""
     check = CrossCheck(EncodersConfig(zero_rad=zero_rad))
     for _ in range(20):
         result = check.update([off_rad, 0.0, 0.0, 0.0], [0.0] * 4)
-    assert result.horn_slip == (told, False, False, False)
-    assert result.now_rad[0] == pytest.approx(off_rad if told else 0.0, abs=1e-9)
+    assert result.horn_slip == (reported, False, False, False)
+    assert result.now_rad[0] == pytest.approx(off_rad if reported else 0.0, abs=1e-9)
 
 
 def test_what_has_slipped_is_counted_from_what_was_learnt():
@@ -100,7 +102,7 @@ PERIOD_NS = 10_000_000
 def watched(off_rad, *, servo=0.0, config=None, cycles=100, slips=((40, 10**6),)):
     """A steering watch that sees one axis off in stretches of cycles; events by cycle, stops by cycle."""
     config = config or EncodersConfig()
-    watch, told, stops = SteeringWatch(config, (5, 6, 7, 8)), [], []
+    watch, reported, stops = SteeringWatch(config, (5, 6, 7, 8)), [], []
     for k in range(cycles):
         off = np.array([0.0, off_rad if any(a <= k < b for a, b in slips) else 0.0, 0.0, 0.0])
         stamp, events = Stamp(k * PERIOD_NS, k * PERIOD_NS, k), []
@@ -110,16 +112,16 @@ def watched(off_rad, *, servo=0.0, config=None, cycles=100, slips=((40, 10**6),)
         inputs = Inputs(k, k * PERIOD_NS, encoders=(sample,))
         measured = Measurements(k, k * PERIOD_NS, wheels=(wheels,))
         watch.judge(inputs, measured, events, lambda *cause, k=k: stops.append((k, *cause)))
-        told += [(k, e) for e in events]
-    return told, stops
+        reported += [(k, e) for e in events]
+    return reported, stops
 
 
 @pytest.mark.parametrize(
     ("servo", "config"), [(0.0, None), (3.1, None), (-3.1, EncodersConfig(zero_rad=(3.0,) * 4))]
 )
-def test_a_slip_is_told_with_both_devices_and_then_stops(servo, config):
-    told, stops = watched(0.2, servo=servo, config=config)
-    ((at, event),) = told
+def test_a_slip_is_reported_with_both_devices_and_then_stops(servo, config):
+    reported, stops = watched(0.2, servo=servo, config=config)
+    ((at, event),) = reported
     assert 40 <= at <= 55
     assert (event.level, event.source) == ("warning", "encoders")
     assert "wheel BL: its external encoder has moved +0.200 rad (+11.5 deg)" in event.message
@@ -131,23 +133,23 @@ def test_a_slip_is_told_with_both_devices_and_then_stops(servo, config):
 
 
 @pytest.mark.parametrize(
-    ("off_rad", "told", "stopped"),
+    ("off_rad", "reported", "stopped"),
     [(0.028, 0, False), (0.032, 1, False), (-0.058, 1, False), (-0.062, 1, True)],
 )
-def test_more_than_the_threshold_is_told_and_twice_as_much_stops(off_rad, told, stopped):
+def test_more_than_the_threshold_is_reported_and_twice_as_much_stops(off_rad, reported, stopped):
     events, stops = watched(off_rad, cycles=400)
-    assert len(events) == told
+    assert len(events) == reported
     assert bool(stops) is stopped
 
 
 def test_a_quarter_of_a_second_is_enough_to_learn():
-    told, _ = watched(0.05, slips=((28, 10**6),))
-    assert [e.message.count("+0.050 rad") for _, e in told] == [1]
+    reported, _ = watched(0.05, slips=((28, 10**6),))
+    assert [e.message.count("+0.050 rad") for _, e in reported] == [1]
 
 
-def test_a_slip_that_comes_again_is_told_again():
-    told, _ = watched(0.05, cycles=400, slips=((40, 120), (280, 360)))
-    assert [k // 200 for k, _ in told] == [0, 1]
+def test_a_slip_that_comes_again_is_reported_again():
+    reported, _ = watched(0.05, cycles=400, slips=((40, 120), (280, 360)))
+    assert [k // 200 for k, _ in reported] == [0, 1]
 
 
 def test_without_one_of_the_two_nothing_is_compared():
@@ -162,10 +164,10 @@ def test_without_one_of_the_two_nothing_is_compared():
 
 
 def test_angles_are_compared_every_50_ms_as_they_are_then():
-    told, _ = watched(0.5, slips=((41, 45),))
-    assert told == []
-    told, _ = watched(0.5, slips=((41, 47),))
-    assert told != []
+    reported, _ = watched(0.5, slips=((41, 45),))
+    assert reported == []
+    reported, _ = watched(0.5, slips=((41, 47),))
+    assert reported != []
 
 
 def test_what_is_learnt_is_the_mean_of_the_first_five_pairs():

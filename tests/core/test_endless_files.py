@@ -45,9 +45,9 @@ def test_a_file_far_too_large_is_refused_by_name(tmp_path, monkeypatch, capsys, 
         file.truncate(1 << 40)
     with little_memory():
         code = main([argument.format(tmp_path / name) for argument in arguments])
-    told = capsys.readouterr()
-    assert (code, "Traceback" in told.err) == (2, False), told.err
-    assert name in told.err + told.out
+    reported = capsys.readouterr()
+    assert (code, "Traceback" in reported.err) == (2, False), reported.err
+    assert name in reported.err + reported.out
 
 
 @pytest.mark.timeout(60)
@@ -63,9 +63,9 @@ def test_a_pipe_or_a_device_is_refused_by_name(tmp_path, monkeypatch, capsys, na
     else:
         os.mkfifo(tmp_path / name)
     code = main([argument.format(tmp_path / name) for argument in arguments])
-    told = capsys.readouterr()
-    assert (code, "Traceback" in told.err) == (2, False), told.err
-    assert name in told.err + told.out
+    reported = capsys.readouterr()
+    assert (code, "Traceback" in reported.err) == (2, False), reported.err
+    assert name in reported.err + reported.out
 
 
 @pytest.mark.timeout(60)
@@ -75,10 +75,10 @@ def test_a_bench_that_cannot_be_read_is_not_suggested_for_itself(tmp_path, monke
     os.mkfifo(tmp_path / "pipe.toml")
     for name, why in (("huge.toml", "larger than 4 MiB"), ("pipe.toml", "not a file")):
         assert main(["run", "bring_up", "--dry-run", "--bench", name]) == 2
-        told = capsys.readouterr().err
-        assert why in told
-        assert "did you mean" not in told
-        assert "give a bench.toml or a profile name" in told
+        reported = capsys.readouterr().err
+        assert why in reported
+        assert "did you mean" not in reported
+        assert "give a bench.toml or a profile name" in reported
     assert main(["run", "bring_up", "--dry-run", "--bench", "hugo.toml"]) == 2
     assert "did you mean" not in capsys.readouterr().err, "of neither is known that it is a bench file"
     (tmp_path / "huge_2.toml").write_text('schema = 1\nname = "lab"\n')

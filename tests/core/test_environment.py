@@ -3,7 +3,7 @@
 import pytest
 
 import hil
-from hil.bench.settings import motion_limits, safety_limits
+from hil.bench.loop_settings import motion_limits, safety_limits
 from hil.config.environment import SURFACES
 from hil.config.loading import load_bench, validate
 from hil.config.recorded import changed_since

@@ -1,4 +1,4 @@
-"""The estimate against motion capture over a whole run: told, widened, stopped, and whose fault it is."""
+"""The estimate against motion capture over a whole run: reported, widened, stopped, and whose fault it is."""
 
 import re
 
@@ -8,7 +8,7 @@ from supervised import Supervised
 
 from hil.core.errors import SafetyStop
 from hil.core.signals import Inputs, Measurements, PoseMeasurement, RobotState, Stamp, WheelMeasurement
-from hil.loop.checks.mocap_agreement import Seen
+from hil.loop.checks.mocap_agreement import MocapTolerances
 from hil.loop.checks.mocap_estimate import MocapEstimate
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.safety import Checks, SafetyLimits
@@ -82,7 +82,7 @@ class Run:
         return self
 
     @property
-    def told(self):
+    def reported(self):
         return [e for e in self.events if "the estimate has gone" in e.message]
 
 
@@ -93,16 +93,16 @@ def test_an_estimate_that_is_right_is_let_be_however_the_axes_of_the_room_lie(wa
     assert not any(run.off_m)
 
 
-def test_what_the_estimate_itself_takes_for_possible_is_not_told():
-    assert Run(UP, estimate=0.97 * UP, sigma_m=0.01).go(800).told == []
+def test_what_the_estimate_itself_takes_for_possible_is_not_reported():
+    assert Run(UP, estimate=0.97 * UP, sigma_m=0.01).go(800).reported == []
 
 
 @pytest.mark.parametrize(("way", "share"), [(UP, 0.96), (ACROSS, 1.04)])
-def test_a_slow_lie_of_the_camera_is_told_once_widens_the_estimate_and_stops(way, share):
+def test_a_slow_lie_of_the_camera_is_reported_once_widens_the_estimate_and_stops(way, share):
     run = Run(way, estimate=share * way, camera=share * way)
     with pytest.raises(SafetyStop, match="the camera may be wrong") as stopped:
         run.go(1500)
-    (event,) = run.told
+    (event,) = run.reported
     assert event.source == "tracker"
     gone_m, true_m = map(float, re.findall(r"(\d\.\d{3}) m", event.message)[:2])
     assert gone_m == pytest.approx(share * true_m, abs=0.001)
@@ -117,28 +117,28 @@ def test_wheels_that_slip_a_little_all_together_are_the_ones_that_are_named():
     run = Run(ACROSS, estimate=1.05 * ACROSS, wheels=1.05 * ACROSS)
     with pytest.raises(SafetyStop, match="the wheels may be wrong"):
         run.go(1500)
-    assert {e.source for e in run.told} == {"servos"}
+    assert {e.source for e in run.reported} == {"servos"}
 
 
-def test_motion_capture_that_camera_and_wheels_contradict_stops_nobody():
+def test_motion_capture_that_camera_and_wheels_contradict_stops_no_robot():
     """Its scale is off by as much as the sums allow; the estimate is unsure all the same."""
     run = Run(0.97 * ACROSS, estimate=ACROSS, camera=ACROSS, wheels=ACROSS).go(1500)
-    assert {e.source for e in run.told} == {"mocap"}
-    assert "agree against motion capture" in run.told[0].message
+    assert {e.source for e in run.reported} == {"mocap"}
+    assert "agree against motion capture" in run.reported[0].message
     assert 3.0 * run.sigma_m + 0.005 > 0.03 * 1.5
 
 
-def test_who_does_not_follow_the_estimate_is_told_only():
+def test_without_following_the_estimate_there_is_only_a_warning():
     run = Run(UP, estimate=0.95 * UP, camera=0.95 * UP, follows=False).go(1000)
-    assert run.told
+    assert run.reported
     assert 3.0 * run.sigma_m + 0.005 > 0.05 * 1.0
 
 
-def test_a_drift_aside_within_what_the_rigid_bodys_axes_may_be_turned_by_is_told_and_stops_nobody():
+def test_a_drift_aside_within_what_the_rigid_bodys_axes_may_be_turned_by_is_reported_and_stops_no_robot():
     aside = np.array([0.0, 0.04 * SPEED_M_S])
     run = Run(UP, estimate=UP + aside, camera=UP + aside).go(1000)
-    assert "aside" in run.told[0].message
-    assert "align them" in run.told[0].message
+    assert "aside" in run.reported[0].message
+    assert "align them" in run.reported[0].message
     assert 3.0 * run.sigma_m + 0.005 > 0.04 * 1.0
 
 
@@ -151,7 +151,7 @@ def test_a_drift_aside_that_no_axes_explain_stops():
 
 def test_behind_a_gap_what_was_found_before_still_counts():
     run = Run(UP, estimate=0.96 * UP, camera=0.96 * UP).go(300)
-    first = len(run.told)
+    first = len(run.reported)
     run.go(340, first=300, valid=False)
     with pytest.raises(SafetyStop, match="sensors_disagree"):
         run.go(1500, first=340)
@@ -162,7 +162,7 @@ def test_behind_a_gap_what_was_found_before_still_counts():
 def test_nothing_is_judged_by_a_motion_capture_that_was_left_out():
     run = Run(UP, estimate=0.9 * UP, camera=0.96 * UP)
     run.supervisor.left_out._names.add("mocap")
-    assert run.go(600).told == []
+    assert run.go(600).reported == []
 
 
 def test_a_reset_begins_a_new_run():
@@ -170,8 +170,8 @@ def test_a_reset_begins_a_new_run():
     run.supervisor.reset()
     run.events.clear()
     run.sigma_m = 0.0005
-    assert run.go(390, first=301).told == []
-    assert run.go(520, first=390).told
+    assert run.go(390, first=301).reported == []
+    assert run.go(520, first=390).reported
 
 
 def test_a_turned_rigid_body_may_be_off_by_its_lever():
@@ -180,7 +180,7 @@ def test_a_turned_rigid_body_may_be_off_by_its_lever():
     watch, events = MocapEstimate(motion.capture, follows=True), []
     for k in range(1, 600):
         t_ns, heading = k * PERIOD_NS, rate * k * PERIOD_NS * 1e-9
-        lever = Seen().lever_m * 0.9
+        lever = MocapTolerances().lever_m * 0.9
         place = np.array([lever * np.cos(heading) - lever, lever * np.sin(heading), heading])
         motion.capture.take((), (PoseMeasurement(Stamp(t_ns, t_ns, k), "mocap", place, 3, True),))
         covariance = np.diag([1e-8] * 6)
@@ -189,13 +189,13 @@ def test_a_turned_rigid_body_may_be_off_by_its_lever():
 
 
 @pytest.mark.parametrize(
-    ("way", "sigma_rad", "told"),
+    ("way", "sigma_rad", "reported"),
     [(UP, 0.015, False), (-ACROSS, 0.015, False), (ACROSS, 1e-4, True), (-UP, 1e-4, True)],
 )
-def test_who_was_unsure_of_its_heading_at_the_start_may_go_aside(way, sigma_rad, told):
+def test_who_was_unsure_of_its_heading_at_the_start_may_go_aside(way, sigma_rad, reported):
     aside = turned(way, 0.035)
     run = Run(way, estimate=aside, camera=aside, sigma_rad=sigma_rad).go(600)
-    assert bool(run.told) is told
+    assert bool(run.reported) is reported
 
 
 def test_a_lie_is_found_as_late_in_every_direction():
@@ -208,9 +208,9 @@ def test_a_lie_is_found_as_late_in_every_direction():
     assert len(stopped) == 1
 
 
-def test_what_is_told_makes_the_estimate_unsure_of_all_that_may_come_until_it_stops():
+def test_what_is_reported_makes_the_estimate_unsure_of_all_that_may_come_until_it_stops():
     run = Run(UP, estimate=0.96 * UP, camera=0.96 * UP, sigma_m=1e-5)
-    while not run.told:
+    while not run.reported:
         run.go(len(run.off_m) + 4, len(run.off_m) + 3)
     at_k = len(run.off_m) + 3
     run.go(at_k + 1, at_k)

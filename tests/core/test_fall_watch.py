@@ -44,26 +44,31 @@ def stops(*cycles, watch=None):
 
 
 @pytest.mark.parametrize(
-    ("told", "bad", "good", "reason"), [(felt, 3.9, 4.1, "adhesion"), (seen, 0.51, 0.49, "sliding")]
+    ("reported", "bad", "good", "reason"), [(felt, 3.9, 4.1, "adhesion"), (seen, 0.51, 0.49, "sliding")]
 )
-def test_three_samples_in_a_row_are_needed_and_enough(told, bad, good, reason):
-    assert stops(told(bad), told(bad), told(bad)) == [[], [], [reason]]
-    assert stops(told(bad, bad, bad)) == [[reason]]
-    assert stops(told(bad, bad), told(good), told(bad, bad), told(bad)) == [[], [], [], [reason]]
-    assert stops(*[told(good)] * 9) == [[]] * 9
-    assert stops(told(bad, bad), told(bad, status=Status.FROZEN)) == [[], []]
-    assert stops(told(bad, bad), told(), told(bad)) == [[], [], [reason]]
+def test_three_samples_in_a_row_are_needed_and_enough(reported, bad, good, reason):
+    assert stops(reported(bad), reported(bad), reported(bad)) == [[], [], [reason]]
+    assert stops(reported(bad, bad, bad)) == [[reason]]
+    assert stops(reported(bad, bad), reported(good), reported(bad, bad), reported(bad)) == [
+        [],
+        [],
+        [],
+        [reason],
+    ]
+    assert stops(*[reported(good)] * 9) == [[]] * 9
+    assert stops(reported(bad, bad), reported(bad, status=Status.FROZEN)) == [[], []]
+    assert stops(reported(bad, bad), reported(), reported(bad)) == [[], [], [reason]]
 
 
-@pytest.mark.parametrize("told", [felt, seen])
-def test_a_new_run_knows_nothing_of_the_one_before(told):
-    bad = {felt: 0.0, seen: 2.0}[told]
+@pytest.mark.parametrize("reported", [felt, seen])
+def test_a_new_run_knows_nothing_of_the_one_before(reported):
+    bad = {felt: 0.0, seen: 2.0}[reported]
     watch = FallCheck(LIGHTEST_M_S2, FASTEST_M_S)
-    stops(told(bad, bad), watch=watch)
+    stops(reported(bad, bad), watch=watch)
     watch.reset()
-    assert stops(told(bad, bad), watch=watch) == [[]]
+    assert stops(reported(bad, bad), watch=watch) == [[]]
 
 
-def test_both_are_told():
+def test_both_are_reported():
     both = SimpleNamespace(imu=felt(0.0, 0.0, 0.0).imu, tracker=seen(1.0, 1.0, 1.0).tracker)
     assert stops(both) == [["adhesion", "sliding"]]

@@ -55,7 +55,7 @@ def test_an_unreadable_fault_is_a_usage_error_that_shows_the_form(spec):
 
 
 @pytest.mark.parametrize(
-    ("spec", "told"),
+    ("spec", "reported"),
     [
         ("servos:intermittent@1,period_s=0", "period_s is 0; expected a number from 0.001 to 3600"),
         ("imu:intermittent@1,period_s=1e-12", "period_s is 1e-12; expected a number from 0.001 to 3600"),
@@ -74,8 +74,8 @@ def test_an_unreadable_fault_is_a_usage_error_that_shows_the_form(spec):
         ("lamp:wrong,brightness=inf", r"brightness is inf; expected a number from -1e\+09 to 1e\+09"),
     ],
 )
-def test_an_option_outside_its_range_is_refused_when_it_is_read(spec, told):
-    with pytest.raises(UsageError, match=told) as refused:
+def test_an_option_outside_its_range_is_refused_when_it_is_read(spec, reported):
+    with pytest.raises(UsageError, match=reported) as refused:
         parse_fault(spec)
     device, kind = spec.split("@")[0].split(",")[0].split(":")
     assert str(refused.value).startswith(f"fault {device}:{kind}@")
@@ -145,7 +145,7 @@ def test_unsupported_faults_and_unknown_devices_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("supported", "told"),
+    ("supported", "reported"),
     [
         ({"offf": ()}, r"device gap declares the fault 'offf'; expected one of off, .*did you mean off\?"),
         ({"off": (), "stuk": ("at",)}, r"device gap declares the fault 'stuk'; .*did you mean stuck\?"),
@@ -156,9 +156,9 @@ def test_unsupported_faults_and_unknown_devices_are_refused():
         ({"drop": ("a b",)}, r"the fault 'drop' with the options \('a b',\); expected a tuple of names"),
     ],
 )
-def test_a_device_declares_only_faults_that_there_are(supported, told):
+def test_a_device_declares_only_faults_that_there_are(supported, reported):
     plan = FaultPlan()
-    with pytest.raises(UsageError, match=told):
+    with pytest.raises(UsageError, match=reported):
         plan.declare("gap", supported)
     assert not plan.supported
     plan.declare("gap", {"drop": ("probability", "an_option_of_its_own")})

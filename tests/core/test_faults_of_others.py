@@ -26,7 +26,7 @@ LATER = (
 )
 
 
-def told(*faults):
+def reported(*faults):
     """What all devices say in a while, and what the robot does."""
     seen = []
     with hil.open_bench("emulated", seed=5, faults=faults) as bench:
@@ -42,7 +42,7 @@ def told(*faults):
 
 
 def test_until_a_fault_begins_everything_is_as_without_it():
-    assert told(*(f"{fault}@1000" for fault in LATER)) == told()
+    assert reported(*(f"{fault}@1000" for fault in LATER)) == reported()
 
 
 def test_what_is_planned_for_a_device_concerns_it_by_all_of_its_names():
@@ -55,5 +55,5 @@ def test_what_is_planned_for_a_device_concerns_it_by_all_of_its_names():
     assert not camera.empty
     plan.clear()
     assert plan.empty
-    assert not camera.empty  # it goes on asking: nobody else tells it that it is well again
+    assert not camera.empty  # it goes on asking: nothing else reports that it is well again
     assert plan.of("tracker").empty

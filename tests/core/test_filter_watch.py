@@ -1,4 +1,4 @@
-"""A sensor with which the estimate had to begin anew is told of, and what that costs."""
+"""A sensor with which the estimate had to begin anew is reported, and what that costs."""
 
 import numpy as np
 import pytest
@@ -13,30 +13,30 @@ def state(t_ns=0, sigma_m=0.001, **figures):
     return RobotState(t_ns, np.zeros(3), np.zeros(3), np.eye(6) * sigma_m**2, figures)
 
 
-def told(*states):
+def reported(*states):
     watch, events = FilterFit(), []
     for one in states:
         watch.judge(one, events)
     return events
 
 
-def test_poses_that_were_refused_until_the_frame_began_anew_are_told_of_once():
+def test_poses_that_were_refused_until_the_frame_began_anew_are_reported_once():
     refused = state(5, 0.007, reanchored_tracker=1.0, rejected_tracker=40.0)
-    (event,) = told(state(rejected_tracker=39.0), refused, refused)
+    (event,) = reported(state(rejected_tracker=39.0), refused, refused)
     assert (event.t_ns, event.level, event.source) == (5, "warning", "tracker")
     assert (
         event.message == "did not fit what servos and IMU tell for long: the estimate is unsure by 7.0 mm now"
     )
-    (event,) = told(state(reanchored_wheels=1.0, rejected_wheels=320.0))
+    (event,) = reported(state(reanchored_wheels=1.0, rejected_wheels=320.0))
     assert event.source == "servos"
 
 
 def test_a_leap_that_refused_nothing_and_single_refusals_are_not():
-    assert not told(state(reanchored_tracker=1.0), state(reanchored_tracker=2.0))
-    assert not told(state(rejected_tracker=1.0), state(rejected_tracker=30.0), state())
+    assert not reported(state(reanchored_tracker=1.0), state(reanchored_tracker=2.0))
+    assert not reported(state(rejected_tracker=1.0), state(rejected_tracker=30.0), state())
 
 
-def test_the_supervisor_tells_it_with_its_judgement_of_the_estimate():
+def test_the_supervisor_reports_it_with_its_judgement_of_the_estimate():
     supervisor, refused = Supervised(SafetyLimits()), state(reanchored_tracker=1.0, rejected_tracker=40.0)
     assert [event.source for event in supervisor.guard(refused, None)] == ["tracker"]
     supervisor.reset()
@@ -47,21 +47,21 @@ def misfits(*means):
     return [state(k, nis_mean_tracker=mean, innovation_tracker_m=1e-3 * mean) for k, mean in enumerate(means)]
 
 
-def test_a_camera_that_fits_badly_on_the_whole_is_told_once_and_again_after_a_calm():
-    events = told(*misfits(1.0, 1.2, 2.0, 2.6, 3.0, 2.4, 2.7, 1.0, 2.6))
+def test_a_camera_that_fits_badly_on_the_whole_is_reported_once_and_again_after_a_calm():
+    events = reported(*misfits(1.0, 1.2, 2.0, 2.6, 3.0, 2.4, 2.7, 1.0, 2.6))
     assert [(event.t_ns, event.source) for event in events] == [(3, "tracker"), (8, "tracker")]
     assert "mean NIS 2.6" in events[0].message
     assert events[0].message.endswith("unsure by 2.6 mm more")
-    assert not told(*misfits(1.0, 1.2, 2.4, 1.6, 2.4))
+    assert not reported(*misfits(1.0, 1.2, 2.4, 1.6, 2.4))
 
 
-def test_what_fits_badly_shakes_the_estimate_in_the_next_cycle_only():
+def test_what_fits_badly_widens_the_covariance_in_the_next_cycle_only():
     supervisor = Supervised(SafetyLimits(stale_s={}))
     for one in misfits(1.0, 2.0, 2.6):
         supervisor.guard(one, None)
-    for shaken_m in (pytest.approx(0.0026), 0.0):
+    for inflated_m in (pytest.approx(0.0026), 0.0):
         supervisor.check(Inputs(0, 0), Measurements(0, 0))
-        assert supervisor.inflation == (shaken_m, 0.0)
+        assert supervisor.inflation == (inflated_m, 0.0)
 
 
 def test_poses_that_are_refused_in_a_row_and_the_frame_after_them_are_no_misfit():
@@ -70,7 +70,7 @@ def test_poses_that_are_refused_in_a_row_and_the_frame_after_them_are_no_misfit(
         state(10 + k, nis_mean_tracker=8.0 - k, rejected_tracker=6.0, reanchored_tracker=1.0)
         for k in range(8)
     ]
-    assert [event.message[:11] for event in told(*row, row[-1], *after)] == ["did not fit"]
+    assert [event.message[:11] for event in reported(*row, row[-1], *after)] == ["did not fit"]
 
 
 def test_the_first_poses_of_a_run_may_be_those_that_do_not_fit():

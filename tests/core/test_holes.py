@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hil.bench.contract import at_rest
-from hil.bench.contract.subject import Broken
+from hil.bench.contract.device_under_test import Broken
 from hil.core.device import DeviceKind
 from hil.core.geometry import Array
 from hil.core.nonfinite import unsaid_holes
@@ -87,11 +87,11 @@ def test_the_contract_suite_fails_a_hole_in_a_tuple(monkeypatch):
     assert at_rest.no_data_is_no_number(subject) == "1 samples"
 
 
-def test_a_run_tells_of_each_field_once_and_only_of_devices_that_packages_bring():
+def test_a_run_reports_each_field_once_and_only_of_devices_that_packages_bring():
     imu = kinds()["imu"].sample
     nan = np.full(4, np.nan)
     sample = imu(STAMP, nan, nan[:3], nan[:3], np.ones(3), (3, 3, 3, 3), OK)
-    for brought, told in (
+    for brought, reported in (
         ({}, []),
         ({"imu": ("quaternion_wxyz", "linear_acceleration_m_s2")}, ["gyro_rad_s"]),
         ({"imu": ()}, ["quaternion_wxyz", "gyro_rad_s", "linear_acceleration_m_s2"]),
@@ -99,4 +99,6 @@ def test_a_run_tells_of_each_field_once_and_only_of_devices_that_packages_bring(
         watch, events = SensorStatus({}, brought=brought), []
         for k in range(3):
             watch.judge(Inputs(k, k * 10_000_000, imu=(sample,)), events)
-        assert [(event.source, event.message.split()[4]) for event in events] == [("imu", n) for n in told]
+        assert [(event.source, event.message.split()[4]) for event in events] == [
+            ("imu", n) for n in reported
+        ]

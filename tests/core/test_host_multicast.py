@@ -1,4 +1,4 @@
-"""The multicast bus of one host: speaks with python-can's own, and hears nobody from elsewhere."""
+"""The multicast bus of one host: speaks with python-can's own, and hears no other host."""
 
 import socket
 import time
@@ -88,7 +88,7 @@ def test_this_hosts_own_address_on_its_network_is_its_own():
         assert is_of_this_host(probe.getsockname())
 
 
-def test_what_is_no_frame_is_told_as_python_can_does(bus, port):
+def test_what_is_no_frame_is_reported_as_python_can_does(bus, port):
     for data in (b"", b"nonsense", b"\x81\xa1a\x01"):
         send_from("127.0.0.1", (GROUP, port), data)
         with pytest.raises(can.CanOperationError, match="no CAN frame"):

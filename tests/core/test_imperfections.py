@@ -74,9 +74,9 @@ def test_a_bench_is_checked_without_any_fault(key, value):
 def test_a_run_ends_with_2_before_it_has_begun(tmp_path, capsys, given):
     out = tmp_path / "out"
     assert main(["run", "latency", "--set", f"bench.emulation.tracker.{given}", "--out", str(out)]) == 2
-    told = capsys.readouterr()
-    assert f"emulation.tracker.{given.partition('=')[0]}: " in told.err
-    assert "NOT HELD" not in told.err + told.out
+    reported = capsys.readouterr()
+    assert f"emulation.tracker.{given.partition('=')[0]}: " in reported.err
+    assert "NOT HELD" not in reported.err + reported.out
     assert not out.exists()
 
 
@@ -90,7 +90,7 @@ def test_every_command_that_emulates_checks(tmp_path, capsys, command):
     assert "emulation.imu.gyro_noise_rad_s: expected 0 to 100, found -1" in capsys.readouterr().err
 
 
-def test_wrong_values_are_told_all_at_once():
+def test_wrong_values_are_reported_all_at_once():
     config = load_bench("emulated", overrides={"emulation.imu": {"clock_ppm": -1, "leakage_s": 0}})
     with pytest.raises(ConfigError) as error:
         check_faults(config, [])

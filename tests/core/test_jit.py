@@ -1,4 +1,4 @@
-"""Machine code: kept by the state of all sources, lost without harm, told while made, ended by Ctrl-C."""
+"""Machine code: kept by the state of all sources, lost without harm, reported while made, ended by Ctrl-C."""
 
 import importlib.util
 import logging
@@ -129,7 +129,7 @@ print(outer(1.0), outer(1))
 """
 
 
-def test_a_full_disk_under_the_cache_is_told_once_and_ends_nothing(tmp_path):
+def test_a_full_disk_under_the_cache_is_reported_once_and_ends_nothing(tmp_path):
     (tmp_path / "made.py").write_text(MODULE)
     cache, path = tmp_path / "cache", os.pathsep.join([str(tmp_path), *sys.path])
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": path}
@@ -166,7 +166,7 @@ def test_a_signal_in_the_midst_of_the_cache_ends_the_run_all_the_same(kept_in, t
     assert caplog.messages == []
 
 
-def test_where_nothing_can_be_kept_it_is_told_once(kept_in, monkeypatch, tmp_path, caplog):
+def test_where_nothing_can_be_kept_it_is_reported_once(kept_in, monkeypatch, tmp_path, caplog):
     """Neither where the user said, nor beside the source, nor in the user's cache."""
     for name in ("cache", "__pycache__", "of_the_user"):
         (tmp_path / name).write_text("a file where a folder is needed")
@@ -174,8 +174,8 @@ def test_where_nothing_can_be_kept_it_is_told_once(kept_in, monkeypatch, tmp_pat
     outer = fresh(tmp_path).outer
     assert caplog.messages == []  # nothing is lost before something was compiled
     assert (outer(1.0), outer(1)) == (5.0, 5.0)
-    (told,) = caplog.messages
-    assert "NUMBA_CACHE_DIR" in told
+    (reported,) = caplog.messages
+    assert "NUMBA_CACHE_DIR" in reported
 
 
 def test_a_kernel_without_a_file_is_none_to_be_kept(kept_in, caplog):
@@ -192,11 +192,11 @@ def test_an_inner_function_is_machine_code_in_a_kernel_and_plain_in_python(kept_
     assert made.added(np.float32(1.0)) == 2.5
 
 
-def test_a_compilation_that_takes_long_is_told_with_what_does_it_beforehand(kept_in, monkeypatch, caplog):
+def test_a_compilation_that_takes_long_is_reported_with_what_does_it_beforehand(kept_in, monkeypatch, caplog):
     monkeypatch.setattr(numba_jit, "_FIRST_WORD_NS", -1)
     kernel(lambda x: x + 1.0)(1.0)
-    (told,) = caplog.messages
-    assert "hil info --compile" in told
+    (reported,) = caplog.messages
+    assert "hil info --compile" in reported
 
 
 class Strike(event.Listener):

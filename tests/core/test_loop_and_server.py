@@ -19,7 +19,7 @@ from hil.core.signals import (
     Status,
     WheelSetpoint,
 )
-from hil.fakes.server import EmulationServer, Face
+from hil.fakes.server import EmulationServer, Transport
 from hil.fakes.world import NEVER_NS, VirtualClock, World
 from hil.loop.alignment import Alignment, AlignmentParameters
 from hil.loop.control_loop import ControlLoop, ControlPipeline
@@ -175,12 +175,12 @@ def test_cycles_fall_on_the_grid_and_the_robot_is_held_at_the_end():
     assert motion.events == ()
 
 
-def test_sinks_are_told_when_the_loop_sleeps_after_every_cycle_and_at_the_end():
-    told = []
+def test_sinks_are_called_when_the_loop_sleeps_after_every_cycle_and_at_the_end():
+    reported = []
 
     class Resting(Busy):
         def rest(self):
-            told.append((len(self.seen), self.clock.now_ns()))
+            reported.append((len(self.seen), self.clock.now_ns()))
 
     def until(record):
         if record.cycle == 3:
@@ -190,7 +190,7 @@ def test_sinks_are_told_when_the_loop_sleeps_after_every_cycle_and_at_the_end():
     _, loop = make(sinks=lambda clock: (Resting(clock, 1, nanoseconds(0.004)),))
     with pytest.raises(RuntimeError, match="enough"):
         loop.run(until)
-    assert told == [(1, 0), (2, 14_000_000), (3, 20_000_000), (4, 30_000_000)]
+    assert reported == [(1, 0), (2, 14_000_000), (3, 20_000_000), (4, 30_000_000)]
 
 
 def test_a_missed_deadline_is_counted_and_never_made_up_for():
@@ -232,7 +232,7 @@ def test_a_rig_that_cannot_open_whole_closes_what_it_opened():
         DeviceSet(clock).actuators()
 
 
-class Echo(Face):
+class Echo(Transport):
     """Answers a byte with the world time at which it was served; ticks every 5 ms."""
 
     def __init__(self):
@@ -263,21 +263,21 @@ class Echo(Face):
 
 @pytest.mark.alone
 def test_the_server_answers_and_ticks_on_world_time():
-    face = Echo()
-    server = EmulationServer(World(StillPlant()), MonotonicClock(), {"echo": face})
-    assert server.endpoints() == {"echo": {"fd": face.far.fileno()}}
-    face.far.send(b"?")
-    while face.ticks < 4:
+    transport = Echo()
+    server = EmulationServer(World(StillPlant()), MonotonicClock(), {"echo": transport})
+    assert server.endpoints() == {"echo": {"fd": transport.far.fileno()}}
+    transport.far.send(b"?")
+    while transport.ticks < 4:
         server.step()
-    assert 0 <= int(face.far.recv(32)) <= server.world.now_ns
-    assert face.ticks == server.world.now_ns // 5_000_000
+    assert 0 <= int(transport.far.recv(32)) <= server.world.now_ns
+    assert transport.ticks == server.world.now_ns // 5_000_000
     server.stop()
     server.run()
-    assert face.closed
-    face.far.close()
+    assert transport.closed
+    transport.far.close()
 
 
-class Listener(Face):
+class Listener(Transport):
     """Notes when it takes each byte of a pipe, as a controller does that lets go after too long a silence."""
 
     def __init__(self):
@@ -316,55 +316,55 @@ class JumpingClock(MonotonicClock):
 
 def test_an_emulator_that_was_starved_hears_what_came_meanwhile_before_its_time_is_over():
     """200 commands of 4 s: taken at once, or none before the end, they would leave 4 s of silence."""
-    clock, face = JumpingClock(), Listener()
-    server = EmulationServer(World(StillPlant()), clock, {"fan": face})
+    clock, transport = JumpingClock(), Listener()
+    server = EmulationServer(World(StillPlant()), clock, {"fan": transport})
     begin_ns = server.world.now_ns
-    os.write(face.write_end, bytes(200))
+    os.write(transport.write_end, bytes(200))
     clock.t_ns += nanoseconds(4.0)
     while server.world.now_ns < begin_ns + nanoseconds(4.0):
         server.step()
     server.close()
-    silence_ns = np.diff([begin_ns, *face.taken_ns, begin_ns + nanoseconds(4.0)])
+    silence_ns = np.diff([begin_ns, *transport.taken_ns, begin_ns + nanoseconds(4.0)])
     assert silence_ns.max() <= nanoseconds(0.05)
 
 
 class Speaker(Echo):
-    """Notes whether it was told, at each tick, that the world is far behind."""
+    """Notes, at each tick, whether it was informed that the world is far behind."""
 
     def __init__(self):
         super().__init__()
-        self.told = []
+        self.reported = []
 
     def on_due(self, t_ns):
         super().on_due(t_ns)
-        self.told.append(self.behind)
+        self.reported.append(self.behind)
 
 
-def test_devices_are_told_while_the_world_is_far_behind():
+def test_devices_are_informed_while_the_world_is_far_behind():
     """What a chip says of the past would be taken for the present."""
-    clock, face = JumpingClock(), Speaker()
-    server = EmulationServer(World(StillPlant()), clock, {"echo": face})
+    clock, transport = JumpingClock(), Speaker()
+    server = EmulationServer(World(StillPlant()), clock, {"echo": transport})
     clock.t_ns += nanoseconds(0.04)
     while server.world.now_ns < nanoseconds(0.04):
         server.step()
-    assert set(face.told) == {False}
-    face.told.clear()
+    assert set(transport.reported) == {False}
+    transport.reported.clear()
     clock.t_ns += nanoseconds(0.3)
     while server.world.now_ns < nanoseconds(0.34):
         server.step()
     clock.t_ns += nanoseconds(0.01)
     server.step()
     server.close()
-    face.far.close()
-    late = face.told.count(True)
-    assert face.told == [True] * late + [False] * (len(face.told) - late)
+    transport.far.close()
+    late = transport.reported.count(True)
+    assert transport.reported == [True] * late + [False] * (len(transport.reported) - late)
     assert 0.2 <= late * 0.005 <= 0.25
 
 
 def test_a_world_in_which_nothing_is_planned_keeps_up_with_the_clock():
-    face = Listener()
+    transport = Listener()
     clock = MonotonicClock()
-    server = EmulationServer(World(StillPlant()), clock, {"fan": face})
+    server = EmulationServer(World(StillPlant()), clock, {"fan": transport})
     begin_ns, world_ns = clock.now_ns(), server.world.now_ns
     while clock.now_ns() < begin_ns + nanoseconds(0.5):
         server.step()

@@ -1,4 +1,4 @@
-"""Camera, wheels and gyro that tell one motion are left alone; one that tells another is named."""
+"""Camera, wheels and gyro that measure one motion are left alone; one that reports another is named."""
 
 import math
 from dataclasses import replace
@@ -16,7 +16,7 @@ PERIOD_NS, LATE_NS = 10_000_000, 25_000_000
 
 
 class Robot:
-    """Drives a constant twist per second of time; what each sensor tells of it can be changed.
+    """Drives a constant twist per second of time; what each sensor reports of it can be changed.
 
     Args:
         twist: (v_x, v_y, omega) of the wheels.
@@ -72,7 +72,7 @@ def test_one_motion_leaves_nothing_to_doubt(twist):
 
 @pytest.mark.parametrize("twist", MOTIONS[:3])
 @pytest.mark.parametrize("scale", [0.0, 0.3, 0.5, 2.0])
-def test_a_camera_of_another_scale_is_told_and_then_grave_within_centimetres(twist, scale):
+def test_a_camera_of_another_scale_is_reported_and_then_grave_within_centimetres(twist, scale):
     twist = np.array(twist)
     seen = doubts(Robot(twist, camera=twist * [scale, scale, 1.0]))
     first, grave = seen[0], next(d for d in seen if d[1].grave)

@@ -41,7 +41,7 @@ class Mine:
 
 
 class Clueless(Mine):
-    """An estimator that stays where it is; from some call on it returns what it is told to make of that."""
+    """An estimator that stays where it is; from some call on it returns what it is asked to make of that."""
 
     def reset(self, state):
         self.state, self.calls = state, 0
@@ -89,7 +89,7 @@ def run(bench, cycles=20, observers=None, **parts):
 
 
 @pytest.mark.parametrize(
-    ("found", "told"),
+    ("found", "reported"),
     [
         (None, "None"),
         ((FOUR, FOUR), "of type tuple: "),
@@ -105,8 +105,10 @@ def run(bench, cycles=20, observers=None, **parts):
         ),
     ],
 )
-def test_a_controller_that_returns_no_setpoints_is_named(bench, found, told):
-    with pytest.raises(UsageError, match=rf"^controller Mine: update\(\) returned {told}.*; expected a W"):
+def test_a_controller_that_returns_no_setpoints_is_named(bench, found, reported):
+    with pytest.raises(
+        UsageError, match=rf"^controller Mine: update\(\) returned {reported}.*; expected a W"
+    ):
         run(bench, controller=Mine(found))
 
 
@@ -121,7 +123,7 @@ def state(**fields):
 
 
 @pytest.mark.parametrize(
-    ("found", "told"),
+    ("found", "reported"),
     [
         (lambda known: None, "None"),
         (lambda known: known.pose_body_in_wall, r"an array of shape \(3,\)"),
@@ -139,11 +141,11 @@ def state(**fields):
     ],
 )
 @pytest.mark.parametrize(("observes", "after"), [(False, 0), (True, 9)])
-def test_an_estimator_that_returns_no_state_is_named(bench, found, told, observes, after):
+def test_an_estimator_that_returns_no_state_is_named(bench, found, reported, observes, after):
     mine = Clueless(found, after)
     parts = {"observers": {"mine": mine}} if observes else {"estimator": mine}
     with pytest.raises(
-        UsageError, match=rf"^estimator Clueless: update\(\) returned .*{told}.*; expected"
+        UsageError, match=rf"^estimator Clueless: update\(\) returned .*{reported}.*; expected"
     ) as e:
         run(bench, **parts)
     assert f" (from cycle {mine.cycle} on); expected " in str(e.value)
@@ -170,7 +172,9 @@ def test_a_recording_names_parts_that_replay_cannot_make(bench, tmp_path, capsys
     assert [start.feedback for start in starts] == ["ekf", "ekf", filters]
     assert starts[2].observers == (filters,)
     assert main(["replay", str(path), "--verify", "--json"]) == 1
-    first, second, third = (told["difference"] for told in json.loads(capsys.readouterr().out)["runs"])
+    first, second, third = (
+        reported["difference"] for reported in json.loads(capsys.readouterr().out)["runs"]
+    )
     assert first is None
     assert second == f"controller {law}: not part of this package, so that replay cannot make it again"
     assert third.startswith(f"estimator {filters} and estimator {filters}: not part of this package")
@@ -196,9 +200,9 @@ def test_what_is_right_within_rounding_passes(bench):
         return replace(fine(known), t_ns=np.int64(known.t_ns))
 
     last = run(bench, estimator=Clueless(of_now))[-1].state
-    told = [last.diagnostics[name] for name in ("count", "flag", "single")]
-    assert told == [3.0, 1.0, 0.5]
-    assert {type(value) for value in told} == {float}
+    reported = [last.diagnostics[name] for name in ("count", "flag", "single")]
+    assert reported == [3.0, 1.0, 0.5]
+    assert {type(value) for value in reported} == {float}
     assert type(last.t_ns) is int
 
 
@@ -230,7 +234,7 @@ def test_a_controller_cannot_write_into_what_it_is_given(bench, place):
 
 def test_what_stands_beside_parts_of_ones_own_is_as_without_them(tmp_path):
     """All shipped estimators, several samples in one cycle, a recording: the same to the bit."""
-    shipped, told = ("ekf", "ukf", "odometry"), []
+    shipped, reported = ("ekf", "ukf", "odometry"), []
     for own in (False, True):
         path = tmp_path / f"{own}.mcap"
         with hil.open_bench("emulated_floor") as bench:
@@ -242,9 +246,9 @@ def test_what_stands_beside_parts_of_ones_own_is_as_without_them(tmp_path):
         (found,) = read_runs(path)
         assert max(len(r.measurements.mocap) + len(r.measurements.gyro) for r in records) > 1
         states = [[r.observers[name].pose_body_in_wall for name in shipped] for r in found.records]
-        told.append((np.array(states), every_sample(found.records)))
+        reported.append((np.array(states), every_sample(found.records)))
         assert records[0].measurements.wheels[0].wheel_angle_rad.flags.writeable
-    for without, beside in zip(*told, strict=True):
+    for without, beside in zip(*reported, strict=True):
         assert np.array_equal(without, beside, equal_nan=True)
 
 
@@ -274,7 +278,7 @@ def test_a_comparison_guards_what_is_recorded_as_a_run_does(bench):
 
 
 @pytest.mark.parametrize(
-    ("fields", "told"),
+    ("fields", "reported"),
     [
         ({"pose_body_in_wall": np.full(3, np.nan)}, "the estimated state is not finite"),
         ({"covariance": -np.eye(6)}, "the estimate's variance of x, .* is negative"),
@@ -282,7 +286,7 @@ def test_a_comparison_guards_what_is_recorded_as_a_run_does(bench):
         ({"t_ns": 0}, "the estimate's time is .* s behind that of the cycle"),
     ],
 )
-def test_an_observer_that_cannot_be_used_is_warned_of_once_in_a_run(bench, fields, told):
+def test_an_observer_that_cannot_be_used_is_warned_of_once_in_a_run(bench, fields, reported):
     for _ in range(2):
         records = run(
             bench, observers={"mine": Clueless(state(**fields), after=3), "other": Clueless(state())}
@@ -291,5 +295,5 @@ def test_an_observer_that_cannot_be_used_is_warned_of_once_in_a_run(bench, field
         ((cycle, event),) = noticed
         assert cycle == 3
         assert event.level == "warning"
-        assert re.match(rf"observer mine: {told}", event.message)
+        assert re.match(rf"observer mine: {reported}", event.message)
         assert not [e for r in records for e in r.events if e.source == "other"]

@@ -8,7 +8,7 @@ from hil.support.progress import WHOLE, Pace
 
 
 class Waiting:
-    """A host clock that passes when told."""
+    """A host clock that passes when asked to."""
 
     def __init__(self):
         self.s = 100.0

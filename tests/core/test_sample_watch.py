@@ -1,4 +1,4 @@
-"""Samples that cannot be used are told once each; a lost packet is not worth a word."""
+"""Samples that cannot be used are reported once each; a lost packet is not worth a word."""
 
 import numpy as np
 import pytest
@@ -51,14 +51,14 @@ TOLD = [
 
 @pytest.mark.parametrize("device", list(MAKERS))
 @pytest.mark.parametrize(("status", "word"), TOLD)
-def test_what_cannot_be_used_is_told_once(device, status, word):
+def test_what_cannot_be_used_is_reported_once(device, status, word):
     (event,) = watched(device, [Status.OK] * 3 + [status] * 300 + [Status.OK] * 3)
     assert (event.t_ns, event.level, event.source) == (3 * PERIOD_NS, "warning", device)
     assert word in event.message
     assert event.message.startswith("BL ") == (device == "encoders")
 
 
-def test_it_is_told_again_after_a_second_without():
+def test_it_is_reported_again_after_a_second_without():
     apart = [Status.IMPLAUSIBLE] + [Status.OK] * 100
     assert len(watched("imu", [*apart, Status.IMPLAUSIBLE])) == 2
     assert len(watched("imu", [*apart[:-1], Status.IMPLAUSIBLE])) == 1
@@ -70,25 +70,25 @@ def test_what_passes_is_not_worth_a_word(device, status):
     assert watched(device, [Status.OK, status, Status.OK, status, status]) == []
 
 
-def test_a_silence_is_told_when_it_has_lasted_and_so_is_its_end():
-    told = watched("imu", [Status.OK, *[None] * 60, Status.OK, Status.OK], {"imu": 0.5})
-    assert [(e.t_ns // PERIOD_NS, e.level, e.message) for e in told] == [
+def test_a_silence_is_reported_when_it_has_lasted_and_so_is_its_end():
+    reported = watched("imu", [Status.OK, *[None] * 60, Status.OK, Status.OK], {"imu": 0.5})
+    assert [(e.t_ns // PERIOD_NS, e.level, e.message) for e in reported] == [
         (51, "warning", "stale for 0.510 s"),
         (61, "info", "answers again, after 0.61 s"),
     ]
 
 
-@pytest.mark.parametrize(("missing", "told"), [(90, []), (150, ["answers again, after 1.51 s"])])
-def test_a_sensor_that_was_away_says_for_how_long(missing, told):
+@pytest.mark.parametrize(("missing", "reported"), [(90, []), (150, ["answers again, after 1.51 s"])])
+def test_a_sensor_that_was_away_says_for_how_long(missing, reported):
     """Also one whose silence stops nothing."""
     for begin in (0, 300):
         events = watched("mocap", [Status.OK, *[None] * missing, Status.OK], begin=begin)
-        assert [e.message for e in events] == told
+        assert [e.message for e in events] == reported
 
 
 def test_times_are_counted_from_the_last_sample_and_not_from_the_start():
-    told = watched("imu", [Status.OK, *[None] * 60, Status.OK], {"imu": 0.5}, begin=300)
-    assert [e.message for e in told] == ["stale for 0.510 s", "answers again, after 0.61 s"]
+    reported = watched("imu", [Status.OK, *[None] * 60, Status.OK], {"imu": 0.5}, begin=300)
+    assert [e.message for e in reported] == ["stale for 0.510 s", "answers again, after 0.61 s"]
     watch = SensorStatus({})
     assert watch.away_s("mocap", 5 * PERIOD_NS) == 0.0
     watch.judge(Inputs(300, 300 * PERIOD_NS, mocap=(mocap(Stamp(0, 0, 0), Status.OK),)), [])
@@ -100,5 +100,5 @@ def test_a_sensor_that_sends_on_was_never_away():
 
 
 def test_frozen_samples_are_a_silence_too():
-    told = watched("tracker", [Status.OK, *[Status.FROZEN] * 60], {"tracker": 0.5})
-    assert [e.message.split()[0] for e in told] == ["repeats", "stale"]
+    reported = watched("tracker", [Status.OK, *[Status.FROZEN] * 60], {"tracker": 0.5})
+    assert [e.message.split()[0] for e in reported] == ["repeats", "stale"]

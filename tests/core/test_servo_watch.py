@@ -32,13 +32,13 @@ def cycle(k, position=(0.0,) * 8, wrong=None, alert=(0,) * 8, encoders=None):
 
 
 def stopped(watch, cycles):
-    """The stop that a run of cycles ends in, and what was told before it."""
-    told = []
+    """The stop that a run of cycles ends in, and what was reported before it."""
+    reported = []
     for inputs in cycles:
         try:
-            told += watch.check(inputs)
+            reported += watch.check(inputs)
         except SafetyStop as stop:
-            return stop, told
+            return stop, reported
     raise AssertionError("nothing stopped the robot")
 
 
@@ -76,7 +76,7 @@ def test_servos_that_take_turns_in_being_silent_are_all_named():
     assert "drive_FR (ID 14)" in str(stop)
 
 
-def test_no_read_at_all_is_nobody():
+def test_no_read_at_all_accuses_no_servo():
     stop, _ = stopped(supervisor(), [Inputs(k, k * PERIOD_NS) for k in range(20)])
     assert "none of the eight answers" in str(stop)
 
@@ -94,16 +94,16 @@ def test_an_alert_names_its_servo_and_its_meaning():
 
 
 @pytest.mark.parametrize(("joint", "step_rad"), [(0, 0.27), (3, -0.27), (4, 0.5), (7, -1.5)])
-def test_a_leap_is_told_and_then_stops_the_robot(joint, step_rad):
+def test_a_leap_is_reported_and_then_stops_the_robot(joint, step_rad):
     after = np.where(np.arange(8) == joint, step_rad, 0.0)
     outside = [1.0, 2.0, 3.0, -3.14]
     cycles = [cycle(k, np.zeros(8) if k < 5 else after, encoders=outside) for k in range(20)]
-    stop, told = stopped(supervisor(), cycles)
+    stop, reported = stopped(supervisor(), cycles)
     assert stop.reason == "servo_jump"
-    (event,) = told
+    (event,) = reported
     assert event.t_ns == 5 * PERIOD_NS
     watch = supervisor()
-    assert all(watch.check(inputs) is not None for inputs in cycles[:11])  # told first, then stopped
+    assert all(watch.check(inputs) is not None for inputs in cycles[:11])  # reported first, then stopped
     assert f"(ID {IDS[joint]}) reports a step of {step_rad:+.2f} rad in 10 ms" in event.message
     assert ("external encoder" in event.message) == (joint >= 4)
 
@@ -167,7 +167,7 @@ def test_a_wheel_is_blocked_at_whatever_angle_it_stands(angle):
 
 
 @pytest.mark.parametrize("joint", [0, 5])
-def test_a_leap_behind_a_short_silence_is_told_against_the_last_angle_known(joint):
+def test_a_leap_behind_a_short_silence_is_reported_against_the_last_angle_known(joint):
     watch = supervisor()
     watch.check(cycle(0))
     for k in (1, 2):

@@ -55,11 +55,11 @@ def test_a_negative_variance_is_named_and_rounding_is_none():
     assert judged(np.diag([0.0, -1e-15, 0.0, 0.0, 0.0, 0.0])) is None
 
 
-@pytest.mark.parametrize(("of", "now", "told"), [(0, 11, "0.110 s behind"), (40, 20, "0.200 s ahead of")])
-def test_an_estimate_of_another_time_is_named(of, now, told):
+@pytest.mark.parametrize(("of", "now", "reported"), [(0, 11, "0.110 s behind"), (40, 20, "0.200 s ahead of")])
+def test_an_estimate_of_another_time_is_named(of, now, reported):
     stop = judged(of_cycle=of, now_cycle=now)
     assert stop.reason == "stale_estimate"
-    assert f"the estimate's time is {told} that of the cycle, expected at most 0.1 s" in str(stop)
+    assert f"the estimate's time is {reported} that of the cycle, expected at most 0.1 s" in str(stop)
 
 
 def test_an_estimate_may_be_a_little_old_and_is_not_asked_before_the_first_cycle():

@@ -68,7 +68,7 @@ def servos(t_ns, angle_rad=0.0, status=OK):
     )
 
 
-def test_a_doubt_is_told_and_only_a_grave_one_stops_who_needs_the_camera():
+def test_a_doubt_is_reported_and_only_a_grave_one_stops_who_needs_the_camera():
     (event,) = cycle(supervisor(motion=Asked(doubt("tracker", grave=False)), needs_camera=True))
     assert (event.level, event.source, event.message) == ("warning", "tracker", "it differs")
     grave = Asked(doubt("tracker", confirmed=False))
@@ -93,7 +93,7 @@ def test_who_is_left_out_is_so_until_the_reset_and_shakes_one_cycle_only():
     assert "tracker" not in watched.left_out
 
 
-def test_who_follows_no_pose_leaves_nobody_out():
+def test_without_a_pose_to_follow_no_sensor_is_left_out():
     motion = Asked(doubt("tracker"))
     floor = SafetyLimits(stale_s={}, on_wall=False)
     with pytest.raises(SafetyStop):
@@ -142,7 +142,7 @@ def test_a_camera_that_was_left_out_may_be_blind():
     blind(watched, 1, 100)
 
 
-def test_a_sensor_that_sends_too_little_is_told_of_anew_after_a_reset():
+def test_a_sensor_that_sends_too_little_is_reported_anew_after_a_reset():
     watched = supervisor(healthy={"tracker": Healthy(100.0, 0.95, 0.07, 100.0)})
     for _ in range(2):
         events = ()
@@ -196,10 +196,10 @@ def test_a_loop_that_stood_still_stops_the_robot_and_not_its_devices():
 
 
 @pytest.mark.parametrize(
-    ("each", "paused", "waited", "told"),
+    ("each", "paused", "waited", "reported"),
     [(1, 12, 5, True), (1, 12, 120, False), (1, 4, 5, False), (5, 12, 5, False), (3, 12, 5, True)],
 )
-def test_a_stop_soon_after_a_pause_says_so(each, paused, waited, told):
+def test_a_stop_soon_after_a_pause_says_so(each, paused, waited, reported):
     """Watchdogs have tripped and buffers run over meanwhile: devices that are well look broken."""
     motion = Asked()
     watching = supervisor(motion=motion, needs_camera=True)
@@ -210,7 +210,7 @@ def test_a_stop_soon_after_a_pause_says_so(each, paused, waited, told):
     with pytest.raises(SafetyStop) as stop:
         cycle(watching, ended + waited * each)
     assert stop.value.reason == "sensors_disagree"
-    assert ("the control loop had stood still for 0.12 s just before" in str(stop.value)) == told
+    assert ("the control loop had stood still for 0.12 s just before" in str(stop.value)) == reported
 
 
 def test_after_a_reset_nothing_of_the_last_run_counts():
@@ -222,7 +222,7 @@ def test_after_a_reset_nothing_of_the_last_run_counts():
     watching.reset()
     cycle(watching, 400)
     assert watching.inflation == (0.0, 0.0)
-    assert watching.guard(replace(misfit, t_ns=400 * CYCLE_NS), None), "it is told anew"
+    assert watching.guard(replace(misfit, t_ns=400 * CYCLE_NS), None), "it is reported anew"
 
 
 @pytest.mark.parametrize("place", [(0.9, 0.0), (0.0, 0.9), (-0.9, -0.9)])
@@ -266,7 +266,7 @@ def test_a_steering_angle_beyond_the_limit_is_refused_on_both_sides(angle_rad):
 
 
 class Unsure(Asked):
-    """A watch that makes the estimate unsure, and can be told that wheels slip."""
+    """A watch that makes the estimate unsure, and can be informed that wheels slip."""
 
     def __init__(self, off_m, off_rad):
         super().__init__()
@@ -286,8 +286,8 @@ def test_the_estimate_is_as_unsure_as_the_watch_says_that_doubts_it_most():
     assert watched.inflation == (0.003, 0.2)
 
 
-@pytest.mark.parametrize(("source", "told"), [("servos", True), ("tracker", False)])
-def test_who_watches_the_wheels_hears_from_others_that_they_may_slip(source, told):
+@pytest.mark.parametrize(("source", "reported"), [("servos", True), ("tracker", False)])
+def test_who_watches_the_wheels_hears_from_others_that_they_may_slip(source, reported):
     wheels = Unsure(0.0, 0.0)
     cycle(supervisor(motion=Asked(doubt(source, grave=False)), wheels=wheels))
-    assert ("doubt" in wheels.calls) is told
+    assert ("doubt" in wheels.calls) is reported

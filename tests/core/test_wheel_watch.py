@@ -35,8 +35,8 @@ class Ride:
         for _ in range(round(seconds * 1e9 / PERIOD_NS)):
             self.k += 1
             self.angle = self.angle + self.rate * np.array(shares) * PERIOD_NS * 1e-9
-            told, t_ns = np.round(self.angle / COUNT_RAD) * COUNT_RAD, self.k * PERIOD_NS
-            sample = WheelMeasurement(Stamp(t_ns, t_ns, self.k), told, self.rate, self.steering, valid)
+            reported, t_ns = np.round(self.angle / COUNT_RAD) * COUNT_RAD, self.k * PERIOD_NS
+            sample = WheelMeasurement(Stamp(t_ns, t_ns, self.k), reported, self.rate, self.steering, valid)
             self.watch.judge(t_ns, (sample,), self.events)
             self.off_m.append(self.watch.take_off()[0])
         return self
@@ -136,7 +136,7 @@ def test_a_reset_forgets_who_slipped():
 
 
 def rolled(watch, angles, first=0, period_ns=100_000_000, valid=True):
-    """What is told of wheels that stand straight and tell these angles (4,), one after the other."""
+    """Reports on wheels that stand straight and measure these angles (4,), one after the other."""
     events = []
     for k, angle in enumerate(angles, first):
         stamp = Stamp(k * period_ns, k * period_ns, k)
@@ -145,11 +145,11 @@ def rolled(watch, angles, first=0, period_ns=100_000_000, valid=True):
     return events
 
 
-@pytest.mark.parametrize(("alone_m", "told"), [(0.0005, False), (0.0012, True), (-0.0012, True)])
-def test_a_wheel_that_rolls_alone_by_a_millimetre_is_named(alone_m, told):
+@pytest.mark.parametrize(("alone_m", "reported"), [(0.0005, False), (0.0012, True), (-0.0012, True)])
+def test_a_wheel_that_rolls_alone_by_a_millimetre_is_named(alone_m, reported):
     alone = [0.0, 0.0, alone_m / GEOMETRY.radius_m[2], 0.0]
     events = rolled(WheelSlipCheck(GEOMETRY), [[0.0] * 4, alone, alone, alone])
-    assert bool(events) is told
+    assert bool(events) is reported
 
 
 def test_what_an_incomplete_read_says_of_its_wheel_does_not_count():

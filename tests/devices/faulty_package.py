@@ -113,7 +113,7 @@ def run(ctx):
         ctx.bench.observe(0.1)
 """
 CHIP = """
-from hil.devices.emulated_device import Face
+from hil.devices.emulated_device import Transport
 from hil.fakes.world import NEVER_NS, Scheduled
 
 
@@ -128,7 +128,7 @@ class Chip(Scheduled):
         {body}
 
 
-class Socket(Face):
+class Socket(Transport):
     def filenos(self): return []
     def on_readable(self, fd, t_ns): pass
     def endpoint(self): return {{"port": 47000}}
@@ -162,7 +162,7 @@ class Of(Driver):
 
 ITEM = varied(thing(Of), sample=Two, labels=("left", "right"))
 """
-"""A kind of two channels whose driver tells of three."""
+"""A kind of two channels whose driver reports three."""
 
 
 def driver(body):

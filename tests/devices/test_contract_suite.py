@@ -41,7 +41,7 @@ MODEL = SloppyModel
 TABLES = 'schema = 1\nname = "lab"\n\n[imu]\nmodel = "sloppy"\nbackend = "emulated"\n'
 
 
-def test_broken_promises_are_told_one_by_one(package, pytester, monkeypatch):
+def test_broken_promises_are_reported_one_by_one(package, pytester, monkeypatch):
     folder = package("hil-sloppy", SLOPPY, "MODEL")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (ROOT, folder))))
     pytester.makefile(".toml", bench=TABLES)

@@ -73,19 +73,19 @@ def test_another_model_is_installed_examined_and_keeps_the_contract(reader):
         "my-imu/bench.toml",
         "my-imu/test_contract.py",
     ]
-    told = reader("./my-imu")
-    assert re.search(r"imu +my_imu +My IMU \(hil-my-imu 0\.1\.0\)", told)
-    assert "imu       gravity: 9.8" in told
-    assert re.search(r"1\d passed", told)
-    assert "failed" not in told
+    reported = reader("./my-imu")
+    assert re.search(r"imu +my_imu +My IMU \(hil-my-imu 0\.1\.0\)", reported)
+    assert "imu       gravity: 9.8" in reported
+    assert re.search(r"1\d passed", reported)
+    assert "failed" not in reported
 
 
 @pytest.mark.long
 def test_a_device_on_the_network_is_examined_found_and_keeps_the_contract(reader):
-    told = reader("./my-gap")
-    assert re.search(r"ok +gap +open: model lab_gap, serial L-0042", told)
-    assert re.search(r"\d\d passed", told)
-    assert "FAIL gap" in told
+    reported = reader("./my-gap")
+    assert re.search(r"ok +gap +open: model lab_gap, serial L-0042", reported)
+    assert re.search(r"\d\d passed", reported)
+    assert "FAIL gap" in reported
     found = reader("hil discover --at")
     assert '[gap]\nhost = "127.0.0.1"\nudp_port = ' in found
     assert "# gap: serial number L-0042" in found
@@ -96,21 +96,21 @@ def test_a_kind_of_ones_own_does_all_that_the_guide_says(reader, installed):
     """In the guide's order: one test, because each step uses what the one before it has left."""
     assert re.search(r"rangefinder +tf_luna +.*\(hil-rangefinder 0\.1\.0\)", installed)
     assert "rangefinder distance: 1.8" in installed
-    told = reader("--rerun approach.rrd")
-    assert "PASS: approach" in told
-    assert told.count("identical in") == 2
-    told = reader("--fault rangefinder:off")
-    assert "FAIL rangefinder" in told
-    assert "FAIL: approach" in told
+    reported = reader("--rerun approach.rrd")
+    assert "PASS: approach" in reported
+    assert reported.count("identical in") == 2
+    reported = reader("--fault rangefinder:off")
+    assert "FAIL rangefinder" in reported
+    assert "FAIL: approach" in reported
     assert '[rangefinder]\nport = "/dev/' in reader("hil discover --on-stand")
 
 
 @pytest.mark.long
 @pytest.mark.usefixtures("installed")
 def test_the_example_passes_its_tests(reader):
-    told = reader("cd examples/rangefinder && python -m pytest")
-    assert re.search(r"\d\d passed", told)
-    assert "failed" not in told
+    reported = reader("cd examples/rangefinder && python -m pytest")
+    assert re.search(r"\d\d passed", reported)
+    assert "failed" not in reported
 
 
 def test_every_block_of_the_guide_is_followed():
@@ -134,11 +134,11 @@ def test_every_block_of_the_guide_is_followed():
 )
 def test_the_guide_has_a_line_for_every_name(described):
     (table,) = re.findall(rf"^### `{described[0].__name__}`\n\n(.*?)\n\n", GUIDE, re.S | re.M)
-    told = [
+    reported = [
         name for first in re.findall(r"^\| (`.*?) \|", table, re.M) for name in re.findall(r"`(\w+)`", first)
     ]
     names = {n for c in described for n in {*vars(c), *c.__annotations__} if not n.startswith("_")}
-    assert {*told} - {c.__name__ for c in described} == names
+    assert {*reported} - {c.__name__ for c in described} == names
 
 
 @pytest.mark.parametrize(
@@ -146,8 +146,8 @@ def test_the_guide_has_a_line_for_every_name(described):
     [pytest.param("./my-battery", "serial 00042", marks=pytest.mark.long), ("./my-canimu", "can_imu")],
 )
 def test_a_small_device_is_examined_and_keeps_the_contract(place, found, reader):
-    told = reader(place)
-    assert found in told
-    assert re.search(r"\d\d passed", told)
-    assert "failed" not in told
-    assert ("battery_low" in told) == (place == "./my-battery")
+    reported = reader(place)
+    assert found in reported
+    assert re.search(r"\d\d passed", reported)
+    assert "failed" not in reported
+    assert ("battery_low" in reported) == (place == "./my-battery")

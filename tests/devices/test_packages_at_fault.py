@@ -65,13 +65,13 @@ FAILING = {
 @pytest.mark.usefixtures("bench")
 @pytest.mark.parametrize("case", FAILING)
 def test_the_doctor_names_the_package_and_goes_on(case, package, hil):
-    source, told = FAILING[case]
+    source, reported = FAILING[case]
     folder = package("hil-evil", PACKAGE + source, "ITEM", version="6.6")
     done = hil("doctor", "--bench", "bench.toml", "--watch", "0.2", packages=[folder])
     assert done.code == 3, done.said
     (failure,) = [line for line in done.out.splitlines() if line.startswith("FAIL thing")]
     assert "thing (hil-evil 6.6): " in failure
-    assert told in failure
+    assert reported in failure
     assert "mend hil-evil" in done.out
     assert "ok   imu" in done.out
 
@@ -79,22 +79,24 @@ def test_the_doctor_names_the_package_and_goes_on(case, package, hil):
 @pytest.mark.usefixtures("bench")
 @pytest.mark.parametrize("case", ["open", "an end of the process", "a number", "emulate"])
 def test_a_run_names_the_package(case, package, hil):
-    source, told = FAILING[case]
+    source, reported = FAILING[case]
     folder = package("hil-evil", PACKAGE + source, "ITEM", version="6.6")
     done = hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder])
     assert done.code == 3, done.out + done.said
     assert "thing (hil-evil 6.6): " in done.out + done.said
-    assert told in done.out + done.said
+    assert reported in done.out + done.said
 
 
 @pytest.mark.usefixtures("bench")
 @pytest.mark.parametrize("words", [("run", "look.py", "--out", "out"), ("doctor", "--watch", "0.2")])
-def test_the_calls_in_a_package_are_told(words, package, hil):
+def test_the_calls_in_a_package_are_reported(words, package, hil):
     source = PACKAGE + driver("def read(self): return deeper()") + "\ndef deeper(): return fail()\n"
     folder = package("hil-evil", source, "ITEM")
     done = hil(*words, "--bench", "bench.toml", "--json", packages=[folder])
-    told = json.loads(done.out)
-    problem = told["error"] if "error" in told else next(f for f in told["findings"] if f["frames"])
+    reported = json.loads(done.out)
+    problem = (
+        reported["error"] if "error" in reported else next(f for f in reported["findings"] if f["frames"])
+    )
     own = [f for f in problem["frames"] if f["file"].endswith("hil_evil.py")]
     assert [frame["function"] for frame in own] == ["read", "deeper", "fail"]
     assert own[-1]["code"] == 'raise RuntimeError("boom")'
@@ -115,7 +117,7 @@ def test_the_doctor_names_what_else_of_a_package_fails(part, package, hil):
 
 
 PROMISES = {
-    "a hole that is not told": ("return (self.sample(math.nan),)", "NaN or infinity in value", 3),
+    "a hole that is not reported": ("return (self.sample(math.nan),)", "NaN or infinity in value", 3),
     "a hole in a tuple": (
         "return (self.sample(pair=(1.0, math.inf)),)",
         "NaN or infinity in pair with Status.OK",
@@ -156,25 +158,25 @@ PROMISES = {
 
 @pytest.mark.usefixtures("bench")
 @pytest.mark.parametrize("case", PROMISES)
-def test_the_doctor_tells_of_broken_promises(case, package, hil):
+def test_the_doctor_reports_broken_promises(case, package, hil):
     """A port that is a number is a port, too: of the network."""
-    body, told, code = PROMISES[case]
+    body, reported, code = PROMISES[case]
     folder = package("hil-evil", PACKAGE + driver(f"def read(self): {body}"), "ITEM", version="6.6")
     done = hil("doctor", "--bench", "bench.toml", "--watch", "0.2", packages=[folder])
     assert done.code == code, done.out + done.said
-    assert told in done.out
+    assert reported in done.out
     checks = ("numbers", "stamps", "reads", "shapes")
     named = ("hole" in case, "stamp" in case, "waits" in case, "shape" in case)
     assert tuple(f" {check}: " in done.out for check in checks) == named
 
 
 @pytest.mark.usefixtures("bench")
-def test_a_run_tells_once_of_a_hole_that_the_status_does_not(package, hil, tmp_path):
+def test_a_run_reports_once_of_a_hole_that_the_status_does_not(package, hil, tmp_path):
     source = PACKAGE + driver("def read(self): return (self.sample(pair=(1.0, math.nan)),)")
     folder = package("hil-evil", source, "ITEM")
     script = (tmp_path / "look.py").read_text()
-    watched, told = "ctx.bench.observe(0.1)", "ctx.note(f'{e.level} {e.source}: {e.message}')"
-    (tmp_path / "look.py").write_text(script.replace(watched, f"[{told} for e in {watched}.events]"))
+    watched, reported = "ctx.bench.observe(0.1)", "ctx.note(f'{e.level} {e.source}: {e.message}')"
+    (tmp_path / "look.py").write_text(script.replace(watched, f"[{reported} for e in {watched}.events]"))
     done = hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder])
     assert done.code == 0, done.out + done.said
     notes = json.loads((tmp_path / "out" / "result.json").read_text())["notes"]
@@ -186,7 +188,7 @@ def test_a_model_without_a_wire_says_so(package, hil):
     folder = package("hil-evil", PACKAGE + "ITEM = thing()\n", "ITEM", version="6.6")
     done = hil("emulate", "--bench", "bench.toml", "--only", "thing", packages=[folder])
     assert done.code == 3, done.said
-    assert "thing (hil-evil 6.6): model one has no wire face" in done.said
+    assert "thing (hil-evil 6.6): model one has no wire transport" in done.said
 
 
 @pytest.mark.usefixtures("bench")
@@ -210,7 +212,7 @@ def test_figures_that_fail_are_named_and_the_rest_is_drawn(package, hil, tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("tables", "told"),
+    ("tables", "reported"),
     [
         (f"{TABLES}\n[emulation.thing]\nwrong = 1.0\n", "emulation.thing.wrong: unknown"),
         (
@@ -219,13 +221,13 @@ def test_figures_that_fail_are_named_and_the_rest_is_drawn(package, hil, tmp_pat
         ),
     ],
 )
-def test_imperfections_are_checked_though_the_package_does_not_look(tables, told, package, hil, tmp_path):
+def test_imperfections_are_checked_though_the_package_does_not_look(tables, reported, package, hil, tmp_path):
     (tmp_path / "bench.toml").write_text(tables)
     truth = "@dataclass(frozen=True)\nclass Truth:\n    x: float = 0.0\n\n\n"
     source = PACKAGE + truth + "ITEM = thing(truth_options=lambda self: Truth)\n"
     done = hil("doctor", "--bench", "bench.toml", packages=[package("hil-evil", source, "ITEM")])
     assert done.code == 2
-    assert told in done.said
+    assert reported in done.said
 
 
 @pytest.mark.usefixtures("bench")
@@ -250,17 +252,17 @@ PARTS = {
 
 @pytest.mark.usefixtures("bench")
 @pytest.mark.parametrize("case", PARTS)
-def test_an_emulated_device_that_fails_later_is_named_by_whoever_reads_it(case, package, hil):
-    body, told = PARTS[case]
+def test_an_emulated_device_that_fails_later_is_named_when_it_is_read(case, package, hil):
+    body, reported = PARTS[case]
     folder = package("hil-evil", PACKAGE + CHIP.format(body=body), "ITEM", version="6.6")
     done = hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder])
     assert done.code == 3, done.out + done.said
-    assert f"thing (hil-evil 6.6): {told}" in done.out + done.said
+    assert f"thing (hil-evil 6.6): {reported}" in done.out + done.said
     assert "mend hil-evil" in done.out + done.said
     done = hil("doctor", "--bench", "bench.toml", "--watch", "0.2", packages=[folder])
     assert done.code == 3, done.said
     (failure,) = [line for line in done.out.splitlines() if line.startswith("FAIL")]
-    assert f"thing (hil-evil 6.6): {told}" in failure
+    assert f"thing (hil-evil 6.6): {reported}" in failure
     assert "ok   imu" in done.out
 
 
@@ -290,20 +292,20 @@ FAILING_CHECKS = {
 @pytest.mark.usefixtures("bench")
 @pytest.mark.parametrize("case", WRONG_CHECKS)
 def test_checks_that_are_none_are_named_by_the_doctor_and_before_a_run(case, package, hil):
-    given, told = WRONG_CHECKS[case]
+    given, reported = WRONG_CHECKS[case]
     source = PACKAGE + f"from hil.devkit import LastingCheck\n\nITEM = thing(checks={given})\n"
     folder = package("hil-evil", source, "ITEM", version="6.6")
     for words in (("doctor", "--watch", "0.2"), ("run", "look.py", "--out", "out")):
         done = hil(*words, "--bench", "bench.toml", packages=[folder])
         assert done.code == 3, done.out + done.said
-        assert told in done.out + done.said
+        assert reported in done.out + done.said
         assert "thing (hil-evil 6.6): " in done.out + done.said
 
 
 @pytest.mark.usefixtures("bench")
 @pytest.mark.parametrize("case", FAILING_CHECKS)
 def test_a_check_that_fails_while_the_robot_runs_names_its_package(case, package, hil):
-    body, told = FAILING_CHECKS[case]
+    body, reported = FAILING_CHECKS[case]
     source = (
         PACKAGE
         + "from hil.devkit import Check\n\n\nclass Own(Check):\n    def on_samples(self, cycle):\n"
@@ -312,7 +314,7 @@ def test_a_check_that_fails_while_the_robot_runs_names_its_package(case, package
     folder = package("hil-evil", source, "ITEM", version="6.6")
     done = hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder])
     assert done.code == 3, done.out + done.said
-    assert told in done.out + done.said
+    assert reported in done.out + done.said
     assert "thing (hil-evil 6.6): " in done.out + done.said
 
 
@@ -364,13 +366,13 @@ ITEM = thing(Lines, emulate=lambda request: on_serial_line(request, Chip(request
 
 @pytest.mark.usefixtures("bench")
 @pytest.mark.parametrize(
-    ("measure", "encode", "told"),
+    ("measure", "encode", "reported"),
     [("fail()", "b'x'", "raised RuntimeError: boom"), ("return 1", "'text'", "encode() gave 'text'")],
 )
-def test_a_chip_that_fails_while_its_device_is_opened_is_named(measure, encode, told, package, hil):
+def test_a_chip_that_fails_while_its_device_is_opened_is_named(measure, encode, reported, package, hil):
     source = PACKAGE + SERIAL.format(measure=measure, encode=encode)
     folder = package("hil-evil", source, "ITEM", version="6.6")
     done = hil("doctor", "--bench", "bench.toml", "--watch", "0.2", packages=[folder])
     assert done.code == 3, done.out + done.said
-    assert told in done.out
+    assert reported in done.out
     assert "thing (hil-evil 6.6): on_due() of the emulated one" in done.out

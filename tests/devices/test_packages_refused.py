@@ -162,11 +162,11 @@ REFUSED = {
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_a_package_that_cannot_be_used_is_named(case, package, bench, hil, tmp_path):
-    source, told = REFUSED[case]
+    source, reported = REFUSED[case]
     bench("servos")
     done = hil("doctor", "--bench", "bench.toml", packages=[package("hil-new", source, "ITEM")])
     assert done.code == 2, done.said
-    assert all(words in done.said for words in told), done.said
+    assert all(words in done.said for words in reported), done.said
     assert not (tmp_path / "opened").exists()
 
 
@@ -209,16 +209,16 @@ def test_info_names_what_is_wrong_beside_the_versions(package, hil):
     assert done.code == 2
     assert "numpy" in done.out
     assert "no_such_library" in done.out
-    told = json.loads(hil("info", "--json", packages=[folder]).out)
-    assert told["devices"] == {}
-    assert "hil-new 1.0" in told["problem"]
+    reported = json.loads(hil("info", "--json", packages=[folder]).out)
+    assert reported["devices"] == {}
+    assert "hil-new 1.0" in reported["problem"]
 
 
 def test_info_lists_kinds_models_and_their_packages(package, hil):
-    told = json.loads(hil("info", "--json", packages=[package("hil-new", MODEL, "THING")]).out)
-    assert told["devices"]["thing"] == [{"model": "one", "title": "a thing", "package": "hil-new 1.0"}]
-    assert told["devices"]["imu"][0]["package"] == "hil"
-    assert "problem" not in told
+    reported = json.loads(hil("info", "--json", packages=[package("hil-new", MODEL, "THING")]).out)
+    assert reported["devices"]["thing"] == [{"model": "one", "title": "a thing", "package": "hil-new 1.0"}]
+    assert reported["devices"]["imu"][0]["package"] == "hil"
+    assert "problem" not in reported
     done = hil("info", packages=[package("hil-more", MODEL, "THING")])
     assert done.code == 0
     assert "thing            one          a thing (hil-more 1.0)" in done.out
@@ -234,8 +234,8 @@ def test_a_table_for_an_unknown_device_says_that_a_package_may_be_missing(bench,
         assert done.said.count("install the package that adds it") == 2
 
 
-@pytest.mark.parametrize(("models", "told"), [("(ONE,)", "'one'"), ("(ONE, TWO)", "expected one or two")])
-def test_an_unknown_model_is_named_with_those_that_there_are(models, told, package, bench, hil):
+@pytest.mark.parametrize(("models", "reported"), [("(ONE,)", "'one'"), ("(ONE, TWO)", "expected one or two")])
+def test_an_unknown_model_is_named_with_those_that_there_are(models, reported, package, bench, hil):
     two = (
         'class Second(Config):\n    model: Literal["two"] = "two"\n\n\n'
         'TWO = replace(ONE, name="two", config=Second)\n'
@@ -246,7 +246,7 @@ def test_an_unknown_model_is_named_with_those_that_there_are(models, told, packa
     assert done.code == 2
     assert "thing" in done.said
     assert "three" in done.said
-    assert told in done.said
+    assert reported in done.said
 
 
 def test_a_model_that_cannot_be_emulated_is_named(package, bench, hil):

@@ -65,9 +65,9 @@ def test_a_run_ends_while_a_driver_does_not_open(name, tmp_path, package):
     folder = package("hil-evil", PACKAGE + driver(STUCK.format(method="open")), "ITEM", version="6.6")
     code, out, said, took_s = ended(tmp_path, [folder], "in open", SIGNALS[name])
     assert code == 4, said
-    told = json.loads(out)
-    assert told["verdict"] == "ABORTED"
-    assert "while this was running: thing (hil-evil 6.6): open()" in told["error"]["message"]
+    reported = json.loads(out)
+    assert reported["verdict"] == "ABORTED"
+    assert "while this was running: thing (hil-evil 6.6): open()" in reported["error"]["message"]
     assert took_s < 20.0
 
 

@@ -6,7 +6,7 @@ import pytest
 
 import hil
 from hil.bench.contract.at_rest import delivered_once, samples_in_time
-from hil.bench.contract.subject import Broken, Subject
+from hil.bench.contract.device_under_test import Broken, Subject
 from hil.bench.doctor.examination import examine
 
 KINDS = ("imu", "tracker", "mocap", "encoders")

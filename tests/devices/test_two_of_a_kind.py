@@ -110,7 +110,7 @@ def samples(records, name):
     return [s for record in records for s in record.inputs.of(name) if s.status is Status.OK]
 
 
-def told(records):
+def reported(records):
     return {event.source for record in records for event in record.events}
 
 
@@ -141,7 +141,7 @@ def test_the_one_that_falls_silent_ends_the_run_by_its_name(file):
         observed(file(RANGES), 6.0, faults="rangefinder_rear:off@0.3")
     assert found.value.device == "rangefinder_rear"
     records = observed(file(RANGES), 2.0, faults="rangefinder_rear:off@0.3+1")
-    assert told(records) == {"rangefinder_rear"}
+    assert reported(records) == {"rangefinder_rear"}
 
 
 def test_a_check_of_the_kind_stops_for_the_one_that_it_is_about(file, ranges, monkeypatch):
@@ -176,7 +176,7 @@ def test_two_imus_are_recorded_replayed_and_struck_each_by_itself(file, tmp_path
     assert len(messages) == sum(len(record.inputs.of("imu_arm")) for record in records) > 40
     frames = {from_cdr(m.data, schema.name).header.frame_id for schema, _, m in messages}
     assert frames == {"imu_arm"}
-    assert told(records) == {"imu_arm"}
+    assert reported(records) == {"imu_arm"}
     assert {s.status for r in records for s in r.inputs.of("imu_arm")} == {Status.OK, Status.FROZEN}
     assert {s.status for r in records for s in r.inputs.imu} == {Status.OK}
     capsys.readouterr()
@@ -187,7 +187,7 @@ def test_two_imus_are_recorded_replayed_and_struck_each_by_itself(file, tmp_path
 
 @pytest.mark.parametrize("word", ["imu", "imu_body"])
 def test_the_benchs_own_is_meant_by_its_kind_and_by_its_name(file, word):
-    assert told(observed(file(IMUS), faults=f"{word}:stuck@0.3")) == {"imu"}
+    assert reported(observed(file(IMUS), faults=f"{word}:stuck@0.3")) == {"imu"}
 
 
 @pytest.mark.usefixtures("ranges")
@@ -217,8 +217,8 @@ def test_only_those_that_are_named_are_served(file, monkeypatch, capsys):
     assert main(["emulate", "--bench", file(IMUS), "--only", "imu_arm"]) == 0
     assert {*json.loads(capsys.readouterr().out)} == {"imu_arm"}
     for server in served:
-        for face in server.faces.values():
-            face.close()
+        for transport in server.transports.values():
+            transport.close()
     assert main(["emulate", "--bench", file(IMUS), "--only", "imu_leg"]) == 2
     assert "imu, imu_arm" in capsys.readouterr().err
 

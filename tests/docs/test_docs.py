@@ -104,9 +104,9 @@ def test_a_controller_and_an_estimator_of_ones_own_run_as_printed(name, tmp_path
         if f"def {name}(" in b
     ]
     (tmp_path / "test_mine.py").write_text(block)
-    told = run("-m", "pytest", "-q", "test_mine.py", cwd=tmp_path)
-    assert "1 passed" in told
-    assert "NOT HELD" not in told
+    reported = run("-m", "pytest", "-q", "test_mine.py", cwd=tmp_path)
+    assert "1 passed" in reported
+    assert "NOT HELD" not in reported
 
 
 def test_a_comparison_of_an_estimator_of_ones_own_runs_as_printed(tmp_path):
@@ -128,7 +128,10 @@ def test_a_comparison_of_an_estimator_of_ones_own_runs_as_printed(tmp_path):
     assert [row[0] for row in rows[1:4]] == ["recorded", "ekf", "mine.py:MotionCapture"]
 
 
-COPIED = (ROOT / "docs" / "ci-template", ROOT / "examples" / "rangefinder")
+COPIED = (
+    ROOT / "docs" / "ci-template",
+    *(ROOT / "examples" / name for name in ("rangefinder", "ros2", "ros2/ci")),
+)
 """Folders to start from; what a page says of their files is relative to them."""
 
 OF_A_USER = {

@@ -62,7 +62,7 @@ OTHERS = [line for shown in SHOWN.values() for line in shown if not line.startsw
 
 
 @pytest.mark.parametrize("line", OTHERS)
-def test_what_the_machine_is_told_is_a_line_of_shell_with_programs_that_there_are(line):
+def test_a_remedy_for_the_machine_is_a_line_of_shell_with_programs_that_there_are(line):
     assert subprocess.run(["sh", "-n", "-c", line], check=False).returncode == 0
     for part in line.split(" | "):
         program, *rest = shlex.split(part)
@@ -157,9 +157,9 @@ def emulator(folder, name, *options):
     """Endpoints of an emulator."""
     where = folder / f"{name}.json"
     command = [sys.executable, "-m", "hil.cli", "emulate", "--out", str(where), *options]
-    with (folder / name).open("w") as told:
+    with (folder / name).open("w") as reported:
         with at_once(20):  # hardware waits for no program
-            process = subprocess.Popen(command, stdout=told, stderr=told)
+            process = subprocess.Popen(command, stdout=reported, stderr=reported)
         try:
             if main(["emulate", "--wait", str(where)]) != 0 and process.poll() == 3:
                 pytest.skip(f"another program has a standard port: {(folder / name).read_text()}")
@@ -182,7 +182,7 @@ class Lab:
 
     @contextlib.contextmanager
     def begun(self, name):
-        """The emulator of a scene; the bench file of what was found is told of it."""
+        """The emulator of a scene; the bench file of what was found is given to it."""
         options = ("--bench", self._file(name), "--standard-ports", *["--only", "servos"] * (name == "new"))
         with emulator(self.folder, name, *options) as endpoints:
             for kind, link in self._links.items():
@@ -239,16 +239,16 @@ def test_the_page_can_be_walked(tmp_path, monkeypatch):
             for line in lines:
                 for _ in range(3 if line.split()[1] in JUDGES_PUNCTUALITY else 1):
                     words = rule(line, lab)
-                    told = subprocess.run(
+                    reported = subprocess.run(
                         [sys.executable, "-m", "hil.cli", *words], capture_output=True, text=True, check=False
                     )
-                    if told.returncode not in (1, 3):
+                    if reported.returncode not in (1, 3):
                         break
-                ended = told.returncode == 0 or (name == "floor" and only_late(told))
-                assert ended, f"{line}: {told.returncode}\n{told.stdout}\n{told.stderr}"
-                assert "Traceback" not in told.stderr
+                ended = reported.returncode == 0 or (name == "floor" and only_late(reported))
+                assert ended, f"{line}: {reported.returncode}\n{reported.stdout}\n{reported.stderr}"
+                assert "Traceback" not in reported.stderr
                 if line.startswith("hil setup"):
-                    assert "operating_mode" in told.stdout, told.stdout
+                    assert "operating_mode" in reported.stdout, reported.stdout
                 if line.startswith("hil discover"):
                     lab.found = read_toml(Path("my.toml"))
                     assert set(DISCOVERED) <= set(lab.found)
@@ -257,26 +257,26 @@ def test_the_page_can_be_walked(tmp_path, monkeypatch):
                 if line.startswith("hil accept"):
                     accepted(Path(words[-1], "accept.json"), {"tracker", "mocap"} & set(words[-4].split(",")))
                 if line.startswith("hil live"):
-                    assert "at the start HELD" in told.stderr
-                    assert "\nHELD" in told.stdout
+                    assert "at the start HELD" in reported.stderr
+                    assert "\nHELD" in reported.stdout
 
 
-def only_late(told):
+def only_late(reported):
     """Whether a run measured its motions right, and failed by limits of punctuality alone, which a computer
     that is shared cannot keep: what comes after them is then not measured. Where samples come late, the clock
-    of a device cannot be told from them either."""
-    failed = [line.split()[1:3] for line in told.stdout.splitlines() if line.startswith("FAIL ")]
+    of a device cannot be known from them either."""
+    failed = [line.split()[1:3] for line in reported.stdout.splitlines() if line.startswith("FAIL ")]
     wrong = [name for name, value in failed if value != "-"]
     late = [name for name in wrong if name.endswith((".delivered", ".largest_gap", ".age"))]
     allowed = all(name in late or name.endswith(".clock_drift") for name in wrong)
-    return told.returncode == 1 and bool(late) and allowed and "not needed: " in told.stdout
+    return reported.returncode == 1 and bool(late) and allowed and "not needed: " in reported.stdout
 
 
 def accepted(path, emulated):
-    """All of it passed, and each device that was found is told of, with who it is."""
-    told = json.loads(path.read_text())
-    devices = told["devices"]
-    assert told["verdict"] == "PASS"
+    """All of it passed, and each device that was found is reported, with who it is."""
+    reported = json.loads(path.read_text())
+    devices = reported["devices"]
+    assert reported["verdict"] == "PASS"
     assert set(DISCOVERED) <= set(devices)
     assert {name for name, one in devices.items() if one["backend"] == "emulated"} == emulated
     assert all(one["identity"] for one in devices.values())

@@ -21,7 +21,7 @@ def test_every_command_in_a_message_exists():
         for words in in_text(text)
     ]
     assert len(shown) > 30
-    assert [(str(path), words, told) for path, words in shown if (told := problem(words))] == []
+    assert [(str(path), words, reported) for path, words in shown if (reported := problem(words))] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
@@ -31,7 +31,7 @@ def test_every_command_on_a_page_exists_with_its_options(page):
     prose = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
     shown = [words for block in blocks for words in in_block(block)]
     shown += [line.replace("\\|", "|").split() for line in re.findall(r"`hil ([^`]+)`", prose)]
-    assert [(words, told) for words in shown if (told := problem(words))] == []
+    assert [(words, reported) for words in shown if (reported := problem(words))] == []
 
 
 def test_the_help_of_every_command_gives_an_example_of_it():
@@ -43,4 +43,4 @@ def test_the_help_of_every_command_gives_an_example_of_it():
     assert [
         n for n, lines in shown.items() if len(lines) != 1 or not f"{lines[0]} ".startswith(f"{n} ")
     ] == []
-    assert [(n, told) for n, lines in shown.items() if (told := problem(lines[0].split()))] == []
+    assert [(n, reported) for n, lines in shown.items() if (reported := problem(lines[0].split()))] == []

@@ -38,9 +38,9 @@ def rows_of(name):
 def test_a_verdict_of_the_page_is_that_of_today(two_worlds, row):
     procedures = two_worlds("procedures")
     found = procedures.run(row["procedure"], row["world"])
-    assert (found["verdict"], [told.split(" = ")[0] for told in found["failed"]]) == (
+    assert (found["verdict"], [reported.split(" = ")[0] for reported in found["failed"]]) == (
         row["verdict"],
-        [told.split(" = ")[0] for told in row["failed"]],
+        [reported.split(" = ")[0] for reported in row["failed"]],
     )
 
 

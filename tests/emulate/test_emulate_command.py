@@ -20,9 +20,9 @@ def chip_id(endpoint):
     with suppress(serial.SerialException), serial.Serial(endpoint["port"], 115200, timeout=0.2) as port:
         for _ in range(20):
             port.write(b"\xaa\x01\x00\x01")
-            told = port.read(3)
-            if told[:2] == b"\xbb\x01":
-                return told[2]
+            reported = port.read(3)
+            if reported[:2] == b"\xbb\x01":
+                return reported[2]
             port.reset_input_buffer()
     raise AssertionError(f"no answer at {endpoint['port']}")
 
@@ -104,7 +104,7 @@ def frames_heard(where):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "reported"),
     [
         (("--only", "imx"), "--only imx: the bench has no such device; expected some of servos"),
         (("--only", "imu", "--fault", "imu:bus_off"), "imu cannot produce the fault 'bus_off'"),
@@ -112,8 +112,8 @@ def frames_heard(where):
         (("--bench", "nowhere.toml"), "nowhere.toml: cannot be read"),
     ],
 )
-def test_what_cannot_be_served_is_refused(options, told, capsys):
+def test_what_cannot_be_served_is_refused(options, reported, capsys):
     assert main(["emulate", *options]) == 2
     said = capsys.readouterr()
     assert said.out == ""
-    assert told in said.err
+    assert reported in said.err

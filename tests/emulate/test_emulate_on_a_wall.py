@@ -1,4 +1,4 @@
-"""`hil emulate` on a wall: a robot that nobody holds slides, and the first line and the last say so."""
+"""`hil emulate` on a wall: a robot without a hold slides, and the first line and the last say so."""
 
 import re
 import subprocess
@@ -21,7 +21,7 @@ def served(profile, only=("servos",)):
     config = load_bench(profile, emulate=("all",))
     server = open_emulation(config, only=only)
     try:
-        robot = EmulatedSupport(config, server.world, "servos" in server.faces)
+        robot = EmulatedSupport(config, server.world, "servos" in server.transports)
         yield robot, lambda s: server.world.advance_to(server.world.now_ns + round(s * 1e9))
     finally:
         server.close()
@@ -62,13 +62,13 @@ def test_torque_holds_it_and_without_torque_it_slides():
         )
 
 
-def test_the_command_tells_it_on_stderr():
+def test_the_command_reports_it_on_stderr():
     with emulator("--only", "servos") as running:
         running.endpoints()
         running.process.terminate()
         assert running.process.wait(END_S) == 0
-        told = running.process.stderr.read().splitlines()
-    first_words = [" ".join(line.split()[:3]) for line in told]
+        reported = running.process.stderr.read().splitlines()
+    first_words = [" ".join(line.split()[:3]) for line in reported]
     assert first_words == ["at the start", "at the end"]
 
 

@@ -39,9 +39,9 @@ def test_when_the_file_is_there_every_servo_answers_at_once(tmp_path):
         with serial.Serial(where["servos"]["port"], where["servos"]["baud"], timeout=2.0) as port:
             for servo_id in (1, 8):
                 port.write(ping(servo_id))
-                told = port.read(14)
-                assert len(told) == 14, f"servo {servo_id} is silent"
-                assert told[4] == servo_id
+                reported = port.read(14)
+                assert len(reported) == 14, f"servo {servo_id} is silent"
+                assert reported[4] == servo_id
         assert running.endpoints() == where
         assert [p.name for p in tmp_path.iterdir()] == ["endpoints.json"]
         running.process.terminate()
@@ -62,16 +62,16 @@ def test_the_file_waits_for_world_time_to_begin(tmp_path):
 
 
 def test_a_script_waits_for_an_emulator_and_not_for_what_one_left(tmp_path):
-    """A file that a killed emulator left names ports that nobody serves."""
+    """A file that a killed emulator left names ports that are not served."""
     file = tmp_path / "endpoints.json"
     file.write_text(STALE)
     waiting = subprocess.Popen(
         [sys.executable, "-m", "hil.cli", "emulate", "--wait", str(file)], stdout=subprocess.PIPE, text=True
     )
     with waiting, emulator("--only", "imu", "--out", str(file)) as running:
-        told, _ = waiting.communicate(timeout=START_S)
+        reported, _ = waiting.communicate(timeout=START_S)
         assert waiting.returncode == 0
-        assert json.loads(told) == running.endpoints() != json.loads(STALE)
+        assert json.loads(reported) == running.endpoints() != json.loads(STALE)
 
 
 @pytest.mark.parametrize(("left", "why"), [(STALE, "was left behind"), (None, "has not appeared")])

@@ -13,7 +13,7 @@ from hil.bench.emulation import build_world
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.fakes.free_port import free_udp_port
-from hil.fakes.mocap import NatNetFace, NatNetServer
+from hil.fakes.mocap import NatNetServer, NatNetTransport
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 
@@ -34,7 +34,7 @@ def bench_file(tmp_path):
 
 @pytest.fixture
 def motive_ports():
-    """Motive's command port, where nobody else on this host has it."""
+    """Motive's command port, where no other program on this host has it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind(("127.0.0.1", MOTIVE[0]))
@@ -93,12 +93,12 @@ def test_a_client_that_knows_only_the_standard_connects_by_either_transport(emul
 
 def test_multicast_never_leaves_the_host():
     world = build_world(load_bench("emulated"), seed=1)
-    face = NatNetFace(NatNetServer(world, multicast=GROUP))
-    with socket.socket(fileno=os.dup(face.filenos()[0])) as sender:
+    transport = NatNetTransport(NatNetServer(world, multicast=GROUP))
+    with socket.socket(fileno=os.dup(transport.filenos()[0])) as sender:
         assert sender.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL) == 0
         interface = sender.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, 4)
         assert socket.inet_ntoa(interface) == "127.0.0.1"
-    face.close()
+    transport.close()
 
 
 def test_a_port_in_use_is_named_with_what_can_be_done(bench_file, capsys):

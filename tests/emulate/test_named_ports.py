@@ -33,8 +33,8 @@ def links(bench_file):
     made = PortLinks(config, server.endpoints())
     yield made
     made.remove()
-    for face in server.faces.values():
-        face.close()
+    for transport in server.transports.values():
+        transport.close()
 
 
 def test_a_named_port_is_a_link_while_it_is_served(links, tmp_path):
@@ -50,9 +50,9 @@ def test_a_named_port_is_a_link_while_it_is_served(links, tmp_path):
 
 def test_what_is_there_already_is_left_alone(links, tmp_path):
     (tmp_path / "servos").write_text("mine")
-    (told,) = links.make()
+    (reported,) = links.make()
     assert re.fullmatch(
-        rf"servos: {tmp_path}/servos is there already and is left alone; served at /dev/pts/\d+", told
+        rf"servos: {tmp_path}/servos is there already and is left alone; served at /dev/pts/\d+", reported
     )
     links.remove()
     assert (tmp_path / "servos").read_text() == "mine"
@@ -86,7 +86,7 @@ def test_ports_of_hardware_are_made_where_that_was_asked_for(tmp_path, port, of_
     path.write_text(TWO.format(port))
     config = load_bench(str(path))
     links = PortLinks(config, {"servos": {"port": "/dev/pts/1"}}, of_hardware=of_hardware)
-    assert [port in told for told in links.make()] == ([True] if linked else [])
+    assert [port in reported for reported in links.make()] == ([True] if linked else [])
 
 
 def test_the_command_makes_them_and_takes_them_with_it(bench_file):
@@ -104,7 +104,7 @@ def test_a_multicast_bus_is_served_at_its_own_group_and_port(tmp_path):
         f'channel = "{group}"\noptions = {{ port = {port}, hop_limit = 0 }}\n'
     )
     with emulator("--bench", str(path)) as process:
-        told = process.endpoints()["can"]
-        assert (told["channel"], told["port"]) == (group, port)
+        reported = process.endpoints()["can"]
+        assert (reported["channel"], reported["port"]) == (group, port)
         with can.Bus(interface="udp_multicast", channel=group, port=port, hop_limit=0) as bus:
             assert bus.recv(5.0) is not None

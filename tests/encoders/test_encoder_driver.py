@@ -142,7 +142,7 @@ def test_lost_and_short_frames_mark_only_their_axes(encoder_bench, drain, probab
 
 
 def test_a_set_that_lacks_a_frame_does_not_wait_for_the_next(encoder_bench, drain):
-    """A pause in which the bus overflowed would hand it to whoever reads first afterwards."""
+    """A pause in which the bus overflowed would hand it to the first read afterwards."""
     bench = encoder_bench(options=IDEAL)
     bench.driver.open()
     last = drain(bench, 20)[-1]
@@ -218,8 +218,8 @@ def test_open_says_what_is_missing(encoder_bench, fault):
 def test_error_frames_are_no_frames_of_another_node(encoder_bench):
     """What a wrong bit rate looks like: nothing but error frames, before a first frame has come."""
     bench = encoder_bench("encoders:baud_mismatch")
-    told = "no sample set .* error frames.*check first .*same bit rate .encoders.bitrate = 500000"
-    with pytest.raises(DeviceTimeoutError, match=told):
+    reported = "no sample set .* error frames.*check first .*same bit rate .encoders.bitrate = 500000"
+    with pytest.raises(DeviceTimeoutError, match=reported):
         bench.driver.open()
 
 

@@ -46,7 +46,7 @@ def drain(clock, timeline, first, count, now_ns, step_ns=0):
 
 
 @pytest.mark.parametrize("kept", [600, 120])
-def test_frames_that_nobody_drained_for_seconds_are_no_restart(kept):
+def test_frames_that_were_not_drained_for_seconds_are_no_restart(kept):
     """All of them were kept, or what did not fit into the interface's buffer was lost."""
     clock, timeline = ArrivalClock(), NodeTimeline(0xFF, 0xFFFFF, 1e-5)
     for k in range(100):
@@ -57,16 +57,16 @@ def test_frames_that_nobody_drained_for_seconds_are_no_restart(kept):
     assert max(map(abs, errors + later)) < 300_000
 
 
-def test_a_true_restart_is_told_even_out_of_a_pile_of_frames():
+def test_a_true_restart_is_reported_even_out_of_a_pile_of_frames():
     clock, timeline = ArrivalClock(), NodeTimeline(0xFF, 0xFFFFF, 1e-5)
     for k in range(100):
         drain(clock, timeline, k, 1, k * FRAME_NS)
-    told = []
+    reported = []
     for k in range(400):
         sampled_ns = (150 + k) * FRAME_NS
         arrival_ns = clock.arrival_ns((sampled_ns + OFFSET_NS) / 1e9, 700 * FRAME_NS)
-        told.append(timeline.update(k & 0xFF, k * FRAME_NS // 10_000, arrival_ns)[2])
-    assert told == [True] + [False] * 399
+        reported.append(timeline.update(k & 0xFF, k * FRAME_NS // 10_000, arrival_ns)[2])
+    assert reported == [True] + [False] * 399
 
 
 @pytest.mark.parametrize("step_ns", [-3_000_000_000, 3_000_000_000])

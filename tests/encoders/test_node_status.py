@@ -26,10 +26,10 @@ USUAL = {
 def watched(encoder_bench, drain):
     """The doctor's finding about the node after some status frames were on the bus."""
 
-    def run(*told, config=None):
+    def run(*reported, config=None):
         bench = encoder_bench(config=config)
         bench.driver.open()
-        for values in told:
+        for values in reported:
             data = DATABASE.encode_message(418, {**USUAL, **values}, scaling=False)
             bench.channel.transmit(418, data, bench.clock.now_ns())
             samples = drain(bench, 20)
@@ -47,7 +47,7 @@ def test_a_node_says_what_it_is(watched):
 
 
 @pytest.mark.parametrize(
-    ("told", "level", "found", "remedy"),
+    ("reported", "level", "found", "remedy"),
     [
         ([{"Layout": 7}], "failure", "frames of layout 7, the DBC describes 1", "firmware/as5045_node"),
         ([{"Rate": 100}], "warning", "100 Hz", "set encoders.rate_hz to 100"),
@@ -59,17 +59,19 @@ def test_a_node_says_what_it_is(watched):
         ),
     ],
 )
-def test_what_is_wrong_with_a_node_is_named(watched, told, level, found, remedy):
-    _, finding = watched(*told)
+def test_what_is_wrong_with_a_node_is_named(watched, reported, level, found, remedy):
+    _, finding = watched(*reported)
     assert finding.level == level
     assert found in finding.found
     assert remedy in finding.remedy
 
 
-@pytest.mark.parametrize(("told", "counted"), [((9, 9), ""), ((250, 3), "9 times off the bus"), ((7,), "")])
-def test_what_was_counted_before_is_history(told, counted):
+@pytest.mark.parametrize(
+    ("reported", "counted"), [((9, 9), ""), ((250, 3), "9 times off the bus"), ((7,), "")]
+)
+def test_what_was_counted_before_is_history(reported, counted):
     status = NodeStatus(EncodersConfig(node_id=4))
-    for times in told:
+    for times in reported:
         data = DATABASE.encode_message(418, {**USUAL, "TimesOffBus": times}, scaling=False)
         assert status.take(can.Message(arbitration_id=422, data=data, is_extended_id=False))
     assert status.counted == counted
@@ -82,7 +84,7 @@ def test_a_dbc_of_a_lab_need_not_describe_a_status(watched, tmp_path):
     assert (finding.level, finding.found) == ("ok", "the node does not say")
 
 
-def test_another_layout_is_told_in_a_run_too(watched, caplog):
+def test_another_layout_is_reported_in_a_run_too(watched, caplog):
     watched({"Layout": 7}, {"Layout": 7})
     assert [r.getMessage() for r in caplog.records if "layout" in r.getMessage()] == [
         "encoders at hil:test0 sends frames of layout 7, the DBC describes 1"
@@ -102,7 +104,7 @@ def found(bench, samples):
     return {f.check: f for f in look(seen)}
 
 
-def test_two_nodes_with_one_identifier_are_named_and_told_once_a_second(encoder_bench, drain, caplog):
+def test_two_nodes_with_one_identifier_are_named_and_reported_once_a_second(encoder_bench, drain, caplog):
     bench = encoder_bench()
     bench.driver.open()
     samples = []
@@ -125,7 +127,7 @@ def test_a_node_that_restarts_once_is_no_second_one(encoder_bench, drain):
     assert "identifiers" not in found(bench, samples)
 
 
-def test_frames_of_a_wrong_length_are_told_by_the_doctor_and_once_a_second(encoder_bench, drain, caplog):
+def test_frames_of_a_wrong_length_are_reported_by_the_doctor_and_once_a_second(encoder_bench, drain, caplog):
     bench = encoder_bench()
     bench.driver.open()
     samples = []

@@ -1,4 +1,4 @@
-"""A scale, the camera's or the wheels', on a line where nothing tells it from creep: it stays."""
+"""A scale, the camera's or the wheels', on a line where nothing distinguishes it from creep: it stays."""
 
 from dataclasses import replace
 
@@ -53,7 +53,8 @@ def followed(config, parts, start):
 
 @pytest.mark.parametrize("kind", every(2, ["ekf", "ukf"]))
 def test_a_camera_whose_noise_is_known_does_not_pull_its_scale_away(kind):
-    """Nothing tells the scale from creep here: it stays within what the filter says of it, also at rest.
+    """Nothing distinguishes the scale from creep here: it stays within what the filter says of it, also at
+    rest.
 
     Taken at the estimated displacement, the derivative by the scale pulled it to -1.2 % in every world.
     """

@@ -75,10 +75,10 @@ def test_what_is_left_of_a_damaged_recording_is_fitted_and_the_damage_named(reco
     cut.write_bytes(recording.read_bytes()[: 3 * recording.stat().st_size // 5])
     assert main(["tune", str(cut), "--evaluations", "2", "--json"]) == 2
     out, err = capsys.readouterr()
-    told = json.loads(out)
-    assert str(cut) in told["problems"][0]
-    assert f"warning: {told['problems'][0]}; what was readable is used" in err
-    assert told["fitted"]["after"]["rmse_position_m"] > 0.0
+    reported = json.loads(out)
+    assert str(cut) in reported["problems"][0]
+    assert f"warning: {reported['problems'][0]}; what was readable is used" in err
+    assert reported["fitted"]["after"]["rmse_position_m"] > 0.0
 
 
 @pytest.mark.parametrize("as_json", [True, False])
@@ -95,9 +95,9 @@ def test_a_page_that_the_disk_does_not_take_costs_no_figure(
     out, err = capsys.readouterr()
     assert f"hil: {page}: cannot be written (No space left on device)" in err
     if as_json:
-        told = json.loads(out)
-        assert told["estimators"]["odometry"]["rmse_position_m"] > 0.0
-        assert told["error"]["message"].startswith(str(page))
+        reported = json.loads(out)
+        assert reported["estimators"]["odometry"]["rmse_position_m"] > 0.0
+        assert reported["error"]["message"].startswith(str(page))
     else:
         assert [row.split()[0] for row in out.splitlines()][:3] == ["estimator", "recorded", "odometry"]
 

@@ -68,7 +68,7 @@ def test_at_rest_there_is_none():
 
 
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])
-def test_known_slip_tells_the_cameras_scale_on_a_climb(kind):
+def test_known_slip_reports_the_cameras_scale_on_a_climb(kind):
     """Nothing else does on a vertical line: with slip unknown the camera's 1 % stays in the estimate."""
     ends = {}
     for name, wall in (

@@ -106,31 +106,31 @@ def replayed(capsys, *estimators):
 
 @pytest.mark.parametrize("named", ["mine.py:MotionCapture", "mine:MotionCapture"])
 def test_it_stands_beside_the_shipped_ones_in_the_order_of_the_rows(here, capsys, named):
-    code, told, _ = replayed(capsys, named, "ekf")
+    code, reported, _ = replayed(capsys, named, "ekf")
     assert code == 0
-    assert list(told["estimators"]) == ["recorded", "ekf", named]
-    assert told["estimators"][named]["rmse_position_m"] < 1e-3
-    assert told["warnings"] == []
+    assert list(reported["estimators"]) == ["recorded", "ekf", named]
+    assert reported["estimators"][named]["rmse_position_m"] < 1e-3
+    assert reported["warnings"] == []
 
 
 def test_one_that_needs_an_argument_is_given_the_bench_of_the_recording(here, capsys):
     """It is off by its bench's wheel radius, and by nothing else."""
-    _, told, _ = replayed(capsys, "mine.py:OfTheBench")
-    assert list(told["estimators"]) == ["recorded", "mine.py:OfTheBench"]
-    assert told["estimators"]["mine.py:OfTheBench"]["final_position_m"] == pytest.approx(0.0254, abs=2e-3)
+    _, reported, _ = replayed(capsys, "mine.py:OfTheBench")
+    assert list(reported["estimators"]) == ["recorded", "mine.py:OfTheBench"]
+    assert reported["estimators"]["mine.py:OfTheBench"]["final_position_m"] == pytest.approx(0.0254, abs=2e-3)
 
 
 def test_cycles_without_a_finite_pose_are_counted_in_a_warning(here, capsys):
-    code, told, err = replayed(capsys, "mine.py:LosesItself")
+    code, reported, err = replayed(capsys, "mine.py:LosesItself")
     assert code == 0
-    (warning,) = told["warnings"]
-    cycles = told["cycles"]
+    (warning,) = reported["warnings"]
+    cycles = reported["cycles"]
     assert warning == (
         f"mine.py:LosesItself: pose or covariance is not finite in {cycles - 20} of {cycles} cycles, the "
         "first of them 20; its figures are of the others"
     )
     assert f"warning: {warning}" in err
-    assert told["estimators"]["mine.py:LosesItself"]["final_position_m"] is None
+    assert reported["estimators"]["mine.py:LosesItself"]["final_position_m"] is None
 
 
 @pytest.mark.parametrize(

@@ -82,18 +82,18 @@ def test_frames_are_the_bytes_that_cantools_makes(library):
 
 
 def test_the_emulated_node_sends_the_same_bytes(library):
-    told = []
+    reported = []
 
     class Wire:
         def transmit(self, frame_id, data, t_ns):
-            told.append((frame_id, data))
+            reported.append((frame_id, data))
 
     world = World(Turning(), seed=3, faults=FaultPlan([]))
     EncoderNode(world, Wire())
     VirtualClock(world).sleep_until_ns(2_000_000_000)
     status = HostBoard(library).next_set()[2]
-    assert [frame for frame in told if frame[0] == 418] == [status] * 2
-    pairs = [told[i : i + 2] for i, frame in enumerate(told) if frame[0] == 416]
+    assert [frame for frame in reported if frame[0] == 418] == [status] * 2
+    pairs = [reported[i : i + 2] for i, frame in enumerate(reported) if frame[0] == 416]
     assert len(pairs) == 400
     for pair in pairs:
         values = {name: value for signals in decoded(pair) for name, value in signals.items()}

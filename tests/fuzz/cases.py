@@ -1,4 +1,4 @@
-"""How many cases are tried, and how a finding is told so that it can be kept."""
+"""How many cases are tried, and how a finding is reported so that it can be kept."""
 
 from __future__ import annotations
 

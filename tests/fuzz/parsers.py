@@ -17,9 +17,9 @@ from hil.devices.imu.microstrain import mip_fields as mip_fields
 from hil.devices.imu.microstrain.mip_packets import PacketParser, encode
 from hil.devices.tracker.mavlink.odometry_messages import Parser, axes_of, dialect, pose_of, twist_of
 from hil.drivers.adhesion.dronecan.frames import StatusReader, command_of
-from hil.drivers.adhesion.keeper.client import understood
-from hil.drivers.adhesion.keeper.door import _answered
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon.client import understood
+from hil.drivers.adhesion.fan_daemon.server import _answered
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.drivers.adhesion.vesc import frames as vesc
 from hil.drivers.mocap.natnet_frames import FrameParser, parse_frame
 from hil.drivers.mocap.natnet_packets import MalformedPacket, parse_server_info, split
@@ -145,15 +145,15 @@ def _holding() -> list[Fed]:
     spec = Spec(interface="hil", channel="fuzz", controller_id=1)
     statuses = [vesc.address(p, 1).to_bytes(4, "big") + bytes(8) for p in vesc.Packet]
     refused = {"error": {"message": "m", "expected": "e", "remedy": "r", "exit_code": 3}}
-    told = [json.dumps(answer).encode() for answer in ({"state": "idle", "sent": None}, refused)]
+    reported = [json.dumps(answer).encode() for answer in ({"state": "idle", "sent": None}, refused)]
     asked = [b'{"do": "set", "quantity": "duty", "value": 0.5}', b'{"do": "off", "confirmed_by": "me"}']
     return [
         Fed("VESC frames", framed(vesc.decode), statuses),
         Fed("DroneCAN status", framed(reader.take), [b"\x18\x04\x0a\x01" + bytes(8)]),
         Fed("DroneCAN command", framed(lambda i, d: command_of(i, d, 0)), [b"\x18\x04\x06\x01" + bytes(8)]),
-        Fed("keeper's answer", lambda d: understood(d, spec), told, (HilError,)),
-        Fed("keeper's request", lambda d: _answered(d, "me", lambda a, w: a), asked),
-        Fed("keeper's start", _text(Spec.from_json), [spec.to_json().encode()], (HilError,)),
+        Fed("daemon's answer", lambda d: understood(d, spec), reported, (HilError,)),
+        Fed("daemon's request", lambda d: _answered(d, "me", lambda a, w: a), asked),
+        Fed("daemon's start", _text(Spec.from_json), [spec.to_json().encode()], (HilError,)),
     ]
 
 

@@ -79,7 +79,7 @@ def test_a_silent_chip_reset_is_noticed_and_repaired(imu_bench, fault):
     assert bench.chip.opr_mode == 8
 
 
-def test_a_reset_that_nobody_hears_is_found_in_the_data(imu_bench):
+def test_a_reset_that_is_not_heard_is_found_in_the_data(imu_bench):
     """The chip reboots between two reads: it answers at once, with zeros."""
     bench = imu_bench(config={"check_period_s": 100})
     bench.driver.open()
@@ -219,7 +219,7 @@ def test_slow_answers_are_lost_when_slower_than_the_time_out(imu_bench):
     ("url", "remedy"),
     [
         ("chip://denied", "dialout"),
-        ("chip://nobody", "discover"),
+        ("chip://absent", "discover"),
         ("/dev/no_such_tty", "discover"),
         ("what://is", "discover"),
         ("/", "discover"),

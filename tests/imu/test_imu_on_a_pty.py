@@ -20,7 +20,7 @@ from hil.fakes.world import NEVER_NS, World
 pytestmark = pytest.mark.alone
 
 
-class PtyFace:
+class PtyTransport:
     """Bytes from the terminal to the chip and back when they are due."""
 
     def __init__(self, world, chip):
@@ -56,11 +56,11 @@ class PtyFace:
 @pytest.fixture
 def served(turning_plant):
     world = World(turning_plant(rate_rad_s=0.2), seed=1)
-    face = PtyFace(world, Bno055Chip(world, overrun_probability=0.02))
-    server = EmulationServer(world, MonotonicClock(), {"imu": face})
+    transport = PtyTransport(world, Bno055Chip(world, overrun_probability=0.02))
+    server = EmulationServer(world, MonotonicClock(), {"imu": transport})
     thread = threading.Thread(target=server.run)
     thread.start()
-    yield face.path
+    yield transport.path
     server.stop()
     thread.join(10)
 

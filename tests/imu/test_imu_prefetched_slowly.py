@@ -1,4 +1,4 @@
-"""A burst that takes longer than a cycle: nobody waits for it, and none is lost."""
+"""A burst that takes longer than a cycle: the loop does not wait for it, and none is lost."""
 
 import numpy as np
 import pytest

@@ -16,7 +16,7 @@ def test_as_delivered_the_line_can_carry_the_rate():
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "reported"),
     [
         ({"rate_hz": 200.0}, "at most 119 Hz, or set sensor and bench to 921600 baud"),
         ({"baud": 9600}, "needs 101200 bits per second and baud has 9600"),
@@ -28,6 +28,6 @@ def test_as_delivered_the_line_can_carry_the_rate():
         ({"port": ""}, "port"),
     ],
 )
-def test_what_cannot_be_is_refused_with_its_reason(given, told):
-    with pytest.raises(ValidationError, match=told):
+def test_what_cannot_be_is_refused_with_its_reason(given, reported):
+    with pytest.raises(ValidationError, match=reported):
         MicrostrainConfig(**given)

@@ -111,7 +111,7 @@ def test_a_restarted_sensor_is_set_up_again_and_says_so(bench):
 
 @pytest.mark.parametrize("boot_s", [0.05, 1.0])
 def test_a_sensor_that_restarts_into_the_same_stream_still_gets_its_settings(bench, ideal, boot_s):
-    """What it says before is in other axes: nobody gets to see it, should it not keep quiet as it is told."""
+    """What it says before is in other axes: it is not passed on, should the sensor not stop as asked."""
     quick = dataclasses.replace(ideal, boot_s=boot_s, initialisation_s=0.0, gyro_noise_rad_s=0.001)
     b = opened(bench, options=quick)
     formats = b.chip.commands.settings.formats
@@ -229,7 +229,7 @@ def test_what_the_data_say_of_themselves(bench, alter, status):
     assert kinds(b.run(0.1)) == {status}
 
 
-def test_nothing_is_read_before_it_has_come_and_nobody_waits(bench):
+def test_nothing_is_read_before_it_has_come_without_waiting(bench):
     b = opened(bench, config={"rate_hz": 10.0})
     longest_ns = 0
     for _ in range(200):
@@ -241,7 +241,7 @@ def test_nothing_is_read_before_it_has_come_and_nobody_waits(bench):
 
 
 @pytest.mark.parametrize("fault", ["imu:off", "imu:unplug", "imu:garbage", "imu:reset"])
-def test_nobody_waits_for_a_sensor_that_is_set_up_again(bench, fault):
+def test_the_loop_does_not_wait_for_a_sensor_that_is_set_up_again(bench, fault):
     b = opened(bench)
     b.world.faults.add(parse_fault(fault))
     longest_ns = 0

@@ -69,7 +69,7 @@ def test_an_override_of_the_model_leaves_out_what_only_the_other_has():
 
 
 @pytest.mark.parametrize(
-    ("keys", "told"),
+    ("keys", "reported"),
     [
         ({"prefetch": True}, "imu.prefetch: unknown key; remove it or check the spelling"),
         ({"magnetometr": True}, "imu.magnetometr: unknown key; did you mean magnetometer?"),
@@ -77,11 +77,11 @@ def test_an_override_of_the_model_leaves_out_what_only_the_other_has():
         ({"rate_hz": 300}, "imu.rate_hz: .*at most 119 Hz, or set sensor and bench to 921600 baud"),
     ],
 )
-def test_hints_are_those_of_the_chosen_model(keys, told):
+def test_hints_are_those_of_the_chosen_model(keys, reported):
     with pytest.raises(ConfigError) as caught:
         validate({**ALONE, "imu": {**IMU, **keys}}, "it")
     assert len(caught.value.problems) == 1
-    assert caught.match(told)
+    assert caught.match(reported)
 
 
 def test_imperfections_are_those_of_the_chosen_model(bench_file):
@@ -172,7 +172,7 @@ def test_the_doctor_expects_the_rate_of_the_bench_file(bench_file):
 
 
 @pytest.mark.parametrize(
-    ("fault", "check", "level", "told"),
+    ("fault", "check", "level", "reported"),
     [
         ("imu:off", "open", "failure", "no MicroStrain sensor answers"),
         ("imu:drop@0.3,probability=0.2", "rate", "warning", "gaps"),
@@ -183,22 +183,22 @@ def test_the_doctor_expects_the_rate_of_the_bench_file(bench_file):
         ("imu:reset@0.5", "filter", "failure", "initialising"),
     ],
 )
-def test_the_doctor_names_what_is_wrong(bench_file, fault, check, level, told):
+def test_the_doctor_names_what_is_wrong(bench_file, fault, check, level, reported):
     more = "[emulation.imu]\ninitialisation_s = 5\n" if "reset" in fault else ""
     found = findings(hil.open_bench(bench_file(more), faults=(fault,)))[check]
-    assert (found.level, told in found.found) == (level, True), found
+    assert (found.level, reported in found.found) == (level, True), found
     assert found.remedy
 
 
-@pytest.mark.parametrize(("baud", "told"), [(115_200, ""), (921_600, "baud = 921600\n")])
-def test_discovery_finds_it_and_its_file_opens(baud, told, tmp_path):
+@pytest.mark.parametrize(("baud", "reported"), [(115_200, ""), (921_600, "baud = 921600\n")])
+def test_discovery_finds_it_and_its_file_opens(baud, reported, tmp_path):
     config = validate({**ALONE, "imu": {**IMU, "baud": baud}}, "it")
     world = build_world(config, seed=1)
     connected = connect_in_process(config, world)
     port = connected.connections["imu"].values["port"]
     text = discover(VirtualClock(world), ports=[port], sysfs=tmp_path).to_toml()
     connected.close()
-    assert f'[imu]\nmodel = "microstrain"\nport = "{port}"\n{told}' in text
+    assert f'[imu]\nmodel = "microstrain"\nport = "{port}"\n{reported}' in text
     file = tmp_path / "found.toml"
     file.write_text(text)
     assert load_bench(file).of(MicrostrainConfig).baud == baud

@@ -24,11 +24,11 @@ pytestmark = pytest.mark.alone
 @pytest.fixture
 def served(turning_plant):
     world = World(turning_plant(rate_rad_s=0.2), seed=1)
-    face = SerialPty(SerialLine(world, MicrostrainChip(world)))
-    server = EmulationServer(world, MonotonicClock(), {"imu": face})
+    transport = SerialPty(SerialLine(world, MicrostrainChip(world)))
+    server = EmulationServer(world, MonotonicClock(), {"imu": transport})
     thread = threading.Thread(target=server.run)
     thread.start()
-    yield face.endpoint()["port"]
+    yield transport.endpoint()["port"]
     server.stop()
     thread.join(10)
 

@@ -1,4 +1,4 @@
-"""Setting a sensor up: what it is told, what is refused by name, and what it was doing before."""
+"""Setting a sensor up: what is sent to it, what is refused by name, and what it was doing before."""
 
 import dataclasses
 import math
@@ -51,7 +51,7 @@ def test_it_can_be_opened_again_while_it_goes_on_sending(bench):
         b.driver.read()
 
 
-def test_a_sensor_that_sends_something_else_is_told_what_to_send(bench):
+def test_a_sensor_that_sends_something_else_is_set_up_to_send_what_is_wanted(bench):
     b = bench(saved=Settings(formats=OTHER))
     b.driver.open()
     settings = b.chip.commands.settings
@@ -148,7 +148,7 @@ def test_axes_that_cannot_be_changed_are_refused(bench):
         b.driver.open()
 
 
-def test_a_rate_that_the_sensor_cannot_is_told_with_what_it_can(bench, ideal):
+def test_a_rate_that_the_sensor_cannot_is_reported_with_what_it_can(bench, ideal):
     b = bench(config={"baud": 921_600, "rate_hz": 700.0}, baud=921_600)
     with pytest.raises(DeviceError, match=r"cannot measure at 700 Hz.*500\.0 or 1000\.0"):
         b.driver.open()
@@ -167,7 +167,7 @@ def test_a_silent_port_is_a_time_out_that_says_what_to_look_at(bench):
 
 
 @pytest.mark.parametrize("fault", ["imu:garbage", "imu:baud_mismatch"])
-def test_noise_is_told_from_silence(bench, fault):
+def test_noise_is_distinguished_from_silence(bench, fault):
     formats = {f.FILTER_DATA: tuple((descriptor, 10) for descriptor in f.LAYOUTS)}
     b = bench(fault, saved=Settings(formats=formats))
     with pytest.raises(DeviceTimeoutError, match="what comes is no MIP packet"):
@@ -220,7 +220,7 @@ def test_a_sensor_that_restarts_in_the_middle_is_begun_anew(bench, after_s):
     assert b.chip.commands.settings.streams == {f.FILTER_DATA}
 
 
-def test_a_sensor_that_stops_in_the_middle_is_told_from_one_that_never_answered(bench):
+def test_a_sensor_that_stops_in_the_middle_is_distinguished_from_one_that_never_answered(bench):
     b = bench("imu:off@0.015")
     with pytest.raises(DeviceTimeoutError, match="stopped answering while it was set up"):
         b.driver.open()

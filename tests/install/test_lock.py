@@ -82,7 +82,7 @@ def test_every_entry_has_hashes_and_none_says_where_to_fetch_it():
     assert [line for line in LOCK.splitlines() if line.startswith("-")] == []
 
 
-def told(*words):
+def dry_run(*words):
     """What make would run, anew from an empty folder."""
     done = subprocess.run(
         ["make", "--always-make", "--dry-run", *words], cwd=ROOT, text=True, capture_output=True, check=True
@@ -100,7 +100,7 @@ def told(*words):
 )
 def test_make_takes_what_is_locked_the_newest_or_the_oldest(given, folder, by):
     """In a folder each, so that none is taken for another."""
-    installing = [line for line in told(*given, "test") if "install" in line]
+    installing = [line for line in dry_run(*given, "test") if "install" in line]
     packages = [line for line in installing if "--extra" in line]
     assert len(packages) == 1
     assert by in packages[0]
@@ -119,13 +119,13 @@ def test_make_takes_what_is_locked_the_newest_or_the_oldest(given, folder, by):
     ],
 )
 def test_a_target_installs_the_extras_that_it_needs_and_no_others(target, extras):
-    (packages,) = (line for line in told(*target.split()) if "-r pyproject.toml" in line)
+    (packages,) = (line for line in dry_run(*target.split()) if "-r pyproject.toml" in line)
     assert set(re.findall(r"--extra (\w+)", packages)) == extras
 
 
 def test_what_installs_the_packages_is_locked_itself():
     """It comes by pip with its hash, and brings the others."""
-    pip = [line for line in told("demo") if " -m pip " in line]
+    pip = [line for line in dry_run("demo") if " -m pip " in line]
     assert len(pip) == 1
     assert "--require-hashes" in pip[0]
     assert [name_of(locked) for locked, _ in entries()].count("uv") == 1

@@ -57,16 +57,16 @@ def test_a_library_built_by_hand_where_there_is_no_wheel_is_usable(installed, mo
     assert extras.lacks("t265") == ""
 
 
-def test_info_tells_it(capsys, monkeypatch):
+def test_info_reports_it(capsys, monkeypatch):
     monkeypatch.setattr("hil.cli.info.lacks", lambda name: "not today" if name == "t265" else "")
     assert main(["info", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["extras"] == dict.fromkeys(extras.MODULES, True) | {"t265": False}
     assert found["extras_lack"] == {"t265": "not today"}
     assert main(["info"]) == 0
-    told = [line.split() for line in capsys.readouterr().out.splitlines()]
-    assert ["t265", "no:", "not", "today"] in told
-    assert ["rerun", "yes"] in told
+    reported = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["t265", "no:", "not", "today"] in reported
+    assert ["rerun", "yes"] in reported
 
 
 def test_info_names_every_package_that_this_python_takes_from_the_distribution(capsys):
@@ -76,8 +76,8 @@ def test_info_names_every_package_that_this_python_takes_from_the_distribution(c
     asked = map(Requirement, [*project["dependencies"], *(r for name in extras.MODULES for r in extra[name])])
     wanted = {r.name for r in asked if r.marker is None or r.marker.evaluate()}
     assert main(["info", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["packages"]
-    assert set(told) == wanted
+    reported = json.loads(capsys.readouterr().out)["packages"]
+    assert set(reported) == wanted
     assert {"rich", "jinja2", "msgpack", "packaging", "pymavlink", "dronecan", "dask"} <= wanted
     assert "ruff" not in wanted
-    assert "absent" not in {told[name] for name in ("numpy", "rich", "msgpack")}
+    assert "absent" not in {reported[name] for name in ("numpy", "rich", "msgpack")}

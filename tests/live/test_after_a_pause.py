@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil.bench import open_bench
-from hil.bench.settings import motion_limits
+from hil.bench.loop_settings import motion_limits
 from hil.core.clock import nanoseconds
 from hil.live.velocity_input import CommandLines
 from hil.live.velocity_reference import VelocityReference
@@ -69,9 +69,9 @@ def test_the_reference_waits_and_the_drive_still_ends_at_its_goal(paused):
     poses = np.array([r.reference.pose_in_wall for r in records[at:]])
     t_s = np.array([r.start_ns for r in records[at:]]) * 1e-9
     rates = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1) / np.diff(t_s)
-    told = np.array([np.linalg.norm(r.reference.twist_body[:2]) for r in records[at:]])
-    assert abs(rates - 0.5 * (told[1:] + told[:-1])).max() < 1e-3
-    assert np.diff(told).max() <= 1.05 * bench.config.control.acceleration_m_s2 * 0.01
+    reported = np.array([np.linalg.norm(r.reference.twist_body[:2]) for r in records[at:]])
+    assert abs(rates - 0.5 * (reported[1:] + reported[:-1])).max() < 1e-3
+    assert np.diff(reported).max() <= 1.05 * bench.config.control.acceleration_m_s2 * 0.01
     assert records[-1].reference.done
     np.testing.assert_allclose(records[-1].state.pose_body_in_wall[:2], (0.5, 0.0), atol=0.003)
 
@@ -83,8 +83,8 @@ def test_a_drive_with_a_pause_repeats_in_replay(paused, recording):
 
 def test_a_pause_that_the_servos_do_not_notice_changes_nothing():
     _, records, at = driven(0.05)
-    told = np.array([np.linalg.norm(r.reference.twist_body[:2]) for r in records])
-    assert told[at] == pytest.approx(told[at - 1], abs=0.01)
+    reported = np.array([np.linalg.norm(r.reference.twist_body[:2]) for r in records])
+    assert reported[at] == pytest.approx(reported[at - 1], abs=0.01)
     assert records[at].reference.t_s == pytest.approx((records[at].start_ns - records[0].start_ns) * 1e-9)
 
 

@@ -99,10 +99,10 @@ def test_the_summary_says_what_happened(driven):
 
 def test_a_real_time_recording_repeats_bit_for_bit(driven):
     folder, _ = driven
-    code, told = verified(folder / "run.mcap")
-    assert (code, told["verdict"]) == (0, "identical")
-    assert [r["references"] for r in told["runs"]] == ["none", "computed"]
-    assert told["changed_versions"] == {}
+    code, reported = verified(folder / "run.mcap")
+    assert (code, reported["verdict"]) == (0, "identical")
+    assert [r["references"] for r in reported["runs"]] == ["none", "computed"]
+    assert reported["changed_versions"] == {}
 
 
 def test_nothing_stands_still_while_the_loop_begins(driven):
@@ -158,7 +158,7 @@ def _moved(path):
 
 
 @pytest.mark.parametrize("name", ["SIGHUP", "SIGTERM"])
-def test_a_signal_holds_the_robot_and_tells_all(tmp_path, name):
+def test_a_signal_holds_the_robot_and_reports_all(tmp_path, name):
     """Only watching; a signal ends it with the summary and exit code 4."""
     process = live(tmp_path, "--record", str(tmp_path / "run.mcap"))
     while process.poll() is None and not _some(tmp_path / "run.mcap"):
@@ -202,15 +202,15 @@ def test_a_second_signal_does_not_cut_short_how_the_robot_is_left(tmp_path, name
 
 
 @pytest.mark.parametrize(
-    ("told", "name", "states"),
+    ("reported", "name", "states"),
     [
         pytest.param("recording to", "SIGTERM", ("not needed", "HELD", "NOT HELD"), marks=pytest.mark.long),
         ("at the start", "SIGHUP", ("HELD",)),
     ],
 )
-def test_a_signal_before_the_session_begins_is_answered_with_the_summary(tmp_path, told, name, states):
+def test_a_signal_before_the_session_begins_is_answered_with_the_summary(tmp_path, reported, name, states):
     process = live(tmp_path, "--record", str(tmp_path / "run.mcap"))
-    while told not in process.stderr.readline():
+    while reported not in process.stderr.readline():
         assert process.poll() is None
     os.kill(process.pid, getattr(signal, name))
     out, err = process.communicate(timeout=LIMIT_S)
@@ -225,16 +225,16 @@ def _some(path):
     return path.exists() and path.stat().st_size > 150_000
 
 
-def test_every_session_is_recorded_under_its_date_unless_told_otherwise(tmp_path):
+def test_every_session_is_recorded_under_its_date_unless_asked_otherwise(tmp_path):
     process = live(tmp_path, "--duration", "0.5")
     out, err = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 0, err
     (path,) = (tmp_path / "out" / "live").iterdir()
     assert re.fullmatch(r"\d{8}-\d{6}-\d{3}\.mcap", path.name)
     assert f"recording to {path.relative_to(tmp_path)}" in err
-    told = json.loads(out)["recording"]
-    assert told["path"] == str(path.relative_to(tmp_path))
-    assert told["written"] == sum(1 for _ in read_cycles(path)) > 0
+    reported = json.loads(out)["recording"]
+    assert reported["path"] == str(path.relative_to(tmp_path))
+    assert reported["written"] == sum(1 for _ in read_cycles(path)) > 0
     assert verified(path)[1]["verdict"] == "identical"
 
 
@@ -243,9 +243,9 @@ def test_a_fault_that_the_session_ended_before_is_named(tmp_path):
     process = live(tmp_path, "--duration", "0.5", "--no-record", "--fault", "imu:off@1000")
     out, err = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 0, err
-    told = json.loads(out)
-    assert told["faults_not_begun"] == ["imu:off@1000"]
-    assert told["note"].startswith("fault imu:off@1000 never acted: the bench was closed at ")
+    reported = json.loads(out)
+    assert reported["faults_not_begun"] == ["imu:off@1000"]
+    assert reported["note"].startswith("fault imu:off@1000 never acted: the bench was closed at ")
 
 
 def test_a_folder_that_cannot_be_made_is_named_with_what_to_do(tmp_path, monkeypatch, capsys):
@@ -275,7 +275,7 @@ def test_a_bench_that_does_not_open_says_in_its_summary_why(tmp_path, capsys):
 
 @pytest.mark.parametrize(("policy", "code"), [("stop", 4), ("go-on", 0)])
 def test_a_disk_that_fills_up_stops_the_robot_or_not(tmp_path, policy, code):
-    """The thread that writes finds no room while the robot is driven; nobody else's files are touched."""
+    """The thread that writes finds no room while the robot is driven; no other files are touched."""
     path = tmp_path / "run.mcap"
     process = live(
         tmp_path,
@@ -344,8 +344,8 @@ def test_a_robot_that_is_left_not_held_is_no_session_that_ended_well(tmp_path, m
     tree = config.model_dump(mode="json", by_alias=True, exclude_none=True)
     (tmp_path / "bench.toml").write_bytes(tomli_w.dumps(tree).encode())
     code = main(["live", "--bench", "bench.toml", "--duration", "0.3", "--no-record", "--json"])
-    told = capsys.readouterr()
-    held = json.loads(told.out)["held"]
+    reported = capsys.readouterr()
+    held = json.loads(reported.out)["held"]
     assert (code, held["state"]) == (3, "NOT HELD")
-    assert f"hil: robot: NOT HELD: {held['why']}" in told.err
-    assert "secure it before anything else" in told.err
+    assert f"hil: robot: NOT HELD: {held['why']}" in reported.err
+    assert "secure it before anything else" in reported.err

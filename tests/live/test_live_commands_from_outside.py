@@ -88,15 +88,15 @@ def test_one_cycle_takes_a_bounded_number_of_datagrams_and_lines(port):
     assert lines.strangers <= 256
 
 
-def test_a_token_is_made_and_told_or_taken_from_the_environment(monkeypatch):
+def test_a_token_is_made_and_reported_or_taken_from_the_environment(monkeypatch):
     monkeypatch.delenv(TOKEN_VARIABLE, raising=False)
-    told = set()
+    reported = set()
     for _ in range(2):
         lines = open_commands("udp:0")
-        told.add(lines.where.split("token ")[1])
+        reported.add(lines.where.split("token ")[1])
         lines.close()
-    assert len(told) == 2
-    assert {len(token) for token in told} == {32}
+    assert len(reported) == 2
+    assert {len(token) for token in reported} == {32}
     monkeypatch.setenv(TOKEN_VARIABLE, TOKEN)
     lines = open_commands("udp:0")
     assert "token" not in lines.where

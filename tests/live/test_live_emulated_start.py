@@ -9,7 +9,7 @@ from still_plant import StillPlant
 
 import hil
 from hil.core.clock import MonotonicClock
-from hil.fakes.server import EmulationServer, Face
+from hil.fakes.server import EmulationServer, Transport
 from hil.fakes.world import NEVER_NS, World
 from tests.patience import FANLESS
 
@@ -18,17 +18,17 @@ pytestmark = pytest.mark.usefixtures("warm_commands")
 SECOND = 1_000_000_000
 
 
-class Deaf(Face):
+class Deaf(Transport):
     def __init__(self):
         self.near, self.far = socket.socketpair()
-        self.told_ns = []
+        self.reported_ns = []
 
     def filenos(self):
         return [self.near.fileno()]
 
     def on_readable(self, fd, t_ns):
         os.read(fd, 10)
-        self.told_ns.append(t_ns)
+        self.reported_ns.append(t_ns)
 
     def next_due_ns(self):
         return NEVER_NS
@@ -46,13 +46,15 @@ class Deaf(Face):
 
 def test_world_time_waits_for_the_bench_and_ends_with_it():
     reads, writes = os.pipe()
-    face, clock = Deaf(), MonotonicClock()
-    server = EmulationServer(World(StillPlant()), clock, {"deaf": face}, lifeline=reads, await_start=True)
+    transport, clock = Deaf(), MonotonicClock()
+    server = EmulationServer(
+        World(StillPlant()), clock, {"deaf": transport}, lifeline=reads, await_start=True
+    )
     begun_ns = server.world.now_ns
-    face.far.send(b"?")
+    transport.far.send(b"?")
     server.step()
     server.step()
-    assert face.told_ns == [begun_ns]
+    assert transport.reported_ns == [begun_ns]
     assert server.world.now_ns == begun_ns
     os.write(writes, b"\n")
     server.step()

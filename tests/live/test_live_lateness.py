@@ -25,23 +25,23 @@ def statistics(cycles, late, work_ms):
     ],
 )
 def test_what_to_do_depends_on_who_takes_the_time(late, work_ms, said):
-    told = advice(statistics(100, late, work_ms).summary(), 100.0)
-    assert told.startswith(said) if said else told == ""
+    reported = advice(statistics(100, late, work_ms).summary(), 100.0)
+    assert reported.startswith(said) if said else reported == ""
     assert advice(LoopStatistics().summary(), 100.0) == ""
 
 
 def test_it_is_said_once_after_two_seconds_and_at_the_end(caplog):
-    watch, told = LateWarning(100.0), statistics(199, 150, 3.0)
+    watch, reported = LateWarning(100.0), statistics(199, 150, 3.0)
     with caplog.at_level(logging.WARNING):
-        watch.look(told)
+        watch.look(reported)
         assert caplog.messages == []
-        told.cycles += 1
+        reported.cycles += 1
         for _ in range(500):
-            watch.look(told)
-            told.cycles += 1
+            watch.look(reported)
+            reported.cycles += 1
     (message,) = caplog.messages
     assert message.startswith("75 % of the cycles began late")
-    timing = told.summary()
+    timing = reported.summary()
     summary = {
         "bench": "b",
         "rate_hz": 100.0,

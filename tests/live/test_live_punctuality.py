@@ -17,7 +17,7 @@ MS = 1_000_000
 
 
 class Hand(Clock):
-    """A clock that moves when it is told to."""
+    """A clock that moves when it is asked to."""
 
     def __init__(self):
         self.t_ns = 0

@@ -151,4 +151,4 @@ def test_a_server_that_is_not_there_is_a_device_error(tmp_path):
         'interface = "udp_multicast"\nchannel = "239.74.163.9"',
     )
     with pytest.raises(DeviceError, match=r"encoders|servos|imu"), hil.open_bench(path):
-        raise AssertionError("a bench that nobody serves was opened")
+        raise AssertionError("a bench that is not served was opened")

@@ -36,17 +36,17 @@ def drive(tmp_path_factory):
 
 
 def test_every_run_of_a_virtual_recording_repeats(drive):
-    told = [verify_run(drive.bench, run) for run in drive.runs]
-    assert [r["difference"] for r in told] == [None, None]
-    assert [r["references"] for r in told] == ["none", "computed"]
+    reported = [verify_run(drive.bench, run) for run in drive.runs]
+    assert [r["difference"] for r in reported] == [None, None]
+    assert [r["references"] for r in reported] == ["none", "computed"]
     assert drive.problems == []
 
 
 def test_a_recording_of_servos_that_were_asked_ahead_repeats(tmp_path):
     opened = open_recording(record(tmp_path / "ahead.mcap", overrides={"servos.prefetch": True}))
     assert opened.bench.config.servos.prefetch is True
-    told = [verify_run(opened.bench, run) for run in opened.runs]
-    assert [r["difference"] for r in told] == [None, None]
+    reported = [verify_run(opened.bench, run) for run in opened.runs]
+    assert [r["difference"] for r in reported] == [None, None]
 
 
 def test_a_loop_made_by_hand_says_in_its_recording_how_it_began(tmp_path):
@@ -59,8 +59,8 @@ def test_a_loop_made_by_hand_says_in_its_recording_how_it_began(tmp_path):
         for cycles in (30, 60):  # going on is no new beginning
             loop.run(lambda record, last=cycles: record.cycle >= last)
     (run,) = open_recording(path).runs
-    told = verify_run(open_recording(path).bench, run)
-    assert (told["cycles"], told["difference"]) == (61, None)
+    reported = verify_run(open_recording(path).bench, run)
+    assert (reported["cycles"], reported["difference"]) == (61, None)
 
 
 def test_a_changed_input_is_named_by_cycle_and_field(drive):

@@ -14,7 +14,7 @@ from hil.core.clock import MonotonicClock
 from hil.drivers.mocap import NatNetMocap
 from hil.fakes.active_faults import FaultPlan
 from hil.fakes.fault import parse_fault
-from hil.fakes.mocap import STILL, NatNetFace, NatNetServer
+from hil.fakes.mocap import STILL, NatNetServer, NatNetTransport
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import VirtualClock, World
 
@@ -73,18 +73,18 @@ def watch():
 
 @pytest.fixture
 def served():
-    """Factory of a capture server on UDP ports of the loopback, in a thread; returns its face."""
+    """Factory of a capture server on UDP ports of the loopback, in a thread; returns its transport."""
     running = []
 
     def serve(*faults, host="127.0.0.1", **server_options):
         world = World(Climber(), seed=1, faults=FaultPlan([parse_fault(spec) for spec in faults]))
         natnet = NatNetServer(world, options=STILL, **server_options)
-        face = NatNetFace(natnet, host=host)
-        server = EmulationServer(world, MonotonicClock(), {"mocap": face})
+        transport = NatNetTransport(natnet, host=host)
+        server = EmulationServer(world, MonotonicClock(), {"mocap": transport})
         thread = threading.Thread(target=server.run)
         thread.start()
         running.append((server, thread))
-        return face
+        return transport
 
     yield serve
     for server, thread in running:
@@ -94,10 +94,10 @@ def served():
 
 @pytest.fixture
 def settings_of():
-    """Driver configuration for a served face."""
+    """Driver configuration for a served transport."""
 
-    def make(face, **values):
-        where = face.endpoint()
+    def make(transport, **values):
+        where = transport.endpoint()
         return MocapConfig(**{**where, "fail_after_s": 1.0, "open_timeout_s": 2.0, **values})
 
     return make

@@ -23,7 +23,7 @@ def test_silence_raises_with_a_remedy(mocap_bench, watch, fault):
 
 
 @pytest.mark.parametrize("fault", ["mocap:off@1+0.4", "mocap:reset@1"])
-def test_a_restarted_server_is_found_again_and_told(mocap_bench, watch, fault):
+def test_a_restarted_server_is_found_again_and_reported(mocap_bench, watch, fault):
     bench = mocap_bench(fault)
     bench.driver.open()
     samples = watch(bench, 4.0)
@@ -63,7 +63,7 @@ def test_a_server_that_was_away_is_found_again_and_frames_count_on(mocap_bench, 
     assert np.all(np.diff([before.stamp.seq, *(s.stamp.seq for s in after)]) >= 1)
 
 
-def test_occlusion_is_told_and_gives_no_numbers(mocap_bench, watch):
+def test_occlusion_is_reported_and_gives_no_numbers(mocap_bench, watch):
     bench = mocap_bench("mocap:intermittent@1+2,occlude=1,period_s=1,duty=0.5")
     bench.driver.open()
     samples = watch(bench, 4.0)

@@ -63,11 +63,11 @@ def test_one_read_looks_at_a_bounded_number_of_useless_datagrams(kinds, caplog):
             assert list(session.frames()) == []
             assert ports.taken == 256 * read
     assert session.floods == 3
-    assert caplog.text.count("somebody floods the ports of 127.0.0.1:1510") == 1
+    assert caplog.text.count("another program floods the ports of 127.0.0.1:1510") == 1
     assert session.strangers + session.malformed + session.repeated == ports.taken
 
 
-def test_second_copies_of_what_nobody_read_for_long_are_no_flood(caplog):
+def test_second_copies_of_what_was_not_read_for_long_are_no_flood(caplog):
     """A server that knows both ports sends every frame twice; after a pause all of them wait."""
     ports = Flooded()
     session = Session(MocapConfig(body=1), SimpleNamespace(now_ns=lambda: 0), ports)

@@ -23,7 +23,7 @@ SENDERS = st.sampled_from([SERVER, ("127.0.0.1", 1511), ("10.1.2.3", 1510), ("12
 
 
 class Standing:
-    """A plant that nobody looks at."""
+    """A plant that is not observed."""
 
     t_ns = 0
 

@@ -18,7 +18,7 @@ from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.drivers.mocap import NatNetMocap
 from hil.drivers.mocap.udp_ports import UdpPort
-from hil.fakes.mocap import NatNetFace, NatNetServer
+from hil.fakes.mocap import NatNetServer, NatNetTransport
 from hil.fakes.world import World
 
 pytestmark = pytest.mark.real_time
@@ -27,8 +27,8 @@ GROUP = f"239.255.42.{1 + os.getpid() % 250}"
 VERSIONS = [(3, 1), (4, 0), (4, 1)]
 
 
-def public_client(face, *, multicast):
-    where = face.endpoint()
+def public_client(transport, *, multicast):
+    where = transport.endpoint()
     return NatNetClient(
         server_ip_address=where["server"],
         local_ip_address="127.0.0.1",
@@ -54,9 +54,9 @@ def until(condition, seconds=5.0):
 @pytest.mark.parametrize("multicast", [False, True])
 @pytest.mark.parametrize("version", VERSIONS)
 def test_a_public_client_gets_frames_and_definitions(served, version, multicast):
-    face = served(version=version, multicast=GROUP if multicast else None)
+    transport = served(version=version, multicast=GROUP if multicast else None)
     got = SimpleNamespace(frames=[], models=[])
-    client = public_client(face, multicast=multicast)
+    client = public_client(transport, multicast=multicast)
     client.on_data_frame_received_event.handlers.append(got.frames.append)
     client.on_data_description_received_event.handlers.append(got.models.append)
     with client:
@@ -79,8 +79,8 @@ def test_a_public_client_gets_frames_and_definitions(served, version, multicast)
 @pytest.mark.parametrize("multicast", [None, GROUP], ids=["unicast", "multicast"])
 @pytest.mark.parametrize("version", VERSIONS)
 def test_the_driver_reads_over_udp(served, settings_of, version, multicast):
-    face = served(version=version, multicast=multicast)
-    driver = NatNetMocap(settings_of(face), MonotonicClock())
+    transport = served(version=version, multicast=multicast)
+    driver = NatNetMocap(settings_of(transport), MonotonicClock())
     driver.open()
     try:
         samples = []
@@ -98,8 +98,8 @@ def test_the_driver_reads_over_udp(served, settings_of, version, multicast):
 @pytest.mark.parametrize("at_data_port", [False, True])
 def test_frames_come_to_the_asking_port_and_to_the_data_port(served, at_data_port):
     """Public clients expect either."""
-    face = served()
-    where = face.endpoint()
+    transport = served()
+    where = transport.endpoint()
     server = (where["server"], where["command_port"])
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as command,
@@ -117,9 +117,9 @@ def test_frames_come_to_the_asking_port_and_to_the_data_port(served, at_data_por
         command.sendto(build.message(9, b"\0"), server)
 
 
-def ask(face, *requests):
+def ask(transport, *requests):
     """Answers to requests, without frames."""
-    where = face.endpoint()
+    where = transport.endpoint()
     found = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
         s.bind(("127.0.0.1", 0))
@@ -135,9 +135,9 @@ def ask(face, *requests):
 
 
 def test_what_else_a_client_may_ask(served):
-    face = served()
+    transport = served()
     rate, unit, stream, unknown, odd = ask(
-        face,
+        transport,
         build.message(2, b"FrameRate\0"),
         build.message(2, b"UnitsToMillimeters\0"),
         build.message(0, b"Ping\0"),
@@ -148,23 +148,23 @@ def test_what_else_a_client_may_ask(served):
     assert struct.unpack("<HHf", unit) == (3, 4, 1000.0)
     assert stream[0] == 1
     assert unknown[:2] == odd[:2] == b"\x64\x00"
-    until(lambda: ask(face, build.message(6, b"\0"))[0][0] == 7)
+    until(lambda: ask(transport, build.message(6, b"\0"))[0][0] == 7)
 
 
 def test_garbage_and_strangers_do_not_disturb_the_server(served, settings_of):
-    face = served()
-    where = face.endpoint()
+    transport = served()
+    where = transport.endpoint()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
         for data in (b"", b"\0", b"\0\0\xff\xff", bytes(range(256)) * 8, build.message(0, b"Ping\0")[:-1]):
             s.sendto(data, (where["server"], where["command_port"]))
-    driver = NatNetMocap(settings_of(face), MonotonicClock())
+    driver = NatNetMocap(settings_of(transport), MonotonicClock())
     driver.open()
     driver.close()
 
 
 def test_a_stranger_on_the_data_port_does_not_reach_the_loop(served, settings_of):
-    face = served()
-    driver = NatNetMocap(settings_of(face), MonotonicClock())
+    transport = served()
+    driver = NatNetMocap(settings_of(transport), MonotonicClock())
     driver.open()
     try:
         fake = build.frame((4, 1), 1, [build.body(1, (50.0, 50.0, 50.0))])
@@ -173,8 +173,8 @@ def test_a_stranger_on_the_data_port_does_not_reach_the_loop(served, settings_of
             samples = []
 
             def disturbed():
-                s.sendto(fake, ("127.0.0.1", face.endpoint()["data_port"]))
-                s.sendto(b"hello", ("127.0.0.1", face.endpoint()["data_port"]))
+                s.sendto(fake, ("127.0.0.1", transport.endpoint()["data_port"]))
+                s.sendto(b"hello", ("127.0.0.1", transport.endpoint()["data_port"]))
                 samples.extend(driver.read())
                 return len(samples) > 20
 
@@ -186,7 +186,7 @@ def test_a_stranger_on_the_data_port_does_not_reach_the_loop(served, settings_of
         driver.close()
 
 
-def test_nobody_there_is_an_error_with_the_address():
+def test_no_server_is_an_error_with_the_address():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as quiet:
         quiet.bind(("127.0.0.1", 0))
         port = quiet.getsockname()[1]
@@ -197,8 +197,8 @@ def test_nobody_there_is_an_error_with_the_address():
 
 
 def test_a_server_that_dies_is_an_error_and_the_driver_can_be_closed(served, settings_of):
-    face = served("mocap:off@0.6")
-    driver = NatNetMocap(settings_of(face, fail_after_s=0.5), MonotonicClock())
+    transport = served("mocap:off@0.6")
+    driver = NatNetMocap(settings_of(transport, fail_after_s=0.5), MonotonicClock())
     driver.open()
     try:
         with pytest.raises(DeviceTimeoutError, match="no usable frame"):
@@ -213,7 +213,7 @@ def test_addresses_that_are_not_ours_are_refused():
         NatNetMocap(MocapConfig(local_address="203.0.113.7"), clock).open()
     world = World(SimpleNamespace(t_ns=0))
     with pytest.raises(DeviceError, match="cannot be served"):
-        NatNetFace(NatNetServer(world), host="203.0.113.7")
+        NatNetTransport(NatNetServer(world), host="203.0.113.7")
 
 
 def test_requests_that_cannot_leave_the_host_are_silence():
@@ -222,7 +222,7 @@ def test_requests_that_cannot_leave_the_host_are_silence():
         NatNetMocap(config, MonotonicClock()).open()
 
 
-def test_a_port_that_nobody_reads_loses_and_counts():
+def test_a_port_that_is_not_read_loses_and_counts():
     port = UdpPort(MonotonicClock(), None, 0, "127.0.0.1")
     try:
         address = port._socket.getsockname()
@@ -241,12 +241,12 @@ def test_a_port_that_nobody_reads_loses_and_counts():
 def test_a_closed_face_is_silent_and_can_be_closed_again():
     world = World(SimpleNamespace(t_ns=0))
     server = NatNetServer(world)
-    face = NatNetFace(server)
-    face.deliver(5, b"late", ("127.0.0.1", 9))
-    face.close()
-    face.close()
-    assert face.filenos() == []
-    face.on_readable(3, 0)
-    face.deliver(5, b"late", ("127.0.0.1", 9))
-    face.on_due(10)
-    assert face.next_due_ns() > 10
+    transport = NatNetTransport(server)
+    transport.deliver(5, b"late", ("127.0.0.1", 9))
+    transport.close()
+    transport.close()
+    assert transport.filenos() == []
+    transport.on_readable(3, 0)
+    transport.deliver(5, b"late", ("127.0.0.1", 9))
+    transport.on_due(10)
+    assert transport.next_due_ns() > 10

@@ -73,7 +73,7 @@ def test_a_client_of_the_offered_group_gets_each_frame_once(mocap_bench):
     assert count == 20, "who keeps a stream alive wants one of its own"
 
 
-def test_where_nobody_has_joined_the_offered_group_a_connection_is_enough(mocap_bench):
+def test_where_no_client_has_joined_the_offered_group_a_connection_is_enough(mocap_bench):
     bench, network = mocap_bench(), Network()
     bench.server.offered_group = "239.255.42.99"
     count, _ = frames_after(bench, network, as_optitrack_sends(CONNECT, "Ping"))

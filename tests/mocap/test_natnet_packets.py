@@ -131,7 +131,7 @@ def test_definitions_of_every_kind_are_passed_over(version):
     assert parse_models(payload(packet), version) == {4: "robot", -2: "bär"}
 
 
-def test_an_unknown_kind_of_definition_is_passed_over_where_its_size_is_told():
+def test_an_unknown_kind_of_definition_is_passed_over_where_its_size_is_reported():
     wanted = (1, build.body_model((4, 1), "robot", 4))
     sized = build.models((4, 1), (6, b"whatever"), wanted)
     assert parse_models(payload(sized), (4, 1)) == {4: "robot"}

@@ -1,4 +1,4 @@
-"""What the project starts that listens: to this computer only, unless somebody asks for more."""
+"""What the project starts that listens: to this computer only, unless an option asks for more."""
 
 import importlib.util
 import os
@@ -23,7 +23,7 @@ def free_port():
 
 
 def addresses(port, table="tcp"):
-    """Local addresses, as the kernel writes them, on which somebody listens on a port."""
+    """Local addresses, as the kernel writes them, on which a program listens on a port."""
     found = []
     for name in (table, table + "6"):
         for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]:

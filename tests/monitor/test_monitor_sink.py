@@ -158,8 +158,8 @@ def test_counters_and_slow_states_are_thinned_out():
     collector = SeriesCollector()
     for k in range(100):
         record = shown(k)
-        told = {"nis_wheels": 2.0, "rejected_gyro": float(k), "sag_m_s": 0.001}
-        collector.add(replace(record, state=replace(record.state, diagnostics=told)))
+        reported = {"nis_wheels": 2.0, "rejected_gyro": float(k), "sag_m_s": 0.001}
+        collector.add(replace(record, state=replace(record.state, diagnostics=reported)))
     taken = dict(collector.take())
     assert len(taken["innovations/normalised"].t_s) == 100
     assert len(taken["estimator/states"].t_s) == 10
@@ -357,7 +357,7 @@ def test_the_monitors_process_does_not_wait_for_ever_once_its_parent_is_gone():
     ) as parent:
         assert parent.stdout.read(5) == b"waits"
         parent.stdin.close()
-        assert parent.stdout.read() == b""  # the end: nobody holds it open
+        assert parent.stdout.read() == b""  # the end: no process holds it open
 
 
 @needs_rerun

@@ -56,12 +56,12 @@ def test_a_relative_mesh_lies_beside_the_bench_file(tmp_path):
     assert load_bench(tmp_path / "my.toml").monitor.mesh == str(tmp_path / "robot.glb")
 
 
-def test_forces_that_a_device_tells_replace_the_assumed_ones(monkeypatch):
-    told = Force("fan", np.zeros(3), np.array([0.0, 0.0, -31.0]))
+def test_forces_that_a_device_reports_replace_the_assumed_ones(monkeypatch):
+    reported = Force("fan", np.zeros(3), np.array([0.0, 0.0, -31.0]))
 
     class Telling(Imu):
         def forces(self, inputs, robot, config):
-            yield told
+            yield reported
 
     follower = Moments(Scene())
     follower.note(shown(0))
@@ -72,7 +72,7 @@ def test_forces_that_a_device_tells_replace_the_assumed_ones(monkeypatch):
     ]
     monkeypatch.setattr(scene_state, "kinds", lambda: {"imu": Telling()})
     follower.note(shown(1))
-    assert follower.at(shown(1), 0.01).forces == (told,)
+    assert follower.at(shown(1), 0.01).forces == (reported,)
 
 
 def hanging(fan=None, throttle=None, **tables):
@@ -104,7 +104,7 @@ def test_fan_and_propellers_tell_their_forces_by_speed_and_throttle():
 
 
 @pytest.mark.parametrize(("fan", "throttle"), [(15_000.0, None), (None, 0.5), (math.nan, 0.5)])
-def test_who_tells_nothing_is_still_assumed(fan, throttle):
+def test_who_reports_nothing_is_still_assumed(fan, throttle):
     names = sorted(hanging(fan, throttle))
     if throttle is None:
         assert names == ["fan", "left propeller (assumed)", "right propeller (assumed)"]
@@ -143,7 +143,7 @@ def test_loads_by_statics_balance_every_force_and_moment(tilt_rad, heading_rad):
     assert loads @ np.array(robot.wheel_y_m) == pytest.approx(about_x)
 
 
-def test_without_motion_capture_nobody_knows_the_slip_or_the_truth():
+def test_without_motion_capture_there_is_no_slip_or_the_truth():
     record = shown(0)
     unseen = replace(record, measurements=replace(record.measurements, mocap=()))
     follower = Moments(Scene())

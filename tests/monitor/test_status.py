@@ -49,37 +49,37 @@ def records():
     return kept.records
 
 
-def test_it_tells_twice_a_second_and_counts_what_came_between(records):
-    told, clock = [], At()
-    stream = StatusStream(lambda kind, data: told.append((kind, data)), clock)
+def test_it_reports_twice_a_second_and_counts_what_came_between(records):
+    reported, clock = [], At()
+    stream = StatusStream(lambda kind, data: reported.append((kind, data)), clock)
     for number, record in enumerate(records[:9]):
         clock.ns = number * nanoseconds(0.125)
         stream.write(record)
-    assert [kind for kind, _ in told] == ["live"] * 3
-    assert [round(data["t_s"], 3) for _, data in told][:2] == [0.0, 0.04]
+    assert [kind for kind, _ in reported] == ["live"] * 3
+    assert [round(data["t_s"], 3) for _, data in reported][:2] == [0.0, 0.04]
     stream.close()
     clock.ns += nanoseconds(1.0)
     stream.write(records[9])
-    assert told[-1][1]["t_s"] == 0.0  # a bench that is opened again has a time of its own
+    assert reported[-1][1]["t_s"] == 0.0  # a bench that is opened again has a time of its own
     came = sum(len(r.inputs.servos) for r in records[1:5])
-    assert told[1][1]["devices"]["servos"] == {"samples": came, "status": "ok"}
+    assert reported[1][1]["devices"]["servos"] == {"samples": came, "status": "ok"}
 
 
-def test_what_is_unknown_is_null_and_events_are_told_once(records):
-    told, clock = [], At()
-    stream = StatusStream(lambda kind, data: told.append(data), clock)
+def test_what_is_unknown_is_null_and_events_are_reported_once(records):
+    reported, clock = [], At()
+    stream = StatusStream(lambda kind, data: reported.append(data), clock)
     first = records[0]
     state = replace(first.state, pose_body_in_wall=np.array([np.nan, 0.1, 0.2]))
     stream.write(replace(first, state=state, events=(Event(0, "warning", "imu", "stuck"),)))
     clock.ns = nanoseconds(1.0)
     stream.write(first)
-    assert json.loads(json.dumps(told[0], allow_nan=False))["pose"] == [None, 0.1, 0.2]
-    assert [figures["events"] for figures in told] == [["imu: stuck"], []]
+    assert json.loads(json.dumps(reported[0], allow_nan=False))["pose"] == [None, 0.1, 0.2]
+    assert [figures["events"] for figures in reported] == [["imu: stuck"], []]
 
 
 def test_how_the_robot_was_left_is_passed_on_and_nothing_else_that_is_noted(records):
-    told = []
-    stream = StatusStream(lambda kind, data: told.append((kind, data)), At())
+    reported = []
+    stream = StatusStream(lambda kind, data: reported.append((kind, data)), At())
     stream.note(0, "run", {})
     stream.note(0, "held", {"state": "HELD"})
-    assert told == [("held", {"state": "HELD"})]
+    assert reported == [("held", {"state": "HELD"})]

@@ -66,9 +66,9 @@ def in_virtual_time(module):
 @contextlib.contextmanager
 def at_the_wire(module):
     world = World(Still(), seed=0, faults=FaultPlan([]))
-    face = SerialPty(SerialLine(world, Echo(), latency_s=0.0))
-    server = EmulationServer(world, MonotonicClock(), {"peers": face})
-    module.PORT = face.endpoint()["port"]
+    transport = SerialPty(SerialLine(world, Echo(), latency_s=0.0))
+    server = EmulationServer(world, MonotonicClock(), {"peers": transport})
+    module.PORT = transport.endpoint()["port"]
     thread = threading.Thread(target=server.run)
     thread.start()
     yield

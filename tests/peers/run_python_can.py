@@ -20,13 +20,13 @@ import can
 from hil.core.clock import MonotonicClock
 from hil.fakes.active_faults import FaultPlan
 from hil.fakes.can_channel import CanChannel
-from hil.fakes.can_server import CanFace
+from hil.fakes.can_server import CanTransport
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World
 
 
 class Still:
-    """A plant that nobody looks at."""
+    """A plant that is not observed."""
 
     t_ns = 0
 
@@ -51,14 +51,14 @@ def main():
 
 def serve(stack, world, channel):
     """Where the bus is, which is served until the stack is unwound."""
-    face = CanFace(channel, address=f"239.74.164.{2 + os.getpid() % 250}", listens=True)
-    server = EmulationServer(world, MonotonicClock(), {"peers": face})
+    transport = CanTransport(channel, address=f"239.74.164.{2 + os.getpid() % 250}", listens=True)
+    server = EmulationServer(world, MonotonicClock(), {"peers": transport})
     thread = threading.Thread(target=server.run)
     thread.start()
     stack.callback(thread.join)
     stack.callback(server.stop)
-    told = face.endpoint()
-    return {key: told[key] for key in ("interface", "channel", "port")}
+    reported = transport.endpoint()
+    return {key: reported[key] for key in ("interface", "channel", "port")}
 
 
 def run(suite, where):

@@ -11,7 +11,7 @@ import pytest
 def source_of(package, folder):
     """Folder of a package's unpacked source; skips where no package index can be reached."""
     wanted = f"{package}=={version(package)}"
-    told = subprocess.run(
+    reported = subprocess.run(
         [
             sys.executable,
             "-m",
@@ -30,8 +30,8 @@ def source_of(package, folder):
         timeout=240,
     )
     archives = list(folder.glob("*.tar.gz"))
-    if told.returncode or not archives:
-        pytest.skip(f"the source distribution of {wanted} cannot be had: {told.stderr.strip()[-200:]}")
+    if reported.returncode or not archives:
+        pytest.skip(f"the source distribution of {wanted} cannot be had: {reported.stderr.strip()[-200:]}")
     with tarfile.open(archives[0]) as archive:
         if hasattr(tarfile, "data_filter"):
             archive.extractall(folder, filter="data")

@@ -70,6 +70,6 @@ def test_a_peers_own_suite_passes_but_for_what_is_listed(tmp_path, package, scri
         timeout=240,
         check=True,
     )
-    told = json.loads(done.stdout.splitlines()[-1])
-    assert len(told["run"]) >= at_least
-    assert set(told["bad"]) == set(cannot), told["bad"]
+    reported = json.loads(done.stdout.splitlines()[-1])
+    assert len(reported["run"]) >= at_least
+    assert set(reported["bad"]) == set(cannot), reported["bad"]

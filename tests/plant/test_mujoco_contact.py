@@ -40,7 +40,7 @@ def test_steering_at_rest_leaves_the_robot_where_it_is(contact):
 @pytest.mark.parametrize("step_s", every(2, [0.002, 0.001]))
 def test_forks_follow_their_servos_within_their_play(step_s):
     """On a spring they overshot by 0.3 degrees whenever the play was taken up: no age of an encoder is to be
-    told from that."""
+    reported from that."""
     plant = robot(2, random=True, step_s=step_s, **FLOOR)
     p = plant.parameters
     settle(plant)

@@ -163,7 +163,9 @@ def test_a_robot_that_cannot_stand_is_refused(written):
         robot(mjcf=lame)
 
 
-def test_a_robot_that_keeps_swinging_is_told_from_one_that_stands_on_three_wheels(written, monkeypatch):
+def test_a_robot_that_keeps_swinging_is_distinguished_from_one_that_stands_on_three_wheels(
+    written, monkeypatch
+):
     monkeypatch.setattr(robot_module, "_AT_REST", 0.0)
     with pytest.raises(ConfigError, match=r"come to rest .*: .* still moves with \S+ (m|rad)/s 0\.4 s"):
         robot(mjcf=written(TIMESTEP))
@@ -213,7 +215,7 @@ def test_wheels_that_weigh_more_than_the_robot_turns_are_refused():
         robot(config=RobotConfig(yaw_inertia_kg_m2=0.001))
 
 
-def test_without_the_engine_the_line_that_installs_it_is_told(monkeypatch):
+def test_without_the_engine_the_line_that_installs_it_is_reported(monkeypatch):
     monkeypatch.setattr(mjcf_check, "lacks", lambda extra: "not installed")
     with pytest.raises(ConfigError, match=r"needs the extra mujoco: not installed; install") as caught:
         robot()

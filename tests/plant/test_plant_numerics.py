@@ -1,4 +1,4 @@
-"""The plant's numbers: compiled and interpreted alike, however time is split, whoever looks."""
+"""The plant's numbers: compiled and interpreted alike, however time is split and observed."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""`pytest --hil-blind-spots` tells which broken robot a suite does not notice."""
+"""`pytest --hil-blind-spots` reports which broken robot a suite does not notice."""
 
 import pytest
 

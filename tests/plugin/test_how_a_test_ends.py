@@ -126,7 +126,7 @@ def item(warned, *, real=(), fails=False, blind=None):
 
     return SimpleNamespace(
         user_properties=[],
-        add_report_section=lambda *told: None,
+        add_report_section=lambda *reported: None,
         warn=warn,
         iter_markers=lambda name: (),
         source=SimpleNamespace(real=real),
@@ -242,7 +242,7 @@ def test_that_only_enables(bench):
 
 
 @pytest.mark.long
-def test_a_fault_that_began_during_the_look_is_told_as_such(pytester):
+def test_a_fault_that_began_during_the_look_is_reported_as_such(pytester):
     result, _ = run(pytester, DURING_THE_LOOK, "-rA")
     result.stdout.fnmatch_lines(
         [

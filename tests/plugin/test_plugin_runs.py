@@ -88,8 +88,8 @@ def test_a_recorded_loop_can_be_replayed(bench, recorder, loop, tmp_path):
     loop.run(lambda record: record.cycle == 19)
     bench.remove_sink(recorder)
     opened = open_recording(tmp_path / "loop.mcap")
-    told = verify_run(opened.bench, opened.run(0))
-    assert (told["cycles"], told["difference"]) == (20, None)
+    verified = verify_run(opened.bench, opened.run(0))
+    assert (verified["cycles"], verified["difference"]) == (20, None)
 
 @pytest.mark.parametrize("again", [False, True])
 def test_every_test_has_a_world_of_its_own(bench, again):
@@ -216,8 +216,8 @@ def camera(*statuses):
 )
 def test_a_camera_may_settle_at_the_start_of_a_short_watch(monkeypatch, statuses, good):
     monkeypatch.setattr(selfcheck, "due", lambda *given: 200.0)
-    told = nullcontext() if good else pytest.raises(AssertionError, match="tracker: ")
-    with told:
+    reported = nullcontext() if good else pytest.raises(AssertionError, match="tracker: ")
+    with reported:
         selfcheck.test_samples_come_at_their_rate_and_nearly_all_are_good(camera(*statuses), "tracker")
 
 
@@ -356,7 +356,7 @@ def test_real_devices_of_a_bench_that_is_named_are_used(run, pytester):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "reported"),
     [
         (["--bench=nowhere.toml"], "nowhere.toml: cannot be read"),
         (["--bench=bad.toml"], "colour: unknown key"),
@@ -364,12 +364,12 @@ def test_real_devices_of_a_bench_that_is_named_are_used(run, pytester):
         (["--emulate", "test_lab.py"], "write --emulate=all"),
     ],
 )
-def test_a_wrong_bench_ends_the_run_before_the_first_test(pytester, options, told):
+def test_a_wrong_bench_ends_the_run_before_the_first_test(pytester, options, reported):
     pytester.makefile(".toml", bad='schema = 1\nname = "bad"\ncolour = "red"\n')
     pytester.makepyfile(test_lab="def test_never():\n    raise AssertionError\n")
     result = pytester.runpytest(*options)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    assert told in result.stderr.str()
+    assert reported in result.stderr.str()
 
 
 STRANGER = """

@@ -1,4 +1,4 @@
-"""An exception in the user's own code is told with the calls in that code that led to it, and no others."""
+"""An exception in the user's own code is reported with the calls in that code that led to it, no others."""
 
 import json
 import pickle
@@ -76,7 +76,7 @@ def here(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_calls_of_a_procedure_are_told_everywhere(case, here, capsys):
+def test_the_calls_of_a_procedure_are_reported_everywhere(case, here, capsys):
     name, functions, kind = CASES[case]
     (here / "boom.py").write_text(BOOM.format(call=f"measuring.{name}(ctx)"))
     assert main(["run", "boom.py", "--out", "out", "--json"]) == 2
@@ -109,7 +109,7 @@ WRONG_SCRIPTS = {
 
 
 @pytest.mark.parametrize("case", WRONG_SCRIPTS)
-def test_the_calls_of_a_script_are_told_before_anything_runs(case, here, capsys):
+def test_the_calls_of_a_script_are_reported_before_anything_runs(case, here, capsys):
     (here / "boom.py").write_text(WRONG_SCRIPTS[case])
     assert main(["run", "boom.py", "--json"]) == 2
     said = capsys.readouterr()
@@ -121,7 +121,7 @@ def test_the_calls_of_a_script_are_told_before_anything_runs(case, here, capsys)
     assert "hil/" not in said.err
 
 
-def test_a_call_that_calls_itself_is_told_once(here, capsys):
+def test_a_call_that_calls_itself_is_reported_once(here, capsys):
     (here / "boom.py").write_text("def again(n):\n    return again(n + 1)\n\nagain(0)\n")
     assert main(["run", "boom.py", "--json"]) == 2
     frames = json.loads(capsys.readouterr().out)["error"]["frames"]

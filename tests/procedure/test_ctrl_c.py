@@ -57,13 +57,13 @@ def test_a_procedure_ends_with_what_it_has_measured(wait, tmp_path):
     code, _, err = struck(["run", "endless.py", "--out", "out"], tmp_path)
     assert code == 4, err
     assert "Traceback" not in err
-    told = json.loads((tmp_path / "out" / "result.json").read_text())
-    assert told["verdict"] == "ABORTED"
-    assert {row["name"]: row["value"] for row in told["measurements"]} == {
+    reported = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert reported["verdict"] == "ABORTED"
+    assert {row["name"]: row["value"] for row in reported["measurements"]} == {
         "first": 1.0,
         "rest": 2.0,
         "second": None,
     }
-    assert told["error"]["step"] == "what takes for ever"
-    assert not told["teardown_errors"]
+    assert reported["error"]["step"] == "what takes for ever"
+    assert not reported["teardown_errors"]
     assert (tmp_path / "out" / "report.html").is_file()

@@ -63,12 +63,12 @@ def test_two_processes_say_how_the_robot_was_left_and_for_how_long_it_drove(both
 
 @pytest.mark.long
 def test_what_ends_a_drive_in_a_worker_ends_the_run_and_its_recording_is_kept(tmp_path):
-    result, told = run(tmp_path / "run", 2, "tracker:unplug@1")
+    result, reported = run(tmp_path / "run", 2, "tracker:unplug@1")
     assert result.verdict is Verdict.ERROR, result.error
     assert "tracker" in result.error.message
-    assert told["recordings"][0] == "recording_y_line_odometry_seed_3.mcap"
-    assert told["held"]["state"] == "HELD"
-    assert sum(1 for _ in read_runs(tmp_path / "run" / told["recordings"][0])) > 0
+    assert reported["recordings"][0] == "recording_y_line_odometry_seed_3.mcap"
+    assert reported["held"]["state"] == "HELD"
+    assert sum(1 for _ in read_runs(tmp_path / "run" / reported["recordings"][0])) > 0
 
 
 def sent(drive, recording=None, on_failure="stop"):
@@ -135,12 +135,12 @@ def test_a_run_that_is_stopped_meanwhile_does_not_say_that_nothing_was_opened(tm
     folder = tmp_path / "run"
     options = RunOptions(folder, MonotonicClock(), "2026-01-01T00:00:00", {})
     result = run_procedure(two_errands, BenchSource("emulated"), options)
-    told = json.loads((folder / "result.json").read_text())
+    reported = json.loads((folder / "result.json").read_text())
     assert result.verdict is Verdict.ABORTED
-    assert told["held"]["state"] == "NOT HELD"
-    assert "the process that drove it" in told["held"]["why"]
-    assert told["recordings"] == ["recording_first.mcap"]
-    assert told["bench_duration_s"] == pytest.approx(0.1, abs=0.05)
+    assert reported["held"]["state"] == "NOT HELD"
+    assert "the process that drove it" in reported["held"]["why"]
+    assert reported["recordings"] == ["recording_first.mcap"]
+    assert reported["bench_duration_s"] == pytest.approx(0.1, abs=0.05)
 
 
 class InTurn:

@@ -82,12 +82,12 @@ def run(*arguments):
 
 def test_the_short_form_passes(tmp_path):
     result = run("--quick", "--json", "--out", str(tmp_path / "new" / "folder"))
-    told = json.loads(result.stdout)
-    assert result.return_value == 0, told["failed"]
-    assert (told["cells"], told["failed"]) == (5, [])
+    reported = json.loads(result.stdout)
+    assert result.return_value == 0, reported["failed"]
+    assert (reported["cells"], reported["failed"]) == (5, [])
     folder = tmp_path / "new" / "folder"
     assert "| `servos` | `brownout` |" in (folder / "reliability.md").read_text(encoding="utf-8")
-    assert told["page"] == str(folder / "faults.html")
+    assert reported["page"] == str(folder / "faults.html")
     assert "brownout" in (folder / "faults.html").read_text(encoding="utf-8")
 
 
@@ -98,7 +98,7 @@ def test_physics_that_are_not_installed_are_refused_before_the_first_cell(tmp_pa
     assert not (tmp_path / "out").exists()
 
 
-def test_a_failed_cell_is_told_with_its_reason_and_is_exit_code_1(tmp_path, monkeypatch):
+def test_a_failed_cell_is_reported_with_its_reason_and_is_exit_code_1(tmp_path, monkeypatch):
     def fallen(cell, bench):
         return CellVerdict(cell, ("it fell",), "went on", True, "HELD")
 
@@ -144,7 +144,7 @@ def test_every_cell_passes(tmp_path, plant):
 
 @pytest.mark.long
 @pytest.mark.timeout(7200)
-def test_nobody_falls_in_random_runs(tmp_path):
+def test_no_robot_falls_in_random_runs(tmp_path):
     result = run("--random", "200", "--seeds", "0:10", "--json", "--out", str(tmp_path))
     assert json.loads(result.stdout)["failed"] == []
 
@@ -195,8 +195,8 @@ def test_one_that_is_interrupted_shows_what_it_has_judged(tmp_path, judged, monk
     assert str(tmp_path / "faults.html") in capsys.readouterr().err
     for page in ("faults.html", "reliability.md"):
         assert "Ended early" in (tmp_path / page).read_text(encoding="utf-8")
-    told = json.loads((tmp_path / "faults.json").read_text(encoding="utf-8"))
-    assert (told["verdict"], told["cells"], told["planned"]) == ("ABORTED", 2, 4)
+    reported = json.loads((tmp_path / "faults.json").read_text(encoding="utf-8"))
+    assert (reported["verdict"], reported["cells"], reported["planned"]) == ("ABORTED", 2, 4)
     (kept,) = find_results(tmp_path)
     assert (kept.kind, kept.verdict) == ("faults", "ABORTED")
     judged.clear()

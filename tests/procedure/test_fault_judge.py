@@ -43,7 +43,7 @@ MUTANTS = {
     "a fall that nothing explains": FELL,
     "a stop that accuses another device, with the noun of the struck one in its text": {"stop": SERVO_STOP},
     "a device error that accuses another device": {"error": ended_by(DeviceError("servos", "imu, imu"))},
-    "a stop that accuses nobody": {"stop": Ended("imu", "not_finite")},
+    "a stop that accuses no device": {"stop": Ended("imu", "not_finite")},
     "a bench that did not open, and a robot that slid": {
         "cycles": 0,
         "error": IMU_STOP,
@@ -123,11 +123,11 @@ def test_without_torque_a_robot_may_slide_as_fast_as_physics_makes_it_and_until_
 
 
 def test_a_servo_that_goes_on_to_fail_may_sag_a_little():
-    told = {"events": [("servos",)]}
+    reported = {"events": [("servos",)]}
     lasting = cell("servo.steer_BL", "intermittent")
-    assert why(cell("servo.steer_BL", "intermittent", "second"), crept_m=0.003, **told)
-    assert why(lasting, crept_m=0.003, **told) == ""
-    assert why(lasting, crept_m=0.006, **told)
+    assert why(cell("servo.steer_BL", "intermittent", "second"), crept_m=0.003, **reported)
+    assert why(lasting, crept_m=0.003, **reported) == ""
+    assert why(lasting, crept_m=0.006, **reported)
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_a_servo_that_goes_on_to_fail_may_sag_a_little():
         (("imu", "mocap"), ("", ""), False),
     ],
 )
-def test_a_robot_that_nobody_sees_or_measures_need_not_be_called_held(devices, until, excused):
+def test_a_robot_that_no_sensor_sees_need_not_be_called_held(devices, until, excused):
     specs = tuple(f"{name}:garbage@1{end}" for name, end in zip(devices, until, strict=True))
     both = Cell("+".join(devices), "garbage+garbage", "random", 0, "own", specs)
     assert (why(both, held=NOT_HELD, events=[(name,) for name in devices]) == "") is excused
@@ -150,12 +150,12 @@ def test_a_robot_that_nobody_sees_or_measures_need_not_be_called_held(devices, u
 def test_of_several_faults_the_stop_need_not_accuse_the_one_that_did_nothing():
     both = Cell("servos+imu", "stuck+slow", "random", 0, "own", ("servos:stuck@1", "imu:slow@2"))
     verdict = judge(both, seen(stop=SERVO_STOP, events=[]))
-    assert (verdict.why, verdict.told) == ((), False)
+    assert (verdict.why, verdict.reported) == ((), False)
 
 
 def test_who_is_accused_without_being_struck_is_shown():
     verdict = judge(cell(), seen(events=[("imu",), ("servos", "imu"), ("mocap",), ("supervisor",)]))
-    assert (verdict.why, verdict.told, verdict.others) == ((), True, ("mocap",))
+    assert (verdict.why, verdict.reported, verdict.others) == ((), True, ("mocap",))
 
 
 def test_whom_an_error_accuses_is_read_from_its_data():

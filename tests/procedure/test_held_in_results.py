@@ -68,9 +68,9 @@ def stands(ctx):
 def test_a_fault_that_the_run_ended_before_is_named(tmp_path, caplog, missed):
     source = BenchSource("emulated_floor", faults=("tracker:stuck@0.6+0.1", *missed))
     result = run_procedure(stands, source, RunOptions(tmp_path / "run", MonotonicClock(), "now", {}))
-    told = json.loads((result.folder / "result.json").read_text())
-    assert (result.exit_code, told["faults_not_begun"]) == (0, missed)
-    notes = [note for note in told["notes"] if "never acted" in note]
+    reported = json.loads((result.folder / "result.json").read_text())
+    assert (result.exit_code, reported["faults_not_begun"]) == (0, missed)
+    notes = [note for note in reported["notes"] if "never acted" in note]
     assert len(notes) == len(missed)
     assert "is left" not in caplog.text
     if missed:
@@ -97,7 +97,7 @@ def test_a_procedure_that_goes_on_after_a_lost_sensor_passes_only_with_a_note(tm
     assert "nothing usable for 3." in write_run_page(tmp_path / "run").read_text()
 
 
-def test_a_lost_sensor_that_ends_the_run_is_told_once(tmp_path):
+def test_a_lost_sensor_that_ends_the_run_is_reported_once(tmp_path):
     source = BenchSource("emulated_floor", seed=1, faults=("imu:off@0.6",))
     result = run_procedure(climb, source, RunOptions(tmp_path / "run", MonotonicClock(), "now", {}))
     tree = json.loads((result.folder / "result.json").read_text())
@@ -174,7 +174,7 @@ def test_a_signal_after_the_verdict_takes_nothing_of_the_last_word(tmp_path, mon
     assert (tmp_path / "run" / "report.html").exists()
 
 
-def test_what_nobody_has_looked_at_has_not_moved_by_a_number(tmp_path):
+def test_what_was_not_looked_at_has_not_moved_by_a_number(tmp_path):
     """A bench that does not open, and a procedure that opens none, know nothing of any way."""
     source = BenchSource("emulated", faults=("servos:off@0",))
     result = run_procedure(climb, source, RunOptions(tmp_path / "run", MonotonicClock(), "now", {}))
@@ -184,7 +184,7 @@ def test_what_nobody_has_looked_at_has_not_moved_by_a_number(tmp_path):
     assert "not checked" in write_run_page(tmp_path / "run").read_text()
 
 
-def test_where_no_device_was_opened_nobody_needs_to_be_held(tmp_path, capsys):
+def test_where_no_device_was_opened_no_robot_needs_to_be_held(tmp_path, capsys):
     script = tmp_path / "wrong.py"
     script.write_text(
         "from hil.procedure import procedure\n\n\n"

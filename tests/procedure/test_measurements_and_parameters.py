@@ -46,8 +46,8 @@ def test_a_value_is_judged_by_its_distance_to_the_limits(value, verdict):
 )
 def test_one_limit_alone_decides_as_two_do(limits, fails, marginal, passes):
     m = Measurement("m", "mm", marginal=0.2, **limits)
-    told = [m.judge(value).value for value in (fails, marginal, passes)]
-    assert (told, m.limited) == (["FAIL", "MARGINAL", "PASS"], True)
+    reported = [m.judge(value).value for value in (fails, marginal, passes)]
+    assert (reported, m.limited) == (["FAIL", "MARGINAL", "PASS"], True)
     assert not Measurement("m", "mm").limited
 
 
@@ -155,7 +155,7 @@ def test_a_procedure_that_returns_what_was_never_run_does_not_pass(run_small, bo
     assert "a call of it runs nothing; expected a plain function" in result.error.message
 
 
-def test_measurements_that_a_function_declares_wrong_are_told_with_the_procedure(run_small):
+def test_measurements_that_a_function_declares_wrong_are_reported_with_the_procedure(run_small):
     declared = procedure(name="x", measurements=lambda parameters: None)(lambda ctx: None)
     with pytest.raises(UsageError, match="procedure x: measurements is a NoneType; expected a list of"):
         run_small(declared)
@@ -210,7 +210,7 @@ def test_a_parameter_that_is_no_finite_number_is_refused(value):
         make_parameters(Lengths, {"length_m": value}, "proc")
 
 
-def test_settings_for_the_bench_are_told_apart():
+def test_settings_for_the_bench_are_distinguished():
     parameters, bench = split_settings(["a=1", "bench.loop.rate_hz=50", "b=x=y", "bench.name=it"])
     assert parameters == {"a": "1", "b": "x=y"}
     assert bench == {"loop.rate_hz": 50, "name": "it"}

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.bench.settings import motion_limits
+from hil.bench.loop_settings import motion_limits
 from hil.config.loading import load_bench
 from hil.core.errors import TrajectoryError
-from hil.datasets.nominal import Nominal
+from hil.datasets.nominal_robot import Nominal
 from hil.procedure.odometry_motions import MOTIONS, Sizes, followed, reference
 from hil.robot.motion_limits import check
 

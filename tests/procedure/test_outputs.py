@@ -73,13 +73,13 @@ def test_data_that_json_cannot_hold_is_named_and_costs_no_results(run_small, wro
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         (os.fsdecode(b"/data/\xff.csv"), r"/data/\udcff.csv"),
         ("bell \x1b[31mred\x00 \ufffe end", r"bell \x1b[31mred\x00 \ufffe end"),
     ],
 )
-def test_an_exception_of_any_characters_keeps_all_results(run_small, text, told):
+def test_an_exception_of_any_characters_keeps_all_results(run_small, text, reported):
     @procedure(name="speaking", measurements=(*ONE, Measurement(text, "1")))
     def speaking(ctx):
         ctx.measure("a", 0.5)
@@ -91,11 +91,11 @@ def test_an_exception_of_any_characters_keeps_all_results(run_small, text, told)
     assert result.teardown_errors == ()
     assert result_of(result)["error"]["message"].startswith(text)
     suite = ElementTree.parse(result.folder / "junit.xml").getroot()
-    assert next(suite.iter("error")).get("message").startswith(told)
-    assert [case.get("name") for case in suite.iter("testcase")] == ["run", "a", told]
+    assert next(suite.iter("error")).get("message").startswith(reported)
+    assert [case.get("name") for case in suite.iter("testcase")] == ["run", "a", reported]
     said = text_of(result)
-    assert f"FileNotFoundError in 'start': {told}" in said
-    assert f"note: {told}" in said
+    assert f"FileNotFoundError in 'start': {reported}" in said
+    assert f"note: {reported}" in said
     assert write_run_page(result.folder).read_text()
 
 
@@ -112,7 +112,7 @@ def test_an_exception_of_any_characters_keeps_all_results(run_small, text, told)
         ([0.5, 0.5], "PASS", ""),
     ],
 )
-def test_a_measurement_that_is_set_again_is_told(run_small, values, verdict, note):
+def test_a_measurement_that_is_set_again_is_reported(run_small, values, verdict, note):
     @procedure(name="again", measurements=ONE)
     def again(ctx):
         for value in values:
@@ -130,7 +130,7 @@ def test_a_measurement_that_is_set_again_is_told(run_small, values, verdict, not
 
 
 @pytest.mark.parametrize(
-    ("leave", "told"),
+    ("leave", "reported"),
     [
         (
             lambda ctx: ctx.table("t", ["a", "b"], [[1, 2], [1, 2, 3]]),
@@ -143,7 +143,7 @@ def test_a_measurement_that_is_set_again_is_told(run_small, values, verdict, not
         (lambda ctx: [ctx.figure(drawn, "f") for _ in range(2)], "figure 'f' exists twice"),
     ],
 )
-def test_a_table_or_figure_that_cannot_be_meant_is_told_by_its_title(run_small, leave, told):
+def test_a_table_or_figure_that_cannot_be_meant_is_reported_by_its_title(run_small, leave, reported):
     @procedure(name="wrong", measurements=ONE)
     def wrong(ctx):
         ctx.measure("a", 0.5)
@@ -151,7 +151,7 @@ def test_a_table_or_figure_that_cannot_be_meant_is_told_by_its_title(run_small, 
 
     result = run_small(wrong)
     assert (result.error.kind, result.exit_code) == ("UsageError", 2)
-    assert result.error.message.startswith(told)
+    assert result.error.message.startswith(reported)
     assert result.measurements[0]["outcome"] == "PASS"
 
 

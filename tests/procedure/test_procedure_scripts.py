@@ -39,7 +39,7 @@ def test_a_users_folder_of_the_same_name_hides_nothing(tmp_path):
     assert done.stdout.split() == ["wall_tracking", "mine"]
 
 
-def test_a_procedure_that_a_script_does_not_declare_is_told_with_those_that_it_does(tmp_path):
+def test_a_procedure_that_a_script_does_not_declare_is_reported_with_those_that_it_does(tmp_path):
     text = "from hil.procedure import procedure\n"
     for name in ("short_line", "long_line"):
         text += f"@procedure(name={name!r})\ndef {name}(ctx):\n    pass\n"

@@ -205,7 +205,7 @@ def test_a_signal_finishes_the_step_or_stops_at_once(run_small, tmp_path, signal
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_what_fails_between_two_steps_is_told_after_the_last_of_them(run_small):
+def test_what_fails_between_two_steps_is_reported_after_the_last_of_them(run_small):
     @procedure(name="torn")
     def torn(ctx):
         """Fails between its steps."""

@@ -1,4 +1,4 @@
-"""`hil run` on a disk that fills up: the robot stops unless told otherwise, and the verdict is never lost."""
+"""`hil run` on a full disk: the robot stops unless asked otherwise, and the verdict is never lost."""
 
 import json
 import os
@@ -92,7 +92,7 @@ def test_a_recording_that_cannot_begin_ends_the_run_or_not(run_small, tmp_path):
 @pytest.mark.parametrize(
     ("error", "said"), [(OSError("the share is gone"), "the share is gone"), (OSError(), "OSError")]
 )
-def test_a_refusal_without_a_text_of_the_system_is_told_all_the_same(tmp_path, monkeypatch, error, said):
+def test_a_refusal_without_a_text_of_the_system_is_reported_all_the_same(tmp_path, monkeypatch, error, said):
     def refused(*_):
         raise error
 
@@ -138,7 +138,7 @@ def test_a_run_may_go_on_without_its_journal(run_small, tmp_path, monkeypatch, c
         run_small(bare, tmp_path / "stop")
 
 
-def test_a_result_that_cannot_be_written_is_told_and_not_passed(run_small, tmp_path):
+def test_a_result_that_cannot_be_written_is_reported_and_not_passed(run_small, tmp_path):
     folder = tmp_path / "run"
     folder.mkdir()
     (folder / "result.json.part").symlink_to(FULL)

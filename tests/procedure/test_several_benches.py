@@ -50,18 +50,18 @@ def one_after_the_other(ctx):
 
 @pytest.fixture(scope="module")
 def fell(tmp_path_factory):
-    """Folder, result and what was told of a run whose first robot fell."""
+    """Folder, result and what was reported of a run whose first robot fell."""
     folder = tmp_path_factory.mktemp("fell") / "run"
     return folder, *ran(folder, one_after_the_other)
 
 
 def test_a_bench_that_did_not_hold_is_named_though_the_next_one_held(fell):
-    folder, result, told = fell
+    folder, result, reported = fell
     assert (result.verdict.value, result.exit_code) == ("ERROR", 3)
-    (problem,) = told["teardown_errors"]
+    (problem,) = reported["teardown_errors"]
     assert problem["type"] == "NotHeld"
     assert problem["message"].startswith("bench 1 (falls): ")
-    assert told["held"]["state"] == "NOT HELD"
+    assert reported["held"]["state"] == "NOT HELD"
     page = write_run_page(folder).read_text()
     assert "NOT HELD" in page
     assert "bench 1 (falls)" in page
@@ -78,9 +78,9 @@ def ends_early(ctx):
 
 
 def test_what_is_worse_stays_the_verdict_and_a_note_names_the_bench(tmp_path):
-    result, told = ran(tmp_path / "run", ends_early)
-    assert (result.verdict.value, result.exit_code, told["held"]["state"]) == ("ABORTED", 4, "NOT HELD")
-    assert any(note.startswith("NOT HELD: bench 1 (falls): ") and WHY in note for note in told["notes"])
+    result, reported = ran(tmp_path / "run", ends_early)
+    assert (result.verdict.value, result.exit_code, reported["held"]["state"]) == ("ABORTED", 4, "NOT HELD")
+    assert any(note.startswith("NOT HELD: bench 1 (falls): ") and WHY in note for note in reported["notes"])
 
 
 class InTurn:
@@ -104,9 +104,9 @@ def elsewhere(ctx):
 
 
 def test_a_robot_that_fell_in_another_process_is_not_forgotten_either(tmp_path):
-    result, told = ran(tmp_path / "run", elsewhere)
-    assert (result.exit_code, told["held"]["state"]) == (3, "NOT HELD")
-    (problem,) = told["teardown_errors"]
+    result, reported = ran(tmp_path / "run", elsewhere)
+    assert (result.exit_code, reported["held"]["state"]) == (3, "NOT HELD")
+    (problem,) = reported["teardown_errors"]
     assert problem["message"].startswith("bench 1 (falls): ")
 
 
@@ -127,9 +127,9 @@ def twice(*, fails):
 
 def test_a_resumed_run_knows_what_a_bench_of_a_finished_checkpoint_left(tmp_path):
     assert ran(tmp_path / "run", twice(fails=True))[0].verdict.value == "ABORTED"
-    result, told = ran(tmp_path / "run", twice(fails=False), resume=True)
-    assert (result.verdict.value, result.exit_code, told["held"]["state"]) == ("ERROR", 3, "NOT HELD")
-    (problem,) = told["teardown_errors"]
+    result, reported = ran(tmp_path / "run", twice(fails=False), resume=True)
+    assert (result.verdict.value, result.exit_code, reported["held"]["state"]) == ("ERROR", 3, "NOT HELD")
+    (problem,) = reported["teardown_errors"]
     assert problem["message"].startswith("bench 1 (falls), before this run was resumed: ")
 
 

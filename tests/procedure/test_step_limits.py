@@ -103,7 +103,7 @@ def test_closing_a_bench_and_opening_the_next_is_not_the_time_of_a_step(run_smal
     assert steps_of(result) == {"two benches": ("done", 2.5)}
 
 
-def test_what_is_no_trajectory_is_told(run_small, source):
+def test_what_is_no_trajectory_is_reported(run_small, source):
     @procedure(name="nothing")
     def nothing(ctx):
         ctx.bench.drive(None)

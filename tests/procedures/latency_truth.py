@@ -55,7 +55,7 @@ class Looker(Sink):
         pass
 
     def looked_ns(self, name, stamps):
-        """When the device looked at what it tells under these stamps."""
+        """When the device looked at what it reports under these stamps."""
         t_ns = np.array([s.t_ns for s in stamps], dtype=np.int64)
         device_ns = np.array([s.device_ns or 0 for s in stamps], dtype=np.int64)
         if name == "tracker":

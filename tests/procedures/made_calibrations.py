@@ -3,7 +3,7 @@
 import numpy as np
 
 from hil.calibration.calibration_file import CalibrationFile
-from hil.calibration.usable import made_for
+from hil.calibration.usability_check import made_for
 from hil.config.loading import load_bench
 
 CONFIG = load_bench("emulated_floor")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from nobody import Nobody
+from absent_operator import AbsentOperator
 
 from hil.bench import open_bench
 from hil.core.clock import MonotonicClock, nanoseconds
@@ -80,7 +80,9 @@ def watched(name: str, **source: Any) -> WatchedSource:
 def run(name: str, folder: Path, parameters: dict[str, Any] | None = None, **source: Any) -> Run:
     """One run without anybody at the terminal."""
     used = watched(name, **source)
-    options = RunOptions(folder, MonotonicClock(), "2026-01-01T00:00:00", parameters or {}, operator=Nobody())
+    options = RunOptions(
+        folder, MonotonicClock(), "2026-01-01T00:00:00", parameters or {}, operator=AbsentOperator()
+    )
     return Run(run_procedure(load_procedure(name), used, options), used)
 
 
@@ -112,7 +114,7 @@ def assert_covered_over_twenty_seeds(recover: Callable[[int, Path], Any], folder
 def assert_verifies(path: Path):
     """A recording of a procedure that plays scripts repeats bit for bit, every stretch of it."""
     opened = open_recording(path)
-    told = [verify_run(opened.bench, each) for each in opened.runs]
-    assert [r["difference"] for r in told] == [None] * len(told)
+    reported = [verify_run(opened.bench, each) for each in opened.runs]
+    assert [r["difference"] for r in reported] == [None] * len(reported)
     assert "script" in {each.start.controller for each in opened.runs}
     assert opened.problems == []

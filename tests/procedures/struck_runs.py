@@ -13,7 +13,7 @@ import signal
 import traceback
 
 import numpy as np
-from procedure_runs import Nobody, Run, assert_still, watched
+from procedure_runs import AbsentOperator, Run, assert_still, watched
 
 from hil.core.clock import MonotonicClock
 from hil.core.interfaces import Sink
@@ -31,7 +31,7 @@ PATIENCE_S = 120.0
 
 
 class Strikes(Sink):
-    """Sink and progress report of one run: tells in which step it is, and strikes there.
+    """Sink and progress report of one run: reports in which step it is, and strikes there.
 
     Args:
         folder: results folder of the run.
@@ -160,7 +160,12 @@ def struck(name, folder, parameters, ways, **options):
     used = watched(name, extra_sinks=(strikes,))
     strikes.benches = used.benches
     run_options = RunOptions(
-        folder, MonotonicClock(), "2026-01-01T00:00:00", parameters, operator=Nobody(), report=strikes.report
+        folder,
+        MonotonicClock(),
+        "2026-01-01T00:00:00",
+        parameters,
+        operator=AbsentOperator(),
+        report=strikes.report,
     )
     try:
         done = Run(run_procedure(load_procedure(name), used, run_options), used)

@@ -72,19 +72,19 @@ def as_configured(tmp_path_factory):
     return bring_up(3, tmp_path_factory.mktemp("bring_up") / "run", wrong=False)
 
 
-def assert_gap_is_told(done, slept_s):
-    """The largest gap is a cycle and what this computer slept, and told as its own where it slept."""
+def assert_gap_is_reported(done, slept_s):
+    """The largest gap is a cycle and what this computer slept, and reported as its own where it slept."""
     gap_ms = done.values["loop.largest_gap"]
     assert gap_ms == pytest.approx(1e3 * slept_s + 10.0, abs=1.0)
-    told = [note for note in done.result.facts["notes"] if "This computer was late itself" in note]
-    assert [f"{gap_ms:.0f} ms" in note for note in told] == [True] * bool(slept_s)
+    reported = [note for note in done.result.facts["notes"] if "This computer was late itself" in note]
+    assert [f"{gap_ms:.0f} ms" in note for note in reported] == [True] * bool(slept_s)
 
 
-def test_a_computer_that_made_no_gaps_is_told_none(as_configured):
-    assert_gap_is_told(as_configured, 0.0)
+def test_a_computer_that_made_no_gaps_is_not_blamed(as_configured):
+    assert_gap_is_reported(as_configured, 0.0)
 
 
-def test_gaps_that_this_computer_made_are_told_as_its_own(tmp_path, monkeypatch):
+def test_gaps_that_this_computer_made_are_reported_as_its_own(tmp_path, monkeypatch):
     cycle, cycles = ControlLoop.cycle, iter(range(10**6))
 
     def at_times_late(loop, deadline_ns):
@@ -95,7 +95,7 @@ def test_gaps_that_this_computer_made_are_told_as_its_own(tmp_path, monkeypatch)
     monkeypatch.setattr(ControlLoop, "cycle", at_times_late)
     parameters = BRIEF | {"devices": "servos,imu,mocap"}  # lies wrong: it is watched, and nothing moves
     done = run("bring_up", tmp_path / "run", parameters, bench="emulated_floor", overrides=STANDS_UP)
-    assert_gap_is_told(done, 0.06)
+    assert_gap_is_reported(done, 0.06)
 
 
 def test_bring_up_passes_on_a_bench_as_configured_and_finds_its_clocks(as_configured):
@@ -233,7 +233,7 @@ STANDS_UP = {"emulation.imu": {"mount_rotation_wxyz": [0.5**0.5, 0.0, 0.5**0.5, 
 
 @pytest.mark.parametrize(("profile", "verdict"), [("emulated", "FAIL"), ("emulated_floor", "ERROR")])
 def test_a_robot_that_stands_otherwise_than_the_bench_file_says_fails_unmoved(tmp_path, profile, verdict):
-    """As its IMU shows it: level on a wall, or upright on a floor, where nobody knows what must hold it."""
+    """As its IMU shows it: level on a wall, or upright on a floor, where it is unknown what must hold it."""
     parameters = BRIEF | {"devices": "servos,imu,mocap"}
     done = run("bring_up", tmp_path / "run", parameters, bench=profile, overrides=STANDS_UP)
     assert (done.result.verdict.value, done.result.error) == (verdict, None)
@@ -291,7 +291,7 @@ def test_devices_that_a_smaller_bench_lacks_are_named_before_it_is_opened(tmp_pa
 
 
 @pytest.mark.long
-def test_bring_up_of_a_smaller_bench_looks_at_what_it_is_told(tmp_path):
+def test_bring_up_of_a_smaller_bench_looks_at_what_it_is_reported(tmp_path):
     done = run("bring_up", tmp_path / "run", BRIEF | {"devices": "servos,tracker"}, overrides=SMALL)
     assert done.result.verdict.value in ("PASS", "MARGINAL"), done.failed or done.result.error
     done.assert_held()

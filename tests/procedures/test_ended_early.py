@@ -36,14 +36,14 @@ def test_what_was_finished_is_measured(name, tmp_path):
         tmp_path / "out", MonotonicClock(), "2026-01-01", parameters, report=report, interrupts=interrupts
     )
     result = run_procedure(load_procedure(name), BenchSource("emulated", overrides=FANLESS), options)
-    told = result.to_json()
-    assert (told["verdict"], told["exit_code"]) == ("ABORTED", 4)
-    known = [row for row in told["measurements"] if row["value"] is not None]
+    reported = result.to_json()
+    assert (reported["verdict"], reported["exit_code"]) == ("ABORTED", 4)
+    known = [row for row in reported["measurements"] if row["value"] is not None]
     assert known
     assert [row["name"] for row in known if not row["name"].startswith(measured)] == []
-    assert {row["outcome"] for row in told["measurements"] if row["value"] is None} <= {"NOT MEASURED"}
-    assert told["tables"][0]["rows"]
-    assert not told["teardown_errors"], told["error"]
+    assert {row["outcome"] for row in reported["measurements"] if row["value"] is None} <= {"NOT MEASURED"}
+    assert reported["tables"][0]["rows"]
+    assert not reported["teardown_errors"], reported["error"]
 
 
 class EndsTheSecondBench(Sink):
@@ -69,9 +69,9 @@ def test_levels_of_force_are_measured_where_the_slide_is_cut_off(tmp_path):
         tmp_path / "out", MonotonicClock(), "2026-01-01", {"levels": 4, "dwell_s": 0.8}, interrupts=interrupts
     )
     source = BenchSource("emulated", watch=(EndsTheSecondBench(interrupts),))
-    told = run_procedure(load_procedure("adhesion_check"), source, options).to_json()
-    assert told["verdict"] == "ABORTED"
-    known = {row["name"] for row in told["measurements"] if row["value"] is not None}
+    reported = run_procedure(load_procedure("adhesion_check"), source, options).to_json()
+    assert reported["verdict"] == "ABORTED"
+    known = {row["name"] for row in reported["measurements"] if row["value"] is not None}
     assert {"cells_zero_1", "cells_zero_2", "rated_force"} <= known
     assert not {"slides_at", "friction"} & known
-    assert not told["teardown_errors"], told["error"]
+    assert not reported["teardown_errors"], reported["error"]

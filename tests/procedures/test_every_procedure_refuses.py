@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from procedure_runs import Nobody, watched
+from procedure_runs import AbsentOperator, watched
 
 from hil.core.clock import MonotonicClock
 from hil.core.errors import HilError
@@ -16,7 +16,12 @@ NAMES = shipped_names()
 def refused(name, folder, *, parameters=None, resume=False, **source):
     used = watched(name, **source)
     options = RunOptions(
-        folder, MonotonicClock(), "2026-01-01T00:00:00", parameters or {}, operator=Nobody(), resume=resume
+        folder,
+        MonotonicClock(),
+        "2026-01-01T00:00:00",
+        parameters or {},
+        operator=AbsentOperator(),
+        resume=resume,
     )
     with pytest.raises(HilError) as caught:
         run_procedure(load_procedure(name), used, options)
@@ -27,9 +32,9 @@ def refused(name, folder, *, parameters=None, resume=False, **source):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_an_unknown_parameter_is_named(tmp_path, name):
-    told = refused(name, tmp_path / "run", parameters={"no_such_thing": "1"})
-    assert "no_such_thing" in told
-    assert name in told
+    reported = refused(name, tmp_path / "run", parameters={"no_such_thing": "1"})
+    assert "no_such_thing" in reported
+    assert name in reported
     assert not (tmp_path / "run").exists()
 
 
@@ -38,14 +43,14 @@ def test_a_device_that_the_bench_lacks_is_named(tmp_path, name):
     needs = load_procedure(name).needs
     assert "servos" in needs
     for device in needs:
-        told = refused(name, tmp_path / device, overrides={device: None})
-        assert device in told
+        reported = refused(name, tmp_path / device, overrides={device: None})
+        assert device in reported
         assert not (tmp_path / device).exists()
 
 
 def test_a_missing_calibration_is_named(tmp_path):
-    told = refused("latency", tmp_path / "run", calibration=tmp_path / "gone.toml")
-    assert "gone.toml" in told
+    reported = refused("latency", tmp_path / "run", calibration=tmp_path / "gone.toml")
+    assert "gone.toml" in reported
 
 
 @pytest.mark.parametrize("content", ["", "nonsense\n", '{"kind": "step"}\n', '{"kind": "run"}\n{"kind"\n'])
@@ -53,8 +58,8 @@ def test_a_broken_journal_is_named_and_left_as_it_is(tmp_path, content):
     folder = tmp_path / "run"
     folder.mkdir()
     (folder / "journal.jsonl").write_text(content)
-    told = refused("latency", folder, resume=True)
-    assert "journal.jsonl" in told
+    reported = refused("latency", folder, resume=True)
+    assert "journal.jsonl" in reported
     assert (folder / "journal.jsonl").read_text() == content
     assert not (folder / "result.json").exists()
 

@@ -6,7 +6,7 @@ every run that was killed.
 """
 
 import pytest
-from procedure_runs import Nobody, Run, watched
+from procedure_runs import AbsentOperator, Run, watched
 from struck_runs import WAYS, check, struck
 
 from hil.core.clock import MonotonicClock
@@ -84,10 +84,10 @@ def test_every_step_of_every_procedure_ends_held(tmp_path, name):
 
 
 def check_resumed(name, folder, undisturbed):
-    """What was done before the kill counts, and the figures are those of the run that nobody disturbed."""
+    """What was done before the kill counts, and the figures are those of the undisturbed run."""
     source = watched(name)
     options = RunOptions(
-        folder, MonotonicClock(), "2026-01-01T00:00:00", SHORT[name], operator=Nobody(), resume=True
+        folder, MonotonicClock(), "2026-01-01T00:00:00", SHORT[name], operator=AbsentOperator(), resume=True
     )
     before = set(read_journal(folder / "journal.jsonl").checkpoints)
     resumed = Run(run_procedure(load_procedure(name), source, options), source)

@@ -33,7 +33,7 @@ def run(ctx):
 def test_a_run_that_was_to_use_a_failed_calibration_says_so(shelf, tmp_path, caplog):
     failed = shelf.add(made(0.0252, "FAIL"))
     (tmp_path / "stands.py").write_text(STANDS)
-    told = {}
+    reported = {}
     for verdict, path in (("FAIL", failed.path), ("PASS", shelf.add(made(0.0252)).path)):
         out = tmp_path / verdict
         caplog.clear()
@@ -42,12 +42,12 @@ def test_a_run_that_was_to_use_a_failed_calibration_says_so(shelf, tmp_path, cap
         assert main([*map(str, words)]) == 0
         result = json.loads((out / "result.json").read_text())
         assert result["calibration"]["verdict"] == verdict
-        told[verdict] = [
+        reported[verdict] = [
             "verdict FAIL" in " ".join(result["notes"]),
             "verdict FAIL" in (out / "report.html").read_text(),
             "verdict FAIL" in caplog.text,
         ]
-    assert told == {"FAIL": [True] * 3, "PASS": [False] * 3}
+    assert reported == {"FAIL": [True] * 3, "PASS": [False] * 3}
 
 
 @pytest.fixture(scope="module")
@@ -64,18 +64,18 @@ def drives(tmp_path_factory):
 
 
 @pytest.mark.parametrize(("command", "which"), [("evaluate", 1), ("replay", 0)])
-def test_who_compares_with_a_failed_calibration_is_told(shelf, drives, command, which, tmp_path, capsys):
+def test_who_compares_with_a_failed_calibration_is_reported(shelf, drives, command, which, tmp_path, capsys):
     failed, good = shelf.add(made(0.0257, "FAIL")), shelf.add(made(0.0257))
     page = {"evaluate": ["--plots", tmp_path], "replay": ["--page", tmp_path / "index.html"]}[command]
-    told = []
+    reported = []
     for kept in (failed, good):
         words = [command, drives[which], "--calibration", kept.path, *page, "--json"]
         assert main([*map(str, words)]) == 0
         said = capsys.readouterr()
         warnings = json.loads(said.out)["warnings"]
         shown = (tmp_path / "index.html").read_text()
-        told.append(["verdict FAIL" in text for text in (said.err, " ".join(warnings), shown)])
-    assert told == [[True] * 3, [False] * 3]
+        reported.append(["verdict FAIL" in text for text in (said.err, " ".join(warnings), shown)])
+    assert reported == [[True] * 3, [False] * 3]
 
 
 def test_figures_for_a_bench_are_not_tuned_with_a_failed_calibration(shelf, drives, tmp_path, capsys):

@@ -1,4 +1,4 @@
-"""The BNO055's offsets, noise and heading come back as they were put in; a chip that lies is told."""
+"""The BNO055's offsets, noise and heading come back as they were put in; wrong values are reported."""
 
 import math
 import sys

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from procedure_runs import Nobody
+from procedure_runs import AbsentOperator
 
 from hil.cli import main
 from hil.config.loading import load_bench
@@ -30,7 +30,7 @@ def learns(ctx):
 
 def ran(folder, record, proc=learns, **overrides):
     source = BenchSource("emulated", overrides={"record.folder": str(record), **overrides})
-    options = RunOptions(folder, MonotonicClock(), "2026-11-22T10:00:00", {}, operator=Nobody())
+    options = RunOptions(folder, MonotonicClock(), "2026-11-22T10:00:00", {}, operator=AbsentOperator())
     return run_procedure(proc, source, options), source
 
 

@@ -86,7 +86,7 @@ def undisturbed(whole_run):
 
 
 @pytest.mark.long
-def test_progress_tells_round_recording_and_the_time_that_is_left(whole_run):
+def test_progress_reports_round_recording_and_the_time_that_is_left(whole_run):
     lines = whole_run.stderr.splitlines()
     assert any(text.startswith("round 2 of 2, recording: 1/2") for text in lines)
     assert any(re.search(r", (about \d+ (s|min)|a few seconds) left in all$", text) for text in lines)

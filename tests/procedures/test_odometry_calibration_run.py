@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from procedure_runs import Nobody, run, watched
+from procedure_runs import AbsentOperator, run, watched
 
-from hil.bench.settings import nominal_of
+from hil.bench.loop_settings import nominal_of
 from hil.calibration.calibrate import calibrate
 from hil.calibration.calibration_file import read_calibration
 from hil.calibration.evaluation import position_rmse, track_all
@@ -59,13 +59,13 @@ def test_what_was_found_drives_better_and_passes(small):
 
 def test_turns_on_a_wall_are_refused_before_anything_is_opened(tmp_path):
     used = watched("odometry_calibration", bench="emulated")
-    told = r"circle_ccw, rotation_cw turn the robot by 180 deg.* at most 15 deg"
+    reported = r"circle_ccw, rotation_cw turn the robot by 180 deg.* at most 15 deg"
     procedure = load_procedure("odometry_calibration")
     settings = procedure.settings({}, quick=True)
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=reported):
         dry_run(procedure, used, settings)
     options = RunOptions(
-        tmp_path / "run", MonotonicClock(), "2026-01-01T00:00:00", settings, operator=Nobody()
+        tmp_path / "run", MonotonicClock(), "2026-01-01T00:00:00", settings, operator=AbsentOperator()
     )
     result = run_procedure(procedure, used, options)
     assert (result.error.kind, result.exit_code) == ("ConfigError", 2), result.error
@@ -172,7 +172,7 @@ def test_two_processes_record_the_same_bytes_as_one(tmp_path):
             MonotonicClock(),
             "2026-01-01T00:00:00",
             {**parameters, "processes": processes},
-            operator=Nobody(),
+            operator=AbsentOperator(),
         )
         run_procedure(load_procedure("odometry_calibration"), used, options)
     first = {p.name: p.read_bytes() for p in (tmp_path / "1" / "recordings").rglob("*.csv")}
@@ -277,7 +277,7 @@ def calibrated(folder, seed, parameters):
         MonotonicClock(),
         "2026-01-01T00:00:00",
         {"compared_methods": "", **parameters},
-        operator=Nobody(),
+        operator=AbsentOperator(),
     )
     result = run_procedure(load_procedure("odometry_calibration"), source, options)
     assert result.verdict.value in ("PASS", "MARGINAL"), (seed, result.measurements)

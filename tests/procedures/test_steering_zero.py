@@ -66,7 +66,7 @@ def test_an_encoder_that_does_not_measure_ends_the_run(tmp_path):
     done.assert_held()
 
 
-def test_the_fit_tells_zero_play_and_magnet_apart():
+def test_the_fit_reports_zero_play_and_magnet_apart():
     rng = np.random.default_rng(4)
     t = np.arange(0.0, 16.0, 0.005)
     steering = np.radians(100.0) * np.sin(2.0 * np.pi * t / 8.0)

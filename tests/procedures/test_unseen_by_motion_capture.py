@@ -56,14 +56,14 @@ def climb(ctx):
 
 
 @pytest.mark.parametrize("fault", ["mocap:off@5", pytest.param(GAPS, marks=pytest.mark.long)])
-def test_an_end_that_nobody_saw_fails_a_script_that_measures_it(tmp_path, fault):
+def test_an_end_that_was_not_seen_fails_a_script_that_measures_it(tmp_path, fault):
     result = run(climb, tmp_path / "run", fault)
     assert result.error is None
     assert (result.verdict, result.exit_code) == (Verdict.FAIL, 1)
     assert result.to_json()["said"] == "Its one limit failed: end is no finite number, at most 50 mm."
 
 
-def test_a_line_whose_end_nobody_saw_fails_by_its_end_alone(tmp_path):
+def test_a_line_whose_end_was_not_seen_fails_by_its_end_alone(tmp_path):
     result = run(load_procedure("wall_tracking"), tmp_path / "run", "mocap:off@4.4", **SHORT)
     found = outcomes(result)
     assert result.verdict is Verdict.FAIL
@@ -128,7 +128,7 @@ def test_what_was_seen_is_measured_and_the_rest_is_not(driven):
     assert "saw 0 % of the motion" in unseen(nothing)
 
 
-def test_slip_and_hold_are_not_told_by_half_a_motion(driven):
+def test_slip_and_hold_are_not_reported_by_half_a_motion(driven):
     assert isinstance(held(driven), bool)
     for motion in (blind(driven, -40, None), blind(driven, 10, 110), blind(driven, 0, None)):
         with pytest.raises(DataError, match="expected at least 80 %, and its end"):
@@ -147,7 +147,7 @@ def test_a_replay_has_no_error_at_an_end_that_was_not_seen(driven):
     assert math.isfinite(found["rmse_position_m"])
 
 
-def test_a_scan_does_not_cover_what_nobody_saw():
+def test_a_scan_does_not_cover_what_was_not_seen():
     p = grid_scan.Parameters(lanes=1, lane_length_m=1.0)
     path = np.column_stack([np.linspace(0.0, 1.0, 101), np.zeros(101)])
     assert grid_scan.covered_cells(path, np.zeros(3), p).mean() == 1.0

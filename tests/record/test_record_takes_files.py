@@ -97,7 +97,7 @@ def test_a_bench_that_names_no_seed_is_no_way_round_the_robot_of_the_record(tmp_
 
 
 def calibrated(path, robot):
-    """A calibration that has passed its validation; of this robot, or of nobody's."""
+    """A calibration that has passed its validation; of this robot, or of none."""
     save_calibration(path, made(robot=robot, made_for=None))
     return path
 
@@ -154,7 +154,7 @@ bench = "emulated"
         ("part_zeros.toml", PART.format(zeros=ZEROS), ("steering_zero", "PASS")),
     ],
 )
-def test_a_file_that_does_not_say_whose_it_is_needs_somebody_who_does(
+def test_a_file_that_does_not_say_whose_it_is_needs_an_option_that_does(
     tmp_path, bench, name, text, by, capsys
 ):
     source = tmp_path / name
@@ -174,7 +174,7 @@ def with_zeros(zeros):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         (with_zeros("[-3.0, 0.0, 0.0, 0.0]"), "-3: steering_zero lets -0.105 to 0.105 rad"),
         (with_zeros("[nan, 0.0, 0.0, 0.0]"), "alignment.steer_zero_rad: nan is no finite number"),
@@ -192,14 +192,14 @@ def with_zeros(zeros):
         ("[tracker]\nscale_sigma = 0.5\n", "tracker.scale_sigma"),
     ],
 )
-def test_values_that_cannot_be_meant_are_named_with_file_and_key(tmp_path, bench, text, told, capsys):
+def test_values_that_cannot_be_meant_are_named_with_file_and_key(tmp_path, bench, text, reported, capsys):
     source = tmp_path / "found.toml"
     source.write_text(text)
     assert apply(tmp_path / "robot", source, bench("climber 1"), "--of-this-robot") == EXIT_USAGE
     out = capsys.readouterr()
     message = json.loads(out.out)["error"]["message"]
     assert str(source) in message
-    assert told in message
+    assert reported in message
     assert "Traceback" not in out.err
     assert not RobotRecord(tmp_path / "robot").exists()
 
@@ -227,6 +227,6 @@ def test_a_piece_of_a_bench_file_can_still_be_pasted_into_one(tmp_path):
     path = tmp_path / "pasted.toml"
     path.write_text('schema = 1\nname = "b"\n' + text)
     assert load_bench(path).alignment.steer_zero_rad == tuple(ZEROS)
-    told = next(line for line in text.splitlines() if line.startswith("# robot = "))
+    reported = next(line for line in text.splitlines() if line.startswith("# robot = "))
     robot = identity(load_bench("emulated", overrides={"robot.name": "climber 1"}), 0)
-    assert json.loads(told.removeprefix("# robot = ")) == robot.model_dump(mode="json", exclude_none=True)
+    assert json.loads(reported.removeprefix("# robot = ")) == robot.model_dump(mode="json", exclude_none=True)

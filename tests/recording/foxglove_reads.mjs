@@ -57,5 +57,5 @@ for (const [panel, config] of Object.entries(layout.configById)) {
     paths[path] = typeof steps.reduce((at, step) => at?.[step], newest[topic]);
   }
 }
-const topics = [...kinds.values()].map(({ reader: _r, writer: _w, ...told }) => told);
+const topics = [...kinds.values()].map(({ reader: _r, writer: _w, ...other }) => other);
 console.log(JSON.stringify({ topics, paths }));

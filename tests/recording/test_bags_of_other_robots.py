@@ -143,7 +143,7 @@ def test_drive_joints_may_come_one_by_one_and_wrap(tmp_path, topics, usual):
     np.testing.assert_allclose(found.wheel_angle_rad, usual.wheel_angle_rad[kept], atol=0.02)
 
 
-def test_steering_that_nobody_sent_for_long_is_no_steering(tmp_path, topics):
+def test_steering_that_was_not_sent_for_long_is_no_steering(tmp_path, topics):
     found = [
         one
         for one in messages(apart=True)
@@ -209,7 +209,7 @@ def rows_of(table):
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
-def test_nothing_is_exported_where_nobody_commanded(tmp_path, topics, kind, capsys):
+def test_nothing_is_exported_where_nothing_was_commanded(tmp_path, topics, kind, capsys):
     """Set-points of 0 had stood there."""
     if kind == "parquet" and not is_installed("parquet"):
         pytest.skip("the extra parquet is not installed")

@@ -101,7 +101,7 @@ def test_hardware_clocks_align_what_wall_clocks_do_not(tmp_path):
     assert np.abs(servo_times(alone, by_wall.shift_ns) - servo_times(first)).min() > 30_000_000
 
 
-def test_a_hardware_clock_that_nobody_keeps_is_not_gone_by(tmp_path):
+def test_a_hardware_clock_that_is_not_set_is_not_gone_by(tmp_path):
     first = recording(tmp_path / "a.mcap", zero_s=100.0, ptp_error_ns=0)
     second = recording(tmp_path / "b.mcap", zero_s=5.0, ptp_error_ns=-EPOCH_NS)
     assert shift_between(first, second).by == "wall clock"

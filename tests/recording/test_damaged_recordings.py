@@ -11,9 +11,9 @@ from mcap_cases import driving_record
 from hil.bench import open_bench
 from hil.cli import main
 from hil.core.errors import DataError
-from hil.recording.compare import first_difference
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.mcap_writer import McapRecorder
+from hil.recording.record_comparison import first_difference
 from tests.selected import every
 
 
@@ -27,7 +27,7 @@ def whole(tmp_path_factory):
     return path.read_bytes()
 
 
-def told(tmp_path, data):
+def reported(tmp_path, data):
     path = tmp_path / "run.mcap"
     path.write_bytes(data)
     with pytest.raises(DataError) as error:
@@ -39,11 +39,11 @@ def told(tmp_path, data):
 
 @pytest.mark.parametrize("length", [8, 10, 50, 100, 400, 2000])
 def test_a_beginning_alone_ends_early(tmp_path, whole, length):
-    assert re.match(r"ends early at byte \d+", told(tmp_path, whole[:length]))
+    assert re.match(r"ends early at byte \d+", reported(tmp_path, whole[:length]))
 
 
 def test_an_empty_file_is_called_empty(tmp_path):
-    assert told(tmp_path, b"") == "is empty"
+    assert reported(tmp_path, b"") == "is empty"
 
 
 @pytest.mark.parametrize(
@@ -58,13 +58,13 @@ def test_an_empty_file_is_called_empty(tmp_path):
 )
 def test_flipped_bytes_of_the_head_are_damage(tmp_path, whole, find, put, message):
     at = whole.index(find, 30)
-    assert re.match(message, told(tmp_path, whole[:at] + put + whole[at + len(find) :]))
+    assert re.match(message, reported(tmp_path, whole[:at] + put + whole[at + len(find) :]))
 
 
 def test_rubbish_between_records_is_damage(tmp_path, whole):
     assert re.match(
         r"ends early at byte 41 \(writer killed, disk full, or damaged there\): unknown",
-        told(tmp_path, whole[:32] + b"\xee" * 200 + whole[232:]),
+        reported(tmp_path, whole[:32] + b"\xee" * 200 + whole[232:]),
     )
 
 
@@ -97,9 +97,9 @@ def test_a_flipped_byte_is_damage_to_who_verifies_too(tmp_path, driven, capsys, 
     capsys.readouterr()
     assert main(["replay", str(path), "--verify", "--json"]) == 2
     said = capsys.readouterr()
-    told = json.loads(said.out)
-    assert told["problems"]
-    assert f"hil: {path}: {told['problems'][0]}" in said.err
+    reported = json.loads(said.out)
+    assert reported["problems"]
+    assert f"hil: {path}: {reported['problems'][0]}" in said.err
     assert main(["replay", str(path), "--estimator", "odometry"]) == 2
 
 
@@ -111,9 +111,9 @@ def test_what_was_readable_is_evaluated_and_the_damage_named(tmp_path, driven, c
     path.write_bytes(driven[: len(driven) // 2])
     assert main(["evaluate", str(path), "--json"]) == 2
     said = capsys.readouterr()
-    told = json.loads(said.out)
-    assert (told["recordings"], len(told["problems"])) == (1, 1)
-    assert re.match(r"run: ends early at byte \d+", told["problems"][0])
+    reported = json.loads(said.out)
+    assert (reported["recordings"], len(reported["problems"])) == (1, 1)
+    assert re.match(r"run: ends early at byte \d+", reported["problems"][0])
     assert re.search(
         r"warning: run: ends early at byte .*; its figures are of [12]\.\d s that were read", said.err
     )

@@ -1,4 +1,4 @@
-"""Bags whose drivers or clocks are at fault: what can be told apart is, and a perfect robot stays one."""
+"""Bags whose drivers or clocks are at fault: what can be distinguished is, and a perfect robot stays one."""
 
 import math
 from dataclasses import replace
@@ -13,7 +13,7 @@ from mcap.writer import Writer as McapWriter
 from hil.calibration.calibrate import calibrate
 from hil.calibration.evaluation import position_rmse, track
 from hil.calibration.problem import make_setting
-from hil.calibration.warnings import told_by
+from hil.calibration.warnings import warnings_of
 from hil.cli import main
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
@@ -65,13 +65,13 @@ def stepped(found, at_s, by_s, topics=("/wheels", "/vicon")):
 def test_without_a_fault_nothing_is_said(read):
     (found,) = read(perfect.drive())
     assert rmse_m(found) == RIGHT_M
-    assert told_by([found]) == []
+    assert warnings_of([found]) == []
 
 
 @pytest.mark.parametrize("hz", [10.0, 4.0])
 def test_slow_ground_truth_is_no_gap(read, hz):
     (found,) = read(perfect.drive(truth_hz=hz))
-    assert told_by([found]) == []
+    assert warnings_of([found]) == []
 
 
 @pytest.mark.parametrize("none", [(0.0, 0.0, 0.0, 0.0), (0.01, 0.0, 0.0, 0.0)])
@@ -120,7 +120,7 @@ def test_a_source_that_never_goes_on_is_refused(read):
 def test_a_robot_that_rests_is_not_frozen(read):
     (found,) = read(perfect.drive(noise=0.0))
     assert len(found.truth_t_s) == 2000
-    assert told_by([found]) == []
+    assert warnings_of([found]) == []
 
 
 def test_wheels_that_report_rates_alone_are_integrated(tmp_path, topics):
@@ -164,7 +164,7 @@ def test_a_step_back_of_one_clock_alone_is_refused(tmp_path, topics):
 def test_ground_truth_of_another_clock_is_named_with_its_offset(read, hz, late_s):
     whole = perfect.drive(truth_hz=hz)
     found = read(replace(whole, truth_s=whole.truth_s + late_s))
-    (line,) = told_by(found)
+    (line,) = warnings_of(found)
     assert f"0.05 s {'later' if late_s > 0 else 'earlier'}" in line
 
 

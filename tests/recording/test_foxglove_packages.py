@@ -30,7 +30,7 @@ pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory):
+def reported(tmp_path_factory):
     """What Foxglove's packages make of a recording."""
     if shutil.which("npm") is None or shutil.which("node") is None:
         pytest.skip("Foxglove's packages need node and npm, which are not installed")
@@ -67,20 +67,20 @@ def recording(path):
     return path
 
 
-def test_every_schema_is_the_one_that_foxglove_knows(told):
-    assert len(told["topics"]) > 15
-    assert [one["schema"] for one in told["topics"] if not one["known"]] == []
-    assert [one for one in told["topics"] if one["unlike"]] == []
-    assert {one["encoding"] for one in told["topics"]} == {"ros2msg, cdr"}
+def test_every_schema_is_the_one_that_foxglove_knows(reported):
+    assert len(reported["topics"]) > 15
+    assert [one["schema"] for one in reported["topics"] if not one["known"]] == []
+    assert [one for one in reported["topics"] if one["unlike"]] == []
+    assert {one["encoding"] for one in reported["topics"]} == {"ros2msg, cdr"}
 
 
-def test_every_message_is_read_and_written_back_byte_by_byte(told):
-    read = {one["topic"]: one["read"] for one in told["topics"]}
+def test_every_message_is_read_and_written_back_byte_by_byte(reported):
+    read = {one["topic"]: one["read"] for one in reported["topics"]}
     assert all(read[topic] == CYCLES for topic in ("/tf", "/clock", "/joint_states", "/odom", "/imu/data"))
     assert read["/tf_static"] == read["/robot_description"] == 1
-    assert {one["topic"]: one["differ"] for one in told["topics"] if one["differ"]} == {}
+    assert {one["topic"]: one["differ"] for one in reported["topics"] if one["differ"]} == {}
 
 
-def test_every_plotted_path_of_the_layout_leads_to_a_number(told):
-    assert len(told["paths"]) > 20
-    assert {path: kind for path, kind in told["paths"].items() if kind != "number"} == {}
+def test_every_plotted_path_of_the_layout_leads_to_a_number(reported):
+    assert len(reported["paths"]) > 20
+    assert {path: kind for path, kind in reported["paths"].items() if kind != "number"} == {}

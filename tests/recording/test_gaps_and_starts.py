@@ -7,7 +7,7 @@ import pytest
 from hil.calibration.calibrate import calibrate
 from hil.calibration.evaluation import position_rmse, track
 from hil.calibration.problem import make_setting
-from hil.calibration.warnings import told_by
+from hil.calibration.warnings import warnings_of
 from hil.core.clock import MonotonicClock
 from hil.datasets.plain_csv import read_plain
 from hil.robot.kinematics import WheelGeometry
@@ -68,12 +68,12 @@ def test_a_fit_finds_the_wheels_all_the_same(tmp_path, case, model):
     assert max(left) < 3e-3
 
 
-def test_only_a_start_in_motion_is_told_of(tmp_path):
+def test_only_a_start_in_motion_is_reported(tmp_path):
     still, moving = (
         read(tmp_path, f"{name}_1", cut(perfect.drive(truth_hz=10.0)))
         for name, cut in (("still", lambda found: found), ("moving", rolling))
     )
-    (line,) = told_by([still, moving])
+    (line,) = warnings_of([still, moving])
     assert line.startswith("moving_1: the wheels roll when it begins")
 
 

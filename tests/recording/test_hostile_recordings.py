@@ -141,7 +141,7 @@ def test_values_within_values_without_an_end_are_refused(tmp_path, deep):
     assert "cannot be read" in reader.problems[0]
 
 
-def test_what_is_wrong_with_every_cycle_is_told_once(tmp_path):
+def test_what_is_wrong_with_every_cycle_is_reported_once(tmp_path):
     path = write(tmp_path / "run.mcap", [cycle(b"\x80")] * 50, {"config": CONFIG})
     reader = RecordingReader(path)
     assert list(reader) == []

@@ -16,8 +16,8 @@ from mcap_cases import CYCLE_RECORDS, driving_record
 from hil.core.device import DeviceKind
 from hil.core.geometry import Array
 from hil.core.signals import Stamp, Status
-from hil.recording.compare import first_difference
 from hil.recording.cycle_codec import DTYPES, CycleCodec
+from hil.recording.record_comparison import first_difference
 
 CODEC = CycleCodec()
 

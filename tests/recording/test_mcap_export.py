@@ -94,8 +94,8 @@ def test_an_exported_csv_is_a_plain_recording(recording, tmp_path):
     out = tmp_path / "line_x_1.csv"
     result = CliRunner().invoke(command, [str(recording), "--out", str(out), "--json"], standalone_mode=False)
     assert result.return_value == 0
-    told = json.loads(result.stdout)
-    assert (told["rows"], told["cycles"], told["problems"]) == (CYCLES, CYCLES, [])
+    reported = json.loads(result.stdout)
+    assert (reported["rows"], reported["cycles"], reported["problems"]) == (CYCLES, CYCLES, [])
     plain, direct = read_plain(out), to_recording(recording)
     assert plain.motion == direct.motion == "line_x"
     np.testing.assert_allclose(plain.wheel_angle_rad, direct.wheel_angle_rad)
@@ -108,9 +108,9 @@ def test_a_damaged_recording_is_exported_as_far_as_it_goes(recording, tmp_path):
     cut.write_bytes(data[: len(data) // 2])
     result = CliRunner().invoke(command, [str(cut), "--json"], standalone_mode=False)
     assert result.return_value == 2
-    told = json.loads(result.stdout)
-    assert 0 < told["rows"] < CYCLES
-    assert "ends early" in told["problems"][0]
+    reported = json.loads(result.stdout)
+    assert 0 < reported["rows"] < CYCLES
+    assert "ends early" in reported["problems"][0]
     assert "ends early" in result.stderr
     assert (tmp_path / "cut.csv").exists()
 

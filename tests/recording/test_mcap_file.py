@@ -17,9 +17,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from hil.core.errors import DataError
 from hil.core.registry import kinds
-from hil.recording.compare import first_difference
 from hil.recording.mcap_reader import Note, RecordingReader, read_cycles, read_header
 from hil.recording.mcap_writer import McapRecorder
+from hil.recording.record_comparison import first_difference
 from hil.recording.topics import topics_with
 from tests.selected import every
 
@@ -195,7 +195,7 @@ def test_the_thread_of_a_recorder_works_while_the_loop_sleeps_and_not_beside_a_c
 
 
 def test_a_disk_that_stalls_costs_records_and_no_time(tmp_path):
-    # A pipe that nobody empties is a disk that does not answer: the writer blocks inside the kernel.
+    # A pipe that is not emptied is a disk that does not answer: the writer blocks inside the kernel.
     path = tmp_path / "stalled.mcap"
     os.mkfifo(path)
     reading = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
@@ -295,7 +295,7 @@ def test_a_killed_process_loses_at_most_the_last_second(tmp_path, last):
 
 
 @pytest.mark.parametrize("name", ["odom_1.csv", "odom_1.csv.gz"])
-def test_a_table_in_place_of_a_recording_is_told_what_takes_it(tmp_path, name):
+def test_a_table_in_place_of_a_recording_names_what_takes_it(tmp_path, name):
     path = tmp_path / name
     path.write_bytes(b"t,phi1\n0,1\n" * 10)
     with pytest.raises(DataError, match="is not an MCAP file") as caught:

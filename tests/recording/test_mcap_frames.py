@@ -132,7 +132,7 @@ def test_a_record_without_an_estimate_moves_no_frame(tmp_path):
 
 
 def test_who_listens_later_gets_the_fixed_frames_too(recording):
-    """`ros2 bag play` offers them as they were: reliable, and the last one for whoever comes late."""
+    """`ros2 bag play` offers them as they were: reliable, and the last one for late subscribers."""
     with AnyReader([recording], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
         (fixed,) = (c for c in bag.connections if c.topic == "/tf_static")
         (profile,) = fixed.ext.offered_qos_profiles

@@ -165,7 +165,7 @@ def test_a_recorded_stop_is_reproduced_and_an_unrecorded_one_named():
     assert "stopped the robot" in difference
 
 
-def test_runs_without_a_note_are_told_apart_by_their_cycle_numbers(tmp_path):
+def test_runs_without_a_note_are_distinguished_by_their_cycle_numbers(tmp_path):
     path = recorded(tmp_path / "r", run(20, pipeline()), run(10, pipeline()), start=None)
     runs = list(read_runs(path))
     assert [len(r.records) for r in runs] == [20, 10]

@@ -100,7 +100,7 @@ LATEST_S = 2**31 - 1
 
 
 @pytest.mark.parametrize(
-    ("t_ns", "wall_ns", "told"),
+    ("t_ns", "wall_ns", "reported"),
     [
         (0, 0, (0, 0)),
         (-1, 0, (0, 0)),
@@ -110,9 +110,9 @@ LATEST_S = 2**31 - 1
         (2**62, 2**62, (LATEST_S, 999_999_999)),
     ],
 )
-def test_stamps_are_wall_clock_time_as_far_as_32_bits_reach(t_ns, wall_ns, told):
+def test_stamps_are_wall_clock_time_as_far_as_32_bits_reach(t_ns, wall_ns, reported):
     time = MessageMaker(wall_ns).time(t_ns)
-    assert (time.sec, time.nanosec) == told
+    assert (time.sec, time.nanosec) == reported
 
 
 def test_a_type_that_ros_does_not_have_is_named():

@@ -80,8 +80,8 @@ def test_every_command_that_reads_recordings_takes_a_mapping(bag, tmp_path):
     code, table = hil("evaluate", folder, "--topics", topics)
     assert code == 0
     assert table["motions"]["line_x"]["final_position_m"] < 1e-3
-    code, told = hil("export", folder, "--topics", topics, "--out", tmp_path / "line_x_1.csv")
-    assert (code, told["rows"]) == (0, 6 * RATE_HZ)
+    code, reported = hil("export", folder, "--topics", topics, "--out", tmp_path / "line_x_1.csv")
+    assert (code, reported["rows"]) == (0, 6 * RATE_HZ)
     code, again = hil("evaluate", tmp_path / "line_x_1.csv")
     assert again["motions"]["line_x"]["final_position_m"] == pytest.approx(
         table["motions"]["line_x"]["final_position_m"], abs=1e-6

@@ -15,7 +15,7 @@ from hil.calibration.synthetic import hidden_robot, make_set
 from hil.cli import main
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
-from hil.datasets.copies import is_copy
+from hil.datasets.duplicate_recordings import is_copy
 from hil.datasets.plain_csv import write_plain
 from hil.datasets.read import read_recordings
 
@@ -41,8 +41,8 @@ def days(tmp_path, drives):
 def hil(capsys, *words):
     capsys.readouterr()
     code = main([*map(str, words), "--json"])
-    told = capsys.readouterr()
-    return code, json.loads(told.out) if told.out else {}, told.err
+    reported = capsys.readouterr()
+    return code, json.loads(reported.out) if reported.out else {}, reported.err
 
 
 def test_each_of_one_name_has_its_own_weight_and_digests(days, tmp_path, capsys):

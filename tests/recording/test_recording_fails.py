@@ -22,7 +22,7 @@ AHEAD = line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=4.0)
 pytestmark = pytest.mark.timeout(900)  # the first process to start may compile the estimators
 
 
-class Witness(Sink):
+class Follower(Sink):
     """Sees every cycle, and the truth after it."""
 
     def __init__(self, bench):
@@ -39,23 +39,23 @@ class Witness(Sink):
 def drive(path, on_failure):
     bench = hil.open_bench("emulated", seed=4)
     recorder = McapRecorder(path, bench.header(), lossless=True, on_failure=on_failure)
-    witness = Witness(bench)
+    follower = Follower(bench)
     bench.add_sink(recorder)
-    bench.add_sink(witness)
+    bench.add_sink(follower)
     error = None
     with bench:
         try:
             bench.drive(AHEAD, start_pose=(0.0, 0.0, 0.0), hold_s=0.2)
         except RecordingError as found:
             error = found
-        witness.moved_m.append(bench.truth().pose_body_in_wall[0])
-    return error, recorder, witness
+        follower.moved_m.append(bench.truth().pose_body_in_wall[0])
+    return error, recorder, follower
 
 
 def test_a_full_disk_stops_the_robot_with_the_next_cycle(tmp_path, full_disk):
     path = tmp_path / "run.mcap"
     full_disk(400_000)
-    error, recorder, witness = drive(path, "stop")
+    error, recorder, follower = drive(path, "stop")
     assert (error.exit_code, error.path) == (EXIT_ABORTED, str(path))
     for word in (str(path), "No space left on device", "stopped", "--on-recording-failure"):
         assert word in str(error)
@@ -64,7 +64,7 @@ def test_a_full_disk_stops_the_robot_with_the_next_cycle(tmp_path, full_disk):
     assert kept == list(range(recorder.written))
     assert 100 < len(kept) < 400
     assert "ends early" in problems[0]
-    *cycles, last = witness.records
+    *cycles, last = follower.records
     assert recorder.lost == len(cycles) + 1 - len(kept)
     assert len(cycles) - len(kept) <= 51  # one open chunk: the loop ended with the cycle that found out
     (event,) = last.events
@@ -75,9 +75,9 @@ def test_a_full_disk_stops_the_robot_with_the_next_cycle(tmp_path, full_disk):
 
 def test_the_operator_may_choose_to_go_on(tmp_path, full_disk):
     full_disk(400_000)
-    error, recorder, witness = drive(tmp_path / "run.mcap", "go-on")
+    error, recorder, follower = drive(tmp_path / "run.mcap", "go-on")
     assert error is None
-    assert witness.moved_m[-1] == pytest.approx(0.1, abs=0.02)
+    assert follower.moved_m[-1] == pytest.approx(0.1, abs=0.02)
     assert recorder.lost > 100
     assert "No space left" in recorder.shortfall
 

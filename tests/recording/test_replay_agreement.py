@@ -234,7 +234,7 @@ def test_beyond_a_limit_it_differs_with_the_first_cycle_and_field(record, capsys
 
 @pytest.mark.skipif(platform.machine() not in ("x86_64", "aarch64"), reason="OpenBLAS kernel not known")
 def test_another_kernel_of_the_matrix_library_is_another_arithmetic(record):
-    """A real one: OpenBLAS can be told to compute as an older processor would."""
+    """A real one: OpenBLAS can be asked to compute as an older processor would."""
     kernels = {"x86_64": ("Prescott", "Nehalem"), "aarch64": ("CORTEXA53", "NEOVERSEN1")}[platform.machine()]
     kernel = kernels[os.environ.get("OPENBLAS_CORETYPE") == kernels[0]]
     done = subprocess.run(

@@ -45,7 +45,7 @@ def test_a_folder_is_refused_with_what_lies_in_it(recording, tmp_path, capsys):
 
 
 def test_a_foreign_recording_is_nothing_to_verify(recording, capsys):
-    """It had been told to differ in its first cycle."""
+    """It had been asked to differ in its first cycle."""
     assert main(["replay", str(recording), "--verify"]) == 2
     assert "not a recording of this bench: there is nothing to verify" in capsys.readouterr().err
 
@@ -97,14 +97,16 @@ def test_wheels_alone_say_where_the_robot_turns(tmp_path, capsys):
     """Gates had refused the start of every turn, which nothing else measures: degrees were lost."""
     path = written(tmp_path / "rotation_ccw_1.csv", turning=True)
     result, _ = replayed(capsys, path)
-    told = result["estimators"]
+    reported = result["estimators"]
     for name in ("ekf", "ukf", "smoother"):
-        assert told[name]["rmse_theta_rad"] < 1.2 * told["odometry"]["rmse_theta_rad"] + math.radians(0.02)
-        assert told[name]["nees_pose"] < 6.0
-    assert told["ekf"]["rejected_wheels"] == 0.0
+        assert reported[name]["rmse_theta_rad"] < 1.2 * reported["odometry"]["rmse_theta_rad"] + math.radians(
+            0.02
+        )
+        assert reported[name]["nees_pose"] < 6.0
+    assert reported["ekf"]["rejected_wheels"] == 0.0
 
 
-def test_process_noise_that_somebody_has_chosen_is_kept():
+def test_process_noise_that_a_user_has_chosen_is_kept():
     chosen = EstimatorConfig(process={"angular_acceleration_rad_s2_sqrt_hz": 0.3}).on_wheels_alone().process
     assert chosen.angular_acceleration_rad_s2_sqrt_hz == 0.3
     assert chosen.acceleration_m_s2_sqrt_hz == 1.0

@@ -111,8 +111,8 @@ def test_a_recording_carries_it_and_its_frames_join_the_recorded_tree(tmp_path, 
     assert len(clocks) == 20
     assert all(stamp == log_ns for stamp, log_ns in clocks)
     assert main(["robot", "urdf", "--bench", "emulated"]) == 0
-    told = joints_of(capsys.readouterr().out)
-    assert set(told) == set(joints)
+    reported = joints_of(capsys.readouterr().out)
+    assert set(reported) == set(joints)
 
 
 def test_it_is_written_to_a_file_of_a_calibrated_robot(tmp_path, capsys):

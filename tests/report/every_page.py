@@ -25,7 +25,7 @@ from hil.robot.trajectories import line
         Measurement("odometry.end", "mm", high=10.0, rationale="half a grid cell"),
         Measurement("odometry.way", "mm", low=400.0, rationale="too much to ask for"),
         *(Measurement(f"{k}.rate_{i}", "Hz", low=50.0) for k in ("imu", "servos") for i in range(4)),
-        Measurement("told", "deg"),
+        Measurement("reported", "deg"),
     ],
 )
 def run(ctx: Context) -> None:
@@ -34,7 +34,7 @@ def run(ctx: Context) -> None:
         motion = ctx.bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=1.5), feedback="ekf")
     ctx.measure("odometry.end", 1e3 * abs(float(motion.mocap[-1, 0]) - 0.05))
     ctx.measure("odometry.way", 50.0)
-    ctx.measure("told", 0.5)
+    ctx.measure("reported", 0.5)
     for kind in ("imu", "servos"):
         for i in range(4):
             ctx.measure(f"{kind}.rate_{i}", 99.0 + i)
@@ -147,12 +147,12 @@ def _commissioning(folder):
         },
     ]
     stopped = {"procedure": "latency", "verdict": "FAIL", "why": "imu.age", "do": "look at the cable"}
-    told = {
+    reported = {
         "verdict": "FAIL",
         "robot": str(record.folder),
         "wall": WALL,
         "stages": stages,
         "stopped": stopped,
     }
-    page = write_commission_page(folder, told, "lab", "2030-01-01T12:00:00+00:00", 1)
+    page = write_commission_page(folder, reported, "lab", "2030-01-01T12:00:00+00:00", 1)
     return page, write_robot_page(folder / "robot.html", record, date(2030, 1, 2))

@@ -66,7 +66,7 @@ def test_campaigns_that_say_nothing_about_each_other_are_refused(tmp_path, capsy
     c = campaign(tmp_path / "c", {"seed=1": ("PASS", 1.0)}, procedure="turn")
     (tmp_path / "d").mkdir()
     (tmp_path / "d" / "campaign.json").write_text('{"schema": 1, "rows": 3}')
-    for others, told in (
+    for others, reported in (
         ((b,), "have no case in common"),
         ((c,), "different procedures: climb, turn"),
         ((str(tmp_path / "d"),), "is not the result of a campaign"),
@@ -74,7 +74,7 @@ def test_campaigns_that_say_nothing_about_each_other_are_refused(tmp_path, capsy
         ((str(tmp_path / "none"),), "cannot be read"),
     ):
         assert main(["report", a, *others]) == 2
-        assert told in capsys.readouterr().err
+        assert reported in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("rounding", [0.0, 1e-13])
@@ -171,7 +171,7 @@ def test_what_they_were_given_differently_is_listed(tmp_path, capsys):
     }
     other = {**plan, "settings": ["gain=2", "bench.name=a"], "faults": ["imu:off@1"]}
     (tmp_path / "one" / "plan.json").write_text(json.dumps(plan))
-    for changed, told in (
+    for changed, reported in (
         (plan, ["the same options, files and versions in both"]),
         (other, ["  --set gain: 1 -> 2", "  --fault: – -> imu:off@1"]),
         ({**plan, "contents": {"/x.toml": "cd" * 32}}, ["  /x.toml: content abababab -> content cdcdcdcd"]),
@@ -179,5 +179,5 @@ def test_what_they_were_given_differently_is_listed(tmp_path, capsys):
         (tmp_path / "two" / "plan.json").write_text(json.dumps(changed))
         assert main(["report", *folders]) == 0
         lines = capsys.readouterr().out.splitlines()
-        assert lines[-1 - len(told) : -1] == told
+        assert lines[-1 - len(reported) : -1] == reported
     assert "/x.toml" in (tmp_path / "one" / "compare.html").read_text()

@@ -19,10 +19,10 @@ def left(tmp_path):
         CellVerdict(cell, why, "went on", True, "HELD")
         for cell, why in zip(CELLS, ((), ("it <fell>",)), strict=True)
     ]
-    told = summary(verdicts, bench="emulated", command="hil faults --seeds 0:1", planned=len(verdicts))
+    reported = summary(verdicts, bench="emulated", command="hil faults --seeds 0:1", planned=len(verdicts))
     (tmp_path / "faults").mkdir()
     (tmp_path / "faults" / "cells.jsonl").write_text("{}\n", encoding="utf-8")
-    write_faults(tmp_path / "faults", {**told, "began": "2026-01-31T12:00:00+00:00"})
+    write_faults(tmp_path / "faults", {**reported, "began": "2026-01-31T12:00:00+00:00"})
     return tmp_path
 
 

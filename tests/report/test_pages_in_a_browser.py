@@ -67,7 +67,7 @@ def test_a_page_is_one_small_file_that_begins_with_a_sentence(pages, kind):
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [390, 1280])
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_page_is_readable_and_asks_nobody(browser, pages, kind, width, dark):
+def test_a_page_is_readable_and_loads_nothing(browser, pages, kind, width, dark):
     browser.show(pages[kind], width, dark=dark)
     browser.run("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
     assert (browser.complaints, browser.requests) == ([], [])
@@ -146,8 +146,8 @@ def test_a_figure_is_read_by_keyboard(browser, pages):
             browser.call("Input.dispatchKeyEvent", type=kind, key=key, code=key)
         return browser.run("document.querySelector('.said').innerText")
 
-    told = [press("ArrowRight") for _ in range(8)]
-    assert len(set(told)) > 4
+    reported = [press("ArrowRight") for _ in range(8)]
+    assert len(set(reported)) > 4
     press("+")
     assert len(ticks(browser)) > 0
     press("0")

@@ -205,9 +205,9 @@ def test_a_campaign_goes_whole_but_for_a_notebook_and_a_run_that_is_none_of_it(h
     shutil.copytree(tmp_path / "out" / "mine", folder / "runs" / "mine")
     put(folder, {"notebook.ipynb": "{}"})
     mine = {f"runs/mine/{name}" for name in files_of(tmp_path / "out" / "mine")}
-    told = json.loads(hil("results", "delete", "trial", "plain", "--yes", "--json"))
-    assert set(told["stays"]) == {"trial"}
-    assert set(told["stays"]["trial"]) == mine | {"notebook.ipynb"} == files_of(folder)
+    reported = json.loads(hil("results", "delete", "trial", "plain", "--yes", "--json"))
+    assert set(reported["stays"]) == {"trial"}
+    assert set(reported["stays"]["trial"]) == mine | {"notebook.ipynb"} == files_of(folder)
     assert not (tmp_path / "out" / "plain").exists()
 
 

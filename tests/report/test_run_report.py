@@ -34,7 +34,7 @@ SCRIPTED = SimpleNamespace(ask=lambda question: "yes")
         Measurement("inside", "mm", low=0.0, high=10.0, rationale="<b>reason</b> & more"),
         Measurement("near", "deg", high=2.0, marginal=0.5),
         Measurement("outside", "mm", high=1.0),
-        Measurement("told", "s"),
+        Measurement("reported", "s"),
     ),
 )
 def shown(ctx):
@@ -43,7 +43,7 @@ def shown(ctx):
         ctx.measure("inside", 4.25)
         ctx.measure("near", 1.75)
         ctx.measure("outside", 1.5)
-        ctx.measure("told", 12.0)
+        ctx.measure("reported", 12.0)
         for k in range(2):
             figure = new_figure()
             axes = style(figure.add_subplot(), "time (s)", "x (m)")
@@ -181,9 +181,11 @@ def test_what_is_a_picture_only_is_not_enlarged(tmp_path):
 
 
 @procedure(
-    name="told", measurements=(Measurement("end", "mm"),), headline=lambda v: f"It ends {v['end']} mm off."
+    name="reported",
+    measurements=(Measurement("end", "mm"),),
+    headline=lambda v: f"It ends {v['end']} mm off.",
 )
-def told(ctx):
+def reported(ctx):
     """Measure, or not."""
     if ctx.seed == 0:
         ctx.measure("end", 3.0)
@@ -192,7 +194,7 @@ def told(ctx):
 @pytest.mark.parametrize(("seed", "words"), [(0, "It ends 3.0 mm off."), (1, "")])
 def test_a_page_begins_with_what_its_procedure_says_of_the_values(tmp_path, seed, words):
     source = BenchSource(BenchConfig(schema=1, name="bare"), seed=seed)
-    run_procedure(told, source, RunOptions(tmp_path / "out", MonotonicClock(), "2026-01-01", {}))
+    run_procedure(reported, source, RunOptions(tmp_path / "out", MonotonicClock(), "2026-01-01", {}))
     assert read_result(tmp_path / "out")["headline"] == words
     assert ('<p class="lead">It ends 3.0 mm off.' in write_run_page(tmp_path / "out").read_text()) == bool(
         words
@@ -286,13 +288,13 @@ def test_runs_are_compared_measurement_by_measurement(folder, tmp_path):
     rows = {r["name"]: r for r in table["measurements"]}
     assert (rows["outside"]["change"], rows["outside"]["ratio"]) == (-1.0, 0.5 / 1.5)
     assert rows["outside"]["outcomes"] == ["FAIL", "PASS"]
-    assert rows["told"]["values"] == [12.0, None]
+    assert rows["reported"]["values"] == [12.0, None]
     assert table["differences"] == [{"key": "parameters.gain", "values": ["–", "2"]}]
     assert "outside" in comparison_text(table)
     page = Page(write_compare_page(tmp_path / "compare.html", table).read_text())
     words = " ".join(page.text)
     assert "parameters.gain" in words
-    assert "2 measurements have another outcome: outside, told." in words
+    assert "2 measurements have another outcome: outside, reported." in words
 
 
 def test_runs_of_other_seeds_and_faults_are_not_the_same(folder, tmp_path):

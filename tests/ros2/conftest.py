@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.ros2.fast_dds import build
+
 LISTENER = Path(__file__).with_name("listener.py")
 LIMIT_S = 60.0
 
@@ -88,3 +90,10 @@ def listen(domain):
     yield begin
     for listener in begun:
         listener.close()
+
+
+@pytest.fixture(scope="session")
+def wall_line_dds(tmp_path_factory):
+    """Path of the controller of `examples/ros2` on Fast DDS; `HIL_WALL_LINE_DDS` names one that is built."""
+    given = os.environ.get("HIL_WALL_LINE_DDS")
+    return Path(given) if given else build(tmp_path_factory.mktemp("fast_dds"))

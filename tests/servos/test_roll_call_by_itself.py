@@ -1,4 +1,4 @@
-"""The roll call on a bus that is told what to answer: who is late, what is said of it, how long one waits."""
+"""The roll call on a bus with prescribed answers: who is late, what is said of it, how long one waits."""
 
 from types import SimpleNamespace
 

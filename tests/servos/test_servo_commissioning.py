@@ -32,7 +32,7 @@ def test_a_full_scan_takes_seconds_not_minutes(bus_of):
     assert bench.clock.now_ns() < 12_000_000_000
 
 
-def test_a_scan_tells_different_rates_and_delays(bus_of):
+def test_a_scan_reports_different_rates_and_delays(bus_of):
     bench = bus_of(eeprom={2: {"baud_rate": 1, "return_delay_time": 250}, 3: {"baud_rate": 7}})
     found = {s.servo_id: s for s in scan(PORT, bench.clock, ids=range(10))}
     assert {i: s.baud for i, s in found.items()} == dict.fromkeys(range(1, 9), 1_000_000) | {
@@ -42,7 +42,7 @@ def test_a_scan_tells_different_rates_and_delays(bus_of):
     assert found[3].return_delay_s == pytest.approx(500e-6)
 
 
-def test_a_scan_asks_only_what_it_is_told_to(bus_of):
+def test_a_scan_asks_only_what_is_given(bus_of):
     bench = bus_of()
     assert [s.servo_id for s in scan(PORT, bench.clock, bauds=(1_000_000,), ids=(2, 5, 9))] == [2, 5]
     assert scan(PORT, bench.clock, bauds=(57_600,)) == ()
@@ -50,7 +50,7 @@ def test_a_scan_asks_only_what_it_is_told_to(bus_of):
     with pytest.raises(UsageError, match="123 is not one of the servo's"):
         scan(PORT, bench.clock, bauds=(123,))
     with pytest.raises(DeviceError, match="cannot be opened"):
-        scan("hil://nobody", bench.clock)
+        scan("hil://absent", bench.clock)
 
 
 def test_a_scan_of_a_dead_or_pulled_bus_finds_nothing(bus_of):

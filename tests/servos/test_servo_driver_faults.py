@@ -22,7 +22,7 @@ def test_others_are_refused(servo_bench, fault):
     ("fast", "behaviour", "joint"),
     every(7, [(f, b, j) for f in ("auto", False) for b in ("silent", "skip") for j in range(8)]),
 )
-def test_a_dead_servo_costs_little_and_takes_nobody_with_it(servo_bench, joint, behaviour, fast):
+def test_a_dead_servo_costs_little_and_affects_no_other_servo(servo_bench, joint, behaviour, fast):
     bench = servo_bench(after_absent=behaviour, config={"fail_after_s": 60.0, "fast_sync_read": fast})
     bench.driver.enable()
 
@@ -151,12 +151,12 @@ def test_stuck_wrong_delayed_and_slow(servo_bench):
     assert statuses(slow, 3) == {Status.OK}
 
 
-def test_a_slipped_magnet_is_told_and_bridged(servo_bench):
+def test_a_slipped_magnet_is_reported_and_bridged(servo_bench):
     bench = servo_bench("servo.2:jump@1,angle_rad=2.5")
     bench.driver.enable()
     samples = cycles(bench, 2)
-    told = [s for s in samples if s.status[1] is not Status.OK]
-    assert [s.status[1] for s in told] == [Status.RESET]
+    reported = [s for s in samples if s.status[1] is not Status.OK]
+    assert [s.status[1] for s in reported] == [Status.RESET]
     assert statuses(samples, 0) == {Status.OK}
 
 
@@ -232,7 +232,7 @@ def test_a_pulled_adapter_and_its_return(servo_bench):
         cycles(bench, 9)
     bench.driver.stop()
     bench.driver.command(STILL)
-    with pytest.raises(DeviceError, match="nobody answers"):
+    with pytest.raises(DeviceError, match="no servo answers"):
         bench.driver.release()
     bench.driver.close()
 
@@ -248,7 +248,7 @@ def test_a_bus_that_falls_silent_while_setting_up_is_a_device_error(servo_bench,
         servo_bench(f"servos:off@{at_s}")
 
 
-def test_overload_is_told_and_becomes_an_error_and_enabling_is_refused(servo_bench):
+def test_overload_is_reported_and_becomes_an_error_and_enabling_is_refused(servo_bench):
     bench = servo_bench()
     bench.driver.enable()
     bench.plant.load_a[4] = 1.3
@@ -279,7 +279,7 @@ def test_an_alert_carries_the_error_bits_beside_the_sample(servo_bench):
     assert after[-1].alert == (0,) * 8
 
 
-def test_the_bits_of_an_alert_stay_unknown_where_nobody_tells_them(servo_bench):
+def test_the_bits_of_an_alert_stay_unknown_where_they_are_not_read(servo_bench):
     bench = servo_bench("servo.3:drop@3.06,probability=0.5", seed=2, config={"health_period_s": 60.0})
     bench.driver.enable()
     bench.plant.load_a[2] = 1.3

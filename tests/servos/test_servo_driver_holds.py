@@ -11,7 +11,7 @@ from hil.core.signals import ServoSetpoint
 from hil.fakes.fault import parse_fault
 
 
-def test_servos_that_fall_silent_for_good_while_torque_comes_on_are_told(servo_bench):
+def test_servos_that_fall_silent_for_good_while_torque_comes_on_are_reported(servo_bench):
     reference = servo_bench()
     began = reference.clock.now_ns()
     reference.driver.read()
@@ -35,7 +35,7 @@ def test_enabling_needs_all_eight(servo_bench):
     assert [s.torque for s in bench.bus.servos] == [j != 5 for j in range(8)]
 
 
-def test_torque_that_does_not_go_off_is_told(servo_bench):
+def test_torque_that_does_not_go_off_is_reported(servo_bench):
     bench = servo_bench()
     said = set()
     for _ in range(40):
@@ -48,7 +48,7 @@ def test_torque_that_does_not_go_off_is_told(servo_bench):
         bench.world.faults.clear()
     assert any("torque is not off: drive_FL, drive_BL" in text for text in said)
     assert any(" (no answer)" in text for text in said)
-    assert any("torque is not off: nobody answers" in text for text in said)
+    assert any("torque is not off: no servo answers" in text for text in said)
 
 
 def test_release_lets_go_and_stop_holds(servo_bench):

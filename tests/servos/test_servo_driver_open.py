@@ -18,7 +18,7 @@ from hil.drivers.servos.packets import BAD_CHECKSUM, NO_ANSWER, instruction
 
 
 @pytest.mark.parametrize(
-    "port", ["/dev/nonexistent", "/dev/null", "/", "hil://nobody", "nonsense://x", "socket://127.0.0.1:9"]
+    "port", ["/dev/nonexistent", "/dev/null", "/", "hil://absent", "nonsense://x", "socket://127.0.0.1:9"]
 )
 def test_a_port_that_cannot_be_opened_is_a_device_error(port):
     driver = DynamixelServos(ServosConfig(port=port), MonotonicClock())
@@ -31,7 +31,7 @@ def test_a_port_that_cannot_be_opened_is_a_device_error(port):
     driver.close()
 
 
-def test_a_port_without_permission_tells_how_to_get_it(denied_port):
+def test_a_port_without_permission_reports_how_to_get_it(denied_port):
     with pytest.raises(DeviceError, match="usermod -aG dialout"):
         DynamixelServos(ServosConfig(port=denied_port), MonotonicClock()).open()
 
@@ -144,7 +144,7 @@ def test_where_most_answers_are_garbled_no_shared_id_is_the_cause(garbled):
         (6, "homing_offset", 100, "homing_offset 100, expected 0"),
     ],
 )
-def test_an_eeprom_that_does_not_fit_is_told_and_left_alone(servo_bench, joint, register, raw, said):
+def test_an_eeprom_that_does_not_fit_is_reported_and_left_alone(servo_bench, joint, register, raw, said):
     with pytest.raises(DeviceError, match=rf"not set up for this bench(.|\n)*{said}(.|\n)*hil setup"):
         servo_bench(eeprom={joint: {register: raw}})
 
@@ -303,7 +303,7 @@ def test_findings_tell_what_could_be_better(servo_bench):
     )
 
 
-def test_limits_in_the_eeprom_below_those_of_the_bench_are_told_with_a_remedy(servo_bench):
+def test_limits_in_the_eeprom_below_those_of_the_bench_are_reported_with_a_remedy(servo_bench):
     bench = servo_bench(eeprom={2: {"velocity_limit": 20}, 5: {"max_position_limit": 2500}})
     (limits,) = (f for f in bench.driver.diagnose() if f.check == "limits")
     assert limits.level == "warning"
@@ -354,7 +354,7 @@ def test_a_second_client_on_the_bus_never_makes_a_wrong_number(servo_bench):
     assert Status.OK in seen
 
 
-def test_nobody_may_write_to_the_eeprom_by_opening(servo_bench):
+def test_opening_never_writes_to_the_eeprom(servo_bench):
     bench = servo_bench(open_driver=False)
     before = [bytes(s.table.data[:64]) for s in bench.bus.servos]
     bench.driver.open()
@@ -365,7 +365,7 @@ def test_nobody_may_write_to_the_eeprom_by_opening(servo_bench):
 
 
 def test_garbled_answers_in_the_first_moment_are_asked_for_again(servo_bench):
-    """What a killed program has asked for may still be on its way; nobody is refused for that."""
+    """What a killed program has asked for may still be on its way; no servo is refused for that."""
     bench = servo_bench("servos:corrupt@0+0.15,probability=1")
     assert bench.driver.identity()
 

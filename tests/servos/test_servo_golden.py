@@ -152,8 +152,8 @@ def test_goals_that_look_like_a_header_are_stuffed(wire):
     goals = [0, 0, 0, 0, 0x00FDFFFF, 2048, 2048, 2048]
     addresses = [104] * 4 + [116] * 4
     heads = zip(range(1, 9), addresses, goals, strict=True)
-    told = b"".join(bytes((i, a, 0, 4, 0)) + goal.to_bytes(4, "little") for i, a, goal in heads)
+    reported = b"".join(bytes((i, a, 0, 4, 0)) + goal.to_bytes(4, "little") for i, a, goal in heads)
     packet = GoalWrite(range(1, 9), addresses).packet(goals)
-    assert packet == instruction(0xFE, 0x93, told)
+    assert packet == instruction(0xFE, 0x93, reported)
     assert len(packet) == 83
     assert bench.send(packet) == b""

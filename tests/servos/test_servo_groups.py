@@ -65,7 +65,7 @@ def test_a_fast_bulk_read_is_one_packet(wire):
 
 
 @pytest.mark.parametrize("fast", [False, True])
-def test_an_error_of_one_servo_is_told_beside_the_others_data(wire, fast):
+def test_an_error_of_one_servo_is_reported_beside_the_others_data(wire, fast):
     bench = wire()
     code = FAST_BULK_READ if fast else BULK_READ
     data = bench.send(instruction(ALL, code, b"\x01" + word(660) + word(4) + b"\x02" + where("id")))
@@ -128,7 +128,7 @@ def test_old_firmware_does_not_know_the_fast_reads(wire):
 
 
 @pytest.mark.parametrize("code", [SYNC_READ, FAST_SYNC_READ])
-def test_a_servo_told_to_answer_pings_only_is_silent_in_a_group(wire, code):
+def test_a_servo_asked_to_answer_pings_only_is_silent_in_a_group(wire, code):
     bench = wire(after_absent="skip")
     Client(bench, 2).put("status_return_level", 0)
     assert bench.send(instruction(ALL, code, POSITION + b"\x02")) == b""
@@ -158,7 +158,7 @@ def test_cut_group_instructions_do_nothing(wire, code, parameters):
 
 
 @pytest.mark.parametrize("code", [SYNC_READ, FAST_SYNC_READ, BULK_READ, SYNC_WRITE, BULK_WRITE])
-def test_group_instructions_are_for_everybody_or_nobody(wire, code):
+def test_group_instructions_are_for_all_or_none(wire, code):
     bench = wire()
     led = word(65) + word(1) + b"\x01"
     parameters = {SYNC_WRITE: led + b"\x01", BULK_WRITE: b"\x01" + led, BULK_READ: b"\x01" + POSITION}

@@ -148,7 +148,7 @@ def test_the_emulated_motor_gives_the_vendors_stall_and_no_load_rows(number):
         assert top == pytest.approx(row.no_load_rad_s, rel=0.06)
 
 
-def test_nothing_is_read_before_somebody_asks():
+def test_nothing_is_read_before_it_is_asked_for():
     code = (
         "import hil.config.servos, hil.drivers.servos, hil.fakes.servos, hil.bench.doctor.discovery;"
         "from hil.config.servo_models import loading;"
@@ -245,8 +245,8 @@ def test_a_scan_and_a_setup_go_by_the_model_that_answers(bench_of, number):
         "min_voltage_limit": low + 1,
         "max_voltage_limit": high - 1,
     }
-    told = set_up(PORT, bench.clock, baud=1_000_000, servo_id=3, new_id=20, registers=values)
-    assert told == {
+    reported = set_up(PORT, bench.clock, baud=1_000_000, servo_id=3, new_id=20, registers=values)
+    assert reported == {
         "current_limit": (VENDOR[number][2], VENDOR[number][2] - 1),
         "min_voltage_limit": (low, low + 1),
         "max_voltage_limit": (high, high - 1),

@@ -45,12 +45,12 @@ def served_bus():
     def serve(latency_s=0.001, **options):
         world = World(JointPlant(), seed=1)
         bus = ServoBus(world, options=ServoBusOptions(**options))
-        face = SerialPty(SerialLine(world, bus, latency_s=latency_s), {"baud": bus.options.baud})
-        server = EmulationServer(world, MonotonicClock(), {"servos": face})
+        transport = SerialPty(SerialLine(world, bus, latency_s=latency_s), {"baud": bus.options.baud})
+        server = EmulationServer(world, MonotonicClock(), {"servos": transport})
         thread = threading.Thread(target=server.run)
         thread.start()
         running.append((server, thread))
-        return SimpleNamespace(bus=bus, face=face, port=face.endpoint()["port"])
+        return SimpleNamespace(bus=bus, transport=transport, port=transport.endpoint()["port"])
 
     yield serve
     for server, thread in running:
@@ -189,7 +189,7 @@ def test_the_driver_drives_across_the_terminal(served_bus, baud):
         driver.close()
 
 
-def test_a_busy_terminal_is_told(served_bus):
+def test_a_busy_terminal_is_reported(served_bus):
     served, clock = served_bus(), MonotonicClock()
     driver = DynamixelServos(ServosConfig(port=served.port), clock)
     with (
@@ -210,7 +210,7 @@ def test_an_emulator_that_dies_is_silence_then_an_error(served_bus):
     driver = DynamixelServos(ServosConfig(port=served.port, fail_after_s=0.2, reply_slack_s=0.05), clock)
     driver.open()
     try:
-        served.face.close()
+        served.transport.close()
         assert set(driver.read()[0].status) == {Status.TIMEOUT}
         with pytest.raises(DeviceTimeoutError, match="nothing usable"):
             drive(driver, clock, ServoSetpoint(np.zeros(4), np.zeros(4)), 500)

@@ -29,7 +29,7 @@ def test_the_limit_is_where_it_is_said_to_be():
         noted(Status.TIMEOUT, LIMIT_NS, LIMIT_NS + 1)
 
 
-def test_time_in_which_nobody_asked_does_not_count():
+def test_pauses_in_polling_do_not_count():
     noted(Status.TIMEOUT, 2 * LIMIT_NS, excused_ns=LIMIT_NS)
     with pytest.raises(DeviceTimeoutError):
         noted(Status.TIMEOUT, 2 * LIMIT_NS + 1, excused_ns=LIMIT_NS)

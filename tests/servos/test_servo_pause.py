@@ -1,4 +1,4 @@
-"""Nobody talks to the servos for a while: torque is off, or the whole program stands still."""
+"""Nothing talks to the servos for a while: torque is off, or the whole program stands still."""
 
 import logging
 
@@ -55,7 +55,7 @@ def test_a_watchdog_that_trips_in_a_pause_is_armed_again_without_a_warning(servo
 
 
 def test_a_bus_that_was_away_for_as_long_as_the_watchdog_waits_is_obeyed_again_at_once(servo_bench):
-    """A tripped watchdog refuses goals in silence until somebody looks; health is looked at much later."""
+    """A tripped watchdog refuses goals in silence until the next check; health is looked at much later."""
     bench = servo_bench("servos:unplug@1.1+0.1", config={"health_period_s": 60.0})
     bench.driver.enable()
     while bench.clock.now_ns() < 1.35 * SECOND:

@@ -121,7 +121,7 @@ def test_a_silent_servo_costs_the_others_no_sample(ahead, servo):
     assert sum(s.status[servo - 1] is Status.OK for s in samples) > 100
 
 
-def test_a_dead_servo_takes_nobody_with_it_and_comes_back(ahead):
+def test_a_dead_servo_affects_no_other_servo_and_comes_back(ahead):
     bench = ahead("servo.3:off@1+1", config={"fail_after_s": 60.0, "health_period_s": 0.2})
     bench.driver.enable()
     samples, _, _ = cycles(bench, 800)

@@ -166,7 +166,7 @@ def test_reboot_forgets_ram_errors_and_turns(drive):
 @pytest.mark.parametrize(
     ("level", "servo_id", "rate"), [(0xFF, 1, 57_600), (1, 3, 57_600), (2, 3, 1_000_000)]
 )
-def test_factory_reset_keeps_what_it_is_told_to(wire, level, servo_id, rate):
+def test_factory_reset_keeps_what_it_is_asked_to(wire, level, servo_id, rate):
     client = Client(wire(), 3)
     client.put("return_delay_time", 3)
     assert client.do(FACTORY, bytes((level,)), wait_ms=200) == (0, b"")

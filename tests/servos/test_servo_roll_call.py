@@ -1,6 +1,6 @@
 """Servos that answer late: after a stop they are found, named, waited for, and taken back once quick.
 
-One late answer holds up everything that is asked behind it on the bus, so that nobody else is heard.
+One late answer holds up everything that is asked behind it on the bus, so that no other servo is heard.
 """
 
 import numpy as np
@@ -46,7 +46,7 @@ IN_TURN, AHEAD = {"fast_sync_read": False}, {"prefetch": True}
     ],
     ids=str,
 )
-def test_a_late_servo_is_named_waited_for_and_takes_nobody_with_it(servo_bench, servo_id, answer_s, config):
+def test_a_late_servo_is_named_waited_for_and_affects_no_other_servo(servo_bench, servo_id, answer_s, config):
     bench = stopped(servo_bench(f"servo.{servo_id}:slow@1,answer_s={answer_s}", config={**LONG, **config}))
     last = looks(bench, 25)[-5:]
     assert all(hold.trouble == {} and hold.wanted for hold in last)
@@ -73,7 +73,7 @@ def test_one_that_is_too_late_to_be_waited_for_is_named_and_left_alone(servo_ben
 
 @pytest.mark.parametrize("pair", [(3, 8), (1, 2), (5, 6), (1, 8)])
 @pytest.mark.parametrize("fast", ["auto", False])
-def test_two_late_servos_are_both_named_and_nobody_else(servo_bench, pair, fast):
+def test_two_late_servos_are_both_named_and_no_other(servo_bench, pair, fast):
     faults = [f"servo.{i}:slow@1,answer_s=0.02" for i in pair]
     last = looks(stopped(servo_bench(*faults, config={**LONG, "fast_sync_read": fast})), 25)[-1]
     assert set(last.late) == {SERVOS[i - 1] for i in pair}
@@ -81,7 +81,7 @@ def test_two_late_servos_are_both_named_and_nobody_else(servo_bench, pair, fast)
 
 
 @pytest.mark.parametrize(("late", "dead"), [(3, 5), (5, 3), (1, 2), (8, 1)])
-def test_a_late_and_a_dead_servo_are_told_apart(servo_bench, late, dead):
+def test_a_late_and_a_dead_servo_are_distinguished(servo_bench, late, dead):
     bench = servo_bench(f"servo.{late}:slow@1,answer_s=0.02", f"servo.{dead}:off@1", config=LONG)
     last = looks(stopped(bench), 30)[-1]
     assert set(last.late) == {SERVOS[late - 1]}

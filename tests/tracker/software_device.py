@@ -50,7 +50,7 @@ class SoftwareT265:
         camera.start_stream(self._inject)
 
     def option(self, name: str) -> float:
-        """What the library has last been told of one of the camera's settings."""
+        """What the library was last given of one of the camera's settings."""
         return float(self._sensor.get_option(getattr(self.library.option, name)))
 
     def pipeline(self) -> Any:

@@ -1,4 +1,4 @@
-"""What the camera is told: how to treat its map, and the velocity of the wheels; what it makes of that.
+"""What the camera is given: how to treat its map, and the velocity of the wheels; what it makes of that.
 
 librealsense's software device takes the settings of the map. It has no wheel odometer: for that stands the
 emulated camera, in process and behind its feed.
@@ -24,7 +24,7 @@ from hil.core.geometry import quat_from_rotvec
 from hil.drivers.tracker import T265Tracker
 from hil.drivers.tracker.t265_settings import wheel_calibration
 from hil.fakes.server import EmulationServer
-from hil.fakes.tracker import IDEAL, T265, TrackerFace, TrackerTruthOptions
+from hil.fakes.tracker import IDEAL, T265, TrackerTransport, TrackerTruthOptions
 from hil.fakes.tracker.wheel_odometer_input import WheelInput
 from hil.fakes.world import World
 from tests.tracker.software_device import SoftwareT265
@@ -36,14 +36,14 @@ SCALED = dataclasses.replace(IDEAL, scale_sigma=0.03)
 
 
 @pytest.mark.parametrize(
-    ("keys", "told"),
+    ("keys", "reported"),
     [({}, (0, 0, 0, 0)), ({"mapping": True}, (1, 0, 0, 0)), (dict.fromkeys(KEYS, True), (1, 1, 1, 1))],
 )
-def test_the_camera_is_told_what_to_do_with_its_map(tracker_bench, keys, told):
+def test_the_camera_gets_the_options_of_its_map(tracker_bench, keys, reported):
     bench = tracker_bench(config=keys)
     assert tuple(bench.camera.settings[name] for name in MAP) == (1, 1, 1, 1)  # as it is plugged in
     bench.driver.open()
-    assert tuple(bench.camera.settings[name] for name in MAP) == told
+    assert tuple(bench.camera.settings[name] for name in MAP) == reported
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def test_what_needs_a_map_is_refused_without_one(keys):
         T265Config(**keys)
 
 
-def test_an_uncertainty_that_is_told_to_nobody_is_refused():
+def test_an_uncertainty_for_no_sensor_is_refused():
     with pytest.raises(ValidationError, match="set wheel_odometry = true, or leave it out"):
         T265Config(wheel_sigma_m_s=0.01)
 
@@ -62,10 +62,10 @@ def test_an_uncertainty_that_is_told_to_nobody_is_refused():
 def test_wheel_odometry_needs_wheels(tmp_path):
     file = tmp_path / "bench.toml"
     file.write_text('schema = 1\nname = "b"\n[tracker]\nbackend = "emulated"\nwheel_odometry = true\n')
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as reported:
         load_bench(file)
-    assert "tracker.wheel_odometry" in str(told.value.problems)
-    assert "no [servos]" in str(told.value.problems)
+    assert "tracker.wheel_odometry" in str(reported.value.problems)
+    assert "no [servos]" in str(reported.value.problems)
 
 
 def test_poses_jump_only_where_they_may(tracker_bench, follow):
@@ -117,10 +117,10 @@ def test_a_camera_with_other_firmware_is_named(tracker_bench, known, keys, what)
     pipeline = bench.camera.pipeline()
     pipeline.resolve = lambda: NoSettings(known)
     driver = T265Tracker(bench.config, bench.clock, pipeline=pipeline)
-    with pytest.raises(DeviceError, match=what) as told:
+    with pytest.raises(DeviceError, match=what) as reported:
         driver.open()
-    assert "firmware 0.2.0.951" in told.value.expected
-    assert "pyrealsense2 2.53.1" in told.value.expected
+    assert "firmware 0.2.0.951" in reported.value.expected
+    assert "pyrealsense2 2.53.1" in reported.value.expected
 
 
 @pytest.mark.parametrize("mount", [(1.0, 0.0, 0.0, 0.0), TILTED])
@@ -142,7 +142,7 @@ def test_the_calibration_leads_from_the_body_to_the_cameras_axes(mount):
 
 
 def driven(bench, follow, v_x, v_y, seconds=4.0):
-    """Poses while the camera is told a velocity every 10 ms."""
+    """Poses while the camera is given a velocity every 10 ms."""
     samples = []
     for _ in range(round(seconds / 0.01)):
         bench.driver.take_wheel_velocity(v_x, v_y)
@@ -151,18 +151,18 @@ def driven(bench, follow, v_x, v_y, seconds=4.0):
 
 
 @pytest.mark.parametrize("mount", [(1.0, 0.0, 0.0, 0.0), TILTED])
-def test_wheels_that_are_told_rightly_lessen_the_cameras_error_of_scale(
+def test_correct_wheel_odometry_lessens_the_cameras_error_of_scale(
     tracker_bench, travelling_plant, follow, mount
 ):
     """Told in other axes, or wrongly, they would make it worse: frames are looked at, too."""
     twist = (0.08, -0.05, 0.3)
     off_m = {}
-    for wheels, told in (("none", None), ("right", twist[:2]), ("wrong", (-0.08, 0.05))):
-        config = {"mount_rotation_wxyz": mount, "wheel_odometry": told is not None}
+    for wheels, reported in (("none", None), ("right", twist[:2]), ("wrong", (-0.08, 0.05))):
+        config = {"mount_rotation_wxyz": mount, "wheel_odometry": reported is not None}
         plant = travelling_plant(twist=twist, tilt_rad=0.7)
         bench = tracker_bench(plant=plant, options=SCALED, config=config, seed=3)
         bench.driver.open()
-        samples = follow(bench, 4.0) if told is None else driven(bench, follow, *told)
+        samples = follow(bench, 4.0) if reported is None else driven(bench, follow, *reported)
         gone_m = float(np.linalg.norm(samples[-1].position_m - samples[0].position_m))
         arm = np.array([*bench.config.mount_position_m[:2]])
         ends = []
@@ -194,7 +194,7 @@ def test_what_is_no_calibration_is_not_taken(text):
     assert not WheelInput().load(text)
 
 
-def test_a_whole_bench_tells_its_camera_of_its_wheels():
+def test_a_whole_bench_reports_its_camera_of_its_wheels():
     with hil.open_bench("emulated", overrides={"tracker.wheel_odometry": True}) as bench:
         tracker = bench.rig.sensors["tracker"]
         bench.settle(0.5)
@@ -207,11 +207,11 @@ def test_a_whole_bench_tells_its_camera_of_its_wheels():
 
 
 def test_how_well_the_wheels_know_follows_from_the_estimators_noise():
-    told = {}
+    reported = {}
     for name, more in {"as it comes": {}, "worse": {"estimator.wheels.per_sqrt_m": 0.02}}.items():
         config = load_bench("emulated", overrides={"tracker.wheel_odometry": True, **more})
-        told[name] = with_wheel_sigma(config).tracker.wheel_sigma_m_s
-    assert told["worse"] > 2.0 * told["as it comes"]
+        reported[name] = with_wheel_sigma(config).tracker.wheel_sigma_m_s
+    assert reported["worse"] > 2.0 * reported["as it comes"]
     given = {"tracker.wheel_odometry": True, "tracker.wheel_sigma_m_s": 0.03}
     assert with_wheel_sigma(load_bench("emulated", overrides=given)).tracker.wheel_sigma_m_s == 0.03
 
@@ -219,11 +219,11 @@ def test_how_well_the_wheels_know_follows_from_the_estimators_noise():
 def test_settings_and_velocities_cross_the_feed(travelling_plant):
     world = World(travelling_plant(), seed=1)
     camera = T265(world)
-    face = TrackerFace(camera)
-    server = EmulationServer(world, MonotonicClock(), {"tracker": face})
+    transport = TrackerTransport(camera)
+    server = EmulationServer(world, MonotonicClock(), {"tracker": transport})
     thread = threading.Thread(target=server.run)
     thread.start()
-    where = face.endpoint()
+    where = transport.endpoint()
     endpoint = FeedEndpoint(host=where["host"], port=where["port"])
     driver = T265Tracker(T265Config(endpoint=endpoint, wheel_odometry=True, mapping=True), MonotonicClock())
     try:
@@ -235,7 +235,7 @@ def test_settings_and_velocities_cross_the_feed(travelling_plant):
                 break
         assert camera.wheels.taken > 5
         assert tuple(camera.settings[name] for name in MAP) == (1, 0, 0, 0)
-        assert face.strange == 0
+        assert transport.strange == 0
     finally:
         driver.close()
         server.stop()

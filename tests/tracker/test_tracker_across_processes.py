@@ -15,15 +15,15 @@ from hil.core.signals import Status
 from hil.core.tracker_feed import FEED_HEAD, FEED_MAGIC, FEED_SUBSCRIBE, INFO_RECORD, POSE_RECORD
 from hil.drivers.tracker import FeedPipeline, T265Tracker
 from hil.fakes.server import EmulationServer
-from hil.fakes.tracker import TrackerFace
+from hil.fakes.tracker import TrackerTransport
 from tests.tracker.software_device import SoftwareT265
 
 pytestmark = pytest.mark.real_time
 
 
 @contextlib.contextmanager
-def serving(world, faces):
-    server = EmulationServer(world, MonotonicClock(), faces)
+def serving(world, transports):
+    server = EmulationServer(world, MonotonicClock(), transports)
     thread = threading.Thread(target=server.run)
     thread.start()
     try:
@@ -42,21 +42,21 @@ def collect(driver, clock, duration_s):
     return samples
 
 
-def feed_config(face, **more):
-    endpoint = {key: face.endpoint()[key] for key in ("host", "port")}
+def feed_config(transport, **more):
+    endpoint = {key: transport.endpoint()[key] for key in ("host", "port")}
     return T265Config(endpoint=endpoint, **more)
 
 
 def test_the_driver_follows_a_feed(tracker_bench):
     bench = tracker_bench()
-    face = TrackerFace(bench.camera)
+    transport = TrackerTransport(bench.camera)
     clock = MonotonicClock()
-    driver = T265Tracker(feed_config(face), clock)
-    with serving(bench.world, {"tracker": face}):
+    driver = T265Tracker(feed_config(transport), clock)
+    with serving(bench.world, {"tracker": transport}):
         driver.open()
         samples = collect(driver, clock, 1.0)
         assert driver.identity()["serial"] == bench.camera.serial
-        assert driver.identity()["port"] == "127.0.0.1:{port}".format(**face.endpoint())
+        assert driver.identity()["port"] == "127.0.0.1:{port}".format(**transport.endpoint())
         driver.close()
         driver.open()
         again = collect(driver, clock, 0.2)
@@ -66,36 +66,36 @@ def test_the_driver_follows_a_feed(tracker_bench):
     assert samples[-1].velocity_m_s.size == 3
     assert np.linalg.norm(samples[-1].position_m - samples[0].position_m) > 0.02
     assert again[0].stamp.seq <= 10
-    assert face.filenos() == []
-    face.close()
+    assert transport.filenos() == []
+    transport.close()
 
 
 def test_a_feed_serves_several_clients_and_forgets_the_silent(tracker_bench):
     bench = tracker_bench()
-    face = TrackerFace(bench.camera)
-    port = face.endpoint()["port"]
+    transport = TrackerTransport(bench.camera)
+    port = transport.endpoint()["port"]
     hello = FEED_HEAD.pack(FEED_MAGIC, FEED_SUBSCRIBE)
-    bench.world.add(face)
+    bench.world.add(transport)
     with contextlib.ExitStack() as stack:
         clients = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2)]
         for client in clients:
             client.settimeout(2.0)
             for data in (b"", b"nonsense", hello):
                 client.sendto(data, ("127.0.0.1", port))
-                face.on_readable(face.filenos()[0], 0)
+                transport.on_readable(transport.filenos()[0], 0)
             assert len(client.recv(2048)) == INFO_RECORD.size
-        assert face.strange == 4
-        face.on_readable(face.filenos()[0], 0)
+        assert transport.strange == 4
+        transport.on_readable(transport.filenos()[0], 0)
         bench.clock.sleep_until_ns(500_000_000)
         assert [len(client.recv(2048)) for client in clients] == [POSE_RECORD.size] * 2
         bench.clock.sleep_until_ns(6_000_000_000)
-    assert not bench.camera.streams_to(face._pass_on)
-    face.close()
-    face.on_readable(0, 0)
-    assert face.next_due_ns() > bench.clock.now_ns()
+    assert not bench.camera.streams_to(transport._pass_on)
+    transport.close()
+    transport.on_readable(0, 0)
+    assert transport.next_due_ns() > bench.clock.now_ns()
 
 
-def test_nobody_at_the_other_end_is_a_device_error(tracker_bench):
+def test_nothing_at_the_other_end_is_a_device_error(tracker_bench):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
         silent.bind(("127.0.0.1", 0))
         config = T265Config(endpoint={"port": silent.getsockname()[1]})
@@ -105,9 +105,9 @@ def test_nobody_at_the_other_end_is_a_device_error(tracker_bench):
 
 def test_the_feed_of_another_camera_is_refused(tracker_bench):
     bench = tracker_bench("tracker:unplug@0+0.05")
-    face = TrackerFace(bench.camera)
-    with serving(bench.world, {"tracker": face}):
-        driver = T265Tracker(feed_config(face, serial="17"), MonotonicClock())
+    transport = TrackerTransport(bench.camera)
+    with serving(bench.world, {"tracker": transport}):
+        driver = T265Tracker(feed_config(transport, serial="17"), MonotonicClock())
         with pytest.raises(DeviceError, match=f"camera {bench.camera.serial}"):
             driver.open()
 
@@ -161,10 +161,10 @@ def test_strange_datagrams_and_a_vanished_server_do_not_end_the_reception():
 
 
 def test_a_port_in_use_cannot_be_served(tracker_bench):
-    face = TrackerFace(tracker_bench().camera)
+    transport = TrackerTransport(tracker_bench().camera)
     with pytest.raises(DeviceError, match="cannot be served"):
-        TrackerFace(tracker_bench().camera, port=face.endpoint()["port"])
-    face.close()
+        TrackerTransport(tracker_bench().camera, port=transport.endpoint()["port"])
+    transport.close()
 
 
 @pytest.fixture

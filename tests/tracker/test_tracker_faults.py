@@ -85,7 +85,9 @@ def test_a_frozen_camera_is_frozen_whatever_it_says_of_its_confidence(tracker_be
     assert follow(bench, 0.5)[-1].status is Status.FROZEN
 
 
-def test_wrong_scale_looks_plausible_and_wrong_confidence_is_told(tracker_bench, travelling_plant, follow):
+def test_wrong_scale_looks_plausible_and_wrong_confidence_is_reported(
+    tracker_bench, travelling_plant, follow
+):
     bench = tracker_bench(
         "tracker:wrong@1+1,scale=1.5",
         "tracker:wrong@3,confidence=0",
@@ -133,7 +135,9 @@ def test_late_poses_keep_their_time_and_very_late_ones_are_stale(tracker_bench, 
 
 
 @pytest.mark.parametrize("fault", ["tracker:reset@2", "tracker:off@2+0.5"])
-def test_a_restart_of_the_tracking_is_told_and_numbers_go_on(tracker_bench, travelling_plant, follow, fault):
+def test_a_restart_of_the_tracking_is_reported_and_numbers_go_on(
+    tracker_bench, travelling_plant, follow, fault
+):
     bench = tracker_bench(fault, plant=travelling_plant(twist=(0.2, 0.0, 0.0)))
     bench.driver.open()
     samples = follow(bench, 4.0)
@@ -146,7 +150,7 @@ def test_a_restart_of_the_tracking_is_told_and_numbers_go_on(tracker_bench, trav
     assert np.linalg.norm(samples[back].position_m) < 0.01
 
 
-def test_a_camera_that_finds_its_confidence_first_tells_of_its_restart_then(tracker_bench, follow):
+def test_a_camera_that_finds_its_confidence_first_reports_its_restart_then(tracker_bench, follow):
     bench = tracker_bench("tracker:off@2+0.5", options=replace(IDEAL, settle_s=(0.05, 0.15, 0.5)))
     bench.driver.open()
     marked = kinds(follow(bench, 4.0))

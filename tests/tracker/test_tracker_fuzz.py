@@ -1,4 +1,4 @@
-"""Whatever the camera (or somebody in its place) sends, the driver gives samples or an error of ours."""
+"""Whatever the camera (or another program) sends, the driver gives samples or an error of ours."""
 
 import contextlib
 import socket
@@ -34,7 +34,7 @@ POSES = st.builds(
 
 
 class Standing:
-    """A plant that nobody looks at."""
+    """A plant that is not observed."""
 
     t_ns = 0
 

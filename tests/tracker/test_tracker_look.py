@@ -10,7 +10,7 @@ from hil.devices.tracker import KIND, look
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
 
 
-def told(statuses):
+def reported(statuses):
     samples = [SimpleNamespace(status=status, confidence=3) for status in statuses]
     watched = Watched(KIND, MavlinkTrackerConfig(rate_hz=100.0), None, samples, 2.0, None, 100.0)
     return next(f for f in look(watched) if f.check == "samples")
@@ -18,17 +18,17 @@ def told(statuses):
 
 @pytest.mark.parametrize("rate_hz", [92, 96, 100])
 def test_a_sender_a_little_slower_than_written_is_well(rate_hz):
-    assert told([Status.OK] * 2 * rate_hz).level == "ok"
+    assert reported([Status.OK] * 2 * rate_hz).level == "ok"
 
 
-def test_a_sender_that_is_far_too_slow_is_told_and_its_lenses_are_not_blamed():
-    finding = told([Status.OK] * 120)
+def test_a_sender_that_is_far_too_slow_is_reported_and_its_lenses_are_not_blamed():
+    finding = reported([Status.OK] * 120)
     assert finding.level != "ok"
     assert "lens" not in finding.remedy
     assert "rate_hz" in finding.remedy
 
 
 def test_poses_that_are_no_good_are_the_camera_s():
-    finding = told([Status.OK] * 120 + [Status.LOW_CONFIDENCE] * 80)
+    finding = reported([Status.OK] * 120 + [Status.LOW_CONFIDENCE] * 80)
     assert finding.level != "ok"
     assert "lens" in finding.remedy

@@ -92,7 +92,7 @@ def common():
 
 @pytest.fixture
 def odometry(common):
-    """Makes a message by pymavlink itself: a pose in LOCAL_FRD, twist in BODY_FRD, unless told otherwise."""
+    """Makes a message by pymavlink itself: a pose in LOCAL_FRD, twist in BODY_FRD, unless asked otherwise."""
 
     def make(time_s=1.0, **changes):
         fields = {

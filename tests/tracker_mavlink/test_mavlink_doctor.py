@@ -68,7 +68,7 @@ def test_a_failed_odometry_is_a_failure(mavlink_bench):
     assert found["quality"].level == "failure"
 
 
-def test_losses_are_told(mavlink_bench):
+def test_losses_are_reported(mavlink_bench):
     found = findings(mavlink_bench("tracker:drop,probability=0.3"))
     assert found["rate"].level == "warning"
 

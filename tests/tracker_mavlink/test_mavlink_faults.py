@@ -28,7 +28,7 @@ def position_step(samples, index):
 
 
 def test_a_reset_count_stops_the_use_of_poses_until_they_are_steady(mavlink_bench):
-    """A correction of 5 mm looks like motion: only the count tells that the frame is another one."""
+    """A correction of 5 mm looks like motion: only the count shows that the frame is another one."""
     bench = mavlink_bench("tracker:jump@2,distance_m=0.005")
     bench.driver.open()
     samples = follow(bench, 3.0)
@@ -42,7 +42,7 @@ def test_a_reset_count_stops_the_use_of_poses_until_they_are_steady(mavlink_benc
     )
 
 
-def test_a_jump_without_a_new_count_is_told_by_its_distance(mavlink_bench):
+def test_a_jump_without_a_new_count_is_reported_by_its_distance(mavlink_bench):
     bench = mavlink_bench(
         "tracker:jump@2,distance_m=0.3,announced=0", "tracker:jump@4,distance_m=0.005,announced=0"
     )
@@ -117,7 +117,9 @@ def test_a_frozen_sender_is_frozen_whatever_it_says_of_its_quality(mavlink_bench
     assert until(bench, 4.0)[-1].status is Status.FROZEN
 
 
-def test_wrong_scale_looks_plausible_and_wrong_quality_and_frames_are_told(mavlink_bench, travelling_plant):
+def test_wrong_scale_looks_plausible_and_wrong_quality_and_frames_are_reported(
+    mavlink_bench, travelling_plant
+):
     bench = mavlink_bench(
         "tracker:wrong@2+1,scale=1.5",
         "tracker:wrong@4+1,quality=-1",
@@ -208,7 +210,7 @@ def test_a_short_silence_is_a_gap(mavlink_bench):
     assert kinds(samples).count(Status.RESET) == 1
 
 
-def test_a_sender_that_restarts_without_confidence_tells_so_with_its_first_good_pose(mavlink_bench):
+def test_a_sender_that_restarts_without_confidence_reports_so_with_its_first_good_pose(mavlink_bench):
     bench = mavlink_bench("tracker:off@2+0.5", options=replace(IDEAL, settle_s=(0.05, 0.15, 0.0)))
     bench.driver.open()
     states = kinds(until(bench, 5.0))

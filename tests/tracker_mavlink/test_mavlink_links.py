@@ -16,7 +16,7 @@ from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
 from hil.devices.tracker.mavlink.driver import MavlinkTracker
 from hil.devices.tracker.mavlink.emulated_computer import ComputerTruthOptions
 from hil.devices.tracker.mavlink.emulated_serial import SerialComputer
-from hil.devices.tracker.mavlink.emulated_udp import MavlinkFace
+from hil.devices.tracker.mavlink.emulated_udp import MavlinkTransport
 from hil.fakes.free_port import free_udp_port
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
@@ -30,8 +30,8 @@ BAUD = 921_600
 
 
 @contextlib.contextmanager
-def serving(world, face):
-    server = EmulationServer(world, MonotonicClock(), {"tracker": face})
+def serving(world, transport):
+    server = EmulationServer(world, MonotonicClock(), {"tracker": transport})
     thread = threading.Thread(target=server.run)
     thread.start()
     try:
@@ -59,9 +59,9 @@ def check_poses(samples, least):
 
 def test_a_driver_that_speaks_first_follows_a_computer_on_udp(mavlink_bench):
     bench = mavlink_bench(options=ComputerTruthOptions())
-    face = MavlinkFace(bench.computer)
-    real = RealTime(port=face.endpoint()["port"], system_id=face.endpoint()["system_id"])
-    with serving(bench.world, face):
+    transport = MavlinkTransport(bench.computer)
+    real = RealTime(port=transport.endpoint()["port"], system_id=transport.endpoint()["system_id"])
+    with serving(bench.world, transport):
         real.driver.open()
         assert real.driver.identity()["component"] == "197 (visual_inertial_odometry)"
         assert real.driver.identity()["firmware"] == "1.4.2"
@@ -71,15 +71,15 @@ def test_a_driver_that_speaks_first_follows_a_computer_on_udp(mavlink_bench):
         real.driver.open()
         assert follow(real, 0.2)
         real.driver.close()
-    assert face.filenos() == []
-    face.close()
+    assert transport.filenos() == []
+    transport.close()
 
 
-def test_a_driver_that_waits_follows_a_computer_that_was_told_its_address(mavlink_bench):
+def test_a_driver_that_waits_follows_a_computer_that_was_reported_its_address(mavlink_bench):
     bench, port = mavlink_bench(options=ComputerTruthOptions()), free_udp_port()
-    face = MavlinkFace(bench.computer, target=("127.0.0.1", port))
+    transport = MavlinkTransport(bench.computer, target=("127.0.0.1", port))
     real = RealTime(port=f"udpin:127.0.0.1:{port}")
-    with serving(bench.world, face):
+    with serving(bench.world, transport):
         real.driver.open()
         check_poses(follow(real, 1.0), 60)
         assert real.driver.findings()[1].found.startswith("round trip")
@@ -127,7 +127,7 @@ def test_what_lay_in_a_serial_ports_buffer_is_no_sign_of_life(serial_bench):
         bench.driver.open()
 
 
-def test_a_serial_line_at_another_rate_is_told_from_silence(serial_bench):
+def test_a_serial_line_at_another_rate_is_distinguished_from_silence(serial_bench):
     bench = serial_bench(baud=57_600, open_timeout_s=1.0)
     with pytest.raises(DeviceTimeoutError, match=r"no MAVLink.*talks at 57600 baud"):
         bench.driver.open()
@@ -143,15 +143,15 @@ def test_wire_faults_of_the_serial_line(serial_bench):
 
 def test_a_serial_port_in_real_time(mavlink_bench):
     bench = mavlink_bench(options=ComputerTruthOptions())
-    face = SerialPty(SerialLine(bench.world, SerialComputer(bench.computer, baud=BAUD)), {"baud": BAUD})
-    real = RealTime(port=face.endpoint()["port"], baud=BAUD)
-    with serving(bench.world, face):
+    transport = SerialPty(SerialLine(bench.world, SerialComputer(bench.computer, baud=BAUD)), {"baud": BAUD})
+    real = RealTime(port=transport.endpoint()["port"], baud=BAUD)
+    with serving(bench.world, transport):
         real.driver.open()
         check_poses(follow(real, 1.0), 60)
         real.driver.close()
 
 
-def test_nobody_at_the_other_end_says_where_to_look():
+def test_nothing_at_the_other_end_says_where_to_look():
     port = free_udp_port()
     with pytest.raises(DeviceTimeoutError, match=f"nothing arrives within 0.2 s.*UDP port {port} of this"):
         RealTime(port=f"udpin:127.0.0.1:{port}", open_timeout_s=0.2).driver.open()
@@ -173,7 +173,7 @@ def test_a_port_that_another_program_holds_or_that_is_not_there_is_a_device_erro
         RealTime(port="udpin:203.0.113.7:14550").driver.open()
 
 
-def test_another_program_that_sends_to_the_port_is_told_from_a_sender(by_hand):
+def test_another_program_that_sends_to_the_port_is_distinguished_from_a_sender(by_hand):
     bench = by_hand(opened=False)
     bench.link.arrive(raw=b'{"not": "mavlink"}')
     with pytest.raises(DeviceTimeoutError, match=r"what arrives is no MAVLink.*another program"):
@@ -254,15 +254,15 @@ def test_a_connection_that_cannot_be_meant_is_refused(port):
 
 def test_a_computer_forgets_listeners_that_fall_silent_and_cannot_have_a_taken_port(mavlink_bench):
     bench = mavlink_bench()
-    face = MavlinkFace(bench.computer)
-    bench.world.add(face)
-    port = int(face.endpoint()["port"].rsplit(":", 1)[1])
+    transport = MavlinkTransport(bench.computer)
+    bench.world.add(transport)
+    port = int(transport.endpoint()["port"].rsplit(":", 1)[1])
     with pytest.raises(DeviceError, match="cannot be served"):
-        MavlinkFace(bench.computer, port=port)
+        MavlinkTransport(bench.computer, port=port)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
         client.settimeout(2.0)
         client.sendto(b"hello", ("127.0.0.1", port))
-        face.on_readable(face.filenos()[0], 0)
+        transport.on_readable(transport.filenos()[0], 0)
         bench.clock.sleep_until_ns(1_000_000_000)
         assert client.recv(2048)[:1] == b"\xfd"
         bench.clock.sleep_until_ns(7_000_000_000)
@@ -273,5 +273,5 @@ def test_a_computer_forgets_listeners_that_fall_silent_and_cannot_have_a_taken_p
         bench.clock.sleep_until_ns(8_000_000_000)
         with pytest.raises(BlockingIOError):
             client.recv(2048)
-    face.close()
-    face.on_readable(0, 0)
+    transport.close()
+    transport.on_readable(0, 0)

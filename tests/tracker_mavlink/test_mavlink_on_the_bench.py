@@ -17,7 +17,7 @@ from hil.core.registry import kinds
 from hil.core.signals import Status
 from hil.devices.tracker.mavlink.emulated_computer import ComputerTruthOptions
 from hil.devices.tracker.mavlink.emulated_serial import SerialComputer
-from hil.devices.tracker.mavlink.emulated_udp import MavlinkFace
+from hil.devices.tracker.mavlink.emulated_udp import MavlinkTransport
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.recording.mcap_writer import McapRecorder
@@ -82,7 +82,7 @@ def test_the_estimate_needs_it_and_the_same_seed_gives_the_same_bits(driven):
 
 
 @pytest.mark.parametrize("distance_m", [0.015, pytest.param(0.3, marks=pytest.mark.long)])
-def test_a_correction_of_the_senders_map_is_told_and_the_estimate_stays(distance_m):
+def test_a_correction_of_the_senders_map_is_reported_and_the_estimate_stays(distance_m):
     """One that is too small for a gate by far, and one that no gate would miss."""
     motion, error_m = drive(f"tracker:jump@4,distance_m={distance_m}")
     assert Status.RESET in {s.status for s in tracker_samples(motion)}
@@ -145,9 +145,9 @@ def test_ids_and_frame_of_the_bench_file_are_those_of_the_emulated_sender():
 @pytest.mark.alone
 def test_discovery_finds_a_sender_on_a_serial_port(mavlink_bench):
     bench = mavlink_bench(options=ComputerTruthOptions())
-    face = SerialPty(SerialLine(bench.world, SerialComputer(bench.computer, baud=BAUD)))
-    port = face.endpoint()["port"]
-    with serving(bench.world, face):
+    transport = SerialPty(SerialLine(bench.world, SerialComputer(bench.computer, baud=BAUD)))
+    port = transport.endpoint()["port"]
+    with serving(bench.world, transport):
         found = kinds()["tracker"].model("mavlink").probe(port, MonotonicClock())
     assert found.table == {"port": port, "system_id": 1, "component_id": 197}
     assert "visual_inertial_odometry" in found.notes[0]
@@ -156,12 +156,12 @@ def test_discovery_finds_a_sender_on_a_serial_port(mavlink_bench):
 @pytest.mark.alone
 def test_discovery_finds_a_sender_at_the_ground_stations_port(mavlink_bench, tmp_path):
     bench = mavlink_bench(options=ComputerTruthOptions())
-    face = MavlinkFace(bench.computer, target=("127.0.0.1", 14550))
+    transport = MavlinkTransport(bench.computer, target=("127.0.0.1", 14550))
     said = []
     model = kinds()["tracker"].model("mavlink")
     search = Search({}, MonotonicClock(), said.append, tmp_path)
     assert model.search(search) is None
-    with serving(bench.world, face):
+    with serving(bench.world, transport):
         found = model.search(search)
     assert found.table == {"port": "udpin:0.0.0.0:14550", "system_id": 1, "component_id": 197}
     assert said == ["listening for MAVLink odometry at udpin:0.0.0.0:14550"] * 2

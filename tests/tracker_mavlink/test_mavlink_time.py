@@ -89,7 +89,7 @@ def test_a_step_that_two_trips_cannot_explain_starts_anew():
     assert sync.steps == 1
 
 
-def test_answers_nobody_asked_for_or_that_come_too_late_are_passed_over_and_old_ones_forgotten():
+def test_answers_that_were_not_asked_for_or_that_come_too_late_are_passed_over_and_old_ones_forgotten():
     sync = TimeSync()
     assert not sync.answered(5, 6, 7)
     assert sync.due(0)
@@ -157,7 +157,7 @@ def test_a_pose_that_comes_twice_or_after_a_newer_one_is_passed_over(by_hand, od
     assert bench.driver.counts["repeated"] == 2
 
 
-def test_a_sender_without_a_clock_is_told_from_a_silent_one(by_hand, odometry):
+def test_a_sender_without_a_clock_is_distinguished_from_a_silent_one(by_hand, odometry):
     """Every pose bears the same time stamp, though packets go on arriving."""
     bench = by_hand()
 

@@ -106,7 +106,7 @@ def test_a_refusal_is_the_same_as_by_looking_one_by_one(trajectory, limits):
 
 
 @pytest.mark.parametrize("where", [1, 20_000, 20_001, 33_333])
-def test_the_first_of_many_offences_is_told_wherever_it_comes(where):
+def test_the_first_of_many_offences_is_reported_wherever_it_comes(where):
     """Stretches of 10 ms: that which is too quick, and a later one that is quicker."""
     quick = {where: 1.0, where + 5: 2.0}
     parts = [
@@ -121,7 +121,7 @@ def test_the_first_of_many_offences_is_told_wherever_it_comes(where):
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
-def test_what_is_no_number_in_the_middle_is_told_with_its_time(value):
+def test_what_is_no_number_in_the_middle_is_reported_with_its_time(value):
     good = tr.line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=2.0).segments[0]
     for axis in range(3):
         end = tuple(value if k == axis else 0.0 for k in range(3))

@@ -157,7 +157,7 @@ def test_waypoints_from_csv(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("rows", "told"),
+    ("rows", "reported"),
     [
         ("0,0,0\n0.1,0,0\n0.1,0,0\n", "line 4 repeats the waypoint before it; expected"),
         ("0,0,0\n1e-9,0,0\n", "line 3 repeats"),
@@ -166,10 +166,10 @@ def test_waypoints_from_csv(tmp_path):
         ("".join(f"{1e-3 * k},0,0\n" for k in range(MOST_WAYPOINTS + 1)), "holds more than 10000 waypoints"),
     ],
 )
-def test_waypoints_that_nobody_can_drive_through_name_file_and_line(tmp_path, rows, told):
+def test_waypoints_that_cannot_be_driven_name_file_and_line(tmp_path, rows, reported):
     path = tmp_path / "way.csv"
     path.write_text("x,y,theta\n" + rows)
-    with pytest.raises(DataError, match=rf"way\.csv: {told}"):
+    with pytest.raises(DataError, match=rf"way\.csv: {reported}"):
         read_waypoints(path)
 
 

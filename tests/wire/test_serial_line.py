@@ -1,4 +1,4 @@
-"""The emulated serial line as a client meets it: pacing, latency, time-outs, faults, in both faces."""
+"""The emulated serial line as a client meets it: pacing, latency, time-outs, faults, in both transports."""
 
 import os
 import threading
@@ -236,12 +236,12 @@ def asked_until(port, done):
 def test_a_terminal_client_is_heard_at_the_rate_it_has_set(baud):
     chip = Echo(baud=baud)
     world = World(Still())
-    face = SerialPty(SerialLine(world, chip), {"baud": baud})
-    server = EmulationServer(world, MonotonicClock(), {"echo": face})
+    transport = SerialPty(SerialLine(world, chip), {"baud": baud})
+    server = EmulationServer(world, MonotonicClock(), {"echo": transport})
     thread = threading.Thread(target=server.run)
     thread.start()
     try:
-        with serial.Serial(face.endpoint()["port"], baud, timeout=2.0) as port:
+        with serial.Serial(transport.endpoint()["port"], baud, timeout=2.0) as port:
             assert asked_until(port, lambda answer: answer == b"HELLO")
             assert chip.heard[-1][2] == baud
             port.baudrate = 19_200
@@ -252,46 +252,46 @@ def test_a_terminal_client_is_heard_at_the_rate_it_has_set(baud):
     finally:
         server.stop()
         thread.join(5)
-    assert not face.filenos()
-    assert not os.path.exists(face.endpoint()["port"] or "gone")
+    assert not transport.filenos()
+    assert not os.path.exists(transport.endpoint()["port"] or "gone")
 
 
-def test_a_terminal_that_nobody_reads_loses_and_counts():
+def test_a_terminal_that_is_not_read_loses_and_counts():
     chip = Echo()
     world = World(Still())
     line = SerialLine(world, chip, latency_s=0.001)
-    face = SerialPty(line)
+    transport = SerialPty(line)
     try:
-        while face.lost < 500 and world.now_ns < 60_000_000_000:
+        while transport.lost < 500 and world.now_ns < 60_000_000_000:
             line.send(b"a" * 62, 115_200)
             world.advance_to(world.now_ns + 20_000_000)
-            while face.next_due_ns() <= world.now_ns:
-                face.on_due(world.now_ns)
-        assert face.lost >= 500
+            while transport.next_due_ns() <= world.now_ns:
+                transport.on_due(world.now_ns)
+        assert transport.lost >= 500
     finally:
-        face.close()
+        transport.close()
     line.send(b"late", 115_200)
     world.advance_to(world.now_ns + 100_000_000)
-    face.on_due(world.now_ns)
-    face.close()
-    assert face.endpoint()["port"] == ""
+    transport.on_due(world.now_ns)
+    transport.close()
+    assert transport.endpoint()["port"] == ""
 
 
 def test_what_a_chip_says_far_too_late_is_lost_and_counted():
     """A client would take it for the answer to what it has asked since."""
     world = World(Still())
     line = SerialLine(world, Echo())
-    face = SerialPty(line)
+    transport = SerialPty(line)
     try:
-        with serial.Serial(face.endpoint()["port"], 115_200, timeout=0.0) as port:
-            for face.behind, heard in ((True, b""), (False, b"LATE")):
+        with serial.Serial(transport.endpoint()["port"], 115_200, timeout=0.0) as port:
+            for transport.behind, heard in ((True, b""), (False, b"LATE")):
                 line.send(b"late", 115_200)
                 world.advance_to(world.now_ns + 20_000_000)
-                face.on_due(world.now_ns)
+                transport.on_due(world.now_ns)
                 assert port.read(10) == heard
-        assert face.lost == 4
+        assert transport.lost == 4
     finally:
-        face.close()
+        transport.close()
 
 
 class Deaf(Beacon):

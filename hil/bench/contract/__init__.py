@@ -6,8 +6,8 @@ as tests. A check takes what it judges, returns what it measured in a few words,
 
 from hil.bench.contract.at_rest import AT_REST
 from hil.bench.contract.delays import BUSY_SHARE, delays_at_rest, delays_in_motion, idle_for, punctuality
+from hil.bench.contract.device_under_test import Broken, Subject, due, judged, oldest_s, read_for
 from hil.bench.contract.in_motion import IN_MOTION, without_restart
-from hil.bench.contract.subject import Broken, Subject, due, judged, oldest_s, read_for
 
 __all__ = [
     "AT_REST",

@@ -1,4 +1,4 @@
-"""What every device promises while nothing is commanded."""
+"""Contract checks of a device while nothing is commanded: identity, reopening, stamps, missing data."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from hil.bench.contract.device_under_test import SHARE, SHORT_S, WATCH_S, Broken, Subject, due, read_for
 from hil.bench.contract.losses import loses_next_to_nothing
 from hil.bench.contract.stillness import sees_no_motion
-from hil.bench.contract.subject import SHARE, SHORT_S, WATCH_S, Broken, Subject, due, read_for
 from hil.bench.third_party.contract_findings import EARLY_NS, OLDEST_NS
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import DeviceError
@@ -30,8 +30,8 @@ from hil.core.signals import (
     worst,
 )
 from hil.devices.doctor_watch import MORE_FAILURE, surplus
-from hil.recording.compare import first_difference
 from hil.recording.cycle_codec import DTYPES, CycleCodec
+from hil.recording.record_comparison import first_difference
 
 LONGEST_READ_NS = nanoseconds(0.06)
 NOTHING = (Status.TIMEOUT, Status.CRC, Status.PARITY, Status.PROTOCOL)

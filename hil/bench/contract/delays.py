@@ -1,4 +1,4 @@
-"""How late a bench is: how old samples are when they arrive, and how long after a command the axes turn.
+"""Measures delays: the age of samples when they arrive, and the time from a command to the turn of the axes.
 
 What a stand allows. From command to motion of the body, and how far each device's stamps are off, is what the
 procedure `latency` measures on the wheels.
@@ -11,9 +11,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from hil.bench.bench import Bench
+from hil.bench.contract.device_under_test import Broken, Subject, oldest_s
 from hil.bench.contract.in_motion import at_loop_rate, enabled, fresh, still
-from hil.bench.contract.subject import Broken, Subject, oldest_s
-from hil.bench.settings import real_time
+from hil.bench.loop_settings import real_time
 from hil.config.bench import BenchConfig
 from hil.core.clock import NS_PER_S, MonotonicClock, nanoseconds
 from hil.core.finding import Finding
@@ -55,7 +55,7 @@ def delays_at_rest(subject: Subject) -> str:
 
 
 def punctuality(config: BenchConfig) -> Finding:
-    """How punctual this computer is for now: a loop that does nothing, at the bench's rate, in real time."""
+    """Measure how punctual this computer is: by an idle loop at the bench's rate, in real time."""
     found = idle_for(config, _IDLE_S)
     late = found.late / max(found.cycles, 1)
     return Finding(
@@ -91,7 +91,7 @@ def delays_in_motion(bench: Bench) -> Iterator[Finding]:
     """
     steering, encoders, wheels = list[float](), list[float](), list[float]()
     if (sensor := bench.rig.get("encoders")) is not None:
-        sensor.close()  # what has piled up while nothing read them is of no use
+        sensor.close()  # samples from before this read are of no use
         sensor.open()
     with enabled(bench) as start:
         at_loop_rate(bench, 0.3, still(start))
@@ -131,7 +131,7 @@ def _delay(device: str, check: str, found_s: Array) -> Finding:
 
 
 def _agreement(servos_ms: float, encoders_ms: float) -> Finding:
-    """The same turn told by two: who tells it later tells of the past, or stamps its samples too late."""
+    """Servos and encoders measure the same turn: the later one delays its values, or stamps them too late."""
     apart_ms = abs(servos_ms - encoders_ms)
     right = apart_ms <= 1e3 * _APART_S
     late, other = ("servos", "encoders") if servos_ms > encoders_ms else ("encoders", "servos")

@@ -1,4 +1,4 @@
-"""Whether each fault that an emulated device declares changes anything that its driver or its robot shows.
+"""Checks that each declared fault of an emulated device changes what its driver or its robot shows.
 
 A fault that does nothing is worse than none: what is tested with it passes, and nothing was tested. Each run
 is of a bench of its own, from the same seed, with wheels and steering that move where there are any; what is
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.bench import Bench
-from hil.bench.contract.subject import Broken, Subject
+from hil.bench.contract.device_under_test import Broken, Subject
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import HilError
 from hil.core.registry import kinds
@@ -25,7 +25,7 @@ from hil.fakes.fault import parse_fault
 _WATCH_S, _AT_S = 1.5, 0.5
 _SWING_RAD, _RATE_RAD_S, _PERIOD_S = 0.2, 1.0, 1.0
 
-Seen = tuple[Any, ...]
+Samples = tuple[Any, ...]
 
 
 def each_fault_acts(subject: Subject) -> str:
@@ -50,7 +50,7 @@ def _declared(subject: Subject) -> tuple[str, ...]:
     return () if world is None else tuple(world.faults.supported.get(subject.kind, ()))
 
 
-def _seen(anew: Callable[[], Bench], kind: str, fault: str) -> Seen:
+def _seen(anew: Callable[[], Bench], kind: str, fault: str) -> Samples:
     """What a run shows: samples, what was raised, and how the robot moved."""
     bench = anew()
     world = bench.world
@@ -63,7 +63,7 @@ def _seen(anew: Callable[[], Bench], kind: str, fault: str) -> Seen:
             at_s = began_ns / NS_PER_S + _AT_S
             world.faults.add(parse_fault(f"{kind}:{fault}@{at_s:.3f}{_SURELY.get(fault, '')}"))
         reported += _watched(bench, kind)
-        reported.append(_told_of(bench.truth()))
+        reported.append(_text_of(bench.truth()))
         reported.append(world.plant.adhesion_n())
     finally:
         bench.close()
@@ -83,7 +83,7 @@ def _watched(bench: Bench, kind: str) -> Iterator[Any]:
                 opened.append(one)
         if servos is not None:
             servos.enable()
-        yield from map(_told_of, _driven(bench, device, servos, holds=kinds()[kind].holds_robot))
+        yield from map(_text_of, _driven(bench, device, servos, holds=kinds()[kind].holds_robot))
         yield {k: v for k, v in vars(device).items() if type(v) is int and not k.startswith("_")}
     except HilError as error:
         yield str(error)
@@ -108,13 +108,13 @@ def _driven(bench: Bench, device: Any, servos: Any, *, holds: bool) -> Iterator[
         bench.clock.sleep_until_ns(next_ns)
 
 
-def _told_of(value: Any) -> str:
+def _text_of(value: Any) -> str:
     """All of a sample in words that compare, NaN as NaN, and every digit of an array."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
     if is_dataclass(value):
-        own = (f"{field.name}={_told_of(getattr(value, field.name))}" for field in fields(value))
+        own = (f"{field.name}={_text_of(getattr(value, field.name))}" for field in fields(value))
         return f"{type(value).__name__}({', '.join(own)})"
     if isinstance(value, tuple):
-        return f"({', '.join(map(_told_of, value))})"
+        return f"({', '.join(map(_text_of, value))})"
     return repr(value)

@@ -1,4 +1,4 @@
-"""What the servos promise when they are commanded. Wheels turn: the robot is on a stand or on an open floor.
+"""Contract checks of commanded servos. Wheels turn: the robot is on a stand or on an open floor.
 
 Every check takes a bench whose servos are open, ends with wheels at rest and torque on, and puts the steering
 back to where it was.
@@ -13,7 +13,7 @@ from typing import Any, cast
 import numpy as np
 
 from hil.bench.bench import Bench
-from hil.bench.contract.subject import Broken
+from hil.bench.contract.device_under_test import Broken
 from hil.config.servos import ServosConfig
 from hil.core.clock import nanoseconds
 from hil.core.geometry import Array
@@ -30,7 +30,7 @@ _HEALTH_S, _SILENT_S = 2.5, 1.5
 
 
 def pause(bench: Bench, duration_s: float) -> None:
-    """Let time pass in which nothing talks to a device."""
+    """Let time pass without talking to a device."""
     bench.clock.sleep_until_ns(bench.clock.now_ns() + nanoseconds(duration_s))
 
 
@@ -135,7 +135,7 @@ def a_forgotten_wheel_stops(bench: Bench) -> str:
 
 
 def obeys_after_silence(bench: Bench) -> str:
-    """Servos that nothing talked to are looked after, and obey the next goals."""
+    """Servos without requests for a while are kept alive, and obey the next goals."""
     with enabled(bench) as start:
         pause(bench, 5.0 * _table(bench).watchdog_s)
         trouble = _servos(bench).look_after().trouble

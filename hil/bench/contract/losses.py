@@ -1,4 +1,4 @@
-"""Whether a device loses samples, or starts over, while it is watched: by the limit that `bring_up` has.
+"""Checks that a device loses no samples and does not restart while it is watched, by the limit of `bring_up`.
 
 What comes late is not lost. In real time a device may be watched more often, and the best time counts; where
 this computer turns out to be busy, what it has not heard is not held against the device.
@@ -7,7 +7,7 @@ this computer turns out to be busy, what it has not heard is not held against th
 from __future__ import annotations
 
 from hil.bench.contract.delays import BUSY_SHARE, idle_for
-from hil.bench.contract.subject import SHARE, Broken, Subject, due, read_for
+from hil.bench.contract.device_under_test import SHARE, Broken, Subject, due, read_for
 from hil.core.registry import kinds
 from hil.core.signals import Status, worst
 from hil.devices.doctor_watch import SUPPLY, restarted
@@ -17,7 +17,7 @@ _AT_THE_ENDS = 1
 
 
 def loses_next_to_nothing(subject: Subject) -> str:
-    """Of the samples that are due as many are good as `bring_up` asks for; none says that it began anew.
+    """Check that as many of the due samples are good as `bring_up` asks for, and that none reports a restart.
 
     It begins to count when the device has had time to start, as the doctor does.
     """

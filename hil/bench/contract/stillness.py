@@ -1,10 +1,10 @@
-"""Whether position sensors (camera, motion capture) see a resting robot rest."""
+"""Checks that position sensors (camera, motion capture) report no motion of a resting robot."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from hil.bench.contract.subject import Broken, Subject, read_for
+from hil.bench.contract.device_under_test import Broken, Subject, read_for
 from hil.core.clock import NS_PER_S
 from hil.core.registry import kinds
 
@@ -14,7 +14,7 @@ MOST_M_S = 0.005
 
 
 def sees_no_motion(subject: Subject) -> str:
-    """The position that a device tells of a robot at rest drifts by less than 5 mm/s."""
+    """The position that a device reports of a robot at rest drifts by less than 5 mm/s."""
     kind = kinds()[subject.kind]
     if not (kind.motion_threshold and kind.measures_position):
         return "reports no position"

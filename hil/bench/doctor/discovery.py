@@ -1,8 +1,8 @@
-"""Looks for the devices of a bench and writes down what it found as a ready `bench.toml`.
+"""Finds the devices of a bench and writes a ready `bench.toml`.
 
 Serial ports are named by their USB serial number where the system offers that. Each port is asked
 by every model of the registry that a serial port may hold, those that answer quickly first. What may hold the
-robot is left alone (`ports_not_asked`), and what is written to the other ports can be told before.
+robot is left alone (`ports_not_asked`), and what is written to the other ports can be announced before.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def stable_name(port: str) -> str:
 
 
 def what_is_written() -> list[str]:
-    """What discovery writes to a serial port that it asks, in the order in which it does."""
+    """The requests that discovery writes to a serial port, in order."""
     return [model.probe_writes for model in _asking() if model.probe_writes]
 
 
@@ -121,7 +121,7 @@ def discover(
         given: by kind, tables of devices to ask that are not on a serial port (CAN buses to listen on,
             capture servers); what the system itself offers otherwise.
         say: receives progress.
-        sysfs: where the kernel tells of its devices.
+        sysfs: folder in which the kernel describes its devices.
     """
     found = Discovery(not_asked=dict(left_alone or {}))
     models = [model for kind in kinds().values() for model in kind.models]
@@ -134,11 +134,11 @@ def discover(
     places: dict[str, list[str]] = {name: [] for name in kinds()}
     for model in models:
         if model.can_search and model.kind not in found.sections:
-            told = places[model.kind]
+            tried = places[model.kind]
 
-            def tell(text: str, told: list[str] = told) -> None:
+            def tell(text: str, tried: list[str] = tried) -> None:
                 say(text)
-                told.append(text)
+                tried.append(text)
 
             answer = model.search(Search(given or {}, clock, tell, sysfs, found.sections))
             if answer is not None:
@@ -151,13 +151,13 @@ def discover(
     return found
 
 
-def _where(models: Sequence[DeviceModel], ports: str, told: Sequence[str]) -> list[str]:
-    """Where a kind was looked for, and what would have it looked for elsewhere."""
-    found = list(dict.fromkeys(told))
+def _where(models: Sequence[DeviceModel], ports: str, tried: Sequence[str]) -> list[str]:
+    """Where a kind was looked for, and the options for other places."""
+    found = list(dict.fromkeys(tried))
     if any(model.can_probe for model in models):
         found.insert(0, ports)
     searched = [model for model in models if model.can_search]
-    if not told and searched:
+    if not tried and searched:
         on_bus = any(issubclass(model.config, CanConfig) for model in searched)
         at = (
             "--mocap ADDRESS"

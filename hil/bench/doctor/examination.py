@@ -1,4 +1,4 @@
-"""Examines a bench without moving it: what answers, how well, and what to do about what does not.
+"""Examines a bench without moving it: findings with remedies for each device.
 
 Every device is opened by itself, so that one that is missing does not hide the others, and then read
 at the loop rate for a while. The findings are data; `hil doctor` prints them.
@@ -19,7 +19,7 @@ from hil.bench.doctor.inertial_offsets import changed_between
 from hil.bench.doctor.steering_offsets import slipped_between
 from hil.bench.drivers import model_of
 from hil.bench.hold.tilt import tilt_finding
-from hil.bench.settings import wheel_model
+from hil.bench.loop_settings import wheel_model
 from hil.bench.third_party.added_checks import checks_of
 from hil.bench.third_party.contract_findings import find_contract_breaks
 from hil.config.adhesion import AdhesionConfig
@@ -99,7 +99,7 @@ def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> I
     Args:
         bench: as `open_bench` returned it; its devices are opened and closed here.
         watch_s: how long each is read.
-        host: where the machine tells of itself.
+        host: folders in which the kernel describes this machine.
 
     Raises:
         Aborted: a person or a signal ended it.
@@ -142,7 +142,7 @@ def _examine_one(
     try:
         device.open()
     except Aborted:
-        raise  # whoever ended it: that says nothing of the device
+        raise  # a stop from outside says nothing of the device
     except HilError as error:
         yield _slowness_first(reported, _failure(device, "open", error))
         return
@@ -183,9 +183,9 @@ def _failure(device: Device, check: str, error: HilError) -> Finding:
     return Finding.of_error(device.name, check, error)
 
 
-def _slowness_first(told: list[Finding], finding: Finding) -> Finding:
-    """A slow adapter makes all that is behind it look dead: that is to be mended first."""
-    slow = [f.remedy for f in told if f.check in _SLOWNESS and f.level != "ok"]
+def _slowness_first(earlier: list[Finding], finding: Finding) -> Finding:
+    """Put the remedy for a slow adapter first: it makes all that is behind it look dead."""
+    slow = [f.remedy for f in earlier if f.check in _SLOWNESS and f.level != "ok"]
     if not slow or finding.level != "failure" or finding.check not in _HURT_BY_SLOWNESS:
         return finding
     return replace(finding, remedy=f"{slow[-1]}; then look again")

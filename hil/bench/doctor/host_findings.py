@@ -1,4 +1,4 @@
-"""What the machine does to the ports of a bench: other programs on them, USB supply, names that change."""
+"""Findings on the ports of a bench: other programs that use them, USB supply, unstable names."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _GRABBERS = {
 
 @dataclass(frozen=True)
 class Host:
-    """Where this machine tells of itself.
+    """Folders in which the kernel describes this machine.
 
     Attributes:
         sysfs, proc: of the kernel.
@@ -59,7 +59,7 @@ def host_findings(config: BenchConfig, host: Host) -> Iterator[Finding]:
 
     Args:
         config: of the bench.
-        host: where the machine tells of itself.
+        host: folders in which the kernel describes this machine.
     """
     ports = real_ports(config)
     if ports:
@@ -98,7 +98,7 @@ def _names(name: str, port: str, host: Host) -> Iterator[Finding]:
 
 
 def _sharers(name: str, port: str, host: Host) -> Iterator[Finding]:
-    """Programs that take no lock get in beside us; then both read half of the replies."""
+    """Findings on other programs with the port open without a lock: each would read half of the replies."""
     others = programs_with(port, host.proc)
     if others:
         yield Finding(
@@ -106,7 +106,7 @@ def _sharers(name: str, port: str, host: Host) -> Iterator[Finding]:
             "other programs",
             "failure",
             f"{port} is open in {named(others)}",
-            "nobody else",
+            "no other program",
             f"close it, or kill {others[0].pid}",
         )
 

@@ -28,7 +28,7 @@ def udev_rules(config: BenchConfig, sysfs: Path) -> str:
 
     Args:
         config: of the bench; its real devices on local ports count.
-        sysfs: where the kernel tells of its devices.
+        sysfs: folder in which the kernel describes its devices.
     """
     lines = [
         _HEAD.format(name=config.name, path=_PATH),

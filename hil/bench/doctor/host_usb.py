@@ -16,7 +16,7 @@ class UsbDevice:
     """A device on USB.
 
     Attributes:
-        folder: where the kernel tells of it.
+        folder: in which the kernel describes it.
         vendor, product: ids, four hexadecimal digits each.
         serial: its serial number; empty where it has none.
         name: as it calls itself.
@@ -56,7 +56,7 @@ def behind(port: str, sysfs: Path) -> UsbDevice | None:
 
     Args:
         port: device path, or a link to one.
-        sysfs: where the kernel tells of its devices.
+        sysfs: folder in which the kernel describes its devices.
     """
     if "://" in port:
         return None
@@ -74,7 +74,7 @@ def plugged_in(ids: set[tuple[str, str]], sysfs: Path) -> list[UsbDevice]:
 
 
 def read(folder: Path) -> UsbDevice:
-    """What the kernel tells of one device."""
+    """The kernel's description of one device."""
     vendor, product, serial, name, speed = (
         text_of(folder / key) for key in ("idVendor", "idProduct", "serial", "product", "speed")
     )

@@ -1,4 +1,4 @@
-"""Gravity and turn rate of the IMU at rest, held against what `imu_calibration` has kept in the record.
+"""Compares gravity and turn rate of the IMU at rest with the results of `imu_calibration` in the record.
 
 On a wall gravity and motion capture both tell the heading. The record's mount of the IMU is the one with
 which they agreed, so what lies between them at rest is by how much the IMU, or the rigid body of motion
@@ -21,13 +21,13 @@ from hil.core.signals import GyroMeasurement, Inputs, Measurements
 from hil.loop.alignment import Alignment, AlignmentParameters
 from hil.loop.recorded_motion import Motion
 
-TOLD_RAD, STOP_RAD = 0.03, 0.09
-"""A heading that is told of, and one with which no filter is given the IMU. An accelerometer that has warmed
+WARN_RAD, STOP_RAD = 0.03, 0.09
+"""Errors of heading for a warning, and for a filter without the IMU. An accelerometer that has warmed
 up by 20 K is off by 0.02 rad; beyond 5 deg `imu_calibration` fails."""
-TOLD_RAD_S, STOP_RAD_S = math.radians(0.1), math.radians(3.0)
+WARN_RAD_S, STOP_RAD_S = math.radians(0.1), math.radians(3.0)
 """Likewise of the turn rate: the limit of `imu_calibration`, and of the data sheet (BST-BNO055-DS000)."""
 _FEWEST = 20
-"""Samples of each; their noise is then a fifth of what is told, at most."""
+"""Samples of each; their noise is then at most a fifth of the limit for a warning."""
 
 
 def inertial_changes(config: BenchConfig, measured: Iterable[Measurements]) -> Iterator[Finding]:
@@ -58,9 +58,9 @@ def _bias(part: Part, changed_rad_s: float) -> Finding:
     return Finding(
         "imu",
         "gyro bias",
-        _level(abs(changed_rad_s), TOLD_RAD_S, STOP_RAD_S),
+        _level(abs(changed_rad_s), WARN_RAD_S, STOP_RAD_S),
         f"{math.degrees(changed_rad_s):+.2f} deg/s at rest since it was measured ({part.measured[:10]})",
-        f"within {math.degrees(TOLD_RAD_S):g} deg/s",
+        f"within {math.degrees(WARN_RAD_S):g} deg/s",
         "let the robot rest; if it stays, run `hil run imu_calibration`",
     )
 
@@ -69,23 +69,23 @@ def _heading(part: Part, turned_rad: float) -> Finding:
     return Finding(
         "imu",
         "heading against motion capture",
-        _level(abs(turned_rad), TOLD_RAD, STOP_RAD),
+        _level(abs(turned_rad), WARN_RAD, STOP_RAD),
         f"{turned_rad:+.3f} rad ({math.degrees(turned_rad):+.1f} deg) since it was measured "
         f"({part.measured[:10]})",
-        f"within {TOLD_RAD:g} rad",
+        f"within {WARN_RAD:g} rad",
         "the IMU has turned on the robot, or the markers of motion capture have: fasten them, then "
         "`hil run imu_calibration`",
     )
 
 
-def _level(size: float, told: float, stop: float) -> Level:
-    return "ok" if size <= told else "warning" if size <= stop else "failure"
+def _level(size: float, warn: float, stop: float) -> Level:
+    return "ok" if size <= warn else "warning" if size <= stop else "failure"
 
 
 def changed_between(
     config: BenchConfig, parameters: AlignmentParameters, seen: Mapping[str, Sequence[Any]]
 ) -> Iterator[Finding]:
-    """The same for the doctor, of samples as they come.
+    """As `inertial_changes`, for the doctor, of raw samples.
 
     Args:
         config: of the bench.

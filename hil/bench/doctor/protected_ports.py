@@ -1,4 +1,4 @@
-"""Which serial ports discovery must not write to, since something there may hold the robot.
+"""Finds the serial ports that discovery must not write to, since a device there may hold the robot.
 
 A port says nothing of what is behind it, and a controller of propellers may take any strange byte for an
 error and slow down. So a port is left alone where another program has it open, where a bench file has a
@@ -19,7 +19,7 @@ from hil.config.loading import load_bench
 from hil.core.device import DeviceModel
 from hil.core.errors import ConfigError
 from hil.core.registry import kinds
-from hil.drivers.adhesion.keeper.door import keepers
+from hil.drivers.adhesion.fan_daemon.server import running_daemons
 from hil.drivers.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
 from hil.support.file_reading import read_toml
 from hil.support.port_users import named, programs_with
@@ -111,4 +111,4 @@ def _cannot_be_opened(port: str) -> str:
 
 def what_is_kept() -> list[str]:
     """Fans and propellers that are kept running on this computer now, each by bus and controller."""
-    return keepers()
+    return running_daemons()

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from hil.calibration.calibration_file import CalibrationFile, read_calibration
-from hil.calibration.usable import check_made_for, check_passed
+from hil.calibration.usability_check import check_made_for, check_passed
 from hil.config.bench import BenchConfig
 from hil.config.loading import explained, load_bench
 from hil.config.robot_record import PARTS, NewPart, Part, RobotRecord

@@ -1,4 +1,4 @@
-"""External steering encoders beside the servos' own angles at rest, held against what the record keeps.
+"""Compares external steering encoders with the servos' angles at rest, by the offsets in the record.
 
 Both are measured apart from each other, so what lies between them is no matter of where a wheel points: it
 changes where a horn or an encoder has slipped, also while no program ran.
@@ -54,7 +54,7 @@ def expected_offsets_rad(config: BenchConfig) -> tuple[float, ...] | None:
 
 
 def slipped_between(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iterator[Finding]:
-    """What the doctor says of the steering axes; nothing where nothing is kept, or a device told nothing.
+    """Findings on the steering axes; none without offsets in the record, or samples of a device.
 
     Args:
         config: of the bench.

@@ -1,1 +1,1 @@
-"""Whether the robot is held on its wall, and what keeps it there."""
+"""HELD or NOT HELD: how the robot is held on its wall, and the checks of it."""

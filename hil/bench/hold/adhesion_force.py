@@ -1,6 +1,6 @@
-"""Whether the fan's force is measured and is enough to hold the robot: one condition of HELD.
+"""Checks that the fan's force is measured and holds the robot: one condition of HELD.
 
-A robot whose fan has just died still stands still. A controller that nothing hears may have let go of its
+A robot whose fan has just died still stands still. A controller without reports may have let go of its
 motor, or will when its time-out ends, and the fan takes a second to run down. So a silent fan is no longer
 trusted until the load cells have felt enough force for longer than that, and a force that falls quickly is
 doubted before it is lost. Propellers carry a part of the weight: they count by what they report. Those that
@@ -15,10 +15,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from hil.bench.hold.propeller_handover import LeftAlone, least_push_n
-from hil.bench.settings import adhesion_limits, can_fall, pretended_holders, thrust_wanted_n
+from hil.bench.loop_settings import adhesion_limits, can_fall, pretended_holders, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
-from hil.config.can_motor import KeptMotorConfig
+from hil.config.can_motor import DaemonMotorConfig
 from hil.config.thrust import ThrustConfig
 from hil.core.clock import nanoseconds
 from hil.core.errors import HilError
@@ -36,7 +36,7 @@ FAN, _CELLS = "the fan's speed", "the load cells"
 
 
 def measured_n(limits: AdhesionLimits, samples: Iterable[Any]) -> Iterator[tuple[str, int, float]]:
-    """Who measures what presses the robot, when (ns), and the force (N): of samples that can be used.
+    """(sensor, time in ns, force in N) of each usable sample of what presses the robot.
 
     Args:
         limits: of the bench.
@@ -69,7 +69,7 @@ class AdhesionForceCheck:
         self,
         rig: DeviceSet,
         limits: AdhesionLimits | None,
-        fan: KeptMotorConfig | None,
+        fan: DaemonMotorConfig | None,
         alone: LeftAlone,
         carried: bool = False,
         pretended: Sequence[str] = (),
@@ -94,7 +94,7 @@ class AdhesionForceCheck:
         self._alone.begin(for_good=for_good)
 
     def end(self) -> None:
-        """Nothing looks any more: propellers that were left alone are told their force again."""
+        """End the check: propellers that were left alone are sent their force again."""
         self._alone.end()
         self.waits = False
 
@@ -119,7 +119,7 @@ class AdhesionForceCheck:
         least_n = self._limits.statics.needed_n(push_n, self.heading_rad)
         message = ", ".join(f"{force_n:.1f} N by {name}" for name, force_n in fresh.items())
         if not fresh or not min(fresh.values()) >= least_n:  # NaN is not enough either
-            message = message or "nobody measures it"
+            message = message or "no sensor measures it"
             whole_n = self._limits.statics.needed_n(self._limits.nominal_thrust_n, self.heading_rad)
             self.waits = self._alone.begun and min(fresh.values(), default=0.0) >= whole_n
             if self.waits:
@@ -148,7 +148,7 @@ class AdhesionForceCheck:
         return now_ns - self._enough_since_ns >= self._outlasts_ns
 
     def _nothing_real(self) -> str:
-        """What is said of a robot whose fan or propellers are emulated, and that nothing measures either."""
+        """The message where fan or propellers are emulated, and no sensor measures them either."""
         if not self._pretended:
             return ""
         return (
@@ -215,7 +215,7 @@ class AdhesionForceCheck:
         return _CELLS in self._fresh(now_ns)
 
     def in_words(self, now_ns: int) -> str:
-        """What presses it, by whom, and who is silent; empty where nothing measures it."""
+        """The forces that press it, by sensor, and the silent sensors, in words; empty without a sensor."""
         if self._limits is None:
             return ""
         fresh = self._fresh(now_ns)
@@ -242,23 +242,23 @@ class AdhesionForceCheck:
 
 
 def _to_be_seen(left_s: float) -> str:
-    """What propellers that report nothing still lack."""
+    """The observation time that propellers without reports still need to count, in words."""
     if math.isfinite(left_s):
         return f"the robot is to be seen at rest for {left_s:.1f} s more"
-    return "nobody sees whether it slides, or knows how long they would need to let it"
+    return "no sensor sees whether it slides, or knows how long they would need to let it"
 
 
 def press_watch(config: BenchConfig, rig: DeviceSet) -> AdhesionForceCheck:
-    """That of a bench: it looks at what presses a robot that hangs on a wall without a tether.
+    """Make the check of a bench: for a robot that hangs on a wall without a tether.
 
     What is in another world than the servos presses another robot, or none.
     """
     pretended = pretended_holders(config)
     config = config.of_one_world()
     fan = config.of(AdhesionConfig)
-    kept = fan if isinstance(fan, KeptMotorConfig) else None
+    kept = fan if isinstance(fan, DaemonMotorConfig) else None
     limits = adhesion_limits(config) if can_fall(config) else None
     own, asked_n = config.of(ThrustConfig), thrust_wanted_n(config)
     carried = can_fall(config) and asked_n > 0.0 and "thrust" in config.devices()
-    carried = carried and not isinstance(own, KeptMotorConfig)
+    carried = carried and not isinstance(own, DaemonMotorConfig)
     return AdhesionForceCheck(rig, limits, kept, LeftAlone(rig, own, asked_n), carried, pretended)

@@ -1,11 +1,11 @@
-"""The fan's force follows the need: posture, surface and tilt, with a margin, to spare the battery."""
+"""Sets the fan's force by posture, surface and tilt, with a margin, to spare the battery."""
 
 from __future__ import annotations
 
 import contextlib
 import math
 
-from hil.bench.settings import adhesion_limits, force_wanted_n, thrust_wanted_n
+from hil.bench.loop_settings import adhesion_limits, force_wanted_n, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.core.clock import nanoseconds
@@ -18,7 +18,7 @@ _EVERY_NS = nanoseconds(0.5)
 _MARGIN = 1.1
 """Over the limit at which the robot would be stopped."""
 LARGEST_STEP_DOWN_N, _CHANGE_N = 0.5, 0.25
-"""So that it is not taken for a loss; smallest change that is worth a word."""
+"""So that it is not taken for a loss; smallest change that is reported."""
 _RAISED_N = 2.0
 """A fan that gives so much more than was asked for here was raised by a stop."""
 

@@ -1,7 +1,7 @@
 """Detects jumps of a sensor's reference frame (body redefined, camera relocalised); they are not motion.
 
 Motion capture whose rigid body was defined anew, and a camera that corrects its map, say from one sample to
-the next that the robot is somewhere else. What they say from then on is no way that the robot has gone.
+the next that the robot is somewhere else. Positions before and after must not be subtracted.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _ESTIMATED = 0.1
 _KEPT = 64
 
 
-class _Told:
-    """What one of them has told.
+class _Track:
+    """The recent positions of one sensor.
 
     Attributes:
         seen: its newest places.
-        step, step_s: the latest step that was no leap, and how long it took.
+        step, step_s: the latest step that was no jump, and how long it took.
         estimated: (2,) m, where the estimate had the robot at its newest place; None where nothing did.
     """
 
@@ -52,15 +52,15 @@ class _Gap:
     seen: dict[str, Place]
 
 
-class Leaps:
-    """Follows all that tell a place.
+class FrameJumps:
+    """Follows all sensors of a position.
 
     Attributes:
         off_m: by how much a frame has moved since the beginning, by kind.
     """
 
     def __init__(self) -> None:
-        self._told: dict[str, _Told] = {}
+        self._tracks: dict[str, _Track] = {}
         self._gaps: dict[str, _Gap] = {}
         self.off_m: dict[str, Place] = {}
 
@@ -70,12 +70,12 @@ class Leaps:
 
     def run_ended(self) -> None:
         """The next run may begin to estimate anywhere."""
-        for reported in self._told.values():
-            reported.estimated = None
+        for track in self._tracks.values():
+            track.estimated = None
 
     def begins_anew(self, name: str) -> None:
-        """It says itself that it has begun anew: nothing follows from what it said before."""
-        self._told.pop(name, None)
+        """Forget a sensor that has reported a restart: its earlier positions do not count."""
+        self._tracks.pop(name, None)
         self._gaps.pop(name, None)
 
     def follow(self, name: str, t_ns: int, place: Array, estimated: Array | None = None) -> tuple[str, ...]:
@@ -88,51 +88,51 @@ class Leaps:
             estimated: (2,) m, where the robot is by the estimate that is followed, if one is.
         """
         here: Place = place.tolist()
-        reported = self._told.get(name)
-        if reported is None:
-            self._told[name] = _Told(t_ns, here, estimated)
+        track = self._tracks.get(name)
+        if track is None:
+            self._tracks[name] = _Track(t_ns, here, estimated)
             return tuple(self._behind_gaps(t_ns))
-        before_ns, before = reported.seen[-1]
+        before_ns, before = track.seen[-1]
         if t_ns <= before_ns:
             return ()
-        was = reported.estimated
+        was = track.estimated
         if estimated is not None:
-            reported.estimated = estimated
-        step, leap = list(map(sub, here, before)), None
+            track.estimated = estimated
+        step, jump = list(map(sub, here, before)), None
         if t_ns - before_ns <= _GAP_NS:
-            leap = self._step(reported, step, (t_ns - before_ns) / NS_PER_S)
+            jump = self._step(track, step, (t_ns - before_ns) / NS_PER_S)
         else:
-            reported.step, reported.step_s = [0.0] * len(here), 1.0
+            track.step, track.step_s = [0.0] * len(here), 1.0
             if was is not None and estimated is not None:
-                leap = _beyond(step, math.dist(estimated, was))
+                jump = _beyond(step, math.dist(estimated, was))
             else:
                 self._gaps[name] = _Gap(t_ns, step, dict(self._others(name, before_ns)))
-        reported.seen.append((t_ns, here))
-        if leap is None and not self._gaps:
+        track.seen.append((t_ns, here))
+        if jump is None and not self._gaps:
             return ()
-        moved = [] if leap is None else [self._moved(name, leap)]
+        moved = [] if jump is None else [self._moved(name, jump)]
         return (*moved, *self._behind_gaps(t_ns))
 
-    def _step(self, told: _Told, step: Place, dt_s: float) -> Place | None:
-        """By how much it differs from the one before, where that is a leap."""
-        before_s = told.step_s
-        as_before = [a / before_s * dt_s for a in told.step]
+    def _step(self, track: _Track, step: Place, dt_s: float) -> Place | None:
+        """The difference to the step before, where that is a jump; else None."""
+        before_s = track.step_s
+        as_before = [a / before_s * dt_s for a in track.step]
         if math.dist(step, as_before) > _SLACK_M + _PULL_M_S2 * dt_s**2:
             return list(map(sub, step, as_before))
-        told.step, told.step_s = step, dt_s
+        track.step, track.step_s = step, dt_s
         return None
 
     def _others(self, name: str, at_ns: int) -> Iterator[tuple[str, Place]]:
-        """Where others saw the robot about then."""
-        for other, reported in self._told.items():
+        """Positions of the robot by other sensors at about that time."""
+        for other, track in self._tracks.items():
             if other == name:
                 continue
-            t_ns, place = min(reported.seen, key=lambda one: abs(one[0] - at_ns))
+            t_ns, place = min(track.seen, key=lambda one: abs(one[0] - at_ns))
             if abs(t_ns - at_ns) <= _TOGETHER_NS:
                 yield other, place
 
     def _behind_gaps(self, now_ns: int) -> Iterator[str]:
-        """Who says that the robot has gone away in its gap, while another saw it rest."""
+        """Sensors that have moved away in their gap, while another saw the robot rest."""
         for name, gap in list(self._gaps.items()):
             for other, place in self._others(name, gap.ended_ns):
                 if other in gap.seen and math.dist(place, gap.seen[other]) <= _SLACK_M < math.hypot(*gap.way):
@@ -148,7 +148,7 @@ class Leaps:
 
 
 def _beyond(step: Place, way_m: float) -> Place | None:
-    """What of a step is no part of a way of that length, where it is too much for that."""
+    """The part of a step beyond a displacement of that length; None within tolerance."""
     length_m = math.hypot(*step)
     further_m = length_m - way_m
     if abs(further_m) <= _SLACK_M + _ESTIMATED * way_m:

@@ -1,4 +1,4 @@
-"""The devices of a bench, opened and closed together with its sinks: whatever happens, the robot is held."""
+"""Opens and closes devices and sinks of a bench together; whatever happens, the robot stays held."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from hil.bench.hold.force_controller import by_need
 from hil.bench.hold.monitor import HoldMonitor
 from hil.bench.hold.preload import Preload
 from hil.bench.hold.result import Held, untouched
+from hil.bench.loop_settings import can_fall, fail_limits
 from hil.bench.model import BenchModel
 from hil.bench.reconnect import reconnecting
-from hil.bench.settings import can_fall, fail_limits
 from hil.bench.unreached_faults import not_begun, not_begun_in_words
 from hil.controller.joint_script import JointScript
 from hil.core.clock import Clock
 from hil.core.errors import UsageError, check_number
-from hil.core.interfaces import HELD_NOTE, Controller, Sink
+from hil.core.interfaces import HELD_NOTE, CommandingSink, Controller, Sink
 from hil.fakes.fault import Fault
 from hil.loop.control_loop import ControlPipeline
 from hil.loop.device_set import DeviceSet
@@ -50,9 +50,10 @@ class HeldDevices:
         self.config, self.geometry = model.config, model.geometry
         self.seed, self.calibration = model.seed, model.calibration
         self.held = untouched("no device was opened: the robot is as it was before")
-        self.tells_held = True
+        self.warns_not_held = True
         self.waits_for_sensors = False
         self.own_controller: MakeController | None = None
+        self.driven_by: tuple[str, CommandingSink] | None = None
         self.lost: list[str] = []
         self.faults = faults
         self._is_open = False
@@ -102,7 +103,7 @@ class HeldDevices:
             self._closed_ns = self.clock.now_ns()
         try:
             if self.rig.servos is not None and self.rig.servos.identity():
-                self.held = self._hold.unseen("ended before anybody had looked")
+                self.held = self._hold.unseen("ended before the hold was checked")
                 self.rig.servos.stop()
                 self.held = self._hold.look(self.config.exit.look_after_s, for_good=True)
                 if self.config.exit.policy == "release" and not self._steeper():
@@ -110,7 +111,7 @@ class HeldDevices:
                     self.held = self._hold.released()
                 self._looked_ns = self.clock.now_ns()
                 self._note(self._looked_ns, HELD_NOTE, self.held.to_json())
-                if self.tells_held and self.held.lost:
+                if self.warns_not_held and self.held.lost:
                     LOG.warning("bench %s: the robot is left %s", self.config.name, self.held)
         finally:
             self._let_go()
@@ -133,7 +134,7 @@ class HeldDevices:
         self._before_opening.append(callback)
 
     def begin(self) -> None:
-        """Let an emulated world at the wire run, for whoever opens devices one by one. Idempotent."""
+        """Let an emulated world at the wire run, for a caller that opens devices one by one. Idempotent."""
         while self._before_opening:
             self._before_opening.pop(0)()
         if self._begun_ns is None:
@@ -146,7 +147,7 @@ class HeldDevices:
 
     @property
     def looked_ns(self) -> int:
-        """The same until the look at the stopped robot was over; never less than `world_ns`."""
+        """World time until the check of the stopped robot was over; never less than `world_ns`."""
         return self._since_begun_ns(self._closed_ns if self._looked_ns is None else self._looked_ns)
 
     def _since_begun_ns(self, ended_ns: int | None) -> int:
@@ -190,12 +191,14 @@ class HeldDevices:
     ) -> ControlPipeline:
         """The deterministic part of the loop for one motion or script (also what replay runs).
 
-        Where the bench has a controller of the user's own, that drives every trajectory.
+        A controller of the user's own follows every trajectory, and so does a program that drives the bench.
 
         Raises:
             UsageError: unknown feedback or controller.
             ConfigError: the controller of the user's own cannot be made.
         """
+        if self.driven_by is not None and isinstance(trajectory, Trajectory):
+            controller = self.driven_by[0]
         pipeline = self.model.make_pipeline(
             trajectory, controller=controller, feedback=feedback, observers=observers
         )
@@ -232,7 +235,7 @@ class HeldDevices:
         return self.rig.get(name) is not None
 
     def _steeper(self) -> str:
-        """What speaks against letting go of a robot without a tether that the bench file has on a floor."""
+        """Why an untethered robot must not be released on what the bench file calls a floor; else empty."""
         return "" if self.config.safety.tethered else self._hold.tilt.steeper()
 
     @property
@@ -241,7 +244,7 @@ class HeldDevices:
         return self.config.environment.on_wall
 
     def look(self, limit_s: float | None = None) -> Held:
-        """How a stopped robot is, after looking after it until it is held; `held` is that from then on.
+        """Check a stopped robot until it is held or time is up; `held` is the result from then on.
 
         Args:
             limit_s: the longest look. By default 1 s, and as much longer as propellers that report nothing
@@ -256,7 +259,7 @@ class HeldDevices:
         return self.held
 
     def _not_looked_at(self, why: str) -> None:
-        """What was found no longer holds."""
+        """Set the result to NOT HELD, "not checked"."""
         if self.rig.servos is None:
             self.held = untouched("the bench has no servos: the robot is as it was before")
         else:

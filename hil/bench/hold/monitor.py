@@ -1,4 +1,4 @@
-"""Watches after every stop whether the robot is held, until it is or time is up.
+"""Decides after every stop whether the robot is HELD, by watching it until it is or time is up.
 
 "Held" is a claim about the world, not about what was sent: all eight servos say that they have torque and
 that their watchdogs wait, the wheels rest, and nothing that can see the robot sees it move. Until then the
@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from hil.bench.hold.adhesion_force import press_watch
-from hil.bench.hold.frame_jumps import Leaps
-from hil.bench.hold.rest import JOINTS, WINDOW_NS, MotionSinceStop, Trail
+from hil.bench.hold.frame_jumps import FrameJumps
+from hil.bench.hold.motion_since_stop import JOINTS, WINDOW_NS, MotionSinceStop, Trail
 from hil.bench.hold.result import Held, State, lacking_in_words, on_the_floor
 from hil.bench.hold.tilt import TiltWatch
+from hil.bench.loop_settings import can_fall
 from hil.bench.model import BenchModel
-from hil.bench.settings import can_fall
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import HilError
 from hil.core.geometry import Array
@@ -86,10 +86,10 @@ class HoldMonitor(Sink):
         self._blind = [k.noun for name, k in able.items() if name in elsewhere and k.measures_position]
         self._on_wall, self._can_fall = config.environment.on_wall, can_fall(config)
         self._travel = MotionSinceStop(self._seeing, float(np.mean(model.geometry.radius_m)))
-        tellers = [(name, self._seeing[name]) for name in self._travel.names]
-        self._tellers = [(n, samples_of(n), k.motion_value, k.measures_position) for n, k in tellers]
+        sources = [(name, self._seeing[name]) for name in self._travel.names]
+        self._motion_sources = [(n, samples_of(n), k.motion_value, k.measures_position) for n, k in sources]
         self._doubted: dict[str, bool] = {}
-        self._leaps = Leaps()
+        self._jumps = FrameJumps()
         self._let_go = False
         self.last_state: RobotState | None = None
 
@@ -103,26 +103,26 @@ class HoldMonitor(Sink):
             self.last_state, estimated = record.state, pose[:2]
         self.tilt.saw(inputs.imu)
         passed, t_ns = self._travel.passed, inputs.t_ns
-        for name, among, told_by, is_place in self._tellers:
+        for name, among, value_of, is_place in self._motion_sources:
             for sample in among(inputs):
-                place = told_by(sample)
+                place = value_of(sample)
                 if place is None:
                     continue
                 if is_place:
-                    self._leapt(name, sample, place, estimated)
+                    self._follow(name, sample, place, estimated)
                 passed(name, t_ns, place)
 
     def passed_over(self, inputs: Inputs) -> None:
-        """Take what has piled up before a run and goes to nothing else."""
+        """Take samples from before a run, which no other part uses."""
         self.tilt.saw(inputs.imu)
-        for name, among, told_by, is_place in self._tellers:
+        for name, among, value_of, is_place in self._motion_sources:
             for sample in among(inputs) if is_place else ():
-                place = told_by(sample)
+                place = value_of(sample)
                 if place is not None:
-                    self._leapt(name, sample, place)
+                    self._follow(name, sample, place)
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing: there is nothing to close."""
 
     def stopped(self, doubted: Mapping[str, bool] | None = None, agreed: Collection[str] = ()) -> None:
         """The robot has been stopped: what it moves from here on counts.
@@ -130,14 +130,14 @@ class HoldMonitor(Sink):
         Args:
             doubted: devices whose word on how it moved was in doubt, and whether others agreed against them;
                 that it rests is not believed of them.
-            agreed: those that told of a way as others did; they are believed again.
+            agreed: those that agreed with another on the motion; they are believed again.
         """
         for name in agreed:
             self._doubted.pop(name, None)
         for name, sure in (doubted or {}).items():
             self._doubted[name] = sure or self._doubted.get(name, False)
         self._travel.stopped(self._clock.now_ns())
-        self._leaps.run_ended()
+        self._jumps.run_ended()
 
     def at_rest(self, left: RobotState) -> RobotState:
         """A robot that a run left there, unsure by what it moved since, or may have without being seen."""
@@ -148,13 +148,13 @@ class HoldMonitor(Sink):
 
     def frame_moved_m(self, name: str) -> float:
         """How far the frame has moved in which a kind of device measures places, as far as that was seen."""
-        return self._leaps.size_m(name)
+        return self._jumps.size_m(name)
 
     def look(self, limit_s: float, *, strict: bool = False, for_good: bool = False) -> Held:
         """Look after the robot until it is held, for `limit_s` at the most.
 
         Beside propellers that report nothing it takes as much longer as they need to be known to go on,
-        unless it is `strict`. Never raises for what a device does: a sensor that fails is a witness less.
+        unless it is `strict`. Never raises for what a device does: a sensor that fails is left out.
 
         Args:
             limit_s: so long.
@@ -199,7 +199,7 @@ class HoldMonitor(Sink):
                 rests = ", ".join(kinds()[name].noun for name in seen if name in by)
                 pressed = self._press.in_words(hold.t_ns)
                 tether = self._on_wall and not (self._can_fall or places or self._press.feels(hold.t_ns))
-                by_tether = "; on its tether, so nobody has to see whether it slides" if tether else ""
+                by_tether = "; on its tether, so no sensor has to see whether it slides" if tether else ""
                 why = f"torque on, at rest by {rests}{pressed}{by_tether}{late}"
                 return self._verdict("HELD", why, seen)
             if self._clock.now_ns() >= end_ns and (strict or not self._press.waits):
@@ -208,11 +208,11 @@ class HoldMonitor(Sink):
             self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)
 
     def _believed(self, seen: Collection[str]) -> list[str]:
-        """Those who have seen the robot and whose word was not in doubt."""
+        """Sensors that have seen the robot and were not in doubt."""
         return [name for name in seen if name == JOINTS or name not in self._doubted]
 
     def _places(self, seen: Collection[str]) -> list[str]:
-        """Those of them who would see a slide, and are believed.
+        """Trusted sensors that would see a slide.
 
         Of two that contradicted each other one is right: when both see it rest, it rests.
         """
@@ -260,13 +260,13 @@ class HoldMonitor(Sink):
             trail.forget(now_ns - WINDOW_NS)
 
     def _testified(self, name: str) -> list[Array]:
-        """What a sensor has seen since it was last asked; nothing where it fails, whatever it raises."""
+        """Motion values of a sensor since the last read; none where it fails, whatever it raises."""
         try:
             samples = self._rig.get(name).read()
         except HilError:
             return []
         except Exception:  # of a driver of another package: the others go on looking
-            LOG.warning("%s: its driver failed while somebody looked", name, exc_info=True)
+            LOG.warning("%s: its driver failed while the hold was checked", name, exc_info=True)
             return []
         for sample in samples:
             if isinstance(sample, ImuSample) and sample.status is Status.OK:
@@ -274,26 +274,26 @@ class HoldMonitor(Sink):
                 self.tilt.saw((sample,))
             if name in self._travel.names and worst(sample) is Status.RESET:
                 self._travel.begins_anew(name)
-                self._leaps.begins_anew(name)
+                self._jumps.begins_anew(name)
         values = [(sample, self._seeing[name].motion_value(sample)) for sample in samples]
         for sample, value in values:
             if value is not None and self._seeing[name].measures_position:
-                self._leapt(name, sample, value)
+                self._follow(name, sample, value)
         return [value for _, value in values if value is not None]
 
-    def _leapt(self, name: str, sample: Any, place: Array, estimated: Array | None = None) -> None:
-        """What is told in another frame from now on is no way that the robot has gone."""
-        for moved in self._leaps.follow(name, sample.stamp.t_ns, place, estimated):
+    def _follow(self, name: str, sample: Any, place: Array, estimated: Array | None = None) -> None:
+        """Follow a position; a jump of its frame begins the displacement anew."""
+        for moved in self._jumps.follow(name, sample.stamp.t_ns, place, estimated):
             self._travel.begins_anew(moved)
 
     def _doubt(
         self, hold: ServoHold, trails: dict[str, Trail], seen: Collection[str], places: Collection[str]
     ) -> str:
-        """What speaks against calling the robot held; empty when nothing does.
+        """Why the robot is not called held; empty when nothing speaks against it.
 
         Args:
             hold: what the servos say.
-            trails: by witness.
+            trails: by sensor.
             seen: those who have seen the robot for long enough.
             places: those of them who would see a slide, and are believed.
         """
@@ -311,7 +311,7 @@ class HoldMonitor(Sink):
             return "torque is on, but no camera, motion capture or IMU confirms that it stands still"
         if not self._can_fall or places or self._press.feels(hold.t_ns):
             return ""
-        return self._nobody_sees_a_slide(seen)
+        return self._slide_unseen(seen)
 
     def _doubt_of_weight(self) -> str:
         """What the accelerometer says against a robot at rest."""
@@ -329,14 +329,14 @@ class HoldMonitor(Sink):
         steeper = self.tilt.steeper()
         return f"{steeper}: secure the robot, and correct environment.tilt_rad" if steeper else ""
 
-    def _nobody_sees_a_slide(self, seen: Collection[str]) -> str:
-        """Wheels and IMU do not: a sensor that sees places or measures the force has to."""
+    def _slide_unseen(self, seen: Collection[str]) -> str:
+        """Why no sensor would see a slide: wheels and IMU do not, one of position or force has to."""
         doubted = [kinds()[name].noun for name in seen if self._seeing[name].measures_position]
         why = f" (what the {' and the '.join(doubted)} said before the stop is in doubt)" if doubted else ""
         if self._blind:
             why += f" ({', '.join(self._blind)}: in another world than the servos, blind to this robot)"
         return (
-            f"torque is on, but nobody can tell whether the robot slides{why}: that takes a camera, motion "
+            f"torque is on, but no sensor can see whether the robot slides{why}: that takes a camera, motion "
             "capture or load cells; secure the robot"
         )
 

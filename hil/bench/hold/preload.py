@@ -7,10 +7,10 @@ from typing import Any
 
 from hil.bench.hold.adhesion_force import FAN, MEASURES, measured_n
 from hil.bench.hold.force_controller import LARGEST_STEP_DOWN_N
-from hil.bench.settings import adhesion_limits, force_wanted_n, thrust_wanted_n
+from hil.bench.loop_settings import adhesion_limits, force_wanted_n, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
-from hil.config.can_motor import KeptMotorConfig
+from hil.config.can_motor import DaemonMotorConfig
 from hil.config.thrust import ThrustConfig
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError, SafetyStop
@@ -42,7 +42,7 @@ class Preload:
         self._limits = adhesion_limits(config)
         self._seen_n: dict[str, float] = {}
         propellers = config.of(ThrustConfig)
-        self._propellers = propellers if isinstance(propellers, KeptMotorConfig) else None
+        self._propellers = propellers if isinstance(propellers, DaemonMotorConfig) else None
         self._push_n = 0.0
 
     def hold(self) -> str:
@@ -69,7 +69,9 @@ class Preload:
         self._ask("adhesion", raised_n or force_wanted_n(self._config))
         limit_n = self._wait(limits, thrust_n)
         self._compare()
-        message = f"Pressed on the wall with {self._told()}; {limit_n:.1f} N are the least on this surface."
+        message = (
+            f"Pressed on the wall with {self._forces_text()}; {limit_n:.1f} N are the least on this surface."
+        )
         if raised_n:
             message += (
                 f" The fan ran at {raised_n:.1f} N, more than the {force_wanted_n(self._config):g} N of the "
@@ -85,7 +87,7 @@ class Preload:
     def _raised_n(self, limits: AdhesionLimits) -> float:
         """Force of a fan that runs at more than the bench wants (N), 0 for any other.
 
-        A stop has raised it where the robot stands, or an operator has; nothing here knows better.
+        A stop has raised it where the robot stands, or an operator has; both take precedence.
         """
         fan, wanted_n = self._config.of(AdhesionConfig), force_wanted_n(self._config)
         if fan is None or not limits.has_fan:
@@ -98,7 +100,7 @@ class Preload:
         return runs_n if runs_n > wanted_n + LARGEST_STEP_DOWN_N else 0.0
 
     def _ask(self, name: str, force_n: float) -> None:
-        """Ask a device for a force; a keeper may have to hear its motor first."""
+        """Ask a device for a force; a daemon may have to hear its motor first."""
         device = self._rig.get(name)
         if device is None:
             return
@@ -119,11 +121,11 @@ class Preload:
         if len(found) == 2 and apart(found[0], found[1]):
             raise SafetyStop(
                 "adhesion_disagree",
-                f"nothing has moved, and those who measure the force disagree: {self._told()}; look at "
+                f"nothing has moved, and the sensors of the force disagree: {self._forces_text()}; look at "
                 "load_cells.zero_n, adhesion.rated_force_n and the seal, and run adhesion_check",
             )
 
-    def _told(self) -> str:
+    def _forces_text(self) -> str:
         return ", ".join(f"{force:.1f} N by {name}" for name, force in self._seen_n.items())
 
     def _wait(self, limits: AdhesionLimits, thrust_n: float) -> float:
@@ -143,7 +145,7 @@ class Preload:
             if steady or (steady_ns is not None and force_n >= self._enough(limit_n)):
                 return limit_n
             self._clock.sleep_until_ns(now_ns + _STEP_NS)
-        text = self._told() or "nothing measured"
+        text = self._forces_text() or "nothing measured"
         if not self._pushes(limits, thrust_n):
             text += f", and pushed up with {self._push_n:.1f} N of {thrust_n:.1f}"
             if limits.pushes_too_much(self._push_n):
@@ -159,7 +161,7 @@ class Preload:
         return max(limit_n, 0.9 * force_wanted_n(self._config))
 
     def _look(self) -> float:
-        """Newest force, the smaller of what is measured; NaN before everybody was heard."""
+        """Newest force, the smaller of what is measured; NaN before every sensor was heard."""
         limits = self._limits
         if limits is None:
             return math.nan

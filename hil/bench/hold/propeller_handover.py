@@ -1,8 +1,8 @@
-"""Whether propellers without feedback obey their commands, and go on when the bench has ended.
+"""Checks that propellers without feedback obey their commands, and go on when the bench has ended.
 
 Nothing confirms their commands. A controller that does not understand them takes its throttle down, and the
 robot slides seconds later: they count once it has been seen at rest for as long as that. A bench that closes
-sends them nothing meanwhile, so that what is seen is what they do alone; a bench that goes on tells them
+sends them nothing meanwhile, so that what is seen is what they do alone; a bench that goes on sends
 their force again and again, because they may restart.
 """
 
@@ -16,10 +16,10 @@ from hil.core.clock import NS_PER_S, nanoseconds
 from hil.loop.device_set import DeviceSet
 from hil.robot.statics import Statics
 
-_UNTOLD_S = 0.6
+_PAUSE_S = 0.6
 """To look at propellers to which the bench sends nothing at all."""
 _BLIND_NS = nanoseconds(0.3)
-"""Nothing need see it for so long: a slide that has begun is seen after that, too."""
+"""The robot may be unseen for so long: a slide that has begun is seen after that, too."""
 _BETTER = 1.2
 """So many times the friction that is believed a surface may have: on it a robot slides later."""
 _HALVINGS = 8
@@ -59,12 +59,12 @@ class LeftAlone:
     def left_s(self, now_ns: int, *, rests: bool, moves: bool, least_n: float) -> float:
         """How much longer the robot is to rest until they count; 0 once they do.
 
-        `inf` while nothing sees it rest, and where it is not known how long they need to let it slide.
+        `inf` while no sensor sees it rest, and where it is not known how long they need to let it slide.
 
         Args:
             now_ns: time.
             rests: whether a sensor sees the robot at rest; where not for a while, it begins anew.
-            moves: whether it is seen not to rest: then they are told their force again at once.
+            moves: whether it is seen not to rest: then they are sent their force again at once.
             least_n: push below which the robot would slide; 0 where that is not known.
         """
         if not rests:
@@ -82,7 +82,7 @@ class LeftAlone:
 
     def _needs_s(self, least_n: float) -> float:
         if self._rig.get("thrust") is None:
-            return _UNTOLD_S
+            return _PAUSE_S
         known = self._propellers
         return math.inf if known is None else known.gives_way_s(self._asked_n, least_n)
 

@@ -21,8 +21,8 @@ class Held:
             where it was not measured: on a wall wheels do not see a slide.
         why: what confirms it; or what is missing, and what is left to do.
         opened: whether servos were opened: without, nothing was done after which the robot must be held.
-        wanted: whether the servos were asked to hold it, and the bench was not told to let go (`release`,
-            `exit.policy`); torque that something else switched off does not make it unwanted.
+        wanted: whether the servos were asked to hold it, and the bench was not asked to let go (`release`,
+            `exit.policy`); torque that another program switched off does not make it unwanted.
     """
 
     state: State
@@ -58,18 +58,18 @@ def seen_in_words(held: Held) -> str:
 
 
 def abandoned(why: str, *, on_wall: bool) -> Held:
-    """Of a robot whose bench ended before it could be looked at."""
+    """The result for a robot whose bench ended before the check."""
     held = Held("NOT HELD", None, f"not checked: {why}")
     return held if on_wall else on_the_floor(held)
 
 
 def on_the_floor(held: Held) -> Held:
-    """The same of a robot that need not be held, because gravity does not pull along the surface."""
+    """The result for a robot that need not be held, because gravity does not pull along the surface."""
     return replace(held, state="not needed", why=f"on the floor; {held.why}")
 
 
 def untouched(why: str) -> Held:
-    """Of a robot whose devices were never opened: nothing has been done after which it must be held."""
+    """The result for a robot whose devices were never opened: it need not be held."""
     return Held("not needed", None, why, wanted=False, opened=False)
 
 

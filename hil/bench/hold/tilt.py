@@ -1,4 +1,4 @@
-"""How steep the robot stands by its IMU, held against `environment.tilt_rad`: a wall is no floor.
+"""Compares the tilt by the IMU with `environment.tilt_rad`.
 
 The bench file alone would let a robot on a wall count as one that nothing can make fall. Offsets of a chip
 and mounts that are slightly off do not count: only a difference at which wheels no longer hold a robot by
@@ -83,7 +83,7 @@ class TiltWatch:
                     self._newest.append(sample)
 
     def forget(self) -> None:
-        """Something may have carried the robot elsewhere since."""
+        """Forget where the robot was: it may have been moved since."""
         self._newest.clear()
 
     @property
@@ -101,7 +101,7 @@ class TiltWatch:
         return [s for s in newest if newest[-1].stamp.t_ns - s.stamp.t_ns <= _FRESH_NS]
 
     def apart_rad(self) -> float:
-        """By how much the robot is steeper than the bench file says; NaN where nothing has seen it."""
+        """By how much the robot is steeper than the bench file says; NaN where no sensor has measured it."""
         if not self._there or not self.known:
             return math.nan
         return tilt_rad(self._config, self._fresh()) - self._config.environment.tilt_rad
@@ -124,16 +124,16 @@ class TiltWatch:
             )
 
     def _in_words(self) -> str:
-        return "the IMU shows the robot " + _told(self._config, tilt_rad(self._config, self._fresh()))
+        return "the IMU shows the robot " + _tilt_text(self._config, tilt_rad(self._config, self._fresh()))
 
 
-def _told(config: BenchConfig, seen_rad: float) -> str:
+def _tilt_text(config: BenchConfig, seen_rad: float) -> str:
     claimed_deg = math.degrees(config.environment.tilt_rad)
     return f"tilted by {math.degrees(seen_rad):.0f} deg, bench file says {claimed_deg:.0f}"
 
 
 def tilt_finding(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iterator[Finding]:
-    """What the doctor says of gravity's direction; nothing where no IMU on the servos' robot has told it.
+    """Findings on gravity's direction; none without an IMU on the servos' robot that has measured it.
 
     Args:
         config: of the bench.
@@ -148,7 +148,7 @@ def tilt_finding(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iter
         IMU,
         "tilt",
         "ok" if agrees else "failure",
-        _told(config, seen_rad),
+        _tilt_text(config, seen_rad),
         f"less than {math.degrees(APART_RAD):.0f} deg between them",
         _REMEDY,
     )

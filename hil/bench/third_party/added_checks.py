@@ -1,4 +1,4 @@
-"""The checks that kinds of other packages bring: tried before a run, and blamed on their package in it."""
+"""Runs the checks that other packages add: tried before a run; errors in it name the package."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class GuardedCheck(Check):
         self._kind, self._package, self._check = kind, package, check
 
     def reset(self) -> None:
-        """As the check."""
+        """Reset the package's check."""
         with blamed(self._kind, self._package, "reset() of its check"):
             self._check.reset()
 
@@ -68,7 +68,7 @@ class AloneCheck(Check):
         self._kind, self._check = kind, check
 
     def reset(self) -> None:
-        """As the check."""
+        """Reset the package's check."""
         self._check.reset()
 
     def on_samples(self, cycle: Cycle) -> None:

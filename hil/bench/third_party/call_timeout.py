@@ -1,12 +1,12 @@
-"""Calls into another package that do not come back: named while they run, and ended where that can be done.
+"""Names calls into another package that do not return, and ends them where that can be done.
 
-A driver that waits for ever would stop the loop without a word. A thread looks at what is running. It says
-what takes too long, and then interrupts the main thread by a signal, which reaches Python and system calls.
-Foreign code that heeds neither cannot be ended from here: that is said, too. Servos hold a robot meanwhile:
-their driver looks after them when nothing else does.
+A driver that waits for ever would stop the loop silently. A thread watches the running call. It warns when
+that takes too long, and then interrupts the main thread by a signal, which reaches Python and system calls.
+Foreign code that reacts to neither cannot be ended from here: that is reported, too. Servos hold a robot
+meanwhile: their driver keeps asking them when nothing else does.
 
-Opening a device may take seconds, so it has limits of its own; and whoever has asked for the end of a run
-need not wait for all of them (`leave`).
+Opening a device may take seconds, so it has limits of its own; and a user who has asked for the end of a
+run need not wait for all of them (`leave`).
 """
 
 from __future__ import annotations
@@ -35,35 +35,35 @@ _SIGNAL = signal.SIGUSR2
 
 
 @dataclass(frozen=True)
-class Patience:
+class TimeLimit:
     """How long a call may take, in looks at it; while the process is stopped nothing looks.
 
     Attributes:
-        told: after which it is told of.
+        reported: after which a warning is logged.
         ended: after which it is ended.
         expected: of a call that is not ended.
-        may_be_left: whether `leave` ends it once it is told of.
+        may_be_left: whether `leave` ends it once the warning is logged.
     """
 
-    told: int
+    reported: int
     ended: int
     expected: str
     may_be_left: bool = False
 
 
-IN_A_CYCLE = Patience(
+IN_A_CYCLE = TimeLimit(
     2 * _LOOKS_PER_S, 5 * _LOOKS_PER_S, "a call that comes back without waiting for anything"
 )
-BESIDE_CYCLES = Patience(2 * _LOOKS_PER_S, 10 * _LOOKS_PER_S, "a call that comes back soon")
+BESIDE_CYCLES = TimeLimit(2 * _LOOKS_PER_S, 10 * _LOOKS_PER_S, "a call that comes back soon")
 AT_THE_END = replace(BESIDE_CYCLES, may_be_left=True)
 _OPENING_S = 30.0
 _BEYOND_TIMEOUTS_S = 5.0
 
 
-def opening(timeouts_s: float = 0.0) -> Patience:
+def opening(timeouts_s: float = 0.0) -> TimeLimit:
     """For opening a device: 30 s, or 5 s more than the time-outs of its table in the bench file."""
     ended_s = max(_OPENING_S, timeouts_s + _BEYOND_TIMEOUTS_S)
-    return Patience(
+    return TimeLimit(
         5 * _LOOKS_PER_S,
         math.ceil(ended_s * _LOOKS_PER_S),
         f"a call that gives up after less than {ended_s:g} s and raises DeviceError",
@@ -81,12 +81,12 @@ class _Overdue(BaseException):
 
 @dataclass(eq=False)
 class _Call:
-    """What a thread is at."""
+    """The call that a thread is in."""
 
     kind: str
     package: str
     what: str
-    patience: Patience
+    limit: TimeLimit
     began_s: float
     looks: int = 0
     asked: Callable[[str], HilError] | None = None
@@ -94,7 +94,7 @@ class _Call:
     @property
     def most(self) -> int:
         """Looks after which it is ended."""
-        return self.patience.ended if self.asked is None else self.patience.told
+        return self.limit.ended if self.asked is None else self.limit.reported
 
     def __str__(self) -> str:
         return f"{self.kind} ({self.package}): {self.what}"
@@ -106,14 +106,14 @@ _WATCHMEN: list[threading.Thread] = []
 
 
 @contextmanager
-def with_time_limit(kind: str, package: str, what: str, patience: Patience = IN_A_CYCLE) -> Iterator[None]:
+def with_time_limit(kind: str, package: str, what: str, limit: TimeLimit = IN_A_CYCLE) -> Iterator[None]:
     """Run code of a package that is to come back soon.
 
     Args:
         kind: of the device.
         package: name and version.
         what: is run, for example `read()`.
-        patience: how long it may take.
+        limit: how long it may take.
 
     Raises:
         CallTimeoutError: it has been ended.
@@ -122,7 +122,7 @@ def with_time_limit(kind: str, package: str, what: str, patience: Patience = IN_
     _watch()
     ident = threading.get_ident()
     outer = _RUNNING.get(ident)
-    call = _Call(kind, package, what, patience, time.monotonic())
+    call = _Call(kind, package, what, limit, time.monotonic())
     try:
         _RUNNING[ident] = call
         yield
@@ -134,7 +134,7 @@ def with_time_limit(kind: str, package: str, what: str, patience: Patience = IN_
             kind,
             package,
             f"{what} had not come back after {ran_s:.1f} s and was ended",
-            expected=patience.expected,
+            expected=limit.expected,
         ) from None
     finally:
         if outer is None:
@@ -144,7 +144,7 @@ def with_time_limit(kind: str, package: str, what: str, patience: Patience = IN_
 
 
 def leave(error: Callable[[str], HilError]) -> None:
-    """From a signal handler: have the call that runs, if it may be left, end as soon as it is told of.
+    """From a signal handler: end the running call, if it may be left, as soon as its warning is logged.
 
     Until then it may come back by itself, so that a healthy device is open before it is let go of.
 
@@ -152,7 +152,7 @@ def leave(error: Callable[[str], HilError]) -> None:
         error: makes what the call is left with; given the call in words.
     """
     call = _RUNNING.get(threading.get_ident())
-    if call is not None and call.patience.may_be_left:
+    if call is not None and call.limit.may_be_left:
         call.asked = error
         _end()
 
@@ -167,7 +167,7 @@ def _watch() -> None:
 
 
 def _end(_number: int = _SIGNAL, _frame: FrameType | None = None) -> None:
-    """In the main thread: leave the call that is overdue, if it still runs."""
+    """In the main thread: leave the call that takes too long, if it still runs."""
     call = _RUNNING.get(threading.get_ident())
     if call is not None and call.looks >= call.most:
         raise _Overdue
@@ -194,7 +194,7 @@ def _compiles(frame: FrameType | None) -> bool:
 
 def _judge(ident: int, call: _Call) -> None:
     ran_s = time.monotonic() - call.began_s
-    if call.looks == call.patience.told:
+    if call.looks == call.limit.reported:
         LOG.warning("%s has been running for %.1f s", call, ran_s)
     if call.looks == 0 or call.looks % call.most:
         return

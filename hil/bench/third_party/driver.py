@@ -19,13 +19,13 @@ from hil.bench.third_party.call_timeout import (
     BESIDE_CYCLES,
     IN_A_CYCLE,
     CallTimeoutError,
-    Patience,
+    TimeLimit,
     opening,
     with_time_limit,
 )
 from hil.bench.third_party.sample_checks import checks_of, short
 from hil.core.device import DeviceKind, DeviceModel
-from hil.core.errors import HilError, told
+from hil.core.errors import HilError, error_text
 from hil.core.interfaces import Device
 from hil.core.package_errors import OURS, PackageError, blamed
 
@@ -36,10 +36,10 @@ MOST_SAMPLES = 10_000
 Failures = Mapping[str, HilError]
 
 
-def guarded(
+def wrapped_driver(
     kind: DeviceKind, model: DeviceModel, make: Callable[[], Device], failures: Failures, timeouts_s: float
 ) -> Device:
-    """The driver that `make` makes; behind a `Guarded` where another package brings it."""
+    """The driver that `make` makes; wrapped in a `ThirdPartyDriver` where another package brings it."""
     return make() if model.package == OURS else ThirdPartyDriver(kind, model, make, failures, timeouts_s)
 
 
@@ -83,9 +83,9 @@ class ThirdPartyDriver:
         return blamed(self._kind.name, self._package, what)
 
     @contextmanager
-    def _watched(self, what: str, patience: Patience) -> Iterator[None]:
+    def _watched(self, what: str, limit: TimeLimit) -> Iterator[None]:
         """Run code of the package that is to come back, and whose exceptions are its own."""
-        with self._blamed(what), with_time_limit(self._kind.name, self._package, what, patience):
+        with self._blamed(what), with_time_limit(self._kind.name, self._package, what, limit):
             yield
 
     def _blame(self, message: str, expected: str) -> NoReturn:
@@ -119,7 +119,7 @@ class ThirdPartyDriver:
         except CallTimeoutError as error:
             LOG.warning("%s", error)
         except (Exception, SystemExit, GeneratorExit) as error:
-            LOG.warning("%s (%s): close() raised %s", self._kind.name, self._package, told(error))
+            LOG.warning("%s (%s): close() raised %s", self._kind.name, self._package, error_text(error))
 
     def identity(self) -> Mapping[str, str]:
         """What the driver says it found."""
@@ -172,18 +172,18 @@ class ThirdPartyDriver:
         return samples
 
     def __getattr__(self, name: str) -> Any:
-        """Whatever else the driver has; its functions are blamed as the others are."""
+        """Give all other attributes of the driver; errors of its functions name the package, too."""
         if name.startswith("_") or self._driver is None:
             raise AttributeError(name)
         found = getattr(self._driver, name)
         if not callable(found):
             return found
 
-        patience = self._opening if name == "reopen" else BESIDE_CYCLES
+        limit = self._opening if name == "reopen" else BESIDE_CYCLES
 
         @functools.wraps(found)
         def call(*given: Any, **named: Any) -> Any:
-            with self._watched(f"{name}()", patience):
+            with self._watched(f"{name}()", limit):
                 return found(*given, **named)
 
         return call

@@ -1,8 +1,8 @@
 """The boundary to the emulated devices of other packages: what their parts of the world raise is named here.
 
-A part acts while something waits: for another device, or for a robot to come to rest. What it raises must not
-hit them. So a part that has failed is silent from then on, and why is left with the world: the driver of the
-device raises it when it is read, and a server of emulated devices ends by it.
+A part acts while the caller waits: for another device, or for a robot to come to rest. What it raises must
+not hit them. So a part that has failed is silent from then on, and why is left with the world: the driver of
+the device raises it when it is read, and a server of emulated devices ends by it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from hil.bench.third_party.call_timeout import with_time_limit
 from hil.core.device import DeviceModel
 from hil.core.errors import HilError
 from hil.core.package_errors import OURS, PackageError, blamed
-from hil.devices.emulated_device import Face
+from hil.devices.emulated_device import Transport
 from hil.fakes.world import NEVER_NS, Scheduled, World
 
 _MOST_AT_ONCE = 10_000
@@ -32,9 +32,9 @@ def parts_of(world: World, kind: str, model: DeviceModel) -> Iterator[None]:
         world.enclose = None
 
 
-def guarded_face(world: World, kind: str, model: DeviceModel, face: Face) -> Face:
-    """A face; guarded where another package brings its device."""
-    return face if model.package == OURS else ThirdPartyEndpoint(world, kind, model, face)
+def wrapped_transport(world: World, kind: str, model: DeviceModel, transport: Transport) -> Transport:
+    """A transport; wrapped in a `ThirdPartyTransport` where another package brings its device."""
+    return transport if model.package == OURS else ThirdPartyTransport(world, kind, model, transport)
 
 
 class ThirdPartyPart(Scheduled):
@@ -53,7 +53,7 @@ class ThirdPartyPart(Scheduled):
         self._at_ns, self._acted = -1, 0
 
     @contextmanager
-    def _guarded(self, what: str) -> Iterator[None]:
+    def _contained(self, what: str) -> Iterator[None]:
         """Run code of the package; its failure is kept."""
         try:
             with blamed(self._kind, self._model.package, f"{what} of the emulated {self._model.name}"):
@@ -69,7 +69,7 @@ class ThirdPartyPart(Scheduled):
     def next_due_ns(self) -> int:
         """As the part says; never again once it has failed."""
         if not self._failed:
-            with self._guarded("next_due_ns()"):
+            with self._contained("next_due_ns()"):
                 return self._part.next_due_ns()
         return NEVER_NS
 
@@ -82,7 +82,7 @@ class ThirdPartyPart(Scheduled):
         self._acted = self._acted + 1 if t_ns == self._at_ns else 0
         self._at_ns = t_ns
         what = f"on_due() of the emulated {self._model.name}"
-        with self._guarded("on_due()"), with_time_limit(self._kind, self._model.package, what):
+        with self._contained("on_due()"), with_time_limit(self._kind, self._model.package, what):
             if self._acted > _MOST_AT_ONCE:
                 raise PackageError(
                     self._kind,
@@ -93,31 +93,31 @@ class ThirdPartyPart(Scheduled):
             self._part.on_due(t_ns)
 
 
-class ThirdPartyEndpoint(ThirdPartyPart, Face):
-    """What a device of another package is served by."""
+class ThirdPartyTransport(ThirdPartyPart, Transport):
+    """The transport of a device of another package."""
 
-    def __init__(self, world: World, kind: str, model: DeviceModel, face: Face) -> None:
-        super().__init__(world, kind, model, face)
-        self._face = face
+    def __init__(self, world: World, kind: str, model: DeviceModel, transport: Transport) -> None:
+        super().__init__(world, kind, model, transport)
+        self._transport = transport
 
     def filenos(self) -> list[int]:
-        """As of the face; none once it has failed."""
+        """As of the transport; none once it has failed."""
         if not self._failed:
-            with self._guarded("filenos()"):
-                return self._face.filenos()
+            with self._contained("filenos()"):
+                return self._transport.filenos()
         return []
 
     def on_readable(self, fd: int, t_ns: int) -> None:
-        """Let the face take what has arrived."""
-        with self._guarded("on_readable()"):
-            self._face.on_readable(fd, t_ns)
+        """Let the transport take what has arrived."""
+        with self._contained("on_readable()"):
+            self._transport.on_readable(fd, t_ns)
 
     def endpoint(self) -> Mapping[str, object]:
-        """As of the face; raises its failure."""
+        """As of the transport; raises its failure."""
         with blamed(self._kind, self._model.package, "endpoint()"):
-            return self._face.endpoint()
+            return self._transport.endpoint()
 
     def close(self) -> None:
         """Let go; what that raises is kept."""
-        with self._guarded("close()"):
-            self._face.close()
+        with self._contained("close()"):
+            self._transport.close()

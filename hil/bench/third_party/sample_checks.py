@@ -1,4 +1,4 @@
-"""What is wrong with a value that a driver of another package gave, by the type hint of its field."""
+"""Checks values of drivers of other packages by the type hints of their fields."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def short(value: Any) -> str:
 
 
 def checks_of(kind: DeviceKind) -> list[tuple[str, str, Wrong]]:
-    """Of each field of a kind's sample: its name, what is expected there, and what is wrong with a value."""
+    """(name, expected, check of a value) for each field of a kind's sample."""
     shapes = _SHAPES.get(kind.sample.__name__, {})
     found: list[tuple[str, str, Wrong]] = []
     for field, hint in typing.get_type_hints(kind.sample).items():
@@ -61,8 +61,8 @@ def checks_of(kind: DeviceKind) -> list[tuple[str, str, Wrong]]:
             found.append((field, message, functools.partial(_of_status, len(kind.labels))))
         elif hint == Array:
             shape = shapes.get(field)
-            told_shape = f" of shape {shape}" if shape else ""
-            expected = f"a numpy array of float64, float32, int64 or bool{told_shape}"
+            shape_text = f" of shape {shape}" if shape else ""
+            expected = f"a numpy array of float64, float32, int64 or bool{shape_text}"
             found.append((field, expected, functools.partial(_of_array, shape)))
         else:
             found.append((field, f"a {_written(hint)}", _of(hint)))

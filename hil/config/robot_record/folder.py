@@ -69,7 +69,7 @@ class RobotRecord:
 
     @property
     def path(self) -> Path:
-        """Of the version in place."""
+        """Path of the version in place."""
         return self.folder / IN_PLACE
 
     def exists(self) -> bool:
@@ -118,7 +118,7 @@ class RobotRecord:
                     yield f"{name}: {path} was changed after it was measured"
 
     def path_of(self, part: Part, key: str) -> Path:
-        """Of a file that a part names."""
+        """Path of a file that a part names."""
         return (self.folder / FILES / str(part.values[key])).resolve()
 
     def history(self) -> History:
@@ -292,10 +292,10 @@ def read_version(path: Path, remedy: str) -> RecordFile:
         raise ConfigError(f"{path}: no record of schema 1", problems=problems, remedy=remedy) from None
 
 
-def _holds(told: object, tree: dict[str, Any]) -> bool:
+def _holds(digest: object, tree: dict[str, Any]) -> bool:
     """Whether a digest is that of a tree; never of one with dates or NaN, which no record has."""
     try:
-        return told == digest_of(tree)
+        return digest == digest_of(tree)
     except (TypeError, ValueError):
         return False
 

@@ -1,4 +1,4 @@
-"""Which values a part of a record may hold: plain and finite, and what its procedure would have let pass."""
+"""Limits of the values in parts of a record: plain, finite, and within what their procedures pass."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ def with_verdict(text: str, verdict: str) -> str:
 
 
 def of_fragment(path: Path) -> Origin:
-    """Of a piece of a bench file, by its comments; raises `ConfigError` for comments that cannot be meant."""
+    """Origin of a piece of a bench file, by its comments; raises `ConfigError` for wrong comments."""
     try:
         text = read_text(path, MOST_TOML_BYTES)
     except (OSError, ValueError) as error:
@@ -98,15 +98,15 @@ def of_fragment(path: Path) -> Origin:
 
 
 def of_part(path: Path, tree: Mapping[str, Any]) -> Origin:
-    """Of a part, by its tables; raises `ConfigError` for a robot that cannot be meant."""
+    """Origin of a part, by its tables; raises `ConfigError` for a robot that cannot be meant."""
     robot = None if "robot" not in tree else _robot(path, tree["robot"])
     said = Origin(robot, str(tree.get("verdict", NOT_VERIFIED)), str(tree.get("procedure", FROM_A_FILE)))
     return _by_the_result(path, said)
 
 
-def _robot(path: Path, told: object) -> Identity:
+def _robot(path: Path, given: object) -> Identity:
     try:
-        return Identity.model_validate(json_value(told) if isinstance(told, str) else told)
+        return Identity.model_validate(json_value(given) if isinstance(given, str) else given)
     except (ValidationError, ValueError):
         raise ConfigError(
             f"{path}: robot: it cannot be read of which robot this is", remedy="measure it again"
@@ -114,7 +114,7 @@ def _robot(path: Path, told: object) -> Identity:
 
 
 def _by_the_result(path: Path, said: Origin) -> Origin:
-    """The same with the words of the result that lies beside the file."""
+    """An origin corrected by the result that lies beside the file."""
     beside = path.parent / RESULT
     if not beside.is_file():
         return said

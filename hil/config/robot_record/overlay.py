@@ -1,4 +1,4 @@
-"""A record laid over a bench file: its values count above those of the file, `--set` above both."""
+"""Overlays a bench file with a robot's record: its values override the file's, `--set` both."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def known_parts(config: Any) -> dict[str, Part]:
 
 
 def identity(config: Any, seed: int | None = None) -> Identity:
-    """Whose record belongs to a bench: name, servos and wheels of its configuration, and the body behind it.
+    """The identity of the robot of a bench: name, servos, wheels and body.
 
     Args:
         config: of the bench.

@@ -132,7 +132,8 @@ class Part(_Model):
     """What one procedure found.
 
     Attributes:
-        procedure, verdict: who found it, and how that run ended; `not verified` of a file that does not say.
+        procedure, verdict: the procedure that measured it, and how its run ended; `not verified` of a file
+            that does not say.
         measured: date and time, ISO 8601.
         bench: name of the bench.
         surface: of the environment that it holds for; empty for everywhere.
@@ -173,7 +174,7 @@ class Part(_Model):
         return value
 
     def digest(self) -> str:
-        """Of what others may be measured on top of: the values, and the files by their content."""
+        """Digest of what other parts may rest on: the values, and the files by their content."""
         return digest_of({"values": {**self.values, **self.files}})
 
     def over(self, today: date) -> bool:
@@ -182,7 +183,7 @@ class Part(_Model):
 
 
 class Identity(_Model):
-    """Whose record it is: name, servos and wheels on paper, as the bench file has them.
+    """The identity of a robot: name, servos and wheels on paper, as the bench file has them.
 
     `body` is the body behind it: `real`, or which emulated one; None where it was not said.
     """
@@ -262,7 +263,7 @@ class RecordFile(_Model):
         return self.model_dump(mode="json", by_alias=True, exclude_none=True, exclude={"sha256"})
 
     def sealed(self) -> RecordFile:
-        """With its digest."""
+        """The record with its digest filled in."""
         return self.model_copy(update={"sha256": digest_of(self.tree())})
 
     def contradictions(self) -> Iterator[str]:

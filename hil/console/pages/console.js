@@ -66,20 +66,20 @@ function place(values) {
 async function start(name, values) {
   say("");
   try {
-    const told = await call("/api/start", { action: name, values });
-    if (at("start") && name === action().name) complain(at("form"), told.problems || {});
-    else if (told.problems) say(Object.values(told.problems).join("; "));
+    const answer = await call("/api/start", { action: name, values });
+    if (at("start") && name === action().name) complain(at("form"), answer.problems || {});
+    else if (answer.problems) say(Object.values(answer.problems).join("; "));
     await poll();
   } catch (error) { say(error); }
 }
 
 // ---- what runs
 
-function bar(told) {
-  const left = told.left_s === null || told.left_s === undefined ? "" : `, about ${Math.ceil(told.left_s)} s left`;
-  const counted = told.total > 1 ? `: ${told.done} of ${told.total}` : "";
-  const strip = told.total > 1 ? [make("progress", { max: told.total, value: told.done, "aria-label": told.what })] : [];
-  return [make("p", {}, `${told.what}${counted}${left}`), ...strip];
+function bar(progress) {
+  const left = progress.left_s === null || progress.left_s === undefined ? "" : `, about ${Math.ceil(progress.left_s)} s left`;
+  const counted = progress.total > 1 ? `: ${progress.done} of ${progress.total}` : "";
+  const strip = progress.total > 1 ? [make("progress", { max: progress.total, value: progress.done, "aria-label": progress.what })] : [];
+  return [make("p", {}, `${progress.what}${counted}${left}`), ...strip];
 }
 
 const questionOf = (job) => (job && job.question !== null && job.running ? `${job.name} ${job.question_id}` : "");
@@ -182,30 +182,30 @@ function table(head, rows) {
 let force = null;
 
 function live(job) {
-  const told = job.live;
-  if (told.adhesion_n !== null) force = [told.adhesion_n, told.adhesion_needed_n];
+  const now = job.live;
+  if (now.adhesion_n !== null) force = [now.adhesion_n, now.adhesion_needed_n];
   const figures = [
-    ["x (up a wall)", known(told.pose[0], mm)], ["y (across it)", known(told.pose[1], mm)],
-    ["heading", known(told.pose[2], degrees)], ["speed", known(told.twist[0], (x) => `${(1e3 * Math.hypot(x, told.twist[1])).toFixed(0)} mm/s`)],
-    ["bench time", `${told.t_s.toFixed(1)} s`], ["pressed on", force ? `${force[0].toFixed(0)} N (${known(force[1], (n) => n.toFixed(0))} needed)` : "–"],
+    ["x (up a wall)", known(now.pose[0], mm)], ["y (across it)", known(now.pose[1], mm)],
+    ["heading", known(now.pose[2], degrees)], ["speed", known(now.twist[0], (x) => `${(1e3 * Math.hypot(x, now.twist[1])).toFixed(0)} mm/s`)],
+    ["bench time", `${now.t_s.toFixed(1)} s`], ["pressed on", force ? `${force[0].toFixed(0)} N (${known(force[1], (n) => n.toFixed(0))} needed)` : "–"],
   ];
   at("figures").replaceChildren(...figures.map(([name, value]) => make("div", {}, make("span", { class: "soft" }, name), make("b", {}, value))));
   const wheels = ["front left", "back left", "back right", "front right"].map((name, i) => [
-    name, known(told.wheel_rad_s && told.wheel_rad_s[i], (w) => `${w.toFixed(2)} rad/s`), known(told.steering_rad && told.steering_rad[i], degrees)]);
+    name, known(now.wheel_rad_s && now.wheel_rad_s[i], (w) => `${w.toFixed(2)} rad/s`), known(now.steering_rad && now.steering_rad[i], degrees)]);
   at("wheels").replaceChildren(...table(["wheel", "turns", "steered"], wheels));
   at("streams").replaceChildren(...table(["device", "samples since the last look", "state"],
-    Object.entries(told.devices).map(([name, d]) => [name, String(d.samples), d.status])));
-  map(job, told);
+    Object.entries(now.devices).map(([name, d]) => [name, String(d.samples), d.status])));
+  map(job, now);
 }
 
-function map(job, told) {
+function map(job, now) {
   if (trailOf !== job.name) [trail, trailOf, force] = [[], job.name, null];
-  const [x, y, heading] = told.pose;
+  const [x, y, heading] = now.pose;
   if (x === null || y === null) return;
   const last = trail.at(-1);
   if (!last || Math.hypot(last[0] - x, last[1] - y) > 0.0005) trail.push([x, y]);
   if (trail.length > 4000) trail = trail.filter((_, i) => i % 2);
-  const aim = told.reference;
+  const aim = now.reference;
   const points = [...trail, [x, y], ...(aim ? [aim] : [])];
   const low = [0, 1].map((k) => Math.min(...points.map((p) => p[k])));
   const high = [0, 1].map((k) => Math.max(...points.map((p) => p[k])));
@@ -236,11 +236,11 @@ function map(job, told) {
 async function devices() {
   say("");
   try {
-    const told = await call(`/api/bench?name=${encodeURIComponent(at("bench").value)}`);
-    at("bench-said").textContent = `${told.bench}: ${told.devices.length} devices${told.start ? "" : "; its start pose is unknown: fill in “start”"}`;
-    const placed = told.devices.some((d) => d.place);
+    const answer = await call(`/api/bench?name=${encodeURIComponent(at("bench").value)}`);
+    at("bench-said").textContent = `${answer.bench}: ${answer.devices.length} devices${answer.start ? "" : "; its start pose is unknown: fill in “start”"}`;
+    const placed = answer.devices.some((d) => d.place);
     at("devices").replaceChildren(...table(["device", "model", "is", ...(placed ? ["at"] : [])],
-      told.devices.map((d) => [d.name, d.model, d.backend, ...(placed ? [d.place] : [])])));
+      answer.devices.map((d) => [d.name, d.model, d.backend, ...(placed ? [d.place] : [])])));
   } catch (error) { say(error); }
 }
 
@@ -260,10 +260,10 @@ const WITHOUT_VERDICT = ["unfinished", "foreign"];
 
 async function history() {
   try {
-    const told = await call(`/api/results?words=${encodeURIComponent(at("words").value)}`);
-    at("found").textContent = told.found ? `${told.found} ${told.found === 1 ? "result" : "results"}, the latest first` : "Nothing yet that fits.";
-    at("history").hidden = !told.found;
-    at("history").replaceChildren(...table(["when", "what", "verdict", "bench, or why"], told.results.map((r) => [
+    const answer = await call(`/api/results?words=${encodeURIComponent(at("words").value)}`);
+    at("found").textContent = answer.found ? `${answer.found} ${answer.found === 1 ? "result" : "results"}, the latest first` : "Nothing yet that fits.";
+    at("history").hidden = !answer.found;
+    at("history").replaceChildren(...table(["when", "what", "verdict", "bench, or why"], answer.results.map((r) => [
       r.when, r.link ? make("a", { href: r.link, target: "_blank", rel: "noopener", title: r.name }, r.procedure) : r.procedure || r.name,
       make("span", { class: `tag ${r.verdict || r.kind}` }, r.verdict || (WITHOUT_VERDICT.includes(r.kind) ? r.kind : "–")), r.why || r.bench])));
   } catch (error) { say(error); }

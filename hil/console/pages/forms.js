@@ -38,8 +38,8 @@ function row(field, index) {
   const id = `field-${index}`;
   const box = input(field, id);
   box.name = field.name;
-  const told = [field.help, range(field)].filter(Boolean).join(" ");
-  const help = make("div", { class: "soft", id: `${id}-help` }, told);
+  const help_text = [field.help, range(field)].filter(Boolean).join(" ");
+  const help = make("div", { class: "soft", id: `${id}-help` }, help_text);
   const wrong = make("div", { class: "wrong", id: `${id}-wrong`, role: "alert" });
   box.setAttribute("aria-describedby", `${id}-help ${id}-wrong`);
   if (field.kind === "flag") return make("div", { class: "field check" }, make("label", {}, box, field.title), help, wrong);

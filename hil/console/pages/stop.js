@@ -25,7 +25,7 @@ function words(job) {
   return job.question ? `${job.title} asks: ${job.question}` : `${job.title} runs`;
 }
 
-// What a page may say that nobody answers: nothing about what runs. A console that lives brings STOP back.
+// A page whose console does not answer shows nothing about what runs. A running console brings STOP back.
 function silent() {
   silentSince ??= Date.now();
   const gone = Date.now() - silentSince > PATIENCE_MS;

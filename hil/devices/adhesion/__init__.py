@@ -1,4 +1,4 @@
-"""What presses the robot on its surface: a ducted fan."""
+"""The kind `adhesion`: ducted fans that press the robot on its surface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""VESCs on CAN buses that were named, or that the system has: for discovery."""
+"""Discovers VESCs on CAN buses that were named, or that the system has."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ C = TypeVar("C", bound=CanConfig)
 def controllers(search: Search, buses: Iterable[C]) -> Iterator[tuple[C, list[int]]]:
     """Each bus with the ids of those that answer a ping or report, where there are any.
 
-    Where a fan or propellers are kept running, the bus is only listened to.
+    A bus on which a daemon commands a fan or propellers is only listened to.
     """
-    from hil.drivers.adhesion.keeper.door import bus_of, keepers
+    from hil.drivers.adhesion.fan_daemon.server import bus_of, running_daemons
     from hil.drivers.adhesion.vesc_identity import ask_who
     from hil.drivers.adhesion.vesc_settings import Answers
     from hil.drivers.links.can_bus import CanLink
 
     for bus in buses:
-        kept = bus.bus in map(bus_of, keepers())
-        search.say(f"{'listening' if kept else 'asking'} for VESCs on {bus.interface}:{bus.channel}")
+        busy = bus.bus in map(bus_of, running_daemons())
+        search.say(f"{'listening' if busy else 'asking'} for VESCs on {bus.interface}:{bus.channel}")
         asked = VescConfig(
             interface=bus.interface,
             channel=bus.channel,
@@ -36,7 +36,7 @@ def controllers(search: Search, buses: Iterable[C]) -> Iterator[tuple[C, list[in
         link = CanLink("adhesion", asked, search.clock)
         try:
             link.open()
-            seen = ask_who(link, asked, search.clock, Answers(), silent=kept)
+            seen = ask_who(link, asked, search.clock, Answers(), silent=busy)
         except HilError as error:
             search.say(str(error))
             continue

@@ -10,20 +10,20 @@ from hil.devices.adhesion.vesc_discovery import controllers
 from hil.devices.link_models import CanModel
 
 
-class KeptFan(CanModel):
+class DaemonFan(CanModel):
     """A fan that the fan daemon commands. It is not looked for, unless a model says how."""
 
     dbc: ClassVar[str] = ""
 
     def emulate(self, request: Any) -> Any:
         """The controller on a bus of its own, commanded from its world."""
-        from hil.devices.adhesion.emulated_keeper import kept_on_can
+        from hil.devices.adhesion.emulated_daemon import commanded_on_can
         from hil.devices.emulated_can import channel_of
 
         channel = channel_of(request)
         node = loaded(self.chip).build(request, channel)
         dbc = loaded(self.dbc) if self.dbc else ""
-        return kept_on_can(request, channel, [node], subnet=self.subnet, dbc=dbc, told=self.printed)
+        return commanded_on_can(request, channel, [node], subnet=self.subnet, dbc=dbc, printed=self.printed)
 
     def search(self, search: Search) -> Found | None:
         """None: to ask such a bus is to take part in it."""
@@ -32,11 +32,11 @@ class KeptFan(CanModel):
     @property
     def can_search(self) -> bool:
         """Whether a model says how."""
-        return type(self).search is not KeptFan.search
+        return type(self).search is not DaemonFan.search
 
 
-class Vesc(KeptFan):
-    """VESC."""
+class Vesc(DaemonFan):
+    """A ducted fan on a VESC with the VESC's own CAN protocol."""
 
     kind, name, title = "adhesion", "vesc", "a ducted fan on a VESC"
     config, subnet, printed = VescConfig, 164, ("controller_id",)

@@ -51,7 +51,7 @@ def look(watched: Watched) -> Iterator[Finding]:
 
 
 class Bno055(SerialModel):
-    """Bosch BNO055."""
+    """The Bosch BNO055 IMU on a serial port."""
 
     kind, name, title = "imu", "bno055", "BNO055 on its UART"
     config = Bno055Config
@@ -91,7 +91,7 @@ class Imu(DeviceKind):
         return float(safety.imu_stale_s)
 
     def rate_hz(self, config: Any, loop_hz: float) -> float:
-        """That of its table, else the loop rate up to 100 Hz."""
+        """Sample rate of its table, else the loop rate up to 100 Hz."""
         return float(getattr(config, "rate_hz", min(loop_hz, 100.0)))
 
     def motion_value(self, sample: ImuSample) -> Array | None:
@@ -99,7 +99,7 @@ class Imu(DeviceKind):
         return sample.gravity_m_s2 if sample.status is Status.OK else None
 
     def check(self, watched: Watched) -> Iterator[Finding]:
-        """Samples, calibration, gravity."""
+        """Findings on samples, calibration status and gravity."""
         return look(watched)
 
 

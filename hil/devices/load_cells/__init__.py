@@ -1,4 +1,4 @@
-"""What measures with which force the fan presses the robot on its surface."""
+"""The kind `load_cells`: cells that measure the force of the fan."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["CELLS", "KIND", "cell_state"]
 
 
 class Hx711Can(CanModel):
-    """Counts on CAN."""
+    """Load cells whose counts come as CAN frames."""
 
     kind, name, title = "load_cells", "hx711_can", "two load cells on a CAN node"
     config, subnet = CanCellsConfig, 165
@@ -30,7 +30,7 @@ class Hx711Can(CanModel):
 
 
 class Hx711Line(SerialModel):
-    """Counts as lines."""
+    """Load cells whose counts come as lines of text."""
 
     kind, name, title = "load_cells", "hx711_line", "two load cells on a serial line"
     config = LineCellsConfig

@@ -37,7 +37,7 @@ class NatNet(DeviceModel):
     def emulate(self, request: Any) -> Any:
         """A server of its own."""
         from hil.devices.emulated_device import Wired
-        from hil.fakes.mocap import NatNetFace, NatNetServer
+        from hil.fakes.mocap import NatNetServer, NatNetTransport
 
         server, config = NatNetServer.build(request), request.config
         if request.standard_ports:
@@ -45,11 +45,12 @@ class NatNet(DeviceModel):
         chosen = {key: getattr(config, key) for key in _MOTIVE_PORTS if key in config.model_fields_set}
         ports = _MOTIVE_PORTS if request.standard_ports else chosen
         return Wired(
-            lambda: Connection(parts={"datagrams": server.datagrams}), lambda: NatNetFace(server, **ports)
+            lambda: Connection(parts={"datagrams": server.datagrams}),
+            lambda: NatNetTransport(server, **ports),
         )
 
     def connection(self, endpoint: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Server and ports."""
+        """Keys of the bench file that reach an emulated server."""
         where = {key: endpoint[key] for key in ("server", "command_port", "data_port", "multicast")}
         return {**where, "local_address": endpoint["server"]}
 
@@ -116,8 +117,8 @@ class Mocap(DeviceKind):
     topics = (Topic("/mocap/pose", "geometry_msgs/msg/PoseStamped", _pose),)
     motion_threshold, measures_position = 0.0005, True
     silent_faults: ClassVar[Mapping[str, str]] = {
-        "intermittent": "the stream is judged second by second: told within two seconds of a longer run",
-        "delayed": "the stream is judged second by second: told within two seconds of a longer run",
+        "intermittent": "the stream is judged second by second: reported within two seconds of a longer run",
+        "delayed": "the stream is judged second by second: reported within two seconds of a longer run",
     }
 
     def rate_hz(self, config: Any, loop_hz: float) -> float:

@@ -38,10 +38,10 @@ class Dynamixel(SerialModel):
         config: ServosConfig = request.config
         reported = {"baud": config.baud, "ids": list(config.ids)}
         bus = loaded(self.chip).build(request)
-        return on_serial_line(request, bus, latency_s=config.usb_latency_s, told=reported)
+        return on_serial_line(request, bus, latency_s=config.usb_latency_s, printed=reported)
 
     def probe(self, port: str, clock: Clock) -> Found | None:
-        """Which servos answer."""
+        """Find the servos that answer on a port."""
         from hil.devices.servos.discovery import ask
 
         return ask(port, clock)
@@ -129,7 +129,7 @@ class Servos(DeviceKind):
         return float(safety.servo_stale_s)
 
     def rate_hz(self, config: Any, loop_hz: float) -> float:
-        """They are asked in each cycle."""
+        """The loop rate: they are read in each cycle."""
         return loop_hz
 
     def figures(self, inputs: Inputs) -> Iterator[tuple[str, Figures]]:

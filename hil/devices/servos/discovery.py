@@ -1,4 +1,4 @@
-"""Whether servos answer at a port, and what that makes of a bench file."""
+"""Finds servos at a port, and makes their table of a bench file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What carries part of the robot's weight: propellers."""
+"""The kind `thrust`: propellers that carry part of the robot's weight."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Thrust(DeviceKind):
         return 1.0 / float(getattr(config, "repeat_s", math.nan))
 
     def figures(self, inputs: Inputs) -> Iterator[tuple[str, Figures]]:
-        """Throttle 0..1."""
+        """The throttle, 0..1, as the figure of this kind."""
         if inputs.thrust:
             yield "adhesion/throttle", {"propellers": inputs.thrust[-1].throttle}
 
@@ -68,7 +68,7 @@ class Thrust(DeviceKind):
                 yield from itertools.starmap(Force, robot.propellers(config.force_at_n(sample.throttle)))
 
     def check(self, watched: Watched) -> Iterator[Finding]:
-        """Samples."""
+        """Findings on the samples."""
         yield from watched.losses("check cable and supply of the propellers' controllers")
 
 

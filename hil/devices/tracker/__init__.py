@@ -20,7 +20,7 @@ __all__ = ["KIND"]
 
 
 _SLOWEST = 0.9
-_UNSURE = "clean the lenses, light the scene, look whether the camera is shaken"
+_UNSURE = "clean the lenses, light the scene, check that the camera is not shaking"
 _FEW = "use a USB 3 port or a faster link, or set tracker.rate_hz to what is sent, where the table has it"
 
 
@@ -67,7 +67,7 @@ class Tracker(DeviceKind):
         return float(safety.tracker_stale_s)
 
     def rate_hz(self, config: Any, loop_hz: float) -> float:
-        """That of its table, else 200 Hz."""
+        """Sample rate of its table, else 200 Hz."""
         return float(getattr(config, "rate_hz", 200.0))
 
     def motion_value(self, sample: TrackerSample) -> Array | None:
@@ -75,7 +75,7 @@ class Tracker(DeviceKind):
         return sample.position_m if sample.status is _OK else None
 
     def check(self, watched: Watched) -> Iterator[Finding]:
-        """Samples and confidence."""
+        """Findings on samples and tracking confidence."""
         return look(watched)
 
 

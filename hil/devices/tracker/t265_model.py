@@ -28,10 +28,12 @@ class T265(DeviceModel):
         """A camera of its own."""
         from hil.devices.emulated_device import Wired
         from hil.fakes.tracker import T265 as Camera
-        from hil.fakes.tracker import TrackerFace
+        from hil.fakes.tracker import TrackerTransport
 
         camera = Camera.build(request)
-        return Wired(lambda: Connection(parts={"pipeline": camera.pipeline()}), lambda: TrackerFace(camera))
+        return Wired(
+            lambda: Connection(parts={"pipeline": camera.pipeline()}), lambda: TrackerTransport(camera)
+        )
 
     def connection(self, endpoint: Mapping[str, Any]) -> Mapping[str, Any]:
         """Address of the process that serves it."""
@@ -57,7 +59,7 @@ class T265(DeviceModel):
         return Found({"serial": serial_number})
 
     def check(self, watched: Watched) -> Iterator[Finding]:
-        """Its firmware: the library loads one whenever it is plugged in; another one is another library's."""
+        """Finding on the firmware, which the library loads whenever the camera is plugged in."""
         config: T265Config = watched.config
         found, expected = watched.device.identity().get("firmware", "unknown"), " or ".join(config.firmware)
         right = found in config.firmware

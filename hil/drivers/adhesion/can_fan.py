@@ -13,8 +13,8 @@ from hil.config.adhesion import MotorConfig
 from hil.core.clock import Clock
 from hil.core.errors import HilError, UsageError
 from hil.core.signals import AdhesionSample, Stamp, Status
-from hil.drivers.adhesion.can_motor import KeptMotor
-from hil.drivers.adhesion.keeper.kept import Keep
+from hil.drivers.adhesion.can_motor import DaemonMotor
+from hil.drivers.adhesion.fan_daemon.commander import MakeCommander
 from hil.drivers.adhesion.speed_trim import SpeedTrim
 from hil.drivers.links.silence_limit import Usefulness
 from hil.drivers.links.stuck_values import StuckTest
@@ -22,7 +22,7 @@ from hil.drivers.links.stuck_values import StuckTest
 _FASTEST = 3.0
 """Times the rated speed: no fan turns so fast."""
 _VOLTS, _CELSIUS = (0.0, 150.0), (-60.0, 250.0)
-"""Battery and transistors: beyond, a report is damaged and tells nothing of them."""
+"""Battery and transistors: beyond, a report is damaged and not used."""
 _STUCK_S = 0.5
 _RUNNING_RPM = 1000.0
 
@@ -41,21 +41,21 @@ class Figures(NamedTuple):
     motor_c: float
 
 
-class MotorFan(KeptMotor[C, AdhesionSample]):
+class MotorFan(DaemonMotor[C, AdhesionSample]):
     """One fan.
 
     Args:
         config: bus, id, ratings.
         clock: the bench clock.
-        keep: makes who keeps the fan running, of (spec, clock).
+        make_commander: makes what commands the fan, of (spec, clock); the daemon's client when None.
     """
 
     name = "adhesion"
     noun = "the fan"
 
-    def __init__(self, config: C, clock: Clock, keep: Keep | None = None) -> None:
+    def __init__(self, config: C, clock: Clock, make_commander: MakeCommander | None = None) -> None:
         self._fastest_rpm = _FASTEST * config.rated_rpm
-        super().__init__(config, clock, keep)
+        super().__init__(config, clock, make_commander)
 
     def _forget(self) -> None:
         super()._forget()
@@ -71,7 +71,7 @@ class MotorFan(KeptMotor[C, AdhesionSample]):
         Raises:
             DeviceTimeoutError: the controller has been silent for `fail_after_s`.
         """
-        kept = self._must_be_open()
+        commander = self._must_be_open()
         samples: list[AdhesionSample] = self._link.heard()
         now_ns = self._clock.now_ns()
         if lost_ns := self._usefulness.lost_ns(bool(samples), now_ns):
@@ -80,18 +80,18 @@ class MotorFan(KeptMotor[C, AdhesionSample]):
             self._latest = samples[-1]
             self._link.error = ""
             if self._trim is not None:
-                point = self._trim.better(samples[-1], kept.status)
+                point = self._trim.better(samples[-1], commander.status)
                 if point is not None:
-                    kept.set(point)
+                    commander.set(point)
         return tuple(samples)
 
     def _meaning(self, t_ns: int, message: can.Message, now_ns: int) -> AdhesionSample | None:
-        said, kept = self._report(message), self._kept
+        said, commander = self._report(message), self._commander
         figures = None if said is None else self._figures(said, t_ns)
         if figures is None or t_ns <= self._latest_ns:
             return None
         self._latest_ns = t_ns
-        return self._sample(figures, said, t_ns, now_ns, "" if kept is None else kept.trouble())
+        return self._sample(figures, said, t_ns, now_ns, "" if commander is None else commander.trouble())
 
     def _sample(self, figures: Figures, raw: object, t_ns: int, now_ns: int, trouble: str) -> AdhesionSample:
         """A report as a sample; `raw` is what never stays the same while a fan runs."""
@@ -123,9 +123,9 @@ class MotorFan(KeptMotor[C, AdhesionSample]):
                 expected=f"above 0, at most {highest_n:g} N (adhesion.highest_force_n)",
                 remedy="`hil adhesion off` lets the fan come to rest",
             )
-        kept = self._must_be_open()
+        commander = self._must_be_open()
         trim = SpeedTrim(self._config, self._config.speed_for_rpm(force_n), self._input_v(), self._latest)
-        kept.set(trim.point)
+        commander.set(trim.point)
         self._trim = trim
 
     def set_duty(self, duty: float) -> None:

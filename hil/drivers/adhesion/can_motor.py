@@ -1,7 +1,7 @@
-"""Motors on CAN that a keeper runs: how their driver opens, lets go, and says that nothing answers.
+"""Common base of the drivers of motors on CAN that a daemon commands: opening, closing, silence.
 
-Commands are not sent from here. A keeper sends them, which goes on when this program ends; it is told of
-another set-point only. Reports are read from the bus, whoever commands.
+Commands are not sent from here. A daemon sends them, which goes on when this program ends; it only gets new
+set-points. Reports are read from the bus, whichever program commands.
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ from typing import Generic, TypeVar
 
 import can
 
-from hil.config.can_motor import KeptMotorConfig
+from hil.config.can_motor import DaemonMotorConfig
 from hil.core.clock import NS_PER_S, Clock
 from hil.core.errors import DeviceTimeoutError, UsageError
 from hil.core.interfaces import Holding
-from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.deputy import KeptByProcess
-from hil.drivers.adhesion.keeper.kept import Keep, Kept
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon.commander import MakeCommander, MotorCommander
+from hil.drivers.adhesion.fan_daemon.failover import FailoverClient
+from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.drivers.links.can_bus import CanLink, remedy_of_silence
 from hil.drivers.links.silence_limit import used_while_closed
 
-C = TypeVar("C", bound=KeptMotorConfig)
+C = TypeVar("C", bound=DaemonMotorConfig)
 S = TypeVar("S", covariant=True)
 
 
-class KeptMotor(Holding[S], Generic[C, S]):
+class DaemonMotor(Holding[S], Generic[C, S]):
     """One device of one motor or several.
 
     Args:
         config: bus, ids, ratings.
         clock: the bench clock.
-        keep: makes who keeps it running, of (spec, clock).
+        make_commander: makes what commands it, of (spec, clock); the daemon's client when None.
 
     Attributes:
         noun: what it is called in messages.
@@ -42,10 +42,10 @@ class KeptMotor(Holding[S], Generic[C, S]):
 
     noun: str
 
-    def __init__(self, config: C, clock: Clock, keep: Keep | None = None) -> None:
-        self._config, self._clock, self._keep = config, clock, keep or KeptByProcess
+    def __init__(self, config: C, clock: Clock, make_commander: MakeCommander | None = None) -> None:
+        self._config, self._clock, self._make_commander = config, clock, make_commander or FailoverClient
         self._link = CanLink(self.name, config, clock)
-        self._kept: Kept | None = None
+        self._commander: MotorCommander | None = None
         self._identity: dict[str, str] = {}
         self._forget()
 
@@ -55,21 +55,21 @@ class KeptMotor(Holding[S], Generic[C, S]):
         self._latest_ns = -1
 
     def open(self) -> None:
-        """Find who is meant, read how it is set, and see to it that something keeps it running.
+        """Find the controller, read its settings, and find or start the daemon that commands it.
 
         Nothing is commanded; what runs goes on as it runs.
 
         Raises:
             ConfigError: a time-out that cannot be meant.
-            DeviceError: it is not there, not alone, tells nothing, or would let go of the robot.
+            DeviceError: it is not there, not alone, reports nothing, or would let go of the robot.
         """
         self.close()
-        spec = Spec(**self._config.keeper())
+        spec = Spec(**self._config.daemon_spec())
         self._link.open()
         try:
             identity = self._greet(spec)
-            self._kept = self._keep(spec, self._clock)
-            self._kept.open()
+            self._commander = self._make_commander(spec, self._clock)
+            self._commander.open()
             self._forget()
             self._link.listen_for(self._meaning)
         except BaseException:
@@ -79,28 +79,28 @@ class KeptMotor(Holding[S], Generic[C, S]):
 
     @abstractmethod
     def _greet(self, spec: Spec) -> dict[str, str]:
-        """Find who is meant on the open bus, look whether it may be trusted; its identity."""
+        """Find the controller on the open bus, check whether it may be trusted; its identity."""
 
     @abstractmethod
     def _meaning(self, t_ns: int, message: can.Message, now_ns: int) -> S | None:
-        """The sample that a frame completes; None for none: keepers' commands pass by here, too."""
+        """The sample that a frame completes, or None; daemons' commands pass by here, too."""
 
     def close(self) -> None:
         """Let go of the bus; what runs goes on. Idempotent; never raises."""
         self._identity = {}
-        kept, self._kept = self._kept, None
-        if kept is not None:
-            kept.close()
+        commander, self._commander = self._commander, None
+        if commander is not None:
+            commander.close()
         self._link.close()
 
     def identity(self) -> Mapping[str, str]:
         """Model, bus, controllers and firmware; empty while closed."""
         return self._identity
 
-    def _must_be_open(self) -> Kept:
-        if self._kept is None:
+    def _must_be_open(self) -> MotorCommander:
+        if self._commander is None:
             raise used_while_closed(self.name, self._link.port)
-        return self._kept
+        return self._commander
 
     def _duty(self, duty: float) -> SetPoint:
         """A duty as it is; raises `UsageError` for one that cannot be meant."""
@@ -116,8 +116,8 @@ class KeptMotor(Holding[S], Generic[C, S]):
         """Nothing was heard of `whose` for so long; `then` is what it does without commands."""
         return DeviceTimeoutError(
             self.name,
-            f"no report of {whose} for {silent_ns / NS_PER_S:.1f} s{self._link.told()}: once no command "
-            f"reaches it for {self._config.timeout_s:g} s {then}. Secure the robot",
+            f"no report of {whose} for {silent_ns / NS_PER_S:.1f} s{self._link.bus_errors()}: once no "
+            f"command reaches it for {self._config.timeout_s:g} s {then}. Secure the robot",
             port=self._link.port,
             expected="status message 1",
             remedy="plug the CAN adapter in again; "

@@ -12,10 +12,10 @@ from hil.config.adhesion import VescConfig
 from hil.core.clock import Clock, nanoseconds
 from hil.core.finding import Finding
 from hil.drivers.adhesion.can_fan import Figures, MotorFan
-from hil.drivers.adhesion.keeper.kept import Keep, finding
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon.commander import MakeCommander, finding
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.drivers.adhesion.vesc import Packet, Status, Status4, Status5, address, decode
-from hil.drivers.adhesion.vesc_identity import Seen, ask_who
+from hil.drivers.adhesion.vesc_identity import BusReplies, ask_who
 from hil.drivers.adhesion.vesc_settings import Answers
 
 _SLOW_REPORTS_NS = nanoseconds(1.5)
@@ -46,10 +46,10 @@ class _Slow:
 class VescFan(MotorFan[VescConfig]):
     """One fan; arguments as of any."""
 
-    def __init__(self, config: VescConfig, clock: Clock, keep: Keep | None = None) -> None:
-        self._answers, self._seen = Answers(), Seen()
+    def __init__(self, config: VescConfig, clock: Clock, make_commander: MakeCommander | None = None) -> None:
+        self._answers, self._seen = Answers(), BusReplies()
         self._reports = {address(packet, config.controller_id) for packet in _READ}
-        super().__init__(config, clock, keep)
+        super().__init__(config, clock, make_commander)
 
     def _forget(self) -> None:
         super()._forget()
@@ -62,7 +62,7 @@ class VescFan(MotorFan[VescConfig]):
         return {
             "model": "VESC",
             "port": f"{self._link.port}, controller {self._config.controller_id}",
-            "firmware": self._answers.firmware or "not told",
+            "firmware": self._answers.firmware or "not reported",
         }
 
     def _input_v(self) -> float:
@@ -91,6 +91,6 @@ class VescFan(MotorFan[VescConfig]):
         )
 
     def diagnose(self) -> tuple[Finding, ...]:
-        """What the doctor wants to know of how the controller is set and kept."""
+        """Findings on the settings and the daemon of the controller."""
         set_so = self._seen.findings(self.name, self._config, self._answers)
-        return (*set_so, finding(self.name, self._kept))
+        return (*set_so, finding(self.name, self._commander))

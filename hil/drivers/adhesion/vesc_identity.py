@@ -1,4 +1,4 @@
-"""Who is on the bus of a VESC, and whether the one that is meant may be trusted with a robot."""
+"""Finds the controllers on a VESC's bus, and checks that the configured one may be trusted with a robot."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hil.config.adhesion import VescConfig
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.finding import Finding, Level
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.drivers.adhesion.vesc import ALL_SERVOS, Pong, Status, Status4, Status5, decode, ping_frame
 from hil.drivers.adhesion.vesc_settings import QUESTIONS, SHORT, Answers, question
 from hil.drivers.links.can_bus import CanLink, remedy_of_silence
@@ -27,7 +27,7 @@ _IDS = "give each controller an id of its own in VESC Tool (App Settings, Genera
 
 
 @dataclass
-class Seen:
+class BusReplies:
     """What came from the bus while it was looked at.
 
     Attributes:
@@ -71,7 +71,7 @@ class Seen:
         if timeout_s == 0.0:
             raise DeviceError(
                 name,
-                "the controller's time-out is 0: its motor would run for ever once nobody commands it",
+                "the controller's time-out is 0: its motor would run for ever without commands",
                 port=port,
                 expected=f"at least {least_s:g} s",
                 remedy=_TIMEOUT,
@@ -99,7 +99,7 @@ class Seen:
             )
         return DeviceTimeoutError(
             name,
-            f"no VESC answers{link.told()}",
+            f"no VESC answers{link.bus_errors()}",
             port=link.port,
             expected=f"controller {config.controller_id} at {config.bitrate} bit/s",
             remedy=remedy_of_silence(name, config, "the controller") + "; VESC Tool has its bit rate in App "
@@ -107,7 +107,7 @@ class Seen:
         )
 
     def findings(self, name: str, config: VescConfig, answers: Answers) -> Iterator[Finding]:
-        """What the doctor tells of how the controller is set."""
+        """Findings on the settings of the controller."""
         settings = answers.settings
         if settings is None:
             found = f"the controller does not tell; the bench file says {config.timeout_s:g} s"
@@ -130,7 +130,7 @@ class Seen:
     def _firmware(name: str, firmware: str) -> Finding:
         remedy = "update it with VESC Tool"
         if not firmware:
-            return Finding(name, "firmware", "warning", "not told", "5.03 or later", remedy)
+            return Finding(name, "firmware", "warning", "not reported", "5.03 or later", remedy)
         major, _, minor = firmware.partition(".")
         old = (int(major), int(minor)) < _OLDEST_FIRMWARE
         return Finding(name, "firmware", "warning" if old else "ok", firmware, "5.03 or later", remedy)
@@ -138,8 +138,8 @@ class Seen:
 
 def ask_who(
     link: CanLink, config: VescConfig, clock: Clock, answers: Answers, *, silent: bool = False
-) -> Seen:
-    """Ping everybody, ask the controller how it is set, and listen until it is known or time is up.
+) -> BusReplies:
+    """Ping all controllers, ask the own one for its settings, and listen until it is known or time is up.
 
     Args:
         link: open bus.
@@ -148,7 +148,7 @@ def ask_who(
         answers: receives how the controller is set.
         silent: only listen.
     """
-    seen = Seen()
+    seen = BusReplies()
     if not silent:
         ping = ping_frame(ALL_SERVOS, config.own_id)
         link.send(ping.id, ping.data, extended=True)
@@ -169,7 +169,7 @@ def ask_who(
     return seen
 
 
-def _take(seen: Seen, answers: Answers, config: VescConfig, frame_id: int, data: bytes) -> None:
+def _take(seen: BusReplies, answers: Answers, config: VescConfig, frame_id: int, data: bytes) -> None:
     command, receiver = frame_id >> 8, frame_id & 0xFF
     said = decode(frame_id, data)
     if isinstance(said, Pong):

@@ -50,8 +50,8 @@ class Answers:
     """Puts answers together.
 
     Attributes:
-        firmware: `6.05`, once told.
-        settings: once told.
+        firmware: `6.05`, once reported.
+        settings: once reported.
     """
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class Answers:
 
     @property
     def complete(self) -> bool:
-        """Whether everything has been told."""
+        """Whether everything has been reported."""
         return bool(self.firmware) and self.settings is not None
 
     def take(self, command: int, data: bytes) -> None:

@@ -88,7 +88,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         self._timeline = NodeTimeline(first.sequence.mask, first.time.mask, first.time_lsb_s)
         self._arrivals = ArrivalClock()
         self._forget()
-        self._told_layout = False
+        self._layout_reported = False
         self._sequence: int | None = None
         self._finished = -1
         self._words = [-1] * 4
@@ -127,7 +127,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         shut(self.name, bus)
 
     def identity(self) -> Mapping[str, str]:
-        """Bus, DBC and frames in use, and the node's firmware once it has told it; empty while closed."""
+        """Bus, DBC and frames in use, and the node's firmware once it has reported it; empty while closed."""
         if not self._identity or not self.node_status.heard:
             return self._identity
         return {**self._identity, "firmware": self.node_status.firmware}
@@ -282,8 +282,8 @@ class As5045Encoders(Sensor[EncoderSample]):
         return sample if -1 in known else self._finish(host_ns)
 
     def _warn_of_layout(self) -> None:
-        if not self._told_layout and (other := self.node_status.other_layout):
-            self._told_layout = True
+        if not self._layout_reported and (other := self.node_status.other_layout):
+            self._layout_reported = True
             _LOG.warning("%s at %s sends %s", self.name, self._port, other)
 
     def _pass_over(self, message: can.Message, layout: FrameLayout | None, host_ns: int) -> None:

@@ -55,7 +55,7 @@ class NodeStatus:
 
     @property
     def firmware(self) -> str:
-        """Its version; `?` where it does not say."""
+        """Firmware version of the node; `?` where it does not say."""
         return str(self._latest.get("Firmware", "?"))
 
     @property

@@ -13,7 +13,7 @@ class ArrivalClock:
 
     Interfaces stamp on a clock of their own (mostly the system's real time). Its offset to the bench
     clock is learnt from frames that were waited for, whose stamp is fresh; without a usable stamp the
-    time of draining stands in. Frames that have waited for seconds (nothing drained the bus) have stamps
+    time of draining stands in. Frames that have waited for seconds (the bus was not drained) have stamps
     that go on from where they were; a clock that was set back has stamps that go back, or that stay old
     however often the bus is drained.
     """

@@ -74,7 +74,7 @@ def open_bus(
     options: dict[str, Any] = dict(config.options)
     try:
         if stays_on_host(config.interface, config.channel, options):
-            from hil.support.host_multicast import HostMulticastBus  # a keeper on SocketCAN needs none
+            from hil.support.host_multicast import HostMulticastBus  # a daemon on SocketCAN needs none
 
             return HostMulticastBus(config.channel, **options)
         bus = can.Bus(interface=config.interface, channel=config.channel, bitrate=config.bitrate, **options)
@@ -95,7 +95,7 @@ def _check_bitrate(device: str, config: Any) -> None:
     if there is not None and there != config.bitrate:
         raise DeviceError(
             device,
-            f"the bus runs at {there} bit/s, {device}.bitrate is {config.bitrate}: nobody would be heard",
+            f"the bus runs at {there} bit/s, {device}.bitrate is {config.bitrate}: no node would be heard",
             port=f"{config.interface}:{config.channel}",
             expected="one bit rate on all of the bus",
             remedy=f"set {device}.bitrate = {there}",
@@ -108,7 +108,7 @@ def remedy_of_silence(device: str, config: Any, node: str) -> str:
     Args:
         device: name in the bench file.
         config: its table.
-        node: who should be heard, as in `check the supply of {node}`.
+        node: the node that should be heard, as in `check the supply of {node}`.
     """
     shown = f", `ip -details link show {config.channel}`" * (config.interface == "socketcan")
     return (
@@ -216,7 +216,7 @@ class CanLink:
     def listen_for(self, meaning: Meaning) -> None:
         """From now on `heard` gives what frames say, and `take` nothing.
 
-        What waits is dropped: it is older than whoever reads next would think.
+        What waits is dropped: it is older than the next reader would assume.
         """
         for _ in range(_MOST_FRAMES):
             if not self.take():
@@ -224,7 +224,7 @@ class CanLink:
         self._meaning = meaning
 
     def heard(self) -> list[Any]:
-        """What frames have said since the last call, oldest first, once something listens for it.
+        """Samples of the frames since the last call, oldest first, once `listen_for` was called.
 
         A program that stood still hears at first what had come before; its thread gets time to catch up.
         """
@@ -282,7 +282,7 @@ class CanLink:
                 found.append((arrival_ns, message))
         return found
 
-    def told(self) -> str:
-        """What the interface has said, to be appended to a complaint; empty for nothing."""
+    def bus_errors(self) -> str:
+        """Errors of the interface so far, to be appended to a message; empty for none."""
         seen = f", {self.error_frames} error frames" * bool(self.error_frames)
         return seen + f", {self.error}" * bool(self.error)

@@ -9,7 +9,7 @@ from typing import Any
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.drivers.links.can_bus import GONE_NS, CanLink, remedy_of_silence
-from hil.drivers.links.streaming import C, S, StreamingSensor
+from hil.drivers.links.streaming_sensor import C, S, StreamingSensor
 
 _LOOK_S, _STANDARD = 0.02, 0x7FF
 
@@ -34,7 +34,7 @@ class CanSensor(StreamingSensor[C, S]):
 
     @property
     def place(self) -> str:
-        """Interface and channel."""
+        """Interface and channel, for messages."""
         return self._link.port
 
     @abstractmethod
@@ -112,5 +112,5 @@ class CanSensor(StreamingSensor[C, S]):
         )
 
     def silence_details(self) -> str:
-        """What the interface has reported."""
-        return self._link.told()
+        """Errors that the CAN interface has reported."""
+        return self._link.bus_errors()

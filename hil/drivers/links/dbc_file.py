@@ -18,7 +18,7 @@ _ENCODING = "cp1252"  # of every DBC file; cantools reads them so too
 
 
 def load_database(path: Path) -> Any:
-    """The `cantools.database.can.Database` of a file; who asks for the same text gets the same one.
+    """The `cantools.database.can.Database` of a file; the same text gives the same object.
 
     Raises:
         DataError: it cannot be read.

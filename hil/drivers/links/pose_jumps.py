@@ -1,4 +1,4 @@
-"""Tells motion from relocalisation: a pose stream is continuous, a corrected map is not."""
+"""Distinguishes motion from relocalisation: a pose stream is continuous, a corrected map is not."""
 
 from __future__ import annotations
 

@@ -18,14 +18,14 @@ class Seldom:
 
     def __init__(self, log: logging.Logger) -> None:
         self._log = log
-        self._told_ns: int | None = None
-        self._untold = 0
+        self._written_ns: int | None = None
+        self._skipped = 0
 
     def warn(self, now_ns: int, message: str) -> None:
-        """Tell it, unless it was told less than a second ago; the next one then says how often it came."""
-        if self._told_ns is not None and 0 <= now_ns - self._told_ns < _EVERY_NS:
-            self._untold += 1
+        """Log it, unless one was logged less than a second ago; the next one then says how often it came."""
+        if self._written_ns is not None and 0 <= now_ns - self._written_ns < _EVERY_NS:
+            self._skipped += 1
             return
-        also = f" ({self._untold} times more since the last message)" if self._untold else ""
+        also = f" ({self._skipped} times more since the last message)" if self._skipped else ""
         self._log.warning("%s%s", message, also)
-        self._told_ns, self._untold = now_ns, 0
+        self._written_ns, self._skipped = now_ns, 0

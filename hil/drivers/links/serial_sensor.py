@@ -9,7 +9,7 @@ from typing import Any
 from hil.core.clock import Clock
 from hil.core.errors import DeviceError
 from hil.drivers.links.serial_port import PortLostError, SerialPort
-from hil.drivers.links.streaming import C, S, StreamingSensor
+from hil.drivers.links.streaming_sensor import C, S, StreamingSensor
 
 
 class SerialSensor(StreamingSensor[C, S]):
@@ -30,7 +30,7 @@ class SerialSensor(StreamingSensor[C, S]):
 
     @property
     def place(self) -> str:
-        """The port."""
+        """The serial port, for messages."""
         return str(self.config.port)
 
     @abstractmethod

@@ -176,7 +176,7 @@ def latency_timer(port: str, sysfs: Path = Path("/sys")) -> Path | None:
 
     Args:
         port: device path, or a link to one such as `/dev/serial/by-id/...`.
-        sysfs: where the kernel tells of its devices.
+        sysfs: folder in which the kernel describes its devices.
     """
     if "://" in port:
         return None

@@ -1,4 +1,4 @@
-"""When a driver gives up: the error of one that is used while closed, and what silence of poses is."""
+"""Decides when a silent device is an error; also the error of a driver that is used while closed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Usefulness:
         self.begin(0)
 
     def begin(self, now_ns: int) -> None:
-        """It was of use at `now_ns`."""
+        """Note that the device was of use at `now_ns`."""
         self.good_ns = self._asked_ns = now_ns
         self._between_ns = 0
 

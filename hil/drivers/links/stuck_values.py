@@ -1,4 +1,4 @@
-"""Tells a quantity that happens to rest from one that is not measured any more: real ones have noise."""
+"""Detects values that are not measured any more: real ones have noise, also at rest."""
 
 from __future__ import annotations
 

@@ -26,13 +26,13 @@ class CanCells(CanSensor[CanCellsConfig, LoadCellSample]):
     remedy = "check load_cells.dbc and load_cells.node_id"
 
     def frame_ids(self) -> tuple[int, ...]:
-        """That of the DBC, with the node's number; raises `DataError` where the DBC cannot be used."""
+        """Frame identifier of the DBC, with the node's number; raises `DataError` for a wrong DBC."""
         frame_id, self._length, self._fields = _layout(self.config)
         self._judge = Judge(self.config)
         return (frame_id,)
 
     def identify(self) -> Mapping[str, str]:
-        """DBC and frame."""
+        """DBC file and frame in use."""
         (frame_id,) = self._ids
         return {"model": "HX711", "dbc": str(self.config.dbc_path), "frame": f"0x{frame_id:X}"}
 
@@ -56,7 +56,7 @@ class _Field:
         self._order, self._shift = order, shift
 
     def take(self, data: bytes | bytearray) -> int:
-        """The signed counts."""
+        """Decode the signed counts of a frame."""
         value = int.from_bytes(data, self._order) >> self._shift & (1 << _BITS) - 1
         return value - (1 << _BITS) if value >> (_BITS - 1) else value
 

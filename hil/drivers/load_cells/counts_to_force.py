@@ -1,4 +1,4 @@
-"""From counts to forces: what both ways of delivery share, and which counts cannot be used."""
+"""Converts counts to forces, and marks counts that cannot be used."""
 
 from __future__ import annotations
 

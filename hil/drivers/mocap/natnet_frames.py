@@ -2,7 +2,7 @@
 
 Sections in order (OptiTrack NatNet SDK): marker sets, unlabelled markers, rigid bodies,
 skeletons, (4.1: assets,) labelled markers, force plates, devices, suffix. Since 4.1 each section
-tells its size after its count.
+gives its size after its count.
 """
 
 from __future__ import annotations

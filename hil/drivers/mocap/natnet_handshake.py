@@ -1,4 +1,4 @@
-"""What has to be settled with a NatNet server before its frames can be used."""
+"""Agrees with a NatNet server on bit stream and rigid body, and waits for its first frame."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Handshake:
         config: what is wanted.
         clock: the bench clock.
         name: device name in errors.
-        silent: makes the error that tells of silence.
+        silent: makes the error for a silent server.
     """
 
     def __init__(

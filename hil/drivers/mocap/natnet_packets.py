@@ -12,7 +12,7 @@ _SHORT_SERVER = struct.Struct("<256s4B4B")
 
 
 class Message(enum.IntEnum):
-    """Message identifiers."""
+    """Identifiers of NatNet messages."""
 
     CONNECT = 0
     SERVER_INFO = 1

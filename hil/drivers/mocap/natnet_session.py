@@ -1,4 +1,4 @@
-"""The conversation with a NatNet server: connect, versions, model definitions, signs of life, frames."""
+"""Talks to a NatNet server: connection, versions, model definitions, keep-alive, frames."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NewFrame: TypeAlias = tuple[Frame, int, bool]
 
 
 class Session:
-    """Open ports to one server and what it has told so far.
+    """Open ports to one server, and what it has sent so far.
 
     Args:
         config: addresses.
@@ -43,7 +43,7 @@ class Session:
     Attributes:
         server: its description, None until it has answered.
         version: (major, minor) of the bit stream.
-        bodies: rigid bodies by streaming id, None until it has told.
+        bodies: rigid bodies by streaming id, None until it has sent them.
         body_id: the one to look for in frames, None until it is known.
         malformed: packets that were not what they said.
         strangers: packets from other hosts, or frames from another source than the usual one.
@@ -105,12 +105,12 @@ class Session:
         self._send(request(Message.REQUEST_MODELS))
 
     def ask_version(self, version: tuple[int, int]) -> None:
-        """Ask for another bit stream; `version` tells when the server has agreed."""
+        """Ask for another bit stream; `version` changes when the server has agreed."""
         self._asked = version
         self._send(request(Message.REQUEST, "Bitstream,{}.{}".format(*version)))
 
     def keep_alive(self, now_ns: int) -> None:
-        """Tell a unicast server from time to time that it is listened to."""
+        """Send keep-alives to a unicast server from time to time."""
         if now_ns - self._alive_ns >= self._keepalive_ns and self._config.multicast is None:
             self._alive_ns = now_ns
             self._send(request(Message.KEEPALIVE))
@@ -142,7 +142,8 @@ class Session:
         self.floods += 1
         if self.floods == 1:
             _LOG.warning(
-                "%d datagrams of no use at once: somebody floods the ports of %s:%d (%d from strangers)",
+                "%d datagrams of no use at once: another program floods the ports of %s:%d "
+                "(%d from strangers)",
                 _MOST_WASTED,
                 *self._address,
                 self.strangers,

@@ -1,6 +1,6 @@
 """Model definitions: which rigid bodies a server streams, by streaming id.
 
-Since 4.1 every definition tells its size; before, all kinds have to be read to get past them.
+Since 4.1 every definition contains its size; before, all kinds have to be read to get past them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Datagram ports: what the driver needs of a network, and the real one.
+"""The interface of datagram ports, and its implementation on UDP.
 
 A port takes the time of every arrival, because datagrams wait between two reads. The real port does
 that in a thread of its own; nothing else happens there. A flood costs that thread a bounded share of

@@ -1,4 +1,4 @@
-"""How long each servo has been of no use, and the error once that has gone on for too long."""
+"""Measures how long each servo has not answered, and raises the error once that is too long."""
 
 from __future__ import annotations
 

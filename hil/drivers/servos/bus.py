@@ -84,7 +84,7 @@ class Bus:
 
     def ping(self, servo_id: int) -> Answer:
         """Whether a servo is there, one attempt; the data are its model number."""
-        model, result, error = self._guard(lambda: self._sdk.ping(self.port, servo_id), (0, None, 0))
+        model, result, error = self._call_sdk(lambda: self._sdk.ping(self.port, servo_id), (0, None, 0))
         return self._answer(result, error, bytes((model & 0xFF, model >> 8 & 0xFF)))
 
     def read(self, servo_id: int, address: int, length: int, attempts: int = _ATTEMPTS) -> Answer:
@@ -92,7 +92,7 @@ class Bus:
         answer = packets.NO_ANSWER
         nothing: list[int] = []
         for _ in range(attempts):
-            data, result, error = self._guard(
+            data, result, error = self._call_sdk(
                 lambda: self._sdk.readTxRx(self.port, servo_id, address, length), (nothing, None, 0)
             )
             answer = self._answer(result, error, bytes(data))
@@ -106,7 +106,7 @@ class Bus:
         """Write registers of one servo and take its acknowledgement."""
         answer = packets.NO_ANSWER
         for _ in range(attempts):
-            result, error = self._guard(
+            result, error = self._call_sdk(
                 lambda: self._sdk.writeTxRx(self.port, servo_id, address, len(data), list(data)), (None, 0)
             )
             answer = self._answer(result, error, b"")
@@ -115,7 +115,7 @@ class Bus:
         return answer
 
     def send(self, packet: bytes) -> bool:
-        """Send a packet that nothing answers; False when the port is lost."""
+        """Send a packet without an answer; False when the port is lost."""
         self._settle()
         self.traffic_ns = self._clock.now_ns()
         try:
@@ -135,7 +135,7 @@ class Bus:
         Args:
             group: what to ask.
             timeout_s: how long the answer may take.
-            after: a packet that nothing answers, to go out before it in the same transfer.
+            after: a packet without an answer, to go out before it in the same transfer.
         """
         self._settle()
         self._ahead, self._asked = None, self._ask(group, timeout_s, after)
@@ -153,7 +153,7 @@ class Bus:
     def answered(self, patience_ns: int) -> Exchange:
         """What was asked for with `ask`, waited for until its deadline and at least `patience_ns` from now.
 
-        Whoever asked ahead may have been kept from listening until the deadline was over; the answer
+        The caller may have been kept from listening until the deadline was over; the answer
         is then about to be handed over by a computer that had the same to do.
         """
         if self._asked is not None:
@@ -221,7 +221,7 @@ class Bus:
         return data
 
     def unasked(self) -> int:
-        """How many bytes have arrived while nothing waits for an answer."""
+        """How many bytes have arrived while no answer is awaited."""
         try:
             return 0 if self._asked is not None else self.port.waiting()
         except PortLost:
@@ -253,7 +253,7 @@ class Bus:
             remedy="check cable and power" if not number else "switch torque off or check the value",
         )
 
-    def _guard(self, call: Callable[[], T], lost: T) -> T:
+    def _call_sdk(self, call: Callable[[], T], lost: T) -> T:
         """A call into the SDK; a lost port becomes a failed result."""
         self._settle()
         self.traffic_ns = self._clock.now_ns()

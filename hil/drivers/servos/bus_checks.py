@@ -52,7 +52,7 @@ def findings(
     fast: bool,
     mapped: bool,
 ) -> tuple[Finding, ...]:
-    """What a check of the bus tells, beyond that it opened.
+    """Findings on the bus, beyond that it opened.
 
     Args:
         config: what the bench expects.

@@ -1,4 +1,4 @@
-"""Finding servos at any baud rate, and setting one up: the only place that writes the EEPROM."""
+"""Finds servos at any baud rate, and sets one up: the only place that writes the EEPROM."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class FoundServo:
 
     Attributes:
         servo_id, baud: where it answers.
-        model, firmware: model number and firmware that it tells.
+        model, firmware: model number and firmware that it reports.
         operating_mode: -1 where it could not be read: no answer, or a model without a control table.
         return_delay_s: 0 where it could not be read.
     """
@@ -121,7 +121,7 @@ def set_up(
 ) -> dict[str, tuple[int, int]]:
     """Write the EEPROM of one servo, register by register, each read back; never with torque on.
 
-    Which registers and values there are is told by the control table of the model that answers.
+    The control table of the model that answers decides which registers and values there are.
 
     Args:
         port: pyserial URL or device path.
@@ -168,7 +168,7 @@ def _check_for_any_model(wanted: Mapping[str, int]) -> None:
 
 
 def _refusal(model: ServoModel, wanted: Mapping[str, int], firmware: int | None = None) -> UsageError | None:
-    """Why a model does not take what is wanted, None where it does; `firmware` once a servo has told it."""
+    """Why a model refuses the wanted values, None where it takes them; `firmware` once it is known."""
     found = "" if firmware is None else f" for {model.name}"
     for name, raw in wanted.items():
         register = model.table.get(name)
@@ -187,7 +187,7 @@ def _refusal(model: ServoModel, wanted: Mapping[str, int], firmware: int | None 
 
 
 def _model_of(servo_id: int, block: bytes, port: str) -> ServoModel:
-    """The model that a servo tells in its first registers."""
+    """The model by a servo's first registers."""
     number = from_block(block, shared_register("model_number"))
     model = servo_models().get(number)
     if model is None:

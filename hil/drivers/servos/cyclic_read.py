@@ -1,4 +1,4 @@
-"""The read of every cycle, and what becomes of it when servos do not answer.
+"""Reads all servos in every cycle, and handles those that do not answer.
 
 Now and then it is a full look: the same exchange shows torque, watchdog, voltage and temperature too, a
 fifth of a millisecond more on the wire instead of two exchanges of their own.
@@ -6,7 +6,7 @@ fifth of a millisecond more on the wire instead of two exchanges of their own.
 A servo that misses a read moves to the end of the list, so that a chain that stops at it loses no servo
 else; missing three times, it leaves the list and is asked alone every now and then. So a dead servo costs one
 short time-out at a time, never the whole group. When nothing answers it is either the bus or the first of
-the chain: something else leads the next read, and the guilty one is then known.
+the chain: another servo leads the next read, and the faulty one is then known.
 """
 
 from __future__ import annotations
@@ -116,11 +116,11 @@ class CycleReader:
         return self._bus.asked()
 
     def ask(self, *, full: bool, after: bytes = b"") -> None:
-        """Send the request of the next `read`, behind a packet that nothing answers."""
+        """Send the request of the next `read`, behind a packet without an answer."""
         self._ask(self._full if full else self._cycle, tuple(self._order), after)
 
     def look(self) -> Reading:
-        """A full look at everybody, those that have been given up too, in the time that it takes."""
+        """A full read of all servos, also those that have been given up, in the time that it takes."""
         if self.asked():
             self.read()
         if self._incomplete and self._roll.is_due():

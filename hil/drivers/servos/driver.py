@@ -70,10 +70,10 @@ class DynamixelServos(Actuators):
         self._identity: dict[str, str] = {}
         self._watchdog_ns = nanoseconds(config.watchdog_s)
         self._talking = threading.Lock()
-        self._caretaker = KeepAlive(clock, self._talking, self._visit, watchdog_s=config.watchdog_s)
+        self._keep_alive = KeepAlive(clock, self._talking, self._visit, watchdog_s=config.watchdog_s)
 
     def open(self) -> None:
-        """Open the port, check who is there and how they are set up, write RAM. Torque is left as it is.
+        """Open the port, check which servos are there and their settings, write RAM. Torque is left as it is.
 
         Raises:
             DeviceError: port, identity or EEPROM are not as expected; the message has a table.
@@ -97,7 +97,7 @@ class DynamixelServos(Actuators):
             raise
 
     def _set_up(self, bus: Bus, *, last: bool = False) -> None:
-        """Who is there, and RAM; from the beginning once more where a servo falls silent in between."""
+        """Check the servos and write RAM; once more from the beginning where one falls silent in between."""
         config = self._config
         acknowledge_all(bus, config.ids)
         answers = ident.read_blocks(bus, config, self._clock)
@@ -127,7 +127,7 @@ class DynamixelServos(Actuators):
 
     def close(self) -> None:
         """Bring the wheels to rest and let go of the port; torque stays as it is. Idempotent."""
-        self._caretaker.end()
+        self._keep_alive.end()
         with self._talking:
             if self._bus is None:
                 return
@@ -143,7 +143,7 @@ class DynamixelServos(Actuators):
 
     @property
     def model(self) -> ServoModel:
-        """Of all eight, as they told at open."""
+        """The model of all eight servos, as read at open."""
         self._opened()
         return self._registers.model
 
@@ -168,7 +168,7 @@ class DynamixelServos(Actuators):
         self._cycle.ask(full=self._paused or self._look_closely())
 
     def _tripped_by(self, silence_ns: int) -> bool:
-        """Whether watchdogs may have tripped, as nothing talked to the servos; their clocks are not ours."""
+        """Whether watchdogs may have tripped, as the servos were not asked; their clocks are not ours."""
         return self._upkeep.torque and silence_ns > self._watchdog_ns // 2 > 0
 
     def read(self) -> tuple[ServoSample, ...]:
@@ -196,7 +196,7 @@ class DynamixelServos(Actuators):
         if self._prefetch and not self._commanded:
             self._cycle.ask(full=self._look_closely())
         self._commanded = False
-        self._caretaker.attended(sample.stamp.host_ns)
+        self._keep_alive.attended(sample.stamp.host_ns)
         return sample
 
     def _look_closely(self) -> bool:
@@ -234,13 +234,13 @@ class DynamixelServos(Actuators):
         """
         with self._talking:
             bus = self._opened()
-            self._caretaker.begin()
+            self._keep_alive.begin()
             end_ns = self._clock.now_ns() + _PATIENCE_NS
             while not self._enable(bus, last=self._clock.now_ns() >= end_ns):
                 self._clock.sleep_until_ns(self._clock.now_ns() + _RETRY_NS)
 
     def _enable(self, bus: Bus, *, last: bool) -> bool:
-        """One attempt; False where it is worth another: who is silent may be starting up after a dip."""
+        """One attempt; False where it is worth another: a silent servo may be starting up after a dip."""
         try:
             self._await_answers(bus)
             self._upkeep.audit(self._cycle.live_ids)
@@ -285,7 +285,7 @@ class DynamixelServos(Actuators):
                 self._cycle.ask(full=self._look_closely(), after=packet)
             else:
                 bus.send(packet)
-            self._caretaker.attended(self._clock.now_ns())
+            self._keep_alive.attended(self._clock.now_ns())
 
     def stop(self) -> None:
         """Wheels at rest, steering held at its goals, torque stays on. Sent twice; never raises."""
@@ -320,7 +320,7 @@ class DynamixelServos(Actuators):
         position = self._samples.position(reading)
         now_ns = self._clock.now_ns()
         self._outage.saw(reading.status, now_ns)
-        self._caretaker.attended(now_ns)
+        self._keep_alive.attended(now_ns)
         self._upkeep.insist(reading.status)
         trouble = self._upkeep.trouble(reading)
         upkeep = self._upkeep
@@ -334,7 +334,7 @@ class DynamixelServos(Actuators):
         """
         with self._talking:
             self._opened()
-            self._caretaker.end()
+            self._keep_alive.end()
             self._upkeep.switch_off(self._cycle.live_ids)
 
     def diagnose(self) -> tuple[Finding, ...]:

@@ -1,4 +1,4 @@
-"""Who is on the bus: what each ID answers at open, held against what the bench expects."""
+"""Compares the servos that answer at open with those that the bench expects."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _UNCLEAR = (Status.TIMEOUT, Status.CRC, Status.PROTOCOL)
 
 
 def read_blocks(bus: Bus, config: ServosConfig, clock: Clock) -> list[Answer]:
-    """Registers 0..147 of the eight servos; whoever gives no clean answer is asked again for a while.
+    """Registers 0..147 of the eight servos; one that gives no clean answer is asked again for a while.
 
     Raises nothing.
 
@@ -65,13 +65,13 @@ def identified(bus: Bus, config: ServosConfig, answers: list[Answer], device: st
             remedies.append(remedy)
     if not problems:
         return servo_models()[number]
-    nobody = all(a.status is Status.TIMEOUT for a in answers)
-    if nobody:
+    all_silent = all(a.status is Status.TIMEOUT for a in answers)
+    if all_silent:
         remedies = [_other_baud(bus, config)]
     garbled = sum(a.status not in (Status.OK, Status.TIMEOUT) for a in answers)
     if garbled > len(answers) // 2:
         remedies = [_NO_SERVO_LINE]
-    kind = DeviceTimeoutError if nobody else DeviceError
+    kind = DeviceTimeoutError if all_silent else DeviceError
     raise kind(
         device,
         f"{len(problems)} of 8 servos are not what the bench expects\n  " + "\n  ".join(problems) + "\n ",

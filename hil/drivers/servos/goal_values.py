@@ -1,4 +1,4 @@
-"""Commands to the servos: radians into raw goals, within the limits of bench and servo.
+"""Converts commands in radians to raw goals, within the limits of bench and servo.
 
 A servo ignores a goal beyond its own limits in silence, so those count here too. Drives have velocity
 goals, steers position goals, whose zero is the servo's centre.

@@ -1,4 +1,4 @@
-"""When a full look at the servos is due, and the sample made of their voltage and temperature."""
+"""Schedules full reads of the servos, and makes samples of voltage and temperature."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 A robot on a wall hangs by the torque of its servos. A servo that restarts comes back without torque and
 says nothing; a program that has stopped its loop would not ask. So from `enable` until `release` or
-`close` something always asks: the loop in its cycles, and in between the caretaker.
+`close` the servos are always polled: by the loop in its cycles, and in between by `KeepAlive`.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ _LOG = logging.getLogger(__name__)
 
 _LONGEST_ALONE_S = 0.1
 _SHARE = 0.8
-"""Of the watchdog's time: the servos hear from the caretaker before the watchdog stops them."""
+"""Share of the watchdog's time after which the servos are polled."""
 _CALM_NS, _ALERT_NS = nanoseconds(0.05), nanoseconds(0.02)
 
 
 class KeepAlive:
-    """Visits the servos when they have been left alone.
+    """Polls the servos when nothing else has talked to them for a while.
 
     Args:
         clock: the bench clock.
-        lock: held by whoever talks to the servos, not re-entrant; the caretaker never waits for it.
-        visit: one visit, called with the lock held; whether all is well.
+        lock: held while the servos are talked to, not re-entrant; this never waits for it.
+        visit: polls once, called with the lock held; whether all is well.
         watchdog_s: of the servos; 0 without one.
     """
 
@@ -42,17 +42,17 @@ class KeepAlive:
         self._attended_ns = 0
 
     def attended(self, now_ns: int) -> None:
-        """Something else has just talked to the servos."""
+        """Note that the loop has just talked to the servos."""
         self._attended_ns = now_ns
 
     def begin(self) -> None:
-        """From now on the servos are not left alone. Idempotent."""
+        """Begin to poll. Idempotent."""
         if self._end is None:
             self._attended_ns = self._clock.now_ns()
             self._end = self._clock.schedule(self._look_in, self._attended_ns + self._alone_ns)
 
     def end(self) -> None:
-        """Nothing needs to be held any more. Idempotent."""
+        """Stop to poll. Idempotent."""
         if self._end is not None:
             self._end()
             self._end = None
@@ -66,7 +66,7 @@ class KeepAlive:
         try:
             well = self._visit()
         except HilError as error:
-            _LOG.warning("while nobody else talked to the servos: %s", error)
+            _LOG.warning("while no loop talked to the servos: %s", error)
             well = False
         finally:
             self._lock.release()

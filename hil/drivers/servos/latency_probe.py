@@ -1,9 +1,9 @@
-"""Which servos answer late: asked one by one, each waited for, after a stop.
+"""Finds servos that answer late, by asking them one by one after a stop.
 
-One late answer holds up everything that is asked behind it, so that nothing is heard in time and nothing
+One late answer holds up everything that is asked behind it, so that no servo is heard in time and none
 seems
-to blame. It gives itself away by bytes that arrive when nothing waits for any more. In the control cycle
-there is no time to find out whose they are; while the robot is looked after there is.
+to blame. Bytes that arrive while no answer is awaited reveal it. In the control cycle
+there is no time to find out whose they are; while the robot only rests there is.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ _QUIET_S, _SETTLES_NS, _MOST_BYTES = 0.02, nanoseconds(0.3), 4096
 _WHOLE_NS = nanoseconds(0.4)
 """After so long a roll call is broken off, and goes on there: one that restarts waits for its torque."""
 _LONGEST_S = 0.25
-"""Who takes longer than that to answer is as good as dead."""
+"""A servo that takes longer than that to answer counts as dead."""
 _SPARE, _EDGE_S, _ATTEMPTS = 1.5, 0.001, 3
-"""The computer may be busy: who is asked alone and is late so many times is late."""
+"""The computer may be busy: a servo that is asked alone and is late so many times is late."""
 _PAUSE_NS = nanoseconds(1.0)
 """From one to the next: meanwhile the servos are looked after as usual."""
 
@@ -36,7 +36,7 @@ class LatencyProbe:
         bus: open bus.
         ids: of the servos.
         clock: the bench clock.
-        watchdog_s: of the servos: nothing is waited for until it trips; 0 without one.
+        watchdog_s: of the servos: no answer is awaited until it trips; 0 without one.
 
     Attributes:
         late_s: how long the late ones have taken to answer, by joint.
@@ -49,7 +49,7 @@ class LatencyProbe:
         self.late_s: dict[int, float] = {}
 
     def is_due(self) -> bool:
-        """Whether bytes have come for which nothing waits, or one is left alone; not soon after the last."""
+        """Whether unexpected bytes have come, or a servo is to be asked alone; not soon after a probe."""
         if self._clock.now_ns() < self._next_ns:
             return False
         return any(map(self.leaves_alone, self.late_s)) or bool(self._bus.unasked())

@@ -48,7 +48,7 @@ class MultiTurnCounter:
         self._together_ns: int | None = None
 
     def restarted(self, joint: int) -> None:
-        """It is known that a servo has started over: its next reading is bridged to the nearest turn."""
+        """Note that a servo has restarted: its next reading is bridged to the nearest turn."""
         self._restarted[joint] = True
         self._part()
 

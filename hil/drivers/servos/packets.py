@@ -52,7 +52,7 @@ BAD_CHECKSUM = Answer(Status.CRC)
 
 
 def instruction(servo_id: int, code: int, parameters: bytes = b"") -> bytes:
-    """An instruction packet."""
+    """Build an instruction packet."""
     body = (bytes((code,)) + parameters).replace(_TO_STUFF, _TO_STUFF + b"\xfd")
     data = _HEADER + bytes((servo_id,)) + (len(body) + 2).to_bytes(2, "little") + body
     crc: int = crc16.umts(data)
@@ -60,7 +60,7 @@ def instruction(servo_id: int, code: int, parameters: bytes = b"") -> bytes:
 
 
 def ping_all() -> bytes:
-    """The broadcast ping."""
+    """Build the broadcast ping."""
     return instruction(BROADCAST, _PING)
 
 

@@ -146,7 +146,7 @@ class RamRecovery:
                 return
         raise DeviceError(
             self._device,
-            "torque is not off: " + (", ".join(left) if state else "nobody answers"),
+            "torque is not off: " + (", ".join(left) if state else "no servo answers"),
             port=self._config.port,
             expected="Torque Enable 0",
             remedy="cut the servos' supply",
@@ -199,7 +199,7 @@ class RamRecovery:
         Args:
             state: of `audit`.
             goals: (8,) raw goals at which the robot is held.
-            paused: nothing talked for longer than the watchdog waits: that it tripped was to be expected.
+            paused: there was no request for longer than the watchdog's time: it was expected to trip.
         """
         if not self.torque:
             return ()
@@ -225,7 +225,7 @@ class RamRecovery:
         return tuple(repaired)
 
     def insist(self, status: Sequence[Status]) -> None:
-        """Torque on for those that are not heard: who has restarted may hear, though its answers are lost.
+        """Send torque on to silent servos: one that has restarted may receive it, but its answers are lost.
 
         It holds by what it wakes up with, goals at which it stands still, until it can be set up again.
         """

@@ -1,4 +1,4 @@
-"""Where the driver finds in a model's control table what it reads and writes."""
+"""The blocks of a model's control table that the driver reads and writes."""
 
 from __future__ import annotations
 

@@ -132,7 +132,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         return left_ns if left_ns > 0 else 0
 
     def waiting(self) -> int:
-        """How many bytes have arrived that nothing has read; raises `PortLost`."""
+        """How many bytes wait to be read; raises `PortLost`."""
         try:
             count: int = self.ser.in_waiting
         except PORT_ERRORS as error:

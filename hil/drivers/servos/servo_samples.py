@@ -1,4 +1,4 @@
-"""From a read of the bus to a sample: positions that count on, restarts and hardware errors looked into."""
+"""Makes a sample of a read of the bus: multi-turn positions, restarts, hardware errors."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Samples:
         return np.array(self._registers if reading is None else self._known(reading), dtype=np.int64)
 
     def _known(self, reading: Reading) -> Sequence[int]:
-        """Position registers (8,) of a reading; of who has not answered, as last known."""
+        """Position registers (8,) of a reading; of servos that have not answered, as last known."""
         now = reading.registers["position"]
         if reading.status is ALL_OK:
             return now
@@ -125,7 +125,7 @@ class Samples:
 
 
 def _seen(reading: Reading) -> np.ndarray:
-    """(8,) who answered."""
+    """(8,) bool, whether each servo answered."""
     if reading.status is ALL_OK:
         return ALL_SERVOS
     return np.array([s is Status.OK for s in reading.status])

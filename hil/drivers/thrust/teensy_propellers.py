@@ -1,8 +1,8 @@
 """The propellers behind a Teensy: lines `THR<0..180>`, without confirmation.
 
 Opening the port changes nothing. Once a throttle was asked for it is sent again and again, so that a line
-that got lost, the firmware's way down after one that got damaged, and a restart do not last. Whoever reads
-sends it; while nothing reads, after a stop or between motions, the driver does so by itself.
+that got lost, the firmware's way down after one that got damaged, and a restart do not last. A caller that
+reads sends it; without reads, after a stop or between motions, the driver does so by itself.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _LOG = logging.getLogger(__name__)
 
 _SLACK_NS = 1_000_000
 _ALONE = 1.2
-"""So many times the period after which a throttle is sent again, nothing is read."""
+"""Times the period after which a throttle is sent again without reads."""
 
 
 class TeensyThrust(Holding[ThrustSample]):
@@ -48,7 +48,7 @@ class TeensyThrust(Holding[ThrustSample]):
         self._sequence = 0
         self._talking = threading.Lock()
         self._end: Callable[[], None] | None = None
-        self._told = self._alone = False
+        self._reported = self._alone = False
 
     def open(self) -> None:
         """Open the port; raises `DeviceError`. Nothing can tell whether a Teensy listens."""
@@ -124,7 +124,7 @@ class TeensyThrust(Holding[ThrustSample]):
             self._end = self._clock.schedule(self._repeat, self._due_ns())
 
     def leave_alone(self, alone: bool) -> None:
-        """Do not repeat the throttle while `alone`: the firmware goes on as it was told last."""
+        """Do not repeat the throttle while `alone`: the firmware goes on with the last one."""
         self._alone = alone
 
     def _due_ns(self) -> int:
@@ -132,15 +132,15 @@ class TeensyThrust(Holding[ThrustSample]):
         return self._sent_ns + round(_ALONE * self._repeat_ns)
 
     def _repeat(self, now_ns: int) -> int:
-        """Send the throttle again if nothing else has; when to look again."""
+        """Send the throttle again if no read has; the time of the next check."""
         if now_ns >= self._due_ns() and self._step is not None and not self._alone:
             try:
                 if self._send(self._step):
-                    self._told = False
+                    self._reported = False
             except DeviceTimeoutError as error:
-                if not self._told:
-                    _LOG.warning("while nobody read: %s", error)
-                self._told = True
+                if not self._reported:
+                    _LOG.warning("while no caller read: %s", error)
+                self._reported = True
         return max(self._due_ns(), now_ns + self._repeat_ns // 2)
 
     def _send(self, step: int) -> bool:
@@ -155,7 +155,7 @@ class TeensyThrust(Holding[ThrustSample]):
             if now_ns - self._failing_ns > nanoseconds(0.5):
                 raise DeviceTimeoutError(
                     self.name,
-                    f"the port takes nothing ({error}): the propellers go on as told last",
+                    f"the port takes nothing ({error}): the propellers go on as last commanded",
                     port=self._config.port,
                     expected="a port that takes a line",
                     remedy="plug it in again; secure the robot first",

@@ -1,7 +1,7 @@
-"""The client end of an emulated camera's feed: a pipeline-shaped object on a UDP socket.
+"""Receives an emulated camera's poses over UDP, in the shape of a librealsense pipeline.
 
 It subscribes with one small datagram, renews that every second, and hands every pose to the callback
-from a thread of its own, as librealsense does. What the camera is told goes the same way. The datagrams are
+from a thread of its own, as librealsense does. Settings and wheel odometry go the same way. The datagrams are
 laid out in `hil.core.tracker_feed`.
 """
 
@@ -47,7 +47,7 @@ class FeedFrame:
         return True
 
     def as_pose_frame(self) -> FeedFrame:
-        """Itself."""
+        """This object itself, as in the library."""
         return self
 
     def get_timestamp(self) -> float:
@@ -82,11 +82,11 @@ class FeedDevice:
         }
 
     def get_device(self) -> FeedDevice:
-        """Itself: profile and device in one."""
+        """The device of this profile: the same object."""
         return self
 
     def supports(self, key: str) -> bool:
-        """Whether the feed told it."""
+        """Whether the feed has sent this information."""
         return key in self._info
 
     def get_info(self, key: str) -> str:
@@ -95,7 +95,7 @@ class FeedDevice:
 
 
 class FeedSensor:
-    """What the camera can be told, in the shape of librealsense's sensor, options and wheel odometer."""
+    """Sends options and wheel odometry, in the shape of librealsense's sensor and wheel odometer."""
 
     def __init__(self, send: Callable[[bytes], bool]) -> None:
         self._send = send
@@ -103,41 +103,41 @@ class FeedSensor:
         self._wheels: Any = None
 
     def query_sensors(self) -> list[FeedSensor]:
-        """Itself: device and sensor in one."""
+        """The sensors of this device: the same object."""
         return [self]
 
     def get_device(self) -> FeedSensor:
-        """Itself."""
+        """The device of this sensor: the same object."""
         return self
 
     def supports(self, option: str) -> bool:
-        """The camera judges."""
+        """True: the camera checks each option itself."""
         return True
 
     def set_option(self, option: str, value: float) -> None:
-        """Told when the stream starts."""
+        """Set an option; sent when the stream starts."""
         self._options[option] = value
 
     def get_option(self, option: str) -> float:
-        """As it was set."""
+        """The value that was set."""
         return self._options[option]
 
     def as_wheel_odometer(self) -> FeedSensor:
-        """Itself."""
+        """The wheel odometer of this sensor: the same object."""
         return self
 
     def load_wheel_odometery_config(self, calibration: list[int]) -> bool:
-        """Told when the stream starts."""
+        """Set the mounts of the wheels; sent when the stream starts."""
         self._wheels = json.loads(bytes(calibration))
         return True
 
     def send_wheel_odometry(self, sensor: int, number: int, velocity: Any) -> bool:
-        """Told at once."""
+        """Send a velocity of the wheels at once."""
         v = velocity
         return self._send(WHEELS_RECORD.pack(FEED_MAGIC, FEED_WHEELS, sensor, number, v.x, v.y, v.z))
 
     def settings(self) -> bytes:
-        """The datagram that says all of it."""
+        """The datagram of all options and mounts."""
         reported = {"options": self._options, "wheels": self._wheels}
         return FEED_HEAD.pack(FEED_MAGIC, FEED_SETTINGS) + json.dumps(reported).encode()
 
@@ -161,7 +161,7 @@ class FeedPipeline:
         self.strange = 0
 
     def resolve(self) -> FeedSensor:
-        """What can be told before the stream starts."""
+        """The sensor that takes options before the stream starts."""
         return self._sensor
 
     def start(self, config: Any, callback: Callable[[Frame], None]) -> FeedDevice:

@@ -67,7 +67,7 @@ class StreamRequest:
         self.serial = serial
 
     def resolve(self, pipeline: Any) -> Any:
-        """The profile that the pipeline would start with: its device can be told what to do."""
+        """The profile that the pipeline would start with: its device takes options."""
         return pipeline.resolve()
 
 

@@ -119,7 +119,7 @@ class T265Tracker(Sensor[TrackerSample]):
         self._jumps.distrust()
         self._restarted = True
 
-    port_gone = False  # USB tells the library, which does not tell us
+    port_gone = False  # USB reports it to the library, which does not pass it on
 
     def close(self) -> None:
         """Stop the stream. Idempotent; never raises."""

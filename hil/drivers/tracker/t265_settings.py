@@ -1,6 +1,6 @@
 """The settings of a T265 before and while it streams: map handling, wheel odometry.
 
-The velocity is that of the body's origin in the body's axes. Where these are is told once, in librealsense's
+The velocity is that of the body's origin in the body's axes. Where these are is set once, in librealsense's
 JSON (its manual of the T265): `T` and `W` are place and rotation vector of the velocity sensor's frame in the
 camera's axes, `noise_variance` the variance of a velocity, (m/s)^2.
 """
@@ -59,7 +59,7 @@ def tell(device: Any, library: Any, config: T265Config, name: str, *, beside: bo
         library: whose names it understands.
         config: what is wanted.
         name: of the device in errors.
-        beside: whether velocities are sent by a thread, so that nothing waits for USB.
+        beside: whether velocities are sent by a thread, so that the loop does not wait for USB.
 
     Returns:
         What takes the wheels' velocities; None where none are wanted.

@@ -1,7 +1,7 @@
 """The ducted fan, its motor and its battery: what is asked of the motor in, speed and currents out.
 
 Figures are assumptions but for what the controller does: it clips what it is asked for, reduces the current
-when its power stage is hot or the battery low, and lets go of a motor that nothing commands.
+when its power stage is hot or the battery low, and lets go of a motor without commands.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Fan:
         return motor_v / input_v
 
     def begin(self, speed_rpm: float) -> None:
-        """It has been running at a speed for long."""
+        """Set the state of a fan that has been running at a speed for long."""
         self.demand = Demand("duty", self.duty_for(speed_rpm))
         self.speed_rpm = speed_rpm
         motor_a = self._a_per_rpm2 * speed_rpm**2

@@ -1,4 +1,4 @@
-"""What is true of the emulated fan: how its controller is set, its battery, and how it begins."""
+"""True parameters of the emulated fan: settings of its controller, its battery, its initial state."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from hil.config.values import Within
-from hil.fakes.tether import Start
+from hil.fakes.initial_support import Start
 
 StatusMessage = Annotated[int, Within(1, 6, "a VESC has status messages 1 to 6")]
 Rate = Annotated[float, Within(0.0, 1000.0, "messages per second")]
@@ -18,7 +18,7 @@ class AdhesionTruthOptions:
 
     Attributes:
         start: `tethered`: the robot hangs on a tether until the fan has carried it once. `running`: the fan
-            runs at the working point, as if something had kept it running. `off`. `by use`: running in
+            runs at the working point, as if a daemon had kept it running. `off`. `by use`: running in
             virtual time, tethered at the wire, where it is not known when a client comes.
         timeout_s: without a `SET_*` for so long the motor is released; 0 never.
         rate_1_hz, rate_2_hz: two rates of status messages.

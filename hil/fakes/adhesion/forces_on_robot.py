@@ -1,10 +1,10 @@
-"""What motors do to the robot: their forces together, and the tether that holds until they carry it."""
+"""Adds up the forces of motors on the robot, and the tether that holds until they carry it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from hil.fakes.tether import Start, Tether
+from hil.fakes.initial_support import Start, Tether
 
 
 class Load:

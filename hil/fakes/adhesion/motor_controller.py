@@ -21,7 +21,7 @@ from hil.fakes.body_interface import HoldingForces
 from hil.fakes.can_channel import WIRE_FAULTS, CanChannel, CanFrame
 from hil.fakes.emulation_request import EmulationRequest
 from hil.fakes.fault import PERIODIC, STRIKES, Supported
-from hil.fakes.tether import Start
+from hil.fakes.initial_support import Start
 from hil.fakes.world import NEVER_NS, Scheduled, World
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class MotorNode(Scheduled):
 
     Options = AdhesionTruthOptions
     supported_faults = FAN_FAULTS
-    tells = True
+    announces = True
 
     @classmethod
     def build(cls, request: EmulationRequest, channel: CanChannel) -> Self:
@@ -117,7 +117,7 @@ class MotorNode(Scheduled):
 
     def begin_in_use(self) -> None:
         """The bench in this process has kept the fan running, unless the options say otherwise."""
-        self.alone = True  # nothing in this world waits for its frames
+        self.alone = True  # no part of this world waits for its frames
         if self._options.start == "by use":
             self.begin("running")
 

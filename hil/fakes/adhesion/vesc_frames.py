@@ -35,7 +35,7 @@ def clipped(value: float, bits: int) -> int:
 
 
 def status_1(erpm: float, motor_a: float, duty: float) -> bytes:
-    """Message 1."""
+    """Encode status message 1."""
     return struct.pack(">ihh", clipped(erpm, 32), clipped(motor_a * 10, 16), clipped(duty * 1000, 16))
 
 
@@ -45,14 +45,14 @@ def status_2(ah: float) -> bytes:
 
 
 def status_4(fet_c: float, motor_c: float, input_a: float) -> bytes:
-    """Message 4."""
+    """Encode status message 4."""
     return struct.pack(
         ">hhhh", clipped(fet_c * 10, 16), clipped(motor_c * 10, 16), clipped(input_a * 10, 16), 0
     )
 
 
 def status_5(tachometer: float, input_v: float) -> bytes:
-    """Message 5."""
+    """Encode status message 5."""
     wrapped = (round(tachometer) + (1 << 31)) % (1 << 32) - (1 << 31)
     return struct.pack(">ihh", wrapped, clipped(input_v * 10, 16), 0)
 

@@ -74,7 +74,7 @@ class VescNode(MotorNode):
             self.fan.demand = Demand("brake")
 
     def _answer(self, asker_id: int, question: int, t_ns: int) -> None:
-        """Firmware and settings, to whoever asks."""
+        """Send firmware and settings to any node that asks."""
         o = self._options
         if question == vesc_frames.FW_VERSION:
             payload = vesc_frames.firmware_reply(o.firmware)

@@ -77,7 +77,7 @@ class EncoderNode(Scheduled):
     """
 
     Options = EncoderTruthOptions
-    tells = True
+    announces = True
 
     @classmethod
     def build(cls, request: EmulationRequest, channel: CanChannel) -> EncoderNode:

@@ -57,7 +57,7 @@ class Bno055Chip(SerialChip, Scheduled):
 
     Options = ImuTruthOptions
     alone = True
-    tells = True
+    announces = True
     polls_alone = True
 
     def __init__(

@@ -21,14 +21,14 @@ class SelfCalibration:
         self.clear()
 
     def clear(self) -> None:
-        """As after power-up."""
+        """Set the calibration status as after power-up."""
         self.accelerometer: list[float] = [0.0] * 3
         self.gyroscope: list[float] = [0.0] * 3
         self.magnetometer: list[float] = [0.0] * 3
         self.forget_levels()
 
     def forget_levels(self) -> None:
-        """Offsets stay, confidence starts anew."""
+        """Reset the calibration levels; the offsets stay."""
         self._still_s = 0.0
         self._attitudes: set[tuple[int, int, int]] = set()
         self._headings: set[int] = set()

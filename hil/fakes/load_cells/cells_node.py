@@ -1,4 +1,4 @@
-"""How the emulated cells' counts leave their microcontroller: a CAN frame, or a line of text."""
+"""Sends the counts of the emulated cells: as CAN frames, or as lines of text."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class CellNode(Scheduled):
     """
 
     Options = LoadCellTruthOptions
-    tells = True
+    announces = True
 
     @classmethod
     def build(cls, request: EmulationRequest, channel: CanChannel) -> CellNode:
@@ -50,7 +50,7 @@ class CellNode(Scheduled):
         world.add(self)
 
     def begin_in_use(self) -> None:
-        """It is heard in this process only."""
+        """Nothing: it is heard in this process only."""
         self.alone = True
 
     def next_due_ns(self) -> int:
@@ -58,7 +58,7 @@ class CellNode(Scheduled):
         return self._due_ns
 
     def on_due(self, t_ns: int) -> None:
-        """Convert and send."""
+        """Convert the forces and send them."""
         slow = self._cells.faults.find("slow", t_ns)
         self._due_ns = t_ns + round(self._period_ns * (1.0 if slow is None else slow.slowness))
         if self._cells.silent(t_ns):
@@ -96,15 +96,15 @@ class CellLine(SerialChip):
         self._due_ns = int(world.rng(f"{cells.name}.phase").integers(1, self._period_ns))
 
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
-        """It listens to nothing: what comes in is for the propellers."""
+        """Ignore input: it is for the propellers."""
         return []
 
     def reset(self, t_ns: int) -> None:
-        """Power was cycled."""
+        """Reset everything, as a power cycle does."""
         self._sequence = 0
 
     def poll(self, t_ns: int) -> list[Reply]:
-        """One line."""
+        """Make one line of counts."""
         slow = self._cells.faults.find("slow", t_ns)
         self._due_ns = t_ns + round(self._period_ns * (1.0 if slow is None else slow.slowness))
         if self._cells.silent(t_ns):

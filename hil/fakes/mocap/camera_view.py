@@ -1,4 +1,4 @@
-"""What the cameras see: the robot's rigid body, another one, and when they see them."""
+"""Rigid bodies in the view of the cameras, and when these see them."""
 
 from __future__ import annotations
 

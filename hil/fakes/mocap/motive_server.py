@@ -70,7 +70,7 @@ class NatNetServer(Scheduled):
     """
 
     Options = MocapTruthOptions
-    tells = True
+    announces = True
 
     @classmethod
     def build(cls, request: EmulationRequest) -> NatNetServer:
@@ -132,7 +132,7 @@ class NatNetServer(Scheduled):
 
     @property
     def now_ns(self) -> int:
-        """World time."""
+        """World time, ns."""
         return self._world.now_ns
 
     def datagrams(self, group: str | None, port: int) -> WorldPort:

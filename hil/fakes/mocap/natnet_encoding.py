@@ -79,7 +79,7 @@ class Frames:
     def frame(
         self, number: int, bodies: tuple[SeenBody, ...], times: FrameTimes, version: tuple[int, int]
     ) -> bytes:
-        """One frame."""
+        """Encode one frame of mocap data."""
         names = tuple([(body.name, body.identifier) for body in bodies])
         template = self._templates.get((version, names))
         if template is None:
@@ -88,7 +88,7 @@ class Frames:
 
 
 class _Places(NamedTuple):
-    """Where a frame tells of one body: its markers, twice, itself, its labelled markers."""
+    """Offsets of one body in a frame: its markers, twice, its pose, its labelled markers."""
 
     points: int
     points_in_all: int

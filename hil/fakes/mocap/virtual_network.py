@@ -31,7 +31,7 @@ class Outlet(Protocol):
 
     @abstractmethod
     def joined(self, group: str) -> bool:
-        """Whether something on it listens to a multicast group."""
+        """Whether a client on it listens to a multicast group."""
 
     @abstractmethod
     def deliver(self, ready_ns: int, data: bytes, destination: Address) -> None:
@@ -45,7 +45,7 @@ class Served(Protocol):
 
     @abstractmethod
     def receive(self, data: bytes, client: Address, outlet: Outlet, t_ns: int) -> None:
-        """Take one request that came from `client`, who is on `outlet`."""
+        """Take one request that came from `client` by `outlet`."""
 
 
 class WorldPort:
@@ -101,7 +101,7 @@ class WorldNetwork(Outlet):
         self._ports = [p for p in self._ports if p is not port]
 
     def send(self, port: WorldPort, data: bytes, address: Address) -> None:
-        """Carry a request to the server's command port; nothing else listens. `OSError` for a closed port."""
+        """Carry a request to the server's command port; `OSError` for any other port."""
         if port not in self._ports:
             raise OSError(errno.EBADF, "the port is closed")
         if address[1] == self._server.command_port:

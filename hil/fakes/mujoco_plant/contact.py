@@ -1,4 +1,4 @@
-"""How the wheels touch the surface in MuJoCo: two settings of its soft contacts, and what is drawn of them.
+"""Contact of wheels and surface in MuJoCo: two settings of its soft contacts, and their random draw.
 
 Friction there is a constraint with a regularisation R: a wheel that bears a force F along the surface gives
 way with v = F R / b. Two choices of R are of use on a wall:
@@ -41,7 +41,7 @@ class ContactSetting:
     noslip_passes: int
 
     def drawn(self, rng: np.random.Generator) -> ContactSetting:
-        """That of one robot: tyres differ by a tenth."""
+        """Draw the contact of one robot: tyres differ by a tenth."""
         return replace(self, creep_per_n=self.creep_per_n * float(rng.uniform(0.9, 1.1)))
 
     def ratio_times_speed(self, normal_r: float) -> float:

@@ -1,4 +1,4 @@
-"""From a configuration to a robot in MuJoCo: its true parameters are drawn as those of the own plant are.
+"""Makes a robot in MuJoCo from a configuration; its true parameters are drawn as for the own plant.
 
 One seed is one robot in both worlds: geometry, masses, motors, fan and propellers deviate alike. What the
 engines do not share, how wheels touch the surface, is drawn from the same stream behind everything else.

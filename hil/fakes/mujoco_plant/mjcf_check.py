@@ -1,4 +1,4 @@
-"""A robot's MJCF is read: what keeps MuJoCo from reading it, or is no robot on four wheels, is named."""
+"""Reads a robot's MJCF, and names what is wrong with it or is no robot on four wheels."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def describe_robot(p: TrueParameters) -> str:
 
 
 def _chassis(p: TrueParameters) -> tuple[float, Array, float]:
-    """Mass, centre and yaw inertia of what is neither fork nor wheel, so that the whole robot is as told."""
+    """Mass, centre and yaw inertia of what is neither fork nor wheel, so that the whole robot is as given."""
     part = 2.0 * _PART * p.mass_kg
     places = np.column_stack([p.wheel_x_m, p.wheel_y_m, p.wheel_radius_m])
     mass, whole = p.mass_kg - 4.0 * part, np.array(p.centre_of_mass_m)

@@ -41,7 +41,7 @@ class Settled(Record):
 
 
 class MujocoRecord(Robot):
-    """All of one robot."""
+    """All numbers of one robot."""
 
     settled: Settled
     places: Places

@@ -1,4 +1,4 @@
-"""What happens before every step of MuJoCo: servos act, friction goes by place, and the fall is judged.
+"""Runs before every step of MuJoCo: servos act, friction is set by place, a fall is detected.
 
 The servos are those of the own
 plant (`hil.fakes.plant.joints`: firmware, motor, limits, play), with its constants `c`, state `s` and

@@ -1,4 +1,4 @@
-"""What every emulated body does alike: commands and forces in, a fixed grid of internal steps, looks out.
+"""Base of all emulated bodies: takes commands and forces, steps on a fixed grid, gives its state.
 
 A command acts from the next internal step. `advance` integrates whole steps only, so that results do
 not depend on how a stretch of time is split.
@@ -39,7 +39,7 @@ class SteppedBody(Plant):
         faults: answers to device `plant`, kind `adhesion_loss` with `factor` (0) of the adhesion left,
             reached along a line within `over_s` (0).
         step_ns: internal step.
-        by_hand: something holds the robot until the first motor has torque; nothing moves before.
+        by_hand: the robot is held by hand until the first motor has torque; nothing moves before.
     """
 
     def __init__(

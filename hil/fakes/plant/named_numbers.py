@@ -153,7 +153,7 @@ class Commands(Record):
 
 
 class Robot(Record):
-    """All of one robot."""
+    """All numbers of one robot."""
 
     state: State
     commands: Commands

@@ -1,4 +1,4 @@
-"""What the emulated robot truly is: its own parameters, off the nominal ones by a seeded draw.
+"""True parameters of the emulated robot: off the nominal ones by a seeded draw.
 
 Nothing but the plant (and tests that ask how well something was recovered) may look at them.
 """

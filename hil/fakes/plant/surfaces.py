@@ -1,4 +1,4 @@
-"""What the robot stands on: friction, creep of the tyres on it, and patches where friction differs."""
+"""Surfaces: friction, creep of the tyres on them, and patches where friction differs."""
 
 from __future__ import annotations
 

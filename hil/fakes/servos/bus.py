@@ -1,7 +1,7 @@
 """Eight emulated servos on one half-duplex bus: addressing and the order of replies.
 
-Everything here is timing and addressing; what a servo does is in `servo.py` and `single.py`. The bus is
-a part of the world that ticks every 4 ms: measurement grid, profiles, bus watchdogs, and every 0.1 s
+Everything here is timing and addressing; what a servo does is in `servo.py` and `single_instructions.py`. The
+bus is a part of the world that ticks every 4 ms: measurement grid, profiles, bus watchdogs, and every 0.1 s
 heat, voltage and overload.
 """
 
@@ -42,7 +42,7 @@ class ServoBus(SerialChip, Scheduled):
 
     Options = ServoBusOptions
     alone = True
-    tells = True
+    announces = True
     polls_alone = True
 
     @classmethod
@@ -100,7 +100,7 @@ class ServoBus(SerialChip, Scheduled):
             self._thermal.step(self.servos, _SLOW_TICKS * GRID_NS * 1e-9)
 
     def reset(self, t_ns: int) -> None:
-        """Power was cycled."""
+        """Reset everything, as a power cycle does."""
         self._parser.reset()
         encoder = self._sensing.counts()
         for servo in self.servos:

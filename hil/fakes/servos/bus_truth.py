@@ -1,4 +1,4 @@
-"""What an emulated servo bus is like: IDs, EEPROM as found, supply, temperature, habits of the firmware."""
+"""True parameters of an emulated servo bus: IDs, EEPROM, supply, temperature, behaviour of the firmware."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class ServoBusOptions:
         firmware: of all servos.
         model_number: of all servos.
         firmware_by_joint, model_by_joint: of those that differ, firmware and model number. A number that has
-            no control table is told all the same, with the registers of `model_number` behind it.
+            no control table is reported all the same, with the registers of `model_number` behind it.
         eeprom: further EEPROM registers by joint and name, raw counts.
         absent: IDs that are not connected.
         after_absent: what later servos of a sync read do when an earlier one does not answer, which
@@ -134,7 +134,7 @@ class ServoBusOptions:
         return _BATTERY_V if low_v <= _BATTERY_V <= high_v else model.recommended_v
 
     def model_of(self, joint: int) -> int:
-        """Model number that a joint's servo tells."""
+        """Model number that a joint's servo reports."""
         return self.model_by_joint.get(joint, self.model_number)
 
     def models(self) -> tuple[ServoModel, ...]:

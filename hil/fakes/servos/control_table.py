@@ -41,7 +41,7 @@ class WriteRefused(Exception):
         self.code = code
 
 
-class Row:
+class RegisterRow:
     """Registers that lie one behind the other, written together.
 
     Attributes:
@@ -88,7 +88,7 @@ class Layout:
             if name.startswith("indirect_data_")
         }
         self.first_indirect = min(self.indirect)
-        self.measured, self.motion = Row(model, _MEASURED), Row(model, _MOTION)
+        self.measured, self.motion = RegisterRow(model, _MEASURED), RegisterRow(model, _MOTION)
 
 
 @cache
@@ -122,7 +122,7 @@ class ControlTable:
         raw: int = form.unpack_from(self.data, address)[0]
         return raw
 
-    def put_row(self, row: Row, data: bytes) -> None:
+    def put_row(self, row: RegisterRow, data: bytes) -> None:
         """Set registers that lie one behind the other, without any check."""
         self.data[row.address : row.end] = data
 

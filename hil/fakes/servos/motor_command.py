@@ -1,4 +1,4 @@
-"""What a servo asks of its motor: torque, operating mode, profile and goals as one `JointCommand`.
+"""Makes a servo's `JointCommand` of torque, operating mode, profile and goals.
 
 Goals are in register counts with the servo's direction and turns; the motor's command is in the joint's
 angles. What registers may be written, and when, is the servo's affair.

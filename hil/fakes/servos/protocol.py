@@ -31,7 +31,7 @@ _SHORTEST, _LONGEST = 3, 1024
 
 
 class Instruction(NamedTuple):
-    """One instruction packet; `sound` tells whether its checksum was right."""
+    """One instruction packet; `sound`: whether its checksum was right."""
 
     servo_id: int
     code: int
@@ -61,7 +61,7 @@ def packet(servo_id: int, body: bytes) -> bytes:
 
 
 def status(servo_id: int, error: int, parameters: bytes = b"") -> bytes:
-    """A status packet."""
+    """Build a status packet."""
     return packet(servo_id, bytes((STATUS, error)) + parameters)
 
 

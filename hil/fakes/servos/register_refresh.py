@@ -29,7 +29,7 @@ class Cadence(Scheduled):
     """
 
     alone = True
-    tells = True
+    announces = True
 
     def __init__(self, options: ServoBusOptions, rng: np.random.Generator, renew: Callable[[], None]) -> None:
         self._options, self._rng, self._renew = options, rng, renew

@@ -9,7 +9,7 @@ from hil.fakes.servos.thermal_load import ThermalModel
 
 
 class LiveRegisters:
-    """Brings a servo's measurements up to date when something looks.
+    """Brings a servo's measurements up to date when they are read.
 
     Args:
         sensing: encoders, velocities and currents of all servos.

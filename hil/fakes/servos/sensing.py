@@ -1,4 +1,4 @@
-"""What the eight servos measure: encoder counts with dither, and the lagging, truncated velocity.
+"""Measurements of the eight servos: encoder counts with dither, and the lagging, truncated velocity.
 
 The firmware's velocity is modelled as a difference of encoder counts over 76 ms, 12 ms old, on a fixed
 grid of 4 ms: it lags the encoder by 52 ms, stretches a 72 ms fall to about 94 ms and, truncated towards
@@ -81,7 +81,7 @@ class Sensing:
     """Encoder history of all eight joints, in counts of the joint's own direction from joint angle 0.
 
     Args:
-        plant: tells angles, rates and currents.
+        plant: gives angles, rates and currents.
         rng: of the dither.
         models: of the eight servos: what their counts and motors are.
 
@@ -113,7 +113,7 @@ class Sensing:
         self._dither = self._rng.normal(0.0, _DITHER_COUNTS, (_ROWS, 8))
 
     def tick(self) -> None:
-        """Take one sample of the grid: the angles; they become counts, all together, when something looks."""
+        """Take one sample of the grid: the angles; they become counts, all together, when they are read."""
         self.ticks += 1
         row = self._row + 1
         if row == _ROWS:

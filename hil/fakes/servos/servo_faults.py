@@ -39,13 +39,13 @@ Measured = tuple[int, int, int]
 class ServoFaults:
     """Asks the plan what is wrong with each joint's servo now.
 
-    Options: `wrong,share=` of what its servo tells is what a wheel turns by (its hub slips), else
+    Options: `wrong,share=` of what its servo measures is what a wheel turns by (its hub slips), else
     `wrong,angle_rad=`; `wrong` and `jump,angle_rad=` (once), `slow,answer_s=` answers late,
     `delayed,delay_s=` shows old measurements, `intermittent,period_s=,duty=` is silent for that part of
     each period, `drop` and `corrupt` per reply with `probability=`.
 
     Attributes:
-        plan: what concerns bus and servos; whoever asks at every step looks at `plan.empty`, which is `none`.
+        plan: what concerns bus and servos; a caller in every step reads `plan.empty`, which is `none`.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""What load does to the servos: heat, voltage drop, overload, and the hardware errors that come of it."""
+"""Effects of load on the servos: heat, voltage drop, overload, and the hardware errors that follow."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class ThermalModel:
     """Supply and temperatures of eight servos.
 
     Args:
-        sensing: tells the motor currents.
+        sensing: gives the motor currents.
         options: supply, air temperature, overload limits.
         models: of the eight servos.
 

@@ -1,4 +1,4 @@
-"""What is true of the emulated propellers; assumptions where no source is known."""
+"""True parameters of the emulated propellers; assumptions where no source is known."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from hil.config.values import Within
-from hil.fakes.tether import Start
+from hil.fakes.initial_support import Start
 
 
 @dataclass(frozen=True)

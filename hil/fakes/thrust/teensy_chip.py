@@ -2,7 +2,7 @@
 
 The number is on the scale of a servo library: 0 is a pulse of 1000 us, 180 of 2000 us. After an error (a line
 that is none, a number out of range) it takes the throttle down one step every 100 ms, until it understands
-a line again. Without lines it goes on as it was told last.
+a line again. Without lines it goes on with the last throttle.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from hil.fakes.active_faults import DeviceFaults
 from hil.fakes.body_interface import HoldingForces
 from hil.fakes.emulation_request import EmulationRequest
 from hil.fakes.fault import PERIODIC, Supported
+from hil.fakes.initial_support import Start, Tether
 from hil.fakes.serial_chip import Reply, SerialChip
-from hil.fakes.tether import Start, Tether
 from hil.fakes.thrust.propeller_truth import ThrustTruthOptions
 from hil.fakes.world import World
 

@@ -31,11 +31,11 @@ class PoseFrame(NamedTuple):
     confidence: int
 
     def is_pose_frame(self) -> bool:
-        """Yes."""
+        """True: all frames of this camera are poses."""
         return True
 
     def as_pose_frame(self) -> PoseFrame:
-        """Itself."""
+        """This object itself, as in the library."""
         return self
 
     def get_timestamp(self) -> float:
@@ -47,7 +47,7 @@ class PoseFrame(NamedTuple):
         return self.number
 
     def get_pose_data(self) -> PoseData:
-        """The pose."""
+        """The pose data of this frame."""
         return PoseData(*self.pose, self.confidence, self.confidence)
 
 
@@ -65,7 +65,7 @@ class Camera(Protocol):
 
     @property
     def now_ns(self) -> int:
-        """World time."""
+        """World time, ns."""
 
     def start_stream(self, callback: FrameCallback) -> None:
         """Begin to deliver poses; raises `RuntimeError` as the library does."""
@@ -85,7 +85,7 @@ class DeviceInfo:
         }
 
     def get_device(self) -> DeviceInfo:
-        """Itself."""
+        """This object itself, as in the library."""
         return self
 
     def supports(self, key: str) -> bool:
@@ -108,7 +108,7 @@ class WorldSensor:
         return self
 
     def query_sensors(self) -> list[WorldSensor]:
-        """Itself."""
+        """This object itself, as in the library."""
         return [self]
 
     def supports(self, option: str) -> bool:
@@ -126,7 +126,7 @@ class WorldSensor:
         return self._camera.settings[option]
 
     def as_wheel_odometer(self) -> WorldSensor:
-        """Itself."""
+        """This object itself, as in the library."""
         return self
 
     def load_wheel_odometery_config(self, calibration: list[int]) -> bool:
@@ -147,7 +147,7 @@ class WorldPipeline:
         self._callback: FrameCallback | None = None
 
     def resolve(self) -> WorldSensor:
-        """What can be told before the stream starts."""
+        """The sensor that takes options before the stream starts."""
         return WorldSensor(self._camera)
 
     def start(self, config: Any, callback: FrameCallback) -> DeviceInfo:

@@ -40,7 +40,7 @@ class Way(NamedTuple):
         speed: the length of both.
         dt: since the last pose.
         scale: factor on what is seen.
-        told_x, told_y: step as the wheels tell it.
+        wheel_x, wheel_y: step by wheel odometry.
         weight: of these, 0 for none.
     """
 
@@ -53,16 +53,16 @@ class Way(NamedTuple):
     speed: float = 0.0
     dt: float = 0.0
     scale: float = 1.0
-    told_x: float = 0.0
-    told_y: float = 0.0
+    wheel_x: float = 0.0
+    wheel_y: float = 0.0
     weight: float = 0.0
 
 
 @kernel
 def step(way: Way, draws: Array, row: int, errors: Array, world: Array, state: Array) -> Pose:
-    """Move as the odometry sees it, and return the pose that it tells.
+    """Move as the odometry sees it, and return the pose that it reports.
 
-    The step is scaled, turned by the heading error and walks; what the wheels have told pulls it towards
+    The step is scaled, turned by the heading error and walks; wheel odometry pulls it towards
     itself.
 
     Args:
@@ -84,7 +84,7 @@ def step(way: Way, draws: Array, row: int, errors: Array, world: Array, state: A
     du, dv = scale * (way.x - state[LAST_X]), scale * (way.y - state[LAST_Y])
     state[LAST_X], state[LAST_Y] = way.x, way.y
     if way.weight != 0.0:
-        du, dv = du + way.weight * (way.told_x - du), dv + way.weight * (way.told_y - dv)
+        du, dv = du + way.weight * (way.wheel_x - du), dv + way.weight * (way.wheel_y - dv)
     ax, ay, az = world[ALONG_X], world[ALONG_X + 1], world[ALONG_X + 2]
     bx, by, bz = world[ALONG_Y], world[ALONG_Y + 1], world[ALONG_Y + 2]
     dx, dy, dz = ax * du + bx * dv, ay * du + by * dv, az * du + bz * dv

@@ -24,7 +24,7 @@ from hil.core.tracker_feed import (
 )
 from hil.fakes.tracker.librealsense_frames import PoseFrame
 from hil.fakes.tracker.t265_camera import T265
-from hil.fakes.udp_server import DatagramFace
+from hil.fakes.udp_server import DatagramTransport
 
 _FORGET_NS = nanoseconds(5.0)
 _LARGEST = 2048
@@ -34,7 +34,7 @@ _HEAD_WHEELS = FEED_HEAD.pack(FEED_MAGIC, FEED_WHEELS)
 _HEAD_LEAVE = FEED_HEAD.pack(FEED_MAGIC, FEED_LEAVE)
 
 
-class TrackerFace(DatagramFace):
+class TrackerTransport(DatagramTransport):
     """One camera on one UDP port.
 
     Args:
@@ -79,10 +79,10 @@ class TrackerFace(DatagramFace):
         elif not (data.startswith(_HEAD_SETTINGS) and self._set(data[len(_HEAD_SETTINGS) :])):
             self.strange += 1
 
-    def _set(self, told: bytes) -> bool:
+    def _set(self, data: bytes) -> bool:
         """Take settings as JSON; whether they were settings."""
         try:
-            given = json.loads(told)
+            given = json.loads(data)
             options = {str(key): float(value) for key, value in given["options"].items()}
             wheels = given["wheels"]
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):

@@ -26,7 +26,7 @@ _NS_PER_MS = 1e6
 _FIRST_NUMBER = 1
 _JUMPS, _PRESERVATION = "enable_pose_jumping", "enable_map_preservation"
 SETTINGS = ("enable_mapping", "enable_relocalization", _JUMPS, _PRESERVATION)
-"""What the camera can be told of its map, by librealsense's names; all on when it is plugged in."""
+"""Options of the camera's map, by librealsense's names; all on when it is plugged in."""
 
 
 class T265(Scheduled):
@@ -43,7 +43,7 @@ class T265(Scheduled):
 
     Options = TrackerTruthOptions
     alone = True
-    tells = True
+    announces = True
 
     @classmethod
     def build(cls, request: EmulationRequest) -> T265:
@@ -119,7 +119,7 @@ class T265(Scheduled):
 
     @property
     def now_ns(self) -> int:
-        """World time."""
+        """World time, ns."""
         return self._world.now_ns
 
     def next_due_ns(self) -> int:
@@ -157,7 +157,7 @@ class T265(Scheduled):
         self.odometry.restart()
         self._number = _FIRST_NUMBER
         self._start_ns = self._exposed_ns = t_ns
-        self._shaken_until_ns = 0
+        self._low_confidence_until_ns = 0
         self._settled = False
         self._exposure_ns = t_ns + nanoseconds(self._options.boot_s)
         self._world.changed(self)
@@ -210,8 +210,8 @@ class T265(Scheduled):
         vx, vy, omega = body.v_x_m_s, body.v_y_m_s, body.omega_rad_s
         options = self._options
         if abs(omega) > options.fast_rad_s or vx * vx + vy * vy > self._fast_m2_s2:
-            self._shaken_until_ns = t_ns + nanoseconds(options.shaken_s)
-        if t_ns < self._shaken_until_ns:
+            self._low_confidence_until_ns = t_ns + nanoseconds(options.low_confidence_s)
+        if t_ns < self._low_confidence_until_ns:
             return 1
         if self._settled:
             return 3

@@ -26,7 +26,7 @@ class TrackerTruthOptions:
         clock_ppm: error of the time stamps' clock, standard deviation over cameras.
         drop_probability: poses that USB loses.
         settle_s: time with confidence 0, then 1, then 2, before it is 3.
-        fast_m_s, fast_rad_s, shaken_s: motion that costs confidence, and for how long.
+        fast_m_s, fast_rad_s, low_confidence_s: motion that costs confidence, and for how long.
         relocalisations_per_s, relocalisation_m: mean rate of spontaneous jumps, and how far.
         boot_s: silence after a reset.
         mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body as it truly is; as the
@@ -51,7 +51,7 @@ class TrackerTruthOptions:
     settle_s: tuple[float, float, float] = (0.05, 0.15, 0.5)
     fast_m_s: float = 1.0
     fast_rad_s: float = 2.5
-    shaken_s: float = 0.5
+    low_confidence_s: float = 0.5
     relocalisations_per_s: float = 0.0
     relocalisation_m: float = 0.1
     boot_s: float = 0.3

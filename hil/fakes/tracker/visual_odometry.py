@@ -150,11 +150,11 @@ class VisualOdometry:
         along, left = c * vx - s * vy - omega * arm_y, s * vx + c * vy + omega * arm_x
         if not self._started:
             self._start(theta, tilt, (wall_x, wall_y))
-        told_x = told_y = weight = 0.0
+        wheel_x = wheel_y = weight = 0.0
         if by_wheels is not None:
             wheels, weight = by_wheels
             u, v = self._in_wall(wheels, theta)
-            told_x, told_y = u * dt_s, v * dt_s
+            wheel_x, wheel_y = u * dt_s, v * dt_s
         if not self._row:
             self._draws, self._row = self._rng.standard_normal((_BLOCK, DRAWS)), _BLOCK
         self._row -= 1
@@ -168,8 +168,8 @@ class VisualOdometry:
             math.hypot(along, left),
             dt_s,
             scale * self.scale,
-            told_x,
-            told_y,
+            wheel_x,
+            wheel_y,
             weight,
         )
         reported = step(plain(way), self._draws, self._row, self._errors, self._world, self._state)

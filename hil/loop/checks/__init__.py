@@ -1,1 +1,1 @@
-"""What stops the robot: each check, with what it sees."""
+"""The checks that stop the robot, one module each."""

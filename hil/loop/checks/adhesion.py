@@ -1,4 +1,4 @@
-"""Measured fan force against the force that is needed, and agreement of its two measurements.
+"""Compares the measured fan force with the needed one, and its two measurements with each other.
 
 The force is what the load cells say without their zeros, and what a fan of this speed gives; the smaller one
 counts, and the two are held against each other and against what the battery gives. The robot stops while
@@ -41,7 +41,7 @@ class AdhesionLimits:
         statics: robot and surface, as on paper.
         reserve: the measured force exceeds the need by this share, at least.
         utilisation: no wheel uses more of its friction.
-        nominal_thrust_n, full_thrust_n: push of the propellers where nothing reports a throttle, and at full.
+        nominal_thrust_n, full_thrust_n: push of the propellers where no throttle is reported, and at full.
         wanted_n: what the fan is asked for at rest: all of the margin is what that is above the need.
         rated_n, rated_rpm, rated_w: force and battery power of the fan at a speed; NaN without one.
         low_input_v, hot_fet_c: of the fan's battery and controller.
@@ -124,7 +124,7 @@ class AdhesionWatch(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Forget all that was seen before."""
         self.heading_rad = 0.0
         self.figures: dict[str, float] = {}
         self._thrust_n = self._reported_push_n = self.limits.nominal_thrust_n
@@ -207,7 +207,7 @@ class AdhesionWatch(Check):
             self._excess_ns = t_ns
 
     def _fresh(self, t_ns: int, stop: ReportStop) -> bool:
-        """Whether everybody who measures the force has been heard lately."""
+        """Whether every sensor of the force has been heard lately."""
         oldest_ns = t_ns - self._stale_ns
         if (self._began_ns or 0) >= oldest_ns:
             return True
@@ -301,7 +301,7 @@ class AdhesionWatch(Check):
         )
 
     def _by_whom(self) -> str:
-        """Who says so, where another says otherwise: it may be that one that is wrong."""
+        """The sensors in words, where another contradicts: that one may be wrong."""
         if not apart(self._cells_n, self._speed_n):
             return ""
         reported = [(self._cells_n, "the load cells"), (self._speed_n, "the fan's speed")]

@@ -1,4 +1,4 @@
-"""Where the wheels alone, and the gyro alone, have the robot: dead reckoning that knows its past.
+"""Dead reckoning by the wheels alone and by the gyro alone, with a history to compare with other sensors.
 
 Camera poses come tens of milliseconds late; to compare them, what the others say must be known for then.
 """
@@ -36,11 +36,11 @@ class Track:
         self.clear()
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Forget all that was seen before."""
         self.clear()
 
     def clear(self) -> None:
-        """Forget the past."""
+        """Forget all that was seen before."""
         self._kept: deque[tuple[int, Kept]] = deque(maxlen=_KEPT)
         self.newest_ns: int | None = None
 

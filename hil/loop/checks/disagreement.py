@@ -1,4 +1,4 @@
-"""What two devices differ by, summed up: the sum, what honest ones may differ by, and what is said of it.
+"""Sums the difference of two devices beyond their tolerances, and describes the disagreement.
 
 Deterministic: depends on the steps that were added since `reset` and on nothing else.
 """
@@ -18,7 +18,7 @@ _JUMP_M, _JUMP_RAD, _CALM_NS = 0.02, 0.05, 500_000_000
 
 
 class MotionSource(NamedTuple):
-    """A device that tells of motion: the name of its kind, and what sentences call it."""
+    """A device that measures motion: the name of its kind, and what messages call it."""
 
     name: str
     called: str
@@ -29,14 +29,14 @@ CAMERA, WHEELS = MotionSource("tracker", "the camera"), MotionSource("servos", "
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Something is wrong.
+    """Two devices disagree.
 
     Attributes:
         source: the device that is alone with what it says, or the first of two.
         message: what each says.
         grave: whether the robot must not go on by them.
         confirmed: whether two others agree against the source.
-        off: what the two told differently since they began to differ, m or rad.
+        off: by how much the two differ since they began to, m or rad.
         turns: whether that is a turn.
         against: the device that says otherwise.
         unseen: whether the wheels may have slipped while the camera did not look yet.
@@ -53,7 +53,7 @@ class Disagreement:
 
     @property
     def inflation(self) -> tuple[float, float]:
-        """By how much the estimate may be off (m, rad): what the two told differently."""
+        """By how much the estimate may be off (m, rad): the difference of the two."""
         return (0.0, self.off) if self.turns else (self.off, 0.0)
 
     @property
@@ -63,11 +63,11 @@ class Disagreement:
 
 
 class Sum:
-    """What two devices differ by so far, in the plane of the body (m), or in heading (rad).
+    """Accumulated difference of two devices, in the plane of the body (m), or in heading (rad).
 
     Args:
         first, second: the devices.
-        told, stop: limits of the sum.
+        warn, stop: sums at which a warning is given, and the robot stopped.
         turns: whether it is of turns.
 
     Attributes:
@@ -77,18 +77,18 @@ class Sum:
     """
 
     def __init__(
-        self, first: MotionSource, second: MotionSource, told: float, stop: float, *, turns: bool = False
+        self, first: MotionSource, second: MotionSource, warn: float, stop: float, *, turns: bool = False
     ) -> None:
         self._parties, self.names = (first, second), (first.name, second.name)
-        self._told_at, self._stop_at, self._turns = told, stop, turns
+        self._warn_at, self._stop_at, self._turns = warn, stop, turns
         self.reset()
 
     def reset(self) -> None:
-        """Begin again."""
+        """Begin the sum again at zero."""
         self.size = 0.0
         self._sum = self._first = self._second = 0j
         self.since_ns = 0
-        self._told = False
+        self._warned = False
 
     def add(
         self,
@@ -125,21 +125,21 @@ class Sum:
 
     def news(self) -> bool:
         """Whether something is to be said now: once when it becomes known, and always when it is grave."""
-        return self.size > self._told_at and (not self._told or self.size > self._stop_at)
+        return self.size > self._warn_at and (not self._warned or self.size > self._stop_at)
 
     @property
     def suspicious(self) -> bool:
-        """Whether they differ by more than half of what is told."""
-        return 2.0 * self.size > self._told_at
+        """Whether they differ by more than half of the limit for a warning."""
+        return 2.0 * self.size > self._warn_at
 
     def doubt(self, t_ns: int, pairs: Sequence[Sum]) -> Disagreement:
-        """What is to be said; grave only when it has been told before.
+        """The disagreement to report; grave only after a first report.
 
         Args:
             t_ns: now.
             pairs: all sums of the same kind.
         """
-        grave, self._told = self._told, True
+        grave, self._warned = self._warned, True
         source = alone(self, pairs)
         moved, unit = ("turned", "mrad") if self._turns else ("moved", "mm")
         one, other = (party.called for party in self._parties)
@@ -192,7 +192,7 @@ class Relocalisation:
         self._calm_ns = 0
 
     def jumped(self, t_ns: int, way_m: float, turn_rad: float) -> bool:
-        """Whether a step is a relocalisation; one that follows another too soon is motion that is told."""
+        """Whether a step is a relocalisation; one that follows another too soon is motion and counts."""
         if way_m < _JUMP_M and turn_rad < _JUMP_RAD:
             return False
         calm, self._calm_ns = t_ns >= self._calm_ns, t_ns + _CALM_NS

@@ -16,7 +16,7 @@ from hil.loop.safety import Checks
 
 
 class AgreementCheck(Check):
-    """Camera, wheels, gyro and motion capture against each other: whom to believe, and whether to stop.
+    """Camera, wheels, gyro and motion capture against each other: which to believe, and whether to stop.
 
     Args:
         motion: what compares them.
@@ -43,7 +43,7 @@ class AgreementCheck(Check):
         self.doubted: dict[str, bool] = {}
 
     def reset(self) -> None:
-        """Forget the run."""
+        """Forget all that was seen in the run."""
         self._motion.reset()
         self.doubted.clear()
 
@@ -69,7 +69,7 @@ class AgreementCheck(Check):
                 cycle.stop("sensors_disagree", event.message, event.suspects)
 
     def _event(self, doubt: Disagreement, t_ns: int) -> Event:
-        """Of one device, or of both where it is not known which is wrong, and of what holds the robot."""
+        """Event of one device, or of both where either may be wrong, and of what holds the robot."""
         names, message = [doubt.source, *([] if doubt.confirmed else [doubt.against])], doubt.message
         if doubt.may_slide:
             names += self._holders

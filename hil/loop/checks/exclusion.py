@@ -1,4 +1,4 @@
-"""Devices that are not believed any more in this run, because two others agree against them."""
+"""Excludes devices for the rest of a run when two others agree against them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Exclusion:
         self.reset()
 
     def reset(self) -> None:
-        """Believe everybody again."""
+        """Use all sensors again."""
         self._names: set[str] = set()
 
     def __contains__(self, name: object) -> bool:

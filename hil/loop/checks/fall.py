@@ -1,4 +1,4 @@
-"""Sees that the robot has come off or slides, by what it feels and by what the camera sees."""
+"""Detects that the robot has come off or slides, by IMU and camera."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class FallCheck(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Forget all that was seen before."""
         self._weightless = self._sliding = 0
 
     def on_samples(self, cycle: Cycle) -> None:

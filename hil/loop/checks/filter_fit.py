@@ -1,4 +1,4 @@
-"""What the estimator could not believe: a sensor that it refused for long, or that fits badly on the whole.
+"""Reports sensors that the estimator has rejected for long, or that fit it badly on the whole.
 
 Deterministic: depends on the states seen since `reset` and on nothing else.
 """
@@ -11,8 +11,8 @@ from hil.core.signals import Event, RobotState
 from hil.loop.cycle import Check, Cycle
 
 _MOST, _CALM = 2.5, 1.5
-"""Mean normalised innovation squared that is told, and below which it may be told again; honest sensors on
-both plants stay below 1.2."""
+"""Mean normalised innovation squared at which a warning is given, and below which it may be given again;
+sensors without a fault stay below 1.2 on both plants."""
 
 
 class _Refusals:
@@ -77,7 +77,7 @@ class FilterFit(Check):
     def judge(self, state: RobotState, events: list[Event]) -> None:
         """Look at one cycle's estimate; what is noticed is added to `events`.
 
-        A camera's frame that began anew because a pose has leapt refused nothing, and its driver tells of it.
+        A camera's frame that began anew after a jump of the pose refused nothing, and its driver reports it.
         """
         self._wheels.news(state, events)
         self._judge_fit(state, events, *self._camera.news(state, events))
@@ -85,7 +85,8 @@ class FilterFit(Check):
     def _judge_fit(self, state: RobotState, events: list[Event], anew: bool, refused: bool) -> None:
         """Whether the camera's poses fit the rest: single ones may pass the gate while all of them do not.
 
-        Poses that are refused one after the other end in a new frame, which forgets them: that is told above.
+        Poses that are refused one after the other end in a new frame, which forgets them: that is reported
+            above.
 
         Args:
             state: the estimate.

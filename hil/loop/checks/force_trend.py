@@ -1,4 +1,4 @@
-"""How quickly a force falls, by its measurements of the last quarter of a second."""
+"""Estimates how quickly a force falls, by its measurements of the last quarter of a second."""
 
 from __future__ import annotations
 

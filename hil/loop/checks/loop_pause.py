@@ -1,7 +1,7 @@
-"""Whether the control loop itself stood still: a program that was stopped, a computer without time for it.
+"""Checks whether the control loop itself paused: the program was stopped, or the computer was too busy.
 
-Meanwhile the servos' watchdogs trip and buffers run over: devices that are well look silent or leap. So a
-long pause stops the robot by its own name, and a shorter one is told beside a stop.
+Meanwhile the servos' watchdogs trip and buffers run over: healthy devices look silent or jump. So a long
+pause stops the robot with a reason of its own, and a shorter one is named beside the reason of a stop.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from hil.loop.cycle import Check, Cycle
 
 HELD_UP_NS = 500_000_000
 _PAUSE_NS, _PAUSE_CYCLES, _FRESH_NS = 60_000_000, 3, 1_000_000_000
-"""Pauses that are told beside a stop: longer than so much and so many cycles, and over for no longer."""
+"""Pauses that are named beside a stop: longer than so much and so many cycles, and over for no longer."""
 
 
 def stood_still(gap_ns: int) -> str:
@@ -30,7 +30,7 @@ class LoopPause(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Forget all that was seen before."""
         self._last_ns: int | None = None
         self._cycle_ns = self._ended_ns = self._lasted_ns = 0
 
@@ -44,15 +44,14 @@ class LoopPause(Check):
         Args:
             t_ns: of the cycle.
             stop: called with the reason to stop: it is not known what the robot did during a long pause, and
-            its
-                servos' watchdogs have stopped it.
+                its servos' watchdogs have stopped it.
         """
         before_ns, self._last_ns = self._last_ns, t_ns
         if before_ns is None:
             return
         gap_ns = t_ns - before_ns
         if gap_ns > HELD_UP_NS:
-            self._lasted_ns = 0  # told by its own name
+            self._lasted_ns = 0  # has a reason of its own
             stop("held_up", stood_still(gap_ns))
         elif self._cycle_ns and gap_ns > _PAUSE_NS and gap_ns > _PAUSE_CYCLES * self._cycle_ns:
             self._ended_ns, self._lasted_ns = t_ns, gap_ns

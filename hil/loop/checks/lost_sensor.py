@@ -1,4 +1,4 @@
-"""Sensors that are gone while the robot is driven."""
+"""Stops the robot when a sensor is lost while it is driven."""
 
 from __future__ import annotations
 

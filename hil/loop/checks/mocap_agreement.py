@@ -1,7 +1,7 @@
-"""Motion capture against camera and wheels: which of the three disagrees with the other two.
+"""Compares motion capture with camera and wheels, and finds which of the three disagrees with the others.
 
 Motion capture sees neither scale nor slip, so a camera beside it may differ by its scale only, and wheels by
-what they creep. It stays a witness: what it says goes into no estimate here. Deterministic: depends on what
+what they creep. It stays independent: its poses enter no estimate here. Deterministic: depends on what
 was taken since `reset` and on nothing else.
 """
 
@@ -22,7 +22,7 @@ GAP_NS = 300_000_000
 
 
 @dataclass(frozen=True)
-class Seen:
+class MocapTolerances:
     """What camera and wheels may differ by from motion capture.
 
     Attributes:
@@ -30,20 +30,20 @@ class Seen:
         across: m per metre across it: how far the axes of the rigid body may be turned against the robot's.
         lever_m: m per radian turned: where the origin of the rigid body lies.
         rest_m_s: drift of a camera while nothing moves.
-        told_m, stop_m: sums that are told, and at which the robot must not go on: a camera that is late by
+        warn_m, stop_m: sums for a warning, and at which the robot must not go on: a camera that is late by
             50 ms unnoticed differs by 6 mm after every start and stop at 0.12 m/s.
         path: m per rolled metre by which wheels differ: radii (1 %), wheels that are not parallel (3 %).
-        slipped_told_m, slipped_stop_m: as above, of the wheels.
+        slipped_warn_m, slipped_stop_m: as above, of the wheels.
     """
 
     scale: float = 0.03
     across: float = 0.05
     lever_m: float = 0.05
     rest_m_s: float = 0.001
-    told_m: float = 0.007
+    warn_m: float = 0.007
     stop_m: float = 0.01
     path: float = 0.04
-    slipped_told_m: float = 0.006
+    slipped_warn_m: float = 0.006
     slipped_stop_m: float = 0.009
 
 
@@ -67,7 +67,7 @@ class MocapAgreement:
     """Sums of motion capture's way against those of camera and wheels.
 
     Args:
-        wheels: their way, kept by something else.
+        wheels: their track, kept by another check.
         seen: what honest ones differ by.
         creep: m per rolled metre by which a robot gets lower than its wheels roll.
 
@@ -78,10 +78,10 @@ class MocapAgreement:
         track: motion capture's poses of late.
     """
 
-    def __init__(self, wheels: WheelTrack, seen: Seen, *, creep: float) -> None:
+    def __init__(self, wheels: WheelTrack, seen: MocapTolerances, *, creep: float) -> None:
         self._wheels, self.allowed, self._creep = wheels, seen, creep
-        self.camera = Sum(CAMERA, CAPTURE, seen.told_m, seen.stop_m)
-        self.rolled = Sum(CAPTURE, WHEELS, seen.slipped_told_m, seen.slipped_stop_m)
+        self.camera = Sum(CAMERA, CAPTURE, seen.warn_m, seen.stop_m)
+        self.rolled = Sum(CAPTURE, WHEELS, seen.slipped_warn_m, seen.slipped_stop_m)
         self._camera_track, self.track = PoseTrack(), PoseTrack()
         self._leaps = (Relocalisation(), Relocalisation())
         self.reset()

@@ -1,10 +1,10 @@
-"""The estimate that is followed against motion capture, over the whole run: a slow lie adds up there.
+"""Compares the estimate with motion capture over the whole run, where a slowly growing error adds up.
 
 Camera, wheels and motion capture may differ by some per cent of every step without anything being in doubt
 (`hil.loop.checks.mocap_agreement`), and the estimate that is made of two of them may lean on the wrong one.
-Here its
-way since the start of the run is held against motion capture's, which stays a witness. By how far they lie
-apart the estimate is taken to be unsure, so that its sigmas cover the truth; where it grows, the robot stops.
+Here its displacement since the start of the run is compared with that of motion capture, which does not
+enter the estimate. The covariance is widened by the difference, so that it covers the truth; where the
+difference grows further, the robot stops.
 Deterministic: depends on what was judged since `reset` and on nothing else.
 """
 
@@ -21,9 +21,10 @@ from hil.loop.checks.disagreement import CAMERA, STEP_NS, WHEELS, MotionSource, 
 from hil.loop.checks.mocap_agreement import CAPTURE, GAP_NS, MocapAgreement
 from hil.loop.cycle import Check, Cycle
 
-_SIGMAS, _SLACK_M, _TOLD_M, _QUIET_M = 3.0, 0.0043, 0.006, 0.002
-"""The estimate covers what is within so many of its sigmas and so much beside (5 mm are promised). It is told
-at so much beside, as robots as delivered come to 5.2 mm; until then it is quietly unsure by so much more."""
+_SIGMAS, _SLACK_M, _WARN_M, _QUIET_M = 3.0, 0.0043, 0.006, 0.002
+"""The estimate covers what is within so many of its sigmas and so much beside (5 mm are promised). A
+warning is given at so much beside, as robots as delivered come to 5.2 mm; until then the covariance is only
+widened by so much."""
 _STOP_M = 0.015
 """So much beyond that, the robot must not go on: the path error by which every lie is to be found."""
 _KEPT_NS = 38_000_000
@@ -37,17 +38,17 @@ class MocapEstimate(Check):
 
     Args:
         capture: keeps motion capture's poses, and how far camera and wheels have gone beside it.
-        follows: whether the robot steers by this estimate; else it is told only.
+        follows: whether the robot steers by this estimate; else it only warns.
 
     Attributes:
-        witness: the device whose word is needed.
+        required: the sensor without which the estimate is not checked.
         accused: devices that may be wrong where the robot stops.
         excluded: devices that are not believed any more in this run.
         advice: ends the message of a stop: where else to look.
         holders: devices that hold the robot, which may slide.
     """
 
-    witness = CAPTURE.name
+    required = CAPTURE.name
     accused: tuple[str, ...] = ()
     excluded: Container[str] = ()
     advice = ""
@@ -59,7 +60,7 @@ class MocapEstimate(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the run."""
+        """Forget all that was seen in the run."""
         self._states.reset()
         self._leap.reset()
         self._last: tuple[int, Kept, Kept] | None = None
@@ -77,7 +78,7 @@ class MocapEstimate(Check):
     def on_estimate(self, cycle: Cycle) -> None:
         """The estimate against motion capture, while that is believed."""
         assert cycle.state is not None
-        if self.witness not in self.excluded:
+        if self.required not in self.excluded:
             self.judge(cycle.state, cycle.events, lambda reason, message: self._stop(cycle, reason, message))
             cycle.inflate_next(self.take_off())
 
@@ -87,7 +88,7 @@ class MocapEstimate(Check):
     def judge(self, state: RobotState, events: list[Event], stop: ReportStop) -> None:
         """Look at one cycle's estimate; what is noticed is added to `events` or handed to `stop`.
 
-        What is told widens the estimate so far that it covers what may come until the robot stops.
+        A warning widens the covariance so far that it covers what may come until the robot stops.
         """
         kept_ns = self._states.newest_ns
         if kept_ns is not None and state.t_ns - kept_ns < _KEPT_NS:
@@ -131,7 +132,7 @@ class MocapEstimate(Check):
 
         Along the wall's axes it is whether sigmas cover it, along and across the way whether to stop.
         Lengths do not depend on how the axes are turned against each other. Across, what that may make is
-        told as unsure, and is no reason to stop.
+        added to the covariance, and is no reason to stop.
         """
         way_m, seen, off = abs(self._true), self._capture.allowed, self._gone - self._true
         unit = self._true / way_m if way_m else 1.0 + 0j
@@ -143,7 +144,7 @@ class MocapEstimate(Check):
         leaned_m = 0.0 if self._known else _SIGMAS * self._turn_sigma_rad * way_m
         left = abs(off.real) - beside - leaned_m * s, abs(off.imag) - beside - leaned_m * c
         uncovered = max(left[0] - now[0], left[1] - now[1]) > _SLACK_M
-        found = max(left[0] - own[0], left[1] - own[1]) > _TOLD_M
+        found = max(left[0] - own[0], left[1] - own[1]) > _WARN_M
         along_m = abs(abs(self._gone) - way_m) - c * own[0] - s * own[1]
         across_m = abs((self._gone / unit).imag) - seen.across * way_m - s * own[0] - c * own[1]
         beyond_m = max(along_m, across_m) - beside - _SLACK_M
@@ -151,16 +152,16 @@ class MocapEstimate(Check):
             self._known, self._off_m = True, max(abs(off), (abs(off) + _STOP_M) / _SIGMAS)
             party = self._whom(off)
             more = f"; the estimate is unsure by {1e3 * self._off_m:.0f} mm more"
-            said = self._told(off / unit, beyond_m, party) + more
+            said = self._text(off / unit, beyond_m, party) + more
             events.append(Event(state.t_ns, "warning", party.name, said))
         elif uncovered:
             self._off_m = _QUIET_M
         if beyond_m > _STOP_M and self._follows and (party := self._whom(off)) is not CAPTURE:
             self.accused = (party.name, CAPTURE.name)
-            stop("sensors_disagree", self._told(off / unit, beyond_m, party))
+            stop("sensors_disagree", self._text(off / unit, beyond_m, party))
 
     def _whom(self, off: complex) -> MotionSource:
-        """Who has led the estimate astray, by what each has gone beside motion capture.
+        """Devices that have led the estimate astray, by their displacement beside motion capture.
 
         Where camera and wheels are both off as the estimate is, they agree against motion capture.
         """
@@ -173,13 +174,13 @@ class MocapEstimate(Check):
             return CAPTURE
         return CAMERA if camera > wheels else WHEELS
 
-    def _told(self, off: complex, beyond_m: float, party: MotionSource) -> str:
+    def _text(self, off: complex, beyond_m: float, party: MotionSource) -> str:
         """What each has gone.
 
         Args:
             off: by what the estimate is off along the way and across it.
             beyond_m: how far it is off beyond what turned axes explain.
-            party: who may be wrong.
+            party: the device that may be wrong.
         """
         gone_m, true_m = abs(self._gone), abs(self._true)
         camera_m, wheels_m = (abs(way) for way in self._capture.ways())

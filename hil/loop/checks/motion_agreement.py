@@ -1,4 +1,4 @@
-"""Camera, wheels and gyro against each other: motion that one measures and the others do not.
+"""Compares the motion by camera, wheels and gyro, and finds the one that disagrees.
 
 What two of them say of the same stretch is subtracted, step by step, and summed. From the sum each step
 takes what honest sensors may differ by in it (`Honest`), never below zero: honest ones stay near zero however
@@ -23,14 +23,14 @@ from hil.loop.checks.disagreement import (
     Relocalisation,
     Sum,
 )
-from hil.loop.checks.mocap_agreement import MocapAgreement, Seen
+from hil.loop.checks.mocap_agreement import MocapAgreement, MocapTolerances
 from hil.robot.kinematics import WheelGeometry
 
 GYRO = MotionSource("imu", "the gyro")
 _GAP_NS = 1_000_000_000
 _AGREE_M = 0.1
-"""After so long a way who told of it as others did is believed again: a camera that stands still is found in
-a sixth of it."""
+"""A sensor that has agreed with others over so long a way is believed again: a frozen camera is found in a
+sixth of it."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Tolerances:
         gyro, gyro_rad_s: rad per radian, and rad per second of bias: the data sheet allows 3 degrees per
             second before the chip has calibrated itself.
         camera_rad_s: drift of the camera's heading.
-        told_m, told_rad: sums that are told. A pose has 0.3 to 1.5 mm of noise, and a camera that is late
+        warn_m, warn_rad: sums for a warning. A pose has 0.3 to 1.5 mm of noise, and a camera that is late
             by 50 ms unnoticed differs by 6 mm after every start and stop at 0.12 m/s.
         stop_m, stop_rad: sums at which the robot must not go on.
     """
@@ -65,8 +65,8 @@ class Tolerances:
     gyro: float = 0.03
     gyro_rad_s: float = 0.053
     camera_rad_s: float = 0.003
-    told_m: float = 0.008
-    told_rad: float = 0.05
+    warn_m: float = 0.008
+    warn_rad: float = 0.05
     stop_m: float = 0.012
     stop_rad: float = 0.08
 
@@ -101,18 +101,18 @@ class MotionCheck:
         honest: Tolerances | None = None,
         *,
         on_wall: bool = True,
-        seen: Seen | None = None,
+        seen: MocapTolerances | None = None,
     ) -> None:
         self._on_wall = on_wall
         self.honest = h = honest if honest is not None else Tolerances()
         self._wheels, self._gyro = WheelTrack(geometry), GyroTrack()
         self._arm_m = float((geometry.x_m**2 + geometry.y_m**2).mean() ** 0.5)
-        self._way = Sum(CAMERA, WHEELS, h.told_m, h.stop_m)
-        self._camera_wheels = Sum(CAMERA, WHEELS, h.told_rad, h.stop_rad, turns=True)
-        self._camera_gyro = Sum(CAMERA, GYRO, h.told_rad, h.stop_rad, turns=True)
-        self._wheels_gyro = Sum(WHEELS, GYRO, h.told_rad, h.stop_rad, turns=True)
+        self._way = Sum(CAMERA, WHEELS, h.warn_m, h.stop_m)
+        self._camera_wheels = Sum(CAMERA, WHEELS, h.warn_rad, h.stop_rad, turns=True)
+        self._camera_gyro = Sum(CAMERA, GYRO, h.warn_rad, h.stop_rad, turns=True)
+        self._wheels_gyro = Sum(WHEELS, GYRO, h.warn_rad, h.stop_rad, turns=True)
         self._turns = (self._camera_wheels, self._camera_gyro, self._wheels_gyro)
-        seen = seen if seen is not None else Seen()
+        seen = seen if seen is not None else MocapTolerances()
         self.capture = MocapAgreement(self._wheels, seen, creep=h.creep if on_wall else 0.0)
         self._ways = (self._way, self.capture.camera, self.capture.rolled)
         self._sums = (*self._ways, *self._turns)
@@ -150,7 +150,7 @@ class MotionCheck:
 
     @property
     def agreed(self) -> frozenset[str]:
-        """Who has told of a way of 0.1 m as something else did."""
+        """Sensors that have agreed with another over at least 0.1 m."""
         ways = zip(self._ways, (self._way_m, *self.capture.ways_m), strict=True)
         agreed = [pair.names for pair, way_m in ways if way_m > _AGREE_M and not pair.suspicious]
         return frozenset(name for names in agreed for name in names) - self._left_out

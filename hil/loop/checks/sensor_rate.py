@@ -1,6 +1,6 @@
-"""Whether a sensor's samples come as often and as soon as those of a healthy one: what is late, lost or slow.
+"""Checks that a sensor's samples come as often and as soon as those of a healthy one: late, lost or slow.
 
-A lost packet is not worth a word; a share of them is, told once until it is over. Deterministic: depends on
+A single lost packet is ignored; a share of them is reported once until it is over. Deterministic: depends on
 the inputs seen since `reset` and on nothing else.
 """
 
@@ -26,7 +26,7 @@ _SETTLED_NS = 700_000_000
 
 @dataclass(frozen=True)
 class Healthy:
-    """What a healthy sensor of a kind does.
+    """Rates and delays of a healthy sensor of a kind.
 
     Attributes:
         rate_hz: samples per second; NaN where its owner chooses.
@@ -54,7 +54,7 @@ class _Stream:
         self.begin(_NEVER_NS)
 
     def begin(self, t_ns: int) -> None:
-        """A new window."""
+        """Begin a new window."""
         self.good, self.cycles, self.ends_ns = 0, 0, t_ns + _WINDOW_NS
         self.youngest_ns = _NEVER_NS
 
@@ -75,7 +75,7 @@ class SensorRate(Check):
         self._streams = [_Stream(name, healthy) for name, healthy in self._healthy.items()]
 
     def on_samples(self, cycle: Cycle) -> None:
-        """Rates and delays."""
+        """Check rates and delays of this cycle's samples."""
         self.judge(cycle.inputs, cycle.events)
 
     def judge(self, inputs: Inputs, events: list[Event]) -> None:

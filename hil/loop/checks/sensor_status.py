@@ -1,4 +1,4 @@
-"""Sensors that fall silent or send unusable samples: one event each."""
+"""Reports sensors that fall silent or send unusable samples: one event each."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hil.loop.cycle import Check, Cycle
 
 _OK = Status.OK
 _FORGOTTEN_NS = 1_000_000_000
-_TOLD = {
+_MESSAGES = {
     Status.FROZEN: "repeats the same values to the last bit: frozen; not used",
     Status.IMPLAUSIBLE: "sends values that cannot be; not used",
     Status.NOT_FINITE: "sends values that are no numbers; not used",
@@ -31,8 +31,8 @@ class SensorStatus(Check):
 
     Args:
         stale_s: by sensor, time without a good sample after which it counts as silent.
-        gap_s: by sensor, longest time without one that is still healthy; a longer one is told of a sensor
-            that has been heard.
+        gap_s: by sensor, longest time without one that is still healthy; a longer one is reported of a
+            sensor that has been heard.
         brought: sensors that other packages bring, and fields that they do not measure; in all other fields
             of their samples numbers that are none are looked for.
     """
@@ -44,30 +44,30 @@ class SensorStatus(Check):
         brought: Mapping[str, Collection[str]] | None = None,
     ) -> None:
         self._stale_ns = {name: nanoseconds(limit_s) for name, limit_s in stale_s.items()}
-        told_s = {**stale_s, **{k: min(gap, stale_s.get(k, gap)) for k, gap in (gap_s or {}).items()}}
-        self._told_ns = {name: nanoseconds(limit_s) for name, limit_s in told_s.items()}
+        warn_s = {**stale_s, **{k: min(gap, stale_s.get(k, gap)) for k, gap in (gap_s or {}).items()}}
+        self._warn_ns = {name: nanoseconds(limit_s) for name, limit_s in warn_s.items()}
         known = kinds()
         self._channels = [
-            (kind.name, samples_of(kind.name), kind.labels, kind.name in self._told_ns)
-            for kind in (known[name] for name in (*known, *further(self._told_ns)))
+            (kind.name, samples_of(kind.name), kind.labels, kind.name in self._warn_ns)
+            for kind in (known[name] for name in (*known, *further(self._warn_ns)))
             if not kind.moves_robot
         ]
         self._brought = brought or {}
         self.reset()
 
     def reset(self) -> None:
-        """Forget ages and what was told."""
+        """Forget ages and earlier reports."""
         self._last_ok_ns: dict[str, int] = {}
         self._last_bad: dict[str, Status] = {}
         self._last_any_ns: dict[str, int] = {}
         self._silent: set[str] = set()
         self._heard: set[str] = set()
         self._last_gap_ns: dict[str, int] = {}
-        self._last_told_ns: dict[tuple[str, Status], int] = {}
+        self._last_warn_ns: dict[tuple[str, Status], int] = {}
         self._holes: set[tuple[str, str]] = set()
 
     def on_samples(self, cycle: Cycle) -> None:
-        """Statuses and ages."""
+        """Check statuses and ages of this cycle's samples."""
         self.judge(cycle.inputs, cycle.events)
 
     def judge(self, inputs: Inputs, events: list[Event]) -> None:
@@ -120,19 +120,19 @@ class SensorStatus(Check):
         return (t_ns - self._last_any_ns.get(name, t_ns)) / NS_PER_S
 
     def _look(self, name: str, part: str, status: Status, t_ns: int, events: list[Event]) -> None:
-        if status in _TOLD:
-            self._tell(name, part, status, t_ns, events)
+        if status in _MESSAGES:
+            self._report(name, part, status, t_ns, events)
 
-    def _tell(self, name: str, part: str, status: Status, t_ns: int, events: list[Event]) -> None:
+    def _report(self, name: str, part: str, status: Status, t_ns: int, events: list[Event]) -> None:
         key = (name + part, status)
-        last_ns = self._last_told_ns.get(key)
-        self._last_told_ns[key] = t_ns
+        last_ns = self._last_warn_ns.get(key)
+        self._last_warn_ns[key] = t_ns
         if last_ns is None or t_ns - last_ns > _FORGOTTEN_NS:
-            events.append(Event(t_ns, "warning", name, part + _TOLD[status]))
+            events.append(Event(t_ns, "warning", name, part + _MESSAGES[status]))
 
     def _limit_ns(self, name: str) -> float:
-        """Silence that is told: a gap of a sensor that has been heard, a longer time of one that has not."""
-        limits = self._told_ns if name in self._heard else self._stale_ns
+        """Silence (ns) that is reported: shorter for a sensor that has been heard than for others."""
+        limits = self._warn_ns if name in self._heard else self._stale_ns
         return limits.get(name, math.inf)
 
     def _age(self, name: str, good: bool, t_ns: int, events: list[Event]) -> None:
@@ -145,14 +145,16 @@ class SensorStatus(Check):
                 self._silent.discard(name)
                 events.append(Event(t_ns, "info", name, _again(t_ns - last_ns)))
         elif (
-            t_ns - last_ns > self._limit_ns(name) and name not in self._silent and self._may_tell(name, t_ns)
+            t_ns - last_ns > self._limit_ns(name)
+            and name not in self._silent
+            and self._may_report(name, t_ns)
         ):
             self._silent.add(name)
             self._last_gap_ns[name] = t_ns
             events.append(Event(t_ns, "warning", name, f"stale for {(t_ns - last_ns) / NS_PER_S:.3f} s"))
 
-    def _may_tell(self, name: str, t_ns: int) -> bool:
-        """Gaps that come again and again are told once a second."""
+    def _may_report(self, name: str, t_ns: int) -> bool:
+        """Whether a gap is reported: repeated ones only once a second."""
         return t_ns - self._last_gap_ns.get(name, -_FORGOTTEN_NS) >= _FORGOTTEN_NS
 
 

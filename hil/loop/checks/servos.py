@@ -1,4 +1,4 @@
-"""What the servos themselves give away: silence, alerts, wheels that do not turn, encoders that slip.
+"""Checks the servos' own data: silence, alerts, wheels that do not turn, encoders that slip.
 
 Names the servo, its bus ID where known, what it did and what to do.
 """
@@ -17,7 +17,7 @@ from hil.loop.cycle import Check, Cycle
 
 _BLOCKED_NS, _STANDING_NS = 500_000_000, 150_000_000
 _BLOCKED_RATE_RAD_S, _BLOCKED_RAD = 0.5, 0.05
-_TOLD_NS = 50_000_000
+_REPORT_NS = 50_000_000
 """From event to stop."""
 _ALL_OK = (Status.OK,) * 8
 _REMEDIES = {
@@ -27,7 +27,7 @@ _REMEDIES = {
     Status.PROTOCOL: "check that no two servos have the same ID",
     Status.TIMEOUT: "check its cable, its supply and its ID",
 }
-"""What tells most comes first: one that is damaged takes along, as silent, those behind it in the chain."""
+"""The most telling status comes first: a damaged servo makes those behind it in the chain silent."""
 
 
 class ServoCheck(Check):
@@ -47,7 +47,7 @@ class ServoCheck(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Forget all that was seen before."""
         self.asked_rad_s = [0.0] * 4
         self._asked_since_ns: list[int | None] = [None] * 4
         self._asked_at_rad = [0.0] * 4
@@ -78,7 +78,7 @@ class ServoCheck(Check):
             angles: list[float] = sample.position_rad.tolist()
             self._check_turning(angles, inputs.t_ns, stop)
             self._check_steps(sample, angles, outside, events)
-        if self._slipped is not None and inputs.t_ns - self._slipped[0] > _TOLD_NS:
+        if self._slipped is not None and inputs.t_ns - self._slipped[0] > _REPORT_NS:
             stop("servo_jump", f"{self._slipped[1]}: no motor turns so fast, the servo's encoder has slipped")
 
     def check_silence(self, inputs: Inputs, stop: ReportStop) -> None:
@@ -134,7 +134,7 @@ class ServoCheck(Check):
             stop("blocked", self.standing(t_ns, _BLOCKED_NS))
 
     def standing(self, t_ns: int, longer_than_ns: int = _STANDING_NS) -> str:
-        """Which wheels have been asked to turn for that long and told the same angle; empty for none."""
+        """Which wheels were commanded to turn for that long and report the same angle; empty for none."""
         found = [
             f"wheel {WHEELS[i]} is asked for {self.asked_rad_s[i]:.2f} rad/s and has not turned for "
             f"{(t_ns - since_ns) / NS_PER_S:.1f} s"

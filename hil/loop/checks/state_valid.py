@@ -1,4 +1,4 @@
-"""Whether an estimate is usable: finite, with a covariance, of this cycle.
+"""Checks that an estimate is usable: finite, with a covariance, of this cycle.
 
 What compares an estimate with others weighs it by its variances and by its time: with a variance that is not
 a number, or a time that stands still, nothing would ever be found to differ.
@@ -23,7 +23,7 @@ _REMEDY = "mend the estimator, or follow another (feedback: odometry, ekf or ukf
 
 
 def must_be_usable(state: RobotState, now_ns: int | None) -> None:
-    """Refuse an estimate that nothing can judge.
+    """Refuse an estimate that cannot be judged.
 
     Args:
         state: the estimate.
@@ -41,7 +41,7 @@ class UsableCheck(Check):
     """Whether the estimate that is followed can be judged at all."""
 
     def on_estimate(self, cycle: Cycle) -> None:
-        """Finite, with variances that can be, and of this cycle."""
+        """Check that the estimate is finite, with possible variances, and of this cycle."""
         assert cycle.state is not None
         must_be_usable(cycle.state, cycle.inputs.t_ns)
 
@@ -56,7 +56,7 @@ class ObserverCheck(Check):
     checked: tuple[str, ...] = ()
 
     def on_estimate(self, cycle: Cycle) -> None:
-        """Each of them."""
+        """Check every estimate that is not followed."""
         for name in self.checked:
             cycle.events += self.judge(name, cycle.observers[name], cycle.inputs.t_ns)
 

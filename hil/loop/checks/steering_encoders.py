@@ -1,4 +1,4 @@
-"""External encoder against the servo's own angle: what the servo cannot see of its horn and gears.
+"""Compares external encoders with the servos' own angles: finds slipped horns and damaged gears.
 
 The servo measures before gear play and horn, the external encoder behind them. Their lasting
 difference moves when the horn slips, or the servo's own encoder. Only settled axes are compared, because
@@ -21,7 +21,7 @@ _SETTLED_RAD = 0.016
 _LEARN, _ASTRAY_RAD = 5, 0.15
 _MEMORY = 0.2
 _NAN = math.nan
-_EVERY_NS, _TOLD_NS, _FAR = 48_000_000, 50_000_000, 2.0
+_EVERY_NS, _REPORT_NS, _FAR = 48_000_000, 50_000_000, 2.0
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class _Axis:
         self.lasting = wrap(self.lasting + _MEMORY * wrap(raw_rad - self.lasting))
 
     def _correct(self) -> None:
-        """What was learnt is replaced by what is known, where the two are too far apart."""
+        """Replace a learned offset by the known one, where the two are too far apart."""
         known_rad = self._known_rad
         if known_rad is not None and abs(wrap(self.reference - known_rad)) > self._astray_rad:
             self.reference = known_rad
@@ -132,7 +132,7 @@ class CrossCheck:
 
 
 class SteeringWatch(Check):
-    """The cross-check of a running robot: tells of a slipped horn, and stops by one.
+    """The cross-check of a running robot: reports a slipped horn, and stops the robot.
 
     Args:
         config: of the encoders.
@@ -157,7 +157,7 @@ class SteeringWatch(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Learn anew."""
+        """Forget the learned offsets."""
         self._check.reset()
         self._last_ns: int | None = None
         self._since_ns: dict[int, int] = {}
@@ -199,5 +199,5 @@ class SteeringWatch(Check):
             if axis not in self._since_ns:
                 self._since_ns[axis] = t_ns
                 events.append(Event(t_ns, "warning", "encoders", said))
-            elif far and t_ns - self._since_ns[axis] > _TOLD_NS:
+            elif far and t_ns - self._since_ns[axis] > _REPORT_NS:
                 stop("horn_slip", f"{said}; find zero and horn of that wheel before it drives on")

@@ -1,10 +1,11 @@
-"""Which wheel contradicts the other three: its hub slips, or its servo lies.
+"""Finds the wheel that contradicts the other three: its hub slips, or its servo reports wrong values.
 
-The motion of the body has three unknowns and the wheels tell eight: any three say how far the fourth has
-to roll. Honest wheels of a driven robot keep to that within 0.6 mm in 0.4 s, on both plants, because all four
-are told to roll by one motion. A wheel that begins to slip leaves it by millimetres for as long as its motor
-needs to come back to its speed; after that nothing is seen of it while it goes on to slip, so that the
-estimate is unsure from then on by a share of the way. A wheel that has slipped from the start is not found.
+The motion of the body has three unknowns and the wheels measure eight values: any three give how far the
+fourth has to roll. Healthy wheels of a driven robot keep to that within 0.6 mm in 0.4 s, on both plants,
+because all four are commanded by one motion. A wheel that begins to slip leaves it by millimetres for as long
+as its motor needs to come back to its speed; after that nothing is seen of it while it goes on to slip, so
+that the estimate is unsure from then on by a share of the way. A wheel that has slipped from the start is not
+found.
 Deterministic: depends on what was judged since `reset` and on nothing else.
 """
 
@@ -50,13 +51,13 @@ class WheelSlipCheck(Check):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the run."""
+        """Forget all that was seen in the run."""
         self._forget()
-        self._told = self._doubted = False
+        self._reported = self._doubted = False
         self._way_m = self._since_m = self._sigma_m = self._off_m = 0.0
 
     def _forget(self) -> None:
-        """Nothing is known of the wheels."""
+        """Forget what is known of the wheels."""
         self._last: tuple[int, list[float], list[float]] | None = None
         self._steps: deque[tuple[int, list[float], list[float], float]] = deque()
         self._rolled_m, self._said_m, self._loose_m = [0.0] * 4, [0.0] * 4, 0.0
@@ -143,9 +144,9 @@ class WheelSlipCheck(Check):
             return
         self._seen = self._seen + 1 if worst == self._suspect else 1
         self._suspect = worst
-        if self._told or self._seen < _AGAIN:
+        if self._reported or self._seen < _AGAIN:
             return
-        self._told = True
+        self._reported = True
         if not self._doubted:
             self._doubted, self._since_m = True, self._way_m
         rolled_mm, said_mm = 1e3 * self._rolled_m[worst], 1e3 * self._said_m[worst]

@@ -61,10 +61,10 @@ class Strikes:
 
 
 def take_back(client: Client, futures: Sequence[Future]) -> None:
-    """Cancel jobs, and wait until the scheduler has done so and tells of none of them any more."""
+    """Cancel jobs, and wait until the scheduler has done so and lists none of them any more."""
     reached = client.status == "running"
     client.cancel(futures, force=True)
-    with suppress(OSError):  # a scheduler that goes meanwhile tells nothing either
+    with suppress(OSError):  # a scheduler that goes meanwhile answers nothing either
         for _ in range(_LOOKS if reached else 0):
             if any(event.get("action") == "cancel" for _, event in client.get_events(client.id)):
                 return

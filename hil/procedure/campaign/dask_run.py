@@ -30,7 +30,7 @@ R = TypeVar("R")
 
 _RETRIES = 2
 _UNWATCHED = {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "1s"}
-"""Dask looks at the stack of each worker a hundred times a second, for a page that nothing opens here."""
+"""Dask looks at the stack of each worker a hundred times a second, for a page that is not used here."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def spread(
 
 
 def _settled(result: R | Unable, job: J, lost: Callable[[J, str], R]) -> R:
-    """The result of a job that nothing else can do again."""
+    """The result of a job that no other worker can do again."""
     return lost(job, result.reason) if isinstance(result, Unable) else result
 
 
@@ -121,11 +121,11 @@ def _left_to_others(client: Client, unable: Unable) -> bool:
 
 def _make_ready(client: Client, scheduler: str, parcel: WorkerFiles | None, stack: ExitStack) -> None:
     """Hold the workers of a cluster against this computer, and send them the files until `stack` ends."""
-    from hil.procedure.campaign.remote_workers import carried, check_workers, tell_of_refused
+    from hil.procedure.campaign.remote_workers import carried, check_workers, report_refused
 
     try:
         check_workers(client, scheduler)
-        tell_of_refused(client)
+        report_refused(client)
         if parcel is not None:
             stack.enter_context(carried(client, parcel))
     except OSError as error:
@@ -200,7 +200,7 @@ def _with_workers(workers: int, stack: ExitStack) -> Client:
 @contextmanager
 def _interrupts_put_off() -> Iterator[None]:
     """Ctrl-C waits; threads and processes that begin meanwhile, and theirs, never hear of it."""
-    ensure_running()  # whoever starts Python's own tracker hears of Ctrl-C again
+    ensure_running()  # a process that starts Python's own tracker gets Ctrl-C again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -27,11 +27,11 @@ LOG = logging.getLogger(__name__)
 
 REFUSED = "hil-refused"
 """Topic under which workers that come later tell why they leave again."""
-_TOLD_S = 0.1
+_LEAVE_S = 0.1
 _REMEDY = "install the same packages everywhere, e.g. from requirements/ci.lock"
 
 
-def tell_of_refused(client: Client) -> None:
+def report_refused(client: Client) -> None:
     """Say here which workers came later and have left again, and why."""
     client.subscribe_topic(REFUSED, lambda event: LOG.warning("%s; it gets no runs", event[1]))
 
@@ -143,7 +143,7 @@ class Luggage(WorkerPlugin):  # type: ignore[misc]  # distributed has no types
         self.name, self.content, self.make, self.lacking = parcel.name, parcel.content, make(), ""
 
     def setup(self, worker: Worker) -> None:
-        """Unpack; a worker that came later and is of another make tells what differs, and leaves.
+        """Unpack; a worker that came later and has other versions reports what differs, and leaves.
 
         `lacking` says afterwards why the files could not be written, and is empty where they were.
 
@@ -152,7 +152,7 @@ class Luggage(WorkerPlugin):  # type: ignore[misc]  # distributed has no types
         """
         if (other := _difference(f"worker {worker.address}", make(), self.make)) is not None:
             worker.log_event(REFUSED, str(other))
-            worker.loop.call_later(_TOLD_S, worker.close)
+            worker.loop.call_later(_LEAVE_S, worker.close)
             raise other
         folder = Path(worker.local_directory) / self.name
         try:

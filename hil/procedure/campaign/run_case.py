@@ -8,14 +8,16 @@ import os
 import shlex
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from hil.config.loading import path_keys
+from hil.core.choices import LAWS
 from hil.core.clock import MonotonicClock, local_time
 from hil.core.errors import EXIT_ABORTED, ConfigError, HilError, RecordingError
+from hil.core.interfaces import Sink
 from hil.core.result_files import JOURNAL, LOST
 from hil.procedure.bench_request import BenchSource
 from hil.procedure.campaign.cases import Case
@@ -44,8 +46,9 @@ class Setup:
     """What all cases share; texts as given on the command line.
 
     Attributes:
+        controller, ros2_domain: as of `hil run`.
         keep: `all` of a run, or its `results` without recordings and figures.
-        places: text that names a file -> where the file lies for whoever runs the case; texts that are
+        places: text that names a file -> where the file lies for the worker; texts that are
             not in it name files by themselves.
     """
 
@@ -57,6 +60,8 @@ class Setup:
     calibration: str | None
     answers: str | None
     keep: Keep = "all"
+    controller: str | None = None
+    ros2_domain: int | None = None
     places: Mapping[str, str] = field(default_factory=dict)
 
     def source(self, proc: Procedure, case: Case) -> tuple[BenchSource, dict[str, str]]:
@@ -64,6 +69,9 @@ class Setup:
         parameters, overrides = self.split(case)
         for key in set(path_keys(key.partition(".")[0] for key in overrides)) & set(overrides):
             overrides[key] = self.at(str(overrides[key]))
+        law, own = (self.controller, "") if self.controller in LAWS else (None, self.controller or "")
+        if law is not None:
+            overrides = {**overrides, "control.law": law}
         source = BenchSource(
             self.at(self.bench or proc.bench),
             emulate=self.emulate,
@@ -71,6 +79,7 @@ class Setup:
             faults=tuple(map(self.at, self.all_faults(case))),
             overrides=overrides,
             calibration=Path(self.at(self.calibration)) if self.calibration else None,
+            controller=own,
         )
         return source, parameters
 
@@ -95,7 +104,9 @@ class Setup:
         options = [("bench", self.bench), ("emulate", self.emulate), ("calibration", self.calibration)]
         options += [("set", text) for text in self.all_settings(case)]
         options += [("fault", text) for text in self.all_faults(case)]
-        options += [("answers", self.answers), ("seed", str(case.seed))]
+        options += [("controller", self.controller), ("answers", self.answers), ("seed", str(case.seed))]
+        if self.ros2_domain is not None:
+            options.append(("ros2-domain", str(self.ros2_domain)))
         given = [part for name, text in options if text for part in (f"--{name}", text)]
         return shlex.join(["hil", "run", self.script, *given])
 
@@ -123,10 +134,10 @@ class Delivery:
     content: bytes = b""
 
 
-def run_case(job: Job) -> Row:
-    """One case to its results folder (in a worker)."""
+def run_case(job: Job, publish: Callable[[Mapping[str, Any]], Sink] | None = None) -> Row:
+    """One case to its results folder (in a worker); `publish` as of `BenchSource`."""
     try:
-        tree = _result(job)
+        tree = _result(job, publish)
     except HilError as error:
         if _is_unwritten(error, job.folder):
             return lost(job, str(error))
@@ -205,7 +216,7 @@ def arrived(delivery: Delivery) -> Row:
     return delivery.row
 
 
-def _result(job: Job) -> dict[str, Any]:
+def _result(job: Job, publish: Callable[[Mapping[str, Any]], Sink] | None = None) -> dict[str, Any]:
     """Run one case; gives the tree of its `result.json`."""
     setup, folder = job.setup, Path(job.folder)
     script, name = file_and_name(setup.script)
@@ -223,7 +234,7 @@ def _result(job: Job) -> dict[str, Any]:
         interrupts=Interrupts(tell, PATIENCE_S),
     )
     with named_in_log(job.case.name):
-        result = run_procedure(proc, source, options)
+        result = run_procedure(proc, replace(source, publish=publish), options)
     if not any(error.step == KEEPING for error in result.teardown_errors):
         write_run_page(folder)
     return result.to_json()

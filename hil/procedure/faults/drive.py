@@ -43,7 +43,7 @@ def run_cell(cell: Cell, bench: str = "emulated") -> CellVerdict:
 def _drive(cell: Cell, name: str, path: Path) -> Seen:
     seen = Seen()
     bench = open_bench(name, seed=cell.seed, faults=cell.specs, overrides={"emulation.plant": cell.plant})
-    bench.tells_held = False
+    bench.warns_not_held = False
     stopped, end = START[:2], _follow(bench, seen)
     try:
         with bench:

@@ -53,7 +53,7 @@ class CellVerdict:
         cell: which.
         why: what is wrong; empty for a cell that passes.
         ended: `went on`, or the reason of the stop.
-        told: whether stop or events accuse the device; of several all of them.
+        reported: whether stop or events name the device; of several all of them.
         held: what the bench said of the robot at last.
         others: kinds of devices that are accused without one that was struck.
         measured: what was measured.
@@ -63,7 +63,7 @@ class CellVerdict:
     cell: Cell
     why: tuple[str, ...]
     ended: str
-    told: bool
+    reported: bool
     held: str
     others: tuple[str, ...] = ()
     measured: Measured = Measured()
@@ -92,7 +92,7 @@ def judge(cell: Cell, seen: Seen) -> CellVerdict:
         cell,
         why=tuple(_wrong(cell, seen, measured)),
         ended=ends[0].reason if ends else "went on",
-        told=by <= {name for one in evidence for name in one},
+        reported=by <= {name for one in evidence for name in one},
         held=seen.state,
         others=tuple(sorted(others)),
         measured=measured,
@@ -106,7 +106,7 @@ def _ends(seen: Seen) -> list[Ended]:
 
 
 def _kinds(names: tuple[str, ...]) -> frozenset[str]:
-    """Kinds of devices by their names; who is no device is nothing."""
+    """Kinds of devices by their names; other names give nothing."""
     return frozenset(kind_of(name).name for name in names if name not in ("supervisor", "outside"))
 
 
@@ -118,7 +118,7 @@ def _wrong(cell: Cell, seen: Seen, measured: Measured) -> Iterator[str]:
         yield f"the recording: {seen.unreadable}"
     for end in _ends(seen):
         if not _kinds(end.suspects) & struck(cell):
-            accused = ", ".join(sorted(_kinds(end.suspects))) or "nobody"
+            accused = ", ".join(sorted(_kinds(end.suspects))) or "no device"
             yield f"{end.reason} accuses {accused} and not what was struck: {end.text}"
     yield from _wrong_of_hold(cell, seen, measured)
     yield from _wrong_of_estimate(cell, seen)

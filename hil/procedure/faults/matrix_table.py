@@ -36,19 +36,21 @@ restart, and errors that look like an honest robot, such as a camera that drifts
 """
 
 
-def matrix_page(told: Mapping[str, Any]) -> str:
+def matrix_page(summary: Mapping[str, Any]) -> str:
     """The whole page, of `hil.procedure.faults.summary`."""
     counts = (
-        f"{told['cells']} cells, {len(told['failed'])} failed, "
-        f"{told['quiet_cells']} passed without a word about the device."
-        if told["cells"]
+        f"{summary['cells']} cells, {len(summary['failed'])} failed, "
+        f"{summary['quiet_cells']} passed without a word about the device."
+        if summary["cells"]
         else "No cells."
     )
-    if told["cells"] < told["planned"]:
-        counts += f" Ended early: {told['planned']} cells were asked for; `--resume` goes on with the others."
+    if summary["cells"] < summary["planned"]:
+        counts += (
+            f" Ended early: {summary['planned']} cells were asked for; `--resume` goes on with the others."
+        )
     parts = [
         _HEAD.format(
-            command=told["command"],
+            command=summary["command"],
             counts=counts,
             watched_s=WATCHED_S,
             sigmas=SIGMAS,
@@ -57,25 +59,25 @@ def matrix_page(told: Mapping[str, Any]) -> str:
             most_mm=1e3 * MOST_OFF_M,
         )
     ]
-    if told["classes"]:
+    if summary["classes"]:
         parts.append("\n## What is promised, and the worst that was measured\n\n")
         parts.append("| faults of | promised after the stop | measured | cells | failed |\n")
         parts.append("|---|---|---|---|---|\n")
     parts += [
         f"| {c['name']} | {c['promise']} | {c['measured']} | {c['cells']} | {c['failed']} |\n"
-        for c in told["classes"]
+        for c in summary["classes"]
     ]
-    for plant in told["plants"]:
+    for plant in summary["plants"]:
         parts.append(f"\n## Plant `{plant['plant']}`, seeds {', '.join(map(str, plant['seeds']))}\n\n")
         parts += _table(plant)
-    if told["failed"]:
+    if summary["failed"]:
         parts.append("\n## Failed\n\n| cell | why |\n|---|---|\n")
-        parts += [f"| `{f['cell']}` | {_plain(f['why'])} |\n" for f in told["failed"]]
-    if told["quiet"]:
+        parts += [f"| `{f['cell']}` | {_plain(f['why'])} |\n" for f in summary["failed"]]
+    if summary["quiet"]:
         parts.append("\n## Without a word\n\n| device | fault | moments | why |\n|---|---|---|---|\n")
     parts += [
         f"| `{q['device']}` | `{q['fault']}` | {', '.join(q['moments'])} | {q['why']} |\n"
-        for q in told["quiet"]
+        for q in summary["quiet"]
     ]
     return "".join(parts)
 
@@ -95,6 +97,6 @@ def _plain(text: str) -> str:
     return " ".join(text.replace("|", "/").split())[:300]
 
 
-def write_page(path: Path, told: Mapping[str, Any]) -> None:
+def write_page(path: Path, summary: Mapping[str, Any]) -> None:
     """Write the page."""
-    write_text(path, matrix_page(told))
+    write_text(path, matrix_page(summary))

@@ -141,7 +141,7 @@ def _is_unmeasured(cell: Cell) -> bool:
 def _is_unseen(cell: Cell) -> bool:
     """Whether all that see a slide were at fault, one of them to the end.
 
-    What told nonsense for a while is in doubt from then on.
+    A sensor with wrong values for a while is in doubt from then on.
     """
     seeing: Mapping[str, bool] = {d: _lasts(spec) for d, _, spec in _parts(cell) if d in SEES}
     return len(seeing) == len(SEES) and any(seeing.values())

@@ -42,7 +42,7 @@ class Seen:
 
     Attributes:
         cycles: how many there were.
-        events: whom each accuses.
+        events: the devices that each accuses.
         stop: what ended the drive; None where it came to its end.
         error: what opening and closing raised; None for nothing.
         foreign: an exception that is none of this project's.

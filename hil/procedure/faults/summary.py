@@ -9,7 +9,7 @@ from hil.procedure.faults.cases import MOMENTS
 from hil.procedure.faults.judge import CellVerdict
 from hil.procedure.faults.movement_bounds import CLASSES, FaultClass, class_of, kind_of
 
-UNNOTICED = "nobody notices"
+UNNOTICED = "no sensor notices"
 _AT_THE_END = "struck where the way ends: the run was over before it could be judged"
 _LOST = "single messages are lost or refused by their check, and the next ones say the same"
 _OF_ANY: Mapping[str, str] = {
@@ -17,13 +17,13 @@ _OF_ANY: Mapping[str, str] = {
     "drop": _LOST,
     "truncate": _LOST,
     "corrupt": _LOST,
-    "slow": "a stream is judged second by second: told within two seconds of a longer run",
+    "slow": "a stream is judged second by second: reported within two seconds of a longer run",
 }
 """By fault, of a device whose kind says nothing of it (`DeviceKind.silent_faults`)."""
 
 
 def why_quiet(device: str, fault: str, moments: Sequence[str] = ("motion",)) -> str:
-    """What there is to say of a fault of which nothing has said a word, at these moments."""
+    """What there is to say of a fault that was not reported, at these moments."""
     if list(moments) == ["stop"]:
         return _AT_THE_END
     passes = kind_of(device).silent_faults
@@ -32,7 +32,7 @@ def why_quiet(device: str, fault: str, moments: Sequence[str] = ("motion",)) -> 
 
 def quiet_rows(verdicts: Sequence[CellVerdict]) -> list[dict[str, Any]]:
     """All that were passed over in silence: `device`, `fault`, `moments` and `why`."""
-    cells = [v.cell for v in verdicts if not v.told and not v.why and len(v.cell.specs) == 1]
+    cells = [v.cell for v in verdicts if not v.reported and not v.why and len(v.cell.specs) == 1]
     found: dict[tuple[str, str], list[str]] = {}
     for cell in cells:
         moments = found.setdefault((cell.device, cell.fault), [])
@@ -63,7 +63,7 @@ def summary(verdicts: Sequence[CellVerdict], *, bench: str, command: str, planne
         "command": command,
         "cells": len(verdicts),
         "planned": planned,
-        "quiet_cells": sum(not v.told and not v.why for v in verdicts),
+        "quiet_cells": sum(not v.reported and not v.why for v in verdicts),
         "classes": [found for one in CLASSES if (found := _class(one, verdicts))],
         "plants": [
             _plant(plant, [v for v in verdicts if v.cell.plant == plant])
@@ -115,7 +115,7 @@ def _mark(verdicts: Sequence[CellVerdict]) -> str:
     if bad:
         return f"FAILED {bad}/{len(verdicts)}"
     ends = sorted({"on" if v.ended == "went on" else "stop" if v.opened else "none" for v in verdicts})
-    return "/".join(ends) + ("" if all(v.told for v in verdicts) else " *")
+    return "/".join(ends) + ("" if all(v.reported for v in verdicts) else " *")
 
 
 def measured_in_words(verdicts: Sequence[CellVerdict]) -> str:

@@ -1,1 +1,1 @@
-"""What earlier runs have left in a folder of results: found, followed over time, deleted with care."""
+"""Finds results of earlier runs in a folder, follows them over time, deletes them with care."""

@@ -1,4 +1,4 @@
-"""Whether a series of measured values stays as it was: an individuals chart and a test for a trend.
+"""Tests whether a series of measured values stays the same: an individuals chart and a test for a trend.
 
 Control limits are those of Shewhart's chart of individual values: the mean of the first runs, and from it
 2.66 mean moving ranges (three standard deviations, if the values are normal) to either side. They say what

@@ -1,4 +1,4 @@
-"""Which files in the folder of a result `hil` has written and deletes with it. All others are the user's.
+"""Lists the files in the folder of a result that `hil` has written and deletes with it.
 
 Some have fixed names. The others are named by the result itself, or by the journal of a run: recordings,
 figures, attachments. A run in the folder of another one belongs to neither, unless that is a campaign or a
@@ -82,7 +82,7 @@ def all_files(folder: Path) -> list[str]:
 def written(kept: Kept) -> list[str]:
     """What `hil` has written into the folder of a result, as paths within it.
 
-    What makes the folder a result comes last: whoever is interrupted in the middle can delete it again.
+    What makes the folder a result comes last: an interrupted removal can be repeated.
     """
     folder, there = kept.folder, all_files(kept.folder)
     marks = (

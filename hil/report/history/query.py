@@ -1,4 +1,4 @@
-"""Which of the results a user means: by words that are in them, by the name of one."""
+"""Selects results by words that are in them, or by the name of one."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def chosen(
     words: Sequence[str] = (),
     within: bool = False,
 ) -> list[Kept]:
-    """Those that fit everything that is asked for, in their order.
+    """Results that fit all conditions, in their order.
 
     Args:
         found: to choose from.

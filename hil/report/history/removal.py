@@ -35,7 +35,7 @@ class Loss:
     stays: tuple[str, ...] = ()
 
     def in_words(self) -> str:
-        """One line for whoever is asked."""
+        """One line for the question before the removal."""
         what = f"{self.kept.name}: {self.kept.what} {self.kept.verdict or self.kept.kind}"
         part = f", part of {self.kept.within}" if self.kept.within else ""
         held = f", with {', '.join(self.precious)}" if self.precious else ""
@@ -94,7 +94,7 @@ def delete(losses: Sequence[Loss]) -> None:
             except OSError as error:
                 raise DataError(str(folder / name), f"cannot be deleted ({reason_of(error)})") from None
         for place in _emptied(item):
-            with suppress(OSError):  # something of another one's is in it
+            with suppress(OSError):  # it holds files of another program
                 os.rmdir(place)
 
 

@@ -22,7 +22,7 @@ from hil.report.pages import number
 MISSING = "missing"
 """State of a measurement of which the newest runs have no value."""
 ALARMS = (MISSING, DRIFTING, OUTSIDE)
-"""States that something has to look at."""
+"""States that need attention."""
 _URGENCY = (*ALARMS, STEADY, TOO_FEW)
 _COUNTED = (*PASSED, "FAIL")
 """Verdicts of runs that came to their end; what an aborted one measured is left out."""
@@ -68,12 +68,12 @@ class Series:
 
     @property
     def points(self) -> list[Point]:
-        """All of them, in order."""
+        """All points, in order."""
         return [point for points, _ in self.stretches for point in points]
 
     @property
     def chart(self) -> Chart:
-        """That of the last stretch: what the measurement does now, or did while there were values."""
+        """Chart of the last stretch: what the measurement does now, or did while there were values."""
         return self.stretches[-1][1] if self.stretches else Chart(TOO_FEW)
 
     def in_words(self) -> str:

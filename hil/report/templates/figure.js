@@ -32,7 +32,7 @@ function ticks(low, high) {
 
 const unit = (scale) => (/\(([^()]*)\)\s*$/.exec(scale.label) || ["", ""])[1];
 const bare = (scale) => scale.label.replace(/\s*\([^()]*\)\s*$/, "");
-const told = (scale, v) => (scale.names && scale.names[String(Math.round(v))]) || `${words(v)} ${unit(scale)}`.trim();
+const reading = (scale, v) => (scale.names && scale.names[String(Math.round(v))]) || `${words(v)} ${unit(scale)}`.trim();
 const rising = (x) => x[0] !== x[x.length - 1] && x.every((v, k) => !k || v === null || x[k - 1] === null || v >= x[k - 1]);
 
 class Axes {
@@ -162,9 +162,9 @@ function plot(box, number) {
     const shared = first.s.across ? y : first.s.along ? x : null;
     const value = first.s.across ? first.y : first.x;
     const name = shared && bare(shared);
-    if (shared) line(`${name ? `${name} ` : ""}${told(shared, value)}`);
+    if (shared) line(`${name ? `${name} ` : ""}${reading(shared, value)}`);
     for (const p of points) {
-      const text = p.s.across ? told(x, p.x) : p.s.along ? told(y, p.y) : `${bare(x)} ${told(x, p.x)}, ${bare(y)} ${told(y, p.y)}`;
+      const text = p.s.across ? reading(x, p.x) : p.s.along ? reading(y, p.y) : `${bare(x)} ${reading(x, p.x)}, ${bare(y)} ${reading(y, p.y)}`;
       line(`${p.s.name || (p.s.across ? bare(x) : bare(y))} ${text}`.trim(), p.s.colour);
     }
     said.hidden = false;

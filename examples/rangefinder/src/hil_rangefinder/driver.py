@@ -44,11 +44,11 @@ class TfLunaDriver(SerialSensor[TfLunaConfig, RangeSample]):
         save = {p.SAVE: b""} if self.config.save else {}
         for code, payload in {**self._settings, **save}.items():
             answer = self._ask(port, p.Command(code, payload), self.config.open_timeout_s)
-            told = "nothing" if answer is None else answer.hex(" ")
+            received = "nothing" if answer is None else answer.hex(" ")
             if answer != (payload or b"\0"):
                 raise DeviceError(
                     self.name,
-                    f"setting 0x{code:02X} was answered with {told}",
+                    f"setting 0x{code:02X} was answered with {received}",
                     port=port.url,
                     expected=(payload or b"\0").hex(" "),
                     remedy="update the sensor's firmware",

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
-from hil.devices.adhesion.vesc_model import KeptFan
+from hil.devices.adhesion.vesc_model import DaemonFan
 
 _HERE = "hil.devices.adhesion.dronecan"
 
 
-class DroneCan(KeptFan):
+class DroneCan(DaemonFan):
     """It is not looked for: to ask a DroneCAN bus is to take part in it."""
 
     kind, name, title = "adhesion", "dronecan", "a ducted fan on a controller that speaks DroneCAN"

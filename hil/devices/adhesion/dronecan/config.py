@@ -20,7 +20,7 @@ class DroneCanConfig(MotorConfig):
         command: `duty` (`RawCommand`) or `rpm` (`RPMCommand`).
         node_id: of the controller.
         esc_index: its place in the commands; `UAVCAN ESC Index` in VESC Tool.
-        own_id: node id of the keeper; no other node may have it.
+        own_id: node id of the daemon; no other node may have it.
     """
 
     model: Literal["dronecan"] = "dronecan"
@@ -30,18 +30,18 @@ class DroneCanConfig(MotorConfig):
     own_id: NodeId = 120
 
     def claims(self) -> Iterable[Claim]:
-        """The controller's and the keeper's."""
+        """The node ids of the controller and of the daemon."""
         return (Claim("node_id", _NODE, self.node_id), Claim("own_id", _NODE, self.own_id))
 
-    def keeper(self) -> dict[str, Any]:
+    def daemon_spec(self) -> dict[str, Any]:
         """As of any motor controller, which has no set-point of current here."""
-        common = super().keeper()
+        common = super().daemon_spec()
         highest = {name: value for name, value in common["highest"].items() if name != "current_a"}
         details = {"esc_index": self.esc_index, "node_id": self.own_id, "rpm_per_v": self.rpm_per_v}
         return {
             **common,
             "controller_id": self.node_id,
-            "dialect": "dronecan",
+            "protocol": "dronecan",
             "details": details,
             "highest": highest,
         }

@@ -15,8 +15,8 @@ from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.dronecan_library import Receiver, frames_of, library
 from hil.drivers.adhesion.can_fan import Figures, MotorFan
 from hil.drivers.adhesion.dronecan.frames import EscStatus, StatusReader
-from hil.drivers.adhesion.keeper.kept import Keep, finding
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.fan_daemon.commander import MakeCommander, finding
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.drivers.links.can_bus import remedy_of_silence
 
 _WAIT_S = 0.01
@@ -29,10 +29,12 @@ _PRIORITY = 30
 class DroneCanFan(MotorFan[DroneCanConfig]):
     """One fan; arguments as of any."""
 
-    def __init__(self, config: DroneCanConfig, clock: Clock, keep: Keep | None = None) -> None:
+    def __init__(
+        self, config: DroneCanConfig, clock: Clock, make_commander: MakeCommander | None = None
+    ) -> None:
         self._dronecan = library()
-        self._told = ""
-        super().__init__(config, clock, keep)
+        self._node_info = ""
+        super().__init__(config, clock, make_commander)
 
     def _forget(self) -> None:
         super()._forget()
@@ -62,7 +64,7 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
                 expected="esc.Status",
                 remedy="switch it on at 20 Hz or more, or set adhesion.esc_index",
             )
-        self._told = info
+        self._node_info = info
         return {
             "model": info or "DroneCAN motor controller",
             "port": f"{self._link.port}, node {config.node_id}",
@@ -121,7 +123,7 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
             )
         return DeviceTimeoutError(
             self.name,
-            f"no DroneCAN node answers{self._link.told()}",
+            f"no DroneCAN node answers{self._link.bus_errors()}",
             port=port,
             expected=f"node {node_id} at {self._config.bitrate} bit/s",
             remedy=remedy_of_silence(self.name, self._config, "the controller")
@@ -149,19 +151,19 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
         return self._volts
 
     def diagnose(self) -> tuple[Finding, ...]:
-        """What the doctor wants to know of who it is and how it is kept."""
+        """Findings on the identity, the settings and the daemon of the fan."""
         silent = "it does not tell its time-out: the bench file says " + f"{self._config.timeout_s:g} s"
         return (
             Finding(
                 self.name,
                 "identity",
-                "ok" if self._told else "warning",
-                self._told or "not told",
+                "ok" if self._node_info else "warning",
+                self._node_info or "not reported",
                 "an answer to GetNodeInfo",
                 "look at the node with `dronecan_gui_tool`",
             ),
             Finding(self.name, "time-out", "warning", silent, "1 s", "look at it in VESC Tool"),
-            finding(self.name, self._kept),
+            finding(self.name, self._commander),
         )
 
 

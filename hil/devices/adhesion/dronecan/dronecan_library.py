@@ -47,7 +47,7 @@ class Receiver:
         if not data:
             return None
         if len(self._manager.active_transfers) > _MOST_TRANSFERS:
-            self.__init__()  # type: ignore[misc]  # something begins transfers and never ends them
+            self.__init__()  # type: ignore[misc]  # a node begins transfers and never ends them
         whole = self._manager.receive_frame(Frame(frame_id, data))
         if not whole:
             return None

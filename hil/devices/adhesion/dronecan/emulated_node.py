@@ -95,7 +95,7 @@ class DroneCanNode(MotorNode):
         return Demand("duty", min(max(value / _FULL_RAW, -HIGHEST_DUTY), HIGHEST_DUTY))
 
     def _introduce(self, asked: Any, t_ns: int) -> None:
-        """Answer who it is, to a node that says who asks."""
+        """Answer a request for node information."""
         if not asked.source_node_id:
             return
         answer = self._messages.protocol.GetNodeInfo.Response()

@@ -82,7 +82,7 @@ _HERE = "hil.devices.imu.microstrain"
 
 
 class MicroStrain(SerialModel):
-    """3DM-CV7 or 3DM-GV7."""
+    """The MicroStrain 3DM-CV7 or 3DM-GV7 IMU."""
 
     kind, name, title = "imu", "microstrain", "MicroStrain 3DM-CV7 or 3DM-GV7 on a serial port"
     config = MicrostrainConfig

@@ -55,7 +55,7 @@ class UnsuitableError(Exception):
 
 @dataclass(frozen=True)
 class SetUp:
-    """Who a sensor is, and how often it sends what the bench wants; NaN where it was only asked."""
+    """The identity of a sensor, and how often it sends what the bench wants; NaN where it was only asked."""
 
     info: f.DeviceInfo
     rate_hz: float

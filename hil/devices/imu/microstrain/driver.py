@@ -94,7 +94,7 @@ class MicrostrainImu(Sensor[ImuSample]):
         now_ns = self._clock.now_ns()
         self._stuck.reset(now_ns)
         self._usefulness.begin(now_ns)
-        self._heard_ns = self._told_ns = now_ns
+        self._heard_ns = self._reported_ns = now_ns
         self._reopen_ns, self._noise_ns, self._trouble = 0, now_ns - _NOISE_NS, "nothing came"
         self._is_ours = self._just_set_up = self._restarted = False
         self._dialogue = self._new_dialogue()
@@ -221,7 +221,7 @@ class MicrostrainImu(Sensor[ImuSample]):
         """The sensor has been set up."""
         self._dialogue, self._is_ours, self._just_set_up = None, True, True
         self.rate_hz = result.rate_hz
-        self._heard_ns = self._told_ns = self._clock.now_ns()
+        self._heard_ns = self._reported_ns = self._clock.now_ns()
         info = result.info
         self._identity = {
             "model": f.MODELS[info.number],
@@ -263,7 +263,7 @@ class MicrostrainImu(Sensor[ImuSample]):
         if not self._is_ours:
             return ()
         restarted, self._restarted = self._restarted, False
-        self._heard_ns = self._told_ns = now_ns
+        self._heard_ns = self._reported_ns = now_ns
         stuck = self._stuck.stuck(data.raw, now_ns)
         status = Status.RESET if restarted else filter_samples.judge(data)
         if status is Status.OK and stuck:
@@ -278,9 +278,11 @@ class MicrostrainImu(Sensor[ImuSample]):
 
     def _missing(self, now_ns: int) -> tuple[ImuSample, ...]:
         """A sample that says that there is none, every 20 ms while the sensor is silent."""
-        if now_ns - self._told_ns < _REPORT_NS or not self._silent_for(now_ns, _SILENT_NS, _SILENT_PERIODS):
+        if now_ns - self._reported_ns < _REPORT_NS or not self._silent_for(
+            now_ns, _SILENT_NS, _SILENT_PERIODS
+        ):
             return ()
-        self._told_ns = now_ns
+        self._reported_ns = now_ns
         noise = now_ns - self._noise_ns < _NOISE_NS
         if self._link.is_open and not noise:
             self._trouble = "the sensor is silent"

@@ -138,7 +138,7 @@ class MicrostrainChip(SerialChip):
         self._boot(-nanoseconds(options.boot_s) - self._initialisation_ns - _HEADING_NS)
 
     def reset(self, t_ns: int) -> None:
-        """Power was cycled."""
+        """Reset everything, as a power cycle does."""
         self._boot(t_ns)
 
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
@@ -235,7 +235,7 @@ class MicrostrainChip(SerialChip):
         return encode(f.FILTER_DATA, (Field(key, f.LAYOUTS[key].pack(*values[key])) for key in due))
 
     def _state(self, t_ns: int) -> int:
-        """Of the filter: initialising, vertical gyro, or AHRS once the magnetometer has had its time."""
+        """State of the filter: initialising, vertical gyro, or AHRS once the magnetometer has settled."""
         running_ns = t_ns - self._filter_ns - self._initialisation_ns
         if running_ns < 0:
             return f.FIRST_RUNNING_STATE - 1

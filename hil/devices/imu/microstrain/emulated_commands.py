@@ -40,13 +40,13 @@ class Commands:
     """The part of the firmware that listens.
 
     Args:
-        info: who the sensor says it is.
+        info: identity of the sensor.
         base_rate_hz: of its filter.
         saved: settings that it has after power-up.
 
     Attributes:
         settings, saved: in use, and kept without power.
-        idle: whether it has been told to send nothing.
+        idle: whether a command has stopped its stream.
         filter_resets, soft_resets: how often it was asked for them.
     """
 

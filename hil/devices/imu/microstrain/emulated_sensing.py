@@ -26,7 +26,7 @@ class MicrostrainTruthOptions:
     """True imperfections of one sensor; standard deviations of what is drawn from the world's seed.
 
     Noise as public logs of a 3DM-CV7-AHRS at rest show it, gravity as its filter reports it (WGS84 at the
-    equator, until it is told where it is). Delays and times to start are assumptions.
+    equator, until its position is set). Delays and times to start are assumptions.
 
     Attributes:
         position_m: sensor in the body, (3,).

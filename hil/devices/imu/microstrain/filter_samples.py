@@ -1,4 +1,4 @@
-"""What a set of filter data is worth, and the same as a sample in the conventions of the bench.
+"""Converts a set of filter data to a sample in the conventions of the bench, with its status.
 
 The sensor's gravity points down and its attitude is with respect to north, east, down: flat and at rest it
 says gravity (0, 0, +9.8) while its accelerometer feels (0, 0, -9.8), the specific force, and linear

@@ -1,4 +1,4 @@
-"""What is inside the MIP packets that a bench uses: descriptors, layouts, and one set of filter data.
+"""Fields of the MIP packets that a bench uses: descriptors, layouts, and one set of filter data.
 
 Numbers and layouts as in the public MIP protocol (MIP SDK, MIT licence). Vectors are in the sensor's
 "vehicle" frame, which the driver makes the sensor's own: x and y as printed on the case, z out of its
@@ -75,7 +75,7 @@ _FORMAT_ENTRY = struct.Struct(">BH")
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """Who the sensor says it is. `firmware` is a number such as 1007 for 1.0.07."""
+    """Identity of the sensor. `firmware` is a number such as 1007 for 1.0.07."""
 
     firmware: int
     model: str

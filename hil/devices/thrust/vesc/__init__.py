@@ -22,7 +22,7 @@ class VescPropellers(CanModel):
 
     def emulate(self, request: Any) -> Any:
         """Controllers on a bus of their own, commanded from their world."""
-        from hil.devices.adhesion.emulated_keeper import kept_on_can
+        from hil.devices.adhesion.emulated_daemon import commanded_on_can
         from hil.devices.emulated_can import channel_of
         from hil.devices.thrust.vesc.emulated_propellers import VescThrustTruthOptions, propellers
         from hil.drivers.adhesion.vesc import DBC
@@ -30,7 +30,7 @@ class VescPropellers(CanModel):
         channel = channel_of(request)
         options = request.options(VescThrustTruthOptions, timeout_s=request.config.timeout_s)
         nodes = propellers(request.world, channel, request.config, options)
-        return kept_on_can(request, channel, nodes, subnet=self.subnet, dbc=DBC, told=self.printed)
+        return commanded_on_can(request, channel, nodes, subnet=self.subnet, dbc=DBC, printed=self.printed)
 
     def search(self, search: Search) -> Found | None:
         """Ping the controllers on the CAN buses that were named, or of the system, without the fan's."""
@@ -43,6 +43,6 @@ class VescPropellers(CanModel):
             own, left = others[:MOST_CONTROLLERS], others[MOST_CONTROLLERS:]
             if own:
                 notes = [f"controllers {', '.join(map(str, own))} are taken for the propellers'"]
-                notes += [f"nobody uses controllers {', '.join(map(str, left))}"] * bool(left)
+                notes += [f"no table uses controllers {', '.join(map(str, left))}"] * bool(left)
                 return Found(config.table(controller_ids=own), tuple(notes))
         return None

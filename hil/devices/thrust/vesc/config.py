@@ -10,14 +10,14 @@ from pydantic import Field, field_validator
 
 from hil.config.adhesion import VESC_ID, VescConfig, VescId
 from hil.config.can_bus import Claim
-from hil.config.can_motor import HIGHEST_DUTY, KeptMotorConfig
+from hil.config.can_motor import HIGHEST_DUTY, DaemonMotorConfig
 from hil.config.thrust import ThrustConfig
 from hil.config.values import PolePairs, Within
 
 MOST_CONTROLLERS = 4
 
 
-class VescThrustConfig(ThrustConfig, KeptMotorConfig):
+class VescThrustConfig(ThrustConfig, DaemonMotorConfig):
     """Propellers on one to four VESCs of one CAN bus, all at the same speed.
 
     Attributes:
@@ -46,7 +46,7 @@ class VescThrustConfig(ThrustConfig, KeptMotorConfig):
         return self.full_rpm * math.sqrt(force_n / self.full_force_n)
 
     def motors(self) -> tuple[VescConfig, ...]:
-        """Its controllers one by one, as if each had all of the force."""
+        """The controllers one by one, as if each had all of the force."""
         return tuple(
             VescConfig(
                 interface=self.interface,
@@ -69,11 +69,11 @@ class VescThrustConfig(ThrustConfig, KeptMotorConfig):
         theirs = (Claim("controller_ids", VESC_ID, one) for one in self.controller_ids)
         return (*theirs, Claim("own_id", VESC_ID, self.own_id))
 
-    def keeper(self) -> dict[str, Any]:
+    def daemon_spec(self) -> dict[str, Any]:
         """As of any motor; every controller gets the same command."""
         first, *others = self.controller_ids
         return {
-            **super().keeper(),
+            **super().daemon_spec(),
             "device": "thrust",
             "controller_id": first,
             "also": tuple(others),

@@ -1,4 +1,4 @@
-"""Propellers behind VESCs on CAN: a force as a speed that their keeper commands, and reports as samples."""
+"""Propellers behind VESCs on CAN: a force as a speed that their daemon commands, and reports as samples."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from hil.core.errors import UsageError
 from hil.core.finding import Finding
 from hil.core.signals import Stamp, Status, ThrustSample
 from hil.devices.thrust.vesc.config import VescThrustConfig
-from hil.drivers.adhesion.can_motor import KeptMotor
-from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.kept import Keep, finding
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.can_motor import DaemonMotor
+from hil.drivers.adhesion.fan_daemon.commander import MakeCommander, finding
+from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
+from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.drivers.adhesion.vesc import Packet, address, decode
 from hil.drivers.adhesion.vesc import Status as Report
-from hil.drivers.adhesion.vesc_identity import Seen, ask_who
+from hil.drivers.adhesion.vesc_identity import BusReplies, ask_who
 from hil.drivers.adhesion.vesc_settings import Answers
 from hil.drivers.links.silence_limit import Usefulness
 from hil.drivers.links.stuck_values import StuckTest
@@ -31,22 +31,24 @@ _RUNNING = 0.05
 """Share of the full speed."""
 
 
-class VescThrust(KeptMotor[VescThrustConfig, ThrustSample]):
+class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
     """All propellers, at one speed.
 
     Args:
         config: bus, controllers, full force.
         clock: the bench clock.
-        keep: makes who keeps the propellers running, of (spec, clock).
+        make_commander: makes what commands the propellers, of (spec, clock); the daemon's client when None.
     """
 
     name = "thrust"
     noun = "the propellers"
 
-    def __init__(self, config: VescThrustConfig, clock: Clock, keep: Keep | None = None) -> None:
+    def __init__(
+        self, config: VescThrustConfig, clock: Clock, make_commander: MakeCommander | None = None
+    ) -> None:
         self._reports = {address(Packet.STATUS, one) for one in config.controller_ids}
-        self._known: dict[int, tuple[VescConfig, Seen, Answers]] = {}
-        super().__init__(config, clock, keep)
+        self._known: dict[int, tuple[VescConfig, BusReplies, Answers]] = {}
+        super().__init__(config, clock, make_commander)
 
     def _forget(self) -> None:
         super()._forget()
@@ -60,14 +62,14 @@ class VescThrust(KeptMotor[VescThrustConfig, ThrustSample]):
     def _greet(self, spec: Spec) -> dict[str, str]:
         self._known = {motor.controller_id: self._met(motor, spec) for motor in self._config.motors()}
         ids = ", ".join(map(str, self._config.controller_ids))
-        reported = dict.fromkeys(answers.firmware or "not told" for _, _, answers in self._known.values())
+        reported = dict.fromkeys(answers.firmware or "not reported" for _, _, answers in self._known.values())
         return {
             "model": "VESC",
             "port": f"{self._link.port}, controllers {ids}",
             "firmware": ", ".join(reported),
         }
 
-    def _met(self, motor: VescConfig, spec: Spec) -> tuple[VescConfig, Seen, Answers]:
+    def _met(self, motor: VescConfig, spec: Spec) -> tuple[VescConfig, BusReplies, Answers]:
         answers = Answers()
         seen = ask_who(self._link, motor, self._clock, answers)
         seen.key = "controller_ids"
@@ -124,21 +126,21 @@ class VescThrust(KeptMotor[VescThrustConfig, ThrustSample]):
 
     def set_force_n(self, force_n: float) -> None:
         """Ask for a force; raises `UsageError` for one that the propellers do not have; nothing is sent."""
-        full_n, kept = self._config.full_force_n, self._must_be_open()
+        full_n, commander = self._config.full_force_n, self._must_be_open()
         if not (math.isfinite(force_n) and 0.0 <= force_n <= full_n):
             raise UsageError(
                 f"{self.name}: a force of {force_n:g} N",
                 expected=f"0 to {full_n:g} N (thrust.full_force_n)",
                 remedy="ask for less, or correct thrust.full_force_n",
             )
-        if force_n == 0.0 and kept.status().get("sent") is None:
+        if force_n == 0.0 and commander.status().get("sent") is None:
             return
-        kept.set(SetPoint("erpm", self._config.pole_pairs * self._config.speed_for_rpm(force_n)))
+        commander.set(SetPoint("erpm", self._config.pole_pairs * self._config.speed_for_rpm(force_n)))
 
     def set_duty(self, duty: float) -> None:
         """Ask for a share of the voltage; raises `UsageError`."""
-        kept = self._must_be_open()
-        kept.set(self._duty(duty))
+        commander = self._must_be_open()
+        commander.set(self._duty(duty))
 
     def diagnose(self) -> tuple[Finding, ...]:
         """What the doctor wants to know of how each controller is set, and who keeps them."""
@@ -147,4 +149,4 @@ class VescThrust(KeptMotor[VescThrustConfig, ThrustSample]):
             for one, (motor, seen, answers) in self._known.items()
             for f in seen.findings(self.name, motor, answers)
         ]
-        return (*reported, finding(self.name, self._kept))
+        return (*reported, finding(self.name, self._commander))

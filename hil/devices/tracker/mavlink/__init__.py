@@ -14,7 +14,7 @@ from hil.support.extras import is_installed
 
 if TYPE_CHECKING:
     from hil.devices.doctor_watch import Watched
-    from hil.devices.emulated_device import EmulationRequest, Face
+    from hil.devices.emulated_device import EmulationRequest, Transport
     from hil.devices.tracker.mavlink.emulated_computer import VisualInertialComputer
 
 __all__ = ["Mavlink"]
@@ -43,7 +43,7 @@ class Mavlink(DeviceModel):
         if udp_address(config.port) is None:
             return on_serial_line(request, SerialComputer(computer, baud=config.baud))
         return Wired(
-            lambda: Connection(parts={"link": ComputerLink(computer)}), lambda: _face(request, computer)
+            lambda: Connection(parts={"link": ComputerLink(computer)}), lambda: _transport(request, computer)
         )
 
     def probe(self, port: str, clock: Clock) -> Found | None:
@@ -81,15 +81,15 @@ class Mavlink(DeviceModel):
         return Found({"port": config.port, **ids}, (f"tracker: {who}; set tracker.rate_hz to its rate",))
 
 
-def _face(request: EmulationRequest, computer: VisualInertialComputer) -> Face:
+def _transport(request: EmulationRequest, computer: VisualInertialComputer) -> Transport:
     """On UDP: where the bench file says, at the usual ground station's port, or at a free port."""
-    from hil.devices.tracker.mavlink.emulated_udp import MavlinkFace
+    from hil.devices.tracker.mavlink.emulated_udp import MavlinkTransport
 
     config: MavlinkTrackerConfig = request.config
     address = udp_address(config.port) if "port" in config.model_fields_set else None
     if address is None:
-        return MavlinkFace(computer, target=_GROUND_STATION if request.standard_ports else None)
+        return MavlinkTransport(computer, target=_GROUND_STATION if request.standard_ports else None)
     if address.role == "udpout":
-        return MavlinkFace(computer, host=address.host, port=address.port)
+        return MavlinkTransport(computer, host=address.host, port=address.port)
     host = _GROUND_STATION[0] if address.host == _ANY_HOST else address.host
-    return MavlinkFace(computer, target=(host, address.port))
+    return MavlinkTransport(computer, target=(host, address.port))

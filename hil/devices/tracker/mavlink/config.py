@@ -12,7 +12,7 @@ from hil.config.values import Baud, Freshness, MostKept, Patience, PosesAgain, W
 
 PoseFrame = Literal["LOCAL_FRD", "LOCAL_FLU", "LOCAL_NED", "LOCAL_ENU"]
 BodyAxes = Literal["FRD", "FLU"]
-MavlinkId = Annotated[int, Within(1, 255, "0 is everybody")]
+MavlinkId = Annotated[int, Within(1, 255, "0 addresses all")]
 Percent = Annotated[int, Within(1, 100, "percent")]
 
 _UDP = re.compile(r"(?P<role>udpin|udpout):(?P<host>[\w.-]+):(?P<port>\d{1,5})")

@@ -48,7 +48,7 @@ def diagnose(
 
 
 def _sender(session: Session, device: str) -> Finding:
-    names = "nobody" if session.source is None else "system {} component {}".format(*session.source)
+    names = "no system" if session.source is None else "system {} component {}".format(*session.source)
     level: Level = "ok" if session.heartbeat is not None else "warning"
     beat = "sends heartbeats" if session.heartbeat is not None else "sends no heartbeat"
     others = sorted(source for source in session.heard if source != session.source)

@@ -80,8 +80,8 @@ class MavlinkTracker(Sensor[TrackerSample]):
         Raises:
             DeviceTimeoutError: no odometry arrives.
             ConfigError: pymavlink is missing.
-            DeviceError: the port cannot be used, or who sends is not who is wanted, or sends poses in frames
-                that cannot be used.
+            DeviceError: the port cannot be used, or the sender is not the configured one, or sends poses in
+                frames that cannot be used.
         """
         self.close()
         self._forget()

@@ -1,7 +1,7 @@
 """The emulated visual-inertial computer: odometry that errs, heartbeats, answers, on a clock of its own.
 
-It is the computer itself, whatever its cable: `network.py` carries its packets as datagrams in world
-time, `face.py` over real UDP, `serial.py` on a serial line. It streams to everybody attached.
+It is the computer itself, whatever its cable: `virtual_network` carries its packets as datagrams in world
+time, `emulated_udp` on real UDP, `emulated_serial` on a serial line. It streams to all that are attached.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _HEARTBEAT_NS = NS_PER_S
 _ANSWER_NS = 100_000
 _LONGEST_UP_NS = 100_000 * NS_PER_S
 _QUALITIES = (-1, 10, 35, 90)
-_SHAKEN_QUALITY, _UNKNOWN_QUALITY = 10, 0
+_DOUBTED_QUALITY, _UNKNOWN_QUALITY = 10, 0
 _FIRMWARE = 1 << 24 | 4 << 16 | 2 << 8
 
 
@@ -143,7 +143,7 @@ class VisualInertialComputer(Scheduled):
 
     @property
     def now_ns(self) -> int:
-        """World time."""
+        """World time, ns."""
         return self._world.now_ns
 
     def attach(self, outlet: Outlet) -> None:
@@ -186,7 +186,7 @@ class VisualInertialComputer(Scheduled):
             self._let_go(message, t_ns, only)
 
     def device_ns(self, t_ns: int) -> int:
-        """Its own clock at a world time, ns since it booted (or what it takes for that)."""
+        """The computer's own clock at a world time, ns since it booted (or what it takes for that)."""
         return self._up_ns + round((t_ns - self._zero_ns) / self._stretch)
 
     def _boot(self, t_ns: int) -> None:
@@ -196,7 +196,7 @@ class VisualInertialComputer(Scheduled):
         self.odometry.restart()
         self._resets, self._travelled_m = 0, 0.0
         self._zero_ns = self._exposed_ns = t_ns
-        self._shaken_until_ns = self._left_ns = 0
+        self._low_confidence_until_ns = self._left_ns = 0
         self._leaving.clear()
         self._booted_ns = t_ns + nanoseconds(self.options.boot_s)
         self._exposure_ns = self._beat_ns = self._booted_ns
@@ -253,9 +253,9 @@ class VisualInertialComputer(Scheduled):
         vx, vy, omega = body.v_x_m_s, body.v_y_m_s, body.omega_rad_s
         options = self.options
         if abs(omega) > options.fast_rad_s or math.hypot(vx, vy) > options.fast_m_s:
-            self._shaken_until_ns = t_ns + nanoseconds(options.shaken_s)
-        if t_ns < self._shaken_until_ns:
-            return _SHAKEN_QUALITY
+            self._low_confidence_until_ns = t_ns + nanoseconds(options.low_confidence_s)
+        if t_ns < self._low_confidence_until_ns:
+            return _DOUBTED_QUALITY
         age_s = (t_ns - self._booted_ns) / NS_PER_S
         steps = itertools.accumulate(options.settle_s)
         return _QUALITIES[sum(age_s >= until_s for until_s in steps)]

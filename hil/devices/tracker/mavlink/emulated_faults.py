@@ -60,7 +60,7 @@ class ComputerFaults(DeviceFaults):
         return self.find("unplug", t_ns) is not None
 
     def jump(self, t_ns: int) -> tuple[float, bool]:
-        """Distance of a jump that is due, once per fault, and whether the reset count tells of it."""
+        """Distance of a jump that is due, once per fault, and whether the reset count shows it."""
         fault = self.news("jump", t_ns)
         if fault is None:
             return 0.0, False

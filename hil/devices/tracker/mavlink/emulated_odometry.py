@@ -1,7 +1,7 @@
 """What the emulated computer believes, and how it writes that down as an `ODOMETRY` message.
 
 Its estimate is kept in robot axes in a levelled world; the message is in front-right-down or front-left-up
-axes, by the frames that it is told to use.
+axes, by the frames that it is set to.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Serves the emulated visual-inertial computer on real UDP, to any MAVLink program.
 
-It streams to a fixed address, as a computer does that is told where its ground station is, and to whoever
+It streams to a fixed address, as a computer does that knows its ground station, and to every program that
 has spoken to it in the last seconds.
 """
 
@@ -10,7 +10,7 @@ from hil.core.clock import nanoseconds
 from hil.core.errors import DeviceError, reason_of
 from hil.devices.tracker.mavlink.emulated_computer import Outlet, VisualInertialComputer
 from hil.devices.tracker.mavlink.transport_interface import Address
-from hil.fakes.udp_server import DatagramFace
+from hil.fakes.udp_server import DatagramTransport
 from hil.fakes.world import NEVER_NS
 
 _FORGET_NS = nanoseconds(5.0)
@@ -18,17 +18,17 @@ _LARGEST = 65535
 
 
 class _Client(Outlet):
-    """One listener."""
+    """A program that the stream is sent to."""
 
-    def __init__(self, face: MavlinkFace, address: Address, heard_ns: int) -> None:
-        self._face, self.address, self.heard_ns = face, address, heard_ns
+    def __init__(self, transport: MavlinkTransport, address: Address, heard_ns: int) -> None:
+        self._transport, self.address, self.heard_ns = transport, address, heard_ns
 
     def deliver(self, packet: bytes, t_ns: int) -> None:
         """Send a packet, unless the listener has long been silent."""
-        self._face.send(packet, self, t_ns)
+        self._transport.send(packet, self, t_ns)
 
 
-class MavlinkFace(DatagramFace):
+class MavlinkTransport(DatagramTransport):
     """One computer on one UDP socket.
 
     Args:
@@ -64,7 +64,7 @@ class MavlinkFace(DatagramFace):
             self._client(target, NEVER_NS)
 
     def on_readable(self, fd: int, t_ns: int) -> None:
-        """Take one datagram; whoever sends it is a listener from now on."""
+        """Take one datagram; its sender is a listener from now on."""
         taken = self.receive(_LARGEST)
         if taken is None:
             return

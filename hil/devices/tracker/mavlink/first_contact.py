@@ -1,4 +1,4 @@
-"""Getting acquainted with a sender of odometry, and saying what is wrong when there is none."""
+"""Waits for the first messages of an odometry source, and reports what is wrong when none come."""
 
 from __future__ import annotations
 

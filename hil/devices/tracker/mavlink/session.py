@@ -40,7 +40,7 @@ class Session:
     Args:
         link: open; closed with the session.
         common: the MAVLink dialect.
-        config: who is wanted.
+        config: the wanted sender.
         clock: the bench clock.
 
     Attributes:
@@ -101,7 +101,9 @@ class Session:
         if wasted >= _MOST_WASTED:
             self.floods += 1
             if self.floods == 1:
-                _LOG.warning("somebody floods %s with datagrams of no use to the tracker", self._config.port)
+                _LOG.warning(
+                    "another program floods %s with datagrams of no use to the tracker", self._config.port
+                )
         self._speak()
 
     def trip(self) -> Trip | None:

@@ -42,7 +42,7 @@ class TimeSync:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Forget all that was seen before."""
         self._asked: deque[int] = deque(maxlen=_OPEN_REQUESTS)
         self._window: deque[Trip] = deque()
         self._best: Trip | None = None

@@ -1,4 +1,4 @@
-"""The shape of what carries packets between a sender of odometry and its driver."""
+"""The interface of a transport of packets between an odometry source and its driver."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Link(Protocol):
 
     Attributes:
         datagrams: whether what arrives at once belongs together.
-        peer: whom to speak to before anything has spoken; None where that is not known.
+        peer: address of the other side before it has sent anything; None where that is not known.
         trouble: why nothing can arrive any more; empty while all is well.
         gone: whether that has lasted for so long that only opening it again helps.
         overflowed: arrivals lost because they were not taken in time.
@@ -39,7 +39,7 @@ class Link(Protocol):
 
     @abstractmethod
     def send(self, data: bytes, address: Address) -> None:
-        """Send to something; what cannot leave is lost."""
+        """Send to an address; what cannot leave is lost."""
 
     @abstractmethod
     def receive(self) -> Arrival | None:

@@ -60,5 +60,5 @@ class ComputerLink:
         self._computer = computer
 
     def __call__(self, config: MavlinkTrackerConfig, clock: Clock, device: str) -> Link:
-        """A new cable."""
+        """Make a new cable between driver and emulated computer."""
         return WorldLink(self._computer)

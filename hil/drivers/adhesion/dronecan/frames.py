@@ -26,7 +26,7 @@ _STATUS_BYTES, _FRAMES = 14, 3
 _FLOATS = struct.Struct("<Ieee")
 
 
-class Frame(NamedTuple):
+class CanFrame(NamedTuple):
     """An extended data frame."""
 
     id: int
@@ -54,7 +54,7 @@ class EscStatus:
     index: int
 
 
-def command_frame(kind: int, index: int, value: int, *, node_id: int, transfer_id: int) -> Frame:
+def command_frame(kind: int, index: int, value: int, *, node_id: int, transfer_id: int) -> CanFrame:
     """A set-point for one controller, none (0) for those before it.
 
     Args:
@@ -77,14 +77,16 @@ def command_frame(kind: int, index: int, value: int, *, node_id: int, transfer_i
     return _single(kind, _packed(text), node_id, transfer_id, _COMMAND_PRIORITY)
 
 
-def node_status_frame(uptime_s: int, *, node_id: int, transfer_id: int) -> Frame:
+def node_status_frame(uptime_s: int, *, node_id: int, transfer_id: int) -> CanFrame:
     """`uavcan.protocol.NodeStatus` of a node that is well, due once a second."""
     payload = struct.pack("<IBH", uptime_s & 0xFFFFFFFF, 0, 0)
     return _single(NODE_STATUS, payload, node_id, transfer_id, _LOW_PRIORITY)
 
 
-def _single(kind: int, payload: bytes, node_id: int, transfer_id: int, priority: int) -> Frame:
-    return Frame(priority << 24 | kind << 8 | node_id, payload + bytes([_START | _END | transfer_id & _ID]))
+def _single(kind: int, payload: bytes, node_id: int, transfer_id: int, priority: int) -> CanFrame:
+    return CanFrame(
+        priority << 24 | kind << 8 | node_id, payload + bytes([_START | _END | transfer_id & _ID])
+    )
 
 
 def command_of(frame_id: int, data: bytes | bytearray, index: int) -> tuple[int, int] | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from hil.drivers.adhesion.vesc.frames import (
     ALL_SERVOS,
     HIGHEST_ID,
-    Frame,
+    CanFrame,
     Message,
     Order,
     Packet,
@@ -28,7 +28,7 @@ __all__ = [
     "ALL_SERVOS",
     "DBC",
     "HIGHEST_ID",
-    "Frame",
+    "CanFrame",
     "Message",
     "Order",
     "Packet",

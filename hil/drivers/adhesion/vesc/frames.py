@@ -62,7 +62,7 @@ _LSB_PER_UNIT: dict[int, float] = {
 _WITH_OFF_DELAY = frozenset({Packet.SET_CURRENT, Packet.SET_CURRENT_REL})
 
 
-class Frame(NamedTuple):
+class CanFrame(NamedTuple):
     """An extended data frame."""
 
     id: int
@@ -92,8 +92,8 @@ class Pong:
     """The answer to a ping.
 
     Attributes:
-        controller_id: who answers.
-        asker_id: whom it answers.
+        controller_id: of the controller that answers.
+        asker_id: of the node that asked.
         hardware: 0 for a motor controller; None from firmware that does not say.
     """
 
@@ -191,7 +191,7 @@ def address(packet: Packet, controller_id: int) -> int:
     return packet << 8 | controller_id
 
 
-def order_frame(order: Order) -> Frame:
+def order_frame(order: Order) -> CanFrame:
     """The frame of a command, rounded to the wire's resolution; out of range is the controller's to clip.
 
     Raises:
@@ -207,7 +207,7 @@ def order_frame(order: Order) -> Frame:
         raise UsageError(
             f"{order.packet.name} {order.value}", expected=f"a number within +-{_HIGHEST / lsb_per_unit:.6g}"
         )
-    return Frame(address(order.packet, order.controller_id), _INT32.pack(raw) + _off_delay(order))
+    return CanFrame(address(order.packet, order.controller_id), _INT32.pack(raw) + _off_delay(order))
 
 
 def _off_delay(order: Order) -> bytes:
@@ -222,9 +222,9 @@ def _off_delay(order: Order) -> bytes:
     return _INT16.pack(round(1000 * order.off_delay_s))
 
 
-def ping_frame(controller_id: int, asker_id: int) -> Frame:
-    """Asks a controller, or everybody, for a `Pong` to `asker_id`; renews no time-out."""
-    return Frame(address(Packet.PING, controller_id), bytes([asker_id]))
+def ping_frame(controller_id: int, asker_id: int) -> CanFrame:
+    """Asks a controller, or all, for a `Pong` to `asker_id`; renews no time-out."""
+    return CanFrame(address(Packet.PING, controller_id), bytes([asker_id]))
 
 
 def decode(frame_id: int, data: bytes | bytearray) -> Message | None:

@@ -1,0 +1,145 @@
+"""The device under check, the samples that it delivered, and the error of a broken contract."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from hil.bench.bench import Bench
+from hil.bench.drivers import model_of
+from hil.config.bench import BenchConfig
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.errors import Aborted, HilError
+from hil.core.finding import Finding
+from hil.core.registry import kinds
+
+WATCH_S, SHORT_S = 1.0, 0.2
+SHARE = 0.7
+"""Of the samples that are due: this computer's load may cost some."""
+_OLDER = 5.0
+
+
+class Broken(AssertionError):
+    """A promise that was not kept.
+
+    Args:
+        found, expected, remedy: in words.
+    """
+
+    def __init__(self, found: str, expected: str, remedy: str = "") -> None:
+        super().__init__("; ".join(filter(None, (found, f"expected {expected}", remedy))))
+        self.found, self.expected, self.remedy = found, expected, remedy
+
+
+@dataclass(frozen=True)
+class Delivered:
+    """The data of a device while it was open: samples, identity, and times of reading.
+
+    Attributes:
+        samples: oldest first.
+        identity: as reported by the device.
+        began_ns, ended_ns: bench time.
+        took_s: how long each read took.
+    """
+
+    samples: list[Any]
+    identity: Mapping[str, str]
+    began_ns: int
+    ended_ns: int
+    took_s: list[float]
+
+
+@dataclass(frozen=True)
+class Subject:
+    """One closed device of a bench whose world runs.
+
+    Attributes:
+        bench: that has it.
+        kind: of the device.
+        anew: opens the same bench again, from its beginning; None where it cannot repeat itself, because
+            something of it runs in real time.
+    """
+
+    bench: Bench
+    kind: str
+    anew: Callable[[], Bench] | None = None
+
+    @property
+    def device(self) -> Any:
+        """The driver of the device."""
+        return self.bench.rig.get(self.kind)
+
+    @property
+    def not_measured(self) -> tuple[str, ...]:
+        """Fields of its samples that its model does not measure."""
+        return model_of(self.bench.config, self.kind).not_measured
+
+    @contextmanager
+    def opened(self) -> Iterator[Any]:
+        """The driver, open for as long as the block lasts."""
+        device = self.device
+        device.open()
+        try:
+            yield device
+        finally:
+            device.close()
+
+    @cached_property
+    def watched(self) -> Delivered:
+        """Opened, read for a second and closed; once for all checks."""
+        with self.opened() as device:
+            began_ns, took_s = self.bench.clock.now_ns(), list[float]()
+            samples = read_for(self.bench, device, WATCH_S, took_s)
+            identity = dict(device.identity())  # by now, because some tell their firmware with their samples
+            return Delivered(samples, identity, began_ns, self.bench.clock.now_ns(), took_s)
+
+
+def read_for(bench: Bench, device: Any, duration_s: float, took_s: list[float] | None = None) -> list[Any]:
+    """Everything that a device delivers, read at the loop rate; `took_s` receives each read's time."""
+    clock, period_ns = bench.clock, nanoseconds(1.0 / bench.config.loop.rate_hz)
+    samples, next_ns = list[Any](), clock.now_ns()
+    for _ in range(round(duration_s * bench.config.loop.rate_hz)):
+        began_ns = clock.now_ns()
+        samples += device.read()
+        if took_s is not None:
+            took_s.append((clock.now_ns() - began_ns) / NS_PER_S)
+        next_ns += period_ns
+        clock.sleep_until_ns(next_ns)
+    return samples
+
+
+def due(bench: Bench, kind: str, samples: list[Any], duration_s: float) -> float:
+    """Samples that a healthy device delivers; by the period that they came with where its owner chose it."""
+    rate_hz = kinds()[kind].rate_hz(bench.config.devices()[kind], bench.config.loop.rate_hz)
+    if np.isnan(rate_hz):
+        times_ns = np.unique([s.stamp.t_ns for s in samples])
+        period_ns = np.median(np.diff(times_ns)) if len(times_ns) > 2 else np.inf
+        return duration_s / (1e-9 * float(period_ns))
+    return duration_s * rate_hz
+
+
+def oldest_s(config: BenchConfig, kind: str) -> float:
+    """How old a healthy device's samples may be, s: a cycle more where they wait for the loop."""
+    waits = config.devices()[kind].waits_for_loop()
+    return _OLDER * kinds()[kind].max_age_s + waits / config.loop.rate_hz
+
+
+def judged(device: str, promise: str, check: Callable[[], str]) -> Finding:
+    """The finding of one check: ok with what it measured, or a failure by what it raised.
+
+    Raises:
+        Aborted: a person or a signal ended it, which says nothing of the device.
+    """
+    try:
+        return Finding(device, promise, "ok", check())
+    except Broken as broken:
+        return Finding(device, promise, "failure", broken.found, broken.expected, broken.remedy)
+    except Aborted:
+        raise
+    except HilError as error:
+        return Finding(device, promise, "failure", error.message, error.expected, error.remedy)

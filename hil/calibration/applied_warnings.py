@@ -1,0 +1,86 @@
+"""Warnings on a calibration that is applied: what it was fitted to, and where its use differs.
+
+Errors on recordings that a fit has seen do not say how it does on others. Its parameters are those of one
+forward model and one wheel signal: another model or signal reads other wheels into them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from hil.calibration.calibration_file import CalibrationFile
+from hil.datasets.dataset import Recording
+
+
+@dataclass(frozen=True)
+class InSample:
+    """Which of some recordings a calibration was fitted to.
+
+    Attributes:
+        names: of those that it was fitted to, by the digest of a file.
+        among: how many there are in all.
+        known: whether the calibration says which files it was fitted to.
+    """
+
+    names: tuple[str, ...]
+    among: int
+    known: bool
+
+    def to_json(self) -> dict[str, object]:
+        """`{"count": 2, "of": 24, "names": [...]}`; `count` is None where that is not known."""
+        return {"count": len(self.names) if self.known else None, "of": self.among, "names": list(self.names)}
+
+    def in_words(self) -> str:
+        """One line for tables and pages."""
+        if not self.known:
+            return "in sample or not: the calibration does not say to which files it was fitted"
+        if not self.names:
+            return f"held out: the calibration was fitted to none of these {self.among} recordings"
+        return (
+            f"in sample: the calibration was fitted to {len(self.names)} of these {self.among} recordings; "
+            "errors on them do not say how it does on others"
+        )
+
+
+def in_sample(file: CalibrationFile, recordings: Sequence[Recording]) -> InSample:
+    """Which of the recordings a calibration was fitted to: those with a file of the same bytes, by any name.
+
+    Args:
+        file: the calibration.
+        recordings: that it is applied to.
+    """
+    fitted = {digest for used in file.recordings.values() for digest in _digests(used.get("sha256"))}
+    names = tuple(r.name for r in recordings if fitted.intersection(r.sha256))
+    return InSample(names, len(recordings), bool(fitted))
+
+
+def _digests(found: object) -> Iterable[str]:
+    return (str(digest) for digest in found) if isinstance(found, list) else ()
+
+
+def used_otherwise(file: CalibrationFile, model: str | None, signal: str, deploy: str) -> list[str]:
+    """How a calibration is used in another way than it was fitted for, a sentence each.
+
+    Args:
+        file: the calibration.
+        model: forward model that was asked for, None for the calibration's own.
+        signal: wheel signal that is used.
+        deploy: `parameters` or `twist`.
+    """
+    out = []
+    if deploy == "twist" and model is not None:
+        out.append(
+            f"--model {model} has no say with --deploy twist, which corrects odometry by the model exact"
+        )
+    elif model is not None and model != file.model:
+        out.append(
+            f"--model {model}: the calibration was fitted with the model {file.model}, and its parameters "
+            "hold for that one only; leave --model out, or calibrate with it"
+        )
+    if signal != file.signal:
+        out.append(
+            f"--signal {signal}: the calibration was fitted with the signal {file.signal}, and its "
+            "parameters hold for that one only; leave --signal out, or calibrate with it"
+        )
+    return out

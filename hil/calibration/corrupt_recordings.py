@@ -1,0 +1,194 @@
+"""Finds corrupt recordings: those that contradict themselves, or all others.
+
+First each is held against itself: ground truth that leaps, wheels that do not move as those of one body,
+wrong signs. Then against the others: clocks, and what a robust fit leaves of it. What as many recordings show
+as do not is the robot, its bench file or the order of columns, and no recording is left out for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hil.calibration.fitting import fit
+from hil.calibration.problem import RECOMMENDED
+from hil.core.geometry import Array
+from hil.datasets.blocks import reduce_recordings
+from hil.datasets.dataset import Recording
+from hil.datasets.nominal_robot import Nominal, lever_m
+from hil.datasets.time_offset import time_offset_s
+from hil.datasets.truth_jumps import Bools, fastest_m_s, find_jumps
+from hil.datasets.wrong_signs import RATES_AGAINST, missed_shares, rates_against_angles, wrong_signs
+
+Reasons = dict[int, str]
+"""Why recordings are corrupt, by their index."""
+
+_STRIDE_S, _ROLLING = 0.5, 0.3
+_APART, _APART_WAY = 0.15, 0.1
+_TOGETHER = 0.08
+_WHEELS = ("front left", "back left", "back right", "front right")
+_LATE_S, _MISSED = 0.15, 0.3
+_FEWEST = 3
+_TIMES_TYPICAL, _LEAST_MISFIT, _MISSED_TOO = 8.0, 12.0, 0.06
+_TIMES_FAR, _FAR_MISFIT = 25.0, 50.0
+"""Misfits are in residual scales of a fit (4 mm, 6 mrad): 12 is 28 mm all along the drive, 50 is 115 mm."""
+
+
+def corrupt(recordings: Sequence[Recording], nominal: Nominal) -> dict[str, str]:
+    """Why recordings are corrupt, by name; the others are good.
+
+    Args:
+        recordings: runs of one robot.
+        nominal: that robot on paper.
+    """
+    found: Reasons = {}
+    for look in (_leaping, _wrong_signs, _apart, _other_clocks, _misfits):
+        left = [k for k in range(len(recordings)) if k not in found]
+        reported = look([recordings[k] for k in left], nominal)
+        if len(reported) < len(left):
+            found |= {left[k]: why for k, why in reported.items()}
+    return {recordings[k].name: found[k] for k in sorted(found)}
+
+
+def _leaping(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
+    """Ground truth that leaps and stays there."""
+    out = {}
+    for k, one in enumerate(recordings):
+        speed_m_s = fastest_m_s(one.t_s, one.wheel_angle_rad, nominal.radius_m)
+        lasting = find_jumps(one.truth_t_s, one.truth_pose, speed_m_s, lever_m(nominal.geometry)).lasting
+        if lasting:
+            at_s, leap_m = lasting[0]
+            out[k] = f"its ground truth leaps by {leap_m:.2g} m {at_s:.1f} s after its begin, and stays there"
+    return out
+
+
+def _wrong_signs(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
+    """Columns of the other sign, in a few recordings only."""
+    out = {k: RATES_AGAINST for k, one in enumerate(recordings) if rates_against_angles(one)}
+    found = wrong_signs(recordings, nominal)
+    if not found.of_all:
+        out |= {k: why for k in range(len(recordings)) if (why := found.warning_for(k))}
+    return out if 2 * len(out) < len(recordings) else {}
+
+
+def _apart(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
+    """Find wheels that do not move as those of one body, whatever it slips.
+
+    That of a wheel that is stuck lacks 0.35 or more of all ways, wheels that are exchanged differ by 0.25 or
+    more; tolerances and wrong steering zeros of some degrees by 0.06.
+    """
+    vectors = _strides(recordings, nominal)
+    share = np.array([_apart_share(u, nominal) for u in vectors])
+    wrong = share > _APART_WAY
+    if not wrong.any() or _as_many_alike(wrong, _turning(recordings, nominal)):
+        return {}
+    return {int(k): _which_wheel(vectors[k], share[k], nominal) for k in np.flatnonzero(wrong)}
+
+
+def _strides(recordings: Sequence[Recording], nominal: Nominal) -> list[Array]:
+    """Ways (s, 8), m, of the wheels of each recording in the strides in which they roll."""
+    blocks, out = reduce_recordings(recordings, _STRIDE_S), []
+    for k, count in enumerate(blocks.counts):
+        u = blocks.wheel_rad[k, :count] * np.repeat(nominal.geometry.radius_m, 2)
+        size = np.linalg.norm(u, axis=1)
+        out.append(u[size > _ROLLING * size.mean()])
+    return out
+
+
+def _apart_share(u: Array, nominal: Nominal, without: int | None = None) -> float:
+    """Share of the way in which wheel ways (s, 8) differ from those of any one body's wheels by much.
+
+    `without` leaves a wheel out; nothing is asked of what differs by less.
+    """
+    kept = [i for i in range(8) if without is None or i // 2 != without]
+    p = nominal.geometry.projection()[kept]
+    size = np.linalg.norm(u, axis=1)
+    apart = np.linalg.norm(u[:, kept] - u[:, kept] @ np.linalg.pinv(p).T @ p.T, axis=1)
+    limit = _APART if without is None else _TOGETHER
+    return float(size[apart > limit * size].sum() / max(size.sum(), 1e-9))
+
+
+def _which_wheel(u: Array, share: float, nominal: Nominal) -> str:
+    """What is wrong with wheels of ways (s, 8) that are apart in a share of their way."""
+    alone = [i for i in range(4) if _apart_share(u, nominal, without=i) < _APART_WAY]
+    where = f"in {100 * share:.0f} % of the way"
+    if len(alone) == 1:
+        i = alone[0]
+        name = f"{_WHEELS[i]} wheel (phi{i + 1}, delta{i + 1})"
+        return f"its {name} contradicts the other three {where} (a stuck encoder, a wrong column)"
+    return (
+        f"its wheels contradict each other {where}, as those of no rigid body do (wheels in another order, a "
+        "stuck encoder, a wrong column)"
+    )
+
+
+def _turning(recordings: Sequence[Recording], nominal: Nominal) -> Array:
+    """Share (R,) of its way that each recording turns, by ground truth: lines do not tell wheels apart."""
+    out = []
+    for one in recordings:
+        seconds = np.floor(one.truth_t_s - one.truth_t_s[0])
+        ends = np.append(np.flatnonzero(np.diff(seconds, prepend=-1.0)), len(seconds) - 1)
+        x, y, theta = np.abs(np.diff(one.truth_pose[ends], axis=0)).T
+        turned_m = lever_m(nominal.geometry) * float(theta.sum())
+        out.append(turned_m / max(turned_m + float(np.hypot(x, y).sum()), 1e-9))
+    return np.array(out)
+
+
+def _as_many_alike(wrong: Bools, turning: Array) -> bool:
+    """Whether of the recordings that could show it no fewer than two, and no fewer than not, are wrong."""
+    right = ~wrong & (turning >= 0.5 * turning[wrong].min())
+    return int(wrong.sum()) >= max(2, int(right.sum()))
+
+
+def _other_clocks(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
+    """Ground truth that is 0.15 s later or earlier than in most recordings, and right but for that."""
+    late_s = np.array([np.nan if (s := time_offset_s(one)) is None else s for one in recordings])
+    known = np.count_nonzero(np.isfinite(late_s))
+    if known < _FEWEST:
+        return {}
+    typical_s = float(np.nanmedian(late_s))
+    wrong = [int(k) for k in np.flatnonzero(np.abs(late_s - typical_s) > _LATE_S)]
+    if not wrong or 2 * len(wrong) >= known:
+        return {}
+    shifted = [replace(recordings[k], truth_t_s=recordings[k].truth_t_s - late_s[k]) for k in wrong]
+    missed = missed_shares(shifted, nominal.geometry)
+    out = {}
+    for k, share in zip(wrong, missed, strict=True):
+        word = "later" if late_s[k] > 0.0 else "earlier"
+        if share < _MISSED:
+            out[k] = (
+                f"its ground truth moves {abs(late_s[k]):.2f} s {word} than its wheels, in the typical "
+                f"recording {abs(typical_s):.2f} s"
+            )
+    return out
+
+
+def _misfits(recordings: Sequence[Recording], nominal: Nominal) -> Reasons:
+    """What a robust fit leaves beyond what slip does; a motion that is always read badly does not count.
+
+    A burst of slip may turn a robot so that all of its further way is off by 15 times the typical error and
+    35 mm: from second to second the wheels still say where it goes, but for 0.05 of the way.
+    """
+    if len(recordings) < _FEWEST:
+        return {}
+    blocks = reduce_recordings(recordings, RECOMMENDED.block_s)
+    found = fit(blocks, RECOMMENDED, nominal.geometry)
+    misfit = np.sqrt(found.problem.recording_costs(found.solution.z))
+    typical = float(np.median(misfit))
+    wrong = misfit > max(_TIMES_TYPICAL * typical, _LEAST_MISFIT)
+    wrong &= missed_shares(recordings, found.geometry) > _MISSED_TOO
+    wrong |= misfit > max(_TIMES_FAR * typical, _FAR_MISFIT)
+    motions = np.array(blocks.motions)
+    for motion in set(motions[wrong]):
+        own = motions == motion
+        if own.sum() > 1 and wrong[own].all():
+            wrong[own] = False
+    if 2 * np.count_nonzero(wrong) >= len(recordings):
+        return {}
+    times = misfit / typical
+    return {
+        int(k): f"it does not fit the others: {times[k]:.0f} times the error of the typical recording"
+        for k in np.flatnonzero(wrong)
+    }

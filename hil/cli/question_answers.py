@@ -1,0 +1,60 @@
+"""Where the answers to a command's questions come from: a person, a file, or another program."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.cli import progress
+from hil.cli.options import FileName
+
+if TYPE_CHECKING:
+    from hil.core.interfaces import Sink
+    from hil.procedure.operator import Operator
+    from hil.procedure.stop_requests import Interrupts
+
+answers_option = click.option(
+    "--answers",
+    type=FileName(path_type=Path, allow_dash=True),
+    help="File that answers the operator's prompts; - for lines of stdin, as they are asked for.",
+)
+
+
+def operator(answers: Path | None) -> Operator:
+    """The source of answers: a person at the terminal, the lines of stdin for `-`, a file.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    from hil.procedure.operator import Answers, Lines, Terminal
+
+    if answers is None:
+        return Terminal()
+    if str(answers) != "-":
+        return Answers(answers)
+    return Lines(progress.tell if progress.for_a_program() else _say)
+
+
+def _say(kind: str, text: str) -> None:
+    if kind == "question":
+        click.echo(text, err=True)
+
+
+def asked_to_end() -> Interrupts:
+    """Signals of a command: Ctrl-C of a person gives the step a moment, SIGINT of a program its time."""
+    from hil.procedure.operator import tell
+    from hil.procedure.stop_requests import PATIENCE_S, Interrupts
+
+    return Interrupts(tell, None if progress.for_a_program() else PATIENCE_S)
+
+
+def watching() -> tuple[Sink, ...]:
+    """What a program that reads the progress is shown of a running bench; nothing for a person."""
+    if not progress.for_a_program():
+        return ()
+    from hil.core.clock import MonotonicClock
+    from hil.monitor.status_lines import StatusStream
+
+    return (StatusStream(progress.tell, MonotonicClock()),)

@@ -1,0 +1,141 @@
+"""Checks that wheels and ground truth cover the same drive.
+
+Odometry is judged where there is both. A file that was cut, or a capture system that ended early, leaves a
+part of the drive that no error counts, and an error at the end that is none. A rest that only one of them saw
+does not matter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.core.errors import DataError
+from hil.core.geometry import Array
+from hil.datasets.dataset import Recording
+from hil.datasets.nominal_robot import Nominal, lever_m
+from hil.datasets.unit_check import rolled_m
+
+_BRIEF_S = 0.5
+_WORTH_M = 0.01
+_MOST_M, _MOST_SHARE = 0.02, 0.02
+_REST_S, _REST_M = 0.5, 2e-3
+_EDGE_ROWS = 5
+_MOST_ROWS = 98.0
+"""Percentile that stands for the largest: single rows that are wrong do not count."""
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """A time at which one of both logs moves and the other has no rows.
+
+    Attributes:
+        by: which lacks it, `wheels` or `ground truth`.
+        after: behind the last row of that one, else before its first.
+        lasts_s: how long it is, s.
+        moved_m: how far the other one goes from where it was seen, turns at the distance of the wheels, m.
+        under_way: the wheels roll where both can still be seen, next to it.
+    """
+
+    by: str
+    after: bool
+    lasts_s: float
+    moved_m: float
+    under_way: bool
+
+    def in_words(self) -> str:
+        """What moves when, for a message."""
+        other = "ground truth moves" if self.by == "wheels" else "wheels roll"
+        when = "after the last" if self.after else "before the first"
+        return f"the {other} {self.moved_m:.2f} m in the {self.lasts_s:.1f} s {when} row of the {self.by}"
+
+
+def covered(recording: Recording, nominal: Nominal) -> Recording:
+    """The recording, with a repair for each stretch of motion that only wheels or only ground truth saw.
+
+    Args:
+        recording: to look at.
+        nominal: robot that it is read for.
+
+    Raises:
+        DataError: more than 2 % of the way, and 20 mm, were not seen, and are the end of what the wheels
+            drove, go on from what was seen without a stop, or are more than it.
+    """
+    found = unseen(recording, nominal)
+    if not found:
+        return recording
+    seen_m, whole_m = _rolled_m(recording, nominal)
+    for one in found:
+        if one.moved_m > max(_MOST_M, _MOST_SHARE * whole_m) and (
+            one.under_way or (one.after and one.by == "ground truth") or one.moved_m > seen_m
+        ):
+            raise _refusal(recording, one)
+    reported = {f"stretch of the drive not checked: {one.in_words()}": 1 for one in found}
+    return replace(recording, repairs={**recording.repairs, **reported})
+
+
+def unseen(recording: Recording, nominal: Nominal) -> list[Unseen]:
+    """Stretches of more than half a second and 10 mm of motion that only wheels or only ground truth saw.
+
+    Args:
+        recording: to look at.
+        nominal: robot that it is read for.
+    """
+    wheel_s, truth_s = recording.t_s, recording.truth_t_s
+    begin_s, end_s = max(wheel_s[0], truth_s[0]), min(wheel_s[-1], truth_s[-1])
+    rolled = recording.wheel_angle_rad * nominal.radius_m
+    lever = lever_m(nominal.geometry)
+    out = []
+    for after, edge_s in ((False, begin_s), (True, end_s)):
+        near = (wheel_s >= edge_s - _REST_S) & (wheel_s <= edge_s + _REST_S)
+        near &= (wheel_s >= begin_s) & (wheel_s <= end_s)
+        under_way = bool(near.any() and np.max(np.ptp(rolled[near], axis=0)) > _REST_M)
+        for by, t_s in (("ground truth", wheel_s), ("wheels", truth_s)):
+            outside = np.flatnonzero(t_s > edge_s if after else t_s < edge_s)
+            lasts_s = abs(float((t_s[-1] if after else t_s[0]) - edge_s))
+            if not len(outside) or lasts_s < _BRIEF_S:
+                continue
+            outside = outside if after else outside[::-1]
+            moved_m = (
+                _furthest(np.max(np.abs(_from_edge(rolled[outside])), axis=1))
+                if by == "ground truth"
+                else _furthest(_apart_m(_from_edge(recording.truth_pose[outside]), lever))
+            )
+            if moved_m > _WORTH_M:
+                out.append(Unseen(by, after, lasts_s, moved_m, under_way))
+    return out
+
+
+def _from_edge(rows: Array) -> Array:
+    """Rows (n, k) from the edge on, less where they stand there: the middle of the first five."""
+    return np.asarray(rows - np.median(rows[:_EDGE_ROWS], axis=0), dtype=np.float64)
+
+
+def _apart_m(pose: Array, lever: float) -> Array:
+    """Sizes (n,) of moves (n, 3), turns at the distance `lever`, m."""
+    return np.asarray(np.hypot(pose[:, 0], pose[:, 1]) + lever * np.abs(pose[:, 2]), dtype=np.float64)
+
+
+def _furthest(ways_m: Array) -> float:
+    return float(np.percentile(ways_m, _MOST_ROWS))
+
+
+def _rolled_m(recording: Recording, nominal: Nominal) -> tuple[float, float]:
+    """Way of the wheels while there is ground truth, and in all, mean of the four, m."""
+    t_s, angle = recording.t_s, recording.wheel_angle_rad
+    first = max(int(np.searchsorted(t_s, recording.truth_t_s[0])) - 1, 0)
+    behind = int(np.searchsorted(t_s, recording.truth_t_s[-1], side="right")) + 1
+    return rolled_m(angle[first:behind], nominal.radius_m), rolled_m(angle, nominal.radius_m)
+
+
+def _refusal(recording: Recording, one: Unseen) -> DataError:
+    files = recording.sources or (recording.name,)
+    wheels_s, truth_s = (t_s[-1] - t_s[0] for t_s in (recording.t_s, recording.truth_t_s))
+    return DataError(
+        files[0] if one.by == "wheels" else files[-1],
+        f"the wheels cover {wheels_s:.1f} s, the ground truth {truth_s:.1f} s: {one.in_words()}, "
+        "and no error would count that",
+        expected="wheels and ground truth of the whole drive",
+        remedy="copy or record it again; to use a part of it, cut both to the same time, best at rest",
+    )

@@ -1,0 +1,134 @@
+"""Checks that a recording is in seconds, metres and radians, by what the robot can have done.
+
+Wheels and ground truth saw the same drive. What one of them says bounds the other, whatever the robot's size.
+Every bound leaves a factor that no slip, tolerance or wrong bench file reaches; a wrong unit is beyond it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.core.errors import DataError
+from hil.core.geometry import Array
+from hil.datasets.nominal_robot import Nominal, lever_m
+
+_SLOWEST_ROW_S = 0.5
+_UNITS_OF_TIME = ((3e2, "milliseconds", "1e3"), (3e5, "microseconds", "1e6"), (np.inf, "nanoseconds", "1e9"))
+_DAY_S = 86400.0
+_DEGREES_MARGIN_RAD = 1.4
+_FURTHER, _FURTHER_M = 20.0, 1.0
+_TURNS_MORE, _WRAPPED_RAD = 5.0, 2.0 * np.pi
+_ROLLS_MORE, _ROLLS_M = 10.0, 0.5
+_STRIDE_S = 1.0
+
+
+def check_time(where: str, t_s: Array) -> None:
+    """Refuse stamps (n,) of wheel rows, as they stand in the file, that are not in seconds.
+
+    The fastest wheel (4.9 rad/s) makes half a turn in 0.64 s: rows further apart say neither how far a wheel
+    rolled nor where it was steered meanwhile. No servo bus is read more often than a thousand times a second,
+    so in milliseconds rows are 1 apart or more. Between both lies the limit of 0.5. The median counts: gaps,
+    repeats and damaged stamps do not matter. Raises `DataError`.
+    """
+    finite = t_s[np.isfinite(t_s)]
+    with np.errstate(over="ignore"):
+        step = float(np.median(np.diff(np.sort(finite)))) if len(finite) > 1 else 0.0
+    if step <= _SLOWEST_ROW_S:
+        return
+    unit, factor = next((name, factor) for below, name, factor in _UNITS_OF_TIME if step < below)
+    raise DataError(
+        where,
+        f"time (t) goes on by {step:.3g} from row to row (median)",
+        expected=f"seconds, at most {_SLOWEST_ROW_S:g} from row to row",
+        remedy=f"divide it by {factor} if it is in {unit}",
+    )
+
+
+def check_stamp_jumps(where: str, t_s: Array) -> None:
+    """Refuse times (n,), s, increasing, with a day or more between two rows, as a damaged stamp leaves.
+
+    A drive is shorter, and the straight way that bridges a gap says nothing across one. Raises `DataError`.
+    """
+    leap_s = float(np.max(np.diff(t_s)))
+    if leap_s > _DAY_S:
+        raise DataError(
+            where,
+            f"time (t) leaps by {leap_s:.3g} s from one row to the next",
+            expected=f"at most {_DAY_S:g} s",
+            remedy="take out the rows whose stamps are damaged",
+        )
+
+
+def check_units(
+    where: str, angle: Array, steering: Array, truth_t_s: Array, pose: Array, heading: Array, nominal: Nominal
+) -> None:
+    """Refuse angles that are not in radians and positions that are not in metres.
+
+    * Steering stays within the robot's limit, with 80 deg to spare.
+    * The robot goes no further than 20 times as far as its wheels roll, and 1 m: millimetres are 1000.
+    * It turns by no more than its wheels roll around its middle. Allowed are 5 times that, as no wheel is so
+      wrong, and a whole turn, by which a wrapped heading may leap. Degrees are 57 times. The heading counts
+      as it stands in the file, without the highest and the lowest hundredth, which may be damaged.
+    * Wheels that roll 10 times as far as the robot goes and turns, from second to second, slip by nine
+      tenths, or are not in radians: degrees are 57 times, a way in millimetres 25.
+
+    Args:
+        where: the file, for messages.
+        angle: (n, 4) wheel angles; `steering` (n, 4).
+        steering: of the same rows.
+        truth_t_s: (m,) times of the ground truth, s.
+        pose: (m, 3) ground truth, heading unwrapped.
+        heading: (m,) as it stands in the file.
+        nominal: robot that they are judged by.
+
+    Raises:
+        DataError: a unit cannot be right.
+    """
+    limit_rad = nominal.steering_limit_rad
+    if np.max(np.abs(steering)) > limit_rad + _DEGREES_MARGIN_RAD:
+        raise DataError(
+            where,
+            f"steering angles (delta) reach {np.max(np.abs(steering)):.1f}",
+            expected=f"rad, within +-{np.degrees(limit_rad):.0f} deg",
+            remedy="convert degrees to radians",
+        )
+    way_m = rolled_m(angle, nominal.radius_m)
+    span_m = float(np.max(np.ptp(pose[:, :2], axis=0)))
+    if span_m > _FURTHER * way_m + _FURTHER_M:
+        raise DataError(
+            where,
+            f"the robot moved {span_m:.3g} by ground truth (x, y) while its wheels rolled {way_m:.3g} m",
+            expected="positions in m",
+            remedy="convert millimetres to metres",
+        )
+    lever = lever_m(nominal.geometry)
+    turned = float(np.ptp(np.percentile(heading, (1.0, 99.0))))
+    if turned > _TURNS_MORE * way_m / lever + _WRAPPED_RAD:
+        raise DataError(
+            where,
+            f"the heading (theta) turns by {turned:.3g} while the wheels rolled {way_m:.3g} m, "
+            f"enough for {way_m / lever:.3g} rad",
+            expected="radians",
+            remedy="convert degrees to radians",
+        )
+    seen_m = _seen_m(truth_t_s, pose, lever)
+    if seen_m > 0 and way_m > _ROLLS_MORE * seen_m + _ROLLS_M:
+        raise DataError(
+            where,
+            f"wheels (phi) rolled {way_m:.3g} m but ground truth moved {seen_m:.3g} m",
+            expected="positions in m and wheel angles in rad",
+            remedy="check the units of both: degrees and millimetres must be converted",
+        )
+
+
+def rolled_m(angle: Array, radius_m: float) -> float:
+    """Way that wheels with angles (n, 4) rolled, mean of the four, m."""
+    return float(np.abs(np.diff(angle, axis=0)).sum(axis=0).mean()) * radius_m
+
+
+def _seen_m(t_s: Array, pose: Array, lever: float) -> float:
+    """Way of a wheel by ground truth (m, 3), m; rows a second apart, so that noise adds little to it."""
+    stride = np.floor((t_s - t_s[0]) / _STRIDE_S)
+    ends = np.append(np.flatnonzero(np.diff(stride, prepend=-1.0)), len(t_s) - 1)
+    x, y, theta = np.diff(pose[ends], axis=0).T
+    return float(np.sum(np.hypot(x, y) + lever * np.abs(theta)))

@@ -1,0 +1,172 @@
+"""One cycle of the fan daemon on the CAN bus: receive, decide, send. A failed bus is retried for ever."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import can
+
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.errors import DeviceError
+from hil.drivers.adhesion.fan_daemon.fan_control import FanControl, SetPoint
+from hil.drivers.adhesion.fan_daemon.protocols import Wire, protocol_of
+from hil.drivers.adhesion.fan_daemon.spec import Spec
+from hil.drivers.links import can_bus
+from hil.drivers.links.can_bus import BUS_ERRORS
+
+_MOST_FRAMES = 512
+_REOPEN_NS = nanoseconds(0.5)
+_REPEAT_NS = nanoseconds(10.0)
+_ECHOES = 16
+
+
+def open_bus(spec: Spec) -> can.BusABC:
+    """The fan's bus; raises `DeviceError`."""
+    shared = "a python-can interface that several programs can share, such as socketcan"
+    return can_bus.open_bus(spec.device, spec, expected=shared)
+
+
+class BusCycle:
+    """Sends the commands of a fan on its bus, a cycle at a time.
+
+    Args:
+        spec: the fan.
+        control: decides what to send.
+        say: takes a line of text for each change.
+        bus: opened already; opened in the first cycle when None, and again whenever it is lost.
+
+    Attributes:
+        bus_error: what is wrong with the bus; empty for nothing.
+        sent_ns: when the latest command was sent.
+        worst_gap_ns: the longest time between two commands since the fan is commanded.
+        commands: commands sent.
+    """
+
+    def __init__(
+        self, spec: Spec, control: FanControl, say: Callable[[str], None], bus: can.BusABC | None = None
+    ) -> None:
+        self._spec, self.control, self._say, self._bus = spec, control, say, bus
+        self._protocol = protocol_of(spec)
+        self._mine: deque[Wire] = deque(maxlen=_ECHOES)
+        self._state = ""
+        self._quiet_until_ns = 0
+        self._failing_ns: int | None = None
+        self.bus_error = ""
+        self.sent_ns: int | None = None
+        self.worst_gap_ns = 0
+        self.commands = 0
+
+    def step(self, t_ns: int) -> None:
+        """Listen, decide, send. Never raises for what a bus does."""
+        bus = self._bus or self._opened(t_ns)
+        if bus is not None:
+            self._listen(bus, t_ns)
+        order = self.control.order(t_ns)
+        if order is None:
+            self.sent_ns, self.worst_gap_ns = None, 0
+        elif bus is not None:
+            self._send(bus, order, t_ns)
+        if (state := self.control.state()) != self._state:
+            self._state = state
+            at = f" at {order.quantity} {order.value:.4g}" if order is not None and state != "idle" else ""
+            self._say(f"{state}{at}")
+
+    def status(self, t_ns: int) -> dict[str, Any]:
+        """The state of control, fan and bus as plain values for JSON."""
+        control = self.control
+        return {
+            "state": control.state(),
+            "sent": control.sent,
+            "target": control.target,
+            "sent_age_s": _age_s(self.sent_ns, t_ns),
+            "worst_gap_s": self.worst_gap_ns / NS_PER_S,
+            "commands": self.commands,
+            "report": control.report,
+            "report_age_s": _age_s(control.report_ns, t_ns),
+            "others": sorted(control.others),
+            "bus_error": self.bus_error,
+            "timeout_s": self._spec.timeout_s,
+        }
+
+    def close(self) -> None:
+        """Close the bus. Idempotent; never raises."""
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            try:
+                bus.shutdown()
+            except BUS_ERRORS as error:
+                self._say(f"the bus did not shut down cleanly ({error})")
+
+    def _opened(self, t_ns: int) -> can.BusABC | None:
+        if self._failing_ns is not None and t_ns - self._failing_ns < _REOPEN_NS:
+            return None
+        self._failing_ns = t_ns
+        try:
+            self._bus = open_bus(self._spec)
+        except DeviceError as error:
+            self._troubled(error.message)
+            return None
+        self._failing_ns = None
+        return self._bus
+
+    def _listen(self, bus: can.BusABC, t_ns: int) -> None:
+        """Process the frames that have arrived, a bounded number: any node may send as many as it likes."""
+        take = can_bus.receiver(bus)
+        for _ in range(_MOST_FRAMES):
+            try:
+                message = take()
+            except BUS_ERRORS as error:
+                self._failed(error, t_ns)
+                return
+            if message is None:
+                return
+            if message.is_extended_id and not message.is_error_frame and not message.is_remote_frame:
+                self._take((message.arbitration_id, bytes(message.data)), t_ns)
+
+    def _take(self, frame: Wire, t_ns: int) -> None:
+        heard = self._protocol.hear(*frame)
+        if heard is None:
+            return
+        if heard.order is None:
+            self.control.reported(t_ns, heard.controller_id, heard.report, heard.running)
+        elif frame not in self._mine:
+            if self.control.sent is not None and t_ns >= self._quiet_until_ns:
+                self._quiet_until_ns = t_ns + _REPEAT_NS
+                self._say(
+                    f"another program commands this fan: {heard.order.quantity} {heard.order.value:.4g}"
+                )
+            self.control.overheard(t_ns, heard.order)
+
+    def _send(self, bus: can.BusABC, order: SetPoint, t_ns: int) -> None:
+        try:
+            for frame_id, data in self._protocol.say(order, t_ns):
+                self._mine.append((frame_id, data))
+                bus.send(can.Message(arbitration_id=frame_id, data=data, is_extended_id=True))
+        except BUS_ERRORS as error:
+            self._failed(error, t_ns)
+            return
+        if self.sent_ns is not None:
+            self.worst_gap_ns = max(self.worst_gap_ns, t_ns - self.sent_ns)
+        self.sent_ns = t_ns
+        self.commands += 1
+        self._failing_ns = None
+        self._troubled("")
+
+    def _failed(self, error: Exception, t_ns: int) -> None:
+        """The bus failed: try again in the next cycle, and reopen it when that does not help."""
+        self._troubled(str(error) or type(error).__name__)
+        if self._failing_ns is None:
+            self._failing_ns = t_ns
+        elif t_ns - self._failing_ns >= _REOPEN_NS:
+            self.close()
+
+    def _troubled(self, text: str) -> None:
+        if text != self.bus_error:
+            self.bus_error = text
+            self._say(f"CAN: {text}; commands do not reach the fan" if text else "CAN: works again")
+
+
+def _age_s(then_ns: int | None, now_ns: int) -> float | None:
+    return None if then_ns is None else (now_ns - then_ns) / NS_PER_S

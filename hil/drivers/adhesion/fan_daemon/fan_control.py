@@ -1,0 +1,201 @@
+"""Decides the set-point that is sent to a fan: a pure function of time, reports heard and requests.
+
+It never ends by itself. A set-point stays until another is requested; it changes along a ramp; only `end`
+leads down to rest. A fan that runs already when the daemon starts is taken over as it runs. The same
+class works in the daemon's process, in a bench that stands in for it, and in virtual time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.errors import DeviceError, UsageError, did_you_mean
+from hil.drivers.adhesion.fan_daemon.spec import Spec
+
+_LISTEN_NS = nanoseconds(1.5)
+"""Time after its start in which a daemon looks for a fan that runs already."""
+_FRESH_NS = nanoseconds(1.0)
+_LONGEST_STEP_NS = nanoseconds(0.2)
+_RELEASED_NS = nanoseconds(0.5)
+_MOST_LISTED = 8
+
+
+class SetPoint(NamedTuple):
+    """What is asked of the fan: `duty` (share), `current_a` (A), `erpm` (1/min as its controller counts)."""
+
+    quantity: str
+    value: float
+
+
+RELEASE = SetPoint("current_a", 0.0)
+
+
+def check_point(spec: Spec, point: SetPoint) -> None:
+    """Raises `UsageError` for a set-point that no motor of this kind could have, or that is none."""
+    highest = spec.highest.get(point.quantity)
+    if highest is None:
+        known = ", ".join(spec.highest)
+        raise UsageError(
+            f"{spec.device} set-point of {point.quantity}",
+            expected=f"one of {known}",
+            remedy=did_you_mean(point.quantity, spec.highest) or f"ask {spec.whose} daemon for one of these",
+        )
+    if not math.isfinite(point.value) or not 0.0 < point.value <= highest:
+        raise UsageError(
+            f"{spec.device} set-point {point.quantity} = {point.value:g}",
+            expected=f"above 0, at most {highest:g}",
+            remedy="`hil adhesion off` lets it come to rest",
+        )
+
+
+class FanControl:
+    """Ramps one fan to the requested set-points and holds it there.
+
+    Args:
+        spec: the fan; limits and ramps.
+        adopts: whether a fan that runs already at the start is taken over.
+
+    Attributes:
+        sent: the latest set-point for the bus; None while the fan is not commanded.
+        target: the set-point at the end of the ramp.
+        ending: whether the fan is on its way to rest.
+        report: the fan's reports, by quantity; `report_ns` when it last reported its speed.
+        others: ids of other controllers on the bus.
+    """
+
+    def __init__(self, spec: Spec, *, adopts: bool = True) -> None:
+        self._spec, self._adopts = spec, adopts
+        self.sent: SetPoint | None = None
+        self.target: SetPoint | None = None
+        self.ending = False
+        self.report: dict[str, float] = {}
+        self.report_ns: int | None = None
+        self.others: set[int] = set()
+        self._theirs = False
+        self._born_ns: int | None = None
+        self._last_ns = 0
+        self._released_ns = 0
+
+    def reported(
+        self, t_ns: int, controller_id: int, values: Mapping[str, float], running: SetPoint | None = None
+    ) -> None:
+        """A status of a controller was heard.
+
+        Args:
+            t_ns: when.
+            controller_id: the controller that sent it.
+            values: figures by name; the one with `erpm` says that it is there.
+            running: what would keep it as it runs; None at rest.
+        """
+        if controller_id != self._spec.controller_id:
+            self.others.add(controller_id)
+            return
+        self.report.update(values)
+        if "erpm" in values:
+            self.report_ns = t_ns
+        if running is not None and self.sent is None:
+            self._take_over(t_ns, running)
+
+    def overheard(self, t_ns: int, order: SetPoint) -> None:
+        """Another program has commanded this fan: its set-point is exact, the fan's report is rounded.
+
+        A fan that was taken over follows that program's set-points, down to rest as well, until this daemon
+        gets a request; the last one is held when no more of them come.
+        """
+        if order.value > 0.0 and (self.sent is None or self._theirs):
+            self._take_over(t_ns, order)
+        elif order.value <= 0.0 and self._theirs:
+            self.sent = self.target = None
+            self._theirs, self._released_ns = False, t_ns
+
+    def _take_over(self, t_ns: int, running: SetPoint) -> None:
+        """Hold a fan that runs when the daemon starts as it runs, in a quantity that the spec allows."""
+        if running.quantity not in self._spec.highest:
+            return
+        new = not self._released_ns and t_ns - self._born(t_ns) <= _LISTEN_NS
+        if self._adopts and (new or self._theirs):
+            self.resume(t_ns, running, running)
+            self._theirs = True
+
+    def resume(self, t_ns: int, sent: SetPoint, target: SetPoint) -> None:
+        """Go on from a set-point that another process has sent until now."""
+        self._born(t_ns)
+        self._last_ns = t_ns
+        self.sent, self.target, self.ending = self._clipped(sent), self._clipped(target), False
+
+    def wish(self, t_ns: int, wanted: SetPoint) -> None:
+        """Change the set-point; cancels an `end` that is under way.
+
+        Raises:
+            UsageError: it is none; the present set-point stays.
+            DeviceError: the fan does not report how it runs, so a start could be a step.
+        """
+        self._born(t_ns)
+        check_point(self._spec, wanted)
+        if self.sent is None or self.sent.quantity != wanted.quantity:
+            self.sent = self._clipped(SetPoint(wanted.quantity, self._measured(t_ns, wanted.quantity)))
+            self._last_ns = t_ns
+        self.target, self.ending, self._theirs = wanted, False, False
+
+    def end(self, t_ns: int) -> None:
+        """Let the fan come to rest along the ramp. The caller has confirmed that nothing hangs by it."""
+        self._born(t_ns)
+        if self.sent is not None:
+            self.target, self.ending, self._theirs = SetPoint(self.sent.quantity, 0.0), True, False
+
+    def order(self, t_ns: int) -> SetPoint | None:
+        """The set-point to send now; None while the fan is not commanded."""
+        self._born(t_ns)
+        step_s = min(t_ns - self._last_ns, _LONGEST_STEP_NS) / NS_PER_S
+        self._last_ns = t_ns
+        if self.sent is None or self.target is None:
+            return RELEASE if t_ns < self._released_ns else None
+        quantity, value = self.sent
+        highest, aim = self._spec.highest[quantity], self.target.value
+        if aim >= value:
+            value = min(aim, value + step_s * highest / self._spec.ramp_up_s)
+        else:
+            value = max(aim, value - step_s * highest / self._spec.ramp_down_s)
+        self.sent = SetPoint(quantity, value)
+        if self.ending and value <= 0.0:
+            self.sent = self.target = None
+            self.ending, self._released_ns = False, t_ns + _RELEASED_NS
+            return RELEASE
+        return self.sent
+
+    def state(self) -> str:
+        """`keeping`, `ending`, or `idle` while the fan is not commanded."""
+        return "idle" if self.sent is None else "ending" if self.ending else "keeping"
+
+    def _born(self, t_ns: int) -> int:
+        """When control began: the time of its first call."""
+        if self._born_ns is None:
+            self._born_ns = self._last_ns = t_ns
+        return self._born_ns
+
+    def _clipped(self, point: SetPoint) -> SetPoint:
+        return SetPoint(point.quantity, min(max(point.value, 0.0), self._spec.highest[point.quantity]))
+
+    def _measured(self, t_ns: int, quantity: str) -> float:
+        """How the fan runs now, by its own report; raises `DeviceError` where it is silent."""
+        if self.report_ns is None or t_ns - self.report_ns > _FRESH_NS or quantity not in self.report:
+            raise self._silent()
+        return self.report[quantity]
+
+    def _silent(self) -> DeviceError:
+        heard = ", ".join(map(str, sorted(self.others)[:_MOST_LISTED]))
+        remedy = (
+            f"check first the CAN bit rate ({self._spec.device}.bitrate = {self._spec.bitrate}), then wiring "
+            "and its supply; switch on status messages 1, 4 and 5 in VESC Tool"
+        )
+        return DeviceError(
+            self._spec.device,
+            f"controller {self._spec.controller_id} sends no status"
+            + (f", but controller {heard} does" if heard else ""),
+            port=self._spec.bus,
+            expected="status message 1 at 5 Hz or more",
+            remedy=f"set the controller's id in [{self._spec.device}], or {remedy}" if heard else remedy,
+        )

@@ -1,0 +1,67 @@
+"""The marker `controller`: what drives every trajectory of a test's bench."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+
+from hil.core.choices import HIGHEST_DOMAIN, LAWS, ROS2
+from hil.core.errors import UsageError
+from hil.procedure.bench_request import BenchSource
+from hil.procedure.user_controllers import check_named
+
+if TYPE_CHECKING:
+    from hil.ros2.publisher import Ros2Publisher
+
+_PUBLISHERS = pytest.StashKey[dict[tuple[int, str], "Ros2Publisher"]]()
+
+
+def driven(item: pytest.Item, source: BenchSource) -> BenchSource:
+    """The bench of a test, driven as its marker `controller` says.
+
+    A participant on ROS 2 is kept until the session ends: its simulated time never steps back.
+
+    Raises:
+        UsageError, ConfigError: the marker is wrong, or the controller cannot be used.
+    """
+    mark = item.get_closest_marker("controller")
+    if mark is None:
+        return source
+    named = mark.args[0] if len(mark.args) == 1 else None
+    domain = mark.kwargs.get("domain")
+    known = domain is None or (type(domain) is int and 0 <= domain <= HIGHEST_DOMAIN)
+    if not isinstance(named, str) or set(mark.kwargs) - {"domain"} or not known:
+        raise UsageError(
+            "marker controller",
+            expected=f'controller("ros2:/joint_commands", domain=0..{HIGHEST_DOMAIN}), or a law or class',
+        )
+    if named.startswith(ROS2):
+        publisher = _publisher(item.config, named.removeprefix(ROS2), domain)
+        return replace(source, controller=named, publish=publisher.sink)
+    check_named(named)
+    if named in LAWS:
+        return source.changed(overrides={"control.law": named})
+    return replace(source, controller=named)
+
+
+def _publisher(config: pytest.Config, topic: str, domain: int | None) -> Ros2Publisher:
+    """The session's participant in a domain, for the program that publishes a topic."""
+    if hasattr(config, "workerinput"):
+        raise UsageError(
+            f"marker controller({ROS2 + topic!r}): one program drives one robot at a time",
+            remedy="leave -n out for these tests",
+        )
+    from hil.ros2.network import Network, domain_of, must_be_usable
+
+    must_be_usable()
+    from hil.ros2.publisher import Ros2Publisher
+
+    number = domain_of(domain, os.environ)
+    known = config.stash.setdefault(_PUBLISHERS, {})
+    if (number, topic) not in known:
+        known[number, topic] = publisher = Ros2Publisher(Network(number), topic)
+        config.add_cleanup(publisher.close)
+    return known[number, topic]

@@ -1,0 +1,164 @@
+"""Shows the cycles of one bench to the program that drives it, and takes what that commands.
+
+In real time the loop waits for a share of the cycle, then goes on with what there is. In virtual time it
+waits for the command that belongs to the cycle, and the bench's time stands meanwhile.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Collection
+from typing import Protocol
+
+from hil.config.ros2 import Ros2Config
+from hil.core.clock import Clock, nanoseconds
+from hil.core.external_commands import ExternalCommands
+from hil.core.signals import CycleRecord
+from hil.ros2.command_topic import CommandTopic, commands_of
+
+LOCKSTEP, PUBLISHERS, NOBODY = "ros2_lockstep", "ros2_publishers", "ros2_nobody"
+"""Reasons to stop."""
+_AGAIN_NS = 20_000_000
+_STATES_AGAIN = 25
+
+
+class Shown(Protocol):
+    """By what a cycle is shown."""
+
+    @abstractmethod
+    def show(self, seen: CycleRecord) -> Collection[int]:
+        """Publish the states of a cycle, then the time; returns their stamps on the bench clock, ns."""
+
+    @abstractmethod
+    def show_time(self) -> None:
+        """Publish the latest time again."""
+
+
+class Exchange:
+    """With one program, for one bench.
+
+    Args:
+        topic: from which its commands come.
+        shown: publishes.
+        config: `[ros2]` of the bench file.
+        clock: of the host.
+        wall_ns: ROS time at the bench clock's zero.
+        patient: whether the first command is waited for as long as it takes.
+
+    Attributes:
+        cycles, answered: that were shown since the bench was opened, and those with a command in time.
+    """
+
+    def __init__(
+        self,
+        topic: CommandTopic,
+        shown: Shown,
+        config: Ros2Config,
+        clock: Clock,
+        wall_ns: int,
+        *,
+        patient: bool,
+    ) -> None:
+        self._topic, self._shown, self._config, self._clock = topic, shown, config, clock
+        self._wall_ns, self._patient = wall_ns, patient
+        self.cycles = self.answered = 0
+        self.begin()
+
+    def begin(self) -> None:
+        """A run begins: the first command is waited for."""
+        self._began_ns: int | None = None
+        self._heard = False
+
+    def in_real_time(self, seen: CycleRecord, until_ns: int) -> ExternalCommands:
+        """All that has come since the last call.
+
+        Args:
+            seen: is shown first.
+            until_ns: by the bench's clock, how long to wait for an answer.
+        """
+        messages = self._topic.take()
+        self._shown.show(seen)
+        answers: list[tuple[str, bytes]] = []
+        left_ns = until_ns - self._clock.now_ns()
+        if left_ns > 0 and self._topic.publishers():
+            self._topic.wait(left_ns)
+            answers = self._topic.take()
+        self.cycles += 1
+        self.answered += bool(answers)
+        now_ns = self._clock.now_ns()
+        stop = self._stop_of_publishers() or self._stop_of_silence(now_ns, heard=bool(messages or answers))
+        if stop is not None:
+            return stop
+        return self._passed_on([*messages, *answers], now_ns)
+
+    def in_lockstep(self, seen: CycleRecord) -> ExternalCommands:
+        """The one command of a cycle."""
+        self._topic.take()
+        stamps, t_ns = self._shown.show(seen), seen.inputs.t_ns
+        latest_ns = max(stamps, default=t_ns)
+        config, began_ns = self._config, self._clock.now_ns()
+        limit_s = config.answer_timeout_s if self._heard else config.start_timeout_s
+        others, turns = 0, 0
+        self.cycles += 1
+        while True:
+            self._topic.wait(_AGAIN_NS)
+            found = self._passed_on(self._topic.take(), t_ns)
+            if stop := self._stop_of_publishers():
+                return stop
+            if found.reason:
+                return found
+            for command in found.commands:
+                copied = command.stamp_ns in stamps and command.stamp_ns != t_ns
+                if copied or command.stamp_ns is None or t_ns <= command.stamp_ns <= latest_ns:
+                    self._heard = True
+                    self.answered += 1
+                    return ExternalCommands((command,), only_synchronised=not copied)
+                others += 1
+            if self._clock.now_ns() - began_ns > nanoseconds(limit_s):
+                return ExternalCommands((), LOCKSTEP, self._unanswered(seen.cycle, limit_s, others))
+            turns += 1
+            if not self._heard and turns % _STATES_AGAIN == 0:
+                self._shown.show(seen)  # what was written before both sides had found each other is lost
+            else:
+                self._shown.show_time()
+
+    def _passed_on(self, messages: list[tuple[str, bytes]], t_ns: int) -> ExternalCommands:
+        try:
+            return ExternalCommands(tuple(commands_of(messages, t_ns, self._wall_ns)))
+        except ValueError as error:
+            return ExternalCommands(
+                (), "ros2_command", f"{self._topic.where} sent what cannot be read ({error})"
+            )
+
+    def _stop_of_publishers(self) -> ExternalCommands | None:
+        count = self._topic.publishers()
+        if count < 2:
+            return None
+        return ExternalCommands((), PUBLISHERS, f"{self._topic.name} has {count} publishers; end all but one")
+
+    def _stop_of_silence(self, now_ns: int, *, heard: bool) -> ExternalCommands | None:
+        """In real time, when the first command has not come for long; later the controller's age counts."""
+        self._heard = self._heard or heard
+        if self._began_ns is None:
+            self._began_ns = now_ns
+        limit_s = self._config.start_timeout_s
+        if self._heard or self._patient or now_ns - self._began_ns <= nanoseconds(limit_s):
+            return None
+        return ExternalCommands((), NOBODY, f"no command within {limit_s:g} s: {self._why()}")
+
+    def _unanswered(self, cycle: int, limit_s: float, others: int) -> str:
+        why = self._why()
+        if others:
+            why = (
+                f"{others} commands came with stamps of other cycles; copy the stamp of /joint_states, or "
+                "set use_sim_time, so that the stamp is /clock's"
+            )
+        return f"cycle {cycle}: its command did not come within {limit_s:g} s: {why}"
+
+    def _why(self) -> str:
+        if not self._topic.publishers():
+            return self._topic.why_nobody()
+        return (
+            f"{self._topic.where} has a publisher that sends nothing; look at what it waits for; for "
+            "ros2_control's topic-based hardware set trigger_joint_command_threshold to -1"
+        )

@@ -1,0 +1,210 @@
+"""What the commands of a program on ROS 2 mean, and when the robot stops by them.
+
+A function of the commands that came and of the times of the cycles, so that replay finds the same. Joint
+commands are in the servos' own angles, as `/joint_states` and `/robot_description` have them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NoReturn
+
+import numpy as np
+
+from hil.controller.module_layer import ModuleLayer
+from hil.core.choices import ROS2
+from hil.core.clock import NS_PER_S, nanoseconds
+from hil.core.errors import SafetyStop
+from hil.core.external_commands import ExternalCommand, ExternalCommands
+from hil.core.geometry import Array
+from hil.core.interfaces import ExternalController
+from hil.core.signals import SERVOS, CycleRecord, WheelMeasurement, WheelSetpoint
+from hil.loop.alignment import AlignmentParameters
+
+COMMAND, LATE, CLOCK = "ros2_command", "ros2_late", "ros2_time"
+_DRIVES, _STEERS = SERVOS[:4], SERVOS[4:]
+_SYNCHRONISED = (
+    "commands do not copy the stamp of /joint_states: this run is synchronised, and need not repeat"
+)
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Beyond what a command cannot be meant, or is held back.
+
+    Attributes:
+        wheel_rate_rad_s, steering_rad: largest of a joint; more is a mistake.
+        steering_rate_rad_s: how fast steering angles are passed on at most.
+        late_after_s: age of a command that is too old.
+        period_s: of the loop.
+    """
+
+    wheel_rate_rad_s: float
+    steering_rad: float
+    steering_rate_rad_s: float
+    late_after_s: float
+    period_s: float
+
+
+class Ros2Controller(ExternalController):
+    """Drives by the newest command.
+
+    Args:
+        name: `ros2:` and the topic.
+        limits: of joint commands.
+        alignment: signs and zeros of the joints.
+        modules: turn velocities of the body into setpoints of the wheels.
+    """
+
+    def __init__(
+        self, name: str, limits: JointLimits, alignment: AlignmentParameters, modules: ModuleLayer
+    ) -> None:
+        self.name, self._limits, self._modules = name, limits, modules
+        self._topic = name.removeprefix(ROS2)
+        self._drive_sign = np.array(alignment.drive_sign, dtype=np.float64)
+        self._steer_sign = np.array(alignment.steer_sign, dtype=np.float64)
+        self._zero_rad = np.array(alignment.steer_zero_rad, dtype=np.float64)
+        self._late_ns = nanoseconds(limits.late_after_s)
+        self.ask = _nobody
+        self.heard: ExternalCommands | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the run."""
+        self.begun, self.warning = False, ""
+        self._modules.reset()
+        self._setpoint: WheelSetpoint | None = None
+        self._twist: Array | None = None
+        self._sent_rad: Array | None = None
+        self._heard_ns = self._stamp_ns = self._stood_ns = 0
+
+    def update(self, seen: CycleRecord, wheels: WheelMeasurement | None) -> WheelSetpoint | None:
+        """Setpoint by the newest command; until the first one, rest where the wheels stand."""
+        heard = self.heard = self.ask(seen)
+        if heard.reason:
+            raise SafetyStop(heard.reason, heard.trouble)
+        for command in heard.commands:
+            self._take(command)
+        if self.begun:
+            self._must_be_in_time(seen.inputs.t_ns)
+        if heard.only_synchronised:
+            self.warning = f"{self._topic}: {_SYNCHRONISED}"
+        return None if wheels is None else self._decided(wheels)
+
+    def _decided(self, wheels: WheelMeasurement) -> WheelSetpoint:
+        if self._twist is not None:
+            self._sent_rad = None
+            return self._modules.allocate(self._twist, wheels.steering_rad)
+        if self._sent_rad is None:
+            self._sent_rad = wheels.steering_rad
+        if self._setpoint is None:
+            return WheelSetpoint(np.zeros(4), self._sent_rad.copy())
+        reach_rad = self._limits.steering_rate_rad_s * self._limits.period_s
+        step_rad = np.clip(self._setpoint.steering_rad - self._sent_rad, -reach_rad, reach_rad)
+        self._sent_rad = self._sent_rad + step_rad
+        return WheelSetpoint(self._setpoint.wheel_rate_rad_s.copy(), self._sent_rad.copy())
+
+    def _take(self, command: ExternalCommand) -> None:
+        """Judge a command, and go by it from now on."""
+        if command.kind == "twist":
+            self._twist, self._setpoint = self._velocity(command), None
+        else:
+            self._twist, self._setpoint = None, self._joints(command)
+        self._heard_ns = command.t_ns
+        stamp_ns = command.stamp_ns
+        if stamp_ns is None or stamp_ns > self._stamp_ns or not self.begun:
+            self._stamp_ns, self._stood_ns = stamp_ns or 0, command.t_ns
+        self.begun = True
+
+    def _must_be_in_time(self, t_ns: int) -> None:
+        silent_ns = t_ns - self._heard_ns
+        if silent_ns > self._late_ns:
+            self._stop(
+                LATE,
+                f"has sent no command for {silent_ns / NS_PER_S:.3f} s (ros2.late_after_s)",
+                "look whether the controller runs and keeps up; for ros2_control's topic-based hardware set "
+                "trigger_joint_command_threshold to -1, else it sends nothing while nothing changes",
+            )
+        if self._heard_ns - self._stood_ns > self._late_ns:
+            stood_s = (self._heard_ns - self._stood_ns) / NS_PER_S
+            self._stop(
+                CLOCK,
+                f"has sent commands for {stood_s:.3f} s whose stamps do not go on",
+                "look at the controller's clock and at use_sim_time",
+            )
+
+    def _velocity(self, command: ExternalCommand) -> Array:
+        """(3,) body twist."""
+        ahead, left, up, roll, pitch, turn = command.velocity_rad_s.tolist()
+        if not np.isfinite(command.velocity_rad_s).all():
+            self._stop(COMMAND, "sent a number that is not finite", "mend the controller")
+        if up or roll or pitch:
+            self._stop(
+                COMMAND,
+                "asks for a motion off the surface (linear.z, angular.x or angular.y is not 0)",
+                "send linear.x, linear.y and angular.z",
+            )
+        return np.array([ahead, left, turn])
+
+    def _joints(self, command: ExternalCommand) -> WheelSetpoint:
+        """Steering angles and wheel rates of a joint command, aligned."""
+        self._must_be_all(command.names)
+        position = self._by_joint(command, "position", command.position_rad, _STEERS)
+        velocity = self._by_joint(command, "velocity", command.velocity_rad_s, _DRIVES)
+        if len(command.effort):
+            self._stop(COMMAND, "commands an effort", "send positions and velocities only")
+        steering = self._steer_sign * (np.array([position[name] for name in _STEERS]) - self._zero_rad)
+        rates = self._drive_sign * np.array([velocity[name] for name in _DRIVES])
+        self._must_be_within(_STEERS, steering, self._limits.steering_rad, "rad", "degrees")
+        self._must_be_within(_DRIVES, rates, self._limits.wheel_rate_rad_s, "rad/s", "rpm")
+        return WheelSetpoint(rates, steering)
+
+    def _must_be_all(self, names: tuple[str, ...]) -> None:
+        """Refuse names that are not those of all joints, once each."""
+        wrong = {
+            "unknown": [name for name in names if name not in SERVOS],
+            "double": sorted({name for name in names if names.count(name) > 1}),
+            "missing": [name for name in SERVOS if name not in names],
+        }
+        found = [f"{what} joint {', '.join(map(repr, some))}" for what, some in wrong.items() if some]
+        if found:
+            self._stop(COMMAND, f"has sent {'; '.join(found)}", f"name {', '.join(SERVOS)}, in any order")
+
+    def _by_joint(
+        self, command: ExternalCommand, what: str, values: Array, joints: tuple[str, ...]
+    ) -> Mapping[str, float]:
+        """Values by name, of the joints that are commanded so: in their order among the names."""
+        if len(values) != len(joints):
+            self._stop(
+                COMMAND,
+                f"has sent {len(values)} values of {what}",
+                f"send {len(joints)}, of {', '.join(joints)}, in the order of their names",
+            )
+        named = zip((n for n in command.names if n in joints), values.tolist(), strict=True)
+        found = dict(named)
+        for name, value in found.items():
+            if not math.isfinite(value):
+                self._stop(COMMAND, f"has sent the {what} {value} for {name}", "mend the controller")
+        return found
+
+    def _must_be_within(
+        self, joints: tuple[str, ...], values: Array, most: float, unit: str, mistaken: str
+    ) -> None:
+        for name, value in zip(joints, values.tolist(), strict=True):
+            if abs(value) > most + 1e-9:
+                self._stop(
+                    COMMAND,
+                    f"asks {name} for {value:.4g} {unit}; its limit is {most:.4g} {unit} either way",
+                    f"send {unit}, no {mistaken}, and keep within safety.steering_limit_rad and "
+                    "safety.wheel_rate_limit_rad_s",
+                )
+
+    def _stop(self, reason: str, what: str, remedy: str) -> NoReturn:
+        raise SafetyStop(reason, f"{self._topic} {what}; {remedy}")
+
+
+def _nobody(_: CycleRecord) -> ExternalCommands:
+    """What a program says that nothing is attached to."""
+    return ExternalCommands()

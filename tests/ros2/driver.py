@@ -1,0 +1,226 @@
+"""A program that drives a robot on ROS 2 by Cyclone DDS alone: its types are written by hand.
+
+`driver.py DOMAIN TOPIC SETTINGS` prints `begun`, writes commands until its input ends, then prints how many.
+SETTINGS is a JSON object:
+- `on`: `joint_states` or `clock`: answers each message; a number: writes at that rate in Hz;
+- `stamp`: `copy` of the joint states, `clock`, `wall`, `none`, or a number of seconds;
+- `type`: `JointState` (default), `Twist` or `TwistStamped`;
+- `name`, `position`, `velocity`, `effort`; of a twist `velocity` are the six numbers;
+- `follow`: rolls by the distance of `/odom` from `/reference` along x, times this, in rad/s per m; waits
+  for those of the joint states' cycle;
+- `best_effort`: offers no reliability;
+- `limit`: ends by itself, killed, after so many commands;
+- `then`: settings that hold instead after `after` commands.
+"""
+
+import json
+import os
+import select
+import signal
+import sys
+import time
+from dataclasses import dataclass
+
+from commander import LOOPBACK, Header, Time, Twist, TwistStamped, Vector3
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.annotations import final
+from cyclonedds.idl.types import array, float64, sequence
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+NAMES = [f"{what}_{wheel}" for what in ("drive", "steer") for wheel in ("FL", "BL", "BR", "FR")]
+REPRESENTATION = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
+
+
+@dataclass
+@final
+class Clock(IdlStruct, typename="rosgraph_msgs.msg.dds_.Clock_"):
+    clock: Time
+
+
+@dataclass
+@final
+class JointState(IdlStruct, typename="sensor_msgs.msg.dds_.JointState_"):
+    header: Header
+    name: sequence[str]
+    position: sequence[float64]
+    velocity: sequence[float64]
+    effort: sequence[float64]
+
+
+@dataclass
+@final
+class Point(IdlStruct, typename="geometry_msgs.msg.dds_.Point_"):
+    x: float64
+    y: float64
+    z: float64
+
+
+@dataclass
+@final
+class Quaternion(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
+    x: float64
+    y: float64
+    z: float64
+    w: float64
+
+
+@dataclass
+@final
+class Pose(IdlStruct, typename="geometry_msgs.msg.dds_.Pose_"):
+    position: Point
+    orientation: Quaternion
+
+
+@dataclass
+@final
+class PoseStamped(IdlStruct, typename="geometry_msgs.msg.dds_.PoseStamped_"):
+    header: Header
+    pose: Pose
+
+
+@dataclass
+@final
+class PoseWithCovariance(IdlStruct, typename="geometry_msgs.msg.dds_.PoseWithCovariance_"):
+    pose: Pose
+    covariance: array[float64, 36]
+
+
+@dataclass
+@final
+class TwistWithCovariance(IdlStruct, typename="geometry_msgs.msg.dds_.TwistWithCovariance_"):
+    twist: Twist
+    covariance: array[float64, 36]
+
+
+@dataclass
+@final
+class Odometry(IdlStruct, typename="nav_msgs.msg.dds_.Odometry_"):
+    header: Header
+    child_frame_id: str
+    pose: PoseWithCovariance
+    twist: TwistWithCovariance
+
+
+TYPES = {"JointState": JointState, "Twist": Twist, "TwistStamped": TwistStamped}
+
+
+def quality(reliable, depth):
+    reliability = Policy.Reliability.Reliable(duration(milliseconds=100))
+    return Qos(
+        reliability if reliable else Policy.Reliability.BestEffort,
+        Policy.Durability.Volatile,
+        Policy.History.KeepLast(depth),
+        REPRESENTATION,
+    )
+
+
+def nanoseconds(message):
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+class Driver:
+    def __init__(self, domain, topic, settings):
+        self.settings, self.sent = settings, 0
+        self.participant = DomainParticipant(domain)
+        kind = TYPES[settings.get("type", "JointState")]
+        reliable = not settings.get("best_effort")
+        self.writer = DataWriter(
+            self.participant, Topic(self.participant, f"rt{topic}", kind), quality(reliable, 1)
+        )
+        self.states = self.reader("/joint_states", JointState, True)
+        self.clock = self.reader("/clock", Clock, False)
+        self.odom = self.reader("/odom", Odometry, True)
+        self.reference = self.reader("/reference", PoseStamped, True)
+        self.latest = {}
+
+    def reader(self, name, kind, reliable):
+        topic = Topic(self.participant, f"rt{name}", kind)
+        return DataReader(self.participant, topic, quality(reliable, 10))
+
+    def look(self):
+        """Whether what is waited for has come."""
+        for name in ("states", "clock", "odom", "reference"):
+            for sample in getattr(self, name).take(N=10):
+                if sample.sample_info.valid_data:
+                    self.latest[name] = sample
+                    if name in str(self.settings["on"]):
+                        self.latest["new"] = True
+        if "follow" in self.settings and self.latest.get("new") and not self.is_whole():
+            return False
+        return self.latest.pop("new", False)
+
+    def is_whole(self):
+        """Whether estimate and reference of the newest joint states are there."""
+        if not {"states", "odom", "reference"} <= set(self.latest):
+            return False
+        states, odom, reference = (nanoseconds(self.latest[n]) for n in ("states", "odom", "reference"))
+        return odom == reference and abs(states - odom) < 5_000_000
+
+    def stamp(self):
+        how = self.settings.get("stamp", "copy")
+        if how == "copy" and "states" in self.latest:
+            return self.latest["states"].header.stamp
+        if how == "clock" and "clock" in self.latest:
+            return self.latest["clock"].clock
+        if how == "wall":
+            return Time(*divmod(time.time_ns(), 10**9))
+        return Time(int(how), 0) if isinstance(how, (int, float)) else Time(0, 0)
+
+    def command(self):
+        given = self.settings
+        velocity = given.get("velocity", [0.0] * 4)
+        if "follow" in given and {"odom", "reference"} <= set(self.latest):
+            off = self.latest["reference"].pose.position.x - self.latest["odom"].pose.pose.position.x
+            velocity = [given["follow"] * off] * 4
+        header = Header(self.stamp(), "")
+        if given.get("type", "JointState") == "JointState":
+            values = (given.get("position", [0.0] * 4), velocity, given.get("effort", []))
+            return JointState(header, given.get("name", NAMES), *(list(map(float, v)) for v in values))
+        twist = Twist(Vector3(*velocity[:3]), Vector3(*velocity[3:]))
+        return twist if given["type"] == "Twist" else TwistStamped(header, twist)
+
+    def write(self):
+        self.writer.write(self.command())
+        self.sent += 1
+        if self.sent == self.settings.get("limit"):
+            os.kill(os.getpid(), signal.SIGKILL)
+        if self.sent == self.settings.get("after"):
+            self.settings |= self.settings["then"]
+
+    def run(self):
+        print("begun", flush=True)
+        following = time.monotonic()
+        while True:
+            on = self.settings["on"]
+            if isinstance(on, str):
+                if self.look():
+                    self.write()
+                    continue
+                wait = 0.0005
+            else:
+                self.look()
+                if time.monotonic() >= following:
+                    following += 1.0 / on
+                    self.write()
+                    continue
+                wait = following - time.monotonic()
+            if select.select([sys.stdin], [], [], max(0.0, wait))[0]:
+                return
+
+
+def main():
+    number, topic, settings = sys.argv[1:]
+    domain = Domain(int(number), LOOPBACK)
+    driver = Driver(int(number), topic, json.loads(settings))
+    driver.run()
+    print(driver.sent, flush=True)
+    del driver, domain
+
+
+if __name__ == "__main__":
+    main()
