@@ -133,6 +133,7 @@ docs: $(BIN)/.for-lint
 	$(BIN)/python docs/images/render_robot_on_wall.py
 
 site: $(BIN)/.for-docs
+	@echo "reads every page and docstring, then writes the site: two to four minutes"
 	$(BIN)/python -m sphinx -q -W --keep-going -b html -c docs . out/site
 	@echo "open out/site/index.html"
 

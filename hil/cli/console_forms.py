@@ -129,11 +129,12 @@ def _script(run: click.Command, root: Path) -> Action:
     own = (
         Field(
             "SCRIPT",
+            "script",
             "text",
             help="Python file with a procedure.",
             choices=tuple(sorted(map(str, Path().glob("*.py")))),
         ),
-        Field(_SET, "text", help="Its parameters, KEY=VALUE, separated by spaces."),
+        Field(_SET, _title(_SET), "text", help="Its parameters, KEY=VALUE, separated by spaces."),
     )
     fields = (*own, *sorted(_fields(run, _SEEN), key=lambda f: f.more))
     return Action(
@@ -158,7 +159,8 @@ def _fields(command: click.Command, seen: Sequence[str]) -> Iterator[Field]:
 def _field(option: click.Option, *, more: bool) -> Field:
     kind, default = option.type, option.default
     known = str(default) if isinstance(default, (str, int, float)) else ""
-    plain = Field(option.opts[-1], "text", known, _on_a_page(option.help or ""), more=more)
+    name = option.opts[-1]
+    plain = Field(name, _title(name), "text", known, _on_a_page(option.help or ""), more=more)
     if option.is_flag:
         return replace(plain, kind="flag", default="")
     if isinstance(kind, click.Choice) and not option.multiple:
@@ -185,7 +187,9 @@ def _parameter(d: Described, proc: Procedure) -> Field:
     quick = f"Quick form: {written(proc.quick[d.name])}." if d.name in proc.quick else ""
     listed = f"Some of {', '.join(d.choices)}, with commas." if d.kind == "array" and d.choices else ""
     message = " ".join(filter(None, (d.help, listed, quick)))
-    plain = Field(d.name, "text", d.default, message, _unit(d.name), d.low, d.high, d.low_open)
+    plain = Field(
+        d.name, _title(d.name), "text", d.default, message, _unit(d.name), d.low, d.high, d.low_open
+    )
     if d.kind == "boolean":
         return replace(plain, kind="choice", choices=("true", "false"))
     if d.kind == "string" and d.choices:
@@ -195,8 +199,18 @@ def _parameter(d: Described, proc: Procedure) -> Field:
     return plain
 
 
+def _suffix(name: str) -> str:
+    return next((suffix for suffix in _UNITS if name.endswith(f"_{suffix}")), "")
+
+
 def _unit(name: str) -> str:
-    return next((unit for suffix, unit in _UNITS.items() if name.endswith(f"_{suffix}")), "")
+    return _UNITS.get(_suffix(name), "")
+
+
+def _title(name: str) -> str:
+    """The name without its unit, which stands beside the field."""
+    suffix = _suffix(name)
+    return (name[: -len(suffix)] if suffix else name).strip("-_").replace("-", " ").replace("_", " ")
 
 
 def _options(command: click.Command, values: Values) -> list[str]:

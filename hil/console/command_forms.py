@@ -16,6 +16,7 @@ class Field:
 
     Attributes:
         name: as on the command line: an option (`--seed`), an argument, or a parameter of a procedure.
+        title: the same for people, without the unit.
         kind: how it is filled in; `flag` is `true` or left out.
         default: as text; shown, and left to the command.
         help: a sentence.
@@ -26,6 +27,7 @@ class Field:
     """
 
     name: str
+    title: str
     kind: Literal["text", "number", "integer", "choice", "flag"]
     default: str = ""
     help: str = ""

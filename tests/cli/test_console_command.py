@@ -226,3 +226,12 @@ def test_a_live_recording_may_go_into_a_folder_that_is_not_there_yet(place):
     (place / "file").write_text("")
     with pytest.raises(DataError, match="cannot be created"):
         _recorder(bench, place / "file" / "run.mcap", "stop")
+
+
+def test_a_field_is_called_without_the_unit_that_stands_beside_it(offered):
+    fields = [field for action in offered.values() for field in action.fields]
+    measured = [field for field in fields if field.unit]
+    assert len(measured) > 20
+    assert [f.name for f in measured if f.title.split()[-1] in ("m", "s", "rad", "hz", "n")] == []
+    assert len({(f.title, f.unit) for f in measured}) > 10
+    assert all(field.title.strip() for field in fields)

@@ -5,6 +5,7 @@ let shown = "";
 let trail = [];
 let trailOf = "";
 let wasRunning = false;
+const IDLE = "Nothing has been started here yet.";
 const SETTLE_MS = 700;
 const asked = { question: "", since: 0, answered: "" };
 
@@ -145,7 +146,7 @@ function show(jobs) {
   const key = JSON.stringify(job ? { ...job, live: null, events: null } : null);
   if (key !== shown) {
     shown = key;
-    const parts = !job ? [make("p", {}, "Nothing runs.")] : job.running ? running(job) : ended(job);
+    const parts = !job ? [make("p", {}, IDLE)] : job.running ? running(job) : ended(job);
     const before = questionOf(job) === asked.question ? at("now").querySelector(".question input") : null;
     const focused = before !== null && before === document.activeElement;
     at("now").replaceChildren(...parts);
@@ -255,6 +256,8 @@ function findings(found) {
 
 // ---- history
 
+const WITHOUT_VERDICT = ["unfinished", "foreign"];
+
 async function history() {
   try {
     const answer = await call(`/api/results?words=${encodeURIComponent(at("words").value)}`);
@@ -262,7 +265,7 @@ async function history() {
     at("history").hidden = !answer.found;
     at("history").replaceChildren(...table(["when", "what", "verdict", "bench, or why"], answer.results.map((r) => [
       r.when, r.link ? make("a", { href: r.link, target: "_blank", rel: "noopener", title: r.name }, r.procedure) : r.procedure || r.name,
-      make("span", { class: `tag ${r.verdict || r.kind}` }, r.verdict || r.kind), r.why || r.bench])));
+      make("span", { class: `tag ${r.verdict || r.kind}` }, r.verdict || (WITHOUT_VERDICT.includes(r.kind) ? r.kind : "–")), r.why || r.bench])));
   } catch (error) { say(error); }
 }
 

@@ -38,16 +38,15 @@ function row(field, index) {
   const id = `field-${index}`;
   const box = input(field, id);
   box.name = field.name;
-  const help_text = [range(field), field.help].filter(Boolean).join(" ");
+  const help_text = [field.help, range(field)].filter(Boolean).join(" ");
   const help = make("div", { class: "soft", id: `${id}-help` }, help_text);
   const wrong = make("div", { class: "wrong", id: `${id}-wrong`, role: "alert" });
   box.setAttribute("aria-describedby", `${id}-help ${id}-wrong`);
-  const title = field.name.replace(/^--/, "").replaceAll("-", " ");
-  if (field.kind === "flag") return make("div", { class: "field check" }, make("label", {}, box, title), help, wrong);
+  if (field.kind === "flag") return make("div", { class: "field check" }, make("label", {}, box, field.title), help, wrong);
   const choices = field.kind === "text" && field.choices.length
     ? [make("datalist", { id: `${id}-choices` }, ...field.choices.map((c) => make("option", { value: c })))] : [];
   const line = make("span", {}, box, field.unit);
-  return make("div", { class: "field" }, make("label", { for: id }, title), line, ...choices, help, wrong);
+  return make("div", { class: "field" }, make("label", { for: id }, field.title), line, ...choices, help, wrong);
 }
 
 function build(form, action) {

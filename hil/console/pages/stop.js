@@ -42,7 +42,7 @@ function silent() {
 function show(state) {
   silentSince = null;
   at("gone").hidden = true;
-  const now = state.jobs.length ? state.jobs.map(words).join(" · ") : "Nothing runs.";
+  const now = state.jobs.length ? state.jobs.map(words).join(" · ") : "Nothing is running.";
   if (at("now").textContent !== now) at("now").textContent = now;
   notHeld = state.not_held;
   const alarm = notHeld.map((left) => left.words).join(" ");

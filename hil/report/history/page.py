@@ -34,7 +34,10 @@ def write_trends_page(path: Path, found: Sequence[Group]) -> Path:
     Raises:
         DataError: it cannot be written.
     """
-    shown = [{"group": g, "series": [(s, drawing(s) if s.points else None) for s in g.series]} for g in found]
+    shown = [
+        {"group": g, "series": [(s, drawing(s) if len(s.points) > 1 else None) for s in g.series]}
+        for g in found
+    ]
     template = environment().get_template("trends.html")
     page = template.render(groups=shown, headline=headline(found), width=_WIDTH, height=_HEIGHT)
     return write_text(path, page)
@@ -56,15 +59,17 @@ def drawing(series: Series) -> dict[str, Any]:
     """Places of what is drawn, in px of a picture `_WIDTH` by `_HEIGHT`; runs stand side by side.
 
     Args:
-        series: with at least one value.
+        series: with at least two values.
 
     Returns:
         `points` (x, y, tone, words), `lines` through the points of each stretch, `limits` (y),
         `control` (x, width, top, height, y of the centre), `calibrations` (x, words), `readings` (JSON), and
-        the values at `top` and `bottom`.
+        the values at `top` and `bottom`, empty where nothing that was measured or is a limit is there.
     """
     points, reach = series.points, _span(series)
-    top, bottom = (quantity(value, series.unit) for value in reversed(reach))
+    known = {p.value for p in points} | {series.low, series.high}
+    known |= {v for _, chart in series.stretches for v in (chart.low, chart.high)}
+    top, bottom = (quantity(v, series.unit) if v in known else "" for v in reversed(reach))
     step = (_WIDTH - 2 * _EDGE) / max(1, len(points) - 1)
 
     def y(value: float) -> float:
