@@ -181,10 +181,9 @@ class ControlPipeline:
 
     def _count_from(self, t_ns: int) -> None:
         """Let the reference's time begin, unless another program that drives has yet to begin."""
-        if self._t0_ns is None:
-            self._t0_ns = t_ns
-        elif self.external is not None and not self.external.begun:
-            self._waited_ns += t_ns - self._t0_ns
+        begins = self.external is not None and not self.external.begun
+        if self._t0_ns is None or begins:
+            self._waited_ns += 0 if self._t0_ns is None else t_ns - self._t0_ns
             self._t0_ns = t_ns
 
     def _inflate(self, off_m: float, off_rad: float) -> None:

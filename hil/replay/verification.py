@@ -6,6 +6,7 @@ the limits of `hil.replay.difference_limits`.
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from collections.abc import Iterable
 from typing import Any
@@ -35,22 +36,34 @@ FLIP = (
 """What to know where a flag, a count or an event differs under another arithmetic."""
 
 
+_STOP = re.compile(r"robot stopped \((\w+)\): (.*)", re.DOTALL)
+"""How a `SafetyStop` reads."""
+
+
 class RecordedReferences:
     """The recorded references in their order: stands in for a trajectory that cannot be built again."""
 
     def __init__(self, records: Iterable[CycleRecord] = ()) -> None:
-        self._references = deque(r.reference for r in records)
+        self._records = deque(records)
 
     def add(self, record: CycleRecord) -> None:
         """Take the reference of a further cycle."""
-        self._references.append(record.reference)
+        self._records.append(record)
 
     def __call__(self, t_s: float) -> Reference:
-        """Reference of the next cycle."""
-        reference = self._references.popleft()
-        if reference is None:
-            raise ValueError(f"the recording has no reference at {t_s:.3f} s")
-        return reference
+        """Reference of the next cycle.
+
+        Raises:
+            SafetyStop: the command from outside has stopped the robot there.
+        """
+        record = self._records.popleft()
+        if record.reference is None:
+            said = [e.message for e in record.events if e.level == "error"]
+            found = _STOP.fullmatch(said[-1]) if said else None
+            if found is None:
+                raise ValueError(f"the recording has no reference at {t_s:.3f} s")
+            raise SafetyStop(*found.groups())
+        return record.reference
 
 
 class RecordedCommands:
