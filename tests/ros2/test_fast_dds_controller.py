@@ -5,6 +5,7 @@ import json
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 PATIENCE_S = 600
 pytestmark = [pytest.mark.long, pytest.mark.real_time, pytest.mark.timeout(2 * PATIENCE_S)]
 UP_M = 0.06
+BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "ros2_round_trip.py"
 FOLLOWS = f"""
 import numpy as np
 from hil.procedure import Context, Measurement, procedure
@@ -141,3 +143,16 @@ def test_in_lockstep_one_that_answers_no_more_is_named_and_the_robot_is_held(
     assert told["held"]["state"] == "HELD"
     assert "ros2:/joint_commands" in told["error"]["message"]
     assert "its command did not come" in told["error"]["message"]
+
+
+def test_the_benchmark_finds_answers_in_real_time_and_in_lockstep(wall_line_dds, domain):
+    words = ["--seconds", "1", "--runs", "1", "--domain", str(domain), "--program", str(wall_line_dds)]
+    done = subprocess.run(
+        [sys.executable, str(BENCHMARK), *words], capture_output=True, text=True, timeout=PATIENCE_S
+    )
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    for rate in ("100_hz", "500_hz"):
+        assert 0.0 < told[rate]["answered_in_time_percent"] <= 100.0
+        assert 0.0 < told[rate]["round_trip_ms"]["median"] <= told[rate]["round_trip_ms"]["p99"]
+    assert told["lockstep"]["controller_hz"] > 0.0
