@@ -34,7 +34,7 @@ from hil.support.file_reading import json_value, read_json, toml_tables
 BOUNDED = settings(
     max_examples=20,
     deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
     derandomize=True,
 )
 DEEP_TOML = "a = " + "[" * 100_000
