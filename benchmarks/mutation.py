@@ -127,7 +127,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "coverage": ("hil/datasets/drive_coverage.py", ("tests/calibration/test_coverage_of_a_drive.py",)),
     "copies": (
-        "hil/datasets/duplicate_recordings.py",
+        "hil/datasets/read.py",
         ("tests/recording/test_names_and_copies.py", "-k", "no_copy or another_clock or packed_and"),
     ),
     "unit_factors": ("hil/datasets/unit_factors.py", ("tests/calibration/test_units.py",)),

@@ -6,7 +6,8 @@ Limits are on the last: what a lab may expect of a robot that was commissioned.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
@@ -18,7 +19,6 @@ from hil.config.bench import BenchConfig
 from hil.config.robot_record import PARTS
 from hil.core.geometry import ArrayLike
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedure.ablation import Setting, Table, settings_of
 from hil.procedure.parallel_drives import DriveJob
 from hil.procedure.record_parts import known_parts
 from hil.procedure.tracking_errors import (
@@ -32,6 +32,42 @@ from hil.procedure.worker_processes import Workers
 from hil.procedures.parts import headlines
 from hil.report.ablation_figure import EVERYTHING, NOTHING, ablation_figure
 from hil.robot.trajectories import Trajectory, line
+
+Table = dict[str, dict[str, dict[str, float]]]
+"""Setting -> line -> error, as in the JSON of `hil commission`."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One setting: its name, and the parts that are known in it."""
+
+    name: str
+    known: tuple[str, ...]
+
+
+def settings_of(known: Sequence[str], alone: Collection[str]) -> tuple[Setting, ...]:
+    """Nothing known, each part with what it was measured on top of, everything.
+
+    Parts without a value for the bench file change nothing and have no setting of their own, and neither have
+    signs (without them nothing moves as it should) and what holds the robot.
+
+    Args:
+        known: parts of the record.
+        alone: parts that are tried by themselves.
+    """
+    if not known:
+        return (Setting(NOTHING, ()),)
+    single = []
+    for name in known:
+        if name not in alone or not PARTS[name].keys or name in ("signs", "steering", "hold"):
+            continue
+        below = tuple(n for n in PARTS[name].on if n in known)
+        if {*below, name} == set(known):
+            continue
+        words = [n for n in (*below, name) if n != "signs"]
+        single.append(Setting(f"{' and '.join(words)} known", (*below, name)))
+    return (Setting(NOTHING, ()), *single, Setting(EVERYTHING, tuple(known)))
+
 
 Case = Literal["x_line", "y_line"]
 Jobs = list[tuple[Setting, Case]]

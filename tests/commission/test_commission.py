@@ -17,7 +17,6 @@ from hil.config.robot_record.overlay import identity
 from hil.core.clock import MonotonicClock
 from hil.core.errors import Aborted, ConfigError
 from hil.procedure import BenchSource
-from hil.procedure.ablation import EVERYTHING, NOTHING
 from hil.procedure.commission import Commission, commission, saved_state
 from hil.procedure.commission import run as commission_run
 from hil.procedure.commission.reruns import rests_on, why_again
@@ -28,6 +27,7 @@ from hil.procedure.measurements import Verdict
 from hil.procedure.operator import Terminal, go_ahead
 from hil.procedure.result_files import KEEPING, Failure, Result
 from hil.procedure.stop_requests import Interrupts
+from hil.procedures.wall_ablation import EVERYTHING, NOTHING
 from hil.report import commission_page
 
 TINY = (

@@ -15,9 +15,8 @@ from hil.calibration.synthetic import hidden_robot, make_set
 from hil.cli import main
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
-from hil.datasets.duplicate_recordings import is_copy
 from hil.datasets.plain_csv import write_plain
-from hil.datasets.read import read_recordings
+from hil.datasets.read import is_copy, read_recordings
 
 MOTIONS = ("line_x", "line_y", "rotation_ccw")
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import errno
 import itertools
+import logging
 import os
 import shlex
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +25,6 @@ from hil.core.result_files import JOURNAL, LOST
 from hil.procedure.bench_request import BenchSource
 from hil.procedure.campaign.cases import Case
 from hil.procedure.campaign.dask_run import Unable
-from hil.procedure.campaign.log import named_in_log
 from hil.procedure.campaign.table import Row, missing
 from hil.procedure.campaign.worker_files import packed, unpacked
 from hil.procedure.declaration import Procedure
@@ -36,6 +38,32 @@ from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.stop_requests import PATIENCE_S, Interrupts
 from hil.report.result_file import read_result
 from hil.report.run_page import write_run_page
+
+_CASE: ContextVar[str] = ContextVar("case", default="")
+"""Of the thread: a worker may have several, each with a run of its own."""
+
+
+class _Named(logging.LogRecord):
+    def __init__(self, *arguments: Any, **more: Any) -> None:
+        super().__init__(*arguments, **more)
+        self._case = _CASE.get()
+
+    def getMessage(self) -> str:
+        """The text, behind the case that ran in the thread that logged it."""
+        said = super().getMessage()
+        return f"{self._case}: {said}" if self._case else said
+
+
+@contextmanager
+def named_in_log(case: str) -> Iterator[None]:
+    """What is logged meanwhile in this thread names the case."""
+    logging.setLogRecordFactory(_Named)
+    before = _CASE.set(case)
+    try:
+        yield
+    finally:
+        _CASE.reset(before)
+
 
 FINISHED = ("PASS", "MARGINAL", "FAIL", "ERROR")
 _FULL = tuple(os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT, errno.EROFS))
