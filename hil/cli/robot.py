@@ -146,7 +146,7 @@ def apply(
 
     Example: hil robot apply robot --from calibration.toml --bench my.toml
     """
-    from hil.bench.doctor.record_import import import_record
+    from hil.bench.doctor.robot_record_import import import_record
     from hil.config.loading import load_bench
     from hil.config.robot_record import RobotRecord
     from hil.core.errors import UsageError

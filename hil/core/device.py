@@ -123,7 +123,7 @@ def opens(device: Device) -> bool:
 
 
 class DeviceModel:
-    """One model within a kind. Inherit `SerialModel` or `CanModel` of `hil.devices.link_models` if they fit.
+    """One model within a kind. `SerialModel` and `CanModel` of `hil.devices.serial_and_can_models` fit most.
 
     Attributes:
         kind: name of the kind.
@@ -269,7 +269,7 @@ class DeviceKind:
         return float(getattr(config, "rate_hz", loop_hz))
 
     def checks(self, config: Any) -> Sequence[Any]:
-        """Checks that stop the robot by its samples: `hil.loop.cycle.Check`, new ones for each run.
+        """Checks that stop the robot by its samples: `hil.loop.cycle_data.Check`, new ones for each run.
 
         Args:
             config: table of the device.

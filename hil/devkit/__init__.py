@@ -14,8 +14,8 @@ from hil.core.finding import Finding, Level
 from hil.core.geometry import Array
 from hil.core.signals import Inputs, Stamp, Status
 from hil.devices.doctor_watch import Watched, losses
-from hil.devices.link_models import CanModel, SerialModel
-from hil.loop.cycle import Check, Cycle, LastingCheck
+from hil.devices.serial_and_can_models import CanModel, SerialModel
+from hil.loop.cycle_data import Check, Cycle, LastingCheck
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker as MessageMaker  # it loads rosbags

@@ -32,7 +32,7 @@ from hil.core.signals import (
 from hil.loop.alignment import Alignment
 from hil.loop.checks.adhesion import LETTING_GO
 from hil.loop.checks.loop_pause import HELD_UP_NS, stood_still
-from hil.loop.cycle import NO_INFLATION, Cycle
+from hil.loop.cycle_data import NO_INFLATION, Cycle
 from hil.loop.device_set import DeviceSet
 from hil.loop.restart import Restart
 from hil.loop.supervisor import Supervisor

@@ -12,7 +12,7 @@ from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.checks.sensor_rate import Healthy
 from hil.loop.checks.steering_encoders import SteeringWatch
 from hil.loop.checks.wheel_slip import WheelSlipCheck
-from hil.loop.cycle import Check
+from hil.loop.cycle_data import Check
 
 
 @dataclass(frozen=True)

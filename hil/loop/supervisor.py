@@ -29,7 +29,7 @@ from hil.loop.checks.sensor_rate import SensorRate
 from hil.loop.checks.sensor_status import SensorStatus
 from hil.loop.checks.servos import ServoCheck
 from hil.loop.checks.state_valid import ObserverCheck, UsableCheck
-from hil.loop.cycle import NO_INFLATION, Check, Cycle, LastCycle
+from hil.loop.cycle_data import NO_INFLATION, Check, Cycle, LastCycle
 from hil.loop.safety import Checks, SafetyLimits
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from hil.core.errors import ConfigError, RecordingError
 from hil.procedure import hold_history, path_history
 from hil.procedure.bench_request import BenchSource
-from hil.procedure.hold_record import HoldRecord
+from hil.procedure.final_hold import HoldRecord
 from hil.procedure.operator import go_ahead
 from hil.procedure.parallel_drives import DriveJob, Driven, Result, Sent, driven
 from hil.procedure.run_journal import PastRun

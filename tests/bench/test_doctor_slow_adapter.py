@@ -9,7 +9,7 @@ import pytest
 
 import hil
 from hil.bench.doctor.examination import examine
-from hil.bench.doctor.host_findings import Host
+from hil.bench.doctor.port_findings import Host
 from hil.bench.drivers import make_device_set
 from hil.bench.emulation import build_world, connect_in_process
 from hil.config.loading import load_bench

@@ -20,7 +20,7 @@ from hil.core.signals import (
 )
 from hil.loop.checks.disagreement import Disagreement
 from hil.loop.checks.sensor_rate import Healthy
-from hil.loop.cycle import Check
+from hil.loop.cycle_data import Check
 from hil.loop.safety import Checks, SafetyLimits
 
 CYCLE_NS = 10_000_000

@@ -22,7 +22,7 @@ from hil.core.errors import ConfigError, DeviceError, FaultNotSupportedError, Sa
 from hil.core.signals import Status
 from hil.datasets.export import added_columns
 from hil.fakes.world import VirtualClock
-from hil.loop.cycle import LastingCheck
+from hil.loop.cycle_data import LastingCheck
 from hil.monitor.plot_series import SeriesCollector, conditions
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.ros_types import from_cdr

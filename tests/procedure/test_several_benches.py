@@ -12,7 +12,7 @@ from hil.core.errors import Aborted, SafetyStop
 from hil.fakes.fault import parse_fault
 from hil.procedure import Measurement, procedure
 from hil.procedure.bench_request import BenchSource
-from hil.procedure.hold_record import HoldRecord
+from hil.procedure.final_hold import HoldRecord
 from hil.procedure.parallel_drives import DriveJob
 from hil.procedure.run_journal import Journal, read_journal
 from hil.procedure.runner import RunOptions, run_procedure

@@ -11,7 +11,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from hil.bench import open_bench
-from hil.bench.doctor.record_import import import_record
+from hil.bench.doctor.robot_record_import import import_record
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.config.robot_record import Figure, NewPart, Part, RobotRecord

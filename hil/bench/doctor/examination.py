@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from hil.bench.bench import Bench
-from hil.bench.doctor.host_findings import Host, host_findings
 from hil.bench.doctor.inertial_offsets import changed_between
+from hil.bench.doctor.port_findings import Host, host_findings
 from hil.bench.doctor.steering_offsets import slipped_between
 from hil.bench.drivers import model_of
 from hil.bench.hold.tilt import tilt_finding

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.bench.doctor.host_findings import T265_IDS, real_ports
 from hil.bench.doctor.host_usb import UsbDevice, behind
+from hil.bench.doctor.port_findings import T265_IDS, real_ports
 from hil.config.bench import BenchConfig
 from hil.config.tracker import T265Config
 

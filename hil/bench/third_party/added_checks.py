@@ -11,7 +11,7 @@ from hil.config.bench import BenchConfig
 from hil.core.further_device import FurtherKind
 from hil.core.package_errors import OURS, PackageError, asked, blamed
 from hil.core.registry import base_of, kinds
-from hil.loop.cycle import Check, Cycle, LastingCheck
+from hil.loop.cycle_data import Check, Cycle, LastingCheck
 
 _REASON = re.compile(r"[a-z][a-z0-9_]*")
 

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from hil.config.adhesion import VescConfig
 from hil.core.device import Found, Search, loaded
 from hil.devices.adhesion.vesc_discovery import controllers
-from hil.devices.link_models import CanModel
+from hil.devices.serial_and_can_models import CanModel
 
 
 class DaemonFan(CanModel):

@@ -12,7 +12,7 @@ from hil.core.device import DeviceKind, Topic
 from hil.core.finding import Finding, Level
 from hil.core.signals import SERVOS, WHEELS, EncoderSample
 from hil.devices.doctor_watch import Watched, losses
-from hil.devices.link_models import CanModel
+from hil.devices.serial_and_can_models import CanModel
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker

@@ -14,7 +14,7 @@ from hil.core.geometry import Array
 from hil.core.signals import ImuSample, Status
 from hil.devices.doctor_watch import Watched, losses
 from hil.devices.imu.microstrain import MicroStrain
-from hil.devices.link_models import SerialModel
+from hil.devices.serial_and_can_models import SerialModel
 from hil.robot.statics import GRAVITY_M_S2
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from hil.core.device import DeviceKind, Figures, Plot, Topic
 from hil.core.finding import Finding, Level
 from hil.core.signals import Inputs, LoadCellSample, Status
 from hil.devices.doctor_watch import Watched, losses
-from hil.devices.link_models import CanModel, SerialModel
+from hil.devices.serial_and_can_models import CanModel, SerialModel
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker

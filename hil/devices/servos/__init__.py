@@ -15,7 +15,7 @@ from hil.core.finding import Finding
 from hil.core.geometry import Array
 from hil.core.signals import SERVOS, Inputs, ServoSample, worst
 from hil.devices.doctor_watch import Watched, losses
-from hil.devices.link_models import SerialModel
+from hil.devices.serial_and_can_models import SerialModel
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker

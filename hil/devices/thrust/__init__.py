@@ -13,7 +13,7 @@ from hil.core.device import DeviceKind, Figures, Force, Plot, Topic
 from hil.core.finding import Finding
 from hil.core.signals import Inputs, Status, ThrustSample
 from hil.devices.doctor_watch import Watched
-from hil.devices.link_models import SerialModel
+from hil.devices.serial_and_can_models import SerialModel
 from hil.devices.thrust.vesc import VescPropellers
 
 if TYPE_CHECKING:

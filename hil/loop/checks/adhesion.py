@@ -15,7 +15,7 @@ from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.interfaces import ReportStop
 from hil.core.signals import WHEELS, AdhesionSample, Event, Inputs, LoadCellSample, Status, ThrustSample
 from hil.loop.checks.force_trend import ForceTrend
-from hil.loop.cycle import Check, Cycle, go_on
+from hil.loop.cycle_data import Check, Cycle, go_on
 from hil.robot.statics import Statics
 
 _FALLING_N_S = -3.0

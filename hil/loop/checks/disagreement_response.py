@@ -11,7 +11,7 @@ from hil.loop.checks.exclusion import Exclusion
 from hil.loop.checks.fall import look_at
 from hil.loop.checks.motion_agreement import MotionCheck
 from hil.loop.checks.servos import ServoCheck
-from hil.loop.cycle import Check, Cycle
+from hil.loop.cycle_data import Check, Cycle
 from hil.loop.safety import Checks
 
 

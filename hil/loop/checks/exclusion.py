@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from hil.core.signals import Event, Measurements
 from hil.loop.checks.disagreement import Disagreement
-from hil.loop.cycle import Cycle
+from hil.loop.cycle_data import Cycle
 
 _MEASURED = {"tracker": "tracker", "imu": "gyro", "mocap": "mocap"}
 """Fields of `Measurements` by device."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from hil.core.interfaces import ReportStop
 from hil.core.signals import Inputs, Status
-from hil.loop.cycle import Check, Cycle
+from hil.loop.cycle_data import Check, Cycle
 
 _OK = Status.OK
 _SAMPLES = 3

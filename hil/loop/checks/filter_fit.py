@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from hil.core.signals import Event, RobotState
-from hil.loop.cycle import Check, Cycle
+from hil.loop.cycle_data import Check, Cycle
 
 _MOST, _CALM = 2.5, 1.5
 """Mean normalised innovation squared at which a warning is given, and below which it may be given again;

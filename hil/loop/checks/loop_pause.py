@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from hil.core.clock import NS_PER_S
 from hil.core.interfaces import ReportStop
-from hil.loop.cycle import Check, Cycle
+from hil.loop.cycle_data import Check, Cycle
 
 HELD_UP_NS = 500_000_000
 _PAUSE_NS, _PAUSE_CYCLES, _FRESH_NS = 60_000_000, 3, 1_000_000_000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hil.loop.checks.exclusion import Exclusion
 from hil.loop.checks.sensor_status import SensorStatus
-from hil.loop.cycle import Check, Cycle
+from hil.loop.cycle_data import Check, Cycle
 from hil.loop.safety import Checks
 
 

@@ -19,7 +19,7 @@ from hil.core.signals import Event, RobotState
 from hil.loop.checks.dead_reckoning import Kept, Track
 from hil.loop.checks.disagreement import CAMERA, STEP_NS, WHEELS, MotionSource, Relocalisation
 from hil.loop.checks.mocap_agreement import CAPTURE, GAP_NS, MocapAgreement
-from hil.loop.cycle import Check, Cycle
+from hil.loop.cycle_data import Check, Cycle
 
 _SIGMAS, _SLACK_M, _WARN_M, _QUIET_M = 3.0, 0.0043, 0.006, 0.002
 """The estimate covers what is within so many of its sigmas and so much beside (5 mm are promised). A

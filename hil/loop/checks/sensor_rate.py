@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.signals import Event, Inputs, Status, samples_of, worst
-from hil.loop.cycle import Check, Cycle
+from hil.loop.cycle_data import Check, Cycle
 
 _OK = Status.OK
 _WINDOW_NS = 1_000_000_000

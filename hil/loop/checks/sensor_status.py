@@ -10,7 +10,7 @@ from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.nonfinite import unsaid_holes
 from hil.core.registry import further, kinds
 from hil.core.signals import Event, Inputs, Status, samples_of, worst
-from hil.loop.cycle import Check, Cycle
+from hil.loop.cycle_data import Check, Cycle
 
 _OK = Status.OK
 _FORGOTTEN_NS = 1_000_000_000

@@ -13,7 +13,7 @@ from hil.core.geometry import wrap
 from hil.core.interfaces import ReportStop
 from hil.core.signals import SERVOS, WHEELS, EncoderSample, Event, Inputs, ServoSample, Status
 from hil.loop.checks.dead_reckoning import FASTEST_RAD_S, STEP_RAD
-from hil.loop.cycle import Check, Cycle
+from hil.loop.cycle_data import Check, Cycle
 
 _BLOCKED_NS, _STANDING_NS = 500_000_000, 150_000_000
 _BLOCKED_RATE_RAD_S, _BLOCKED_RAD = 0.5, 0.05

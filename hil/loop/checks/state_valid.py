@@ -12,7 +12,7 @@ from collections.abc import Callable
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import SafetyStop
 from hil.core.signals import Event, RobotState
-from hil.loop.cycle import Check, Cycle
+from hil.loop.cycle_data import Check, Cycle
 
 _OLD_NS = nanoseconds(0.1)
 """As old as the servos' angles may be that it is made of."""

@@ -15,7 +15,7 @@ from hil.config.encoders import EncodersConfig
 from hil.core.geometry import wrap
 from hil.core.interfaces import ReportStop
 from hil.core.signals import WHEELS, Event, Inputs, Measurements
-from hil.loop.cycle import Check, Cycle, go_on
+from hil.loop.cycle_data import Check, Cycle, go_on
 
 _SETTLED_RAD = 0.016
 _LEARN, _ASTRAY_RAD = 5, 0.15

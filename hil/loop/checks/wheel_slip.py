@@ -20,7 +20,7 @@ from hil.core.clock import NS_PER_S
 from hil.core.geometry import Array
 from hil.core.signals import SERVOS, WHEELS, Event, WheelMeasurement
 from hil.loop.checks.dead_reckoning import FASTEST_RAD_S, STEP_RAD
-from hil.loop.cycle import Check, Cycle
+from hil.loop.cycle_data import Check, Cycle
 from hil.robot.kinematics import WheelGeometry
 
 _STEP_NS, _WINDOW_NS = 78_000_000, 400_000_000

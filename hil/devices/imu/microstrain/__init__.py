@@ -16,7 +16,7 @@ from hil.core.signals import Status
 from hil.devices.doctor_watch import LOSS_FAILURE, LOSS_WARNING, Watched
 from hil.devices.imu.microstrain import mip_fields as f
 from hil.devices.imu.microstrain.config import MicrostrainConfig
-from hil.devices.link_models import SerialModel
+from hil.devices.serial_and_can_models import SerialModel
 
 if TYPE_CHECKING:
     from hil.devices.imu.microstrain.driver import MicrostrainImu

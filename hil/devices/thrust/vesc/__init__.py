@@ -7,7 +7,7 @@ from typing import Any
 from hil.config.adhesion import VescConfig
 from hil.core.device import Found, Search
 from hil.devices.adhesion.vesc_discovery import controllers
-from hil.devices.link_models import CanModel
+from hil.devices.serial_and_can_models import CanModel
 from hil.devices.thrust.vesc.config import MOST_CONTROLLERS, VescThrustConfig
 
 _HERE = "hil.devices.thrust.vesc"
