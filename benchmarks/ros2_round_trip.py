@@ -174,7 +174,7 @@ class Watch:
         if self._cycle == self._skip:
             self._first = self._now()
 
-    def told(self) -> tuple[float, float, float]:
+    def figures(self) -> tuple[float, float, float]:
         """Wall-clock time, and processor time of bench and controller, of a cycle, in ms."""
         assert self._first is not None
         since = zip(self._first, self._now(), strict=True)
@@ -186,7 +186,7 @@ class Watch:
 
 
 def driven(domain: int, program: Path | None) -> tuple[float, float, float]:
-    """`Watch.told` of a line in virtual time: by the bench's own law, or by the controller."""
+    """`Watch.figures` of a line in virtual time: by the bench's own law, or by the controller."""
     if program is None:
         return _drive(BenchSource(BENCH), None)
     publisher = Ros2Publisher(Network(domain), TOPIC)
@@ -205,7 +205,7 @@ def _drive(source: BenchSource, pid: int | None) -> tuple[float, float, float]:
         pose = bench.settle()
         way = line(pose, pose + np.array([_LINE_M, 0, 0]), duration_s=_LINE_S)
         bench.drive(way, start_pose=pose, hold_s=0.5, on_cycle=watch)
-        return watch.told()
+        return watch.figures()
 
 
 def in_lockstep(domain: int, program: Path, runs: int) -> dict[str, float]:
@@ -242,14 +242,14 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         program = arguments.program or built(folder)
         header, cycles = recorded()
-        told: dict[str, Any] = {"load_before": load, "processors": os.cpu_count()}
+        figures: dict[str, Any] = {"load_before": load, "processors": os.cpu_count()}
         for rate_hz in RATES_HZ:
-            told[f"{rate_hz}_hz"] = in_real_time(
+            figures[f"{rate_hz}_hz"] = in_real_time(
                 rate_hz, arguments.seconds, arguments.domain, program, header, cycles
             )
-        told["lockstep"] = in_lockstep(arguments.domain, program, arguments.runs)
-    told["stolen_ms"] = 1e3 * (stolen_s() - stolen)
-    print(json.dumps(told, indent=1))
+        figures["lockstep"] = in_lockstep(arguments.domain, program, arguments.runs)
+    figures["stolen_ms"] = 1e3 * (stolen_s() - stolen)
+    print(json.dumps(figures, indent=1))
 
 
 if __name__ == "__main__":

@@ -70,7 +70,7 @@ class Ros2Program:
                 return True
             if not warned and record.start_ns - begun_ns > _PATIENCE_NS:
                 warned = True
-                LOG.warning("%s", self._topic.why_nobody())
+                LOG.warning("%s", self._topic.why_none())
             return False
 
         bench.run(bench.make_pipeline(None, feedback=start.feedback), start, until)

@@ -16,7 +16,7 @@ from hil.core.external_commands import ExternalCommands
 from hil.core.signals import CycleRecord
 from hil.ros2.command_topic import ALL_BUT_ONE, CommandTopic, commands_of
 
-LOCKSTEP, PUBLISHERS, NOBODY = "ros2_lockstep", "ros2_publishers", "ros2_nobody"
+LOCKSTEP, PUBLISHERS, NO_COMMAND = "ros2_lockstep", "ros2_publishers", "ros2_no_command"
 """Reasons to stop."""
 _AGAIN_NS = 20_000_000
 _STATES_AGAIN = 25
@@ -144,7 +144,7 @@ class Exchange:
         limit_s = self._config.start_timeout_s
         if self._heard or self._patient or now_ns - self._began_ns <= nanoseconds(limit_s):
             return None
-        return ExternalCommands((), NOBODY, f"no command within {limit_s:g} s: {self._why()}")
+        return ExternalCommands((), NO_COMMAND, f"no command within {limit_s:g} s: {self._why()}")
 
     def _unanswered(self, cycle: int, limit_s: float, others: int) -> str:
         why = self._why()
@@ -157,7 +157,7 @@ class Exchange:
 
     def _why(self) -> str:
         if not self._topic.publishers():
-            return self._topic.why_nobody()
+            return self._topic.why_none()
         return (
             f"{self._topic.where} has a publisher that sends nothing; look at what it waits for; for "
             "ros2_control's topic-based hardware set trigger_joint_command_threshold to -1"

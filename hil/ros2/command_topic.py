@@ -76,7 +76,7 @@ class CommandTopic:
         """Type and bytes of what has come since the last call, in order within each type; never blocks."""
         return [(kind, data) for kind, reader in self._readers.items() for data in reader.take()]
 
-    def why_nobody(self) -> str:
+    def why_none(self) -> str:
         """Where a publisher was looked for, and what else is there."""
         found = f"nothing publishes {self.where}"
         others = ", ".join(self._participant.other_types(self.name, self._types))

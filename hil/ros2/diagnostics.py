@@ -32,8 +32,8 @@ class Diagnostics:
             t_ns: bench time.
             events: of the cycle.
         """
-        told = [self._status(_LEVELS.get(e.level, _WARN), e.source, e.message, {}) for e in events]
-        return self._array(t_ns, told)
+        statuses = [self._status(_LEVELS.get(e.level, _WARN), e.source, e.message, {}) for e in events]
+        return self._array(t_ns, statuses)
 
     def held(self, t_ns: int, held: Mapping[str, object]) -> bytes:
         """How the robot was left.

@@ -67,7 +67,7 @@ class Ros2Controller(ExternalController):
         self._steer_sign = np.array(alignment.steer_sign, dtype=np.float64)
         self._zero_rad = np.array(alignment.steer_zero_rad, dtype=np.float64)
         self._late_ns = nanoseconds(limits.late_after_s)
-        self.ask = _nobody
+        self.ask = _no_program
         self.heard: ExternalCommands | None = None
         self.reset()
 
@@ -205,6 +205,6 @@ class Ros2Controller(ExternalController):
         raise SafetyStop(reason, f"{self._topic} {what}; {remedy}")
 
 
-def _nobody(_: CycleRecord) -> ExternalCommands:
+def _no_program(_: CycleRecord) -> ExternalCommands:
     """What a program says that nothing is attached to."""
     return ExternalCommands()

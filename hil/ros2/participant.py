@@ -125,7 +125,7 @@ class Participant:
         self._writers[name] = made, DataWriter(self._participant, topic, _quality(name))
 
     def write(self, name: str, data: bytes) -> None:
-        """Send a message, as CDR; what is not taken is counted, and told once. Never raises."""
+        """Send a message, as CDR; what is not taken is counted, and logged once. Never raises."""
         made, writer = self._writers[name]
         try:
             writer.write(made(data))

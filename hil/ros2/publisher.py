@@ -110,7 +110,7 @@ class _Messages:
         publisher: by which they go out.
         header: of the bench.
         wall_ns: ROS time at the bench clock's zero.
-        passed: told the ROS time of every cycle; None in real time, where there is no `/clock`.
+        passed: called with the ROS time of every cycle; None in real time, where there is no `/clock`.
     """
 
     def __init__(
@@ -185,7 +185,7 @@ class _Messages:
         self._participant.write(diagnostics.TOPIC, self._diagnostics.held(t_ns, held))
 
     def attempt(self, send: Callable[[], None]) -> None:
-        """Send something; what cannot be encoded is counted, and told once."""
+        """Send something; what cannot be encoded is counted, and logged once."""
         try:
             send()
         except HilError:  # of a signal's handler

@@ -91,7 +91,7 @@ def test_a_killed_caller_leaves_the_robot_held_and_the_place_free(lab):
 
 
 def test_a_connection_that_is_cut_leaves_the_robot_held_and_the_place_free(lab):
-    """Nothing comes through any more, and neither end is told so."""
+    """Nothing comes through any more, and neither end is informed."""
     lab.call("anna", "run", "slow.py")
     wait_for((lab.bench / "begun").exists)
     for number in lab.of_this_lab("ssh"):

@@ -76,12 +76,12 @@ def main():
     reliability = Policy.Reliability.Reliable(duration(milliseconds=100))
     quality = Qos(reliability, Policy.Durability.Volatile, Policy.History.KeepLast(10), representation)
     writer = DataWriter(participant, Topic(participant, f"rt{name}", type(message)), quality)
-    told = False
+    reported = False
     print("begun", flush=True)
     while not select.select([sys.stdin], [], [], 1.0 / float(rate_hz))[0]:
         if writer.get_matched_subscriptions():
-            if not told:
-                told = True
+            if not reported:
+                reported = True
                 print("matched", flush=True)
             writer.write(message)
     time.sleep(0.1)

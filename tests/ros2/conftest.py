@@ -1,4 +1,4 @@
-"""A domain of DDS that nobody is in, and programs that listen there."""
+"""A free domain of DDS, and programs that listen there."""
 
 import json
 import os

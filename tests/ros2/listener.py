@@ -228,7 +228,7 @@ def main():
     everything = SampleState.Any | ViewState.Any | InstanceState.Any
     heard = {name: [] for name in names}
     matched = ended = gone = None
-    told = False
+    reported = False
     until = time.monotonic() + PATIENCE_S
     while gone is None and time.monotonic() < until:
         for name, reader in readers.items():
@@ -240,8 +240,8 @@ def main():
         if matched is None and all(writers):
             matched = True
             print("matched", flush=True)
-        if not told and len(heard[names[0]]) >= 20:
-            told = True
+        if not reported and len(heard[names[0]]) >= 20:
+            reported = True
             print("heard", flush=True)
         if ended is None:
             if select.select([sys.stdin], [], [], 0.001)[0] and not sys.stdin.readline():

@@ -98,10 +98,10 @@ def test_a_velocity_rolls_the_wheels_as_a_rigid_body_within_the_limits():
     angle = setpoint.steering_rad + model.geometry.steering_zero_rad
     speed = setpoint.wheel_rate_rad_s * model.geometry.radius_m
     # the wheels were measured at rest all the while, so that cosines of the angles still to turn slow them
-    told = np.column_stack([np.cos(angle), np.sin(angle)]).ravel() * np.repeat(np.sign(speed), 2)
+    answer = np.column_stack([np.cos(angle), np.sin(angle)]).ravel() * np.repeat(np.sign(speed), 2)
     there = (model.geometry.projection() @ wanted).reshape(4, 2)
     there /= np.hypot(*there.T)[:, None]
-    np.testing.assert_allclose(told.reshape(4, 2), there, atol=1e-9)
+    np.testing.assert_allclose(answer.reshape(4, 2), there, atol=1e-9)
     fast = after(external, 5, twist(0, 9.0, 0, 0, 0, 0, 0))
     assert np.abs(fast.wheel_rate_rad_s * model.geometry.radius_m).max() <= 0.122 + 1e-9
 
@@ -127,9 +127,9 @@ assert len(WHEELS) == len(STEER)
 
 @pytest.mark.parametrize("wrong", WRONG)
 def test_what_a_command_cannot_mean_stops_the_robot_by_name(wrong):
-    command, told = WRONG[wrong]
+    command, answer = WRONG[wrong]
     external, _ = controller()
-    with pytest.raises(SafetyStop, match=told) as stop:
+    with pytest.raises(SafetyStop, match=answer) as stop:
         asked(external, 1, command)
     assert stop.value.reason == "ros2_command"
     assert "/joint_commands" in str(stop.value)

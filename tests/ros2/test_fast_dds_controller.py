@@ -105,9 +105,9 @@ def recorded(folder):
 @pytest.mark.parametrize(("commands", "topic"), [("joints", "/joint_commands"), ("twist", "/cmd_vel")])
 def test_in_lockstep_the_robot_follows(commands, topic, tmp_path, domain, program):
     program("--commands", commands)
-    code, told, err = ended(lockstep(tmp_path, domain, "out", topic))
+    code, answer, err = ended(lockstep(tmp_path, domain, "out", topic))
     assert code == 0, err
-    assert told["held"]["state"] == "HELD"
+    assert answer["held"]["state"] == "HELD"
 
 
 def test_in_lockstep_a_run_repeats_itself(tmp_path, domain, program):
@@ -136,13 +136,13 @@ def test_in_lockstep_one_that_answers_no_more_is_named_and_the_robot_is_held(
     try:
         assert controller.stdout.readline() == "begun\n"
         controller.send_signal(ends_by)
-        code, told, err = ended(run)
+        code, answer, err = ended(run)
     finally:
         run.kill()
     assert code == 3, err
-    assert told["held"]["state"] == "HELD"
-    assert "ros2:/joint_commands" in told["error"]["message"]
-    assert "its command did not come" in told["error"]["message"]
+    assert answer["held"]["state"] == "HELD"
+    assert "ros2:/joint_commands" in answer["error"]["message"]
+    assert "its command did not come" in answer["error"]["message"]
 
 
 def test_the_benchmark_finds_answers_in_real_time_and_in_lockstep(wall_line_dds, domain):
@@ -151,8 +151,8 @@ def test_the_benchmark_finds_answers_in_real_time_and_in_lockstep(wall_line_dds,
         [sys.executable, str(BENCHMARK), *words], capture_output=True, text=True, timeout=PATIENCE_S
     )
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
+    answer = json.loads(done.stdout)
     for rate in ("100_hz", "500_hz"):
-        assert 0.0 < told[rate]["answered_in_time_percent"] <= 100.0
-        assert 0.0 < told[rate]["round_trip_ms"]["median"] <= told[rate]["round_trip_ms"]["p99"]
-    assert told["lockstep"]["controller_hz"] > 0.0
+        assert 0.0 < answer[rate]["answered_in_time_percent"] <= 100.0
+        assert 0.0 < answer[rate]["round_trip_ms"]["median"] <= answer[rate]["round_trip_ms"]["p99"]
+    assert answer["lockstep"]["controller_hz"] > 0.0

@@ -83,10 +83,10 @@ def test_joint_commands_drive_a_live_session_and_not_before_they_come(tmp_path, 
     with driver(domain, {**ROLLS, "after": 200, "then": {"velocity": [0.0] * 4}}):
         time.sleep(6.0)
         running.send_signal(signal.SIGTERM)
-        code, told, err = ended(running)
+        code, answer, err = ended(running)
     assert code == 4, err
-    assert told["held"]["state"] in ("HELD", "not needed")
-    assert told["commands"]["cycles"] > 50
+    assert answer["held"]["state"] in ("HELD", "not needed")
+    assert answer["commands"]["cycles"] > 50
     cycles = list(read_cycles(tmp_path / "r.mcap"))
     rates = np.array([c.setpoint.wheel_rate_rad_s for c in cycles])
     first = next(k for k, c in enumerate(cycles) if c.external is not None and c.external.commands)
@@ -99,7 +99,7 @@ def test_joint_commands_drive_a_live_session_and_not_before_they_come(tmp_path, 
 @pytest.mark.real_time
 @pytest.mark.timeout(PATIENCE_S + 60)
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "answer"),
     [
         ({"limit": 40}, "no command for"),
         ({"on": 0.8}, "no command for"),
@@ -107,12 +107,14 @@ def test_joint_commands_drive_a_live_session_and_not_before_they_come(tmp_path, 
         ({"stamp": 5}, "do not go on"),
     ],
 )
-def test_a_program_that_is_killed_slow_or_wrong_stops_a_live_session(settings, told, tmp_path, domain, live):
+def test_a_program_that_is_killed_slow_or_wrong_stops_a_live_session(
+    settings, answer, tmp_path, domain, live
+):
     running = live("--duration", "60")
     with driver(domain, {**ROLLS, **settings}):
         code, summary, err = ended(running)
     assert code == 3, err
-    assert told in summary["ended"]
+    assert answer in summary["ended"]
     assert summary["held"]["state"] in ("HELD", "not needed")
     last = list(read_cycles(tmp_path / "r.mcap"))[-1]
     assert not last.command.drive_velocity_rad_s.any()

@@ -95,8 +95,8 @@ def test_without_copied_stamps_a_run_is_said_to_be_only_synchronised(settings, t
     with driver(domain, {**FOLLOWS, "follow": 0.0, **settings}):
         motion, bench = drive(domain, path)
     assert any("synchronised" in warning for warning in bench.warnings)
-    told = [e.message for r in motion.records for e in r.events if "synchronised" in e.message]
-    assert len(told) == 1
+    answer = [e.message for r in motion.records for e in r.events if "synchronised" in e.message]
+    assert len(answer) == 1
     assert verdict(path) == "identical"
 
 
@@ -116,22 +116,22 @@ STOPS = {
 
 @pytest.mark.parametrize("case", STOPS)
 def test_a_program_that_fails_stops_the_robot_by_name_and_replay_agrees(case, tmp_path, domain):
-    settings, overrides, reason, told = STOPS[case]
+    settings, overrides, reason, answer = STOPS[case]
     path = tmp_path / "r.mcap"
-    with driver(domain, settings), pytest.raises(SafetyStop, match=told) as stop:
+    with driver(domain, settings), pytest.raises(SafetyStop, match=answer) as stop:
         drive(domain, path, overrides)
     assert stop.value.reason == reason
     last = list(read_cycles(path))[-1]
     assert not last.command.drive_velocity_rad_s.any()
-    assert told in last.events[-1].message
+    assert answer in last.events[-1].message
     assert verdict(path) == "identical"
 
 
 def test_without_a_publisher_nothing_moves_and_it_says_where_it_looked(tmp_path, domain):
     with driver(domain, FOLLOWS, "/other"), pytest.raises(SafetyStop) as stop:
         drive(domain, tmp_path / "r.mcap", HASTY)
-    for told in (TOPIC, "sensor_msgs/JointState", f"domain {domain}", "LOCALHOST"):
-        assert told in str(stop.value)
+    for answer in (TOPIC, "sensor_msgs/JointState", f"domain {domain}", "LOCALHOST"):
+        assert answer in str(stop.value)
     cycles = list(read_cycles(tmp_path / "r.mcap"))
     positions = np.array([c.inputs.servos[-1].position_rad for c in cycles if c.inputs.servos])
     assert np.ptp(positions, axis=0).max() < 0.01

@@ -168,10 +168,10 @@ def test_diagnostics_name_the_stop_and_how_the_robot_was_left(publisher, listen)
             bench.drive(line((0.0, 0.0, 0.0), (0.3, 0.0, 0.0)))
     publisher.close()
     heard, _ = listener.heard()
-    told = [status for m in heard["/diagnostics"] for status in read("/diagnostics", m).status]
-    errors = [s for s in told if s.level == 2 and s.name != "hil: held"]
+    answer = [status for m in heard["/diagnostics"] for status in read("/diagnostics", m).status]
+    errors = [s for s in answer if s.level == 2 and s.name != "hil: held"]
     assert errors[-1].message == str(ended.value)
-    (held,) = (s for s in told if s.name == "hil: held")
+    (held,) = (s for s in answer if s.name == "hil: held")
     assert held.message == f"{bench.held.state}: {bench.held.why}"
     assert held.level == (0 if bench.held.state == "HELD" else 2)
-    assert {s.hardware_id for s in told} == {bench.config.name}
+    assert {s.hardware_id for s in answer} == {bench.config.name}

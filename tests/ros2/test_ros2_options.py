@@ -167,7 +167,7 @@ def test_nothing_leaves_this_computer_unless_an_interface_is_named(domain, named
 
 
 @pytest.mark.parametrize(
-    ("options", "environment", "told"),
+    ("options", "environment", "answer"),
     [
         (("--ros2-domain", "3"), {}, "--ros2"),
         (("--ros2-interface", "eth0"), {}, "--ros2"),
@@ -179,7 +179,7 @@ def test_nothing_leaves_this_computer_unless_an_interface_is_named(domain, named
 )
 @pytest.mark.parametrize("words", [("live",), ("run", "bring_up", "--quick")])
 def test_what_cannot_be_meant_is_refused_before_anything_opens(
-    words, options, environment, told, tmp_path, monkeypatch, capsys
+    words, options, environment, answer, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
@@ -187,7 +187,7 @@ def test_what_cannot_be_meant_is_refused_before_anything_opens(
         monkeypatch.setenv(name, value)
     assert main([*words, *options]) == 2
     error = capsys.readouterr().err
-    assert told in error
+    assert answer in error
     assert "Traceback" not in error
     assert not any(tmp_path.rglob("*.mcap"))
 
@@ -238,18 +238,18 @@ def test_a_topic_has_the_name_that_the_bench_file_gives_it(domain, listen):
 
 
 @pytest.mark.parametrize(
-    ("names", "told"),
+    ("names", "answer"),
     [
         ({"/nosuch": "/other"}, "/nosuch"),
         ({"joint states": "/other"}, "joint states"),
         ({"/imu/data": "/same", "/joint_states": "/same"}, "one name"),
     ],
 )
-def test_names_that_cannot_be_meant_are_refused(names, told, domain):
+def test_names_that_cannot_be_meant_are_refused(names, answer, domain):
     publisher = Ros2Publisher(Network(domain))
     source = BenchSource("emulated", publish=publisher.sink, overrides={"ros2.names": names})
     try:
-        with pytest.raises(ConfigError, match=told):
+        with pytest.raises(ConfigError, match=answer):
             source.open()
     finally:
         publisher.close()

@@ -37,5 +37,5 @@ def test_cyclonedds_ls_lists_the_topics_with_the_types_of_ros(domain):
     finally:
         bench.close()
     assert done.returncode == 0, done.stderr
-    for told in ("rt/joint_states", "rt/odom", "rt/joint_commands", "sensor_msgs::msg::dds_::JointState_"):
-        assert told in done.stdout
+    for answer in ("rt/joint_states", "rt/odom", "rt/joint_commands", "sensor_msgs::msg::dds_::JointState_"):
+        assert answer in done.stdout

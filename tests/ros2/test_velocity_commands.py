@@ -104,11 +104,11 @@ def test_it_drives_as_commanded_and_not_before(kind, tmp_path, live, command, mo
     assert command(kind, "linear.x=0.05", "angular.z=0.02").stdout.readline() == "matched\n"
     time.sleep(2.5)
     running.send_signal(signal.SIGTERM)
-    code, told, err = ended(running)
+    code, answer, err = ended(running)
     assert code == 4, err
-    assert told["commands"]["accepted"] > 20
-    assert told["commands"]["refused"] == 0
-    assert told["held"]["state"] in ("HELD", "not needed")
+    assert answer["commands"]["accepted"] > 20
+    assert answer["commands"]["refused"] == 0
+    assert answer["held"]["state"] in ("HELD", "not needed")
     cycles = [c for c in read_cycles(tmp_path / "r.mcap") if np.isfinite(c.state.covariance).all()]
     speeds = np.array([np.zeros(3) if c.reference is None else c.reference.twist_body for c in cycles])
     still = np.argmax(speeds.any(axis=1))
@@ -123,14 +123,14 @@ def test_it_drives_as_commanded_and_not_before(kind, tmp_path, live, command, mo
 @pytest.mark.real_time
 @pytest.mark.timeout(PATIENCE_S + 60)
 @pytest.mark.parametrize(
-    ("fields", "told"),
+    ("fields", "answer"),
     [
         (("linear.x=nan",), "not finite"),
         (("angular.z=inf",), "not finite"),
         (("linear.z=0.1",), "off the wall"),
     ],
 )
-def test_what_it_cannot_mean_stops_the_robot_by_name(fields, told, tmp_path, live, command, listen):
+def test_what_it_cannot_mean_stops_the_robot_by_name(fields, answer, tmp_path, live, command, listen):
     running = live("--duration", "60")
     listener = listen("/joint_states")
     command("Twist", *fields)
@@ -138,11 +138,11 @@ def test_what_it_cannot_mean_stops_the_robot_by_name(fields, told, tmp_path, liv
     _, gone_after_s = listener.heard()
     assert code == 3
     assert gone_after_s < 5.0, "it says goodbye: others do not take it for alive"
-    assert told in summary["ended"]
+    assert answer in summary["ended"]
     assert "/cmd_vel" in summary["ended"]
     assert summary["held"]["state"] in ("HELD", "not needed")
     last = list(read_cycles(tmp_path / "r.mcap"))[-1]
-    assert told in last.events[-1].message
+    assert answer in last.events[-1].message
     assert not last.setpoint.wheel_rate_rad_s.any()
     assert verdict(tmp_path / "r.mcap") == "identical"
 
@@ -185,17 +185,17 @@ def test_without_a_publisher_it_says_where_it_looked_and_which_other_type_it_fou
     code, summary, err = ended(live("--duration", "8"))
     assert code == 0, err
     assert summary["commands"]["cycles"] == 0
-    for told in (
+    for answer in (
         "/cmd_vel",
         "geometry_msgs/TwistStamped",
         f"domain {domain}",
         "std_msgs::msg::dds_::Header_",
     ):
-        assert told in err
+        assert answer in err
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "answer"),
     [
         (("run", "bring_up", "--controller", "ros2:cmd_vel"), "name of a ROS 2 topic"),
         (("live", "--controller", "ros2:/cmd_vel", "--command", "stdin"), "--command"),
@@ -205,11 +205,11 @@ def test_without_a_publisher_it_says_where_it_looked_and_which_other_type_it_fou
     ],
 )
 def test_what_cannot_be_meant_is_refused_before_anything_opens(
-    words, told, domain, tmp_path, monkeypatch, capsys
+    words, answer, domain, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     (tmp_path / "way.csv").write_text("x,y,theta\n0,0,0\n0.05,0,0\n")
     assert main(list(words)) == 2
-    assert told in capsys.readouterr().err
+    assert answer in capsys.readouterr().err
     assert not any(tmp_path.rglob("*.mcap"))

@@ -138,7 +138,7 @@ void run(const Options &o) {
   std::optional<wall_line::Four> steering_rad;
   bool fresh = false;  // whether joint states came since the last answer
   wall_line::JointState state;
-  bool begun = false, told = false;
+  bool begun = false, reported = false;
   std::cout << "ready" << std::endl;
   while (!ended) {
     fast::ConditionSeq found;
@@ -165,8 +165,8 @@ void run(const Options &o) {
         commands->write(&command);
       }
       fresh = false;
-      if (!told && law.done(time_s)) {
-        told = true;
+      if (!reported && law.done(time_s)) {
+        reported = true;
         std::cout << "done" << std::endl;
       }
     }

@@ -58,10 +58,10 @@ class CanSensor(StreamingSensor[C, S]):
         until_ns = self.clock.now_ns() + nanoseconds(self.config.open_timeout_s)
         while not self._take(self.clock.now_ns(), _LOOK_S):
             if self.clock.now_ns() >= until_ns:
-                raise self._nobody()
+                raise self._no_answer()
         return self.identify()
 
-    def _nobody(self) -> DeviceError:
+    def _no_answer(self) -> DeviceError:
         if not self._others:
             return self.silent(f"no {self.what} for {self.config.open_timeout_s:.1f} s")
         message = ", ".join(f"0x{i:X}" for i in sorted(self._others)[:8])

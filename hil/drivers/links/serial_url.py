@@ -31,7 +31,7 @@ RFC2217 = "rfc2217://"
 BY_ID = Path("/dev/serial/by-id")
 """Links to serial ports by their adapters' serial numbers."""
 _GROUP_BITS = stat.S_IRGRP | stat.S_IWGRP
-_NOBODY_THERE = (errno.ENOENT, errno.ENODEV, errno.ENXIO)
+_NO_DEVICE = (errno.ENOENT, errno.ENODEV, errno.ENXIO)
 
 
 def _port_errors() -> tuple[type[Exception], ...]:
@@ -197,7 +197,7 @@ def cannot_open(device: str, url: str, error: Exception, *, expected: str) -> De
     remedy = "check the cable and the port name; `hil discover` lists ports"
     if number == errno.EACCES:
         remedy = _permission(url)
-    elif number in _NOBODY_THERE and "://" not in url:
+    elif number in _NO_DEVICE and "://" not in url:
         remedy = _elsewhere(url, BY_ID)
     elif number in (errno.EBUSY, errno.EAGAIN):
         others = named(programs_with(url)) or f"sudo fuser -v {url} names it"

@@ -40,7 +40,7 @@ def await_sender(
             break
         clock.sleep_until_ns(now_ns + _WAIT_NS)
     if first is None:
-        raise _nobody(session, config, device)
+        raise _no_answer(session, config, device)
     frames = _frames(first, config, device)
     session.odometry.clear()
     return _identity(session, config, common, frames)
@@ -67,7 +67,7 @@ def _is_known(session: Session) -> bool:
     )
 
 
-def _nobody(session: Session, config: MavlinkTrackerConfig, device: str) -> DeviceError:
+def _no_answer(session: Session, config: MavlinkTrackerConfig, device: str) -> DeviceError:
     senders = {source for source, kinds in session.heard.items() if kinds & set(odometry_messages.POSES)}
     if senders:
         return DeviceError(
