@@ -8,18 +8,71 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from typing import NoReturn
+
+import numpy as np
 
 from hil.bench import Bench
 from hil.bench.bench import Until
 from hil.core.clock import NS_PER_S
+from hil.core.errors import SafetyStop
+from hil.core.external_commands import ExternalCommand
 from hil.core.signals import CycleRecord
-from hil.live.ros2_commands import TwistCommands
+from hil.live.velocity_input import CommandLines
 from hil.recording.runs import RunStart
-from hil.ros2.command_topic import JOINTS, CommandTopic
+from hil.ros2.command_topic import ALL_BUT_ONE, JOINTS, CommandTopic, commands_of
 from hil.ros2.publisher import Ros2Publisher
 
 LOG = logging.getLogger(__name__)
 _PATIENCE_NS = 5 * NS_PER_S
+_REASON = "ros2_command"
+
+
+class TwistCommands(CommandLines):
+    """Commands of the one publisher of a topic.
+
+    Args:
+        topic: messages of either type are taken.
+    """
+
+    def __init__(self, topic: CommandTopic) -> None:
+        self._topic, self.where, self._taken = topic, topic.where, 0
+
+    def pending(self) -> list[str]:
+        """Commands that have arrived since the last call, oldest first; never blocks.
+
+        Raises:
+            SafetyStop: two publishers, or a command that the robot cannot mean.
+        """
+        publishers = self._topic.publishers()
+        if publishers > 1:
+            self._stop(f"has {publishers} publishers", ALL_BUT_ONE)
+        lines = [self._line(command) for command in commands_of(self._topic.take(), 0, 0)]
+        self._taken += len(lines)
+        return lines
+
+    def counts(self) -> Mapping[str, int]:
+        """Messages that were taken."""
+        return {"messages": self._taken}
+
+    def close(self) -> None:
+        """The topic is closed by its owner."""
+
+    def _line(self, command: ExternalCommand) -> str:
+        if command.kind != "twist":
+            self._stop("sent joint commands after velocities", "end the session to drive otherwise")
+        ahead, left, up, roll, pitch, turn = command.velocity_rad_s.tolist()
+        if not np.isfinite(command.velocity_rad_s).all():
+            self._stop("sent a number that is not finite", "mend the controller")
+        if up or roll or pitch:
+            self._stop(
+                "asks for a motion off the wall (linear.z, angular.x or angular.y is not 0)",
+                "send linear.x, linear.y and angular.z",
+            )
+        return f"v {float(ahead)!r} {float(left)!r} {float(turn)!r}"
+
+    def _stop(self, what: str, remedy: str) -> NoReturn:
+        raise SafetyStop(_REASON, f"{self._topic.name} {what}; {remedy}")
 
 
 class Ros2Program:
