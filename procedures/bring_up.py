@@ -22,7 +22,7 @@ from hil.core.finding import Finding
 from hil.core.geometry import Array
 from hil.core.registry import kinds
 from hil.core.signals import KINDS, WHEELS, Status
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.bench_fragment import write_fragment
 from hil.procedure.needed_devices import Device, only

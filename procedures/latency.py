@@ -24,7 +24,7 @@ from hil.config.bench import BenchConfig
 from hil.config.robot_record import Figure
 from hil.controller.module_layer import ModuleLimits, optimize
 from hil.core.geometry import Array
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.needed_devices import only
 from hil.procedure.record_parts import leave_part

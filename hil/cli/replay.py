@@ -19,7 +19,7 @@ from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, DataError,
 
 if TYPE_CHECKING:
     from hil.bench.model import BenchModel
-    from hil.loop.recorded_motion import Motion
+    from hil.loop.driven_motion import Motion
     from hil.recording.runs import RecordedRun
     from hil.replay.recordings import OpenedRecording
 

@@ -170,7 +170,7 @@ def _read(
     from hil.datasets.dataset import Recording
     from hil.datasets.wrong_signs import contradictions
     from hil.estimator.tuning import TruthRun
-    from hil.loop.recorded_motion import Motion
+    from hil.loop.driven_motion import Motion
     from hil.replay.estimator_comparison import truth_of
     from hil.replay.recordings import open_recording
 

@@ -20,7 +20,7 @@ from hil.datasets.dataset import Recording, build_recording
 from hil.datasets.drive_coverage import covered
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.plain_csv import write_plain
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 from hil.procedure.needed_devices import leaving
 from hil.procedure.scripted_joints import Stretch, play
 from hil.procedure.tracking_errors import STAGGER_S, stand

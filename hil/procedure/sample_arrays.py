@@ -12,7 +12,7 @@ from hil.config.encoders import EncodersConfig
 from hil.core.clock import NS_PER_S
 from hil.core.geometry import Array, wrap_array
 from hil.core.signals import Stamp, Status, worst
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from hil.controller.joint_script import SCRIPT, JointScript, Stretch
 from hil.core.clock import nanoseconds
 from hil.core.geometry import Array, ArrayLike
 from hil.core.signals import CycleRecord
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 from hil.recording.runs import RunStart
 
 __all__ = ["Stretch", "play"]

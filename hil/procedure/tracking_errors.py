@@ -11,7 +11,7 @@ import numpy as np
 from hil.bench.loop_settings import geometry_of, motion_limits
 from hil.config.bench import BenchConfig
 from hil.core.geometry import Array, wrap_array
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 from hil.report.plot_style import (
     MOST_POINTS,
     PALETTE,

@@ -195,7 +195,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, None, None]:
     """See every bench that is opened during a test."""
-    from hil.core.bench_openings import shown_to
+    from hil.core.opened_benches import shown_to
 
     def opened(found: Bench) -> None:
         item.stash.setdefault(_SEEN, []).append(found)

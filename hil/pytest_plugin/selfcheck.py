@@ -29,7 +29,7 @@ from hil.core.clock import nanoseconds
 from hil.core.geometry import rotated
 from hil.core.registry import kinds
 from hil.core.signals import SERVOS, Status, worst
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 from hil.loop.timing import LoopStatistics
 from hil.procedure.bench_request import BenchSource
 from hil.pytest_plugin.bench_selection import plainly, properties, source_of

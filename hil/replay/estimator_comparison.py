@@ -25,7 +25,7 @@ from hil.core.package_errors import of_a_script
 from hil.core.signals import CycleRecord, RobotState, heard
 from hil.datasets.sampling import beside_rows, is_slow
 from hil.estimator.consistency import autocorrelation, nees
-from hil.loop.recorded_motion import HELD_S, Motion
+from hil.loop.driven_motion import HELD_S, Motion
 from hil.loop.user_parts import asked, reset_estimator
 from hil.recording.runs import RecordedRun
 from hil.robot.kinematics import WheelGeometry

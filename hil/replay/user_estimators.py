@@ -11,7 +11,7 @@ from hil.bench.model import BenchModel
 from hil.core.choices import COMPARED
 from hil.core.errors import UsageError, did_you_mean
 from hil.core.interfaces import Estimator
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 from hil.support.named_class import make_named
 
 _PARTS = ("reset", "update")

@@ -15,7 +15,7 @@ from hil.config.bench import BenchConfig
 from hil.core.errors import ConfigError, DataError
 from hil.core.geometry import Array
 from hil.core.signals import Status
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 from hil.procedure import Context
 from hil.procedures.parts.surface_slip import moved_at_rest
 from hil.robot.statics import Statics

@@ -9,7 +9,7 @@ import numpy as np
 from hil.config.bench import BenchConfig
 from hil.core.geometry import Array
 from hil.core.registry import kinds
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 from hil.procedure.sample_arrays import Series, arrivals, camera, encoders, inertial, poses, wheels
 
 _BLOCKS = 24

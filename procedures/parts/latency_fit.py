@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from hil.core.clock import NS_PER_S
 from hil.core.geometry import Array
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 
 _BLOCKS = 8
 _STUDENT_7 = 2.365

@@ -20,7 +20,7 @@ import numpy as np
 from hil.bench.loop_settings import load_shares
 from hil.config.bench import BenchConfig
 from hil.core.geometry import Array, rotation2, wrap_array
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 from hil.procedure.sample_arrays import poses, wheels
 
 _MAGNET_SIGMA_RAD = math.radians(0.5)

@@ -13,7 +13,7 @@ from scipy.special import stdtrit
 
 from hil.core.errors import DataError
 from hil.core.geometry import Array, ArrayLike, rotation2
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 
 _HELD_M = 2e-3
 _LEAST_SEEN = 0.8

@@ -16,7 +16,7 @@ import numpy as np
 from hil.bench import Bench
 from hil.core.clock import NS_PER_S
 from hil.core.geometry import Array
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 from hil.procedure import Context
 from hil.procedure.parallel_drives import DriveJob
 from hil.procedure.sample_arrays import Series, camera, poses

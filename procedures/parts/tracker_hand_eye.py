@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.core.errors import DataError
 from hil.core.geometry import Array, ArrayLike, quat_from_rotvec, quat_multiply
-from hil.loop.recorded_motion import LONGEST_GAP_S
+from hil.loop.driven_motion import LONGEST_GAP_S
 from hil.procedure.sample_arrays import Series
 
 INTERVAL_S = 0.5

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hil.core.interpolation import between_samples
-from hil.loop.recorded_motion import HELD_S, LONGEST_GAP_S, Motion
+from hil.loop.driven_motion import HELD_S, LONGEST_GAP_S, Motion
 
 
 def motion(at_s, until_s, cycle_s=0.02):

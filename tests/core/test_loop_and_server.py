@@ -24,7 +24,7 @@ from hil.fakes.world import NEVER_NS, VirtualClock, World
 from hil.loop.alignment import Alignment, AlignmentParameters
 from hil.loop.control_loop import ControlLoop, ControlPipeline
 from hil.loop.device_set import DeviceSet
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 from hil.loop.safety import SafetyLimits
 from hil.loop.supervisor import Supervisor
 

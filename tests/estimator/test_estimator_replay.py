@@ -8,7 +8,7 @@ import pytest
 import hil
 from hil.cli import main
 from hil.core.errors import DataError
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording
 from hil.robot.trajectories import line

@@ -12,7 +12,7 @@ from emulations import recorded
 from mutating import Seal
 
 from hil.core.errors import HilError
-from hil.core.tracker_feed import FEED_INFO, FEED_MAGIC, INFO_RECORD
+from hil.core.t265_datagrams import FEED_INFO, FEED_MAGIC, INFO_RECORD
 from hil.devices.imu.microstrain import mip_fields as mip_fields
 from hil.devices.imu.microstrain.mip_packets import PacketParser, encode
 from hil.devices.tracker.mavlink.odometry_messages import Parser, axes_of, dialect, pose_of, twist_of

@@ -10,7 +10,7 @@ import pytest
 from hil.bench import open_bench
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 from hil.procedure import procedure
 from hil.procedure.bench_request import BenchSource
 from hil.procedure.measurements import Measurement, Verdict

@@ -18,7 +18,7 @@ from hil.core.interfaces import Controller, Estimator
 from hil.core.signals import CycleRecord, Event, Reference, RobotState, WheelSetpoint
 from hil.loop.alignment import Alignment, AlignmentParameters
 from hil.loop.control_loop import ControlPipeline
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 from hil.loop.safety import SafetyLimits
 from hil.loop.supervisor import Supervisor
 from hil.recording.mcap_writer import McapRecorder

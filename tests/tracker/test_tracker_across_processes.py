@@ -12,7 +12,7 @@ from hil.config.tracker import T265Config
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError
 from hil.core.signals import Status
-from hil.core.tracker_feed import FEED_HEAD, FEED_MAGIC, FEED_SUBSCRIBE, INFO_RECORD, POSE_RECORD
+from hil.core.t265_datagrams import FEED_HEAD, FEED_MAGIC, FEED_SUBSCRIBE, INFO_RECORD, POSE_RECORD
 from hil.drivers.tracker import FeedPipeline, T265Tracker
 from hil.fakes.server import EmulationServer
 from hil.fakes.tracker import TrackerTransport

@@ -14,7 +14,7 @@ from hil.config.tracker import T265Config
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError
 from hil.core.signals import Status
-from hil.core.tracker_feed import FEED_INFO, FEED_MAGIC, INFO_RECORD, POSE_RECORD
+from hil.core.t265_datagrams import FEED_INFO, FEED_MAGIC, INFO_RECORD, POSE_RECORD
 from hil.drivers.tracker import T265Tracker
 from hil.drivers.tracker.emulated_pipeline import FeedDevice, FeedFrame, FeedSensor
 from hil.fakes.world import VirtualClock, World

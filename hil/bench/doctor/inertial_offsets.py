@@ -19,7 +19,7 @@ from hil.core.finding import Finding, Level
 from hil.core.geometry import mean_angle, wrap
 from hil.core.signals import GyroMeasurement, Inputs, Measurements
 from hil.loop.alignment import Alignment, AlignmentParameters
-from hil.loop.recorded_motion import Motion
+from hil.loop.driven_motion import Motion
 
 WARN_RAD, STOP_RAD = 0.03, 0.09
 """Errors of heading for a warning, and for a filter without the IMU. An accelerometer that has warmed

@@ -11,7 +11,7 @@ from hil.core.geometry import Array
 from hil.core.signals import Status, TrackerSample
 from hil.devices.doctor_watch import Watched, losses
 from hil.devices.tracker.mavlink import Mavlink
-from hil.devices.tracker.t265_model import T265
+from hil.devices.tracker.t265 import T265
 
 if TYPE_CHECKING:
     from hil.recording.ros_types import MessageMaker

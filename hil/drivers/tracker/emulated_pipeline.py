@@ -2,7 +2,7 @@
 
 It subscribes with one small datagram, renews that every second, and hands every pose to the callback
 from a thread of its own, as librealsense does. Settings and wheel odometry go the same way. The datagrams are
-laid out in `hil.core.tracker_feed`.
+laid out in `hil.core.t265_datagrams`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
-from hil.core.tracker_feed import (
+from hil.core.t265_datagrams import (
     FEED_HEAD,
     FEED_INFO,
     FEED_LEAVE,

@@ -1,6 +1,6 @@
 """Streams the emulated camera's poses over loopback UDP to any client that subscribes.
 
-The datagrams are laid out in `hil.core.tracker_feed`; the driver's `FeedPipeline` is one client.
+The datagrams are laid out in `hil.core.t265_datagrams`; the driver's `FeedPipeline` is one client.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import json
 
 from hil.core.clock import nanoseconds
 from hil.core.errors import DeviceError
-from hil.core.tracker_feed import (
+from hil.core.t265_datagrams import (
     FEED_HEAD,
     FEED_INFO,
     FEED_LEAVE,
