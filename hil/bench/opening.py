@@ -23,7 +23,7 @@ from hil.calibration.calibration_file import read_calibration
 from hil.calibration.usability_check import check_usable, failed_validation
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
-from hil.core import bench_openings
+from hil.core import opened_benches
 from hil.core.clock import MonotonicClock
 from hil.core.device import Connection
 from hil.core.errors import DeviceError, UsageError
@@ -78,7 +78,7 @@ def open_bench(
     checked = load_bench(config, emulate=emulate, overrides=overrides, seed=seed).settled(realtime=realtime)
     model = _model(with_wheel_sigma(checked), calibration, int(seed))
     bench = _put_together(model, planned_faults(model.config, faults), sinks, realtime=realtime)
-    bench_openings.show(bench)
+    opened_benches.show(bench)
     return bench
 
 
