@@ -160,7 +160,11 @@ def command(
             return _write(out, proc, setup, cases, rows)["page"] if rows else ""
 
         try:
-            with published(request) as publisher, kept_for_json(as_json), shown_when_ended(finished, show):
+            with (
+                published(request, setup.source(proc, cases[0])[0].config) as publisher,
+                kept_for_json(as_json),
+                shown_when_ended(finished, show),
+            ):
                 publish = None if publisher is None else publisher.sink
                 _run(setup, proc, cases, done, out, workers, scheduler or "", publish)
             rows = [done[case] for case in cases]

@@ -128,7 +128,7 @@ def command(
         )
     stop = StopRequest()
     with stop.noted():
-        with published(request, patient=True) as publisher, _commands(commands) as lines:
+        with published(request, bench.config, patient=True) as publisher, _commands(commands) as lines:
             opened = replace(bench, publish=None if publisher is None else publisher.sink).open()
             opened.tells_held = False
             with closing(opened):

@@ -13,15 +13,19 @@ from hil.cli.bench_options import BenchRequest
 from hil.core.errors import UsageError
 
 if TYPE_CHECKING:
+    from hil.config.bench import BenchConfig
     from hil.ros2.publisher import Ros2Publisher
 
 
 @contextmanager
-def published(request: BenchRequest, *, patient: bool = False) -> Iterator[Ros2Publisher | None]:
+def published(
+    request: BenchRequest, config: BenchConfig, *, patient: bool = False
+) -> Iterator[Ros2Publisher | None]:
     """Be on ROS 2, if that is asked for.
 
     Args:
         request: of the command line.
+        config: of the bench.
         patient: whether a program that drives is waited for as long as it takes.
 
     Returns:
@@ -45,12 +49,14 @@ def published(request: BenchRequest, *, patient: bool = False) -> Iterator[Ros2P
     if not (request.ros2 or request.ros2_topic):
         yield None
         return
-    from hil.ros2.network import Network, domain_of, must_be_usable
+    from hil.ros2.network import must_be_usable, network_of
 
     must_be_usable()
     from hil.ros2.publisher import Ros2Publisher
 
-    network = Network(domain_of(request.ros2_domain, os.environ), request.ros2_interface)
+    network = network_of(
+        config.ros2, os.environ, domain=request.ros2_domain, interface=request.ros2_interface
+    )
     publisher = Ros2Publisher(network, request.ros2_topic, patient=patient)
     try:
         click.echo(f"ROS 2: {network.in_words()}", err=True)

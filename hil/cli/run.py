@@ -121,7 +121,7 @@ def command(
         return 0
     source = source.changed(overrides=start_question.asked_start(source.config))
     interrupts = asked_to_end()
-    with published(request) as publisher, interrupts.installed(), interrupts.deferred():
+    with published(request, source.config) as publisher, interrupts.installed(), interrupts.deferred():
         folder = results_folder(proc.name, out, JOURNAL if resume else None)
         with kept_for_json(as_json), reporting() as report:
             options = RunOptions(

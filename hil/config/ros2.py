@@ -1,16 +1,28 @@
-"""How the bench waits for a controller on ROS 2 (`[ros2]` of the bench file)."""
+"""Where the bench is on ROS 2, and how it waits for a controller there (`[ros2]` of the bench file)."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from typing import Annotated
 
+from pydantic import Field, field_validator
+
 from hil.config.values import Strict, Within
+from hil.core.choices import HIGHEST_DOMAIN
+
+_TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 
 
 class Ros2Config(Strict):
-    """A controller on ROS 2 (`--controller ros2:TOPIC`).
+    """The bench on ROS 2 (`--ros2`), and a controller there (`--controller ros2:TOPIC`).
 
     Attributes:
+        domain: of DDS, where `--ros2-domain` names none; without it that of `ROS_DOMAIN_ID`, else 0.
+        interface: network interface beside loopback, where `--ros2-interface` names none: whoever reaches it
+            can read the bench, and drive it where it takes commands.
+        names: other names of topics that are published, by their own names:
+            `names = { "/joint_states" = "/robot_joint_states" }`.
         wait_share: in real time, share of a cycle for which the loop waits for the answer to what it has just
             published; then the newest command counts. 0 waits for none.
         late_after_s: age at which the newest command is too old: the robot stops.
@@ -18,7 +30,22 @@ class Ros2Config(Strict):
         start_timeout_s: how long a run waits for the first command; `hil live` waits for as long as it takes.
     """
 
+    domain: (
+        Annotated[int, Within(0, HIGHEST_DOMAIN, "above it ports run into those of any program")] | None
+    ) = None
+    interface: str | None = Field(None, min_length=1)
+    names: Mapping[str, str] = {}
     wait_share: Annotated[float, Within(0.0, 0.8, "the rest of the cycle is the bench's")] = 0.3
     late_after_s: Annotated[float, Within(0.02, 5.0, "wheels go on turning meanwhile")] = 0.2
     answer_timeout_s: Annotated[float, Within(0.05, 60.0, "a minute for a slow computer")] = 1.0
     start_timeout_s: Annotated[float, Within(0.1, 600.0, "ten minutes for one that is built first")] = 10.0
+
+    @field_validator("names")
+    @classmethod
+    def _topics(cls, value: Mapping[str, str]) -> Mapping[str, str]:
+        for name in (*value, *value.values()):
+            if not _TOPIC.fullmatch(name):
+                raise ValueError(f"{name!r} is no name of a topic; expected one as /joint_states")
+        if len(set(value.values())) < len(value):
+            raise ValueError("two topics cannot have one name")
+        return value

@@ -15,7 +15,7 @@ import numpy as np
 from hil.core.errors import SafetyStop
 from hil.core.external_commands import ExternalCommand
 from hil.live.velocity_input import CommandLines
-from hil.ros2.command_topic import CommandTopic, commands_of
+from hil.ros2.command_topic import ALL_BUT_ONE, CommandTopic, commands_of
 
 _REASON = "ros2_command"
 
@@ -38,7 +38,7 @@ class TwistCommands(CommandLines):
         """
         publishers = self._topic.publishers()
         if publishers > 1:
-            self._stop(f"has {publishers} publishers", "end all but one")
+            self._stop(f"has {publishers} publishers", ALL_BUT_ONE)
         lines = [self._line(command) for command in commands_of(self._topic.take(), 0, 0)]
         self._taken += len(lines)
         return lines

@@ -147,7 +147,7 @@ class ControlPipeline:
         self.reference = None
         if self.external is not None:
             self.external.heard = None
-        self._count_from(inputs.t_ns)
+        run_s = self._run_s(inputs.t_ns)
         if self.restart is not None:
             self.restart.judge(inputs.t_ns)
         safety = self.supervisor
@@ -162,7 +162,7 @@ class ControlPipeline:
         self._states.update(cycle.observers)
         lap("estimate")
         if self.reference_at is not None:
-            self.reference = self.reference_at((inputs.t_ns - self._t0_ns) / NS_PER_S)
+            self.reference = self.reference_at(run_s)
         cycle.reference = self.reference
         safety.check_estimate(cycle)
         setpoint = safety.limit(self._control(cycle, state))
@@ -179,12 +179,14 @@ class ControlPipeline:
             self.heard,
         )
 
-    def _count_from(self, t_ns: int) -> None:
-        """Let the reference's time begin, unless another program that drives has yet to begin."""
-        begins = self.external is not None and not self.external.begun
-        if self._t0_ns is None or begins:
-            self._waited_ns += 0 if self._t0_ns is None else t_ns - self._t0_ns
-            self._t0_ns = t_ns
+    def _run_s(self, t_ns: int) -> float:
+        """The reference's time: from the first cycle on, or from when another program has begun to drive."""
+        t0_ns = t_ns if self._t0_ns is None else self._t0_ns
+        if self.external is not None and not self.external.begun:
+            self._waited_ns += t_ns - t0_ns
+            t0_ns = t_ns
+        self._t0_ns = t0_ns
+        return (t_ns - t0_ns) / NS_PER_S
 
     def _inflate(self, off_m: float, off_rad: float) -> None:
         """Go on from the last states, which may be off by what a lying device had told.

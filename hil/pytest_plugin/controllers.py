@@ -14,9 +14,11 @@ from hil.procedure.bench_request import BenchSource
 from hil.procedure.user_controllers import check_named
 
 if TYPE_CHECKING:
+    from hil.config.ros2 import Ros2Config
+    from hil.ros2.network import Network
     from hil.ros2.publisher import Ros2Publisher
 
-_PUBLISHERS = pytest.StashKey[dict[tuple[int, str], "Ros2Publisher"]]()
+_PUBLISHERS = pytest.StashKey[dict[tuple["Network", str], "Ros2Publisher"]]()
 
 
 def driven(item: pytest.Item, source: BenchSource) -> BenchSource:
@@ -39,7 +41,7 @@ def driven(item: pytest.Item, source: BenchSource) -> BenchSource:
             expected=f'controller("ros2:/joint_commands", domain=0..{HIGHEST_DOMAIN}), or a law or class',
         )
     if named.startswith(ROS2):
-        publisher = _publisher(item.config, named.removeprefix(ROS2), domain)
+        publisher = _publisher(item.config, named.removeprefix(ROS2), source.config.ros2, domain)
         return replace(source, controller=named, publish=publisher.sink)
     check_named(named)
     if named in LAWS:
@@ -47,21 +49,21 @@ def driven(item: pytest.Item, source: BenchSource) -> BenchSource:
     return replace(source, controller=named)
 
 
-def _publisher(config: pytest.Config, topic: str, domain: int | None) -> Ros2Publisher:
+def _publisher(config: pytest.Config, topic: str, bench: Ros2Config, domain: int | None) -> Ros2Publisher:
     """The session's participant in a domain, for the program that publishes a topic."""
     if hasattr(config, "workerinput"):
         raise UsageError(
             f"marker controller({ROS2 + topic!r}): one program drives one robot at a time",
             remedy="leave -n out for these tests",
         )
-    from hil.ros2.network import Network, domain_of, must_be_usable
+    from hil.ros2.network import must_be_usable, network_of
 
     must_be_usable()
     from hil.ros2.publisher import Ros2Publisher
 
-    number = domain_of(domain, os.environ)
+    network = network_of(bench, os.environ, domain=domain)
     known = config.stash.setdefault(_PUBLISHERS, {})
-    if (number, topic) not in known:
-        known[number, topic] = publisher = Ros2Publisher(Network(number), topic)
+    if (network, topic) not in known:
+        known[network, topic] = publisher = Ros2Publisher(network, topic)
         config.add_cleanup(publisher.close)
-    return known[number, topic]
+    return known[network, topic]

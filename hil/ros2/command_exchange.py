@@ -14,7 +14,7 @@ from hil.config.ros2 import Ros2Config
 from hil.core.clock import Clock, nanoseconds
 from hil.core.external_commands import ExternalCommands
 from hil.core.signals import CycleRecord
-from hil.ros2.command_topic import CommandTopic, commands_of
+from hil.ros2.command_topic import ALL_BUT_ONE, CommandTopic, commands_of
 
 LOCKSTEP, PUBLISHERS, NOBODY = "ros2_lockstep", "ros2_publishers", "ros2_nobody"
 """Reasons to stop."""
@@ -134,7 +134,7 @@ class Exchange:
         count = self._topic.publishers()
         if count < 2:
             return None
-        return ExternalCommands((), PUBLISHERS, f"{self._topic.name} has {count} publishers; end all but one")
+        return ExternalCommands((), PUBLISHERS, f"{self._topic.name} has {count} publishers; {ALL_BUT_ONE}")
 
     def _stop_of_silence(self, now_ns: int, *, heard: bool) -> ExternalCommands | None:
         """In real time, when the first command has not come for long; later the controller's age counts."""

@@ -21,6 +21,8 @@ JOINTS = "sensor_msgs/msg/JointState"
 TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 TYPES = (JOINTS, *TWISTS)
 _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+ALL_BUT_ONE = "end all but one; one that was killed counts for up to 20 s more"
+"""What to do about several publishers."""
 _NOTHING = np.zeros(0)
 
 

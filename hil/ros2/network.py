@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from xml.sax.saxutils import quoteattr
 
+from hil.config.ros2 import Ros2Config
 from hil.core.choices import HIGHEST_DOMAIN
 from hil.core.errors import ConfigError, UsageError
 from hil.support.extras import how_to_install, lacks
@@ -59,6 +60,24 @@ class Network:
         """Domain and reach."""
         where = f"loopback and {self.interface}" if self.reaches_out else "loopback only"
         return f"domain {self.domain}, {where}"
+
+
+def network_of(
+    config: Ros2Config, environment: Mapping[str, str], *, domain: int | None = None, interface: str = ""
+) -> Network:
+    """Where a bench can be found: as asked for, else as its file says, else as the environment does.
+
+    Args:
+        config: `[ros2]` of the bench file.
+        environment: of the process.
+        domain: asked for; None for none.
+        interface: asked for; empty for none.
+
+    Raises:
+        UsageError: the environment names no domain.
+    """
+    given = config.domain if domain is None else domain
+    return Network(domain_of(given, environment), interface or config.interface or "")
 
 
 def domain_of(given: int | None, environment: Mapping[str, str]) -> int:

@@ -110,17 +110,18 @@ class Participant:
                 remedy="see that the interface is up, or take another domain (--ros2-domain)",
             ) from None
 
-    def add_writer(self, name: str, kind: str) -> None:
+    def add_writer(self, name: str, kind: str, shown: str = "") -> None:
         """Offer a topic, unless it is offered.
 
         Args:
             name: of the ROS 2 topic, with a slash.
             kind: of its messages.
+            shown: other name that it has on the network; empty for the same.
         """
         if name in self._writers:
             return
         made = sample_type(kind)
-        topic = Topic(self._participant, f"rt{name}", made)
+        topic = Topic(self._participant, f"rt{shown or name}", made)
         self._writers[name] = made, DataWriter(self._participant, topic, _quality(name))
 
     def write(self, name: str, data: bytes) -> None:

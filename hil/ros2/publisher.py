@@ -14,7 +14,7 @@ from typing import Any
 
 from hil.config.ros2 import Ros2Config
 from hil.core.clock import NS_PER_S, MonotonicClock
-from hil.core.errors import HilError
+from hil.core.errors import ConfigError, HilError
 from hil.core.external_commands import ExternalCommands
 from hil.core.interfaces import HELD_NOTE, RUN_NOTE, CommandingSink, Sink
 from hil.core.signals import CycleRecord
@@ -129,8 +129,14 @@ class _Messages:
         hidden = (*_OWN, _CLOCK) if passed is None else _OWN
         self._topics = {name: kind for name, kind in topics_with(kinds).items() if name not in hidden}
         self._participant = publisher.participant
-        for name, kind in {**self._topics, diagnostics.TOPIC: diagnostics.TYPE}.items():
-            self._participant.add_writer(name, kind)
+        offered = {**self._topics, diagnostics.TOPIC: diagnostics.TYPE}
+        names = Ros2Config.model_validate(header["config"].get("ros2", {})).names
+        if unknown := sorted(set(names) - set(offered)):
+            raise ConfigError(
+                f"ros2.names: {unknown[0]} is not published", expected="some of " + ", ".join(sorted(offered))
+            )
+        for name, kind in offered.items():
+            self._participant.add_writer(name, kind, names.get(name, ""))
 
     def cycle(self, record: CycleRecord) -> None:
         """Send what a recording of this cycle holds; states first, then the time.

@@ -197,6 +197,7 @@ class DiagnosticArray(IdlStruct, typename="diagnostic_msgs.msg.dds_.DiagnosticAr
 TYPES = {
     "/clock": Clock,
     "/joint_states": JointState,
+    "/robot_joint_states": JointState,
     "/imu/data": Imu,
     "/mocap/pose": PoseStamped,
     "/tracker/pose": PoseStamped,

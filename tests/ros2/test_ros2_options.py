@@ -14,13 +14,15 @@ import time
 import pytest
 
 from hil.cli import main
+from hil.config.ros2 import Ros2Config
+from hil.core.errors import ConfigError
 from hil.procedure.bench_request import BenchSource
 from hil.recording.mcap_reader import read_cycles
 from hil.support import extras
 from tests.patience import patient_bench
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
-from hil.ros2.network import Network, domain_of
+from hil.ros2.network import Network, domain_of, network_of
 from hil.ros2.publisher import Ros2Publisher
 
 PATIENCE_S = 240.0
@@ -211,3 +213,43 @@ def test_what_another_process_opens_is_not_published():
     sent = pickle.loads(pickle.dumps(source))
     assert sent == source
     assert sent.publish is None
+
+
+def test_the_bench_file_says_where_the_bench_is_unless_the_command_line_does():
+    config = Ros2Config(domain=5, interface="lo")
+    assert network_of(config, {"ROS_DOMAIN_ID": "3"}) == Network(5, "lo")
+    assert network_of(config, {}, domain=6, interface="eth7") == Network(6, "eth7")
+    assert network_of(Ros2Config(), {"ROS_DOMAIN_ID": "3"}) == Network(3)
+
+
+@pytest.mark.timeout(PATIENCE_S + 60)
+def test_a_topic_has_the_name_that_the_bench_file_gives_it(domain, listen):
+    listener = listen("/robot_joint_states")
+    publisher = Ros2Publisher(Network(domain))
+    names = {"ros2.names": {"/joint_states": "/robot_joint_states"}}
+    try:
+        with BenchSource("emulated_floor", publish=publisher.sink, overrides=names).open() as bench:
+            listener.wait(publisher.participant, "/joint_states")
+            bench.observe(0.3, feedback="odometry")
+    finally:
+        publisher.close()
+    heard, _ = listener.heard()
+    assert len(heard["/robot_joint_states"]) > 10
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        ({"/nosuch": "/other"}, "/nosuch"),
+        ({"joint states": "/other"}, "joint states"),
+        ({"/imu/data": "/same", "/joint_states": "/same"}, "one name"),
+    ],
+)
+def test_names_that_cannot_be_meant_are_refused(names, told, domain):
+    publisher = Ros2Publisher(Network(domain))
+    source = BenchSource("emulated", publish=publisher.sink, overrides={"ros2.names": names})
+    try:
+        with pytest.raises(ConfigError, match=told):
+            source.open()
+    finally:
+        publisher.close()
