@@ -1,7 +1,7 @@
 """The pytest plugin: a bench, its world, clock and loop as fixtures, on emulated devices or real ones.
 
 pytest loads this module in every run of an environment that has the package installed, so it imports
-nothing but pytest until a test asks for a bench. Without `--bench` every device is emulated: no
+nothing but pytest, and with the first test one small module, until a test asks for a bench. Without `--bench` every device is emulated: no
 hardware moves unless the command line names it.
 """
 
@@ -236,7 +236,8 @@ def _end(item: pytest.Item, report: pytest.TestReport) -> None:
         own = [one for one in seen if one is not item.stash.get(_OPENED, None)]
         added = dict.fromkeys(entry for one in own for entry in properties_of(one))
         report.user_properties += [*added, *finish(item, failed)]
-    for key in (_OPENED, _SEEN, _FAILED):
+    kept: tuple[pytest.StashKey[Any], ...] = (_OPENED, _SEEN, _FAILED)
+    for key in kept:
         if key in item.stash:
             del item.stash[key]
 
