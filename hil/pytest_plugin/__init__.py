@@ -1,8 +1,8 @@
 """The pytest plugin: a bench, its world, clock and loop as fixtures, on emulated devices or real ones.
 
 pytest loads this module in every run of an environment that has the package installed, so it imports
-nothing but pytest, and with the first test one small module, until a test asks for a bench. Without `--bench` every device is emulated: no
-hardware moves unless the command line names it.
+nothing but pytest, and with the first test one small module, until a test asks for a bench. Without `--bench`
+every device is emulated: no hardware moves unless the command line names it.
 """
 
 from __future__ import annotations

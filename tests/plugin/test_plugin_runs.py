@@ -379,7 +379,7 @@ def test_nothing_of_the_bench_is_loaded():
     loaded = {name.partition(".")[0] for name in sys.modules}
     assert not loaded & {"numpy", "scipy", "pydantic", "can", "serial"}
     own = {name for name in sys.modules if name.startswith("hil.")}
-    assert own <= {"hil.pytest_plugin", "hil.core", "hil.core.bench_openings"}  # of the standard library alone
+    assert own <= {"hil.pytest_plugin", "hil.core", "hil.core.bench_openings"}  # they need no package
 
 def test_own_fixtures_win(bench, loop):
     assert (bench, loop) == ("mine", "mine too")
