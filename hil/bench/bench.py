@@ -15,6 +15,7 @@ from hil.bench.drive_start import blind_to_the_drive, emulated_hold, must_begin_
 from hil.bench.hold.held_devices import HeldDevices
 from hil.bench.loop_settings import real_time
 from hil.bench.model import BenchModel
+from hil.config.estimator import MocapNoise
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import ConfigError, DeviceError, check_number
 from hil.core.geometry import Array, ArrayLike
@@ -34,6 +35,8 @@ from hil.robot.trajectories import Trajectory
 LOG = logging.getLogger(__name__)
 
 _SETTLE_S = 0.5
+_REST_SAMPLES, _STANDS = 50, 2e-5
+"""Samples of motion capture in a rest, and by how much, m and rad, a robot that stands may still give way."""
 _FRAME_MOVED_M = 0.005
 """Motion capture whose frame has moved further does not tell where the robot stands."""
 _RECORDED = ("t_ns", "pose_body_in_wall", "steering_true_rad", "normal_load_n", "slip_m_s", "fallen")
@@ -240,7 +243,10 @@ class Bench(HeldDevices):
     def start_state(self, pose: ArrayLike | None = None) -> RobotState:
         """State to start a run from: at rest at a pose (3,), by default the configured one."""
         known = np.array(self.config.environment.start_pose if pose is None else pose, dtype=np.float64)
-        return RobotState(self.clock.now_ns(), known, np.zeros(3), START_COVARIANCE)
+        covariance = start_covariance(
+            self.config.estimator.mocap, measured=pose is not None and self.has("mocap")
+        )
+        return RobotState(self.clock.now_ns(), known, np.zeros(3), covariance)
 
     def _run(
         self, pipeline: ControlPipeline, start: RunStart, duration_s: float, on_cycle: OnCycle | None
@@ -351,6 +357,21 @@ class Bench(HeldDevices):
         )
         self.statistics = loop.statistics
         return loop
+
+
+def start_covariance(noise: MocapNoise, *, measured: bool) -> Array:
+    """How well a robot's pose is known that stands, (6, 6): m, m, rad, m/s, m/s and rad/s, squared.
+
+    Args:
+        noise: of motion capture; where it is small the pose is known better than `START_COVARIANCE`.
+        measured: whether motion capture has measured the pose while the robot rested, else it was configured.
+    """
+    if not measured:
+        return START_COVARIANCE
+    known = np.array(START_COVARIANCE)
+    for k, sigma in enumerate((noise.position_m, noise.position_m, noise.heading_rad)):
+        known[k, k] = min(known[k, k], sigma**2 / _REST_SAMPLES + _STANDS**2)
+    return known
 
 
 def _as_decided(start: RunStart, pipeline: ControlPipeline) -> RunStart:

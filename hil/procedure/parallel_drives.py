@@ -11,6 +11,7 @@ from hil.core.call_chain import keep_chain
 from hil.core.clock import NS_PER_S
 from hil.core.errors import DataError, HilError, RecordingError
 from hil.procedure.bench_request import BenchSource
+from hil.procedure.fit_history import FitHistory
 from hil.procedure.hold_history import HoldHistory
 from hil.procedure.path_history import PathHistory
 from hil.recording.mcap_writer import McapRecorder, OnFailure
@@ -64,7 +65,7 @@ class Driven:
         held: how the bench left the robot.
         tethered: the robot was on a tether.
         world_ns, looked_ns, failed: as `world_ns`, `looked_ns` and `lost` of the bench.
-        hold, path: what the figures of every report are drawn from.
+        hold, path, fit: what the figures and the last table of every report are made from.
         lost: why there is no recording, or only a part of it; empty if it is whole or none was wanted.
         objection: what the run has to end with for it.
     """
@@ -80,6 +81,7 @@ class Driven:
     failed: tuple[str, ...]
     hold: HoldHistory
     path: PathHistory
+    fit: FitHistory
     lost: str
     objection: RecordingError | None
 
@@ -95,15 +97,15 @@ def driven(sent: Sent[Any]) -> Driven:
     """
     bench = sent.errand.source.open()
     bench.warns_not_held = False
-    hold, path = HoldHistory(), PathHistory()
+    hold, path, fit = HoldHistory(), PathHistory(), FitHistory()
     tethered = bench.config.safety.tethered
     result, error, driven_s = None, None, 0.0
     try:
         recorder, lost = _recorder(sent, bench)
     except DataError as refused:
         bench.close()
-        return Driven(None, refused, 0.0, "", bench.held, tethered, 0, 0, (), hold, path, "", None)
-    for sink in (hold, path) if recorder is None else (recorder, hold, path):
+        return Driven(None, refused, 0.0, "", bench.held, tethered, 0, 0, (), hold, path, fit, "", None)
+    for sink in (hold, path, fit) if recorder is None else (recorder, hold, path, fit):
         bench.add_sink(sink)
     try:
         with bench:
@@ -135,6 +137,7 @@ def driven(sent: Sent[Any]) -> Driven:
         tuple(bench.lost),
         hold,
         path,
+        fit,
         lost,
         objection,
     )

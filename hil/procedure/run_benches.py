@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Generator, Sequence
 from typing import TYPE_CHECKING
 
+from hil.config.robot_record.overlay import known_parts
 from hil.core.errors import ConfigError, RecordingError
-from hil.procedure import hold_history, path_history
+from hil.procedure import fit_history, hold_history, path_history
 from hil.procedure.bench_request import BenchSource
 from hil.procedure.final_hold import HoldRecord
 from hil.procedure.operator import go_ahead
@@ -52,6 +53,7 @@ class RunBenches:
         self._recordings = Recordings(results, options.interrupts, options.on_recording_failure)
         self._hold_history = hold_history.HoldHistory()
         self._path_history = path_history.PathHistory()
+        self._fit_history = fit_history.FitHistory()
         self.opened: Bench | None = None
         self._bench_name = ""
         self.left_behind = False
@@ -84,6 +86,7 @@ class RunBenches:
         try:
             self._recordings.record(bench, label, lossless=source.virtual)
             bench.add_sink(self.guard)
+            bench.add_sink(self._fit_history)
             for history in (self._hold_history, self._path_history) if self._results.keep == "all" else ():
                 bench.add_sink(history)
             with self._interrupts.deferred():
@@ -157,6 +160,7 @@ class RunBenches:
         self.lost += found.failed
         self._hold_history.follow(found.hold)
         self._path_history.follow(found.path)
+        self._fit_history.follow(found.fit)
         if found.pressed and self.left.held is None:
             self._results.note(found.pressed)
         if found.held.opened:
@@ -169,7 +173,13 @@ class RunBenches:
             raise found.error
 
     def show_histories(self) -> None:
-        """Leave figures of the path, where the procedure left none at all, and of how the robot was held."""
+        """Leave how the sensors fitted, and figures of path and hold; of the path where there is no other."""
+        fitted = list(self._fit_history.rows())
+        if fitted:
+            noise = known_parts(self.source.config).get("noise")
+            by = "no measurement: `hil run sensor_noise`" if noise is None else f"{noise.measured[:10]}"
+            note = f"1 is ideal, per row of a sample, while a filter drove. The record's noise is of {by}."
+            self._results.table(fit_history.TITLE, fit_history.HEAD, fitted, note)
         if self._results.keep == "results":
             return
         path = None if self._results.findings.figures else self._path_history.figure()

@@ -115,3 +115,19 @@ def wall_ablation(v: Mapping[str, float]) -> str:
                 f"{where}, the robot ends {after:.1f} mm from its goal; {before:.0f} with nothing known."
             )
     return " ".join(said)
+
+
+def sensor_noise(v: Mapping[str, float]) -> str:
+    """How noisy the sensors are in motion, and how sure a filter that knows it is."""
+    parts = [
+        f"{what} {v[name]:.2g} {unit}"
+        for name, what, unit in (
+            ("wheel_step_moving", "a wheel's step", "um"),
+            ("gyro_moving", "the gyro", "mrad/s"),
+            ("camera_position_moving", "the camera", "mm"),
+        )
+        if name in v
+    ]
+    nis = [value for name, value in v.items() if name.startswith("nis.")]
+    sure = f" Mean NIS with these: {min(nis):.2f} to {max(nis):.2f}, 1 is ideal." if nis else ""
+    return f"Noise in motion, one sigma: {', '.join(parts)}.{sure}"

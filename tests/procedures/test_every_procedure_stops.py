@@ -31,6 +31,7 @@ SHORT = {
         "compared_methods": "",
         "processes": 1,
     },
+    "sensor_noise": {"rest_s": 2.0, "way_m": 0.2},
     "steering_zero": {"sweep_s": 2.0, "sweeps": 1, "leg_m": 0.1, "legs": 1},
     "surface_identification": {"length_m": 0.2, "repetitions": 4, "hold_step_deg": 2.0},
     "tracker_extrinsics": {"turn_deg": 30.0, "way_m": 0.1, "repetitions": 1},

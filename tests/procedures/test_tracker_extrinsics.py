@@ -46,8 +46,9 @@ def as_bench(fragment_text, folder):
     return load_bench(folder / "bench.toml").tracker
 
 
-def recover(seed, folder, parameters=SHORT, **source):
+def recover(seed, folder, parameters=SHORT, scale=1.0, **source):
     truth, options = hidden(seed)
+    options["scale"] = scale
     overrides = {"emulation.tracker": options}
     done = run("tracker_extrinsics", folder, parameters, seed=seed, overrides=overrides, **source)
     assert done.result.verdict.value in ("PASS", "MARGINAL"), done.failed or done.result.error
@@ -83,6 +84,13 @@ def test_a_camera_is_found_where_it_is_and_how_late_it_is(tmp_path, seed):
     assert done.values["applied.position_rmse"] < 0.5 * done.values["before.position_rmse"]
 
 
+@pytest.mark.parametrize("scale", [0.77, pytest.param(1.28, marks=pytest.mark.long)])
+def test_a_scale_that_is_far_off_is_found(tmp_path, scale):
+    ratios, done = recover(4, tmp_path / "run", SHORT | {"turn_deg": 40.0}, scale=scale)
+    assert done.values["scale"] == pytest.approx(scale, abs=0.03)
+    assert_covered(ratios, few=True)
+
+
 @pytest.mark.long
 @pytest.mark.timeout(3600)
 def test_true_mounts_lie_within_the_stated_intervals_over_twenty_seeds(tmp_path):
@@ -95,7 +103,7 @@ def test_a_camera_is_found_on_the_wall_too(tmp_path):
 
 
 def test_a_camera_that_measures_wrongly_and_late_fails(tmp_path):
-    faults = ("tracker:wrong,scale=1.2", "tracker:delayed,delay_s=0.08")
+    faults = ("tracker:wrong,scale=1.5", "tracker:delayed,delay_s=0.08")
     done = run("tracker_extrinsics", tmp_path / "run", QUICK | {"turn_deg": 30.0}, faults=faults)
     assert done.result.exit_code == 1
     assert {"scale", "late"} <= set(done.failed)

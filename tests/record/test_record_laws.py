@@ -13,6 +13,7 @@ from pydantic import TypeAdapter
 from hil.bench import open_bench
 from hil.bench.doctor.robot_record_import import import_record
 from hil.cli import main
+from hil.config.estimator import EstimatorConfig
 from hil.config.loading import load_bench
 from hil.config.robot_record import Figure, NewPart, Part, RobotRecord
 from hil.config.robot_record.overlay import identity
@@ -309,3 +310,24 @@ def test_a_bench_opens_with_what_the_record_knows(record):
     assert bench.model.alignment_parameters.tracker_scale == 1.004
     assert bench.config.estimator.tracker.scale_sigma == 0.001
     bench.close()
+
+
+NOISE = {"estimator.gyro.rate_rad_s": 0.0011, "estimator.process.acceleration_m_s2_sqrt_hz": 0.021}
+
+
+def test_noise_of_the_record_counts_above_defaults_and_below_what_the_bench_file_says(tmp_path):
+    record = RobotRecord(tmp_path / "robot")
+    bench = load_bench("emulated_delivered")
+    add(record, identity(bench), noise=part(NOISE))
+    folder = {"record.folder": str(record.folder)}
+    config = load_bench("emulated_delivered", overrides=folder)
+    assert config.estimator.gyro.rate_rad_s == 0.0011
+    assert config.estimator.process.acceleration_m_s2_sqrt_hz == 0.021
+    assert config.estimator.tracker.position_m == bench.estimator.tracker.position_m
+    said = load_bench("emulated_delivered", overrides={**folder, "estimator.gyro.rate_rad_s": 0.005})
+    assert said.estimator.gyro.rate_rad_s == 0.005
+    assert (
+        load_bench("emulated", overrides={**folder, "name": bench.name}).estimator.gyro == WALL.estimator.gyro
+    )
+    paper = load_bench("emulated_delivered", overrides={**folder, "estimator.preset": "paper"})
+    assert paper.estimator.gyro.rate_rad_s == EstimatorConfig().gyro.rate_rad_s

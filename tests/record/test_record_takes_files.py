@@ -188,7 +188,7 @@ def with_zeros(zeros):
         (FRAGMENT.replace("0.01", "nan"), "alignment.steer_zero_rad: nan is no finite number"),
         (FRAGMENT.replace("0.01", "0.2"), "alignment.steer_zero_rad: 0.2: steering_zero"),
         ("[alignment]\ndrive_sign = [1, 1, 2, 1]\n", "alignment.drive_sign.2: must be -1 or 1"),
-        ("[tracker]\nscale = 0.5\n", "tracker.scale: 0.5: tracker_extrinsics lets 0.97 to 1.03"),
+        ("[tracker]\nscale = 0.5\n", "tracker.scale: 0.5: tracker_extrinsics lets 0.7 to 1.35"),
         ("[tracker]\nscale_sigma = 0.5\n", "tracker.scale_sigma"),
     ],
 )

@@ -15,6 +15,7 @@ import numpy as np
 
 from hil.bench.bench import Bench
 from hil.bench.doctor.inertial_offsets import changed_between
+from hil.bench.doctor.noise_at_rest import noise_at_rest
 from hil.bench.doctor.port_findings import Host, host_findings
 from hil.bench.doctor.steering_offsets import slipped_between
 from hil.bench.drivers import model_of
@@ -117,6 +118,7 @@ def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> I
         yield from unexplained_force(bench.config, seen)
         yield from slipped_between(bench.config, seen)
         yield from changed_between(bench.config, bench.model.alignment_parameters, seen)
+        yield from noise_at_rest(bench.config, bench.model.alignment_parameters, seen)
     finally:
         bench.close()
 

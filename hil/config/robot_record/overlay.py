@@ -1,4 +1,8 @@
-"""Overlays a bench file with a robot's record: its values override the file's, `--set` both."""
+"""Overlays a bench file with a robot's record: its values override the file's, `--set` both.
+
+Noise is the exception: there the file overrides the record, because who writes down a noise wants it kept
+(a preset counts as written down).
+"""
 
 from __future__ import annotations
 
@@ -50,10 +54,23 @@ def laid_over(tree: dict[str, Any], overrides: Mapping[str, object], today: date
         if name not in without and (wall or part.surface in ("", "floor"))
     }
     _check_valid(record, parts, _environment(tree, overrides, "surface"), today)
-    for part in parts.values():
+    preset = overrides.get("estimator.preset", _said(tree, "estimator.preset"))
+    for name, part in parts.items():
+        yields = PARTS[name].yields
+        if yields and preset not in (None, "recommended"):
+            continue
         for key, value in part.values.items():
-            _put(tree, key, str(record.path_of(part, key)) if key in part.files else value)
+            if not (yields and _said(tree, key) is not None):
+                _put(tree, key, str(record.path_of(part, key)) if key in part.files else value)
     return file
+
+
+def _said(tree: Mapping[str, Any], dotted: str) -> object:
+    """What the bench file says for a key; None where it says nothing."""
+    found: Any = tree
+    for word in dotted.split("."):
+        found = found.get(word) if isinstance(found, Mapping) else None
+    return found
 
 
 def _check_valid(record: RobotRecord, parts: Mapping[str, Part], surface: object, today: date) -> None:

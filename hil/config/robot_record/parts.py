@@ -34,12 +34,14 @@ class PartKind:
         keys: of the bench file, dotted; one that ends in a dot stands for all below it.
         measured_by: procedure that finds it.
         on: parts that it is measured on top of.
+        yields: whether what the bench file says counts above it; else the part counts above the bench file.
     """
 
     title: str
     keys: tuple[str, ...]
     measured_by: str
     on: tuple[str, ...] = ()
+    yields: bool = False
 
 
 PARTS: Mapping[str, PartKind] = {
@@ -86,6 +88,25 @@ PARTS: Mapping[str, PartKind] = {
         ("estimator.wall.", "environment.friction"),
         "surface_identification",
         ("signs", "zeros", "geometry"),
+    ),
+    "noise": PartKind(
+        "noise and drift of the sensors, and how the robot shakes",
+        (
+            "estimator.process.",
+            "estimator.wheels.step_m",
+            "estimator.wheels.per_sqrt_m",
+            "estimator.gyro.rate_rad_s",
+            "estimator.tracker.position_m",
+            "estimator.tracker.heading_rad",
+            "estimator.tracker.drift_per_sqrt_m",
+            "estimator.tracker.drift_per_sqrt_s",
+            "estimator.tracker.yaw_drift_per_sqrt_s",
+            "estimator.mocap.position_m",
+            "estimator.mocap.heading_rad",
+        ),
+        "sensor_noise",
+        ("geometry",),
+        yields=True,
     ),
     "hold": PartKind(
         "zeros of the load cells and force of the fan",

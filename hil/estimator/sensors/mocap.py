@@ -27,7 +27,7 @@ BENT = False
 ANGLE_ROW = 2
 GATED_TOGETHER = True
 START = {"t_ns": -1.0, "tally.nis_mean": 1.0}
-FIGURES = {"rejected_mocap": "tally.rejected"}
+FIGURES = {"nis_mocap": "tally.nis", "nis_mean_mocap": "tally.nis_mean", "rejected_mocap": "tally.rejected"}
 
 new_frame = no_frame
 undo = undo_nothing

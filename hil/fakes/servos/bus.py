@@ -61,7 +61,7 @@ class ServoBus(SerialChip, Scheduled):
         rng = world.rng(name)
         models = options.models()
         self._faults = ServoFaults(world.faults, name, options.ids, rng, models)
-        self._sensing = Sensing(world.plant, rng, models)
+        self._sensing = Sensing(world.plant, rng, models, options.dither_counts)
         self._thermal = ThermalModel(self._sensing, options, models)
         self._live = LiveRegisters(self._sensing, self._thermal, self._faults)
         self._single = SingleInstructions(self._live)

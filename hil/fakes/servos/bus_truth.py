@@ -94,6 +94,7 @@ class ServoBusOptions:
             every look.
         cadence_jitter_s, cadence_gaps_per_s, cadence_longest_gap_s: what disturbs that cadence.
         drive_start_counts: encoder counts of the drives at joint angle 0.
+        dither_counts: noise of the encoders before they count, counts, one sigma.
         overload_a: current that counts as overload; the model's where it is left out.
         overload_s: how long it lasts until it does.
     """
@@ -122,6 +123,7 @@ class ServoBusOptions:
     cadence_gaps_per_s: float = 0.13
     cadence_longest_gap_s: float = 0.029
     drive_start_counts: tuple[Counts, Counts, Counts, Counts] = (317, 1204, 2911, 3870)
+    dither_counts: Annotated[float, Within(0.0, 100.0, "counts of 4096 a turn")] = 0.25
     overload_a: float | None = None
     overload_s: float = 2.0
 

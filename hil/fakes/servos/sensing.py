@@ -73,7 +73,6 @@ def show(now: Array, history: Array, dither: Array, scales: Array, first: int, r
 GRID_NS = 4_000_000
 _GRID_S = GRID_NS * 1e-9
 _ROWS = 128
-_DITHER_COUNTS = 0.25
 HISTORY_NS = (_ROWS - OLD - SPAN - 1) * GRID_NS
 
 
@@ -84,14 +83,21 @@ class Sensing:
         plant: gives angles, rates and currents.
         rng: of the dither.
         models: of the eight servos: what their counts and motors are.
+        dither_counts: noise of the encoders before they count, one sigma.
 
     Attributes:
         resistance_ohm: (8,) of the motors.
         ticks: samples of the grid taken so far.
     """
 
-    def __init__(self, plant: Plant, rng: np.random.Generator, models: tuple[ServoModel, ...]) -> None:
-        self._plant, self._rng = plant, rng
+    def __init__(
+        self,
+        plant: Plant,
+        rng: np.random.Generator,
+        models: tuple[ServoModel, ...],
+        dither_counts: float = 0.25,
+    ) -> None:
+        self._plant, self._rng, self._dither_counts = plant, rng, dither_counts
         span_s = SPAN * _GRID_S
         self.resistance_ohm: Array = np.array([m.motor.resistance_ohm for m in models])
         self._back_emf_v_s_rad: Array = np.array([m.motor.back_emf_v_s_rad for m in models])
@@ -110,7 +116,7 @@ class Sensing:
 
     def _draw(self) -> None:
         """Dither of the next samples of the grid, counts."""
-        self._dither = self._rng.normal(0.0, _DITHER_COUNTS, (_ROWS, 8))
+        self._dither = self._rng.normal(0.0, self._dither_counts, (_ROWS, 8))
 
     def tick(self) -> None:
         """Take one sample of the grid: the angles; they become counts, all together, when they are read."""

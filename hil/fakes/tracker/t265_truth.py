@@ -13,6 +13,7 @@ class TrackerTruthOptions:
     """What one camera does wrong; individual values are drawn once per seed.
 
     Attributes:
+        scale: distance that the visual odometry sees over the true one, mean over cameras.
         scale_sigma: relative scale error of the visual odometry, standard deviation over cameras.
         session_scale_sigma, session: the scale differs from one session to the next, this much (one sigma);
             each `session` has its own.
@@ -34,6 +35,7 @@ class TrackerTruthOptions:
         firmware: version that it reports.
     """
 
+    scale: Annotated[float, Within(0.1, 10.0, "seen over true distance")] = 1.0
     scale_sigma: float = 0.005
     session_scale_sigma: float = 0.0
     session: Annotated[int, Within(0, 2**31 - 1, "a number of a session")] = 0

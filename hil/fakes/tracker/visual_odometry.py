@@ -79,7 +79,7 @@ class VisualOdometry:
     ) -> None:
         self._options, self._rng = options, rng
         self._mount_m, self._mount_wxyz = mount_position_m, mount_rotation_wxyz
-        self.scale = 1.0 + options.scale_sigma * float(rng.standard_normal())
+        self.scale = options.scale + options.scale_sigma * float(rng.standard_normal())
         if options.session_scale_sigma > 0.0:
             session = np.random.default_rng((options.session, int(self.scale * 1e12)))
             self.scale += options.session_scale_sigma * float(session.standard_normal())

@@ -18,9 +18,10 @@ from hil.core.registry import kinds
 from hil.procedure.bench_request import BenchSource
 from hil.procedure.commission.stages import Stage
 
+_WITH_EVERY_SENSOR = ("latency", "surface_identification", "sensor_noise", "wall_ablation")
 _OF_A_SENSOR: Mapping[str, tuple[str, ...]] = {
-    "imu": ("bring_up", "imu_calibration", "latency", "surface_identification", "wall_ablation"),
-    "tracker": ("bring_up", "tracker_extrinsics", "latency", "surface_identification", "wall_ablation"),
+    "imu": ("bring_up", "imu_calibration", *_WITH_EVERY_SENSOR),
+    "tracker": ("bring_up", "tracker_extrinsics", *_WITH_EVERY_SENSOR),
 }
 """Procedures that rest on a device. All rest on servos, encoders, motion capture, and what is no device."""
 _NOTHING_RESTS_ON = ("monitor", "record")

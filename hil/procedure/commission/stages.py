@@ -78,6 +78,7 @@ STAGES = (
     Stage("imu_calibration", "wall", 10.0),
     Stage("latency", "wall", 6.0),
     Stage("surface_identification", "wall", 14.0, {"hold": False, "repetitions": 4}),
+    Stage("sensor_noise", "wall", 10.0, {"repetitions": 2}),
     Stage("wall_ablation", "wall", 30.0),
 )
 

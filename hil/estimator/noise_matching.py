@@ -1,0 +1,172 @@
+"""Whether a filter with measured noise is as sure as it may be on driven runs, and the wheels' share in that.
+
+What single sensors do wrong is measured (`hil.estimator.sensor_noise`), and so is how the motion changes.
+What a wheel model makes of the noise of its encoders is not: it is scaled so that the usual NIS of the wheels
+is 1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from hil.config.estimator import EstimatorConfig
+from hil.core.clock import NS_PER_S
+from hil.core.signals import Measurements, RobotState, heard
+from hil.estimator import make_estimator
+from hil.robot.kinematics import WheelGeometry
+from hil.support.progress import Report, silent
+
+SENSORS = ("wheels", "gyro", "tracker", "mocap")
+"""Fields of `Measurements`."""
+_CHUNK_NS = NS_PER_S // 4
+_SETTLED_NS = NS_PER_S
+_WINDOW = 20
+"""Samples of the running means that are looked at: of about a chunk."""
+_SCALED = ("wheels.step_m", "wheels.per_sqrt_m")
+_LARGEST = 3.0
+"""Factor by which the wheels' noise may be another than its encoders'."""
+_ROUNDS = 4
+_NEAR = 0.03
+_TWIST = "process.angular_acceleration_rad_s2_sqrt_hz"
+_HIDDEN, _FREER, _FREEST = 0.85, 2.0, 6
+"""NIS of the gyro down to which its noise hides how the body twists, and the steps that are tried."""
+
+
+@dataclass(frozen=True)
+class DrivenRun:
+    """A run that began at a known state."""
+
+    measurements: tuple[Measurements, ...]
+    start: RobotState
+
+
+@dataclass(frozen=True)
+class Matched:
+    """Values by dotted name of `[estimator]`, and the usual NIS per row by sensor with them."""
+
+    values: Mapping[str, float]
+    nis: Mapping[str, float]
+
+
+def usual_nis(
+    config: EstimatorConfig, runs: Sequence[DrivenRun], geometry: WheelGeometry, surface: str
+) -> dict[str, float]:
+    """Usual NIS per row of each sensor that was heard, 1 where the filter is as sure as it may be.
+
+    The median over means of twenty samples: a start, a stop or a wheel that is steered shakes the robot for a
+    moment, and does not decide. The first second of a run, in which the filter finds its biases, does not
+    count.
+    """
+    found: dict[str, list[float]] = {}
+    config = config.model_copy(update={"time": config.time.model_copy(update={"nis_samples": _WINDOW})})
+    for run in runs:
+        estimator = make_estimator(config, geometry, surface=surface)
+        estimator.reset(run.start)
+        names = [n for n in heard(run.measurements) if n != "mocap" or config.mocap.use]
+        for chunk in _chunks(run.measurements):
+            figures = estimator.update(chunk).diagnostics
+            if chunk.t_ns - run.start.t_ns >= _SETTLED_NS:
+                for name in names:
+                    found.setdefault(name, []).append(figures[f"nis_mean_{name}"])
+    return {name: float(np.median(values)) for name, values in found.items()}
+
+
+def _chunks(cycles: Sequence[Measurements]) -> Iterator[Measurements]:
+    """Cycles put together: the same samples in fewer calls."""
+    part: list[Measurements] = []
+    for m in cycles:
+        part.append(m)
+        if m.t_ns - part[0].t_ns >= _CHUNK_NS:
+            yield _together(part)
+            part = []
+    if part:
+        yield _together(part)
+
+
+def _together(part: Sequence[Measurements]) -> Measurements:
+    samples: dict[str, Any] = {n: tuple(chain.from_iterable(getattr(m, n) for m in part)) for n in SENSORS}
+    return Measurements(part[-1].cycle, part[-1].t_ns, **samples)
+
+
+def with_noise(config: EstimatorConfig, values: Mapping[str, float]) -> EstimatorConfig:
+    """The configuration with figures by dotted name replaced."""
+    tree: dict[str, Any] = config.model_dump()
+    for name, value in values.items():
+        table, key = name.split(".")
+        tree[table][key] = value
+    return EstimatorConfig.model_validate(tree)
+
+
+def match(
+    config: EstimatorConfig,
+    runs: Sequence[DrivenRun],
+    geometry: WheelGeometry,
+    surface: str,
+    report: Report = silent,
+) -> Matched:
+    """Free the twist as far as the gyro's noise hides it, then scale the wheels' noise until their NIS is 1.
+
+    A filter that expects fewer twists than there are refuses the gyro at a start; one that expects more hears
+    it less.
+
+    Args:
+        config: with the measured noise of the sensors and of the motion.
+        runs: driven.
+        geometry: of the wheels.
+        surface: `wall` or `floor`.
+        report: called with (what, done, total).
+    """
+    found = Matched({}, usual_nis(config, runs, geometry, surface))
+
+    def done(rounds: int) -> None:
+        report("matching", rounds, _ROUNDS + _FREEST)
+
+    if "gyro" in found.nis:
+        found = _freest(config, found, lambda c: usual_nis(c, runs, geometry, surface), done)
+    return _scaled(
+        with_noise(config, found.values), found, lambda c: usual_nis(c, runs, geometry, surface), done
+    )
+
+
+Fit = Callable[[EstimatorConfig], dict[str, float]]
+
+
+def _freest(config: EstimatorConfig, found: Matched, fit: Fit, passed: Callable[[int], object]) -> Matched:
+    """With the largest angular acceleration at which the gyro's NIS stays above `_HIDDEN`."""
+    own = _value(config, _TWIST)
+    for step in range(1, _FREEST + 1):
+        passed(step)
+        values = {_TWIST: own * _FREER**step}
+        nis = fit(with_noise(config, values))
+        if nis["gyro"] < _HIDDEN:
+            break
+        found = Matched(values, nis)
+    return found
+
+
+def _scaled(config: EstimatorConfig, found: Matched, fit: Fit, passed: Callable[[int], object]) -> Matched:
+    """With wheels whose usual NIS is 1, or as near to it as a factor of three brings it."""
+    own = {name: _value(config, name) for name in _SCALED}
+    scale, best = 1.0, found.nis
+    for done in range(_ROUNDS):
+        passed(_FREEST + done)
+        off = best.get("wheels", 1.0)
+        if abs(math.log(max(off, 1e-9))) < _NEAR:
+            break
+        tried = min(max(scale * math.sqrt(off), 1.0 / _LARGEST), _LARGEST)
+        nis = fit(with_noise(config, {n: v * tried for n, v in own.items()}))
+        if tried == scale or abs(math.log(nis["wheels"])) >= abs(math.log(off)):
+            break
+        scale, best = tried, nis
+    return Matched({**found.values, **{name: value * scale for name, value in own.items()}}, best)
+
+
+def _value(config: EstimatorConfig, name: str) -> float:
+    table, key = name.split(".")
+    return float(getattr(getattr(config, table), key))

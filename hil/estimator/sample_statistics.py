@@ -1,0 +1,165 @@
+"""Noise of a series of samples with its interval: white noise within blocks, drift from block to block.
+
+White noise is what is left of a block about a straight line, so that motion, delay and drift do not count.
+A drift is what the means of neighbouring blocks differ by beyond their white noise. Nothing here knows a
+robot or a device.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtri  # scipy.stats takes 1 s to import
+
+from hil.core.geometry import Array
+
+_LEAST_SHARE = 0.6
+_LINE = 2
+_MEDIAN_SQUARE = 0.4549
+"""Median of the square of a standard normal variable."""
+_MEDIAN_SHARE = 0.37
+"""What a median of squares is worth of as many squares."""
+_THIRD = 20.0
+"""Variance of the third difference of white noise of variance 1."""
+_THIRD_FREEDOM = 400.0 / 924.0
+"""Share of third differences that count as independent: they overlap."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A variance as a sum of squares.
+
+    Attributes:
+        squares: sum of squares, in the unit of the series, squared.
+        freedom: degrees of freedom in it.
+    """
+
+    squares: float = 0.0
+    freedom: float = 0.0
+
+    def __add__(self, other: Spread) -> Spread:
+        return Spread(self.squares + other.squares, self.freedom + other.freedom)
+
+    @property
+    def variance(self) -> float:
+        """Mean square; NaN without a degree of freedom."""
+        return self.squares / self.freedom if self.freedom > 0.0 else math.nan
+
+    def less(self, variance: float) -> Spread:
+        """Without a known variance, as when another sensor's noise is in it; never below 0.
+
+        What is left is known the worse the smaller a share of the whole it is.
+        """
+        if self.squares <= 0.0:
+            return self
+        left = max(1.0 - variance * self.freedom / self.squares, 0.0)
+        freedom = max(self.freedom * left**2, min(self.freedom, 1.0))
+        return Spread(left * self.variance * freedom, freedom)
+
+    def per(self, weight: float) -> Spread:
+        """In another unit: the variance divided by `weight`."""
+        return Spread(self.squares / weight, self.freedom)
+
+    def sigma(self) -> tuple[float, float, float]:
+        """Standard deviation and the ends of its 95 % interval; NaN without a degree of freedom."""
+        if self.freedom < 1.0:
+            return math.nan, math.nan, math.nan
+        low, high = (math.sqrt(self.squares / chdtri(self.freedom, p)) for p in (0.025, 0.975))
+        return math.sqrt(self.variance), low, high
+
+
+def total(parts: Iterable[Spread]) -> Spread:
+    """All of them together."""
+    return sum(parts, Spread())
+
+
+def blocks(t_s: Array, span_s: float) -> Iterator[slice]:
+    """Stretches of `span_s` of a rising series of times (n,); those with a hole are left out.
+
+    A block has at least 60 % of the samples that most have, and no less than three.
+    """
+    if len(t_s) < 3:
+        return
+    number = np.floor((t_s - t_s[0]) / span_s).astype(np.int64)
+    edges = np.flatnonzero(np.diff(number)) + 1
+    found = [slice(a, b) for a, b in zip((0, *edges), (*edges, len(t_s)), strict=True)]
+    usual = float(np.median([part.stop - part.start for part in found]))
+    for part in found:
+        if part.stop - part.start >= max(3.0, _LEAST_SHARE * usual):
+            yield part
+
+
+def about_a_line(t_s: Array, values: Array) -> Spread:
+    """What is left of a series (n,) about its straight line."""
+    if len(t_s) <= _LINE:
+        return Spread()
+    time, value = t_s - t_s.mean(), values - values.mean()
+    power = float(time @ time)
+    slope = float(time @ value) / power if power > 0.0 else 0.0
+    return Spread(float(np.sum((value - slope * time) ** 2)), len(t_s) - _LINE)
+
+
+def by_third_differences(t_s: Array, values: Array) -> Spread:
+    """White noise of an even series (n,) that moves smoothly; samples beside a hole do not count."""
+    if len(t_s) < 5:
+        return Spread()
+    third, step = np.diff(values, 3), np.diff(t_s)
+    usual = float(np.median(step))
+    even = np.abs(step - usual) < 0.3 * usual
+    third = third[even[:-2] & even[1:-1] & even[2:]]
+    return Spread(float(np.sum(third**2)) / _THIRD * _THIRD_FREEDOM, _THIRD_FREEDOM * len(third))
+
+
+@dataclass(frozen=True)
+class Change:
+    """From the mean of one block to that of the next.
+
+    Attributes:
+        by: difference of the means.
+        white: variance of it that is white noise.
+        over: how far, m or s, lies between their middles.
+    """
+
+    by: float
+    white: float
+    over: float
+
+
+def random_walk(changes: Sequence[Change]) -> Spread:
+    """Power density of a random walk: variance per unit of `over`.
+
+    The means of two blocks of a walk that grows evenly differ by 2/3 of what it grows by from middle to
+    middle. Neighbouring differences share a block: two thirds of them count as independent. What cannot be
+    distinguished from the white noise counts as walk.
+    """
+    if not changes:
+        return Spread()
+    by, white, over = (np.array([getattr(c, k) for c in changes]) for k in ("by", "white", "over"))
+    grown = float(np.sum(over)) * 2.0 / 3.0
+    if grown <= 0.0:
+        return Spread()
+    freedom = max(2.0 / 3.0 * len(changes), 1.0)
+    walked, unseen = float(np.sum(by**2 - white)), float(np.sum(white)) * math.sqrt(2.0 / freedom)
+    share = max(walked, unseen) / (max(walked, unseen) + float(np.sum(white)))
+    worth = max(freedom * share**2, 1.0)
+    return Spread(max(walked, unseen) / grown * worth, worth)
+
+
+def hardest(changes: Sequence[Change], share: float) -> Spread:
+    """As `random_walk`, of the share of the changes that are largest."""
+    least = sorted((abs(c.by) for c in changes), reverse=True)[: max(int(share * len(changes)), 1)]
+    return random_walk([c for c in changes if abs(c.by) >= least[-1]]) if least else Spread()
+
+
+def usual(changes: Sequence[Change]) -> Spread:
+    """As `random_walk`, by the median: what happens now and then does not count."""
+    if not changes:
+        return Spread()
+    square = float(np.median([c.by**2 for c in changes])) / _MEDIAN_SQUARE
+    usually = [Change(math.sqrt(square), c.white, c.over) for c in changes]
+    found = random_walk(usually)
+    worth = max(found.freedom * _MEDIAN_SHARE, min(found.freedom, 1.0))
+    return Spread(found.variance * worth, worth) if worth > 0.0 else found

@@ -1,0 +1,281 @@
+"""What the sensors of a robot do wrong, from runs in which it rests and drives: noise and drift of each.
+
+Motion capture is the truth that camera and gyro are held to; its own noise is what it wanders at rest, and
+by what it is not smooth in motion. Four wheels measure three numbers: their noise is by what they contradict
+each other. Where a figure has to be distinguished from another sensor's noise that is taken off. All from
+measurements; nothing from a configuration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hil.core.geometry import Array, rotation2
+from hil.core.signals import Measurements
+from hil.estimator.run_samples import RunSamples
+from hil.estimator.sample_statistics import (
+    Change,
+    Spread,
+    about_a_line,
+    blocks,
+    by_third_differences,
+    hardest,
+    random_walk,
+    total,
+    usual,
+)
+from hil.robot.kinematics import WheelGeometry
+
+_WHITE_S, _GYRO_S, _DRIFT_S = 0.2, 0.8, 0.5
+_WAY_M = 0.05
+_ENDS = 5
+_MOTION_S = 0.2
+_HARDEST = 0.1
+"""Share of a drive in which speed changes most: starts and stops, where wheels are not to be refused."""
+_ROWS_FREE = 5.0
+"""Degrees of freedom of eight equations of the wheels for three numbers."""
+
+Runs = Sequence[Sequence[Measurements]]
+
+
+@dataclass
+class Spreads:
+    """Of one quantity: at rest and in motion."""
+
+    rest: Spread = field(default_factory=Spread)
+    moving: Spread = field(default_factory=Spread)
+
+    def add(self, found: Spread, *, moving: bool) -> None:
+        """One more stretch."""
+        if moving:
+            self.moving = self.moving + found
+        else:
+            self.rest = self.rest + found
+
+    @property
+    def both(self) -> Spread:
+        """Of a robot that works: that of motion where it is clearly another one than at rest, else of all."""
+        (_, low, high), (_, rest_low, rest_high) = self.moving.sigma(), self.rest.sigma()
+        return self.moving if low > rest_high or high < rest_low else self.rest + self.moving
+
+
+@dataclass
+class SensorNoise:
+    """What was found, each a variance; empty where the runs say nothing.
+
+    Attributes:
+        gyro: of one rate, rad^2/s^2.
+        camera_position, camera_heading: white noise of one pose, m^2 per axis and rad^2.
+        camera_walk: of the camera's place, m^2 per metre; `camera_creep`, m^2 per second at rest.
+        camera_turn: of the camera's heading, rad^2 per second.
+        mocap_position, mocap_heading: white noise of one pose, m^2 per axis and rad^2.
+        wheel_step: of one displacement of a wheel between two reads, m^2 per component.
+        wheel_walk: random slip of one wheel, m^2 per rolled metre.
+        push, twist: no noise of a sensor, but how the body's speed changes, m^2/s^3 per axis and rad^2/s^3:
+            where it does most (a tenth of all), and usually.
+    """
+
+    gyro: Spreads = field(default_factory=Spreads)
+    camera_position: Spreads = field(default_factory=Spreads)
+    camera_heading: Spreads = field(default_factory=Spreads)
+    camera_walk: Spread = field(default_factory=Spread)
+    camera_creep: Spread = field(default_factory=Spread)
+    camera_turn: Spread = field(default_factory=Spread)
+    mocap_position: Spreads = field(default_factory=Spreads)
+    mocap_heading: Spreads = field(default_factory=Spreads)
+    wheel_step: Spreads = field(default_factory=Spreads)
+    wheel_walk: Spread = field(default_factory=Spread)
+    push: Spread = field(default_factory=Spread)
+    twist: Spread = field(default_factory=Spread)
+
+
+def measure(runs: Runs, geometry: WheelGeometry) -> SensorNoise:
+    """Noise of the sensors in runs of cycles; each run begins and ends where its truth does."""
+    found = SensorNoise()
+    every = [RunSamples(cycles, geometry) for cycles in runs]
+    for run in every:
+        _mocap(run, found)
+    for run in every:
+        _gyro(run, found)
+        _camera(run, found)
+        _wheels(run, found, geometry)
+    _camera_drift(every, found)
+    _wheel_walk(every, found, geometry)
+    _motion(every, found)
+    return found
+
+
+def _mocap(run: RunSamples, found: SensorNoise) -> None:
+    """White noise of motion capture."""
+    for part in blocks(run.truth[:, 0], _DRIFT_S):
+        t_s, poses = run.truth[part, 0], run.truth[part, 1:4]
+        rests = run.rests(t_s[0], t_s[-1])
+        if rests is None:
+            continue
+        place = total(by_third_differences(t_s, poses[:, k]) for k in (0, 1))
+        found.mocap_position.add(place, moving=not rests)
+        found.mocap_heading.add(by_third_differences(t_s, poses[:, 2]), moving=not rests)
+
+
+def _gyro(run: RunSamples, found: SensorNoise) -> None:
+    """White noise of the rate: about its mean at rest, against the truth's turn in motion.
+
+    There bias and delay are left out: what is the same in every block, and what goes with the rate's change.
+    """
+    whole = []
+    for part in blocks(run.gyro[:, 0], _GYRO_S):
+        t_s, rate = run.gyro[part, 0], run.gyro[part, 1]
+        rests = run.rests(t_s[0], t_s[-1])
+        if rests:
+            found.gyro.add(about_a_line(t_s, rate), moving=False)
+        heading = run.true_poses(t_s[[0, -1]])[:, 2]
+        if rests is False and np.isfinite(heading).all():
+            turned = float(np.sum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t_s)))
+            span_s = t_s[-1] - t_s[0]
+            change = float(rate[-_ENDS:].mean() - rate[:_ENDS].mean())
+            whole.append((turned - (heading[1] - heading[0]), span_s * span_s / (len(t_s) - 1), change))
+    if len(whole) < 5:
+        return
+    error, weight, change = np.array(whole).T
+    late = np.column_stack([np.ones(len(error)), change])
+    error = error - late @ np.linalg.lstsq(late, error, rcond=None)[0]
+    turned_off = Spread(float(np.sum(error**2)), len(error) - 2.0)
+    known = 2.0 * _known(found.mocap_heading)
+    found.gyro.add(turned_off.less(known).per(float(weight.mean())), moving=True)
+
+
+def _known(spreads: Spreads) -> float:
+    """Variance of a sensor that is used to judge another one, 0 where it is unknown."""
+    both = spreads.both
+    return both.variance if both.freedom >= 1.0 else 0.0
+
+
+def _camera(run: RunSamples, found: SensorNoise) -> None:
+    """White noise of the camera's poses."""
+    place, turn = (2.0 / 3.0 * _known(s) for s in (found.mocap_position, found.mocap_heading))
+    for part in blocks(run.camera[:, 0], _WHITE_S):
+        t_s, poses = run.camera[part, 0], run.camera[part, 1:4]
+        truth = run.true_poses(t_s)
+        rests = run.rests(t_s[0], t_s[-1])
+        if rests is None or not np.isfinite(truth).all():
+            continue
+        away = float(np.mean(truth[:, 2] - poses[:, 2]))
+        off = poses[:, :2] @ rotation2(away).T - truth[:, :2]
+        white = total(about_a_line(t_s, off[:, k]) for k in (0, 1))
+        found.camera_position.add(white.less(place), moving=not rests)
+        found.camera_heading.add(about_a_line(t_s, poses[:, 2] - truth[:, 2]).less(turn), moving=not rests)
+
+
+def _camera_drift(runs: Sequence[RunSamples], found: SensorNoise) -> None:
+    """How camera and truth part from one block to the next: by way, at rest, and in heading."""
+    walk, creep, turn = list[Change](), list[Change](), list[Change]()
+    white = [_known(s) for s in (found.camera_position, found.camera_heading)]
+    truth = [_known(s) for s in (found.mocap_position, found.mocap_heading)]
+    moved = []
+    for run in runs:
+        before = None
+        for part in blocks(run.camera[:, 0], _DRIFT_S):
+            t_s, poses = run.camera[part, 0], run.camera[part, 1:4]
+            true = run.true_poses(t_s)
+            if not np.isfinite(true).all():
+                before = None
+                continue
+            now = (float(t_s.mean()), poses.mean(axis=0), true.mean(axis=0), len(t_s))
+            rests = run.rests(t_s[0], t_s[-1])
+            if before is not None and now[0] - before[0] < 1.5 * _DRIFT_S:
+                moved.append((before, now, rests))
+            before = now
+    steps = []
+    for (t0, a, p, n), (t1, b, q, k), rests in moved:
+        size = 1.0 / n + 1.0 / k
+        noise = [size * (w + t) for w, t in zip(white, truth, strict=True)]
+        turn.append(Change(float((b - a)[2] - (q - p)[2]), noise[1], t1 - t0))
+        seen = rotation2(0.5 * float(p[2] + q[2] - a[2] - b[2])) @ (b - a)[:2]
+        steps.append((seen, (q - p)[:2], noise[0], t1 - t0, rests))
+    for seen, true, noise0, over, rests in _without_scale(steps):
+        way = float(np.hypot(*true))
+        for k in range(2):
+            off = float(seen[k] - true[k])
+            if rests:
+                creep.append(Change(off, noise0, over))
+            elif rests is False:
+                walk.append(Change(off, noise0, way))
+    found.camera_turn, found.camera_creep = random_walk(turn), random_walk(creep)
+    found.camera_walk = random_walk(walk)
+
+
+Step = tuple[Array, Array, float, float, bool | None]
+
+
+def _without_scale(steps: Sequence[Step]) -> Iterator[Step]:
+    """Steps of the camera without what one scale for all of them explains."""
+    power = sum(float(true @ true) for _, true, *_ in steps)
+    scale = sum(float(true @ seen) for seen, true, *_ in steps) / power if power > 0.0 else 1.0
+    for seen, true, *others in steps:
+        yield (seen, scale * true, *others)  # type: ignore[misc]
+
+
+def _wheels(run: RunSamples, found: SensorNoise, geometry: WheelGeometry) -> None:
+    """What one wheel is off the motion that all four share, step by step."""
+    for part in blocks(run.steps[:, 0], _WHITE_S):
+        t_s, off = run.steps[part, 0], _off(run.steps[part, 3:11], geometry)
+        rests = run.rests(t_s[0], t_s[-1])
+        if rests is None:
+            continue
+        off = off - off.mean(axis=0)
+        freedom = _ROWS_FREE * (len(t_s) - 1)
+        found.wheel_step.add(Spread(float(np.sum(off**2)), freedom), moving=not rests)
+
+
+def _off(u: Array, geometry: WheelGeometry) -> Array:
+    """Wheel vectors (n, 8) less the body's motion that fits them best."""
+    p = geometry.projection()
+    return np.asarray(u - u @ (np.linalg.pinv(p).T @ p.T), dtype=np.float64)
+
+
+def _wheel_walk(runs: Sequence[RunSamples], found: SensorNoise, geometry: WheelGeometry) -> None:
+    """Random slip of single wheels: what steps of some centimetres are off beyond their ends' noise.
+
+    What is the same on every metre in one direction is the wheel's own, and no noise.
+    """
+    squares, ways, freedom = 0.0, 0.0, 0.0
+    ends = _known(found.wheel_step)
+    for run in runs:
+        rolled = np.cumsum(run.steps[:, 2])
+        if not len(rolled) or rolled[-1] < 4.0 * _WAY_M:
+            continue
+        number = np.floor(rolled / _WAY_M).astype(np.int64)
+        last = np.flatnonzero(np.diff(number, append=number[-1] + 1))
+        path = np.cumsum(_off(run.steps[:, 3:11], geometry), axis=0)[last]
+        way = np.diff(rolled[last])
+        off = np.diff(path, axis=0)
+        off = off - np.outer(way, off.sum(axis=0) / way.sum())
+        share = _ROWS_FREE * (len(way) - 1) / (8.0 * len(way))
+        squares += float(np.sum(off**2)) - 8.0 * share * len(way) * ends
+        ways += 8.0 * share * float(way.sum())
+        freedom += _ROWS_FREE * (len(way) - 1)
+    if ways > 0.0:
+        found.wheel_walk = Spread(max(squares, 0.0) / ways * freedom, freedom)
+
+
+def _motion(runs: Sequence[RunSamples], found: SensorNoise) -> None:
+    """How speed and rate change from one block to the next, by motion capture, as a random walk."""
+    push, twist = list[Change](), list[Change]()
+    place, turn = _known(found.mocap_position), _known(found.mocap_heading)
+    for run in runs:
+        middles = []
+        for part in blocks(run.truth[:, 0], _MOTION_S):
+            middles.append((run.truth[part].mean(axis=0), part.stop - part.start))
+        for (a, n), (b, k), (c, m) in zip(middles, middles[1:], middles[2:], strict=False):
+            over = 0.5 * float(c[0] - a[0])
+            if over > 1.5 * _MOTION_S:
+                continue
+            change = (c - b)[1:] / (c[0] - b[0]) - (b - a)[1:] / (b[0] - a[0])
+            white = (1.0 / n + 4.0 / k + 1.0 / m) / over**2
+            push += [Change(float(change[j]), place * white, over) for j in (0, 1)]
+            twist.append(Change(float(change[2]), turn * white, over))
+    found.push = hardest(push, _HARDEST)
+    found.twist = usual(twist)

@@ -1,0 +1,76 @@
+"""How well the sensors fitted the filter during a run: a table of every report of a run by a filter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from hil.core.clock import nanoseconds
+from hil.core.interfaces import Sink
+from hil.core.signals import CycleRecord
+
+TITLE = "How the sensors fit the estimate"
+HEAD = ("sensor", "mean NIS", "band", "its noise is")
+BAND = (0.5, 2.0)
+"""Mean NIS per row inside which a sensor is as noisy as it is taken for; 1 is ideal."""
+_SENSORS: Mapping[str, str] = {
+    "wheels": "wheels",
+    "gyro": "gyro",
+    "tracker": "camera",
+    "mocap": "motion capture",
+}
+_SETTLED_NS, _GAP_NS = nanoseconds(2.0), nanoseconds(0.5)
+_SILENT_S = 1.0
+_FEWEST = 100
+
+
+def verdict(nis: float) -> str:
+    """What a mean NIS says of a sensor's noise beside what the estimator takes it for."""
+    low, high = BAND
+    if nis > high:
+        return f"larger than taken for: about {nis**0.5:.1f} times"
+    return f"smaller than taken for: about 1/{nis**-0.5:.1f}" if nis < low else "as taken for"
+
+
+class FitHistory(Sink):
+    """Takes each sensor's mean NIS while the robot drives by a filter, from bench after bench.
+
+    The first two seconds of a drive do not count: the running means of the filter begin at 1.
+    """
+
+    def __init__(self) -> None:
+        self._sums: dict[str, tuple[float, int]] = {}
+        self._began_ns = self._last_ns = -_GAP_NS
+
+    def write(self, record: CycleRecord) -> None:
+        """Take one record."""
+        if record.reference is None:
+            return
+        t_ns, figures = record.inputs.t_ns, record.state.diagnostics
+        if not self._last_ns <= t_ns < self._last_ns + _GAP_NS or record.cycle == 0:
+            self._began_ns = t_ns
+        self._last_ns = t_ns
+        if t_ns - self._began_ns < _SETTLED_NS:
+            return
+        for name in _SENSORS:
+            nis = figures.get(f"nis_mean_{name}")
+            if nis is not None and figures.get(f"age_{name}_s", _SILENT_S) < _SILENT_S:
+                before, count = self._sums.get(name, (0.0, 0))
+                self._sums[name] = before + nis, count + 1
+
+    def follow(self, later: FitHistory) -> None:
+        """Take what was driven elsewhere as driven after all this."""
+        for name, (nis, count) in later._sums.items():
+            before, counted = self._sums.get(name, (0.0, 0))
+            self._sums[name] = before + nis, counted + count
+
+    def close(self) -> None:
+        """Nothing to let go of; the next bench goes on."""
+
+    def means(self) -> dict[str, float]:
+        """Mean NIS per row by sensor; none of one that was hardly heard."""
+        return {name: total / count for name, (total, count) in self._sums.items() if count >= _FEWEST}
+
+    def rows(self) -> Iterator[tuple[str, str, str, str]]:
+        """Rows of the table, in words; none where no filter drove."""
+        for name, nis in self.means().items():
+            yield _SENSORS[name], f"{nis:.2f}", f"{BAND[0]:g} to {BAND[1]:g}", verdict(nis)

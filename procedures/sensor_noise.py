@@ -1,0 +1,159 @@
+"""How noisy the robot's sensors are, at rest and in motion, and how they drift: what its filter goes by.
+
+The robot rests, then drives there and back along both axes and turns a little, while motion capture watches.
+Each sensor's noise and drift come from the samples; how the robot shakes, from what is left in the filter's
+innovations. The result goes into the robot's record, and counts there as long as the bench file does not say
+otherwise. Nothing of an emulated device is asked for but its samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from hil.bench import Bench
+from hil.config.bench import BenchConfig
+from hil.core.errors import DeviceError
+from hil.core.geometry import Array
+from hil.core.signals import Measurements
+from hil.estimator.noise_matching import DrivenRun, match, with_noise
+from hil.estimator.sensor_noise import SensorNoise, measure
+from hil.loop.driven_motion import Motion
+from hil.procedure import Context, Measurement, PlannedStep, procedure
+from hil.procedure.bench_fragment import write_fragment
+from hil.procedure.record_parts import leave_part
+from hil.procedure.tracking_errors import stand
+from hil.procedures.parts import headlines
+from hil.procedures.parts.noise_report import FOUND, figures, leave_measurements, table, values_of
+from hil.robot.trajectories import Trajectory, line
+
+_FOR_A_FILTER = ("imu", "tracker")
+_HOLD_S = 0.6
+_TURN_SPEED_M_S = 0.03
+
+
+class Parameters(BaseModel):
+    """How long to rest, and how far to drive."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    rest_s: float = Field(5.0, ge=2.0, le=3600, description="How long the robot rests at first, s.")
+    way_m: float = Field(0.4, ge=0.2, le=3.0, description="How far the robot drives along X and along Y, m.")
+    turn_deg: float = Field(6.0, ge=1.0, le=90.0, description="How far it turns at each corner, deg.")
+    speed_m_s: float = Field(0.09, gt=0.01, le=3.5, description="Speed of the drives, m/s.")
+    repetitions: int = Field(1, ge=1, le=20, description="How often the way is driven.")
+
+
+def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
+    """Noise and drift by sensor, and whether the filter with them is as sure as it may be."""
+    devices = config.devices()
+    for one in FOUND:
+        if one.device in devices:
+            yield Measurement(one.name, one.unit, rationale=one.meaning)
+            yield Measurement(f"{one.name}_uncertainty", one.unit, rationale="half of the 95 % interval")
+    for sensor, device in (("wheels", "servos"), ("gyro", "imu"), ("tracker", "tracker")):
+        if device in devices:
+            yield Measurement(
+                f"nis.{sensor}",
+                "1",
+                low=0.5,
+                high=2.0,
+                marginal=0.2,
+                rationale="mean NIS per row with what was found: 1 where the filter is as sure as it may be",
+            )
+
+
+def tour(p: Parameters, start: Array) -> list[Trajectory]:
+    """Up, left, a turn, and back again, from where the robot stands; as often as asked."""
+    turn = np.radians(p.turn_deg)
+    stops = [(0, 0, 0), (p.way_m, 0, 0), (p.way_m, p.way_m, 0), (p.way_m, p.way_m, turn)]
+    stops += [(0, p.way_m, turn), (0, 0, turn), (0, 0, 0)]
+    poses = np.asarray(start, dtype=np.float64) + np.array(stops, dtype=np.float64)
+    legs = [
+        line(a, b, speed_m_s=p.speed_m_s if a[2] == b[2] else _TURN_SPEED_M_S, name=f"leg {k}")
+        for k, (a, b) in enumerate(pairwise(poses), start=1)
+    ]
+    return legs * p.repetitions
+
+
+def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
+    """A rest, the way there and back, and the evaluation."""
+    yield PlannedStep("rest")
+    yield PlannedStep("drives", tuple(tour(p, np.array(config.environment.start_pose))))
+    yield PlannedStep("evaluate")
+
+
+@procedure(
+    name="sensor_noise",
+    needs=("servos", "mocap"),
+    parameters=Parameters,
+    measurements=measurements,
+    plan=plan,
+    headline=headlines.sensor_noise,
+    quick={"rest_s": 3.0},
+)
+def run(ctx: Context) -> None:
+    """Noise and drift of every sensor, at rest and in motion, and how the robot shakes."""
+    p: Parameters = ctx.parameters
+    config = ctx.source.config
+    filtered = all(name in config.devices() for name in _FOR_A_FILTER)
+    bench = ctx.reopen(overrides={"encoders": None})
+    with ctx.step("rest", timeout_s=p.rest_s + 60.0):
+        stand(bench)
+        rested = bench.observe(p.rest_s, feedback="odometry")
+    with ctx.step("drives"):
+        driven = list(drives(ctx, bench, p, "ekf" if filtered else "odometry"))
+    with ctx.step("evaluate"):
+        evaluate(ctx, bench, cycles(rested), driven)
+
+
+def cycles(motion: Motion) -> tuple[Measurements, ...]:
+    """What a filter sees of a motion."""
+    return tuple(r.measurements for r in motion.records)
+
+
+def drives(ctx: Context, bench: Bench, p: Parameters, feedback: str) -> Iterator[DrivenRun]:
+    """Drive the tour leg by leg, each from where motion capture sees the robot rest."""
+    legs = tour(p, stand(bench))
+    for number, leg in enumerate(legs, start=1):
+        pose = stand(bench)
+        way = leg.sample(leg.duration_s).pose_in_wall - leg.sample(0.0).pose_in_wall
+        along = line(pose, pose + way, duration_s=leg.duration_s, name=leg.name)
+        motion = bench.drive(along, feedback=feedback, hold_s=_HOLD_S, start_pose=pose)
+        start = replace(bench.start_state(pose), t_ns=motion.records[0].inputs.t_ns)
+        yield DrivenRun(cycles(motion), start)
+        ctx.progress("drives", number, len(legs))
+
+
+def evaluate(ctx: Context, bench: Bench, rested: Sequence[Measurements], driven: Sequence[DrivenRun]) -> None:
+    """Measurements, table, and what goes into the record."""
+    found = measure([rested, *(run.measurements for run in driven)], bench.geometry)
+    _must_have_moved(found)
+    devices = ctx.source.config.devices()
+    values = values_of(found, devices)
+    surface = bench.config.environment.kind
+    config = with_noise(bench.config.estimator, values)
+    matched = match(config, driven, bench.geometry, surface, ctx.progress)
+    values |= matched.values
+    leave_measurements(ctx, found, matched.nis, devices)
+    table(ctx, found, devices)
+    keys = {f"estimator.{name}": float(f"{value:.4g}") for name, value in values.items()}
+    leave_part(ctx, "noise", values=keys, figures=figures(found, devices))
+    tree: dict[str, dict[str, float]] = {}
+    for name, value in values.items():
+        section, key = name.split(".")
+        tree.setdefault(section, {})[key] = float(f"{value:.4g}")
+    write_fragment(ctx, {"estimator": tree}, "Noise of the sensors, and how the robot shakes.")
+
+
+def _must_have_moved(found: SensorNoise) -> None:
+    if found.wheel_step.moving.freedom < 1.0:
+        raise DeviceError(
+            "servos",
+            "the wheels tell of no motion at an even speed on all of the way",
+            expected="a drive that the wheels' encoders follow",
+            remedy="hil run bring_up",
+        )
