@@ -17,13 +17,13 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from hil.loop.driven_motion import Motion
 
 from hil.bench import open_bench
 from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock
 from hil.core.geometry import wrap_array
 from hil.estimator.consistency import nees
+from hil.loop.driven_motion import Motion
 from hil.procedure.bench_request import BenchSource
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import RunOptions, run_procedure
