@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from hil.bench.settings import alignment_parameters
+from hil.bench.loop_settings import alignment_parameters
 
 from hil.bench.doctor.noise_at_rest import noise_at_rest
 from hil.config.loading import load_bench

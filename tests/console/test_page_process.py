@@ -21,7 +21,7 @@ def problems(values):
     return {"seed": "no number"} if values.get("seed") == "x" else {}
 
 
-ACTION = Action("idle", "procedures", "Does nothing.", (Field("seed", "integer"),), words, problems)
+ACTION = Action("idle", "procedures", "Does nothing.", (Field("seed", "Seed", "integer"),), words, problems)
 
 
 @pytest.fixture

@@ -58,6 +58,7 @@ class HeldDevices:
         self.faults = faults
         self._is_open = False
         self._begun_ns: int | None = None
+        self._clock_description: dict[str, object] | None = None
         self._closed_ns: int | None = None
         self._looked_ns: int | None = None
         self.pressed = ""
@@ -220,10 +221,15 @@ class HeldDevices:
         self.model.check(trajectory, known=known)
 
     def header(self) -> dict[str, object]:
-        """As of the model, and where the clock stands against the time of day, now."""
-        wall = self.clock.wall_offset()
-        ptp = [] if wall is None else [one._asdict() for one in ptp_offsets(self.clock.now_ns)]
-        return {**self.model.header(), "clock": describe_clock(wall, ptp)}
+        """As of the model, and where the clock stood against the time of day when this was first called.
+
+        All recordings of a bench, and what it publishes, have the same stamps.
+        """
+        if self._clock_description is None:
+            wall = self.clock.wall_offset()
+            ptp = [] if wall is None else [one._asdict() for one in ptp_offsets(self.clock.now_ns)]
+            self._clock_description = describe_clock(wall, ptp)
+        return {**self.model.header(), "clock": self._clock_description}
 
     def _note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
         """Tell the sinks something that belongs between two cycles."""
