@@ -102,7 +102,7 @@ def test_joint_commands_drive_a_live_session_and_not_before_they_come(tmp_path, 
 @pytest.mark.parametrize(
     ("settings", "answer"),
     [
-        ({"limit": 200}, "no command for"),
+        ({"on": "states", "limit": 500}, "no command for"),
         ({"on": 0.8}, "no command for"),
         ({"after": 40, "then": {"velocity": [0.5, 0.5, 0.5, 57.3]}}, "rpm"),
         ({"stamp": 5}, "do not go on"),

@@ -95,7 +95,7 @@ def moves(listen):
     return wait
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 @pytest.mark.timeout(PATIENCE_S + 60)
 @pytest.mark.parametrize("kind", ["Twist", "TwistStamped"])
 def test_it_drives_as_commanded_and_not_before(kind, tmp_path, live, command, moves):
@@ -120,7 +120,7 @@ def test_it_drives_as_commanded_and_not_before(kind, tmp_path, live, command, mo
     assert verdict(tmp_path / "r.mcap") == "identical"
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 @pytest.mark.timeout(PATIENCE_S + 60)
 @pytest.mark.parametrize(
     ("fields", "answer"),
@@ -147,7 +147,7 @@ def test_what_it_cannot_mean_stops_the_robot_by_name(fields, answer, tmp_path, l
     assert verdict(tmp_path / "r.mcap") == "identical"
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 @pytest.mark.timeout(PATIENCE_S + 60)
 def test_a_second_publisher_stops_the_robot(live, command):
     running = live("--duration", "60")
@@ -158,7 +158,7 @@ def test_a_second_publisher_stops_the_robot(live, command):
     assert "2 publishers" in summary["ended"]
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 @pytest.mark.timeout(PATIENCE_S + 60)
 def test_one_that_is_killed_brings_the_robot_to_rest(tmp_path, live, command, moves):
     running = live()
@@ -178,7 +178,7 @@ def test_one_that_is_killed_brings_the_robot_to_rest(tmp_path, live, command, mo
     assert not cycles[-1].reference.twist_body.any()
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 @pytest.mark.timeout(PATIENCE_S + 60)
 def test_without_a_publisher_it_says_where_it_looked_and_which_other_type_it_found(live, command, domain):
     command("Header")
