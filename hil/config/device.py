@@ -69,7 +69,7 @@ class TrackerConfig(MountedConfig):
     """
 
     latency_s: Delay = 0.020
-    scale: Annotated[float, Within(0.8, 1.25, "a camera that is further off is broken")] = 1.0
+    scale: Annotated[float, Within(0.7, 1.35, "a camera that is further off is broken")] = 1.0
     scale_sigma: (
         Annotated[float, Within(1e-6, 0.2, "a scale less known than that was not measured")] | None
     ) = None

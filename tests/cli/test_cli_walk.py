@@ -129,7 +129,9 @@ def base(world, tmp_path, monkeypatch):
 
     monkeypatch.setattr("hil.bench.opening.EmulatorProcess", nothing)
     monkeypatch.setattr("hil.cli.emulate._PATIENCE_S", 0.0)
-    monkeypatch.setattr("hil.cli.emulate._as_prompt_as_hardware", lambda fifo_priority: None)
+    monkeypatch.setattr(
+        "hil.cli.emulate._as_prompt_as_hardware", lambda fifo_priority: contextlib.nullcontext()
+    )
     monkeypatch.setattr("hil.fakes.server.EmulationServer.run", lambda self, **_: self.close())
     monkeypatch.setattr("hil.bench.doctor.discovery.serial_ports", list)
     monkeypatch.setattr("hil.bench.doctor.discovery.kinds", lambda: dict(map(on_ports, kinds().items())))

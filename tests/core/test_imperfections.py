@@ -69,7 +69,7 @@ def test_a_bench_is_checked_without_any_fault(key, value):
 
 
 @pytest.mark.parametrize(
-    "given", ["scale_sigma=-1", "latency_s=1e9", "scale_sigma=true", "scale=1", 'boot_s="x"']
+    "given", ["scale_sigma=-1", "latency_s=1e9", "scale_sigma=true", "size=1", 'boot_s="x"']
 )
 def test_a_run_ends_with_2_before_it_has_begun(tmp_path, capsys, given):
     out = tmp_path / "out"

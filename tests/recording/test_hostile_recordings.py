@@ -134,7 +134,7 @@ def test_any_bytes_in_a_cycle_are_a_cycle_or_a_problem(tmp_path, at, value):
 @pytest.mark.parametrize("deep", [b"\x91" * 100_000, b"\x81\xa1x" * 100_000])
 def test_values_within_values_without_an_end_are_refused(tmp_path, deep):
     data = CycleCodec().encode(driving_record(2))
-    assert data.endswith(b"truth\xc0")
+    assert data.endswith(b"external\xc0")
     path = write(tmp_path / "run.mcap", [cycle(data[:-1] + b"\x81\xa1x" + deep)], {"config": CONFIG})
     reader = RecordingReader(path)
     assert list(reader) == []
