@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -20,8 +21,9 @@ from hil.config.bench import BenchConfig
 from hil.core.errors import DeviceError
 from hil.core.geometry import Array
 from hil.core.signals import Measurements
-from hil.estimator.noise_matching import DrivenRun, match, with_noise
+from hil.estimator.noise_matching import DrivenRun, match
 from hil.estimator.sensor_noise import SensorNoise, measure
+from hil.estimator.tuning import with_values
 from hil.loop.driven_motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.bench_fragment import write_fragment
@@ -30,6 +32,7 @@ from hil.procedure.tracking_errors import stand
 from hil.procedures.parts import headlines
 from hil.procedures.parts.noise_report import FOUND, figures, leave_measurements, table, values_of
 from hil.robot.trajectories import Trajectory, line
+from hil.support.file_reading import put_dotted
 
 _FOR_A_FILTER = ("imu", "tracker")
 _HOLD_S = 0.6
@@ -135,18 +138,17 @@ def evaluate(ctx: Context, bench: Bench, rested: Sequence[Measurements], driven:
     devices = ctx.source.config.devices()
     values = values_of(found, devices)
     surface = bench.config.environment.kind
-    config = with_noise(bench.config.estimator, values)
+    config = with_values(bench.config.estimator, values)
     matched = match(config, driven, bench.geometry, surface, ctx.progress)
     values |= matched.values
     leave_measurements(ctx, found, matched.nis, devices)
     table(ctx, found, devices)
     keys = {f"estimator.{name}": float(f"{value:.4g}") for name, value in values.items()}
     leave_part(ctx, "noise", values=keys, figures=figures(found, devices))
-    tree: dict[str, dict[str, float]] = {}
-    for name, value in values.items():
-        section, key = name.split(".")
-        tree.setdefault(section, {})[key] = float(f"{value:.4g}")
-    write_fragment(ctx, {"estimator": tree}, "Noise of the sensors, and how the robot shakes.")
+    tree: dict[str, Any] = {}
+    for key, value in keys.items():
+        put_dotted(tree, key, value, "sensor_noise:")
+    write_fragment(ctx, tree, "Noise of the sensors, and how the robot shakes.")
 
 
 def _must_have_moved(found: SensorNoise) -> None:

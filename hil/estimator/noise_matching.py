@@ -19,6 +19,7 @@ from hil.config.estimator import EstimatorConfig
 from hil.core.clock import NS_PER_S
 from hil.core.signals import Measurements, RobotState, heard
 from hil.estimator import make_estimator
+from hil.estimator.tuning import with_values
 from hil.robot.kinematics import WheelGeometry
 from hil.support.progress import Report, silent
 
@@ -94,15 +95,6 @@ def _together(part: Sequence[Measurements]) -> Measurements:
     return Measurements(part[-1].cycle, part[-1].t_ns, **samples)
 
 
-def with_noise(config: EstimatorConfig, values: Mapping[str, float]) -> EstimatorConfig:
-    """The configuration with figures by dotted name replaced."""
-    tree: dict[str, Any] = config.model_dump()
-    for name, value in values.items():
-        table, key = name.split(".")
-        tree[table][key] = value
-    return EstimatorConfig.model_validate(tree)
-
-
 def match(
     config: EstimatorConfig,
     runs: Sequence[DrivenRun],
@@ -130,7 +122,7 @@ def match(
     if "gyro" in found.nis:
         found = _freest(config, found, lambda c: usual_nis(c, runs, geometry, surface), done)
     return _scaled(
-        with_noise(config, found.values), found, lambda c: usual_nis(c, runs, geometry, surface), done
+        with_values(config, found.values), found, lambda c: usual_nis(c, runs, geometry, surface), done
     )
 
 
@@ -143,7 +135,7 @@ def _freest(config: EstimatorConfig, found: Matched, fit: Fit, passed: Callable[
     for step in range(1, _FREEST + 1):
         passed(step)
         values = {_TWIST: own * _FREER**step}
-        nis = fit(with_noise(config, values))
+        nis = fit(with_values(config, values))
         if nis["gyro"] < _HIDDEN:
             break
         found = Matched(values, nis)
@@ -160,7 +152,7 @@ def _scaled(config: EstimatorConfig, found: Matched, fit: Fit, passed: Callable[
         if abs(math.log(max(off, 1e-9))) < _NEAR:
             break
         tried = min(max(scale * math.sqrt(off), 1.0 / _LARGEST), _LARGEST)
-        nis = fit(with_noise(config, {n: v * tried for n, v in own.items()}))
+        nis = fit(with_values(config, {n: v * tried for n, v in own.items()}))
         if tried == scale or abs(math.log(nis["wheels"])) >= abs(math.log(off)):
             break
         scale, best = tried, nis

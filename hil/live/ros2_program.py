@@ -10,8 +10,6 @@ import logging
 from collections.abc import Mapping
 from typing import NoReturn
 
-import numpy as np
-
 from hil.bench import Bench
 from hil.bench.bench import Until
 from hil.core.clock import NS_PER_S
@@ -21,11 +19,11 @@ from hil.core.signals import CycleRecord
 from hil.live.velocity_input import CommandLines
 from hil.recording.runs import RunStart
 from hil.ros2.command_topic import ALL_BUT_ONE, JOINTS, CommandTopic, commands_of
+from hil.ros2.external_controller import COMMAND, body_velocity
 from hil.ros2.publisher import Ros2Publisher
 
 LOG = logging.getLogger(__name__)
 _PATIENCE_NS = 5 * NS_PER_S
-_REASON = "ros2_command"
 
 
 class TwistCommands(CommandLines):
@@ -61,18 +59,11 @@ class TwistCommands(CommandLines):
     def _line(self, command: ExternalCommand) -> str:
         if command.kind != "twist":
             self._stop("sent joint commands after velocities", "end the session to drive otherwise")
-        ahead, left, up, roll, pitch, turn = command.velocity_rad_s.tolist()
-        if not np.isfinite(command.velocity_rad_s).all():
-            self._stop("sent a number that is not finite", "mend the controller")
-        if up or roll or pitch:
-            self._stop(
-                "asks for a motion off the wall (linear.z, angular.x or angular.y is not 0)",
-                "send linear.x, linear.y and angular.z",
-            )
-        return f"v {float(ahead)!r} {float(left)!r} {float(turn)!r}"
+        ahead, left, turn = body_velocity(command, self._topic.name, "wall").tolist()
+        return f"v {ahead!r} {left!r} {turn!r}"
 
     def _stop(self, what: str, remedy: str) -> NoReturn:
-        raise SafetyStop(_REASON, f"{self._topic.name} {what}; {remedy}")
+        raise SafetyStop(COMMAND, f"{self._topic.name} {what}; {remedy}")
 
 
 class Ros2Program:

@@ -109,7 +109,7 @@ class Ros2Controller(ExternalController):
     def _take(self, command: ExternalCommand) -> None:
         """Judge a command, and go by it from now on."""
         if command.kind == "twist":
-            self._twist, self._setpoint = self._velocity(command), None
+            self._twist, self._setpoint = body_velocity(command, self._topic, "surface"), None
         else:
             self._twist, self._setpoint = None, self._joints(command)
         self._heard_ns = command.t_ns
@@ -134,19 +134,6 @@ class Ros2Controller(ExternalController):
                 f"has sent commands for {stood_s:.3f} s whose stamps do not go on",
                 "look at the controller's clock and at use_sim_time",
             )
-
-    def _velocity(self, command: ExternalCommand) -> Array:
-        """(3,) body twist."""
-        ahead, left, up, roll, pitch, turn = command.velocity_rad_s.tolist()
-        if not np.isfinite(command.velocity_rad_s).all():
-            self._stop(COMMAND, "sent a number that is not finite", "mend the controller")
-        if up or roll or pitch:
-            self._stop(
-                COMMAND,
-                "asks for a motion off the surface (linear.z, angular.x or angular.y is not 0)",
-                "send linear.x, linear.y and angular.z",
-            )
-        return np.array([ahead, left, turn])
 
     def _joints(self, command: ExternalCommand) -> WheelSetpoint:
         """Steering angles and wheel rates of a joint command, aligned."""
@@ -202,7 +189,35 @@ class Ros2Controller(ExternalController):
                 )
 
     def _stop(self, reason: str, what: str, remedy: str) -> NoReturn:
-        raise SafetyStop(reason, f"{self._topic} {what}; {remedy}")
+        _stop(self._topic, reason, what, remedy)
+
+
+def body_velocity(command: ExternalCommand, topic: str, surface: str) -> Array:
+    """(3,) body twist of a velocity command: m/s, m/s, rad/s.
+
+    Args:
+        command: a twist.
+        topic: from which it came.
+        surface: what the robot is on, for the message.
+
+    Raises:
+        SafetyStop: it is not finite, or leaves the surface.
+    """
+    ahead, left, up, roll, pitch, turn = command.velocity_rad_s.tolist()
+    if not np.isfinite(command.velocity_rad_s).all():
+        _stop(topic, COMMAND, "sent a number that is not finite", "mend the controller")
+    if up or roll or pitch:
+        _stop(
+            topic,
+            COMMAND,
+            f"asks for a motion off the {surface} (linear.z, angular.x or angular.y is not 0)",
+            "send linear.x, linear.y and angular.z",
+        )
+    return np.array([ahead, left, turn])
+
+
+def _stop(topic: str, reason: str, what: str, remedy: str) -> NoReturn:
+    raise SafetyStop(reason, f"{topic} {what}; {remedy}")
 
 
 def _no_program(_: CycleRecord) -> ExternalCommands:

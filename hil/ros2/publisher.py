@@ -76,14 +76,14 @@ class Ros2Publisher:
         messages = _Messages(self, header, wall_ns, self._passed if offset is None else None)
         if self._commanded_by:
             return self._commanded(messages, header, wall_ns, virtual=offset is None)
-        return _InVirtualTime(messages) if offset is None else _InRealTime(messages)
+        return _WithinTheCycle(messages) if offset is None else _InRealTime(messages)
 
     def _commanded(
         self, messages: _Messages, header: Mapping[str, Any], wall_ns: int, *, virtual: bool
     ) -> CommandingSink:
         if self.commands is None:
             self.commands = CommandTopic(self.participant, self._commanded_by, reliable=virtual)
-        config = Ros2Config.model_validate(header["config"].get("ros2", {}))
+        config = messages.config
         self.exchange = Exchange(
             self.commands, messages, config, MonotonicClock(), wall_ns, patient=self._patient
         )
@@ -111,6 +111,9 @@ class _Messages:
         header: of the bench.
         wall_ns: ROS time at the bench clock's zero.
         passed: called with the ROS time of every cycle; None in real time, where there is no `/clock`.
+
+    Attributes:
+        config: `[ros2]` of the bench file.
     """
 
     def __init__(
@@ -130,7 +133,8 @@ class _Messages:
         self._topics = {name: kind for name, kind in topics_with(kinds).items() if name not in hidden}
         self._participant = publisher.participant
         offered = {**self._topics, diagnostics.TOPIC: diagnostics.TYPE}
-        names = Ros2Config.model_validate(header["config"].get("ros2", {})).names
+        self.config = Ros2Config.model_validate(header["config"].get("ros2", {}))
+        names = self.config.names
         if unknown := sorted(set(names) - set(offered)):
             raise ConfigError(
                 f"ros2.names: {unknown[0]} is not published", expected="some of " + ", ".join(sorted(offered))
@@ -196,7 +200,7 @@ class _Messages:
             self.publisher.dropped += 1
 
 
-class _InVirtualTime(Sink):
+class _WithinTheCycle(Sink):
     """Sends within the cycle."""
 
     def __init__(self, messages: _Messages) -> None:
@@ -215,7 +219,7 @@ class _InVirtualTime(Sink):
         """Everything is sent already."""
 
 
-class _Commanding(CommandingSink):
+class _Commanding(_WithinTheCycle, CommandingSink):
     """Sends within the cycle, and gets the command of a program that drives.
 
     Args:
@@ -225,7 +229,8 @@ class _Commanding(CommandingSink):
     """
 
     def __init__(self, messages: _Messages, exchange: Exchange, wait_ns: int | None) -> None:
-        self._messages, self._exchange, self._wait_ns = messages, exchange, wait_ns
+        super().__init__(messages)
+        self._exchange, self._wait_ns = exchange, wait_ns
 
     def ask(self, seen: CycleRecord) -> ExternalCommands:
         """What the program commands in this cycle."""
@@ -233,19 +238,11 @@ class _Commanding(CommandingSink):
             return self._exchange.in_lockstep(seen)
         return self._exchange.in_real_time(seen, seen.inputs.t_ns + self._wait_ns)
 
-    def write(self, record: CycleRecord) -> None:
-        """Send what was not shown before."""
-        self._messages.attempt(lambda: self._messages.cycle(record))
-
     def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
-        """Send how the robot was left."""
+        """Begin a run with the program, or send how the robot was left."""
         if kind == RUN_NOTE:
             self._exchange.begin()
-        elif kind == HELD_NOTE:
-            self._messages.attempt(lambda: self._messages.held(t_ns, data))
-
-    def close(self) -> None:
-        """Everything is sent already."""
+        super().note(t_ns, kind, data)
 
 
 class _InRealTime(Sink):

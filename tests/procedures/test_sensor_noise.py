@@ -12,7 +12,8 @@ from hil.config.estimator import EstimatorConfig
 from hil.config.loading import load_bench
 from hil.core.errors import DeviceError
 from hil.core.signals import RobotState
-from hil.estimator.noise_matching import DrivenRun, usual_nis, with_noise
+from hil.estimator.noise_matching import DrivenRun, usual_nis
+from hil.estimator.tuning import with_values
 from hil.procedures import sensor_noise
 from hil.recording.runs import START_COVARIANCE
 from tests.estimator.noisy_drives import GEOMETRY, Noise, driven
@@ -79,7 +80,7 @@ def test_the_filter_is_as_sure_as_it_may_be_with_what_was_found(learnt, gyro, ca
     assert learnt["estimator.gyro.rate_rad_s"] == pytest.approx(noise.gyro, rel=0.2)
     assert learnt["estimator.tracker.position_m"] == pytest.approx(noise.camera_position, rel=0.2)
     unseen = runs_of(noise, seed=5)[1]
-    config = with_noise(EstimatorConfig(), {k.removeprefix("estimator."): v for k, v in learnt.items()})
+    config = with_values(EstimatorConfig(), {k.removeprefix("estimator."): v for k, v in learnt.items()})
     nis = usual_nis(config, [unseen], GEOMETRY, "floor")
     default = usual_nis(EstimatorConfig(), [unseen], GEOMETRY, "floor")
     for sensor in ("wheels", "gyro", "tracker"):
