@@ -12,6 +12,10 @@ import click
 from hil.core.errors import Aborted, DataError
 
 
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM came: raised like Ctrl-C, so that a run that collects errors does not take it for one."""
+
+
 @contextmanager
 def shown_when_ended(finished: Callable[[], str], show: Callable[[], str]) -> Iterator[None]:
     """End the block early as `Aborted`, with a page of what is finished.
@@ -25,23 +29,20 @@ def shown_when_ended(finished: Callable[[], str], show: Callable[[], str]) -> It
     """
 
     def stop(signum: int, frame: FrameType | None) -> None:
-        raise _ended("ended by SIGTERM", finished())
+        raise _Terminated
 
     before = signal.signal(signal.SIGTERM, stop)
     try:
         try:
             yield
-        except KeyboardInterrupt:
-            raise _ended("interrupted", finished()) from None
+        except KeyboardInterrupt as ended:
+            how = "ended by SIGTERM" if isinstance(ended, _Terminated) else "interrupted"
+            raise Aborted(f"the campaign was {how}; {finished()}", remedy="go on with --resume") from None
     except Aborted:
         _show(show, finished())
         raise
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-def _ended(how: str, finished: str) -> Aborted:
-    return Aborted(f"the campaign was {how}; {finished}", remedy="go on with --resume")
 
 
 def _show(show: Callable[[], str], finished: str) -> None:

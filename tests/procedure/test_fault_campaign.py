@@ -1,6 +1,8 @@
 """The fault campaign: which cells there are, what makes one fail, and the short form of it."""
 
 import json
+import os
+import signal
 
 import pytest
 from click.testing import CliRunner
@@ -10,8 +12,9 @@ from hil.cli.faults import command
 from hil.config.loading import load_bench
 from hil.core.errors import Aborted, ConfigError, HilError, UsageError
 from hil.procedure import faults
-from hil.procedure.faults import MOMENTS, CellVerdict, cells_of, random_cells
+from hil.procedure.faults import MOMENTS, Cell, CellVerdict, cells_of, random_cells
 from hil.report.history.index import find_results
+from hil.robot.trajectories import line
 
 SUPPORTED = {
     "plant": ("adhesion_loss",),
@@ -228,3 +231,29 @@ def test_verdicts_of_something_else_are_refused(tmp_path, judged, spoilt, named)
 def test_there_must_be_something_to_resume(tmp_path):
     with pytest.raises(HilError, match="no campaign to resume"):
         command.main(["--quick", "--out", str(tmp_path), "--resume"], standalone_mode=False)
+
+
+def test_sigterm_within_a_run_ends_the_campaign_at_once(tmp_path, monkeypatch):
+    begun = []
+
+    def struck(*given, **options):
+        begun.append(given)
+        os.kill(os.getpid(), signal.SIGTERM)
+        return line(*given, **options)
+
+    monkeypatch.setattr("hil.procedure.faults.drive.line", struck)
+    with pytest.raises(Aborted, match="SIGTERM; 0 of 2 cells are judged"):
+        command.main(
+            ["--only", "imu:off", "--moments", "motion,stop", "--out", str(tmp_path)], standalone_mode=False
+        )
+    assert len(begun) == 1
+
+
+@pytest.mark.parametrize(
+    ("spec", "seed"), [("servos:duplicate@2.85", 1), ("imu:corrupt@0.05", 0), ("imu:corrupt@2.85", 2)]
+)
+def test_messages_spoilt_now_and_then_leave_the_robot_held(spec, seed):
+    device, fault = spec.split("@")[0].split(":")
+    verdict = faults.run_cell(Cell(device, fault, "random", seed, "own", (spec,)))
+    assert not verdict.why
+    assert verdict.held == "HELD"

@@ -47,7 +47,7 @@ _LOOK_NS = nanoseconds(0.02)
 _SELDOM_NS = nanoseconds(0.05)
 """Where only time has to pass: a window still holds five sightings by the servos."""
 _CALM_M_S2 = 2.0
-"""By how much the mean of what an accelerometer feels may differ from gravity: data sheets allow 0.8."""
+"""By how much the median of what an accelerometer feels may differ from gravity: data sheets allow 0.8."""
 _ALL_NS = 2 * WINDOW_NS
 """So long at the most it is waited for all that have begun to see the robot."""
 _SLOW_NS = nanoseconds(1.5)
@@ -56,7 +56,7 @@ _MOVED_M = 0.001
 _UNSEEN_M = 0.005
 """What a robot that is held may move after its stop."""
 _FELT = 10
-"""Samples of it that are averaged."""
+"""Samples of it that are looked at."""
 
 
 class HoldMonitor(Sink):
@@ -175,12 +175,15 @@ class HoldMonitor(Sink):
         trails = {name: Trail() for name in self._seeing}
         self._press.begin(for_good=for_good)
         self._felt_m_s2.clear()
+        clear_ns = -WINDOW_NS
         while True:
             hold = servos.look_after()
             self._see(hold, trails)
             seen = [name for name, trail in trails.items() if trail.full(hold.t_ns)]
             places = self._places(seen)
             doubt = self._doubt(hold, trails, seen, places)
+            clear_ns = clear_ns if doubt else hold.t_ns
+            momentary = bool(doubt) and hold.t_ns - clear_ns < WINDOW_NS
             unpressed = self._press.doubt(
                 self._clock.now_ns(), sees_slide=bool(places) and not doubt, moves=bool(places and doubt)
             )
@@ -202,7 +205,7 @@ class HoldMonitor(Sink):
                 by_tether = "; on its tether, so no sensor has to see whether it slides" if tether else ""
                 why = f"torque on, at rest by {rests}{pressed}{by_tether}{late}"
                 return self._verdict("HELD", why, seen)
-            if self._clock.now_ns() >= end_ns and (strict or not self._press.waits):
+            if self._clock.now_ns() >= end_ns and (strict or not (self._press.waits or momentary)):
                 return self._verdict("NOT HELD", doubt + late, seen)
             pause_ns = _SELDOM_NS if self._press.waits else _LOOK_NS
             self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)
@@ -318,10 +321,9 @@ class HoldMonitor(Sink):
         felt = self._felt_m_s2
         if felt and felt[-1] < self._lightest_m_s2:
             return "the accelerometer feels less than the weight: adhesion is lost"
-        if len(felt) == _FELT and abs(float(np.mean(felt)) - GRAVITY_M_S2) > _CALM_M_S2:
-            return (
-                f"the accelerometer feels {np.mean(felt):.1f} m/s^2 in place of 9.8: the robot is speeding up"
-            )
+        middle = float(np.median(felt)) if len(felt) == _FELT else GRAVITY_M_S2
+        if abs(middle - GRAVITY_M_S2) > _CALM_M_S2:
+            return f"the accelerometer feels {middle:.1f} m/s^2 in place of 9.8: the robot is speeding up"
         return ""
 
     def _doubt_of_floor(self) -> str:

@@ -51,10 +51,13 @@ class Trail:
         return bool(self._seen) and self._seen[-1][0] >= now_ns - WINDOW_NS // 2
 
     def change(self) -> Array:
-        """How the place (k,) has changed, from the mean of the first quarter to that of the last."""
+        """How the place (k,) has changed, from the median of the first quarter to that of the last.
+
+        Single values that were garbled on the way do not count.
+        """
         places = np.array([place for _, place in self._seen])
         quarter = max(1, len(places) // 4)
-        change: Array = places[-quarter:].mean(axis=0) - places[:quarter].mean(axis=0)
+        change: Array = np.median(places[-quarter:], axis=0) - np.median(places[:quarter], axis=0)
         return change
 
 
