@@ -1,8 +1,8 @@
 """Runs the default tests on two cores: those that wait for a clock, and beside them those in virtual time.
 
 Tests in virtual time keep every core busy, but give way at once to the others, which mostly wait: two of
-these at a time, then one after the other those that judge the clock or need a port of the host. What the
-lane in virtual time says is shown when the others are through.
+these at a time, then one after the other those that judge the clock or need a port of the host. When the
+others are through, the lane in virtual time gives way no longer, and what it says is shown.
 
 Each lane has a session of its own: a terminal that is closed reaches no test, and under `nohup` the run goes
 on. Ctrl-C, SIGTERM and, without `nohup`, SIGHUP end all of them.
@@ -46,6 +46,12 @@ def give_way():
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     with contextlib.suppress(OSError):
         Path("/proc/self/autogroup").write_text("19")
+
+
+def take_turns(lane):
+    """Share the cores with other programs again, where the kernel shares them by sessions."""
+    with contextlib.suppress(OSError):
+        Path(f"/proc/{lane.pid}/autogroup").write_text("0")
 
 
 def show(log, lane):
@@ -97,6 +103,7 @@ def main(folder=None):
                 lane = start(command(folder, *options))
                 lanes.callback(end, lane)
                 codes.append(lane.wait())
+            take_turns(virtual)
             show(log, virtual)
     return int(any((*codes, virtual.wait())))
 
