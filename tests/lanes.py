@@ -40,6 +40,7 @@ ALONE = (
     "bench/test_held_in_a_mix.py::test_an_emulated_fan_does_not_press_a_real_robot",
     "bench/test_held_in_a_mix.py::test_real_servos_beside_emulated_sensors",
     "bench/test_replug_drivers.py",
+    "devices/test_runs_that_hang_are_ended.py",
     "emulate/test_emulate_clients.py::test_a_robot_in_another_physics",
     "emulate/test_emulate_command.py",
     "emulate/test_emulate_ports.py::test_a_client_that_knows_only_the_standard_connects",

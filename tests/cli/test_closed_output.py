@@ -54,7 +54,7 @@ def hil(folder, *arguments, output="read", errors="read"):
         for name, state in (("stdout", output), ("stderr", errors))
     }
     done = subprocess.run(
-        command, cwd=folder, stdin=subprocess.DEVNULL, timeout=200, text=True, check=False, **streams
+        command, cwd=folder, stdin=subprocess.DEVNULL, timeout=600, text=True, check=False, **streams
     )
     os.close(gone)
     assert not [word for word in NOISE if word in f"{done.stdout}{done.stderr}"]

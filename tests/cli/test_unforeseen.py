@@ -98,7 +98,7 @@ def test_a_closed_standard_input_is_an_empty_one(words, folder):
     """As a service or a container may have it."""
     patient_bench(folder, "emulated")
     command = ["sh", "-c", 'exec "$@" <&-', "sh", sys.executable, "-m", "hil", *words]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stderr
     assert not json.loads(done.stdout).get("error")
     assert "Traceback" not in done.stderr
@@ -107,7 +107,7 @@ def test_a_closed_standard_input_is_an_empty_one(words, folder):
 def test_a_question_without_standard_input_ends_the_run(folder):
     (folder / "ask.py").write_text(SCRIPT.replace('ctx.measure("value", 0.5)', 'ctx.prompt("ready?")'))
     command = ["sh", "-c", 'exec "$@" <&-', "sh", sys.executable, "-m", "hil", "run", "ask.py", "--json"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 4, done.stderr
     assert "there is no operator to answer 'ready?'" in json.loads(done.stdout)["error"]["message"]
     assert "Traceback" not in done.stderr

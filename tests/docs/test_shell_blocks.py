@@ -75,7 +75,7 @@ def tried(place, line):
         env={**os.environ, "PATH": path},
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=600,
     )
 
 

@@ -30,7 +30,7 @@ def test_the_site_is_built_without_a_warning_and_needs_no_network(tmp_path):
     pytest.importorskip("sphinx_click", reason="the extra docs is not installed")
     pytest.importorskip("furo", reason="the extra docs is not installed")
     build = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "-c", str(DOCS)]
-    done = subprocess.run([*build, str(ROOT), str(tmp_path)], capture_output=True, text=True, timeout=280)
+    done = subprocess.run([*build, str(ROOT), str(tmp_path)], capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     for page in tmp_path.rglob("*.html"):
         loaded = re.findall(

@@ -42,7 +42,7 @@ def folder(tmp_path_factory):
 
 
 def run(folder, line):
-    return subprocess.run(["sh", "-c", line], cwd=folder, capture_output=True, text=True, timeout=240)
+    return subprocess.run(["sh", "-c", line], cwd=folder, capture_output=True, text=True, timeout=600)
 
 
 def test_every_block_of_code_says_where_it_is_saved():

@@ -301,7 +301,7 @@ def in_process(**environment):
         [sys.executable, "-c", script],
         capture_output=True,
         text=True,
-        timeout=280,
+        timeout=600,
         cwd=ROOT,
         env={**os.environ, **environment},
         check=False,

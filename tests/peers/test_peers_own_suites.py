@@ -67,7 +67,7 @@ def test_a_peers_own_suite_passes_but_for_what_is_listed(tmp_path, package, scri
         [sys.executable, HERE / script[0], source, *script[1:]],
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=600,
         check=True,
     )
     reported = json.loads(done.stdout.splitlines()[-1])

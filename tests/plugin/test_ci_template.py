@@ -31,7 +31,7 @@ def test_the_template_runs_as_it_stands(tmp_path):
         env={**os.environ, "PATH": path},
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=600,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     cases = list(ElementTree.parse(project / "results" / "tests.xml").iter("testcase"))

@@ -47,7 +47,7 @@ def struck(words, folder, **settings):
         said = iter(process.stdout.readline, "")
         next(line for line in said if "there" in line)
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=120)
+        out, err = process.communicate(timeout=600)
     return process.returncode, out, err
 
 

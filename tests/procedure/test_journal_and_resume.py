@@ -167,9 +167,9 @@ def test_after_kill_9_the_command_line_resumes(tmp_path):
         "--json",
     ]
     environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
-    first = subprocess.run(command, capture_output=True, timeout=60, env=environment)
+    first = subprocess.run(command, capture_output=True, timeout=600, env=environment)
     assert first.returncode == -signal.SIGKILL
-    second = subprocess.run([*command, "--resume"], capture_output=True, timeout=60, env=environment)
+    second = subprocess.run([*command, "--resume"], capture_output=True, timeout=600, env=environment)
     assert second.returncode == 0, second.stderr
     tree = json.loads(second.stdout)
     assert tree["verdict"] == "PASS"

@@ -34,7 +34,7 @@ def test_a_users_folder_of_the_same_name_hides_nothing(tmp_path):
     folder.mkdir()
     (folder / "mine.py").write_text(MINE)
     command = [sys.executable, "-c", FIND]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
     assert done.stderr == ""
     assert done.stdout.split() == ["wall_tracking", "mine"]
 

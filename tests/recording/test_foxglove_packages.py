@@ -40,7 +40,7 @@ def reported(tmp_path_factory):
         capture_output=True,
         text=True,
         check=False,
-        timeout=240,
+        timeout=600,
     )
     if fetched.returncode != 0:
         pytest.skip(f"npm does not get Foxglove's packages: {fetched.stderr.strip()[-200:]}")
@@ -50,7 +50,7 @@ def reported(tmp_path_factory):
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=600,
     )
     assert said.returncode == 0, said.stderr
     return json.loads(said.stdout)

@@ -248,7 +248,7 @@ def run_python(code, *args, **options):
 def test_a_full_disk_ends_the_recording_and_not_the_loop(tmp_path, mode):
     path = tmp_path / "full.mcap"
     with run_python(FULL_DISK, path, mode, stderr=subprocess.DEVNULL) as process:
-        out = process.communicate(timeout=60)[0]
+        out = process.communicate(timeout=600)[0]
     assert process.returncode == 0
     written, dropped, lost, failure = out.strip().split(" ", 3)
     assert "File too large" in failure

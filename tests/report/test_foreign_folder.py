@@ -287,7 +287,7 @@ def test_a_browser_runs_and_fetches_nothing_of_a_foreign_folder(folder, tmp_path
         ],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
         check=True,
     ).stdout
     assert "<title>ran</title>" not in found

@@ -176,9 +176,8 @@ def _end(_number: int = _SIGNAL, _frame: FrameType | None = None) -> None:
 def _look() -> None:
     while True:
         time.sleep(_LOOK_S)
-        frames = sys._current_frames()
         for ident, call in list(_RUNNING.items()):
-            if not _compiles(frames.get(ident)):
+            if not _compiles(sys._current_frames().get(ident)):  # one that is kept keeps what it holds
                 call.looks += 1
                 _judge(ident, call)
 
