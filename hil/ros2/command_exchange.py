@@ -14,7 +14,7 @@ from hil.config.ros2 import Ros2Config
 from hil.core.clock import Clock, nanoseconds
 from hil.core.external_commands import ExternalCommands
 from hil.core.signals import CycleRecord
-from hil.ros2.command_topic import ALL_BUT_ONE, CommandTopic, commands_of
+from hil.ros2.command_topic import CommandTopic, commands_of
 
 LOCKSTEP, PUBLISHERS, NO_COMMAND = "ros2_lockstep", "ros2_publishers", "ros2_no_command"
 """Reasons to stop."""
@@ -131,10 +131,9 @@ class Exchange:
             )
 
     def _stop_of_publishers(self) -> ExternalCommands | None:
-        count = self._topic.publishers()
-        if count < 2:
+        if len(self._topic.publishers()) < 2:
             return None
-        return ExternalCommands((), PUBLISHERS, f"{self._topic.name} has {count} publishers; {ALL_BUT_ONE}")
+        return ExternalCommands((), PUBLISHERS, self._topic.why_several())
 
     def _stop_of_silence(self, now_ns: int, *, heard: bool) -> ExternalCommands | None:
         """In real time, when the first command has not come for long; later the controller's age counts."""
@@ -158,7 +157,4 @@ class Exchange:
     def _why(self) -> str:
         if not self._topic.publishers():
             return self._topic.why_none()
-        return (
-            f"{self._topic.where} has a publisher that sends nothing; look at what it waits for; for "
-            "ros2_control's topic-based hardware set trigger_joint_command_threshold to -1"
-        )
+        return self._topic.why_silent()

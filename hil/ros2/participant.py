@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import socket
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
@@ -23,6 +23,7 @@ from hil.core.errors import UsageError
 from hil.ros2.message_types import sample_type
 from hil.ros2.network import Network
 from hil.ros2.node_entry import NodeEntry
+from hil.ros2.publishers import Publisher, handles_of, publishers_of
 
 LOG = logging.getLogger(__name__)
 LATCHED = ("/tf_static", "/robot_description")
@@ -60,13 +61,14 @@ class Reader:
         )
         self.entity: Any = DataReader(participant, topic, quality)
 
-    def take(self) -> list[bytes]:
-        """What has come since the last call, oldest first; never blocks. Not after `close`."""
-        return [s.data for s in self.entity.take(N=_DEPTH) if s.sample_info.valid_data]
+    def take(self) -> list[tuple[int, bytes]]:
+        """Writer and bytes of what has come, oldest first; never blocks. Not after `close`."""
+        samples = self.entity.take(N=_DEPTH)
+        return [(s.sample_info.publication_handle, s.data) for s in samples if s.sample_info.valid_data]
 
-    def writers(self) -> int:
-        """How many writers the topic has now. Not after `close`."""
-        return len(self.entity.get_matched_publications())
+    def writers(self) -> list[int]:
+        """Handles of the writers that the topic has now. Not after `close`."""
+        return handles_of(self.entity)
 
     def arrival(self) -> Any:
         """Condition, for a `WaitSet`, that something can be taken. Not after `close`."""
@@ -162,6 +164,14 @@ class Participant:
         for reader in readers:
             made.attach(reader.arrival())
         return made
+
+    def publishers(self, readers: Mapping[str, Reader]) -> Iterator[Publisher]:
+        """The writers that readers hear now.
+
+        Args:
+            readers: by the type of their messages.
+        """
+        return publishers_of(self._participant, {kind: reader.entity for kind, reader in readers.items()})
 
     def other_types(self, name: str, kinds: Sequence[str]) -> list[str]:
         """Types, as DDS names them, with which others write a topic.

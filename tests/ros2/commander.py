@@ -2,6 +2,7 @@
 
 `commander.py DOMAIN TOPIC TYPE RATE_HZ FIELD=VALUE...` writes Twist, TwistStamped or Header at a rate, once
 somebody reads (it prints `begun`, then `matched`), until its input ends; FIELD is for example `linear.x`.
+At the rate 0 it is there and writes nothing.
 """
 
 import select
@@ -78,12 +79,14 @@ def main():
     writer = DataWriter(participant, Topic(participant, f"rt{name}", type(message)), quality)
     reported = False
     print("begun", flush=True)
-    while not select.select([sys.stdin], [], [], 1.0 / float(rate_hz))[0]:
+    rate_hz = float(rate_hz)
+    while not select.select([sys.stdin], [], [], 1.0 / rate_hz if rate_hz else 0.05)[0]:
         if writer.get_matched_subscriptions():
             if not reported:
                 reported = True
                 print("matched", flush=True)
-            writer.write(message)
+            if rate_hz:
+                writer.write(message)
     time.sleep(0.1)
     del domain
 

@@ -194,6 +194,19 @@ def test_without_a_publisher_it_says_where_it_looked_and_which_other_type_it_fou
         assert answer in err
 
 
+@pytest.mark.alone
+@pytest.mark.timeout(PATIENCE_S + 60)
+def test_of_a_publisher_that_sends_nothing_it_warns_once_and_names_it(live, command):
+    running = live("--duration", "12")
+    silent = command("Twist", rate_hz=0)
+    code, summary, err = ended(running)
+    assert code == 0, err
+    assert summary["commands"]["messages"] == 0
+    (warned,) = (line for line in err.splitlines() if "no command within 5 s" in line)
+    for answer in ("ros2:/cmd_vel", "geometry_msgs/Twist", f"process {silent.pid}", "no command yet"):
+        assert answer in warned
+
+
 @pytest.mark.parametrize(
     ("words", "answer"),
     [
