@@ -61,10 +61,16 @@ def sample_type(kind: str, distribution: str = "humble") -> Any:
     def deserialize(cls: Any, data: bytes, *_: object, **__: object) -> Any:
         return cls(bytes(data))
 
+    @classmethod  # type: ignore[misc]
+    def deserialize_key(cls: Any, *_: object, **__: object) -> Any:
+        """Of the sample without data by which DDS says that the last publisher is gone."""
+        return cls(b"")
+
     def begin(self: Any, data: bytes) -> None:
         self.data = data
 
-    described.__init__, described.serialize, described.deserialize = begin, serialize, deserialize
+    described.__init__, described.serialize = begin, serialize
+    described.deserialize, described.deserialize_key = deserialize, deserialize_key
     return described
 
 
