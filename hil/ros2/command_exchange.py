@@ -68,6 +68,7 @@ class Exchange:
         """A run begins: the first command is waited for."""
         self._began_ns: int | None = None
         self._heard = False
+        self._heard_ns = 0
 
     def in_real_time(self, seen: CycleRecord, until_ns: int) -> ExternalCommands:
         """All that has come since the last call.
@@ -86,10 +87,15 @@ class Exchange:
         self.cycles += 1
         self.answered += bool(answers)
         now_ns = self._clock.now_ns()
-        stop = self._stop_of_publishers() or self._stop_of_silence(now_ns, heard=bool(messages or answers))
+        came = [*messages, *answers]
+        stop = self._stop_of_publishers() or self._stop_of_silence(now_ns, heard=bool(came))
         if stop is not None:
             return stop
-        return self._passed_on([*messages, *answers], now_ns)
+        if came:
+            self._heard_ns = now_ns
+        elif self._heard and seen.inputs.t_ns - self._heard_ns > nanoseconds(self._config.late_after_s):
+            return ExternalCommands((), trouble=self._topic.who())
+        return self._passed_on(came, now_ns)
 
     def in_lockstep(self, seen: CycleRecord) -> ExternalCommands:
         """The one command of a cycle."""

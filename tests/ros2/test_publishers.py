@@ -74,3 +74,24 @@ def test_the_topic_is_read_on_after_its_publisher_is_gone_and_when_one_comes_bac
         assert {kind for kind, _ in last} <= {TWIST}
         assert all(data for _, data in last)
         assert topic.take() == []
+
+
+def test_one_that_was_killed_is_named_for_as_long_as_its_lease_and_then_gone(topic, commander):
+    program = commander("lease=3")
+    assert taken_until(topic, lambda: topic.take())
+    killed = time.monotonic()
+    program.kill()
+    assert f"process {program.pid} (geometry_msgs/Twist)" in topic.who()
+    assert "3 s" in topic.who()
+    taken_until(topic, has(topic, 0))
+    assert time.monotonic() - killed > 1.5, "it is not given up while it may only be slow"
+    assert str(program.pid) not in topic.who()
+
+
+def test_of_two_the_one_that_sends_and_the_one_that_never_did_are_told_apart(topic, commander):
+    speaks, silent = commander(), commander(rate_hz=0)
+    taken_until(topic, lambda: has(topic, 2)() and any(map(topic.silent_s, topic.publishers())))
+    assert topic.why_several().startswith("/cmd_vel has 2 publishers")
+    silent_s = {one.program: topic.silent_s(one.handle) for one in topic.described()}
+    assert silent_s[f"process {silent.pid}"] is None
+    assert silent_s[f"process {speaks.pid}"] < PATIENCE_S
