@@ -9,7 +9,7 @@ from typing import Annotated
 from pydantic import Field, field_validator
 
 from hil.config.values import Strict, Within
-from hil.core.choices import HIGHEST_DOMAIN
+from hil.core.choices import HIGHEST_DOMAIN, DistributionName
 
 _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 
@@ -21,6 +21,10 @@ class Ros2Config(Strict):
         domain: of DDS, where `--ros2-domain` names none; without it that of `ROS_DOMAIN_ID`, else 0.
         interface: network interface beside loopback, where `--ros2-interface` names none: whoever reaches it
             can read the bench, and drive it where it takes commands.
+        distribution: of ROS 2 on the other side, `humble`, `iron`, `jazzy`, `kilted`, `lyrical` or `rolling`:
+            `ros2 node list` shows the bench there. Left out, it does not, because Humble describes nodes
+            otherwise than later ones do.
+        node: name that the bench has in that list.
         names: other names of topics that are published, by their own names:
             `names = { "/joint_states" = "/robot_joint_states" }`.
         wait_share: in real time, share of a cycle for which the loop waits for the answer to what it has just
@@ -34,6 +38,8 @@ class Ros2Config(Strict):
         Annotated[int, Within(0, HIGHEST_DOMAIN, "above it ports run into those of any program")] | None
     ) = None
     interface: str | None = Field(None, min_length=1)
+    distribution: DistributionName | None = None
+    node: Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=255)] = "hil_bench"
     names: Mapping[str, str] = {}
     wait_share: Annotated[float, Within(0.0, 0.8, "the rest of the cycle is the bench's")] = 0.3
     late_after_s: Annotated[float, Within(0.02, 5.0, "wheels go on turning meanwhile")] = 0.2

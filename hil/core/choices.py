@@ -18,6 +18,8 @@ LAWS: tuple[LawName, ...] = get_args(LawName)
 METHODS = ("lm", "interior-point", "ga", "pso")
 """Solvers of a calibration."""
 
+DistributionName = Literal["humble", "iron", "jazzy", "kilted", "lyrical", "rolling"]
+"""Distributions of ROS 2."""
 ROS2 = "ros2:"
 """Begins the name of a controller that is a program on ROS 2; its topic follows."""
 HIGHEST_DOMAIN = 101

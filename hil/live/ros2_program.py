@@ -6,24 +6,21 @@ trajectory is to be followed, they drive the wheels, too.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from typing import NoReturn
 
 from hil.bench import Bench
 from hil.bench.bench import Until
-from hil.core.clock import NS_PER_S
 from hil.core.errors import SafetyStop
 from hil.core.external_commands import ExternalCommand
 from hil.core.signals import CycleRecord
+from hil.live.publisher_watch import PublisherWatch
 from hil.live.velocity_input import CommandLines
 from hil.recording.runs import RunStart
-from hil.ros2.command_topic import ALL_BUT_ONE, JOINTS, CommandTopic, commands_of
+from hil.ros2.command_exchange import PUBLISHERS
+from hil.ros2.command_topic import JOINTS, CommandTopic, commands_of
 from hil.ros2.external_controller import COMMAND, body_velocity
 from hil.ros2.publisher import Ros2Publisher
-
-LOG = logging.getLogger(__name__)
-_PATIENCE_NS = 5 * NS_PER_S
 
 
 class TwistCommands(CommandLines):
@@ -31,10 +28,11 @@ class TwistCommands(CommandLines):
 
     Args:
         topic: messages of either type are taken.
+        watch: of its publishers.
     """
 
-    def __init__(self, topic: CommandTopic) -> None:
-        self._topic, self.where, self._taken = topic, topic.where, 0
+    def __init__(self, topic: CommandTopic, watch: PublisherWatch) -> None:
+        self._topic, self._watch, self.where, self._taken = topic, watch, topic.where, 0
 
     def pending(self) -> list[str]:
         """Commands that have arrived since the last call, oldest first; never blocks.
@@ -42,16 +40,15 @@ class TwistCommands(CommandLines):
         Raises:
             SafetyStop: two publishers, or a command that the robot cannot mean.
         """
-        publishers = self._topic.publishers()
-        if publishers > 1:
-            self._stop(f"has {publishers} publishers", ALL_BUT_ONE)
+        if len(self._topic.publishers()) > 1:
+            raise SafetyStop(PUBLISHERS, self._topic.why_several())
         lines = [self._line(command) for command in commands_of(self._topic.take(), 0, 0)]
         self._taken += len(lines)
         return lines
 
     def counts(self) -> Mapping[str, int]:
-        """Messages that were taken."""
-        return {"messages": self._taken}
+        """Messages that were taken, and publishers that are gone."""
+        return {"messages": self._taken, "publishers_lost": self._watch.lost}
 
     def close(self) -> None:
         """The topic is closed by its owner."""
@@ -78,11 +75,12 @@ class Ros2Program:
         assert publisher.commands is not None
         self._publisher, self.name = publisher, name
         self._topic: CommandTopic = publisher.commands
+        self._watch = PublisherWatch(self._topic)
         self.where = self._topic.where
 
     def found(self) -> bool:
         """Whether something publishes its topic now."""
-        return self._topic.publishers() > 0
+        return bool(self._topic.publishers())
 
     def sends_joints(self) -> bool:
         """Whether the publisher sends joint commands."""
@@ -90,31 +88,31 @@ class Ros2Program:
 
     def velocities(self) -> TwistCommands:
         """Its velocity commands."""
-        return TwistCommands(self._topic)
+        return TwistCommands(self._topic, self._watch)
 
     def counts(self) -> Mapping[str, int]:
         """Cycles that it was asked in, and those that it answered in time."""
         exchange = self._publisher.exchange
         return {} if exchange is None else {"cycles": exchange.cycles, "answered_in_time": exchange.answered}
 
+    def look(self, t_ns: int) -> None:
+        """Warn of a publisher that is missing, sends nothing, or is gone.
+
+        Args:
+            t_ns: now, bench clock; of every cycle.
+        """
+        self._watch.look(t_ns)
+
     def wait(self, bench: Bench, start: RunStart, over: Until) -> None:
-        """Rest until it publishes; a warning says where it is looked for when that takes long.
+        """Rest until it publishes.
 
         Args:
             bench: open.
             start: where the robot stands.
             over: whether to wait no longer.
         """
-        begun_ns = bench.clock.now_ns()
-        warned = False
 
         def until(record: CycleRecord) -> bool:
-            nonlocal warned
-            if over(record) or self.found():
-                return True
-            if not warned and record.start_ns - begun_ns > _PATIENCE_NS:
-                warned = True
-                LOG.warning("%s", self._topic.why_none())
-            return False
+            return over(record) or self.found()
 
         bench.run(bench.make_pipeline(None, feedback=start.feedback), start, until)

@@ -266,6 +266,8 @@ class LiveSession:
         def over(record: CycleRecord) -> bool:
             self._last = record
             self._late.look(self.bench.statistics)
+            if self.plan.program is not None:
+                self.plan.program.look(record.start_ns)
             if self._first_ns is None:
                 self._first_ns = record.start_ns
             if self._stop.name:

@@ -14,7 +14,7 @@ from hil.config.ros2 import Ros2Config
 from hil.core.clock import Clock, nanoseconds
 from hil.core.external_commands import ExternalCommands
 from hil.core.signals import CycleRecord
-from hil.ros2.command_topic import ALL_BUT_ONE, CommandTopic, commands_of
+from hil.ros2.command_topic import CommandTopic, commands_of
 
 LOCKSTEP, PUBLISHERS, NO_COMMAND = "ros2_lockstep", "ros2_publishers", "ros2_no_command"
 """Reasons to stop."""
@@ -68,6 +68,7 @@ class Exchange:
         """A run begins: the first command is waited for."""
         self._began_ns: int | None = None
         self._heard = False
+        self._heard_ns = 0
 
     def in_real_time(self, seen: CycleRecord, until_ns: int) -> ExternalCommands:
         """All that has come since the last call.
@@ -86,10 +87,15 @@ class Exchange:
         self.cycles += 1
         self.answered += bool(answers)
         now_ns = self._clock.now_ns()
-        stop = self._stop_of_publishers() or self._stop_of_silence(now_ns, heard=bool(messages or answers))
+        came = [*messages, *answers]
+        stop = self._stop_of_publishers() or self._stop_of_silence(now_ns, heard=bool(came))
         if stop is not None:
             return stop
-        return self._passed_on([*messages, *answers], now_ns)
+        if came:
+            self._heard_ns = now_ns
+        elif self._heard and seen.inputs.t_ns - self._heard_ns > nanoseconds(self._config.late_after_s):
+            return ExternalCommands((), trouble=self._topic.who())
+        return self._passed_on(came, now_ns)
 
     def in_lockstep(self, seen: CycleRecord) -> ExternalCommands:
         """The one command of a cycle."""
@@ -131,10 +137,9 @@ class Exchange:
             )
 
     def _stop_of_publishers(self) -> ExternalCommands | None:
-        count = self._topic.publishers()
-        if count < 2:
+        if len(self._topic.publishers()) < 2:
             return None
-        return ExternalCommands((), PUBLISHERS, f"{self._topic.name} has {count} publishers; {ALL_BUT_ONE}")
+        return ExternalCommands((), PUBLISHERS, self._topic.why_several())
 
     def _stop_of_silence(self, now_ns: int, *, heard: bool) -> ExternalCommands | None:
         """In real time, when the first command has not come for long; later the controller's age counts."""
@@ -158,7 +163,4 @@ class Exchange:
     def _why(self) -> str:
         if not self._topic.publishers():
             return self._topic.why_none()
-        return (
-            f"{self._topic.where} has a publisher that sends nothing; look at what it waits for; for "
-            "ros2_control's topic-based hardware set trigger_joint_command_threshold to -1"
-        )
+        return self._topic.why_silent()

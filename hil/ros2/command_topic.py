@@ -6,23 +6,22 @@ What arrives is passed on as it is. Messages of each type are taken, whichever t
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from typing import Any
 
 import numpy as np
 
-from hil.core.clock import NS_PER_S
+from hil.core.clock import NS_PER_S, MonotonicClock, seconds
 from hil.core.errors import UsageError
 from hil.core.external_commands import ExternalCommand
 from hil.recording.ros_types import from_cdr
 from hil.ros2.participant import Participant
+from hil.ros2.publishers import Publisher
 
 JOINTS = "sensor_msgs/msg/JointState"
 TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 TYPES = (JOINTS, *TWISTS)
 _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
-ALL_BUT_ONE = "end all but one; one that was killed counts for up to 20 s more"
-"""What to do about several publishers."""
 _NOTHING = np.zeros(0)
 
 
@@ -57,12 +56,23 @@ class CommandTopic:
         self._participant, self.name, self._types = participant, topic, types
         self._readers = {kind: participant.add_reader(topic, kind, reliable=reliable) for kind in types}
         self._arrival: Any = participant.wait_set(list(self._readers.values()))
+        self._clock = MonotonicClock()
+        self._heard_ns: dict[int, int] = {}
         names = " or ".join(kind.replace("/msg/", "/") for kind in types)
         self.where = f"ros2:{topic}, {names}, {participant.network.in_words()}"
 
-    def publishers(self) -> int:
-        """How many writers there are now, of any of the types."""
-        return sum(reader.writers() for reader in self._readers.values())
+    def publishers(self) -> Set[int]:
+        """Handles of the writers that there are now, of any of the types."""
+        return {handle for reader in self._readers.values() for handle in reader.writers()}
+
+    def described(self) -> list[Publisher]:
+        """The same, as DDS describes them."""
+        return list(self._participant.publishers(self._readers))
+
+    def silent_s(self, handle: int) -> float | None:
+        """Time since a publisher's last message was taken, of the host's clock; None if none was."""
+        heard_ns = self._heard_ns.get(handle)
+        return None if heard_ns is None else seconds(self._clock.now_ns() - heard_ns)
 
     def types(self) -> list[str]:
         """Types that are published now."""
@@ -74,7 +84,36 @@ class CommandTopic:
 
     def take(self) -> list[tuple[str, bytes]]:
         """Type and bytes of what has come since the last call, in order within each type; never blocks."""
-        return [(kind, data) for kind, reader in self._readers.items() for data in reader.take()]
+        taken = [(kind, *sample) for kind, reader in self._readers.items() for sample in reader.take()]
+        if taken:
+            now_ns = self._clock.now_ns()
+            self._heard_ns.update((writer, now_ns) for _, writer, _ in taken)
+        return [(kind, data) for kind, _, data in taken]
+
+    def who(self) -> str:
+        """How many publishers there are, which, and how long each has been silent."""
+        found = self.described()
+        if not found:
+            return "no publisher any more"
+        each = []
+        for one in found:
+            silent_s = self.silent_s(one.handle)
+            last = "no command yet" if silent_s is None else f"last command {silent_s:.1f} s ago"
+            each.append(f"{one}, {last}")
+        lease_s = max((one.lease_s for one in found if one.lease_s is not None), default=None)
+        killed = "" if lease_s is None else f"; one that was killed counts for up to {lease_s:g} s"
+        return f"{len(found)} publisher{'s' * (len(found) > 1)}: {'; '.join(each)}{killed}"
+
+    def why_several(self) -> str:
+        """Which publishers the topic has, of which all but one must be ended."""
+        return f"{self.name} has {self.who()}; end all but one"
+
+    def why_silent(self) -> str:
+        """Who sends nothing, and what to look at."""
+        return (
+            f"{self.where} has {self.who()}; look whether it runs, and what it waits for; for ros2_control's "
+            "topic-based hardware set trigger_joint_command_threshold to -1"
+        )
 
     def why_none(self) -> str:
         """Where a publisher was looked for, and what else is there."""

@@ -88,7 +88,7 @@ class Ros2Controller(ExternalController):
         for command in heard.commands:
             self._take(command)
         if self.begun:
-            self._must_be_in_time(seen.inputs.t_ns)
+            self._must_be_in_time(seen.inputs.t_ns, heard.trouble)
         if heard.only_synchronised:
             self.warning = f"{self._topic}: {_SYNCHRONISED}"
         return None if wheels is None else self._decided(wheels)
@@ -118,12 +118,13 @@ class Ros2Controller(ExternalController):
             self._stamp_ns, self._stood_ns = stamp_ns or 0, command.t_ns
         self.begun = True
 
-    def _must_be_in_time(self, t_ns: int) -> None:
+    def _must_be_in_time(self, t_ns: int, who: str) -> None:
         silent_ns = t_ns - self._heard_ns
         if silent_ns > self._late_ns:
             self._stop(
                 LATE,
-                f"has sent no command for {silent_ns / NS_PER_S:.3f} s (ros2.late_after_s)",
+                f"has sent no command for {silent_ns / NS_PER_S:.3f} s (ros2.late_after_s)"
+                + (f", and has {who}" if who else ""),
                 "look whether the controller runs and keeps up; for ros2_control's topic-based hardware set "
                 "trigger_joint_command_threshold to -1, else it sends nothing while nothing changes",
             )

@@ -1,4 +1,4 @@
-"""Where the bench is on DDS: domain, network interface, and the configuration of Cyclone DDS.
+"""Where the bench is on DDS, and as what: domain, network interface, node; the configuration of Cyclone DDS.
 
 Whoever reaches the ports can read the bench, and command it where it takes commands: DDS has no password.
 So it stays on this computer unless an interface is named.
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from xml.sax.saxutils import quoteattr
 
 from hil.config.ros2 import Ros2Config
-from hil.core.choices import HIGHEST_DOMAIN
+from hil.core.choices import HIGHEST_DOMAIN, DistributionName
 from hil.core.errors import ConfigError, UsageError
 from hil.support.extras import how_to_install, lacks
 
@@ -26,10 +26,14 @@ class Network:
     Attributes:
         domain: of DDS, as `ROS_DOMAIN_ID`.
         interface: network interface beside loopback; empty, or loopback itself, for loopback alone.
+        distribution: of ROS 2, on which the bench is announced as a node; None for no announcement.
+        node: its name there.
     """
 
     domain: int = 0
     interface: str = ""
+    distribution: DistributionName | None = None
+    node: str = "hil_bench"
 
     @property
     def reaches_out(self) -> bool:
@@ -77,7 +81,8 @@ def network_of(
         UsageError: the environment names no domain.
     """
     given = config.domain if domain is None else domain
-    return Network(domain_of(given, environment), interface or config.interface or "")
+    where = domain_of(given, environment), interface or config.interface or ""
+    return Network(*where, config.distribution, config.node)
 
 
 def domain_of(given: int | None, environment: Mapping[str, str]) -> int:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import socket
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
@@ -22,6 +22,8 @@ from cyclonedds.util import duration
 from hil.core.errors import UsageError
 from hil.ros2.message_types import sample_type
 from hil.ros2.network import Network
+from hil.ros2.node_entry import NodeEntry
+from hil.ros2.publishers import Publisher, handles_of, publishers_of
 
 LOG = logging.getLogger(__name__)
 LATCHED = ("/tf_static", "/robot_description")
@@ -44,6 +46,9 @@ class Reader:
         name: of the ROS 2 topic, with a slash.
         kind: of its messages.
         reliable: whether nothing may be lost on the way.
+
+    Attributes:
+        entity: of Cyclone DDS; None once it is closed.
     """
 
     def __init__(self, participant: Any, name: str, kind: str, *, reliable: bool = False) -> None:
@@ -54,27 +59,28 @@ class Reader:
             Policy.History.KeepLast(_DEPTH),
             _ENCODING,
         )
-        self._reader: Any = DataReader(participant, topic, quality)
+        self.entity: Any = DataReader(participant, topic, quality)
 
-    def take(self) -> list[bytes]:
-        """What has come since the last call, oldest first; never blocks. Not after `close`."""
-        return [s.data for s in self._reader.take(N=_DEPTH) if s.sample_info.valid_data]
+    def take(self) -> list[tuple[int, bytes]]:
+        """Writer and bytes of what has come, oldest first; never blocks. Not after `close`."""
+        samples = self.entity.take(N=_DEPTH)
+        return [(s.sample_info.publication_handle, s.data) for s in samples if s.sample_info.valid_data]
 
-    def writers(self) -> int:
-        """How many writers the topic has now. Not after `close`."""
-        return len(self._reader.get_matched_publications())
+    def writers(self) -> list[int]:
+        """Handles of the writers that the topic has now. Not after `close`."""
+        return handles_of(self.entity)
 
     def arrival(self) -> Any:
         """Condition, for a `WaitSet`, that something can be taken. Not after `close`."""
-        return ReadCondition(self._reader, ViewState.Any | InstanceState.Any | SampleState.Any)
+        return ReadCondition(self.entity, ViewState.Any | InstanceState.Any | SampleState.Any)
 
     def refused(self) -> int:
         """How many writers of its type do not match by their quality of service. Not after `close`."""
-        return int(self._reader.get_requested_incompatible_qos_status().total_count)
+        return int(self.entity.get_requested_incompatible_qos_status().total_count)
 
     def close(self) -> None:
         """Let go of the participant. Idempotent; never raises."""
-        self._reader = None
+        self.entity = None
 
 
 class Participant:
@@ -95,6 +101,7 @@ class Participant:
         self.network, self.lost = network, 0
         self._writers: dict[str, tuple[Any, Any]] = {}
         self._heard: list[Reader] = []
+        self._node: NodeEntry | None = None
         if network.interface and network.interface not in (
             known := [name for _, name in socket.if_nameindex()]
         ):
@@ -104,6 +111,10 @@ class Participant:
         try:
             self._domain = Domain(network.domain, network.configuration())
             self._participant = DomainParticipant(network.domain)
+            if network.distribution is not None:
+                self._node = NodeEntry(
+                    self._participant, network.node, network.distribution, _quality(LATCHED[0])
+                )
         except DDSException as error:
             raise UsageError(
                 f"ROS 2 {network.in_words()} cannot be joined ({error.msg or error})",
@@ -123,6 +134,7 @@ class Participant:
         made = sample_type(kind)
         topic = Topic(self._participant, f"rt{shown or name}", made)
         self._writers[name] = made, DataWriter(self._participant, topic, _quality(name))
+        self._tell_of_node()
 
     def write(self, name: str, data: bytes) -> None:
         """Send a message, as CDR; what is not taken is counted, and logged once. Never raises."""
@@ -143,6 +155,7 @@ class Participant:
             reliable: as of `Reader`.
         """
         self._heard.append(Reader(self._participant, name, kind, reliable=reliable))
+        self._tell_of_node()
         return self._heard[-1]
 
     def wait_set(self, readers: Sequence[Reader]) -> Any:
@@ -151,6 +164,14 @@ class Participant:
         for reader in readers:
             made.attach(reader.arrival())
         return made
+
+    def publishers(self, readers: Mapping[str, Reader]) -> Iterator[Publisher]:
+        """The writers that readers hear now.
+
+        Args:
+            readers: by the type of their messages.
+        """
+        return publishers_of(self._participant, {kind: reader.entity for kind, reader in readers.items()})
 
     def other_types(self, name: str, kinds: Sequence[str]) -> list[str]:
         """Types, as DDS names them, with which others write a topic.
@@ -167,12 +188,19 @@ class Participant:
         """How many readers a topic has now."""
         return len(self._writers[name][1].get_matched_subscriptions())
 
+    def _tell_of_node(self) -> None:
+        """Say which writers and readers the bench's node has, where it is shown as one."""
+        if self._node is not None:
+            self._node.tell(
+                [writer for _, writer in self._writers.values()], [reader.entity for reader in self._heard]
+            )
+
     def close(self) -> None:
         """Say goodbye: what was written is sent first, for at most a second. Idempotent; never raises."""
         self._writers.clear()
         for reader in self._heard:
             reader.close()
-        self._participant = self._domain = None
+        self._node = self._participant = self._domain = None
 
 
 def _quality(name: str) -> Qos:

@@ -2,6 +2,7 @@
 
 `commander.py DOMAIN TOPIC TYPE RATE_HZ FIELD=VALUE...` writes Twist, TwistStamped or Header at a rate, once
 somebody reads (it prints `begun`, then `matched`), until its input ends; FIELD is for example `linear.x`.
+At the rate 0 it is there and writes nothing. `lease=2` is how long it counts once it is killed, in seconds.
 """
 
 import select
@@ -64,13 +65,17 @@ class TwistStamped(IdlStruct, typename="geometry_msgs.msg.dds_.TwistStamped_"):
 def main():
     number, name, kind, rate_hz, *fields = sys.argv[1:]
     twist = Twist(Vector3(), Vector3())
+    lease = ""
     for field in fields:
         place, value = field.split("=")
+        if place == "lease":
+            lease = f"<Discovery><LeaseDuration>{value}s</LeaseDuration></Discovery>"
+            continue
         part, axis = place.split(".")
         setattr(getattr(twist, part), axis, float(value))
     header = Header(Time(1, 2), "base_link")
     message = {"Twist": twist, "TwistStamped": TwistStamped(header, twist), "Header": header}[kind]
-    domain = Domain(int(number), LOOPBACK)
+    domain = Domain(int(number), LOOPBACK.replace("</Domain>", f"{lease}</Domain>"))
     participant = DomainParticipant(int(number))
     representation = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
     reliability = Policy.Reliability.Reliable(duration(milliseconds=100))
@@ -78,12 +83,14 @@ def main():
     writer = DataWriter(participant, Topic(participant, f"rt{name}", type(message)), quality)
     reported = False
     print("begun", flush=True)
-    while not select.select([sys.stdin], [], [], 1.0 / float(rate_hz))[0]:
+    rate_hz = float(rate_hz)
+    while not select.select([sys.stdin], [], [], 1.0 / rate_hz if rate_hz else 0.05)[0]:
         if writer.get_matched_subscriptions():
             if not reported:
                 reported = True
                 print("matched", flush=True)
-            writer.write(message)
+            if rate_hz:
+                writer.write(message)
     time.sleep(0.1)
     del domain
 

@@ -9,7 +9,7 @@ SETTINGS is a JSON object:
 - `follow`: rolls by the distance of `/odom` from `/reference` along x, times this, in rad/s per m; waits
   for those of the joint states' cycle;
 - `best_effort`: offers no reliability;
-- `limit`: ends by itself, killed, after so many commands;
+- `limit`: ends by itself, killed, after so many commands; `ends`: the same, but says goodbye;
 - `then`: settings that hold instead after `after` commands.
 """
 
@@ -195,7 +195,7 @@ class Driver:
     def run(self):
         print("begun", flush=True)
         following = time.monotonic()
-        while True:
+        while self.sent != self.settings.get("ends"):
             on = self.settings["on"]
             if isinstance(on, str):
                 if self.look():

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -102,20 +103,21 @@ def test_joint_commands_drive_a_live_session_and_not_before_they_come(tmp_path, 
 @pytest.mark.parametrize(
     ("settings", "answer"),
     [
-        ({"on": "states", "limit": 500}, "no command for"),
+        ({"on": "states", "limit": 500}, r"no command for .*process {pid} .*killed counts for up to 10 s"),
+        ({"on": "states", "ends": 500}, "no command for .*no publisher any more"),
         ({"on": 0.8}, "no command for"),
         ({"after": 40, "then": {"velocity": [0.5, 0.5, 0.5, 57.3]}}, "rpm"),
         ({"stamp": 5}, "do not go on"),
     ],
 )
-def test_a_program_that_is_killed_slow_or_wrong_stops_a_live_session(
+def test_a_program_that_is_killed_ends_is_slow_or_wrong_stops_a_live_session(
     settings, answer, tmp_path, domain, live
 ):
     running = live("--duration", "60")
-    with driver(domain, {**ROLLS, **settings}):
+    with driver(domain, {**ROLLS, **settings}) as program:
         code, summary, err = ended(running)
     assert code == 3, err
-    assert answer in summary["ended"]
+    assert re.search(answer.format(pid=program.pid), summary["ended"])
     assert summary["held"]["state"] in ("HELD", "not needed")
     last = list(read_cycles(tmp_path / "r.mcap"))[-1]
     assert not last.command.drive_velocity_rad_s.any()

@@ -180,6 +180,48 @@ def test_one_that_is_killed_brings_the_robot_to_rest(tmp_path, live, command, mo
 
 @pytest.mark.alone
 @pytest.mark.timeout(PATIENCE_S + 60)
+def test_one_that_was_killed_and_comes_back_at_once_stops_the_robot_and_both_are_named(live, command, moves):
+    running = live("--duration", "60")
+    moves()
+    first = command("Twist", "linear.x=0.03")
+    assert first.stdout.readline() == "matched\n"
+    time.sleep(0.5)
+    first.kill()
+    second = command("Twist", "linear.x=0.03")
+    code, summary, _ = ended(running)
+    assert code == 3
+    for answer in ("ros2_publishers", f"process {first.pid}", f"process {second.pid}", "for up to 10 s"):
+        assert answer in summary["ended"]
+    assert summary["held"]["state"] in ("HELD", "not needed")
+
+
+@pytest.mark.alone
+@pytest.mark.timeout(PATIENCE_S + 60)
+def test_one_that_comes_back_after_its_lease_drives_again_and_the_loss_was_told(
+    tmp_path, live, command, moves
+):
+    running = live()
+    moves()
+    first = command("Twist", "linear.x=0.03", "lease=2")
+    assert first.stdout.readline() == "matched\n"
+    time.sleep(0.5)
+    first.kill()
+    lost = next(line for line in running.stderr if "is gone" in line)
+    assert f"process {first.pid} (geometry_msgs/Twist)" in lost
+    assert command("Twist", "linear.x=0.04").stdout.readline() == "matched\n"
+    time.sleep(1.5)
+    running.send_signal(signal.SIGTERM)
+    code, summary, _ = ended(running)
+    assert code == 4
+    assert summary["commands"]["publishers_lost"] == 1
+    assert summary["commands"]["dead_man_stops"] >= 1
+    speeds = [c.reference.twist_body[0] for c in read_cycles(tmp_path / "r.mcap") if c.reference is not None]
+    before, after = speeds.index(0.03), speeds.index(0.04)
+    assert 0.0 in speeds[before:after], "at rest while there is none"
+
+
+@pytest.mark.alone
+@pytest.mark.timeout(PATIENCE_S + 60)
 def test_without_a_publisher_it_says_where_it_looked_and_which_other_type_it_found(live, command, domain):
     command("Header")
     code, summary, err = ended(live("--duration", "8"))
@@ -192,6 +234,19 @@ def test_without_a_publisher_it_says_where_it_looked_and_which_other_type_it_fou
         "std_msgs::msg::dds_::Header_",
     ):
         assert answer in err
+
+
+@pytest.mark.alone
+@pytest.mark.timeout(PATIENCE_S + 60)
+def test_of_a_publisher_that_sends_nothing_it_warns_once_and_names_it(live, command):
+    running = live("--duration", "12")
+    silent = command("Twist", rate_hz=0)
+    code, summary, err = ended(running)
+    assert code == 0, err
+    assert summary["commands"]["messages"] == 0
+    (warned,) = (line for line in err.splitlines() if "no command within 5 s" in line)
+    for answer in ("ros2:/cmd_vel", "geometry_msgs/Twist", f"process {silent.pid}", "no command yet"):
+        assert answer in warned
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,76 @@
+"""Who publishes a topic, as DDS describes it: which program, and how long it counts once it was killed."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsParticipant
+from cyclonedds.qos import Policy, Qos
+
+from hil.core.clock import NS_PER_S, seconds
+
+_MOST = 10_000
+"""Participants that are looked through."""
+_LONGEST_NS = 10**6 * NS_PER_S
+"""Of a lease: a longer one is no lease."""
+_PROCESS, _HOST = ("fastdds.physical_data.process", "__Pid"), ("fastdds.physical_data.host", "__Hostname")
+"""Names by which Fast DDS and Cyclone DDS tell it."""
+
+
+@dataclass(frozen=True)
+class Publisher:
+    """One writer of a topic.
+
+    Attributes:
+        handle: by which its messages are known.
+        kind: of its messages.
+        program: its process, else its identifier on DDS, in words.
+        lease_s: for how long it counts after it was killed; None where that is not known.
+    """
+
+    handle: int
+    kind: str
+    program: str
+    lease_s: float | None
+
+    def __str__(self) -> str:
+        return f"{self.program} ({self.kind.replace('/msg/', '/')})"
+
+
+def handles_of(entity: Any) -> list[int]:
+    """Of the writers that a reader of Cyclone DDS hears, as their messages carry them."""
+    return [handle & (1 << 64) - 1 for handle in entity.get_matched_publications()]
+
+
+def publishers_of(participant: Any, entities: Mapping[str, Any]) -> Iterator[Publisher]:
+    """The writers that readers of Cyclone DDS hear now.
+
+    Args:
+        participant: theirs.
+        entities: readers, by what their messages are.
+    """
+    seen = BuiltinDataReader(participant, BuiltinTopicDcpsParticipant).read(N=_MOST)
+    programs = {one.key: one.qos for one in seen}
+    for kind, entity in entities.items():
+        for handle in handles_of(entity):
+            told = entity.get_matched_publication_data(handle)
+            if told is not None:  # else it has left meanwhile
+                quality = programs.get(told.participant_key, Qos())
+                yield Publisher(handle, kind, _program(quality) or f"GID {told.key}", _lease_s(quality))
+
+
+def _program(quality: Qos) -> str:
+    """Process, and its computer unless it is this one; empty where DDS tells none."""
+    told = {policy.key: policy.value for policy in quality if isinstance(policy, Policy.Property)}
+    process = next((told[name] for name in _PROCESS if told.get(name)), "")
+    host = next((told[name].partition(":")[0] for name in _HOST if told.get(name)), "")
+    elsewhere = f" of {host}" if host not in ("", socket.gethostname()) else ""
+    return f"process {process}{elsewhere}" if process else ""
+
+
+def _lease_s(quality: Qos) -> float | None:
+    lease = quality[Policy.Liveliness.Automatic]
+    return seconds(lease.lease_duration) if lease and lease.lease_duration < _LONGEST_NS else None

@@ -1,0 +1,97 @@
+"""Who publishes a topic of commands: programs that come, end, or are killed."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
+from hil.ros2.command_topic import CommandTopic
+from hil.ros2.network import Network
+from hil.ros2.participant import Participant
+
+pytestmark = pytest.mark.timeout(180)
+COMMANDER = Path(__file__).with_name("commander.py")
+TWIST = "geometry_msgs/msg/Twist"
+PATIENCE_S = 60.0
+
+
+@pytest.fixture
+def topic(domain):
+    participant = Participant(Network(domain))
+    topic = CommandTopic(participant, "/cmd_vel")
+    yield topic
+    topic.close()
+    participant.close()
+
+
+@pytest.fixture
+def commander(domain):
+    """Begins programs that send velocities; they are ended with the test."""
+    begun = []
+
+    def begin(*fields, rate_hz=50):
+        words = [COMMANDER, domain, "/cmd_vel", "Twist", rate_hz, *fields]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        begun.append(subprocess.Popen([sys.executable, *map(str, words)], text=True, **pipes))
+        assert begun[-1].stdout.readline() == "begun\n"
+        return begun[-1]
+
+    yield begin
+    for one in begun:
+        one.kill()
+        one.wait()
+        one.stdin.close()
+        one.stdout.close()
+
+
+def taken_until(topic, over):
+    """All messages that come until something holds."""
+    messages, until = [], time.monotonic() + PATIENCE_S
+    while not over():
+        assert time.monotonic() < until
+        topic.wait(20_000_000)
+        messages += topic.take()
+    return messages + topic.take()
+
+
+def has(topic, count):
+    return lambda: len(topic.publishers()) == count
+
+
+@pytest.mark.parametrize("ends", ["by itself", "killed"])
+def test_the_topic_is_read_on_after_its_publisher_is_gone_and_when_one_comes_back(ends, topic, commander):
+    for _ in range(2):
+        program = commander("lease=2")
+        assert taken_until(topic, lambda: topic.take())
+        if ends == "killed":
+            program.kill()
+        else:
+            program.stdin.close()
+        last = taken_until(topic, has(topic, 0))
+        assert {kind for kind, _ in last} <= {TWIST}
+        assert all(data for _, data in last)
+        assert topic.take() == []
+
+
+def test_one_that_was_killed_is_named_for_as_long_as_its_lease_and_then_gone(topic, commander):
+    program = commander("lease=3")
+    assert taken_until(topic, lambda: topic.take())
+    killed = time.monotonic()
+    program.kill()
+    assert f"process {program.pid} (geometry_msgs/Twist)" in topic.who()
+    assert "3 s" in topic.who()
+    taken_until(topic, has(topic, 0))
+    assert time.monotonic() - killed > 1.5, "it is not given up while it may only be slow"
+    assert str(program.pid) not in topic.who()
+
+
+def test_of_two_the_one_that_sends_and_the_one_that_never_did_are_told_apart(topic, commander):
+    speaks, silent = commander(), commander(rate_hz=0)
+    taken_until(topic, lambda: has(topic, 2)() and any(map(topic.silent_s, topic.publishers())))
+    assert topic.why_several().startswith("/cmd_vel has 2 publishers")
+    silent_s = {one.program: topic.silent_s(one.handle) for one in topic.described()}
+    assert silent_s[f"process {silent.pid}"] is None
+    assert silent_s[f"process {speaks.pid}"] < PATIENCE_S
