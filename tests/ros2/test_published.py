@@ -16,7 +16,7 @@ pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 from hil.ros2.network import Network
 from hil.ros2.publisher import Ros2Publisher
 
-pytestmark = [pytest.mark.real_time, pytest.mark.timeout(180)]
+pytestmark = pytest.mark.timeout(180)
 MOVING = ("/joint_states", "/imu/data", "/mocap/pose", "/tracker/pose", "/odom", "/tf", "/diagnostics")
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TYPES = {
@@ -68,6 +68,7 @@ def padded(data):
     return data + bytes(-len(data) % 4)
 
 
+@pytest.mark.alone
 def test_in_real_time_the_bytes_of_the_recording_go_out(publisher, listen, tmp_path):
     topics = [topic for topic in MOVING if topic != "/diagnostics"]
     bench = source(publisher, realtime=True).open()
@@ -103,6 +104,7 @@ def _agree(fields, seen):
             np.testing.assert_array_equal(value, other)
 
 
+@pytest.mark.real_time
 def test_virtual_time_goes_on_from_one_bench_to_the_next_and_never_back(publisher, listen):
     topics = ("/clock", "/joint_states", "/odom")
     listener = listen(*topics)
@@ -129,6 +131,7 @@ def test_virtual_time_goes_on_from_one_bench_to_the_next_and_never_back(publishe
         np.testing.assert_array_equal(joints[t_ns], first[t_ns].position_rad)
 
 
+@pytest.mark.real_time
 def test_states_are_sent_before_the_time_that_nodes_act_by(publisher, listen):
     topics = ("/clock", "/odom")
     listener = listen(*topics)
@@ -144,6 +147,7 @@ def test_states_are_sent_before_the_time_that_nodes_act_by(publisher, listen):
     assert all(sent[t_ns] < clocks[t_ns] for t_ns in both)
 
 
+@pytest.mark.real_time
 def test_who_listens_later_gets_what_never_moves(publisher, listen):
     with source(publisher).open() as bench:
         bench.observe(0.1)
@@ -159,6 +163,7 @@ def test_who_listens_later_gets_what_never_moves(publisher, listen):
     assert read("/robot_description", robot).data.startswith("<")
 
 
+@pytest.mark.real_time
 def test_diagnostics_name_the_stop_and_how_the_robot_was_left(publisher, listen):
     listener = listen("/diagnostics")
     bench = source(publisher, faults=("servos:off@1.5",)).open()
