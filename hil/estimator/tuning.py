@@ -26,6 +26,7 @@ from hil.core.signals import Measurements, RobotState, heard
 from hil.estimator import make_estimator
 from hil.estimator.consistency import nees
 from hil.robot.kinematics import WheelGeometry
+from hil.support.file_reading import put_dotted
 from hil.support.progress import Report, silent
 
 CHECK_EVERY_NS = 500_000_000
@@ -121,8 +122,7 @@ def with_values(config: EstimatorConfig, values: Mapping[str, float]) -> Estimat
     """The configuration with some figures replaced; raises `ValueError` for an impossible one."""
     tree: dict[str, Any] = config.model_dump()
     for name, value in values.items():
-        table, key = name.split(".")
-        tree[table][key] = value
+        put_dotted(tree, name, value, "estimator")
     return EstimatorConfig.model_validate(tree)
 
 
