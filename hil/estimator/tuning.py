@@ -118,6 +118,12 @@ def tunable(config: EstimatorConfig, surface: str) -> dict[str, float]:
     return {name: value for name, value in found.items() if value > 0.0}
 
 
+def value_of(config: EstimatorConfig, name: str) -> float:
+    """A figure of a configuration by its dotted name, in SI units."""
+    table, key = name.split(".")
+    return float(getattr(getattr(config, table), key))
+
+
 def with_values(config: EstimatorConfig, values: Mapping[str, float]) -> EstimatorConfig:
     """The configuration with some figures replaced; raises `ValueError` for an impossible one."""
     tree: dict[str, Any] = config.model_dump()
