@@ -26,7 +26,6 @@ from hil.fakes.active_faults import FaultPlan
 from hil.fakes.body_interface import Plant
 from hil.fakes.fault import Fault, Supported, describe
 from hil.fakes.fault_files import read_faults
-from hil.fakes.further_device import world_of
 from hil.fakes.plant import SteppedBody, make_plant
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World, random_stream
@@ -130,8 +129,8 @@ def emulated(
             f"{config.name}: {kind}.model = {model.name!r} cannot be emulated",
             remedy="choose another model for the emulated bench, or a real one",
         )
-    given, own = config.imperfections(kind), world_of(world, base_of(kind), kind)
-    request = EmulationRequest(kind, config.devices()[kind], given, own, name, standard_ports)
+    given = config.imperfections(kind)
+    request = EmulationRequest(kind, config.devices()[kind], given, world, name, standard_ports)
     if model.package != OURS:
         options = asked(kind, model.package, "truth_options", model.truth_options)
         if options is not None:

@@ -29,10 +29,7 @@ class FaultPlan:
 
     def of(self, *names: str) -> FaultsOf:
         """What concerns a device of these names, from now on."""
-        return self.follow(FaultsOf(self, names))
-
-    def follow(self, view: FaultsOf) -> FaultsOf:
-        """Tell a view which devices have faults, now and whenever that changes."""
+        view = FaultsOf(self, names)
         self._views.append(view)
         view.follow(fault.device for fault in self._faults)
         return view

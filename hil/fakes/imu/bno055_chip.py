@@ -97,6 +97,7 @@ class Bno055Chip(SerialChip, Scheduled):
         config = request.config
         return cls(
             request.world,
+            name=request.kind,
             options=request.options(cls.Options, position_m=config.mount_position_m),
             mount_rotation_wxyz=config.mount_rotation_wxyz,
             bench_remap=(config.axis_map, config.axis_sign),

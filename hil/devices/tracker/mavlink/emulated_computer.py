@@ -102,6 +102,7 @@ class VisualInertialComputer(Scheduled):
         wanted = {key: getattr(config, key) for key in _OF_ITS_OWN if getattr(config, key) is not None}
         return cls(
             request.world,
+            name=request.kind,
             options=request.options(cls.Options, rate_hz=config.rate_hz, **wanted),
             mount_position_m=config.mount_position_m,
             mount_rotation_wxyz=config.mount_rotation_wxyz,
