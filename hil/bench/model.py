@@ -25,7 +25,7 @@ from hil.core.errors import UsageError
 from hil.core.interfaces import Controller, Estimator
 from hil.estimator import make_estimator
 from hil.loop.alignment import Alignment
-from hil.loop.control_loop import ControlPipeline
+from hil.loop.pipeline import ControlPipeline
 from hil.loop.restart import Restart
 from hil.loop.supervisor import Supervisor
 from hil.robot.kinematics import WheelGeometry

@@ -23,7 +23,7 @@ from hil.live.reference_files import MakeTrajectory
 from hil.live.sample_counts import SampleCounter
 from hil.live.velocity_input import CommandLines
 from hil.live.velocity_reference import VelocityReference
-from hil.loop.control_loop import ControlPipeline
+from hil.loop.pipeline import ControlPipeline
 from hil.loop.realtime import warm_up
 from hil.monitor import RerunMonitor
 from hil.recording.mcap_writer import McapRecorder
