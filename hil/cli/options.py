@@ -124,7 +124,7 @@ def on_recording_failure_option(what: str) -> Callable[[Any], Any]:
 
 def say_rerun_files(view: str) -> None:
     """Say on stderr which files `--rerun` has left and how to open them, and which of them are incomplete."""
-    from hil.monitor.rrd_check import files_of, what_is_missing
+    from hil.monitor.rrd_file import files_of, what_is_missing
 
     for name in files_of(part.strip() for part in view.split(",")):
         path = Path(name)
