@@ -1,7 +1,7 @@
 """The emulated visual-inertial computer: odometry that errs, heartbeats, answers, on a clock of its own.
 
-It is the computer itself, whatever its cable: `virtual_network` carries its packets as datagrams in world
-time, `emulated_udp` on real UDP, `emulated_serial` on a serial line. It streams to all that are attached.
+It is the computer itself, whatever its cable: `emulated_links` carries its packets as datagrams in world
+time, or on a serial line, `emulated_udp` on real UDP. It streams to all that are attached.
 """
 
 from __future__ import annotations
