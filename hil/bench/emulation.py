@@ -90,10 +90,7 @@ def hidden_truth(world: World) -> dict[str, object]:
         raise UsageError("the truth of a robot that repeats a recording is not known")
     p, geometry = plant.parameters, plant.parameters.geometry()
     return {
-        "x_w_m": geometry.x_m.tolist(),
-        "y_w_m": geometry.y_m.tolist(),
-        "r_m": geometry.radius_m.tolist(),
-        "delta0_rad": geometry.steering_zero_rad.tolist(),
+        **geometry.to_json(),
         "load": (plant.truth().normal_load_n / plant.truth().normal_load_n.mean()).tolist(),
         "mass_kg": p.mass_kg,
         "centre_of_mass_m": list(p.centre_of_mass_m),

@@ -80,6 +80,8 @@ FILE = FileName(path_type=Path)
 """Type of arguments and options that name a file or a folder."""
 OUT = _Place(path_type=Path)
 """Type of `--out`."""
+TOPICS = click.option("--topics", type=FILE, help="Topic mapping of another robot's bags.")
+PLOTS = click.option("--plots", type=FILE, help="Folder for figures and an HTML page.")
 
 
 class SuggestingGroup(click.Group):

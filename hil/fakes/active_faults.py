@@ -213,6 +213,16 @@ class DeviceFaults:
         fault = self.find("delayed", t_ns)
         return 0 if fault is None else fault.delay_ns()
 
+    def damaged(self, packet: bytes, t_ns: int) -> tuple[bytes, ...]:
+        """A datagram as it arrives: with a wrong byte, cut off, twice, or whole."""
+        if self._hit("corrupt", t_ns):
+            damaged = bytearray(packet)
+            damaged[int(self._rng.integers(0, len(packet)))] ^= int(self._rng.integers(1, 256))
+            packet = bytes(damaged)
+        if self._hit("truncate", t_ns):
+            packet = packet[: int(self._rng.integers(0, len(packet)))]
+        return (packet, packet) if self._hit("duplicate", t_ns) else (packet,)
+
     def _hit(self, kind: str, t_ns: int) -> bool:
         fault = self.find(kind, t_ns)
         return fault is not None and fault.strikes(self._rng)

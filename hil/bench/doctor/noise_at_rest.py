@@ -6,19 +6,17 @@ of the record it is 1 as long as the sensor is what it was.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from hil.config.bench import BenchConfig
 from hil.config.robot_record.overlay import known_parts
 from hil.core.finding import Finding, Level
-from hil.core.signals import Inputs, Measurements
+from hil.core.signals import Measurements
 from hil.estimator.noise_figures import MEASURED, NoiseFigure
 from hil.estimator.sample_statistics import Spread, about_a_line, blocks, total
 from hil.estimator.tuning import value_of
-from hil.loop.alignment import Alignment, AlignmentParameters
 
 NOISIER, BETTER = 2.0, 0.5
 """Ratio of the standard deviation to the measured one beyond which a finding warns: twice, or half of it."""
@@ -31,19 +29,13 @@ _OF_POSES = {"tracker": "camera", "mocap": "mocap"}
 """Devices that measure poses, and how their figures begin."""
 
 
-def noise_at_rest(
-    config: BenchConfig, parameters: AlignmentParameters, seen: Mapping[str, Sequence[Any]]
-) -> Iterator[Finding]:
+def noise_at_rest(config: BenchConfig, measured: Measurements) -> Iterator[Finding]:
     """Findings on the sensors' noise; none on a device that delivered too few samples.
 
     Args:
         config: of the bench.
-        parameters: of its alignment.
-        seen: samples of every kind that was watched, at rest.
+        measured: all that was watched, aligned, of a robot at rest.
     """
-    names = ("imu", "tracker", "mocap")
-    samples: dict[str, Any] = {name: tuple(seen.get(name, ())) for name in names}
-    measured = Alignment(parameters).measure(Inputs(0, 0, **samples))
     for one, words, spread in _spreads(measured):
         if spread.freedom >= _FEWEST and one.device in config.devices():
             yield _finding(config, one, words, spread)
