@@ -171,16 +171,7 @@ class BenchModel:
         )
 
     def check(self, trajectory: Trajectory, *, known: Trajectory | None = None) -> None:
-        """Refuse what the limits cannot follow.
-
-        Args:
-            trajectory: what is asked for.
-            known: was checked before; the segments that both end with are not looked at again.
-
-        Raises:
-            TrajectoryError: with the first offending time.
-            UsageError: it is no trajectory.
-        """
+        """Refuse what the limits cannot follow: arguments and errors are those of `Bench.check`."""
         if not isinstance(trajectory, Trajectory):
             raise UsageError(
                 f"{trajectory!r} is no trajectory",
