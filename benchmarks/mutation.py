@@ -140,7 +140,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "caveats": ("hil/calibration/warnings.py", ("tests/calibration/test_caveats.py",)),
     "alike": ("hil/procedure/campaign/ineffective_settings.py", ("tests/campaign/test_campaign_alike.py",)),
     "campaign_check": (
-        "hil/procedure/campaign/plan_checks.py",
+        "hil/procedure/campaign/plan_file.py",
         ("tests/campaign/test_campaign_command.py", "-k", "refused_before_anything"),
     ),
     "acceptance": (

@@ -21,6 +21,7 @@ from hil.config.bench import BenchConfig
 from hil.core.errors import DeviceError
 from hil.core.geometry import Array
 from hil.core.signals import Measurements
+from hil.estimator.noise_figures import MEASURED
 from hil.estimator.noise_matching import DrivenRun, match
 from hil.estimator.sensor_noise import SensorNoise, measure
 from hil.estimator.tuning import with_values
@@ -30,7 +31,7 @@ from hil.procedure.bench_fragment import write_fragment
 from hil.procedure.record_parts import leave_part
 from hil.procedure.tracking_errors import stand
 from hil.procedures.parts import headlines
-from hil.procedures.parts.noise_report import FOUND, figures, leave_measurements, table, values_of
+from hil.procedures.parts.noise_report import figures, leave_measurements, table, values_of
 from hil.robot.trajectories import Trajectory, line
 from hil.support.file_reading import put_dotted
 
@@ -53,10 +54,10 @@ class Parameters(BaseModel):
 def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
     """Noise and drift by sensor, and whether the filter with them is as sure as it may be."""
     devices = config.devices()
-    for one in FOUND:
+    for one in MEASURED:
         if one.device in devices:
-            yield Measurement(one.name, one.unit, rationale=one.meaning)
-            yield Measurement(f"{one.name}_uncertainty", one.unit, rationale="half of the 95 % interval")
+            yield Measurement(one.label, one.unit, rationale=one.meaning)
+            yield Measurement(f"{one.label}_uncertainty", one.unit, rationale="half of the 95 % interval")
     for sensor, device in (("wheels", "servos"), ("gyro", "imu"), ("tracker", "tracker")):
         if device in devices:
             yield Measurement(

@@ -24,10 +24,12 @@ from hil.core.signals import CycleRecord, RobotState
 from hil.fakes.body_interface import PlantState
 from hil.fakes.fault import Fault
 from hil.fakes.world import World
-from hil.loop.control_loop import ControlLoop, ControlPipeline, LoopStatistics
+from hil.loop.control_loop import ControlLoop
 from hil.loop.device_set import DeviceSet
 from hil.loop.driven_motion import Motion
+from hil.loop.pipeline import ControlPipeline
 from hil.loop.realtime import warm_up
+from hil.loop.timing import LoopStatistics
 from hil.loop.user_parts import own_name
 from hil.recording.runs import START_COVARIANCE, RunStart
 from hil.robot.trajectories import Trajectory

@@ -26,7 +26,6 @@ from hil.fakes.active_faults import FaultPlan
 from hil.fakes.body_interface import Plant
 from hil.fakes.fault import Fault, Supported, describe
 from hil.fakes.fault_files import read_faults
-from hil.fakes.further_device import world_of
 from hil.fakes.plant import SteppedBody, make_plant
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World, random_stream
@@ -91,10 +90,7 @@ def hidden_truth(world: World) -> dict[str, object]:
         raise UsageError("the truth of a robot that repeats a recording is not known")
     p, geometry = plant.parameters, plant.parameters.geometry()
     return {
-        "x_w_m": geometry.x_m.tolist(),
-        "y_w_m": geometry.y_m.tolist(),
-        "r_m": geometry.radius_m.tolist(),
-        "delta0_rad": geometry.steering_zero_rad.tolist(),
+        **geometry.to_json(),
         "load": (plant.truth().normal_load_n / plant.truth().normal_load_n.mean()).tolist(),
         "mass_kg": p.mass_kg,
         "centre_of_mass_m": list(p.centre_of_mass_m),
@@ -130,8 +126,8 @@ def emulated(
             f"{config.name}: {kind}.model = {model.name!r} cannot be emulated",
             remedy="choose another model for the emulated bench, or a real one",
         )
-    given, own = config.imperfections(kind), world_of(world, base_of(kind), kind)
-    request = EmulationRequest(kind, config.devices()[kind], given, own, name, standard_ports)
+    given = config.imperfections(kind)
+    request = EmulationRequest(kind, config.devices()[kind], given, world, name, standard_ports)
     if model.package != OURS:
         options = asked(kind, model.package, "truth_options", model.truth_options)
         if options is not None:

@@ -44,6 +44,9 @@ def making(make: Callable[[], Device], name: str) -> Callable[[], Device]:
 class OwnName(Device):
     """A driver whose errors name the device.
 
+    To set the driver's `name` is not enough: it hands its name to its parts when it is made, and one of
+    another package may write the kind's name into its errors.
+
     Args:
         driver: of the device, which calls itself by the name of its kind.
         kind: that name.

@@ -25,7 +25,7 @@ from hil.core.errors import UsageError
 from hil.core.interfaces import Controller, Estimator
 from hil.estimator import make_estimator
 from hil.loop.alignment import Alignment
-from hil.loop.control_loop import ControlPipeline
+from hil.loop.pipeline import ControlPipeline
 from hil.loop.restart import Restart
 from hil.loop.supervisor import Supervisor
 from hil.robot.kinematics import WheelGeometry
@@ -171,16 +171,7 @@ class BenchModel:
         )
 
     def check(self, trajectory: Trajectory, *, known: Trajectory | None = None) -> None:
-        """Refuse what the limits cannot follow.
-
-        Args:
-            trajectory: what is asked for.
-            known: was checked before; the segments that both end with are not looked at again.
-
-        Raises:
-            TrajectoryError: with the first offending time.
-            UsageError: it is no trajectory.
-        """
+        """Refuse what the limits cannot follow: arguments and errors are those of `Bench.check`."""
         if not isinstance(trajectory, Trajectory):
             raise UsageError(
                 f"{trajectory!r} is no trajectory",

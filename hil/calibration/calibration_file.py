@@ -123,15 +123,6 @@ def _geometry(p: Parameters, tyres: Tyres | None) -> WheelGeometry:
     return wheels if tyres is None else wheels.with_tyres(tyres.load, tyres.creep_ratio)
 
 
-def _parameters(geometry: WheelGeometry) -> dict[str, list[float]]:
-    return {
-        "x_w_m": geometry.x_m.tolist(),
-        "y_w_m": geometry.y_m.tolist(),
-        "r_m": geometry.radius_m.tolist(),
-        "delta0_rad": geometry.steering_zero_rad.tolist(),
-    }
-
-
 def read_calibration(path: Path) -> CalibrationFile:
     """Read and check a file; raises `ConfigError` with every problem at once."""
     tree = read_toml(path, remedy="run hil calibrate --out")
@@ -200,8 +191,8 @@ def calibration_file(
         "created": created,
         "wheel_order": WHEEL_ORDER,
         **{k: described[k] for k in ("method", "setting", "model", "signal", "cost_before", "cost_after")},
-        "parameters": _parameters(result.geometry),
-        "nominal": _parameters(result.nominal),
+        "parameters": result.geometry.to_json(),
+        "nominal": result.nominal.to_json(),
         "std": {k: [_finite(x) for x in v] for k, v in described["std"].items()},
         "twist_correction": result.twist.tolist(),
         "recordings": {

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options import FILE, JSON, OUT, SEED, FiniteRange
+from hil.cli.options import JSON, OUT, PLOTS, SEED, TOPICS, FiniteRange
 from hil.cli.progress import reporting
 from hil.cli.robot_of_recordings import BENCH, configured, on_paper
 from hil.core.choices import METHODS
@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 @click.option("--no-validation", is_flag=True, help="Skip the cross-validations.")
 @BENCH
 @click.option("--out", type=OUT, help="Write calibration.toml here.")
-@click.option("--topics", type=FILE, help="Topic mapping of another robot's bags.")
-@click.option("--plots", type=FILE, help="Folder for figures and an HTML page.")
+@TOPICS
+@PLOTS
 @JSON
 def command(
     data: tuple[str, ...],

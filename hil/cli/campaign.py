@@ -108,8 +108,7 @@ def command(
     Example: hil campaign wall_tracking --seeds 0:20 --vary fault=imu:off@5,tracker:off@5
     """
     from hil.procedure.campaign import check_dask, expand, parse_axis, parse_seeds
-    from hil.procedure.campaign.plan_checks import check
-    from hil.procedure.campaign.plan_file import alone_in, keep_plan
+    from hil.procedure.campaign.plan_file import alone_in, check, keep_plan
     from hil.procedure.campaign.run_case import Setup
     from hil.procedure.procedure_lookup import load_procedure
 

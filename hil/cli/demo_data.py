@@ -172,10 +172,7 @@ def _from_formulas(
     for recording in make_set(robot, seed, motions, repetitions=repetitions, corrupted=corrupt):
         write_plain(folder / f"{recording.name}.csv", recording)
     return {
-        "x_w_m": robot.geometry.x_m.tolist(),
-        "y_w_m": robot.geometry.y_m.tolist(),
-        "r_m": robot.geometry.radius_m.tolist(),
-        "delta0_rad": robot.geometry.steering_zero_rad.tolist(),
+        **robot.geometry.to_json(),
         "load": robot.load.tolist(),
         "contact": contact,
         "nominal": nominal.to_json(),

@@ -79,8 +79,7 @@ def command(request: BenchRequest, watch_s: float, fix: bool, out: Path | None, 
 
 
 def _fix(request: BenchRequest, fix: bool, out: Path | None) -> int:
-    from hil.bench.doctor.host_rules import udev_rules
-    from hil.bench.doctor.port_findings import Host
+    from hil.bench.doctor.port_findings import Host, udev_rules
     from hil.config.loading import load_bench
     from hil.core.errors import UsageError
     from hil.support.atomic_files import write_text

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import FILE, JSON
+from hil.cli.options import FILE, JSON, PLOTS, TOPICS
 from hil.cli.progress import reporting
 from hil.cli.robot_of_recordings import BENCH, configured, on_paper
 from hil.core.errors import EXIT_PASS, EXIT_USAGE
@@ -43,8 +43,8 @@ _COLUMNS = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
     help="Apply the calibration as wheel parameters, or as a 3x3 correction of nominal odometry.",
 )
 @BENCH
-@click.option("--topics", type=FILE, help="Topic mapping of another robot's bags.")
-@click.option("--plots", type=FILE, help="Folder for figures and an HTML page.")
+@TOPICS
+@PLOTS
 @JSON
 def command(
     data: tuple[str, ...],

@@ -85,8 +85,7 @@ def command(
 
     Example: hil faults --quick
     """
-    from hil.procedure.faults import KeptVerdicts, missing, summary, write_page
-    from hil.report.faults_page import write_faults
+    from hil.procedure.faults import KeptVerdicts, missing, summary, write_faults, write_page
 
     began = datetime.now(timezone.utc).isoformat(timespec="seconds")
     bench = request.bench

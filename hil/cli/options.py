@@ -80,6 +80,8 @@ FILE = FileName(path_type=Path)
 """Type of arguments and options that name a file or a folder."""
 OUT = _Place(path_type=Path)
 """Type of `--out`."""
+TOPICS = click.option("--topics", type=FILE, help="Topic mapping of another robot's bags.")
+PLOTS = click.option("--plots", type=FILE, help="Folder for figures and an HTML page.")
 
 
 class SuggestingGroup(click.Group):
@@ -124,7 +126,7 @@ def on_recording_failure_option(what: str) -> Callable[[Any], Any]:
 
 def say_rerun_files(view: str) -> None:
     """Say on stderr which files `--rerun` has left and how to open them, and which of them are incomplete."""
-    from hil.monitor.rrd_check import files_of, what_is_missing
+    from hil.monitor.rrd_file import files_of, what_is_missing
 
     for name in files_of(part.strip() for part in view.split(",")):
         path = Path(name)

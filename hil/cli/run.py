@@ -114,7 +114,7 @@ def command(
     parameters = proc.settings(given, quick=quick)
     source = request.source(overrides, otherwise=proc.bench)
     if dry:
-        from hil.procedure.dry_run import dry_run
+        from hil.procedure.runner import dry_run
 
         plan = dry_run(proc, source, parameters)
         click.echo(json.dumps(plan) if as_json else _plan_text(plan))

@@ -17,6 +17,7 @@ from hil.cli.options import FILE, JSON, OUT
 from hil.cli.progress import reporting
 from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, ConfigError, DataError, UsageError
 from hil.support.atomic_files import check_ending, check_file, put_whole, refused
+from hil.support.file_reading import put_dotted
 
 if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
@@ -254,8 +255,7 @@ def _write(out: Path, bench: str | None, found: Tuned) -> None:
     if bench is not None:
         tree = find_bench(bench)[0]
     for name, value in found.values.items():
-        table, key = name.split(".")
-        tree.setdefault("estimator", {}).setdefault(table, {})[key] = float(f"{value:.4g}")
+        put_dotted(tree, f"estimator.{name}", float(f"{value:.4g}"), "fitted")
     if "schema" in tree:
         validate(tree, str(out))
     try:

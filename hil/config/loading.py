@@ -23,7 +23,7 @@ from hil.config.several_devices import devices_in, further_in, meant, spread
 from hil.core.errors import ConfigError, HilError, did_you_mean
 from hil.core.registry import kinds
 from hil.support.atomic_files import check_name
-from hil.support.file_reading import put_dotted, read_toml, toml_tables
+from hil.support.file_reading import get_dotted, put_dotted, read_toml, toml_tables
 
 _PATHS = ("calibration", "emulation.mjcf", "emulation.replay", "monitor.mesh", "record.folder")
 _ADD_ONE = (
@@ -213,12 +213,9 @@ def bench_files(tree: Mapping[str, Any], folder: Path) -> dict[str, Path]:
     """
     found = {}
     for dotted in path_keys(tree):
-        *tables, key = dotted.split(".")
-        table: Any = tree
-        for name in tables:
-            table = table.get(name) if isinstance(table, Mapping) else None
-        if isinstance(table, Mapping) and isinstance(table.get(key), str):
-            found[dotted] = folder / table[key]
+        value = get_dotted(tree, dotted)
+        if isinstance(value, str):
+            found[dotted] = folder / value
     return found
 
 

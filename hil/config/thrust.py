@@ -9,6 +9,7 @@ from pydantic import Field
 
 from hil.config.device import DeviceConfig
 from hil.config.values import Baud, Patience, Within
+from hil.core.errors import UsageError
 
 STEPS = 180
 """Of a Teensy's throttle."""
@@ -29,6 +30,15 @@ class ThrustConfig(DeviceConfig):
 
     force_n: Thrust | None = None
     full_force_n: Thrust = 39.7
+
+    def check_force(self, force_n: float, device: str) -> None:
+        """Raise `UsageError`, which names the device, for a force that the propellers do not have."""
+        if not (math.isfinite(force_n) and 0.0 <= force_n <= self.full_force_n):
+            raise UsageError(
+                f"{device}: a force of {force_n:g} N",
+                expected=f"0 to {self.full_force_n:g} N (thrust.full_force_n)",
+                remedy="ask for less, or correct thrust.full_force_n",
+            )
 
     def throttle_for(self, force_n: float) -> float:
         """Throttle 0..1 that gives a force; above 1 where nothing does."""

@@ -71,7 +71,7 @@ class FurtherKind(DeviceKind):
         return Topic(f"{topic.name}_{self.label}", topic.type, partial(self._message, topic))
 
     def _message(self, topic: Topic, sample: Any, ros: Any) -> Any:
-        return topic.message(sample, _OwnFrames(ros, self))
+        return topic.message(sample, ros.with_names(self.own))
 
     def _plot(self, plot: Plot) -> Plot:
         return Plot(plot.tab, f"{plot.title}, {self.label}", self._entity(plot.entity))
@@ -117,33 +117,6 @@ class FurtherKind(DeviceKind):
     def check(self, watched: Any) -> Iterator[Finding]:
         """As of the kind."""
         return self._kind.check(watched)
-
-
-class _OwnFrames:
-    """Makes the messages of a kind, in the frames of a further device of it.
-
-    Args:
-        ros: a `hil.recording.ros_types.MessageMaker`.
-        kind: the further device.
-    """
-
-    def __init__(self, ros: Any, kind: FurtherKind) -> None:
-        self._ros, self._kind = ros, kind
-
-    def header(self, t_ns: int, frame: str) -> Any:
-        """As of the maker."""
-        return self._ros.header(t_ns, self._kind.own(frame))
-
-    def pose_stamped(self, t_ns: int, frame: str, *place: Any, **named: Any) -> Any:
-        """As of the maker."""
-        return self._ros.pose_stamped(t_ns, self._kind.own(frame), *place, **named)
-
-    def numbers(self, t_ns: int, texts: tuple[str, ...], values: Sequence[float]) -> Any:
-        """As of the maker; frames are among the texts."""
-        return self._ros.numbers(t_ns, tuple(map(self._kind.own, texts)), values)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._ros, name)
 
 
 def _further_model(model: DeviceModel, name: str) -> DeviceModel:

@@ -19,7 +19,7 @@ from hil.config.estimator import EstimatorConfig
 from hil.core.clock import NS_PER_S
 from hil.core.signals import Measurements, RobotState, heard
 from hil.estimator import make_estimator
-from hil.estimator.tuning import with_values
+from hil.estimator.tuning import value_of, with_values
 from hil.robot.kinematics import WheelGeometry
 from hil.support.progress import Report, silent
 
@@ -131,7 +131,7 @@ Fit = Callable[[EstimatorConfig], dict[str, float]]
 
 def _freest(config: EstimatorConfig, found: Matched, fit: Fit, passed: Callable[[int], object]) -> Matched:
     """With the largest angular acceleration at which the gyro's NIS stays above `_HIDDEN`."""
-    own = _value(config, _TWIST)
+    own = value_of(config, _TWIST)
     for step in range(1, _FREEST + 1):
         passed(step)
         values = {_TWIST: own * _FREER**step}
@@ -144,7 +144,7 @@ def _freest(config: EstimatorConfig, found: Matched, fit: Fit, passed: Callable[
 
 def _scaled(config: EstimatorConfig, found: Matched, fit: Fit, passed: Callable[[int], object]) -> Matched:
     """With wheels whose usual NIS is 1, or as near to it as a factor of three brings it."""
-    own = {name: _value(config, name) for name in _SCALED}
+    own = {name: value_of(config, name) for name in _SCALED}
     scale, best = 1.0, found.nis
     for done in range(_ROUNDS):
         passed(_FREEST + done)
@@ -157,8 +157,3 @@ def _scaled(config: EstimatorConfig, found: Matched, fit: Fit, passed: Callable[
             break
         scale, best = tried, nis
     return Matched({**found.values, **{name: value * scale for name, value in own.items()}}, best)
-
-
-def _value(config: EstimatorConfig, name: str) -> float:
-    table, key = name.split(".")
-    return float(getattr(getattr(config, table), key))

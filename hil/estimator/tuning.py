@@ -26,6 +26,7 @@ from hil.core.signals import Measurements, RobotState, heard
 from hil.estimator import make_estimator
 from hil.estimator.consistency import nees
 from hil.robot.kinematics import WheelGeometry
+from hil.support.file_reading import put_dotted
 from hil.support.progress import Report, silent
 
 CHECK_EVERY_NS = 500_000_000
@@ -117,12 +118,17 @@ def tunable(config: EstimatorConfig, surface: str) -> dict[str, float]:
     return {name: value for name, value in found.items() if value > 0.0}
 
 
+def value_of(config: EstimatorConfig, name: str) -> float:
+    """A figure of a configuration by its dotted name, in SI units."""
+    table, key = name.split(".")
+    return float(getattr(getattr(config, table), key))
+
+
 def with_values(config: EstimatorConfig, values: Mapping[str, float]) -> EstimatorConfig:
     """The configuration with some figures replaced; raises `ValueError` for an impossible one."""
     tree: dict[str, Any] = config.model_dump()
     for name, value in values.items():
-        table, key = name.split(".")
-        tree[table][key] = value
+        put_dotted(tree, name, value, "estimator")
     return EstimatorConfig.model_validate(tree)
 
 

@@ -29,10 +29,7 @@ class FaultPlan:
 
     def of(self, *names: str) -> FaultsOf:
         """What concerns a device of these names, from now on."""
-        return self.follow(FaultsOf(self, names))
-
-    def follow(self, view: FaultsOf) -> FaultsOf:
-        """Tell a view which devices have faults, now and whenever that changes."""
+        view = FaultsOf(self, names)
         self._views.append(view)
         view.follow(fault.device for fault in self._faults)
         return view
@@ -215,6 +212,16 @@ class DeviceFaults:
         """By how much later what the device says is heard."""
         fault = self.find("delayed", t_ns)
         return 0 if fault is None else fault.delay_ns()
+
+    def damaged(self, packet: bytes, t_ns: int) -> tuple[bytes, ...]:
+        """A datagram as it arrives: with a wrong byte, cut off, twice, or whole."""
+        if self._hit("corrupt", t_ns):
+            damaged = bytearray(packet)
+            damaged[int(self._rng.integers(0, len(packet)))] ^= int(self._rng.integers(1, 256))
+            packet = bytes(damaged)
+        if self._hit("truncate", t_ns):
+            packet = packet[: int(self._rng.integers(0, len(packet)))]
+        return (packet, packet) if self._hit("duplicate", t_ns) else (packet,)
 
     def _hit(self, kind: str, t_ns: int) -> bool:
         fault = self.find(kind, t_ns)

@@ -24,7 +24,8 @@ class EmulationRequest:
     """What an emulated device is built from.
 
     Attributes:
-        kind: of the device.
+        kind: what the device is called on the bench, a further one of a kind `KIND_NAME`: the name of its
+            faults and of its random streams.
         config: its table of the bench file.
         given: its `[emulation.KIND]`, as it stands there; `options` makes something of it.
         world: plant, clock, faults and random streams.

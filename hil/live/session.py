@@ -18,13 +18,13 @@ from hil.core.clock import nanoseconds
 from hil.core.errors import Aborted, HilError
 from hil.core.geometry import Array
 from hil.core.signals import CycleRecord
-from hil.live.late_cycles import LateWarning, advice
 from hil.live.reference_files import MakeTrajectory
 from hil.live.sample_counts import SampleCounter
 from hil.live.velocity_input import CommandLines
 from hil.live.velocity_reference import VelocityReference
-from hil.loop.control_loop import ControlPipeline
+from hil.loop.pipeline import ControlPipeline
 from hil.loop.realtime import warm_up
+from hil.loop.timing import LateWarning, advice
 from hil.monitor import RerunMonitor
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RunStart

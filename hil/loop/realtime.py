@@ -29,7 +29,7 @@ from hil.core.signals import (
     Status,
     TrackerSample,
 )
-from hil.loop.control_loop import ControlPipeline
+from hil.loop.pipeline import ControlPipeline
 from hil.loop.timing import LoopStatistics
 from hil.robot.statics import GRAVITY_M_S2
 

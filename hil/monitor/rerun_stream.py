@@ -22,7 +22,7 @@ from hil.monitor import rerun_viewer, solid_geometry, wall_outlines
 from hil.monitor.plot_series import Series, SeriesCollector, conditions, finite
 from hil.monitor.rerun_layout import PATH_COLOURS, Colour, Sight, blueprint, line_colours
 from hil.monitor.robot_view import RobotView
-from hil.monitor.rrd_writer import PipedFile
+from hil.monitor.rrd_file import PipedFile
 from hil.monitor.scene import Scene
 from hil.monitor.scene_state import Moments
 

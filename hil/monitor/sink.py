@@ -25,7 +25,7 @@ from hil.core.interfaces import Sink
 from hil.core.signals import CycleRecord
 from hil.monitor.record_pipe import READY, Shown, packed, put
 from hil.monitor.rerun_viewer import LIVE, check_url, url
-from hil.monitor.rrd_check import files_of, what_is_missing
+from hil.monitor.rrd_file import files_of, what_is_missing
 from hil.monitor.scene import Scene
 from hil.support.atomic_files import check_file, check_name
 from hil.support.extras import how_to_install, is_installed

@@ -1,16 +1,17 @@
 """Runs a procedure: checks first, then the function, then the teardown, then the verdict on disk.
 
 Whatever happens in between, the robot ends held, the first error is the one that is reported, and
-the results folder is complete.
+the results folder is complete. A dry run says what it would do, without moving anything.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from typing import Any
 
+from hil.bench.loop_settings import geometry_of, motion_limits
 from hil.config.bench import BenchConfig
 from hil.core.clock import NS_PER_S
 from hil.core.errors import EXIT_ABORTED, ConfigError, DataError, RecordingError, reason_of
@@ -19,7 +20,7 @@ from hil.procedure.bench_request import BenchSource
 from hil.procedure.context import Context
 from hil.procedure.declaration import Procedure
 from hil.procedure.measurements import Measurement, Verdict
-from hil.procedure.parameters import as_dict, make_parameters
+from hil.procedure.parameters import as_dict, described, make_parameters
 from hil.procedure.record_parts import keep_parts
 from hil.procedure.result_files import KEEPING, Failure, Result, write_result
 from hil.procedure.run_benches import RunBenches
@@ -36,9 +37,10 @@ from hil.procedure.run_options import RunOptions
 from hil.procedure.run_outputs import RunOutputs
 from hil.procedure.run_verdict import conclude, facts_of, failure, not_held
 from hil.procedure.stop_requests import time_limit
+from hil.robot.motion_limits import check
 from hil.support.atomic_files import make_folder, where_else
 
-__all__ = ["RunOptions", "header_of", "run_procedure"]
+__all__ = ["RunOptions", "dry_run", "header_of", "run_procedure"]
 
 _LEFT_OUT = "Recordings and figures were not kept; the same run without --keep results makes them."
 
@@ -190,3 +192,44 @@ def _attempt(
         late.append(failure(problem, context, title))
     finally:
         context.guard.pop_limit()
+
+
+def dry_run(proc: Procedure, source: BenchSource, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Check everything that can be checked beforehand.
+
+    Args:
+        proc: the procedure.
+        source: bench that it would run on.
+        settings: parameters by name.
+
+    Returns:
+        JSON values: procedure, parameters, what each of them is (`help`), measurements with limits,
+        steps with their trajectories.
+
+    Raises:
+        ConfigError, TrajectoryError: the first thing that would go wrong.
+    """
+    parameters = make_parameters(proc.parameters, settings, proc.name)
+    config = source.config
+    proc.check_needs(config)
+    source.check_faults()
+    source.describe_calibration()
+    steps = []
+    for step in proc.steps(parameters, config):
+        for trajectory in step.trajectories:
+            check(trajectory, geometry_of(config).projection(), motion_limits(config))
+        driven = [{"name": t.name, "duration_s": t.duration_s} for t in step.trajectories]
+        steps.append({"title": step.title, "trajectories": driven})
+    return {
+        "procedure": proc.name,
+        "summary": proc.summary,
+        "bench": config.name,
+        "parameters": as_dict(parameters),
+        "help": {d.name: d.help for d in described(proc.parameters) if d.help},
+        "measurements": [
+            {"name": m.name, "unit": m.unit, "low": m.low, "high": m.high, "rationale": m.rationale}
+            for m in proc.declared(parameters, config)
+        ],
+        "steps": steps,
+        "trajectories_checked": sum(len(s["trajectories"]) for s in steps),
+    }

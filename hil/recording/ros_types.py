@@ -6,7 +6,7 @@ thread that writes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -73,10 +73,15 @@ class MessageMaker:
 
     Args:
         wall_ns: wall-clock time at the bench clock's zero.
+        named: what a frame, or another text that `numbers` is given, is called in the message.
     """
 
-    def __init__(self, wall_ns: int = 0) -> None:
-        self._wall_ns = wall_ns
+    def __init__(self, wall_ns: int = 0, named: Callable[[str], str] = str) -> None:
+        self._wall_ns, self._named = wall_ns, named
+
+    def with_names(self, named: Callable[[str], str]) -> MessageMaker:
+        """One for the same clock that names frames in another way."""
+        return MessageMaker(self._wall_ns, named)
 
     def message(self, kind: str, **fields: Any) -> Any:
         """A message of a type of ROS 2 Humble, for example `sensor_msgs/msg/Range`, with all fields by name.
@@ -95,7 +100,7 @@ class MessageMaker:
 
     def header(self, t_ns: int, frame: str) -> Any:
         """`std_msgs/Header` of a time on the bench clock and the frame of the values."""
-        return Header(self.time(t_ns), frame)
+        return Header(self.time(t_ns), self._named(frame))
 
     def vector(self, values: Sequence[float] | Array) -> Any:
         """`geometry_msgs/Vector3` of (3,)."""
@@ -118,7 +123,7 @@ class MessageMaker:
 
     def numbers(self, t_ns: int, texts: tuple[str, ...], values: Sequence[float]) -> bytes:
         """A message of a header, texts (the header's frame, then others) and float64 values only, as CDR."""
-        return cdr.stamped(self.stamp(t_ns), texts, values)
+        return cdr.stamped(self.stamp(t_ns), tuple(map(self._named, texts)), values)
 
     def joints(
         self,

@@ -17,7 +17,7 @@ from hil.core.choices import ESTIMATORS, LAWS, ROS2
 from hil.core.errors import SafetyStop, UsageError
 from hil.core.external_commands import ExternalCommands
 from hil.core.signals import CycleRecord, Inputs, Reference
-from hil.loop.control_loop import OUTSIDE, ControlPipeline
+from hil.loop.pipeline import OUTSIDE, ControlPipeline
 from hil.recording.record_comparison import first_difference
 from hil.recording.runs import RecordedRun, RunStart, read_cycles_of_runs
 from hil.replay.difference_limits import LIMITS, Agreement, same_text

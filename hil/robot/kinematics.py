@@ -100,6 +100,15 @@ class WheelGeometry:
         """Parameter vector (16,): x, y, radius, steering zero."""
         return np.concatenate([self.x_m, self.y_m, self.radius_m, self.steering_zero_rad])
 
+    def to_json(self) -> dict[str, list[float]]:
+        """The parameters by the names that files and results give them, each (4,), m and rad."""
+        return {
+            "x_w_m": self.x_m.tolist(),
+            "y_w_m": self.y_m.tolist(),
+            "r_m": self.radius_m.tolist(),
+            "delta0_rad": self.steering_zero_rad.tolist(),
+        }
+
     def projection(self) -> Array:
         """P, shape (8, 3), read only: rows (v_x, v_y) of wheels 1..4 in turn."""
         return self._projection

@@ -160,6 +160,14 @@ def dotted(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
             yield prefix + key, value
 
 
+def get_dotted(tree: Mapping[str, Any], key: str) -> object:
+    """The value of a dotted key in a tree of tables, of an empty one the tree; None where there is none."""
+    found: Any = tree
+    for name in filter(None, key.split(".")):
+        found = found.get(name) if isinstance(found, Mapping) else None
+    return found
+
+
 def put_dotted(tree: dict[str, Any], key: str, value: object, whose: str) -> None:
     """Put a value into a tree of tables by its dotted key; tables that are missing are made.
 

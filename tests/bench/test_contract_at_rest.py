@@ -12,7 +12,7 @@ from hil.bench.contract.device_under_test import Broken, Subject
 from hil.bench.contract.losses import loses_next_to_nothing
 from hil.bench.contract.stillness import sees_no_motion
 from hil.core.clock import NS_PER_S
-from hil.loop.control_loop import LoopStatistics
+from hil.loop.timing import LoopStatistics
 
 
 def reported(kind, altered, check=sees_no_motion):

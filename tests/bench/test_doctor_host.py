@@ -8,8 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.bench.doctor.host_rules import udev_rules
-from hil.bench.doctor.port_findings import _GRABBERS, Host, host_findings
+from hil.bench.doctor.port_findings import _GRABBERS, Host, host_findings, udev_rules
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.drivers.links.serial_url import cannot_open

@@ -12,7 +12,8 @@ from hil.bench.loop_settings import alignment_parameters
 from hil.config.loading import load_bench
 from hil.config.robot_record import Figure, NewPart, Part, RobotRecord
 from hil.config.robot_record.overlay import identity
-from hil.core.signals import MocapSample, Stamp
+from hil.core.signals import Inputs, MocapSample, Stamp
+from hil.loop.alignment import Alignment
 
 KEPT_M = 2e-5
 
@@ -23,7 +24,7 @@ def seen(sigma_m, count=300):
     for k in range(count):
         t_ns = k * 10_000_000
         samples.append(mocap(Stamp(t_ns, t_ns, k), sigma_m * rng.standard_normal(3)))
-    return {"mocap": samples}
+    return Inputs(0, 0, mocap=tuple(samples))
 
 
 def mocap(stamp, position):
@@ -48,7 +49,7 @@ def bench(tmp_path, *, measured):
 
 
 def position(config, sigma_m):
-    found = noise_at_rest(config, alignment_parameters(config), seen(sigma_m))
+    found = noise_at_rest(config, Alignment(alignment_parameters(config)).measure(seen(sigma_m)))
     return next(f for f in found if f.check.startswith("position"))
 
 

@@ -22,9 +22,10 @@ from hil.core.signals import (
 from hil.fakes.server import EmulationServer, Transport
 from hil.fakes.world import NEVER_NS, VirtualClock, World
 from hil.loop.alignment import Alignment, AlignmentParameters
-from hil.loop.control_loop import ControlLoop, ControlPipeline
+from hil.loop.control_loop import ControlLoop
 from hil.loop.device_set import DeviceSet
 from hil.loop.driven_motion import Motion
+from hil.loop.pipeline import ControlPipeline
 from hil.loop.safety import SafetyLimits
 from hil.loop.supervisor import Supervisor
 

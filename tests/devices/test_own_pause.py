@@ -8,8 +8,9 @@ from hil.core.errors import DeviceTimeoutError, SafetyStop
 from hil.core.interfaces import Sensor
 from hil.core.registry import kinds
 from hil.loop.alignment import Alignment
-from hil.loop.control_loop import ControlLoop, ControlPipeline
+from hil.loop.control_loop import ControlLoop
 from hil.loop.device_set import DeviceSet
+from hil.loop.pipeline import ControlPipeline
 from hil.loop.supervisor import Supervisor
 
 NEVER_ANSWER = {"teensy"}

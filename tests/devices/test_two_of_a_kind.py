@@ -185,6 +185,17 @@ def test_two_imus_are_recorded_replayed_and_struck_each_by_itself(file, tmp_path
     assert {"imu_arm_gyro_rad_s_2", "imu_arm_t"} <= {*added_columns(records)[0]}
 
 
+def test_an_axis_of_further_encoders_is_struck_by_itself(file):
+    tables = '[[encoders]]\nname = "encoders"\nbackend = "emulated"\n'
+    tables += '[[encoders]]\nname = "rear"\nnode_id = 8\nbackend = "emulated"\n'
+    records = observed(file(tables), faults="encoders_rear.FL:off@0.2")
+    statuses = {
+        name: {axis for r in records[40:] for s in r.inputs.of(name) for axis in s.status}
+        for name in ("encoders", "encoders_rear")
+    }
+    assert statuses == {"encoders": {Status.OK}, "encoders_rear": {Status.OK, Status.STARTING}}
+
+
 @pytest.mark.parametrize("word", ["imu", "imu_body"])
 def test_the_benchs_own_is_meant_by_its_kind_and_by_its_name(file, word):
     assert reported(observed(file(IMUS), faults=f"{word}:stuck@0.3")) == {"imu"}

@@ -10,7 +10,7 @@ from unittest import mock
 
 import can
 
-from hil.devices.tracker.mavlink.virtual_network import WorldLink
+from hil.devices.tracker.mavlink.emulated_links import WorldLink
 from hil.fakes.can_channel import WorldBus
 from hil.fakes.mocap.virtual_network import WorldPort
 from hil.fakes.protocol_hil import Serial

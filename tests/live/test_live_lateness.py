@@ -5,8 +5,7 @@ import logging
 import pytest
 
 from hil.cli.live import _text
-from hil.live.late_cycles import LateWarning, advice
-from hil.loop.timing import LoopStatistics
+from hil.loop.timing import LateWarning, LoopStatistics, advice
 
 
 def statistics(cycles, late, work_ms):

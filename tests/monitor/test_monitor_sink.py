@@ -39,7 +39,7 @@ from hil.monitor import RerunMonitor
 from hil.monitor.plot_series import Series, SeriesCollector
 from hil.monitor.record_pipe import put
 from hil.monitor.rerun_layout import line_colours
-from hil.monitor.rrd_check import what_is_missing
+from hil.monitor.rrd_file import what_is_missing
 from hil.monitor.sink import split_targets
 
 needs_rerun = pytest.mark.skipif(

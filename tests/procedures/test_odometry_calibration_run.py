@@ -16,9 +16,8 @@ from hil.calibration.versions import Shelf
 from hil.core.clock import MonotonicClock
 from hil.core.errors import ConfigError
 from hil.datasets.plain_csv import read_plain
-from hil.procedure.dry_run import dry_run
 from hil.procedure.procedure_lookup import load_procedure
-from hil.procedure.runner import RunOptions, run_procedure
+from hil.procedure.runner import RunOptions, dry_run, run_procedure
 from hil.procedures.odometry_calibration import Parameters
 from hil.procedures.parts.odometry_rounds import (
     WORTH,

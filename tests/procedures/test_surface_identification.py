@@ -12,9 +12,8 @@ from hil.core.clock import MonotonicClock, nanoseconds
 from hil.core.errors import ConfigError
 from hil.fakes.body_interface import JointCommand
 from hil.procedure import BenchSource
-from hil.procedure.dry_run import dry_run
 from hil.procedure.operator import Terminal
-from hil.procedure.runner import RunOptions, run_procedure
+from hil.procedure.runner import RunOptions, dry_run, run_procedure
 from hil.procedures import surface_identification
 from hil.procedures.parts.surface_slip import rate
 

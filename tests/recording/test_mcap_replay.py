@@ -17,8 +17,8 @@ from hil.core.geometry import compose, se2_exp
 from hil.core.interfaces import Controller, Estimator
 from hil.core.signals import CycleRecord, Event, Reference, RobotState, WheelSetpoint
 from hil.loop.alignment import Alignment, AlignmentParameters
-from hil.loop.control_loop import ControlPipeline
 from hil.loop.driven_motion import Motion
+from hil.loop.pipeline import ControlPipeline
 from hil.loop.safety import SafetyLimits
 from hil.loop.supervisor import Supervisor
 from hil.recording.mcap_writer import McapRecorder

@@ -3,7 +3,7 @@
 import pytest
 
 from hil.procedure.faults import CellVerdict, cells_of, summary
-from hil.report.faults_page import write_faults
+from hil.procedure.faults.matrix_table import write_faults
 from hil.report.history.index import find_results
 from hil.report.history.opening import page_of
 from hil.report.history.own_files import written

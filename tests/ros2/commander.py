@@ -1,4 +1,4 @@
-"""A program that commands a velocity on ROS 2 by Cyclone DDS alone: its types are written by hand.
+"""A program that commands a velocity on ROS 2 by Cyclone DDS alone.
 
 `commander.py DOMAIN TOPIC TYPE RATE_HZ FIELD=VALUE...` writes Twist, TwistStamped or Header at a rate, once
 somebody reads (it prints `begun`, then `matched`), until its input ends; FIELD is for example `linear.x`.
@@ -8,58 +8,12 @@ At the rate 0 it is there and writes nothing. `lease=2` is how long it counts on
 import select
 import sys
 import time
-from dataclasses import dataclass
 
 from cyclonedds.domain import Domain, DomainParticipant
-from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.annotations import final
-from cyclonedds.idl.types import float64, int32, uint32
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.topic import Topic
-from cyclonedds.util import duration
-
-LOOPBACK = """<CycloneDDS><Domain Id="any">
-<General><Interfaces><NetworkInterface name="lo"/></Interfaces>
-<AllowMulticast>false</AllowMulticast></General>
-<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery>
-</Domain></CycloneDDS>"""
-
-
-@dataclass
-@final
-class Time(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
-    sec: int32
-    nanosec: uint32
-
-
-@dataclass
-@final
-class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
-    stamp: Time
-    frame_id: str
-
-
-@dataclass
-@final
-class Vector3(IdlStruct, typename="geometry_msgs.msg.dds_.Vector3_"):
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-
-
-@dataclass
-@final
-class Twist(IdlStruct, typename="geometry_msgs.msg.dds_.Twist_"):
-    linear: Vector3
-    angular: Vector3
-
-
-@dataclass
-@final
-class TwistStamped(IdlStruct, typename="geometry_msgs.msg.dds_.TwistStamped_"):
-    header: Header
-    twist: Twist
+from dds_types import LOOPBACK, RELIABLE, REPRESENTATION, Header, Time, Twist, TwistStamped, Vector3
 
 
 def main():
@@ -77,9 +31,7 @@ def main():
     message = {"Twist": twist, "TwistStamped": TwistStamped(header, twist), "Header": header}[kind]
     domain = Domain(int(number), LOOPBACK.replace("</Domain>", f"{lease}</Domain>"))
     participant = DomainParticipant(int(number))
-    representation = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
-    reliability = Policy.Reliability.Reliable(duration(milliseconds=100))
-    quality = Qos(reliability, Policy.Durability.Volatile, Policy.History.KeepLast(10), representation)
+    quality = Qos(RELIABLE, Policy.Durability.Volatile, Policy.History.KeepLast(10), REPRESENTATION)
     writer = DataWriter(participant, Topic(participant, f"rt{name}", type(message)), quality)
     reported = False
     print("begun", flush=True)

@@ -1,4 +1,4 @@
-"""A program that drives a robot on ROS 2 by Cyclone DDS alone: its types are written by hand.
+"""A program that drives a robot on ROS 2 by Cyclone DDS alone.
 
 `driver.py DOMAIN TOPIC SETTINGS` prints `begun`, writes commands until its input ends, then prints how many.
 SETTINGS is a JSON object:
@@ -19,100 +19,34 @@ import select
 import signal
 import sys
 import time
-from dataclasses import dataclass
 
-from commander import LOOPBACK, Header, Time, Twist, TwistStamped, Vector3
 from cyclonedds.domain import Domain, DomainParticipant
-from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.annotations import final
-from cyclonedds.idl.types import array, float64, sequence
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
-from cyclonedds.util import duration
+from dds_types import (
+    LOOPBACK,
+    RELIABLE,
+    REPRESENTATION,
+    Clock,
+    Header,
+    JointState,
+    Odometry,
+    PoseStamped,
+    Time,
+    Twist,
+    TwistStamped,
+    Vector3,
+)
 
 NAMES = [f"{what}_{wheel}" for what in ("drive", "steer") for wheel in ("FL", "BL", "BR", "FR")]
-REPRESENTATION = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
-
-
-@dataclass
-@final
-class Clock(IdlStruct, typename="rosgraph_msgs.msg.dds_.Clock_"):
-    clock: Time
-
-
-@dataclass
-@final
-class JointState(IdlStruct, typename="sensor_msgs.msg.dds_.JointState_"):
-    header: Header
-    name: sequence[str]
-    position: sequence[float64]
-    velocity: sequence[float64]
-    effort: sequence[float64]
-
-
-@dataclass
-@final
-class Point(IdlStruct, typename="geometry_msgs.msg.dds_.Point_"):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-@final
-class Quaternion(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
-    x: float64
-    y: float64
-    z: float64
-    w: float64
-
-
-@dataclass
-@final
-class Pose(IdlStruct, typename="geometry_msgs.msg.dds_.Pose_"):
-    position: Point
-    orientation: Quaternion
-
-
-@dataclass
-@final
-class PoseStamped(IdlStruct, typename="geometry_msgs.msg.dds_.PoseStamped_"):
-    header: Header
-    pose: Pose
-
-
-@dataclass
-@final
-class PoseWithCovariance(IdlStruct, typename="geometry_msgs.msg.dds_.PoseWithCovariance_"):
-    pose: Pose
-    covariance: array[float64, 36]
-
-
-@dataclass
-@final
-class TwistWithCovariance(IdlStruct, typename="geometry_msgs.msg.dds_.TwistWithCovariance_"):
-    twist: Twist
-    covariance: array[float64, 36]
-
-
-@dataclass
-@final
-class Odometry(IdlStruct, typename="nav_msgs.msg.dds_.Odometry_"):
-    header: Header
-    child_frame_id: str
-    pose: PoseWithCovariance
-    twist: TwistWithCovariance
-
-
 TYPES = {"JointState": JointState, "Twist": Twist, "TwistStamped": TwistStamped}
 
 
 def quality(reliable, depth):
-    reliability = Policy.Reliability.Reliable(duration(milliseconds=100))
     return Qos(
-        reliability if reliable else Policy.Reliability.BestEffort,
+        RELIABLE if reliable else Policy.Reliability.BestEffort,
         Policy.Durability.Volatile,
         Policy.History.KeepLast(depth),
         REPRESENTATION,

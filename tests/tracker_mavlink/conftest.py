@@ -11,8 +11,8 @@ from travelling_plant import TravellingPlant
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
 from hil.devices.tracker.mavlink.driver import MavlinkTracker
 from hil.devices.tracker.mavlink.emulated_computer import IDEAL, VisualInertialComputer
+from hil.devices.tracker.mavlink.emulated_links import ComputerLink
 from hil.devices.tracker.mavlink.transport_interface import Arrival, Link
-from hil.devices.tracker.mavlink.virtual_network import ComputerLink
 from hil.fakes.active_faults import FaultPlan
 from hil.fakes.fault import parse_fault
 from hil.fakes.world import VirtualClock, World

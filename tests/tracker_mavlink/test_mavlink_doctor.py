@@ -8,8 +8,8 @@ import pytest
 from following import follow
 
 from hil.devices.tracker.mavlink.emulated_computer import IDEAL
+from hil.devices.tracker.mavlink.emulated_links import WorldLink
 from hil.devices.tracker.mavlink.odometry_messages import dialect
-from hil.devices.tracker.mavlink.virtual_network import WorldLink
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.bench import Bench
-from hil.bench.doctor.inertial_offsets import changed_between
+from hil.bench.doctor.inertial_offsets import inertial_changes
 from hil.bench.doctor.noise_at_rest import noise_at_rest
 from hil.bench.doctor.port_findings import Host, host_findings
 from hil.bench.doctor.steering_offsets import slipped_between
@@ -32,9 +32,10 @@ from hil.core.finding import Finding, Level
 from hil.core.interfaces import Device
 from hil.core.package_errors import OURS, asked
 from hil.core.registry import base_of, kinds
-from hil.core.signals import Status, worst
+from hil.core.signals import Inputs, Measurements, Status, worst
 from hil.devices.doctor_watch import Watched
 from hil.drivers.links.serial_url import latency_timer
+from hil.loop.alignment import Alignment
 from hil.loop.checks.adhesion import DISAGREE_N, DISAGREE_SHARE, apart
 
 _REST_N, _FELT_N = 1.0, 5.0
@@ -117,10 +118,17 @@ def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> I
         yield from tilt_finding(bench.config, seen)
         yield from unexplained_force(bench.config, seen)
         yield from slipped_between(bench.config, seen)
-        yield from changed_between(bench.config, bench.model.alignment_parameters, seen)
-        yield from noise_at_rest(bench.config, bench.model.alignment_parameters, seen)
+        measured = _aligned(bench, seen)
+        yield from inertial_changes(bench.config, (measured,))
+        yield from noise_at_rest(bench.config, measured)
     finally:
         bench.close()
+
+
+def _aligned(bench: Bench, seen: Mapping[str, Sequence[Any]]) -> Measurements:
+    """What was seen by the sensors of motion, as of one cycle."""
+    samples: dict[str, Any] = {name: tuple(seen.get(name, ())) for name in ("imu", "tracker", "mocap")}
+    return Alignment(bench.model.alignment_parameters).measure(Inputs(0, 0, **samples))
 
 
 def _calibration(bench: Bench) -> Iterator[Finding]:

@@ -8,8 +8,7 @@ capture, has turned since, also while no program ran. The turn rate of a robot a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator
 
 from hil.config.bench import BenchConfig
 from hil.config.robot_record.overlay import known_parts
@@ -17,8 +16,7 @@ from hil.config.robot_record.parts import Part
 from hil.core.errors import DeviceError
 from hil.core.finding import Finding, Level
 from hil.core.geometry import mean_angle, wrap
-from hil.core.signals import GyroMeasurement, Inputs, Measurements
-from hil.loop.alignment import Alignment, AlignmentParameters
+from hil.core.signals import GyroMeasurement, Measurements
 from hil.loop.driven_motion import Motion
 
 WARN_RAD, STOP_RAD = 0.03, 0.09
@@ -80,20 +78,6 @@ def _heading(part: Part, turned_rad: float) -> Finding:
 
 def _level(size: float, warn: float, stop: float) -> Level:
     return "ok" if size <= warn else "warning" if size <= stop else "failure"
-
-
-def changed_between(
-    config: BenchConfig, parameters: AlignmentParameters, seen: Mapping[str, Sequence[Any]]
-) -> Iterator[Finding]:
-    """As `inertial_changes`, for the doctor, of raw samples.
-
-    Args:
-        config: of the bench.
-        parameters: of its alignment.
-        seen: samples of every kind that was watched, at rest.
-    """
-    inputs = Inputs(0, 0, imu=tuple(seen.get("imu", ())), mocap=tuple(seen.get("mocap", ())))
-    return inertial_changes(config, (Alignment(parameters).measure(inputs),))
 
 
 class InertialWatch:

@@ -6,18 +6,17 @@ of the record it is 1 as long as the sensor is what it was.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from hil.config.bench import BenchConfig
 from hil.config.robot_record.overlay import known_parts
 from hil.core.finding import Finding, Level
-from hil.core.signals import Inputs, Measurements
+from hil.core.signals import Measurements
+from hil.estimator.noise_figures import MEASURED, NoiseFigure
 from hil.estimator.sample_statistics import Spread, about_a_line, blocks, total
-from hil.loop.alignment import Alignment, AlignmentParameters
+from hil.estimator.tuning import value_of
 
 NOISIER, BETTER = 2.0, 0.5
 """Ratio of the standard deviation to the measured one beyond which a finding warns: twice, or half of it."""
@@ -25,60 +24,32 @@ _BLOCK_S = 0.2
 _FEWEST = 30.0
 
 
-@dataclass(frozen=True)
-class _Quantity:
-    """One noise: its device, its name in words, in the record and in `[estimator]`, and how it is shown."""
-
-    device: str
-    words: str
-    figure: str
-    key: str
-    per_si: float
-    unit: str
+_AT_REST = {one.name: one for one in MEASURED if one.state == "rest"}
+_OF_POSES = {"tracker": "camera", "mocap": "mocap"}
+"""Devices that measure poses, and how their figures begin."""
 
 
-_GYRO = _Quantity("imu", "gyro noise at rest", "gyro_rest", "gyro.rate_rad_s", 1e3, "mrad/s")
-_POSES = {
-    "tracker": (
-        _Quantity(
-            "tracker", "position noise at rest", "camera_position_rest", "tracker.position_m", 1e3, "mm"
-        ),
-        _Quantity(
-            "tracker", "heading noise at rest", "camera_heading_rest", "tracker.heading_rad", 1e3, "mrad"
-        ),
-    ),
-    "mocap": (
-        _Quantity("mocap", "position noise at rest", "mocap_position_rest", "mocap.position_m", 1e3, "mm"),
-        _Quantity("mocap", "heading noise at rest", "mocap_heading_rest", "mocap.heading_rad", 1e3, "mrad"),
-    ),
-}
-
-
-def noise_at_rest(
-    config: BenchConfig, parameters: AlignmentParameters, seen: Mapping[str, Sequence[Any]]
-) -> Iterator[Finding]:
+def noise_at_rest(config: BenchConfig, measured: Measurements) -> Iterator[Finding]:
     """Findings on the sensors' noise; none on a device that delivered too few samples.
 
     Args:
         config: of the bench.
-        parameters: of its alignment.
-        seen: samples of every kind that was watched, at rest.
+        measured: all that was watched, aligned, of a robot at rest.
     """
-    names = ("imu", "tracker", "mocap")
-    samples: dict[str, Any] = {name: tuple(seen.get(name, ())) for name in names}
-    measured = Alignment(parameters).measure(Inputs(0, 0, **samples))
-    for one, spread in _spreads(measured):
+    for one, words, spread in _spreads(measured):
         if spread.freedom >= _FEWEST and one.device in config.devices():
-            yield _finding(config, one, spread)
+            yield _finding(config, one, words, spread)
 
 
-def _spreads(m: Measurements) -> Iterator[tuple[_Quantity, Spread]]:
+def _spreads(m: Measurements) -> Iterator[tuple[NoiseFigure, str, Spread]]:
+    """Figures, what they are in words, and their variances."""
     rates = [(s.stamp.t_ns, s.yaw_rate_rad_s) for s in m.gyro if np.isfinite(s.yaw_rate_rad_s)]
-    yield _GYRO, _white(rates, 1)
-    for name, (place, heading) in _POSES.items():
-        poses = [(s.stamp.t_ns, *s.pose) for s in getattr(m, name) if s.valid]
-        yield place, _white(poses, 1) + _white(poses, 2)
-        yield heading, _white(poses, 3)
+    yield _AT_REST["gyro"], "gyro noise at rest", _white(rates, 1)
+    for device, begins in _OF_POSES.items():
+        poses = [(s.stamp.t_ns, *s.pose) for s in getattr(m, device) if s.valid]
+        place = _white(poses, 1) + _white(poses, 2)
+        yield _AT_REST[f"{begins}_position"], "position noise at rest", place
+        yield _AT_REST[f"{begins}_heading"], "heading noise at rest", _white(poses, 3)
 
 
 def _white(rows: Sequence[tuple[float, ...]], column: int) -> Spread:
@@ -89,17 +60,16 @@ def _white(rows: Sequence[tuple[float, ...]], column: int) -> Spread:
     return total(about_a_line(t_s[part], values[part]) for part in blocks(t_s, _BLOCK_S))
 
 
-def _finding(config: BenchConfig, one: _Quantity, spread: Spread) -> Finding:
-    table, key = one.key.split(".")
-    taken = float(getattr(getattr(config.estimator, table), key))
+def _finding(config: BenchConfig, one: NoiseFigure, words: str, spread: Spread) -> Finding:
+    taken = value_of(config.estimator, one.key)
     part = known_parts(config).get("noise")
-    kept = None if part is None else part.figures.get(one.figure)
+    kept = None if part is None else part.figures.get(one.label)
     sigma = spread.sigma()[0]
     found = f"{one.per_si * sigma:.3g} {one.unit}, mean NIS {spread.variance / taken**2:.2g}"
     if kept is None or part is None or kept.value <= 0.0:
         expected = f"the estimator takes {one.per_si * taken:.3g} {one.unit}, not measured"
         level: Level = "warning" if sigma > NOISIER * taken else "ok"
-        return Finding(one.device, one.words, level, found, expected, "hil run sensor_noise measures it")
+        return Finding(one.device, words, level, found, expected, "hil run sensor_noise measures it")
     ratio = sigma / kept.value
     if not BETTER <= ratio <= NOISIER:
         found += f": {'noisier' if ratio > 1.0 else 'better'} than its record, {ratio:.2g} times"
@@ -107,7 +77,7 @@ def _finding(config: BenchConfig, one: _Quantity, spread: Spread) -> Finding:
     level = "warning" if ratio > NOISIER else "ok"
     return Finding(
         one.device,
-        one.words,
+        words,
         level,
         found,
         f"{expected} ({part.measured[:10]})",

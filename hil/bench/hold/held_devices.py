@@ -22,8 +22,8 @@ from hil.core.clock import Clock
 from hil.core.errors import UsageError, check_number
 from hil.core.interfaces import HELD_NOTE, CommandingSink, Controller, Sink
 from hil.fakes.fault import Fault
-from hil.loop.control_loop import ControlPipeline
 from hil.loop.device_set import DeviceSet
+from hil.loop.pipeline import ControlPipeline
 from hil.recording.clocks import ptp_offsets
 from hil.recording.transform_tree import describe_clock
 from hil.robot.trajectories import Trajectory

@@ -59,6 +59,8 @@ class GuardedCheck(Check):
 class AloneCheck(Check):
     """A check of a kind, for a further device of it: that one's samples are where it looks for its kind's.
 
+    A name for the check would not do: it asks a cycle for `inputs.of("rangefinder")` in code of its package.
+
     Args:
         kind: the further device.
         check: the kind's.

@@ -15,7 +15,7 @@ from hil.config.robot_record.folder import RobotRecord, check_robot
 from hil.config.robot_record.parts import PARTS, Identity, Part, RecordFile
 from hil.core.errors import ConfigError, did_you_mean
 from hil.core.registry import kinds
-from hil.support.file_reading import put_dotted
+from hil.support.file_reading import get_dotted, put_dotted
 
 _TRUE_MOUNTS = ("mount_position_m", "mount_rotation_wxyz")
 """Keys of a device that also say how an emulated one is truly mounted, unless `[emulation]` does."""
@@ -54,23 +54,15 @@ def laid_over(tree: dict[str, Any], overrides: Mapping[str, object], today: date
         if name not in without and (wall or part.surface in ("", "floor"))
     }
     _check_valid(record, parts, _environment(tree, overrides, "surface"), today)
-    preset = overrides.get("estimator.preset", _said(tree, "estimator.preset"))
+    preset = overrides.get("estimator.preset", get_dotted(tree, "estimator.preset"))
     for name, part in parts.items():
         yields = PARTS[name].yields
         if yields and preset not in (None, "recommended"):
             continue
         for key, value in part.values.items():
-            if not (yields and _said(tree, key) is not None):
+            if not (yields and get_dotted(tree, key) is not None):
                 _put(tree, key, str(record.path_of(part, key)) if key in part.files else value)
     return file
-
-
-def _said(tree: Mapping[str, Any], dotted: str) -> object:
-    """What the bench file says for a key; None where it says nothing."""
-    found: Any = tree
-    for word in dotted.split("."):
-        found = found.get(word) if isinstance(found, Mapping) else None
-    return found
 
 
 def _check_valid(record: RobotRecord, parts: Mapping[str, Part], surface: object, today: date) -> None:

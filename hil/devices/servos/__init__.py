@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from hil.config.servo_models import model_text, models_text, servo_models
 from hil.config.servo_models.codes import hardware_error_text
 from hil.config.servos import ServosConfig
 from hil.core.clock import Clock, nanoseconds
 from hil.core.device import DeviceKind, Figures, Found, Plot, Topic, loaded
+from hil.core.errors import HilError
 from hil.core.finding import Finding
 from hil.core.geometry import Array
 from hil.core.signals import SERVOS, Inputs, ServoSample, worst
@@ -18,9 +21,14 @@ from hil.devices.doctor_watch import Watched, losses
 from hil.devices.serial_and_can_models import SerialModel
 
 if TYPE_CHECKING:
+    from hil.drivers.servos import FoundServo
     from hil.recording.ros_types import MessageMaker
 
 __all__ = ["KIND", "joint_state"]
+
+_HOT_C = 70.0
+_VELOCITY_MODE = 1
+_WHEELS = 4
 
 
 class Dynamixel(SerialModel):
@@ -41,13 +49,39 @@ class Dynamixel(SerialModel):
         return on_serial_line(request, bus, latency_s=config.usb_latency_s, printed=reported)
 
     def probe(self, port: str, clock: Clock) -> Found | None:
-        """Find the servos that answer on a port."""
-        from hil.devices.servos.discovery import ask
+        """Find the servos that answer on a port, at any baud rate; takes almost a second for each."""
+        from hil.drivers.servos import scan
 
-        return ask(port, clock)
+        servos: tuple[FoundServo, ...] = ()
+        with contextlib.suppress(HilError):
+            servos = scan(port, clock)
+        return _described(port, servos) if servos else None
 
 
-_HOT_C = 70.0
+def _described(port: str, servos: Sequence[FoundServo]) -> Found:
+    bauds, models = sorted({s.baud for s in servos}), sorted({s.model for s in servos})
+    table: dict[str, Any] = {"port": port, "baud": bauds[0]}
+    notes = []
+    if len(models) > 1 or models[0] not in servo_models():
+        notes.append(
+            f"servos of model {', '.join(map(model_text, models))} at {port}: "
+            f"a bench needs eight of one model, {models_text()}"
+        )
+    else:
+        table["model_number"] = models[0]
+    if len(bauds) > 1:
+        notes.append(f"the servos at {port} have different baud rates {bauds}: use hil setup")
+    drives = sorted(s.servo_id for s in servos if s.operating_mode == _VELOCITY_MODE)
+    steers = sorted(s.servo_id for s in servos if s.operating_mode != _VELOCITY_MODE)
+    if len(drives) == len(steers) == _WHEELS:
+        table |= {"drive_ids": drives, "steer_ids": steers}
+        notes.append("check that the IDs are in the order FL, BL, BR, FR: hil run bring_up")
+    else:
+        notes.append(
+            f"{len(servos)} servo(s) at {port}, of which {len(drives)} in velocity mode; "
+            "a bench needs four drives (velocity mode) and four steers: use hil setup"
+        )
+    return Found(table, tuple(notes), tuple(servos))
 
 
 def look(watched: Watched) -> Iterator[Finding]:

@@ -20,7 +20,7 @@ from hil.drivers.encoders.frame_layout import FrameLayout, load_layout
 from hil.drivers.encoders.node_clock import NodeTimeline
 from hil.drivers.encoders.node_status import NodeStatus
 from hil.drivers.links.can_arrival_times import ArrivalClock
-from hil.drivers.links.can_bus import BUS_ERRORS, GONE_NS, open_bus, receiver, remedy_of_silence, shut
+from hil.drivers.links.can_bus import BUS_ERRORS, has_failed, open_bus, receiver, remedy_of_silence, shut
 from hil.drivers.links.rate_limited_log import Seldom
 from hil.drivers.links.silence_limit import Usefulness, used_while_closed
 
@@ -118,7 +118,7 @@ class As5045Encoders(Sensor[EncoderSample]):
     @property
     def port_gone(self) -> bool:
         """Whether the CAN interface itself fails, and nothing has come for a while."""
-        return bool(self._bus_error) and self._clock.now_ns() - self._usefulness.good_ns > GONE_NS
+        return has_failed(self._bus_error, self._clock.now_ns() - self._usefulness.good_ns)
 
     def close(self) -> None:
         """Let go of the bus. Idempotent; never raises."""

@@ -51,8 +51,7 @@ _MOST_FRAMES = 512
 _WAIT_S, _JOIN_S = 0.05, 0.5
 _LOOK_NS, _CATCH_UP_NS, _HELD_UP_NS = 2_000_000, 100_000_000, 300_000_000
 _ERROR_COUNTS = 16
-GONE_NS = 100_000_000
-"""So long without a frame after an error, and the interface has failed: it is opened again."""
+_GONE_NS = 100_000_000
 BUS_ERRORS = (can.CanError, OSError, ValueError, TypeError, AttributeError)
 
 Arrived = tuple[int, can.Message]
@@ -60,6 +59,16 @@ Meaning = Callable[[int, can.Message, int], Any]
 """What a frame says to a device, of (arrival, frame, time now); None for nothing. In real time a thread
 calls it, and nothing else."""
 T = TypeVar("T")
+
+
+def has_failed(error: str, silent_ns: int) -> bool:
+    """Whether an interface is to be opened again: it reported an error, and nothing has come since then.
+
+    Args:
+        error: that it reported last, empty for none.
+        silent_ns: since the last frame that was of use.
+    """
+    return bool(error) and silent_ns > _GONE_NS
 
 
 def open_bus(

@@ -8,7 +8,7 @@ from typing import Any
 
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
-from hil.drivers.links.can_bus import GONE_NS, CanLink, remedy_of_silence
+from hil.drivers.links.can_bus import CanLink, has_failed, remedy_of_silence
 from hil.drivers.links.streaming_sensor import C, S, StreamingSensor
 
 _LOOK_S, _STANDARD = 0.02, 0x7FF
@@ -96,8 +96,7 @@ class CanSensor(StreamingSensor[C, S]):
                     found.append((item, arrived_ns))
         if found:
             self._link.error = ""
-        silent_ns = now_ns - self.heard_ns
-        self.port_gone = bool(self._link.error) and not found and silent_ns > GONE_NS
+        self.port_gone = not found and has_failed(self._link.error, now_ns - self.heard_ns)
         return found
 
     def silent(self, what: str) -> DeviceTimeoutError:

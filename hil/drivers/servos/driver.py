@@ -34,12 +34,11 @@ from hil.drivers.servos.answer_timeouts import AnswerTimeouts
 from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.cyclic_read import CycleReader, Reading
 from hil.drivers.servos.goal_values import Goals
-from hil.drivers.servos.health_reads import HealthSchedule
 from hil.drivers.servos.keep_alive import KeepAlive
 from hil.drivers.servos.recovery import ANSWERING, RamRecovery, acknowledge_all
 from hil.drivers.servos.register_map import RegisterMap
 from hil.drivers.servos.sdk_port import ServoPort
-from hil.drivers.servos.servo_samples import Samples
+from hil.drivers.servos.servo_samples import HealthSchedule, Samples
 
 _LOG = logging.getLogger(__name__)
 _OK = Status.OK

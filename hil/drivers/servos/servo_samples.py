@@ -1,4 +1,4 @@
-"""Makes a sample of a read of the bus: multi-turn positions, restarts, hardware errors."""
+"""Makes samples of reads of the bus: multi-turn positions, restarts, hardware errors; at times the health."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from operator import sub
 
 import numpy as np
 
+from hil.config.servo_models import ServoModel
 from hil.config.servo_models.codes import hardware_error_text
-from hil.core.clock import Clock
+from hil.config.servos import ServosConfig
+from hil.core.clock import Clock, nanoseconds
 from hil.core.geometry import Array
-from hil.core.signals import SERVOS, ServoSample, Stamp, Status
+from hil.core.signals import SERVOS, ServoHealth, ServoSample, Stamp, Status
 from hil.drivers.servos.cyclic_read import ALL_OK, Reading
 from hil.drivers.servos.multi_turn import ALL_SERVOS, NO_SERVOS, MultiTurnCounter
 from hil.drivers.servos.recovery import RamRecovery
@@ -22,6 +24,9 @@ _LOG = logging.getLogger(__name__)
 
 _NO_ALERT: tuple[int, ...] = (0,) * 8
 _floats, _DOUBLES = np.frombuffer, struct.Struct("24d").pack
+_LOOKS = 4
+"""In the time of one health sample: a watchdog that trips unnoticed stops its wheel, and the
+supervisor calls a wheel blocked after half a second."""
 
 
 class Samples:
@@ -129,3 +134,45 @@ def _seen(reading: Reading) -> np.ndarray:
     if reading.status is ALL_OK:
         return ALL_SERVOS
     return np.array([s is Status.OK for s in reading.status])
+
+
+class HealthSchedule:
+    """Keeps the health of a full look every `health_period_s` until it is asked for."""
+
+    def __init__(self, config: ServosConfig, model: ServoModel, clock: Clock) -> None:
+        self._clock, self._volt = clock, model.table["present_input_voltage"].scale
+        self._period_ns = nanoseconds(config.health_period_s)
+        self._due_ns = clock.now_ns() + self._period_ns
+        self._look_ns = clock.now_ns() + self._period_ns // _LOOKS
+        self._sequence = 0
+        self._kept: tuple[ServoHealth, ...] = ()
+
+    def due(self) -> bool:
+        """Whether the next read should be a full look."""
+        return self._clock.now_ns() >= self._look_ns
+
+    def note(self, reading: Reading) -> None:
+        """Take a full look; it becomes a sample when one is due and anything has answered."""
+        now_ns = self._clock.now_ns()
+        self._look_ns = now_ns + self._period_ns // _LOOKS
+        if now_ns < self._due_ns:
+            return
+        self._due_ns = max(self._due_ns + self._period_ns, now_ns)
+        known = np.array([s is Status.OK for s in reading.status])
+        if not known.any():
+            return
+        self._sequence += 1
+        rows = reading.registers
+        self._kept = (
+            ServoHealth(
+                Stamp(reading.taken_ns, reading.received_ns, self._sequence),
+                np.where(known, np.array(rows["voltage"]) * self._volt, np.nan),
+                np.where(known, rows["temperature"], np.nan),
+                reading.status,
+            ),
+        )
+
+    def take(self) -> tuple[ServoHealth, ...]:
+        """The sample that has come up since the last call, if any."""
+        kept, self._kept = self._kept, ()
+        return kept

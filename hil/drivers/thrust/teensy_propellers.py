@@ -102,13 +102,7 @@ class TeensyThrust(Holding[ThrustSample]):
 
     def set_force_n(self, force_n: float) -> None:
         """Ask for a force; raises `UsageError` for one that no throttle gives."""
-        full_n = self._config.full_force_n
-        if not (math.isfinite(force_n) and 0.0 <= force_n <= full_n):
-            raise UsageError(
-                f"{self.name}: a force of {force_n:g} N",
-                expected=f"0 to {full_n:g} N (thrust.full_force_n)",
-                remedy="ask for less, or correct thrust.full_force_n",
-            )
+        self._config.check_force(force_n, self.name)
         self.set_duty(self._config.throttle_for(force_n))
 
     def set_duty(self, duty: float) -> None:

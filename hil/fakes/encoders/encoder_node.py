@@ -68,7 +68,8 @@ class EncoderNode(Scheduled):
     Args:
         world: truth, seed and faults; the node registers itself.
         wire: the CAN channel.
-        name: device name, also of its faults; each axis goes by `encoder.FL` and so on.
+        name: device name, also of its faults; each axis goes by `encoder.FL` and so on, those of a further
+            device by `encoders_rear.FL`.
         rate_hz: sample sets per second.
         node_id: added to the frame identifiers.
         sign, zero_rad: how the magnets are mounted, wheel order.
@@ -86,6 +87,7 @@ class EncoderNode(Scheduled):
         return cls(
             request.world,
             channel,
+            name=request.kind,
             rate_hz=config.rate_hz,
             node_id=config.node_id,
             sign=config.sign,
@@ -114,7 +116,8 @@ class EncoderNode(Scheduled):
         options = options if options is not None else EncoderTruthOptions()
         chips = [self._chip(options, s, z) for s, z in zip(sign, zero_rad, strict=True)]
         self._chips = np.array([number for numbers in chips for number in numbers], dtype=np.float64)
-        self._axes = tuple(f"encoder.{wheel}" for wheel in WHEELS)
+        begins = "encoder" if name == "encoders" else name
+        self._axes = tuple(f"{begins}.{wheel}" for wheel in WHEELS)
         self._plan = world.faults.of(name, *self._axes)
         self._rate_hz = max(1, round(rate_hz))
         self._says = options.layout & 0xFF | (options.firmware & 0xFF) << 8

@@ -14,8 +14,7 @@ from hil.fakes.emulation_request import EmulationRequest
 from hil.fakes.imu import bno055_registers as reg
 from hil.fakes.imu import bno055_uart
 from hil.fakes.imu.bno055_faults import SUPPORTED_FAULTS, ImuFaults
-from hil.fakes.imu.calibration_bytes import load_offsets, store_offsets
-from hil.fakes.imu.register_encoding import EMPTY, LENGTH, encode
+from hil.fakes.imu.register_encoding import EMPTY, LENGTH, encode, load_offsets, store_offsets
 from hil.fakes.imu.sensor_physics import (
     ImuTruthOptions,
     InertialSensors,
@@ -97,6 +96,7 @@ class Bno055Chip(SerialChip, Scheduled):
         config = request.config
         return cls(
             request.world,
+            name=request.kind,
             options=request.options(cls.Options, position_m=config.mount_position_m),
             mount_rotation_wxyz=config.mount_rotation_wxyz,
             bench_remap=(config.axis_map, config.axis_sign),

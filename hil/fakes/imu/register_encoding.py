@@ -1,10 +1,15 @@
-"""Encodes what the emulated BNO055 senses into its data registers 0x08..0x35, in the selected units."""
+"""Registers of the emulated BNO055: data 0x08..0x35 in the selected units, calibration bytes 0x55..0x6A.
+
+One count of an offset is 0.01 m/s^2, 1/16 degree/s, 1/16 uT. A group of them takes effect when its last byte
+is written.
+"""
 
 from __future__ import annotations
 
 import math
 import struct
 
+from hil.fakes.imu import bno055_registers as reg
 from hil.fakes.imu.bno055_registers import (
     UNIT_ANDROID,
     UNIT_EULER_RAD,
@@ -14,6 +19,7 @@ from hil.fakes.imu.bno055_registers import (
     Mode,
 )
 from hil.fakes.imu.output_sample import GRAVITY_M_S2, counts
+from hil.fakes.imu.self_calibration import SelfCalibration
 from hil.fakes.imu.sensor_physics import Sensed
 from hil.support.numba_jit import plain
 
@@ -25,6 +31,12 @@ _ZERO, _NO_FUSION = (0, 0, 0), (0,) * 13
 ACC_LSB_PER_M_S2 = 100.0
 GYRO_LSB_PER_RAD_S = 16.0 * 180.0 / math.pi
 MAG_LSB_PER_UT = 16.0
+_GROUPS = {
+    reg.ACC_OFFSET + 5: ("accelerometer", reg.ACC_OFFSET, ACC_LSB_PER_M_S2),
+    reg.MAG_OFFSET + 5: ("magnetometer", reg.MAG_OFFSET, MAG_LSB_PER_UT),
+    reg.GYR_OFFSET + 5: ("gyroscope", reg.GYR_OFFSET, GYRO_LSB_PER_RAD_S),
+}
+_VECTOR = struct.Struct("<3h")
 
 
 def encode(sensed: Sensed, mode: Mode, units: int, calibration: int, celsius: float) -> bytes:
@@ -44,3 +56,20 @@ def encode(sensed: Sensed, mode: Mode, units: int, calibration: int, celsius: fl
             *(counted[9:22] if mode.fusion else _NO_FUSION),
         )
     return _BLOCK.pack(*counted, temperature, calibration)
+
+
+def load_offsets(page: bytearray, address: int, calibration: SelfCalibration) -> None:
+    """After a write to `address`: a completed group becomes the chip's offset estimate."""
+    group = _GROUPS.get(address)
+    if group is None:
+        return
+    sensor, start, scale = group
+    x, y, z = _VECTOR.unpack_from(page, start)
+    calibration.restore(sensor, (x / scale, y / scale, z / scale))
+
+
+def store_offsets(page: bytearray, calibration: SelfCalibration) -> None:
+    """Show the chip's own estimates in the registers, as on entering CONFIG mode."""
+    for sensor, start, scale in _GROUPS.values():
+        values = [max(-32768, min(32767, round(v * scale))) for v in getattr(calibration, sensor)]
+        _VECTOR.pack_into(page, start, *values)

@@ -123,4 +123,4 @@ class CellLine(SerialChip):
 
 
 def _cells(request: EmulationRequest) -> Cells:
-    return Cells(request.world, request.config, request.options(LoadCellTruthOptions))
+    return Cells(request.world, request.config, request.options(LoadCellTruthOptions), request.kind)

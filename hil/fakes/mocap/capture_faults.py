@@ -84,13 +84,7 @@ class MocapFaults(DeviceFaults):
         garbage = self.find("garbage", t_ns)
         if garbage is not None and garbage.option("packets", 0.0):
             packet = self._rng.bytes(len(packet))
-        if self._hit("corrupt", t_ns):
-            damaged = bytearray(packet)
-            damaged[int(self._rng.integers(0, len(packet)))] ^= int(self._rng.integers(1, 256))
-            packet = bytes(damaged)
-        if self._hit("truncate", t_ns):
-            packet = packet[: int(self._rng.integers(0, len(packet)))]
-        return (packet, packet) if self._hit("duplicate", t_ns) else (packet,)
+        return self.damaged(packet, t_ns)
 
     def _garbage(self, body: SeenBody, fault: Fault) -> SeenBody:
         bits = self._rng.integers(0, 256, 28, dtype=np.uint8)

@@ -81,6 +81,7 @@ class NatNetServer(Scheduled):
         major, minor = map(int, options.natnet.split("."))
         return cls(
             request.world,
+            name=request.kind,
             options=options,
             version=(major, minor),
             up_axis=config.up_axis,

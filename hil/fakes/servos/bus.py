@@ -16,8 +16,7 @@ from hil.fakes.servos import protocol
 from hil.fakes.servos.bus_truth import ServoBusOptions
 from hil.fakes.servos.group_instructions import GROUP_READS, Wanted, write_parts
 from hil.fakes.servos.protocol import Instruction, InstructionParser
-from hil.fakes.servos.register_refresh import Cadence
-from hil.fakes.servos.sensed_registers import LiveRegisters
+from hil.fakes.servos.sensed_registers import Cadence, LiveRegisters
 from hil.fakes.servos.sensing import GRID_NS, Sensing
 from hil.fakes.servos.servo import Servo
 from hil.fakes.servos.servo_faults import BUS_FAULTS, ServoFaults

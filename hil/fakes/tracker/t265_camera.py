@@ -51,6 +51,7 @@ class T265(Scheduled):
         config = request.config
         return cls(
             request.world,
+            name=request.kind,
             options=request.options(cls.Options),
             mount_position_m=config.mount_position_m,
             mount_rotation_wxyz=config.mount_rotation_wxyz,

@@ -17,6 +17,7 @@ from hil.config.robot_record.parts import digest_of
 from hil.core.registry import kinds
 from hil.procedure.bench_request import BenchSource
 from hil.procedure.commission.stages import Stage
+from hil.support.file_reading import get_dotted
 
 _WITH_EVERY_SENSOR = ("latency", "surface_identification", "sensor_noise", "wall_ablation")
 _OF_A_SENSOR: Mapping[str, tuple[str, ...]] = {
@@ -86,7 +87,10 @@ def _of_the_bench(stage: Stage, then: Mapping[str, Any], config: BenchConfig) ->
     now = config.model_dump(mode="json", by_alias=True)
     changed = [key for key in changed_since(then, config) if _matters(stage, key)]
     if changed:
-        reported = [f"{key} ({_at(then, key)!r} then, {_at(now, key)!r} now)" for key in changed[:_NAMED]]
+        reported = [
+            f"{key} ({get_dotted(then, key)!r} then, {get_dotted(now, key)!r} now)"
+            for key in changed[:_NAMED]
+        ]
         more = f" and {len(changed) - _NAMED} more" if len(changed) > _NAMED else ""
         yield f"the bench file has changed in {', '.join(reported)}{more}"
 
@@ -98,12 +102,6 @@ def _matters(stage: Stage, key: str) -> bool:
     if kind is not None and (kind.holds_robot or kind.guards_hold):
         return stage.place == "wall"  # on the floor neither fan nor propellers run
     return table not in _NOTHING_RESTS_ON and stage.name in _OF_A_SENSOR.get(table, (stage.name,))
-
-
-def _at(tree: Any, key: str) -> Any:
-    for word in filter(None, key.split(".")):
-        tree = tree.get(word) if isinstance(tree, Mapping) else None
-    return tree
 
 
 def _digest(part: Part) -> str:

@@ -16,7 +16,7 @@ from hil.procedure.faults.cases import (
 )
 from hil.procedure.faults.drive import run_cell
 from hil.procedure.faults.judge import CellVerdict, lost
-from hil.procedure.faults.matrix_table import matrix_page, write_page
+from hil.procedure.faults.matrix_table import matrix_page, write_faults, write_page
 from hil.procedure.faults.summary import summary
 from hil.procedure.faults.verdict_log import KeptVerdicts, missing
 
@@ -35,5 +35,6 @@ __all__ = [
     "run_cell",
     "stands_for_itself",
     "summary",
+    "write_faults",
     "write_page",
 ]

@@ -1,13 +1,16 @@
-"""The matrix of a fault campaign as Markdown: devices and faults down, moments across."""
+"""What a fault campaign leaves: its matrix (devices and faults down, moments across), its page and JSON."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from hil.core.result_files import FAULTS_PAGE, FAULTS_TABLE
 from hil.procedure.faults.movement_bounds import MOST_OFF_M, SIGMAS, SLACK_M, STILL_M, WATCHED_S
-from hil.support.atomic_files import write_text
+from hil.report.pages import environment
+from hil.support.atomic_files import put_whole, refused, write_text
 
 _HEAD = """# Reliability
 
@@ -98,5 +101,25 @@ def _plain(text: str) -> str:
 
 
 def write_page(path: Path, summary: Mapping[str, Any]) -> None:
-    """Write the page."""
+    """Write the matrix."""
     write_text(path, matrix_page(summary))
+
+
+def write_faults(folder: Path, summary: Mapping[str, Any]) -> Path:
+    """Write `faults.html` and `faults.json`; returns the path of the page.
+
+    Args:
+        folder: of the campaign; must exist.
+        summary: as `hil.procedure.faults.summary` returns it, with `began`, ISO 8601.
+
+    Raises:
+        DataError: they cannot be written.
+    """
+    page = environment().get_template("faults.html").render(summary=summary)
+    data = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+    for name, text in ((FAULTS_PAGE, page), (FAULTS_TABLE, data)):
+        try:
+            put_whole(folder / name, text.encode("utf-8", "backslashreplace"))
+        except OSError as error:
+            raise refused(folder / name, error) from None
+    return folder / FAULTS_PAGE

@@ -104,6 +104,7 @@ class MicrostrainChip(SerialChip):
         config = request.config
         return cls(
             request.world,
+            name=request.kind,
             options=request.options(cls.Options, position_m=config.mount_position_m),
             mount_rotation_wxyz=config.mount_rotation_wxyz,
             baud=config.baud,

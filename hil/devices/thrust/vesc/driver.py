@@ -9,7 +9,6 @@ import can
 
 from hil.config.adhesion import VescConfig
 from hil.core.clock import Clock
-from hil.core.errors import UsageError
 from hil.core.finding import Finding
 from hil.core.signals import Stamp, Status, ThrustSample
 from hil.devices.thrust.vesc.config import VescThrustConfig
@@ -126,13 +125,8 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
 
     def set_force_n(self, force_n: float) -> None:
         """Ask for a force; raises `UsageError` for one that the propellers do not have; nothing is sent."""
-        full_n, commander = self._config.full_force_n, self._must_be_open()
-        if not (math.isfinite(force_n) and 0.0 <= force_n <= full_n):
-            raise UsageError(
-                f"{self.name}: a force of {force_n:g} N",
-                expected=f"0 to {full_n:g} N (thrust.full_force_n)",
-                remedy="ask for less, or correct thrust.full_force_n",
-            )
+        commander = self._must_be_open()
+        self._config.check_force(force_n, self.name)
         if force_n == 0.0 and commander.status().get("sent") is None:
             return
         commander.set(SetPoint("erpm", self._config.pole_pairs * self._config.speed_for_rpm(force_n)))

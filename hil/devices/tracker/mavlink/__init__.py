@@ -36,8 +36,7 @@ class Mavlink(DeviceModel):
         """A computer of its own, where the table says."""
         from hil.devices.emulated_device import Wired, on_serial_line
         from hil.devices.tracker.mavlink.emulated_computer import VisualInertialComputer
-        from hil.devices.tracker.mavlink.emulated_serial import SerialComputer
-        from hil.devices.tracker.mavlink.virtual_network import ComputerLink
+        from hil.devices.tracker.mavlink.emulated_links import ComputerLink, SerialComputer
 
         computer, config = VisualInertialComputer.build(request), request.config
         if udp_address(config.port) is None:

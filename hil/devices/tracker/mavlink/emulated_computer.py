@@ -1,7 +1,7 @@
 """The emulated visual-inertial computer: odometry that errs, heartbeats, answers, on a clock of its own.
 
-It is the computer itself, whatever its cable: `virtual_network` carries its packets as datagrams in world
-time, `emulated_udp` on real UDP, `emulated_serial` on a serial line. It streams to all that are attached.
+It is the computer itself, whatever its cable: `emulated_links` carries its packets as datagrams in world
+time, or on a serial line, `emulated_udp` on real UDP. It streams to all that are attached.
 """
 
 from __future__ import annotations
@@ -102,6 +102,7 @@ class VisualInertialComputer(Scheduled):
         wanted = {key: getattr(config, key) for key in _OF_ITS_OWN if getattr(config, key) is not None}
         return cls(
             request.world,
+            name=request.kind,
             options=request.options(cls.Options, rate_hz=config.rate_hz, **wanted),
             mount_position_m=config.mount_position_m,
             mount_rotation_wxyz=config.mount_rotation_wxyz,

@@ -98,13 +98,7 @@ class ComputerFaults(DeviceFaults):
             return (packet,)
         if self.cut_off(t_ns) or self._hit("drop", t_ns):
             return ()
-        if self._hit("corrupt", t_ns):
-            damaged = bytearray(packet)
-            damaged[int(self._rng.integers(0, len(packet)))] ^= int(self._rng.integers(1, 256))
-            packet = bytes(damaged)
-        if self._hit("truncate", t_ns):
-            packet = packet[: int(self._rng.integers(0, len(packet)))]
-        return (packet, packet) if self._hit("duplicate", t_ns) else (packet,)
+        return self.damaged(packet, t_ns)
 
     def scramble(self, packet: bytes, t_ns: int) -> bytes:
         """A packet as the computer sends it: random bytes where it has gone mad."""

@@ -1,4 +1,4 @@
-"""Finds the daemon of a fan, starts one, and sends it requests."""
+"""Finds the daemon of a fan, starts one, and asks it: once, or on a connection that never waits."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ _AGAIN_S = 0.01
 _REMEDY = "`hil adhesion on` starts one"
 
 Status = Mapping[str, Any]
+Request = Mapping[str, object]
 
 
 def connect(spec: Spec) -> socket.socket | None:
@@ -223,3 +224,51 @@ def find_or_start(spec: Spec) -> socket.socket:
             remedy=f"look at {log_path(spec)}",
         )
     return found
+
+
+class Connection:
+    """A non-blocking connection.
+
+    Args:
+        connection: to the daemon.
+        t_ns: now.
+
+    Attributes:
+        since_ns: when it began; `answered_ns` when the daemon last answered.
+        asked: the request that is not answered yet.
+        uid: the user that the daemon runs as.
+    """
+
+    def __init__(self, connection: socket.socket, t_ns: int) -> None:
+        connection.setblocking(False)
+        self._socket = connection
+        self.since_ns = self.answered_ns = t_ns
+        self.asked: Request | None = None
+        self.uid = peer(connection).uid
+
+    def ask(self, request: Request) -> None:
+        """Send a request, unless an answer is awaited; raises `OSError` where the daemon has hung up."""
+        if self.asked is None:
+            self.asked = request
+            self._socket.send(json.dumps(request).encode())
+
+    def answer(self, t_ns: int) -> tuple[Request, bytes] | None:
+        """(request, answer), once; None before it has come.
+
+        Raises:
+            OSError: the daemon has hung up (ConnectionResetError), or cannot be reached.
+        """
+        if self.asked is None:
+            return None
+        try:
+            packet = self._socket.recv(MOST_BYTES)
+        except BlockingIOError:
+            return None
+        if not packet:
+            raise ConnectionResetError("the daemon has hung up")
+        asked, self.asked, self.answered_ns = self.asked, None, t_ns
+        return asked, packet
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._socket.close()

@@ -16,6 +16,8 @@ from hil.core.clock import NS_PER_S, Clock, nanoseconds
 from hil.core.errors import DeviceError, HilError
 from hil.drivers.adhesion.fan_daemon.bus_cycle import BusCycle, open_bus
 from hil.drivers.adhesion.fan_daemon.client import (
+    Connection,
+    Request,
     Starting,
     Status,
     ask,
@@ -27,7 +29,6 @@ from hil.drivers.adhesion.fan_daemon.client import (
     understood,
 )
 from hil.drivers.adhesion.fan_daemon.commander import MotorCommander
-from hil.drivers.adhesion.fan_daemon.connection import Connection, Request
 from hil.drivers.adhesion.fan_daemon.fan_control import FanControl, SetPoint, check_point
 from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.support.emulated_can_mark import Emulation
