@@ -37,7 +37,9 @@ def shown_when_ended(finished: Callable[[], str], show: Callable[[], str]) -> It
             yield
         except KeyboardInterrupt as ended:
             how = "ended by SIGTERM" if isinstance(ended, _Terminated) else "interrupted"
-            raise Aborted(f"the campaign was {how}; {finished()}", remedy="go on with --resume") from None
+            raise Aborted(
+                f"the campaign was {how}; {finished()}", remedy="give the same command with --resume"
+            ) from None
     except Aborted:
         _show(show, finished())
         raise

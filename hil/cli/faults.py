@@ -66,7 +66,11 @@ class Asked:
     help="Processes (needs the extra `campaign`); 0 runs here.",
 )
 @click.option("--out", type=OUT, default=Path("out/faults"), show_default=True, help="Folder of the pages.")
-@click.option("--resume", is_flag=True, help="Go on with the cells that are missing in --out.")
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Go on with the cells that are missing in --out: the same command once more.",
+)
 @JSON
 def command(
     quick: bool,
@@ -97,6 +101,12 @@ def command(
     where = os.path.abspath(bench) if os.path.isfile(bench) else bench
     with KeptVerdicts(out, where, resume=resume) as kept:
         there = {verdict.cell: verdict for verdict in kept.there}
+        if others := len(there.keys() - set(cells)):
+            raise UsageError(
+                f"--resume: {others} cells in {shown_path(out)} are none of those that are asked for",
+                expected="the options of the command that began there",
+                remedy="give that command with --resume, or another --out",
+            )
 
         def judged() -> list[CellVerdict]:
             return [there[cell] for cell in cells if cell in there]

@@ -123,3 +123,34 @@ def test_wheels_that_turn_more_than_a_sliding_robot_goes_are_not_suspected_alone
     suspected = [event.suspects for event in events if "servos" in event.suspects]
     assert suspected
     assert all("thrust" in names for names in (*suspected, stop.value.suspects))
+
+
+@pytest.fixture(scope="module")
+def closed_s():
+    """When a bench that climbed and was closed says that its robot is held, in seconds of the world."""
+    with hil.open_bench("emulated", seed=1) as bench:
+        bench.drive(SHORT)
+    assert bench.held.state == "HELD"
+    return bench.looked_ns / 1e9
+
+
+def left_for_good(fault):
+    """What a closing bench says of its robot, and how far that goes in the 5 s after it."""
+    bench = hil.open_bench("emulated", seed=1, faults=[fault])
+    with bench:
+        bench.drive(SHORT)
+    stood = place(bench)
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 5_000_000_000)
+    return bench.held, float(np.linalg.norm(place(bench) - stood))
+
+
+def test_a_force_that_falls_slowly_is_no_ground_for_held(closed_s):
+    held, went_m = left_for_good(f"plant:adhesion_loss@{closed_s - 1.5:.3f},factor=0.3,over_s=7")
+    assert went_m > 0.01
+    assert held.state == "NOT HELD"
+
+
+def test_servos_that_restart_at_the_end_of_the_look_are_waited_for(closed_s):
+    held, went_m = left_for_good(f"servos:off@{closed_s - 0.2:.3f}+0.4")
+    assert held.state == "HELD"
+    assert went_m < 5e-4

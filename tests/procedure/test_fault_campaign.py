@@ -69,6 +69,8 @@ def test_only_names_devices_faults_and_moments():
     for wrong in ("imus", "imu:off", "imu:wrong@later"):
         with pytest.raises(UsageError, match="no such cell"):
             cells(only=(wrong,))
+    with pytest.raises(UsageError, match="no such cell"):
+        cells(only=("imu:wrong@motion",), moments=("stop",))
 
 
 def test_random_runs_are_the_same_for_the_same_arguments():
@@ -257,3 +259,11 @@ def test_messages_spoilt_now_and_then_leave_the_robot_held(spec, seed):
     verdict = faults.run_cell(Cell(device, fault, "random", seed, "own", (spec,)))
     assert not verdict.why
     assert verdict.held == "HELD"
+
+
+def test_it_does_not_resume_what_another_command_began(tmp_path, judged):
+    run("--only", "imu:off", "--out", str(tmp_path))
+    with pytest.raises(UsageError, match="options of the command that began there"):
+        command.main(["--only", "imu:wrong", "--out", str(tmp_path), "--resume"], standalone_mode=False)
+    kept = (tmp_path / "cells.jsonl").read_text(encoding="utf-8")
+    assert kept.count("imu:off") == 4

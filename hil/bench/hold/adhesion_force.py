@@ -2,8 +2,8 @@
 
 A robot whose fan has just died still stands still. A controller without reports may have let go of its
 motor, or will when its time-out ends, and the fan takes a second to run down. So a silent fan is no longer
-trusted until the load cells have felt enough force for longer than that, and a force that falls quickly is
-doubted before it is lost. Propellers carry a part of the weight: they count by what they report. Those that
+trusted until the load cells have felt enough force for longer than that, and a force that falls is doubted
+before it is lost. Propellers carry a part of the weight: they count by what they report. Those that
 report nothing may not have understood it: they count once the robot has been seen at rest for as long as they
 would need to let it slide (`hil.bench.hold.propeller_handover`). Load cells do not feel their push.
 """
@@ -30,6 +30,8 @@ from hil.loop.device_set import DeviceSet
 
 RUN_DOWN_S = 1.0
 """A fan without current has lost more force than any reserve by then."""
+_AHEAD_S = 6.0
+"""A force that falls holds the robot only where it will be enough for so long."""
 MEASURES = ("adhesion", "load_cells")
 """Kinds whose samples tell a force."""
 FAN, _CELLS = "the fan's speed", "the load cells"
@@ -130,7 +132,7 @@ class AdhesionForceCheck:
             return f"what presses the robot on the wall: {message}; {needed}: secure the robot"
         for name, force_n in fresh.items():
             falling_n_s = -self._trends[name].slope_n_s()
-            if not force_n - RUN_DOWN_S * falling_n_s >= least_n:
+            if not force_n - _AHEAD_S * falling_n_s >= least_n:
                 return (
                     f"the force by {name} falls by {falling_n_s:.0f} N/s; {message} so far: secure the robot"
                 )

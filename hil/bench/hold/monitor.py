@@ -52,6 +52,8 @@ _ALL_NS = 2 * WINDOW_NS
 """So long at the most it is waited for all that have begun to see the robot."""
 _SLOW_NS = nanoseconds(1.5)
 """So long for an IMU that has begun to show the tilt: a busy computer hears it late."""
+_LOSSES = 3
+"""So often servos that fail during a look are waited for anew."""
 _MOVED_M = 0.001
 _UNSEEN_M = 0.005
 """What a robot that is held may move after its stop."""
@@ -175,9 +177,12 @@ class HoldMonitor(Sink):
         trails = {name: Trail() for name in self._seeing}
         self._press.begin(for_good=for_good)
         self._felt_m_s2.clear()
-        clear_ns = -WINDOW_NS
+        clear_ns, answered, losses = -WINDOW_NS, False, 0
         while True:
             hold = servos.look_after()
+            if hold.trouble and answered and losses < _LOSSES and not strict:
+                end_ns, losses = max(end_ns, hold.t_ns + nanoseconds(limit_s)), losses + 1
+            answered = not hold.trouble
             self._see(hold, trails)
             seen = [name for name, trail in trails.items() if trail.full(hold.t_ns)]
             places = self._places(seen)

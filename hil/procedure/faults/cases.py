@@ -111,12 +111,12 @@ def _wanted(
         name, _, moment = text.partition("@")
         device, _, kind = name.partition(":")
         found = [pair for pair in pairs if pair[0] == device and kind in ("", pair[1])]
-        if not found or (moment and moment not in MOMENTS):
+        if not found or (moment and moment not in moments):
             names = [*{d for d, _ in pairs}, *(f"{d}:{k}" for d, k in pairs)]
             raise UsageError(
                 f"--only {text!r}: there is no such cell",
                 expected="DEVICE, DEVICE:FAULT or DEVICE:FAULT@MOMENT, with a moment of "
-                + ", ".join(MOMENTS),
+                + ", ".join(moments),
                 remedy=did_you_mean(name, names) or "see docs/faults.md",
             )
         for device_name, fault in found:

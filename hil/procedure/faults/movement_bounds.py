@@ -18,7 +18,7 @@ FARTHEST_M, STILL_M = 0.005, 0.0005
 """That a robot may move after its stop, and once it is said to be held."""
 SAGS_M = 0.005
 """In place of `STILL_M` where a servo may fail again after that."""
-LIMP_M_S, RESTART_S = 0.02, 0.4
+LIMP_M_S, RESTART_S = 0.025, 0.4
 """Speed at which a robot slides down whose servos have no torque, and how long they take to come back."""
 WATCHED_S = 5.0
 """For which a robot is watched after the bench has closed."""
