@@ -1,4 +1,4 @@
-"""Tells, while a session runs, of a publisher of commands that is missing, sends nothing, or is gone."""
+"""Warns, while a session runs, of a publisher of commands that is missing, sends nothing, or is gone."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hil.ros2.publishers import Publisher
 
 LOG = logging.getLogger(__name__)
 _PATIENCE_S = 5
-_NOBODY = 0
+_NONE = 0
 """Handle of no publisher."""
 
 
@@ -31,7 +31,7 @@ class PublisherWatch:
         self._warned: set[int] = set()
 
     def look(self, t_ns: int) -> None:
-        """Look who is there.
+        """Look which publishers are there.
 
         Args:
             t_ns: now, bench clock; of every cycle.
@@ -41,7 +41,7 @@ class PublisherWatch:
             self._changed()
         silent = [handle for handle in found if self._topic.silent_s(handle) is None]
         if not found and not self._known and not self.lost:
-            silent = [_NOBODY]
+            silent = [_NONE]
         for handle in silent:
             since_ns = self._since_ns.setdefault(handle, t_ns)
             if handle not in self._warned and t_ns - since_ns > _PATIENCE_S * NS_PER_S:
@@ -50,7 +50,7 @@ class PublisherWatch:
                 LOG.warning("no command within %d s: %s", _PATIENCE_S, why)
 
     def _changed(self) -> None:
-        """Note who is there now, and say who is not any more."""
+        """Note which are there now, and warn of those that are gone."""
         now = {one.handle: one for one in self._topic.described()}
         for handle in self._known.keys() - now.keys():
             self.lost += 1

@@ -1,7 +1,7 @@
-"""The bench as a node in `ros2 node list`: what writers and readers it has, told on `ros_discovery_info`.
+"""Shows the bench as a node in `ros2 node list`: publishes its writers and readers on `ros_discovery_info`.
 
-ROS 2 itself learns so which node has which endpoints of DDS. Identifiers are longer in Humble than later, and
-one of the wrong length is misread there: so the distribution has to be known.
+ROS 2 learns from this topic which node has which endpoints of DDS. Identifiers are longer in Humble than in
+later distributions, and one of the wrong length is misread. So the distribution has to be known.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ _ENTITIES = f"{_PACKAGE}ParticipantEntitiesInfo"
 
 
 class NodeEntry:
-    """Tells of one node; the newest message is kept for those who come later.
+    """Announces one node; DDS keeps the newest message for subscribers that come later.
 
     Args:
         participant: of Cyclone DDS.
         name: of the node.
         distribution: of ROS 2.
-        quality: of a topic whose last message also those get who subscribe later.
+        quality: of a topic whose last message reaches later subscribers, too.
     """
 
     def __init__(self, participant: Any, name: str, distribution: str, quality: Qos) -> None:
@@ -39,8 +39,8 @@ class NodeEntry:
         self._participant = participant
         self._writer: Any = DataWriter(participant, Topic(participant, _TOPIC, self._sample), quality)
 
-    def tell(self, writers: Sequence[Entity], readers: Sequence[Entity]) -> None:
-        """Say which endpoints the node has now.
+    def announce(self, writers: Sequence[Entity], readers: Sequence[Entity]) -> None:
+        """Publish which endpoints the node has now.
 
         Raises:
             DDSException: it is not sent.
@@ -52,8 +52,8 @@ class NodeEntry:
             reader_gid_seq=[self._identifier(reader) for reader in readers],
             writer_gid_seq=[self._identifier(writer) for writer in writers],
         )
-        told = types[_ENTITIES](gid=self._identifier(self._participant), node_entities_info_seq=[node])
-        self._writer.write(self._sample(bytes(self._store.serialize_cdr(told, _ENTITIES))))
+        info = types[_ENTITIES](gid=self._identifier(self._participant), node_entities_info_seq=[node])
+        self._writer.write(self._sample(bytes(self._store.serialize_cdr(info, _ENTITIES))))
 
     def _identifier(self, entity: Entity) -> Any:
         """An entity's GUID, with zeros up to the length of the distribution."""

@@ -191,7 +191,7 @@ class Participant:
     def _tell_of_node(self) -> None:
         """Say which writers and readers the bench's node has, where it is shown as one."""
         if self._node is not None:
-            self._node.tell(
+            self._node.announce(
                 [writer for _, writer in self._writers.values()], [reader.entity for reader in self._heard]
             )
 

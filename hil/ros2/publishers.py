@@ -1,4 +1,4 @@
-"""Who publishes a topic, as DDS describes it: which program, and how long it counts once it was killed."""
+"""Describes the publishers of a topic by DDS: their programs, and how long one counts once it was killed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MOST = 10_000
 _LONGEST_NS = 10**6 * NS_PER_S
 """Of a lease: a longer one is no lease."""
 _PROCESS, _HOST = ("fastdds.physical_data.process", "__Pid"), ("fastdds.physical_data.host", "__Hostname")
-"""Names by which Fast DDS and Cyclone DDS tell it."""
+"""Names of these properties in Fast DDS and Cyclone DDS."""
 
 
 @dataclass(frozen=True)
@@ -56,17 +56,17 @@ def publishers_of(participant: Any, entities: Mapping[str, Any]) -> Iterator[Pub
     programs = {one.key: one.qos for one in seen}
     for kind, entity in entities.items():
         for handle in handles_of(entity):
-            told = entity.get_matched_publication_data(handle)
-            if told is not None:  # else it has left meanwhile
-                quality = programs.get(told.participant_key, Qos())
-                yield Publisher(handle, kind, _program(quality) or f"GID {told.key}", _lease_s(quality))
+            writer = entity.get_matched_publication_data(handle)
+            if writer is not None:  # else it has left meanwhile
+                quality = programs.get(writer.participant_key, Qos())
+                yield Publisher(handle, kind, _program(quality) or f"GID {writer.key}", _lease_s(quality))
 
 
 def _program(quality: Qos) -> str:
-    """Process, and its computer unless it is this one; empty where DDS tells none."""
-    told = {policy.key: policy.value for policy in quality if isinstance(policy, Policy.Property)}
-    process = next((told[name] for name in _PROCESS if told.get(name)), "")
-    host = next((told[name].partition(":")[0] for name in _HOST if told.get(name)), "")
+    """Process, and its computer unless it is this one; empty where DDS names none."""
+    properties = {policy.key: policy.value for policy in quality if isinstance(policy, Policy.Property)}
+    process = next((properties[name] for name in _PROCESS if properties.get(name)), "")
+    host = next((properties[name].partition(":")[0] for name in _HOST if properties.get(name)), "")
     elsewhere = f" of {host}" if host not in ("", socket.gethostname()) else ""
     return f"process {process}{elsewhere}" if process else ""
 
