@@ -61,7 +61,7 @@ def has(topic, count):
     return lambda: len(topic.publishers()) == count
 
 
-@pytest.mark.parametrize("ends", ["by itself", "killed"])
+@pytest.mark.parametrize("ends", ["by itself", pytest.param("killed", marks=pytest.mark.long)])
 def test_the_topic_is_read_on_after_its_publisher_is_gone_and_when_one_comes_back(ends, topic, commander):
     for _ in range(2):
         program = commander("lease=2")
@@ -76,6 +76,7 @@ def test_the_topic_is_read_on_after_its_publisher_is_gone_and_when_one_comes_bac
         assert topic.take() == []
 
 
+@pytest.mark.long
 def test_one_that_was_killed_is_named_for_as_long_as_its_lease_and_then_gone(topic, commander):
     program = commander("lease=3")
     assert taken_until(topic, lambda: topic.take())

@@ -97,7 +97,7 @@ def moves(listen):
 
 @pytest.mark.alone
 @pytest.mark.timeout(PATIENCE_S + 60)
-@pytest.mark.parametrize("kind", ["Twist", "TwistStamped"])
+@pytest.mark.parametrize("kind", ["Twist", pytest.param("TwistStamped", marks=pytest.mark.long)])
 def test_it_drives_as_commanded_and_not_before(kind, tmp_path, live, command, moves):
     running = live()
     moves()
@@ -197,6 +197,7 @@ def test_one_that_was_killed_and_comes_back_at_once_stops_the_robot_and_both_are
 
 @pytest.mark.alone
 @pytest.mark.timeout(PATIENCE_S + 60)
+@pytest.mark.long
 def test_one_that_comes_back_after_its_lease_drives_again_and_the_loss_was_told(
     tmp_path, live, command, moves
 ):
