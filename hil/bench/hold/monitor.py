@@ -177,7 +177,8 @@ class HoldMonitor(Sink):
         trails = {name: Trail() for name in self._seeing}
         self._press.begin(for_good=for_good)
         self._felt_m_s2.clear()
-        clear_ns, answered, losses = -WINDOW_NS, False, 0
+        clear_ns = waited_ns = -WINDOW_NS
+        answered, losses = False, 0
         while True:
             hold = servos.look_after()
             if hold.trouble and answered and losses < _LOSSES and not strict:
@@ -188,10 +189,11 @@ class HoldMonitor(Sink):
             places = self._places(seen)
             doubt = self._doubt(hold, trails, seen, places)
             clear_ns = clear_ns if doubt else hold.t_ns
-            momentary = bool(doubt) and hold.t_ns - clear_ns < WINDOW_NS
             unpressed = self._press.doubt(
                 self._clock.now_ns(), sees_slide=bool(places) and not doubt, moves=bool(places and doubt)
             )
+            waited_ns = hold.t_ns if self._press.waits else waited_ns
+            momentary = hold.t_ns - (max(clear_ns, waited_ns) if doubt else waited_ns) < WINDOW_NS
             doubt = doubt or unpressed or self._doubt_of_floor()
             early = hold.t_ns - began_ns < _ALL_NS
             slow = self.tilt.begun and hold.t_ns - began_ns < _SLOW_NS
@@ -203,17 +205,19 @@ class HoldMonitor(Sink):
                 return self._verdict("NOT HELD", why, seen, wanted=hold.released and not self._let_go)
             late = "".join(f"; {name} ({text})" for name, text in hold.late.items())
             if not doubt:
-                by = {*self._believed(seen), *places}
-                rests = ", ".join(kinds()[name].noun for name in seen if name in by)
-                pressed = self._press.in_words(hold.t_ns)
-                tether = self._on_wall and not (self._can_fall or places or self._press.feels(hold.t_ns))
-                by_tether = "; on its tether, so no sensor has to see whether it slides" if tether else ""
-                why = f"torque on, at rest by {rests}{pressed}{by_tether}{late}"
-                return self._verdict("HELD", why, seen)
-            if self._clock.now_ns() >= end_ns and (strict or not (self._press.waits or momentary)):
+                return self._verdict("HELD", self._grounds(hold.t_ns, seen, places) + late, seen)
+            if self._clock.now_ns() >= end_ns and (strict or not momentary):
                 return self._verdict("NOT HELD", doubt + late, seen)
             pause_ns = _SELDOM_NS if self._press.waits else _LOOK_NS
             self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)
+
+    def _grounds(self, t_ns: int, seen: Collection[str], places: Collection[str]) -> str:
+        """What confirms that the robot is held, in words."""
+        by = {*self._believed(seen), *places}
+        rests = ", ".join(kinds()[name].noun for name in seen if name in by)
+        tether = self._on_wall and not (self._can_fall or places or self._press.feels(t_ns))
+        by_tether = "; on its tether, so no sensor has to see whether it slides" if tether else ""
+        return f"torque on, at rest by {rests}{self._press.in_words(t_ns)}{by_tether}"
 
     def _believed(self, seen: Collection[str]) -> list[str]:
         """Sensors that have seen the robot and were not in doubt."""
