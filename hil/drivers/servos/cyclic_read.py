@@ -281,15 +281,18 @@ class CycleReader:
     def _ask_spoilt_alone(self, kind: _Kind, exchange: Exchange, answers: dict[int, Answer]) -> None:
         """Ask again, one by one, whose answers were spoilt: on a noisy bus a short one gets through.
 
-        A servo is missing in an answer of full length where bytes of another one came twice.
+        A servo is missing in an answer of full length where bytes of another one came twice. On a bus that
+        spoils most answers the time goes to setting servos up, which needs none.
         """
-        spoilt = {Status.CRC}
+        kinds = {Status.CRC}
         if len(exchange.data) >= self._group(kind, self._asked)[0].expected:
-            spoilt.add(Status.TIMEOUT)
-        for joint in [j for j in self._asked if answers[j].status in spoilt]:
-            answer = self._bus.read(self._ids[joint], kind.address, kind.fields.length)
-            if answer.status is Status.OK:
-                answers[joint] = answer
+            kinds.add(Status.TIMEOUT)
+        spoilt = [j for j in self._asked if answers[j].status in kinds]
+        for joint in spoilt if len(spoilt) <= len(_ALL) // 2 else ():
+            answer = self._bus.read(self._ids[joint], kind.address, kind.fields.length, attempts=1)
+            if answer.status is not Status.OK:
+                return
+            answers[joint] = answer
 
     def _reading(
         self, kind: _Kind, exchange: Exchange, answers: dict[int, Answer], revived: tuple[int, ...]
