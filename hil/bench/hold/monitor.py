@@ -52,6 +52,8 @@ _ALL_NS = 2 * WINDOW_NS
 """So long at the most it is waited for all that have begun to see the robot."""
 _SLOW_NS = nanoseconds(1.5)
 """So long for an IMU that has begun to show the tilt: a busy computer hears it late."""
+_LATE_LOOKS = 25
+"""So many looks, when time is up, a doubt may come and go."""
 _LOSSES = 3
 """So often servos that fail during a look are waited for anew."""
 _MOVED_M = 0.001
@@ -178,6 +180,7 @@ class HoldMonitor(Sink):
         self._press.begin(for_good=for_good)
         self._felt_m_s2.clear()
         clear_ns = waited_ns = -WINDOW_NS
+        late_looks = 0
         answered, losses = False, 0
         while True:
             hold = servos.look_after()
@@ -189,8 +192,9 @@ class HoldMonitor(Sink):
             places = self._places(seen)
             doubt = self._doubt(hold, trails, seen, places)
             clear_ns = clear_ns if doubt else hold.t_ns
+            moves = bool(places and doubt and not hold.trouble)
             unpressed = self._press.doubt(
-                self._clock.now_ns(), sees_slide=bool(places) and not doubt, moves=bool(places and doubt)
+                self._clock.now_ns(), sees_slide=bool(places) and not doubt, moves=moves
             )
             waited_ns = hold.t_ns if self._press.waits else waited_ns
             momentary = hold.t_ns - (max(clear_ns, waited_ns) if doubt else waited_ns) < WINDOW_NS
@@ -206,8 +210,10 @@ class HoldMonitor(Sink):
             late = "".join(f"; {name} ({text})" for name, text in hold.late.items())
             if not doubt:
                 return self._verdict("HELD", self._grounds(hold.t_ns, seen, places) + late, seen)
-            if self._clock.now_ns() >= end_ns and (strict or not momentary):
-                return self._verdict("NOT HELD", doubt + late, seen)
+            if self._clock.now_ns() >= end_ns:
+                late_looks += not self._press.waits
+                if strict or not momentary or late_looks > _LATE_LOOKS:
+                    return self._verdict("NOT HELD", doubt + late, seen)
             pause_ns = _SELDOM_NS if self._press.waits else _LOOK_NS
             self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)
 

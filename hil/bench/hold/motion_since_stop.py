@@ -51,13 +51,13 @@ class Trail:
         return bool(self._seen) and self._seen[-1][0] >= now_ns - WINDOW_NS // 2
 
     def change(self) -> Array:
-        """How the place (k,) has changed, from the median of the first quarter to that of the last.
+        """How the place (k,) has changed, from the mean of the first quarter to that of the last.
 
-        Single values that were garbled on the way do not count.
+        Of three and more the least and the greatest do not count: they may have been garbled on the way.
         """
         places = np.array([place for _, place in self._seen])
         quarter = max(1, len(places) // 4)
-        change: Array = np.median(places[-quarter:], axis=0) - np.median(places[:quarter], axis=0)
+        change: Array = _trimmed_mean(places[-quarter:]) - _trimmed_mean(places[:quarter])
         return change
 
 
@@ -144,6 +144,13 @@ class MotionSinceStop:
         if slides and not reported.keys() - {JOINTS}:
             return None
         return max(reported.values(), default=None)
+
+
+def _trimmed_mean(places: Array) -> Array:
+    """Mean (k,) of places (n, k) without the least and the greatest of each column, of three or more."""
+    kept = np.sort(places, axis=0)[1:-1] if len(places) > 2 else places
+    mean: Array = kept.mean(axis=0)
+    return mean
 
 
 def _mean(seen: deque[tuple[int, Array]]) -> Array:
