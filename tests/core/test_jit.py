@@ -215,7 +215,7 @@ class Strike(event.Listener):
 
 
 @pytest.fixture
-def struck():
+def struck(kept_in):
     """Compiles a kernel, with Ctrl-C at a step and a handler of one's own; the kernel."""
     before = signal.getsignal(signal.SIGINT)
 
