@@ -134,7 +134,7 @@ class Participant:
         made = sample_type(kind)
         topic = Topic(self._participant, f"rt{shown or name}", made)
         self._writers[name] = made, DataWriter(self._participant, topic, _quality(name))
-        self._tell_of_node()
+        self._announce_node()
 
     def write(self, name: str, data: bytes) -> None:
         """Send a message, as CDR; what is not taken is counted, and logged once. Never raises."""
@@ -155,7 +155,7 @@ class Participant:
             reliable: as of `Reader`.
         """
         self._heard.append(Reader(self._participant, name, kind, reliable=reliable))
-        self._tell_of_node()
+        self._announce_node()
         return self._heard[-1]
 
     def wait_set(self, readers: Sequence[Reader]) -> Any:
@@ -188,8 +188,8 @@ class Participant:
         """How many readers a topic has now."""
         return len(self._writers[name][1].get_matched_subscriptions())
 
-    def _tell_of_node(self) -> None:
-        """Say which writers and readers the bench's node has, where it is shown as one."""
+    def _announce_node(self) -> None:
+        """Publish which writers and readers the bench's node has, where it is shown as one."""
         if self._node is not None:
             self._node.announce(
                 [writer for _, writer in self._writers.values()], [reader.entity for reader in self._heard]

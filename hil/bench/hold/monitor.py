@@ -18,6 +18,7 @@ import numpy as np
 
 from hil.bench.hold.adhesion_force import press_watch
 from hil.bench.hold.frame_jumps import FrameJumps
+from hil.bench.hold.look_time import LookTime
 from hil.bench.hold.motion_since_stop import JOINTS, WINDOW_NS, MotionSinceStop, Trail
 from hil.bench.hold.result import Held, State, lacking_in_words, on_the_floor
 from hil.bench.hold.tilt import TiltWatch
@@ -52,10 +53,6 @@ _ALL_NS = 2 * WINDOW_NS
 """So long at the most it is waited for all that have begun to see the robot."""
 _SLOW_NS = nanoseconds(1.5)
 """So long for an IMU that has begun to show the tilt: a busy computer hears it late."""
-_LATE_LOOKS = 25
-"""So many looks, when time is up, a doubt may come and go."""
-_LOSSES = 3
-"""So often servos that fail during a look are waited for anew."""
 _MOVED_M = 0.001
 _UNSEEN_M = 0.005
 """What a robot that is held may move after its stop."""
@@ -175,29 +172,22 @@ class HoldMonitor(Sink):
         if servos is None or not servos.identity():
             return self.unseen("no servos are open", wanted=False)
         began_ns = self._clock.now_ns()
-        end_ns = began_ns + nanoseconds(limit_s)
+        time = LookTime(began_ns, limit_s, strict=strict)
         trails = {name: Trail() for name in self._seeing}
         self._press.begin(for_good=for_good)
         self._felt_m_s2.clear()
-        clear_ns = waited_ns = -WINDOW_NS
-        late_looks = 0
-        answered, losses = False, 0
         while True:
             hold = servos.look_after()
-            if hold.trouble and answered and losses < _LOSSES and not strict:
-                end_ns, losses = max(end_ns, hold.t_ns + nanoseconds(limit_s)), losses + 1
-            answered = not hold.trouble
+            time.heard(hold)
             self._see(hold, trails)
             seen = [name for name, trail in trails.items() if trail.full(hold.t_ns)]
             places = self._places(seen)
             doubt = self._doubt(hold, trails, seen, places)
-            clear_ns = clear_ns if doubt else hold.t_ns
             moves = bool(places and doubt and not hold.trouble)
             unpressed = self._press.doubt(
                 self._clock.now_ns(), sees_slide=bool(places) and not doubt, moves=moves
             )
-            waited_ns = hold.t_ns if self._press.waits else waited_ns
-            momentary = hold.t_ns - (max(clear_ns, waited_ns) if doubt else waited_ns) < WINDOW_NS
+            time.saw(hold.t_ns, doubt=bool(doubt), waits=self._press.waits)
             doubt = doubt or unpressed or self._doubt_of_floor()
             early = hold.t_ns - began_ns < _ALL_NS
             slow = self.tilt.begun and hold.t_ns - began_ns < _SLOW_NS
@@ -210,10 +200,8 @@ class HoldMonitor(Sink):
             late = "".join(f"; {name} ({text})" for name, text in hold.late.items())
             if not doubt:
                 return self._verdict("HELD", self._grounds(hold.t_ns, seen, places) + late, seen)
-            if self._clock.now_ns() >= end_ns:
-                late_looks += not self._press.waits
-                if strict or not momentary or late_looks > _LATE_LOOKS:
-                    return self._verdict("NOT HELD", doubt + late, seen)
+            if time.is_up(self._clock.now_ns()):
+                return self._verdict("NOT HELD", doubt + late, seen)
             pause_ns = _SELDOM_NS if self._press.waits else _LOOK_NS
             self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)
 
