@@ -19,7 +19,7 @@ import numpy as np
 from hil.bench.hold.adhesion_force import press_watch
 from hil.bench.hold.frame_jumps import FrameJumps
 from hil.bench.hold.look_time import LookTime
-from hil.bench.hold.motion_since_stop import JOINTS, WINDOW_NS, MotionSinceStop, Trail
+from hil.bench.hold.motion_since_stop import JOINTS, MotionSinceStop, Trail
 from hil.bench.hold.result import Held, State, lacking_in_words, on_the_floor
 from hil.bench.hold.tilt import TiltWatch
 from hil.bench.loop_settings import can_fall
@@ -49,8 +49,6 @@ _SELDOM_NS = nanoseconds(0.05)
 """Where only time has to pass: a window still holds five sightings by the servos."""
 _CALM_M_S2 = 2.0
 """By how much the median of what an accelerometer feels may differ from gravity: data sheets allow 0.8."""
-_ALL_NS = 2 * WINDOW_NS
-"""So long at the most it is waited for all that have begun to see the robot."""
 _SLOW_NS = nanoseconds(1.5)
 """So long for an IMU that has begun to show the tilt: a busy computer hears it late."""
 _MOVED_M = 0.001
@@ -173,7 +171,7 @@ class HoldMonitor(Sink):
             return self.unseen("no servos are open", wanted=False)
         began_ns = self._clock.now_ns()
         time = LookTime(began_ns, limit_s, strict=strict)
-        trails = {name: Trail() for name in self._seeing}
+        trails = {name: Trail(kind.motion_threshold) for name, kind in self._seeing.items()}
         self._press.begin(for_good=for_good)
         self._felt_m_s2.clear()
         while True:
@@ -189,7 +187,8 @@ class HoldMonitor(Sink):
             )
             time.saw(hold.t_ns, doubt=bool(doubt), waits=self._press.waits)
             doubt = doubt or unpressed or self._doubt_of_floor()
-            early = hold.t_ns - began_ns < _ALL_NS
+            # so long at the most it is waited for all that have begun to see the robot
+            early = hold.t_ns - began_ns < 2 * max(trail.window_ns for trail in trails.values())
             slow = self.tilt.begun and hold.t_ns - began_ns < _SLOW_NS
             unsure = (early or slow) and not self._on_wall and not self.tilt.known
             if unsure or (early and any(trail.fills(hold.t_ns) for trail in trails.values())):
@@ -263,7 +262,7 @@ class HoldMonitor(Sink):
             if name in self._travel.names:
                 self._travel.saw(name, now_ns, value)
         for trail in trails.values():
-            trail.forget(now_ns - WINDOW_NS)
+            trail.forget(now_ns - trail.window_ns)
 
     def _testified(self, name: str) -> list[Array]:
         """Motion values of a sensor since the last read; none where it fails, whatever it raises."""
@@ -310,8 +309,7 @@ class HoldMonitor(Sink):
         if JOINTS not in seen:
             return "torque is on, but the servos have not been seen at rest for long enough"
         for name in seen:
-            change = float(np.abs(trails[name].change()).max())
-            if change > self._seeing[name].motion_threshold:
+            if trails[name].moves():
                 return f"torque is on, but the robot still moves by its {kinds()[name].noun}"
         if len(seen) == 1 and len(self._seeing) > 1:
             return "torque is on, but no camera, motion capture or IMU confirms that it stands still"

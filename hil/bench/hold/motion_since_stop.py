@@ -13,6 +13,12 @@ from hil.core.device import DeviceKind
 from hil.core.geometry import Array
 
 WINDOW_NS = nanoseconds(0.2)
+"""For so long a robot has to rest; longer where a sensor's noise would pass for a motion."""
+_LONGEST_NS, _LONGER_NS = nanoseconds(1.0), nanoseconds(0.1)
+_NOISE_TIMES = 4.0
+"""A change that noise leads to has to be so much smaller than a motion."""
+_SIGMA_OF_MEDIAN = 1.4826
+"""Standard deviation of normal noise by the median of its size."""
 JOINTS = "servos"
 """The kind that measures angles of joints, and no position."""
 _LEAST = 4
@@ -24,9 +30,20 @@ _MEAN_OF = 5
 
 
 class Trail:
-    """Where one device has seen the robot within the latest window."""
+    """Where one device has seen the robot within the latest window.
 
-    def __init__(self) -> None:
+    Args:
+        threshold: by how much the place may seem to change within `WINDOW_NS` while the robot rests. A longer
+            window allows the same speed.
+
+    Attributes:
+        window_ns: how long the window is by now. It grows until the noise that the device has in it is small
+            beside a motion.
+    """
+
+    def __init__(self, threshold: float) -> None:
+        self.window_ns = WINDOW_NS
+        self._threshold = threshold
         self._seen: deque[tuple[int, Array]] = deque()
 
     def add(self, t_ns: int, place: Array) -> None:
@@ -40,25 +57,52 @@ class Trail:
 
     def full(self, now_ns: int) -> bool:
         """Whether it reaches back for a window, and is not out of date."""
-        seen = self._seen
-        return self._is_fresh(now_ns) and len(seen) >= _LEAST and seen[0][0] <= now_ns - WINDOW_NS
+        if not self._reaches_back(now_ns):
+            return False
+        while self.window_ns < _LONGEST_NS and _NOISE_TIMES * self._noise() > self._most():
+            self.window_ns += _LONGER_NS
+        return self._reaches_back(now_ns)
 
     def fills(self, now_ns: int) -> bool:
         """Whether it is on its way to be full."""
         return self._is_fresh(now_ns) and not self.full(now_ns)
 
+    def moves(self) -> bool:
+        """Whether the place has changed by more than that of a robot at rest may."""
+        begin, end = self._ends()
+        return float(np.abs(end - begin).max()) > self._most()
+
+    def _reaches_back(self, now_ns: int) -> bool:
+        seen = self._seen
+        return self._is_fresh(now_ns) and len(seen) >= _LEAST and seen[0][0] <= now_ns - self.window_ns
+
     def _is_fresh(self, now_ns: int) -> bool:
         return bool(self._seen) and self._seen[-1][0] >= now_ns - WINDOW_NS // 2
 
-    def change(self) -> Array:
-        """How the place (k,) has changed, from the mean of the first quarter to that of the last.
+    def _most(self) -> float:
+        return self._threshold * self.window_ns / WINDOW_NS
+
+    def _quarter(self, among: int) -> int:
+        return max(1, among // 4)
+
+    def _ends(self) -> tuple[Array, Array]:
+        """Mean places (k,) of the first and the last quarter.
 
         Of three and more the least and the greatest do not count: they may have been garbled on the way.
         """
         places = np.array([place for _, place in self._seen])
-        quarter = max(1, len(places) // 4)
-        change: Array = _trimmed_mean(places[-quarter:]) - _trimmed_mean(places[:quarter])
-        return change
+        quarter = self._quarter(len(places))
+        return _trimmed_mean(places[:quarter]), _trimmed_mean(places[-quarter:])
+
+    def _noise(self) -> float:
+        """Standard deviation of the change that noise alone leads to in a full window."""
+        t_s = np.array([1e-9 * (t_ns - self._seen[0][0]) for t_ns, _ in self._seen])
+        begin, end = self._ends()
+        along = (t_s / max(t_s[-1], 1e-9) - 0.125)[:, None] / 0.75  # quarters have their middles there
+        rest = np.array([place for _, place in self._seen]) - begin - along * (end - begin)
+        sigma = _SIGMA_OF_MEDIAN * float(np.median(np.abs(rest), axis=0).max())
+        expected = len(t_s) * self.window_ns / max(self._seen[-1][0] - self._seen[0][0], 1)
+        return sigma * math.sqrt(2.0 / max(1, self._quarter(int(expected)) - 1))
 
 
 class MotionSinceStop:
