@@ -1,8 +1,8 @@
 """What commissioning brings, over many emulated robots as delivered.
 
-`python benchmarks/commissioned_robots.py 0 1 2 3` commissions the robots of these seeds by the quick form
-(`--full` for the long one; `--plant mujoco` in the second physics) and prints ends and errors of their wall
-lines, nothing and everything known.
+`python benchmarks/commissioned_robots.py 0 1 2 3` commissions the robots of these seeds by the quick form and
+prints ends and errors of their wall lines, nothing and everything known. `--full` takes the long form,
+`--plant mujoco` the second physics, `--scale 0.75 1.3` cameras whose scale goes evenly from one to the other.
 """
 
 import argparse
@@ -20,9 +20,10 @@ from hil.cli import main
 NAMES = ("nothing known", "everything known")
 
 
-def commissioned(seed, folder, asked):
+def commissioned(seed, scale, folder, asked):
     words = ["commission", "--seed", str(seed), "--out", str(folder), "--json"]
     words += ["--set", f"bench.emulation.plant={asked.plant}"]
+    words += ["--set", f"bench.emulation.tracker.scale={scale}"]
     said = StringIO()
     with redirect_stdout(said):
         code = main(words if asked.full else [*words, "--quick"])
@@ -49,18 +50,19 @@ def run(words):
     parser.add_argument("seeds", type=int, nargs="+")
     parser.add_argument("--full", action="store_true")
     parser.add_argument("--plant", choices=("own", "mujoco"), default="own")
+    parser.add_argument("--scale", type=float, nargs=2, default=(1.0, 1.0), metavar=("FIRST", "LAST"))
     asked = parser.parse_args(words)
     seeds, found = asked.seeds, []
-    for seed in seeds:
+    for seed, scale in zip(seeds, np.linspace(*asked.scale, len(seeds)), strict=True):
         with tempfile.TemporaryDirectory() as scratch:
-            wall = commissioned(seed, Path(scratch) / "out", asked)
+            wall = commissioned(seed, scale, Path(scratch) / "out", asked)
         if wall is not None:
             found.append(row(wall))
             ends = [
                 f"{n}: X {found[-1][k][0][0]:.2f} mm, Y {found[-1][k][1][0]:.2f} mm"
                 for k, n in enumerate(NAMES)
             ]
-            print(f"seed {seed}: " + "; ".join(ends), flush=True)
+            print(f"seed {seed}, scale {scale:.3f}: " + "; ".join(ends), flush=True)
     if not found:
         return 1
     every = np.array(found)

@@ -1,7 +1,8 @@
 """What each part of a robot's record is worth: lines on its wall with nothing known, each part, everything.
 
 Lines up and across with feedback from the filter, each from the same start, in a world of the same seed.
-Limits are on the last: what a lab may expect of a robot that was commissioned.
+Limits are on the last: what a lab may expect of a robot that was commissioned. Where less is known, the
+bench's checks may stop the robot; its line ends there.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Literal, TypedDict
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -17,7 +18,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.config.robot_record import PARTS
+from hil.core.errors import SafetyStop
 from hil.core.geometry import ArrayLike
+from hil.core.signals import CycleRecord
+from hil.loop.driven_motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.parallel_drives import DriveJob
 from hil.procedure.record_parts import known_parts
@@ -33,8 +37,17 @@ from hil.procedures.parts import headlines
 from hil.report.ablation_figure import EVERYTHING, NOTHING, ablation_figure
 from hil.robot.trajectories import Trajectory, line
 
+_BY_WHAT_IS_NOT_KNOWN = ("sensors_disagree", "tracking", "heading")
+"""Stops that a robot may owe to what is not known of it."""
 Table = dict[str, dict[str, dict[str, float]]]
 """Setting -> line -> error, as in the JSON of `hil commission`."""
+
+
+class Driven(TypedDict):
+    """One line: its errors, as of `tracking_errors`, and the check's words if one stopped it."""
+
+    errors: dict[str, float]
+    stopped: str
 
 
 @dataclass(frozen=True)
@@ -156,24 +169,42 @@ def run(ctx: Context) -> None:
     refuse_what_cannot_be_followed(config, references(p, config))
     settings = _settings(p, config)
     jobs = [(setting, case) for setting in settings for case in p.cases]
-    errors: list[dict[str, float]] = []
-    ctx.on_early_end(lambda: _tabulated(ctx, jobs, errors))
+    lines: list[Driven] = []
+    ctx.on_early_end(lambda: _tabulated(ctx, jobs, lines))
     if p.processes > 1 and ctx.source.virtual:
-        errors[:] = ctx.checkpoint("lines", partial(_at_once, ctx, jobs, errors))
+        lines[:] = ctx.checkpoint("lines", partial(_at_once, ctx, jobs, lines))
     else:
         for number, (setting, case) in enumerate(jobs, start=1):
             title = f"{setting.name}, {case}"
-            errors.append(ctx.checkpoint(title, partial(_here, ctx, setting, case)))
+            lines.append(ctx.checkpoint(title, partial(_here, ctx, setting, case)))
             ctx.progress("lines", number, len(jobs), (number, len(jobs)))
     with ctx.step("evaluate"):
-        evaluate(ctx, jobs, errors)
+        evaluate(ctx, jobs, lines)
 
 
-def drive(bench: Bench, case: str, p: Parameters) -> dict[str, float]:
-    """Drive one line on a fresh bench; returns its errors."""
+def drive(bench: Bench, case: str, p: Parameters, *, may_stop: bool) -> Driven:
+    """Drive one line on a fresh bench.
+
+    Args:
+        bench: to drive.
+        case: which line.
+        p: its length and times.
+        may_stop: whether a check of what is measured by sensors ends the line, and not the run.
+    """
     start = stand(bench)
-    motion = bench.drive(reference(case, p, start), feedback="ekf", hold_s=p.hold_s, start_pose=start)
-    return tracking_errors(motion)
+    way = reference(case, p, start)
+    records: list[CycleRecord] = []
+    try:
+        motion = bench.drive(way, feedback="ekf", hold_s=p.hold_s, start_pose=start, on_cycle=records.append)
+    except SafetyStop as stop:
+        if not (may_stop and records and stop.reason in _BY_WHAT_IS_NOT_KNOWN):
+            raise
+        motion = Motion(tuple(records))
+        error = motion.mocap[-1] - way.sample(way.duration_s).pose_in_wall
+        ends = {"end_x": 1e3 * error[0], "end_y": 1e3 * error[1]}
+        errors = tracking_errors(motion) | {name: float(end) for name, end in ends.items()}
+        return Driven(errors=errors, stopped=str(stop))
+    return Driven(errors=tracking_errors(motion), stopped="")
 
 
 def _without(config: BenchConfig, setting: Setting) -> dict[str, object]:
@@ -181,18 +212,23 @@ def _without(config: BenchConfig, setting: Setting) -> dict[str, object]:
     return {"record.without": (*own, *(n for n in PARTS if n not in setting.known and n not in own))}
 
 
-def _here(ctx: Context, setting: Setting, case: str) -> dict[str, float]:
+def _here(ctx: Context, setting: Setting, case: str) -> Driven:
     bench = ctx.reopen(_label(setting, case), overrides=_without(ctx.source.config, setting))
-    return drive(bench, case, ctx.parameters)
+    return drive(bench, case, ctx.parameters, may_stop=_may_stop(setting, ctx))
 
 
-def _at_once(ctx: Context, jobs: Jobs, found: list[dict[str, float]]) -> list[dict[str, float]]:
+def _may_stop(setting: Setting, ctx: Context) -> bool:
+    """Whether less is known in a setting than there is: its lines are not judged."""
+    return setting != _settings(ctx.parameters, ctx.source.config)[-1]
+
+
+def _at_once(ctx: Context, jobs: Jobs, found: list[Driven]) -> list[Driven]:
     p: Parameters = ctx.parameters
     config = ctx.source.config
     work = [
         DriveJob(
             ctx.source.changed(overrides=_without(config, setting)),
-            partial(drive, case=case, p=p),
+            partial(drive, case=case, p=p, may_stop=_may_stop(setting, ctx)),
             _label(setting, case),
         )
         for setting, case in jobs
@@ -208,9 +244,9 @@ def _label(setting: Setting, case: str) -> str:
     return f"{case} {setting.name}"
 
 
-def evaluate(ctx: Context, jobs: Jobs, errors: list[dict[str, float]]) -> None:
+def evaluate(ctx: Context, jobs: Jobs, lines: list[Driven]) -> None:
     """Measurements, the table that other programs read, and the figure."""
-    table = _tabulated(ctx, jobs, errors)
+    table = _tabulated(ctx, jobs, lines)
     ctx.leave_data("wall", table)
     ctx.figure(
         ablation_figure(table),
@@ -219,12 +255,13 @@ def evaluate(ctx: Context, jobs: Jobs, errors: list[dict[str, float]]) -> None:
     )
 
 
-def _tabulated(ctx: Context, jobs: Jobs, errors: list[dict[str, float]]) -> Table:
+def _tabulated(ctx: Context, jobs: Jobs, lines: list[Driven]) -> Table:
     """Leave measurements and table of what has been driven, the first of the jobs; returns the table."""
     table: Table = {}
-    for (setting, case), own in zip(jobs, errors, strict=False):
-        if missing := unseen(own):
-            ctx.note(f"{setting.name}, {case}: {missing}")
+    for (setting, case), driven in zip(jobs, lines, strict=False):
+        own = driven["errors"]
+        if why := driven["stopped"] or unseen(own):
+            ctx.note(f"{setting.name}, {case}: {why}")
         table.setdefault(setting.name, {})[case] = {
             "end_m": 1e-3 * float(np.hypot(own["end_x"], own["end_y"])),
             "rmse_x_m": 1e-3 * own["rmse_x"],
