@@ -1,1 +1,1 @@
-"""Procedures that come with the bench: one script each, also examples of how to write one."""
+"""Procedures that come with the bench: a script each, or a folder of one with its parts; also examples."""

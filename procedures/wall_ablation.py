@@ -7,7 +7,7 @@ bench's checks may stop the robot; its line ends there.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal, TypedDict
@@ -33,7 +33,6 @@ from hil.procedure.tracking_errors import (
     unseen,
 )
 from hil.procedure.worker_processes import Workers
-from hil.procedures.parts import headlines
 from hil.report.ablation_figure import EVERYTHING, NOTHING, ablation_figure
 from hil.robot.trajectories import Trajectory, line
 
@@ -153,13 +152,25 @@ def _settings(p: Parameters, config: BenchConfig) -> tuple[Setting, ...]:
     return settings_of(tuple(known_parts(config)), p.single)
 
 
+def headline(v: Mapping[str, float]) -> str:
+    """What the record of the robot is worth at the end of its lines."""
+    said = []
+    for case, where in (("x_line", "Up the wall"), ("y_line", "Across it")):
+        if f"{case}.end" in v:
+            before, after = v[f"{case}.nothing_known.end"], v[f"{case}.end"]
+            said.append(
+                f"{where}, the robot ends {after:.1f} mm from its goal; {before:.0f} with nothing known."
+            )
+    return " ".join(said)
+
+
 @procedure(
     name="wall_ablation",
     needs=("servos", "imu", "tracker", "mocap"),
     parameters=Parameters,
     measurements=measurements,
     plan=plan,
-    headline=headlines.wall_ablation,
+    headline=headline,
     quick={"duration_s": 26.0, "hold_s": 0.5, "single": ("camera", "slip")},
 )
 def run(ctx: Context) -> None:

@@ -7,7 +7,7 @@ In a single world such a figure is decided by the camera's scale, which is drawn
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
@@ -33,7 +33,6 @@ from hil.procedure.tracking_errors import (
     unseen,
 )
 from hil.procedure.worker_processes import Workers
-from hil.procedures.parts import headlines
 from hil.robot.trajectories import Trajectory, line, scan
 
 Case = Literal["x_line", "y_line", "scan"]
@@ -201,13 +200,30 @@ def drive(bench: Bench, one: Drive, p: Parameters) -> dict[str, Any]:
     return {"errors": tracking_errors(motion), "series": series(motion)}
 
 
+_FILTERS = {"ekf": "the EKF", "ukf": "the UKF"}
+_LINES = (("x_line", "Up the wall", "short", "shortfall"), ("y_line", "Across it", "too low", "sag"))
+
+
+def headline(v: Mapping[str, float]) -> str:
+    """How far from its goal the robot ends by odometry and by the filters."""
+    said = []
+    for case, where, way, lost in _LINES:
+        parts = []
+        if f"{case}.odometry.{lost}" in v:
+            parts.append(f"odometry ends {v[f'{case}.odometry.{lost}']:.0f} mm {way}")
+        ends = {name: v.get(f"{case}.{key}.end") for key, name in _FILTERS.items()}
+        parts += [f"{name} {end:.1f} mm from its goal" for name, end in ends.items() if end is not None]
+        said += [f"{where}, {', '.join(parts)}."] if parts else []
+    return " ".join(said)
+
+
 @procedure(
     name="wall_tracking",
     needs=("servos", "imu", "tracker", "mocap"),
     parameters=Parameters,
     measurements=measurements,
     plan=plan,
-    headline=headlines.wall_tracking,
+    headline=headline,
 )
 def run(ctx: Context) -> None:
     """Wall tracking with feedback from odometry, EKF and UKF."""

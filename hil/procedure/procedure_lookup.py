@@ -25,9 +25,8 @@ SHIPPED_FOLDER = (Path(hil.__file__).resolve().parent / "procedures").resolve()
 
 
 def shipped_names() -> tuple[str, ...]:
-    """Names of the procedures that come with the package: the modules of the folder, not what they share."""
-    found = pkgutil.iter_modules([str(SHIPPED_FOLDER)])
-    return tuple(sorted(m.name for m in found if not m.ispkg))
+    """Names of the procedures that come with the package: scripts, and folders with their parts."""
+    return tuple(sorted(m.name for m in pkgutil.iter_modules([str(SHIPPED_FOLDER)])))
 
 
 def _shipped(name: str) -> ModuleType:
@@ -77,8 +76,11 @@ def _near(target: str) -> str:
 
 
 def _from_file(path: Path) -> ModuleType:
-    if path.resolve().parent == SHIPPED_FOLDER:
-        return _shipped(path.stem)
+    found = path.resolve()
+    if found.parent == SHIPPED_FOLDER:
+        return _shipped(found.stem)
+    if found.parent.parent == SHIPPED_FOLDER:  # of a procedure that is a folder
+        return _shipped(found.parent.name)
     kinds()  # a device package that cannot be used is not the script's fault
     return run_file(path)
 

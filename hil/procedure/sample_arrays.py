@@ -159,3 +159,9 @@ def camera(motion: Motion) -> Series:
         ),
         13,
     )
+
+
+def integrated(t_s: Array, rate: Array) -> Array:
+    """Way of a rate signal."""
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t_s)
+    return np.concatenate([np.zeros(min(len(rate), 1)), np.cumsum(steps)])

@@ -7,9 +7,11 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.bench.loop_settings import geometry_of, motion_limits
 from hil.config.bench import BenchConfig
+from hil.core.errors import DataError
 from hil.core.geometry import Array, wrap_array
 from hil.loop.driven_motion import Motion
 from hil.report.plot_style import (
@@ -36,6 +38,7 @@ STAGGER_S = 0.13
 """How much longer each repetition rests at first, so that worlds of one seed do not repeat their noise."""
 _END_S = 0.3
 _LEAST_SEEN = 0.9
+_LEAST_SEEN_TO_END, _FEWEST_CYCLES = 0.8, 10
 COLOURS = dict(zip(("odometry", "ekf", "ukf", "optimal"), SERIES, strict=False))
 LABELS = {"odometry": "odometry", "ekf": "EKF", "ukf": "UKF", "optimal": "EKF, optimal law"}
 _DASHES: dict[str, Any] = {"ukf": (0, (4, 3)), "optimal": (0, (1, 1.5))}
@@ -105,6 +108,33 @@ _KEYS = (
     "steering_travel",
     "seen",
 )
+
+
+def must_be_seen_to_its_end(known: NDArray[np.bool_], has: str, of: str) -> None:
+    """Raise `DataError` unless most cycles (n,) are known, and some of the last tenth: no guess at the end.
+
+    Args:
+        known: cycles.
+        has: what was there in them.
+        of: what they are of.
+    """
+    tenth = max(len(known) // 10, 1)
+    if len(known) < _FEWEST_CYCLES or np.mean(known) < _LEAST_SEEN_TO_END or not np.any(known[-tenth:]):
+        raise DataError(
+            "",
+            f"{has} for {100.0 * np.mean(known):.0f} % of {of}",
+            expected=f"at least {100.0 * _LEAST_SEEN_TO_END:.0f} %, and its end",
+            remedy="hil run bring_up",
+        )
+
+
+def moved_at_rest(motion: Motion) -> float:
+    """How far the robot moved while it should have stood, m."""
+    truth = motion.mocap
+    known = np.all(np.isfinite(truth), axis=1)
+    must_be_seen_to_its_end(known, "motion capture", "the time that the robot stands")
+    truth = truth[known]
+    return float(np.hypot(*(truth[-1, :2] - truth[0, :2])))
 
 
 def unseen(errors: Mapping[str, float]) -> str:

@@ -19,8 +19,9 @@ from hil.fakes.mocap import NatNetServer
 from hil.fakes.plant.robot import STEP_NS
 from hil.fakes.servos import ServoBus
 from hil.fakes.tracker import T265
+from hil.procedure.sample_arrays import integrated
 from hil.procedures.latency import body_signals, steer, steering_signals, turn, values_ms
-from hil.procedures.parts.latency_fit import fit_delay, integrated
+from hil.procedures.latency.fit import fit_delay
 from hil.robot.kinematics import forward
 
 GRID_NS, VELOCITY_LAG_NS = 4_000_000, 50_000_000

@@ -20,14 +20,8 @@ from hil.core.clock import nanoseconds
 from hil.loop.control_loop import ControlLoop
 from hil.procedure.tracking_errors import stand
 from hil.procedures.bring_up import Parameters, measurements
-from hil.procedures.parts.bring_up_jogs import (
-    DriveJogs,
-    SteerJogs,
-    exchanged_axes,
-    exchanged_drives,
-    expected_push,
-)
-from hil.procedures.parts.bring_up_streams import judge_stream
+from hil.procedures.bring_up.jogs import DriveJogs, SteerJogs, exchanged_axes, exchanged_drives, expected_push
+from hil.procedures.bring_up.streams import judge_stream
 
 SHORT = {"watch_s": 4.0}
 BRIEF = {"watch_s": 2.0}

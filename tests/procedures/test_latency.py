@@ -5,8 +5,9 @@ import pytest
 from latency_truth import measured_and_true_ms
 from procedure_runs import assert_covered, assert_verifies, run
 
+from hil.procedure.sample_arrays import integrated
 from hil.procedures.latency import Parameters
-from hil.procedures.parts.latency_fit import Command, fit_delay, fit_driven, fit_response, integrated
+from hil.procedures.latency.fit import Command, fit_delay, fit_driven, fit_response
 from tests.patience import FANLESS
 
 SHORT = {"reversals": 10}

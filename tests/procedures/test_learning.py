@@ -15,9 +15,9 @@ from hil.core.clock import MonotonicClock
 from hil.procedure import BenchSource, Measurement, procedure
 from hil.procedure.record_parts import known_parts, leave_part
 from hil.procedure.runner import RunOptions, run_procedure
-from hil.procedures.parts.surface_slip import next_lines
-from hil.procedures.parts.tracker_scale import session_spread
+from hil.procedures.surface_identification.slip import next_lines
 from hil.procedures.tracker_extrinsics import Parameters
+from hil.procedures.tracker_extrinsics.scale import session_spread
 
 
 @procedure(name="learns", measurements=[Measurement("off", "mm", high=1.0)])
@@ -125,7 +125,7 @@ def test_the_quick_form_is_that_of_the_procedure_and_set_counts_above_it(capsys)
 
 
 def test_backlash_that_is_known_is_what_standard_errors_allow_for(tmp_path):
-    from hil.procedures.parts.odometry_rounds import known_play_rad
+    from hil.procedures.odometry_calibration.rounds import known_play_rad
 
     record = RobotRecord(tmp_path / "robot")
     asked = Asked(BenchSource("emulated", overrides={"record.folder": str(record.folder)}), Parameters())

@@ -19,7 +19,7 @@ from hil.datasets.plain_csv import read_plain
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import RunOptions, dry_run, run_procedure
 from hil.procedures.odometry_calibration import Parameters
-from hil.procedures.parts.odometry_rounds import (
+from hil.procedures.odometry_calibration.rounds import (
     WORTH,
     Driven,
     Foreseen,

@@ -1,6 +1,6 @@
 """Notes of an odometry calibration: what is said of several recordings stands there once."""
 
-from hil.procedures.parts.odometry_report import joined
+from hil.procedures.odometry_calibration.report import joined
 
 
 def test_warnings_of_several_recordings_are_joined_under_their_own_names():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from procedure_runs import assert_covered, assert_covered_over_twenty_seeds, run, true_world
 
-from hil.procedures.parts.steering_fit import fit_axis
+from hil.procedures.steering_zero.fit import fit_axis
 
 if sys.version_info >= (3, 11):
     import tomllib

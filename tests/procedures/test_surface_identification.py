@@ -15,7 +15,7 @@ from hil.procedure import BenchSource
 from hil.procedure.operator import Terminal
 from hil.procedure.runner import RunOptions, dry_run, run_procedure
 from hil.procedures import surface_identification
-from hil.procedures.parts.surface_slip import rate
+from hil.procedures.surface_identification.slip import rate
 
 QUICK = {
     "length_m": "0.2",

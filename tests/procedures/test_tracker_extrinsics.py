@@ -11,7 +11,7 @@ from hil.config.loading import load_bench
 from hil.core.geometry import quat_from_rotvec, quat_multiply
 from hil.fakes.tracker import T265
 from hil.procedure.sample_arrays import Series
-from hil.procedures.parts.tracker_hand_eye import Truth, intervals, solve
+from hil.procedures.tracker_extrinsics.hand_eye import Truth, intervals, solve
 
 if sys.version_info >= (3, 11):
     import tomllib

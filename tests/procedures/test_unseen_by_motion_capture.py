@@ -19,9 +19,9 @@ from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.sample_arrays import Series
 from hil.procedure.tracking_errors import tracking_errors, unseen
 from hil.procedures import grid_scan
-from hil.procedures.parts.surface_slip import held, slip_of
-from hil.procedures.parts.tracker_hand_eye import Truth
+from hil.procedures.surface_identification.slip import held, slip_of
 from hil.procedures.tracker_extrinsics import disagreement_m
+from hil.procedures.tracker_extrinsics.hand_eye import Truth
 from hil.replay.estimator_comparison import errors
 from hil.robot.trajectories import line
 from tests.patience import FANLESS

@@ -17,8 +17,8 @@ from scipy.special import stdtrit
 from hil.config.robot_record import RobotRecord
 from hil.core.geometry import Array
 from hil.procedure import Context
-from hil.procedures.parts.tracker_driving import Leg
-from hil.procedures.parts.tracker_hand_eye import Extrinsics, Truth
+from hil.procedures.tracker_extrinsics.driving import Leg
+from hil.procedures.tracker_extrinsics.hand_eye import Extrinsics, Truth
 
 _FEWEST_LEGS, _SHORTEST_M, _REST_S = 4, 0.1, 0.1
 _SCALE = 5

@@ -8,7 +8,7 @@ which force it slides.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -19,8 +19,7 @@ from hil.config.robot_record import Figure
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.bench_fragment import write_fragment
 from hil.procedure.record_parts import leave_part
-from hil.procedures.parts import headlines
-from hil.procedures.parts.adhesion_levels import Fit, Level, draw, fit, levels_n, needs_of, rest, visit
+from hil.procedures.adhesion_check.levels import Fit, Level, draw, fit, levels_n, needs_of, rest, visit
 
 _LEVEL_STEP_N, _LEVEL_S, _LEAST = 0.5, 0.3, 0.4
 _SLID_M = 0.0005
@@ -100,13 +99,21 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     yield PlannedStep("evaluate")
 
 
+def headline(v: Mapping[str, float]) -> str:
+    """What presses the robot on its wall, and how much more that is than it needs."""
+    return (
+        f"At its rated speed the fan presses with {v['rated_force']:.0f} N: {v['hold_margin']:.0f} N more "
+        f"than this surface needs."
+    )
+
+
 @procedure(
     name="adhesion_check",
     needs=("servos", "mocap", "adhesion", "load_cells"),
     parameters=Parameters,
     measurements=measurements,
     plan=plan,
-    headline=headlines.adhesion_check,
+    headline=headline,
     quick={"levels": 4, "dwell_s": 0.8, "slide": False},
 )
 def run(ctx: Context) -> None:

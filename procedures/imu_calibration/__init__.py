@@ -9,7 +9,7 @@ gives the heading; motion capture says by how much it is off, which is put into 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -29,9 +29,8 @@ from hil.procedure.bench_fragment import write_fragment
 from hil.procedure.record_parts import leave_part
 from hil.procedure.sample_arrays import inertial, poses
 from hil.procedure.tracking_errors import stand
-from hil.procedures.parts import headlines
-from hil.procedures.parts.imu_noise import BIAS_FACTOR, FEWEST, allan, evenly
-from hil.procedures.parts.imu_report import draw_allan, draw_headings
+from hil.procedures.imu_calibration.noise import BIAS_FACTOR, FEWEST, allan, evenly
+from hil.procedures.imu_calibration.report import draw_allan, draw_headings
 from hil.robot.trajectories import Trajectory, line
 
 _DEG = float(np.degrees(1.0))
@@ -165,13 +164,21 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     yield PlannedStep("restore")
 
 
+def headline(v: Mapping[str, float]) -> str:
+    """What is left of the gyro's offset, and how well gravity gives the heading."""
+    return (
+        f"With its offset stored, the gyro drifts by {abs(v['restored_bias']):.3f} deg/s. Gravity gives the "
+        f"heading within {abs(v['corrected_heading']):.2f} deg."
+    )
+
+
 @procedure(
     name="imu_calibration",
     needs=("servos", "imu", "mocap"),
     parameters=Parameters,
     measurements=measurements,
     plan=plan,
-    headline=headlines.imu_calibration,
+    headline=headline,
     quick={"rest_s": 20.0, "learn_s": 8.0, "headings": 4, "dwell_s": 1.0},
 )
 def run(ctx: Context) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from hil.config.device import TrackerConfig
 from hil.procedure import Context
 from hil.procedure.sample_arrays import Series
-from hil.procedures.parts.tracker_hand_eye import (
+from hil.procedures.tracker_extrinsics.hand_eye import (
     Extrinsics,
     Intervals,
     Truth,

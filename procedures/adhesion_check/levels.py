@@ -17,7 +17,7 @@ from hil.core.geometry import Array
 from hil.core.signals import Status
 from hil.loop.driven_motion import Motion
 from hil.procedure import Context
-from hil.procedures.parts.surface_slip import moved_at_rest
+from hil.procedure.tracking_errors import moved_at_rest
 from hil.robot.statics import Statics
 
 _STEP_N, _STEP_S, _SETTLE_S = 2.0, 0.3, 2.5

@@ -9,7 +9,7 @@ that nothing is fitted to, driven with the best parameters, decides whether the 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -33,10 +33,9 @@ from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.odometry_motions import MOTIONS, MotionName, Repetition, Sizes, followed
 from hil.procedure.record_parts import leave_part
 from hil.procedure.worker_processes import Workers
-from hil.procedures.parts import headlines
-from hil.procedures.parts.odometry_collecting import Collected, collect, read_round
-from hil.procedures.parts.odometry_report import show
-from hil.procedures.parts.odometry_rounds import (
+from hil.procedures.odometry_calibration.collecting import Collected, collect, read_round
+from hil.procedures.odometry_calibration.report import show
+from hil.procedures.odometry_calibration.rounds import (
     MOST_PLAY_RAD,
     Driven,
     chosen,
@@ -156,13 +155,21 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     yield PlannedStep("report")
 
 
+def headline(v: Mapping[str, float]) -> str:
+    """What the calibration is worth on motions that it did not see."""
+    return (
+        f"The position error of odometry fell from {v['position_rmse_before']:.1f} mm to "
+        f"{v['position_rmse_after']:.1f} mm (RMSE, driven anew with what was found)."
+    )
+
+
 @procedure(
     name="odometry_calibration",
     needs=("servos", "mocap"),
     parameters=Parameters,
     measurements=measurements,
     plan=plan,
-    headline=headlines.odometry_calibration,
+    headline=headline,
     bench="emulated_floor",
     quick={
         "motions": ("line_x", "line_y", "circle_ccw", "rotation_cw"),

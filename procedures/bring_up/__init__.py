@@ -7,7 +7,7 @@ goes the way the bench believes. Signs that are wrong are left as a fragment of 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -27,10 +27,9 @@ from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.bench_fragment import write_fragment
 from hil.procedure.needed_devices import Device, only
 from hil.procedure.record_parts import leave_part
-from hil.procedure.sample_arrays import inertial, poses
+from hil.procedure.sample_arrays import inertial, integrated, poses
 from hil.procedure.tracking_errors import stand
-from hil.procedures.parts import headlines
-from hil.procedures.parts.bring_up_jogs import (
+from hil.procedures.bring_up.jogs import (
     DriveJogs,
     SteerJogs,
     find_signs,
@@ -38,15 +37,14 @@ from hil.procedures.parts.bring_up_jogs import (
     jog_steering,
     reversed_names,
 )
-from hil.procedures.parts.bring_up_report import (
+from hil.procedures.bring_up.report import (
     draw_clocks,
     draw_directions,
     draw_streams,
     note_exchanged,
     stream_table,
 )
-from hil.procedures.parts.bring_up_streams import Stream, judge_stream
-from hil.procedures.parts.latency_fit import integrated
+from hil.procedures.bring_up.streams import Stream, judge_stream
 from hil.robot.trajectories import Trajectory, line
 
 _DEG = float(np.degrees(1.0))
@@ -205,13 +203,31 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     yield PlannedStep("body", tuple(steps(p, np.array(config.environment.start_pose))))
 
 
+_CLEAR = 0.5
+"""Of what is measured: below it something else moved, or hardly anything."""
+
+
+def headline(v: Mapping[str, float]) -> str:
+    """How many devices answered, and whether they go the right way."""
+    reported = ("_response", ".straight", ".across")
+    ways = {name: value for name, value in v.items() if name.endswith(reported)}
+    turned = sum(value <= -_CLEAR for value in ways.values())
+    unclear = sum(abs(value) < _CLEAR for value in ways.values())
+    way = "whatever moved went the right way" if ways else "nothing was moved"
+    if turned or unclear:
+        both = ((turned, "reversed"), (unclear, "not as expected"))
+        found = " and ".join(f"{count} {how}" for count, how in both if count)
+        way = found.replace(" ", " of their directions are ", 1)
+    return f"{v['devices']:.0f} kinds of device answered, and {way}."
+
+
 @procedure(
     name="bring_up",
     needs=("servos",),
     parameters=Parameters,
     measurements=measurements,
     plan=plan,
-    headline=headlines.bring_up,
+    headline=headline,
     quick={"watch_s": 5.0},
 )
 def run(ctx: Context) -> None:

@@ -6,7 +6,7 @@ import math
 
 from hil.core.errors import SafetyStop
 from hil.procedure import Context
-from hil.procedures.parts.surface_slip import held
+from hil.procedures.surface_identification.slip import held
 
 _TETHERED = {"safety.tethered": True, "safety.heading_limit_rad": math.pi / 2}
 WITHOUT = {"encoders": None, "tracker": None}

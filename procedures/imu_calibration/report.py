@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.core.geometry import Array
 from hil.procedure import Context
-from hil.procedures.parts.imu_noise import Allan
+from hil.procedures.imu_calibration.noise import Allan
 from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, style
 
 _DEG = float(np.degrees(1.0))

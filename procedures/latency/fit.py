@@ -90,12 +90,6 @@ def sent_s(motion: Motion) -> Array:
     )
 
 
-def integrated(t_s: Array, rate: Array) -> Array:
-    """Way of a rate signal."""
-    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t_s)
-    return np.concatenate([np.zeros(min(len(rate), 1)), np.cumsum(steps)])
-
-
 def fit_delay(command: Command, t_s: Array, path: Array) -> Delay:
     """Delay of a path (n,) behind the commanded one; offset and steady drift of the signal do not matter.
 

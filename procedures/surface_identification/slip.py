@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from hil.core.errors import DataError
 from hil.core.geometry import Array, ArrayLike, rotation2
 from hil.loop.driven_motion import Motion
+from hil.procedure.tracking_errors import moved_at_rest, must_be_seen_to_its_end
 
 _HELD_M = 2e-3
-_LEAST_SEEN = 0.8
-_FEWEST_CYCLES = 10
 _TILT_RAD = 0.02  # how far the direction of slip may be off that of gravity in the next line
 
 
@@ -61,7 +59,7 @@ def slip_of(motion: Motion, rolled: Array) -> Slip:
     """
     wheels, truth = motion.wheels, motion.mocap
     known = np.all(np.isfinite(wheels), axis=1) & np.all(np.isfinite(truth), axis=1)
-    _must_be_seen_to_its_end(known, "wheels and motion capture together", "a motion")
+    must_be_seen_to_its_end(known, "wheels and motion capture together", "a motion")
     rolled, truth = rolled[known], truth[known]
     heading, believed = np.unwrap(truth[:, 2]), np.unwrap(rolled[:, 2])
     off = heading - believed
@@ -79,24 +77,6 @@ def slip_of(motion: Motion, rolled: Array) -> Slip:
     lost = truth[-1, :2] - truth[0, :2] - by_wheels
     turned = off[-1] - off[0]
     return Slip(float(-lost[0]), float(lost[1]), float(turned), way_m)
-
-
-def _must_be_seen_to_its_end(known: NDArray[np.bool_], has: str, of: str) -> None:
-    """Raise `DataError` unless most cycles (n,) are known, and some of the last tenth: no guess at the end.
-
-    Args:
-        known: cycles.
-        has: what was there in them.
-        of: what they are of.
-    """
-    tenth = max(len(known) // 10, 1)
-    if len(known) < _FEWEST_CYCLES or np.mean(known) < _LEAST_SEEN or not np.any(known[-tenth:]):
-        raise DataError(
-            "surface_identification",
-            f"has {has} for {100.0 * np.mean(known):.0f} % of {of}",
-            expected=f"at least {100.0 * _LEAST_SEEN:.0f} %, and its end",
-            remedy="hil run bring_up",
-        )
 
 
 @dataclass(frozen=True)
@@ -153,15 +133,6 @@ def next_lines(every: Mapping[str, ArrayLike], systematic: float) -> dict[str, N
         sigma = np.hypot(spread * math.sqrt(1.0 + 1.0 / n), unseen)
         found[name] = NextLine(away * mean, sigma)
     return found
-
-
-def moved_at_rest(motion: Motion) -> float:
-    """How far the robot moved while it should have stood, m."""
-    truth = motion.mocap
-    known = np.all(np.isfinite(truth), axis=1)
-    _must_be_seen_to_its_end(known, "motion capture", "the time that the robot stands")
-    truth = truth[known]
-    return float(np.hypot(*(truth[-1, :2] - truth[0, :2])))
 
 
 def held(motion: Motion) -> bool:

@@ -11,8 +11,8 @@ from hil.config.servos import ServosConfig
 from hil.core.geometry import Array
 from hil.core.signals import WHEELS
 from hil.procedure import Context
-from hil.procedures.parts.bring_up_jogs import DriveJogs, SteerJogs, exchanged_axes, exchanged_drives
-from hil.procedures.parts.bring_up_streams import Stream
+from hil.procedures.bring_up.jogs import DriveJogs, SteerJogs, exchanged_axes, exchanged_drives
+from hil.procedures.bring_up.streams import Stream
 from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, style
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ its weight: a search for the heading at which it begins to slide. On a real wall
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import closing
 from functools import partial
 from typing import Any
@@ -29,9 +29,8 @@ from hil.procedure.parallel_drives import DriveJob
 from hil.procedure.record_parts import leave_part
 from hil.procedure.tracking_errors import STAGGER_S, stand
 from hil.procedure.worker_processes import Workers
-from hil.procedures.parts import headlines
-from hil.procedures.parts.surface_hold import WITHOUT, hold_angle
-from hil.procedures.parts.surface_slip import downhill, draw, next_lines, rate, slip_of
+from hil.procedures.surface_identification.hold import WITHOUT, hold_angle
+from hil.procedures.surface_identification.slip import downhill, draw, next_lines, rate, slip_of
 from hil.robot.trajectories import Trajectory, line
 
 DIRECTIONS = ("up", "down", "left", "right")
@@ -140,13 +139,21 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     yield PlannedStep("evaluate")
 
 
+def headline(v: Mapping[str, float]) -> str:
+    """What the robot loses on this wall."""
+    return (
+        f"On this surface the robot slips {v['slip_per_metre']:.0f} mm per metre up or down the wall, and "
+        f"sags {v['sag_per_metre']:.0f} mm per metre across it."
+    )
+
+
 @procedure(
     name="surface_identification",
     needs=("servos", "mocap"),
     parameters=Parameters,
     measurements=measurements,
     plan=plan,
-    headline=headlines.surface_identification,
+    headline=headline,
     quick={"hold": False, "length_m": 0.5, "processes": 2},
 )
 def run(ctx: Context) -> None:

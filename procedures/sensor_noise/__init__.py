@@ -8,7 +8,7 @@ otherwise. Nothing of an emulated device is asked for but its samples.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -30,8 +30,7 @@ from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.bench_fragment import write_fragment
 from hil.procedure.record_parts import leave_part
 from hil.procedure.tracking_errors import stand
-from hil.procedures.parts import headlines
-from hil.procedures.parts.noise_report import figures, leave_measurements, table, values_of
+from hil.procedures.sensor_noise.report import figures, leave_measurements, table, values_of
 from hil.robot.trajectories import Trajectory, line
 from hil.support.file_reading import put_dotted
 
@@ -90,13 +89,29 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     yield PlannedStep("evaluate")
 
 
+def headline(v: Mapping[str, float]) -> str:
+    """How noisy the sensors are in motion, and how sure a filter that knows it is."""
+    parts = [
+        f"{what} {v[name]:.2g} {unit}"
+        for name, what, unit in (
+            ("wheel_step_moving", "a wheel's step", "um"),
+            ("gyro_moving", "the gyro", "mrad/s"),
+            ("camera_position_moving", "the camera", "mm"),
+        )
+        if name in v
+    ]
+    nis = [value for name, value in v.items() if name.startswith("nis.")]
+    sure = f" Mean NIS with these: {min(nis):.2f} to {max(nis):.2f}, 1 is ideal." if nis else ""
+    return f"Noise in motion, one sigma: {', '.join(parts)}.{sure}"
+
+
 @procedure(
     name="sensor_noise",
     needs=("servos", "mocap"),
     parameters=Parameters,
     measurements=measurements,
     plan=plan,
-    headline=headlines.sensor_noise,
+    headline=headline,
     quick={"rest_s": 3.0},
 )
 def run(ctx: Context) -> None:

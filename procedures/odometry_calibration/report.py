@@ -12,7 +12,7 @@ from hil.calibration.calibrate import Calibration
 from hil.calibration.evaluation import Track, evaluate
 from hil.calibration.fitting import fit
 from hil.procedure import Context
-from hil.procedures.parts.odometry_rounds import Driven, Odometry
+from hil.procedures.odometry_calibration.rounds import Driven, Odometry
 from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, plain_log, style, thin
 
 _NAMED = 4

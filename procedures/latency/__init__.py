@@ -28,20 +28,11 @@ from hil.loop.driven_motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.needed_devices import only
 from hil.procedure.record_parts import leave_part
-from hil.procedure.sample_arrays import Series, encoders, inertial, poses, wheels
+from hil.procedure.sample_arrays import Series, encoders, inertial, integrated, poses, wheels
 from hil.procedure.scripted_joints import Stretch, play
 from hil.procedure.tracking_errors import stand
-from hil.procedures.parts import headlines
-from hil.procedures.parts.latency_fit import (
-    Command,
-    Delay,
-    fit_delay,
-    fit_driven,
-    fit_response,
-    integrated,
-    sent_s,
-)
-from hil.procedures.parts.latency_report import draw_chain, draw_signals, table
+from hil.procedures.latency.fit import Command, Delay, fit_delay, fit_driven, fit_response, sent_s
+from hil.procedures.latency.report import draw_chain, draw_signals, table
 from hil.robot.kinematics import forward, inverse
 
 Compared = Literal["encoders", "imu", "tracker"]
@@ -165,13 +156,21 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     yield PlannedStep("evaluate")
 
 
+def headline(v: Mapping[str, float]) -> str:
+    """From command to motion to knowledge."""
+    known = {name.partition(".")[0]: t for name, t in v.items() if name.endswith(".command_to_known")}
+    last = max(known, key=lambda name: known[name]) if known else ""
+    message = f" The last to tell of it is {last}, after {known[last]:.0f} ms." if last else ""
+    return f"The body moves {v['body.command_to_motion']:.0f} ms after its command.{message}"
+
+
 @procedure(
     name="latency",
     needs=("servos", "mocap"),
     parameters=Parameters,
     measurements=measurements,
     plan=plan,
-    headline=headlines.latency,
+    headline=headline,
     quick={"reversals": 12},
 )
 def run(ctx: Context) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.core.geometry import Array
 from hil.procedure import Context
-from hil.procedures.parts.latency_fit import Delay
+from hil.procedures.latency.fit import Delay
 from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, style
 
 _SHOWN_S = 3.0

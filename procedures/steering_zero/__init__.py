@@ -7,7 +7,7 @@ Last, the zeros found are applied and driven. They are left as a fragment of `be
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,8 +27,7 @@ from hil.procedure.record_parts import leave_part
 from hil.procedure.sample_arrays import encoders, wheels
 from hil.procedure.scripted_joints import Stretch, play
 from hil.procedure.tracking_errors import stand
-from hil.procedures.parts import headlines
-from hil.procedures.parts.steering_fit import AxisFit, Leg, fit_axis, judge_leg, toe_turn_rad_m
+from hil.procedures.steering_zero.fit import AxisFit, Leg, fit_axis, judge_leg, toe_turn_rad_m
 from hil.report.plot_style import PALETTE, SERIES, legend, new_figure, style, thin
 from hil.robot.trajectories import Trajectory, line
 
@@ -128,13 +127,22 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     yield PlannedStep("apply", driven[:2])
 
 
+def headline(v: Mapping[str, float]) -> str:
+    """How far the wheels stood from straight ahead, and how far they do now."""
+    worst = max(abs(v[f"steer_{w}.zero"]) for w in WHEELS)
+    return (
+        f"The steering zeros were up to {worst:.2f} deg off. With the zeros that were found, the wheels "
+        f"point ahead within {v['applied.worst_heading']:.2f} deg."
+    )
+
+
 @procedure(
     name="steering_zero",
     needs=("servos", "encoders", "mocap"),
     parameters=Parameters,
     measurements=measurements,
     plan=plan,
-    headline=headlines.steering_zero,
+    headline=headline,
     bench="emulated_floor",
     quick={"sweep_s": 6.0, "sweeps": 1, "leg_m": 0.3, "legs": 1},
 )
