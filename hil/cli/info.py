@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import platform
 from collections.abc import Callable
 from functools import partial
@@ -14,6 +15,7 @@ from hil.cli.options import JSON
 from hil.cli.progress import reporting
 from hil.core.errors import EXIT_PASS, EXIT_USAGE, HilError
 from hil.core.registry import kinds
+from hil.procedure.worker_processes import Workers
 from hil.support.arithmetic_fingerprint import fingerprint
 from hil.support.extras import MODULES, lacks, packages
 from hil.support.progress import Report
@@ -22,33 +24,45 @@ from hil.support.versions import version_of
 _COMPILING = "compiling numerical kernels"
 
 
-def _compile(report: Report) -> None:
-    """Have all kernels compiled, or loaded where they have been."""
+def _load_bench(plant: str) -> None:
     from hil.bench import open_bench
+    from hil.robot.trajectories import line
+
+    with open_bench("emulated", overrides={"emulation.plant": plant}) as bench:
+        bench.observe(0.1, feedback="ekf")
+        bench.make_pipeline(line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0)))
+
+
+def _load(part: str) -> None:
+    """Have the kernels of a part compiled, or loaded where they have been."""
     from hil.calibration.residual_pass import load_pass
     from hil.config.estimator import EstimatorConfig
     from hil.estimator.fusion import load_filter
     from hil.estimator.smoother import load_smoother
     from hil.estimator.unscented import points_of
-    from hil.robot.trajectories import line
+    from hil.support.numba_jit import TELLING
 
-    def bench_with(plant: str) -> None:
-        with open_bench("emulated", overrides={"emulation.plant": plant}) as bench:
-            bench.observe(0.1, feedback="odometry")
-            bench.make_pipeline(line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0)))
+    TELLING.setLevel(logging.ERROR)  # the command itself says how far it is
+    loads: dict[str, Callable[[], None]] = {
+        "filter": load_filter,
+        "unscented filter": lambda: load_filter(points_of(EstimatorConfig(kind="ukf"))),
+        "smoother": load_smoother,
+        "calibration": load_pass,
+    }
+    loads.get(part, partial(_load_bench, part))()
 
-    plants = ("own",) if lacks("mujoco") else ("own", "mujoco")
-    steps: tuple[Callable[[], None], ...] = (
-        load_filter,
-        partial(load_filter, points_of(EstimatorConfig(kind="ukf"))),
-        load_smoother,
-        load_pass,
-        *(partial(bench_with, plant) for plant in plants),
-    )
-    for done, step in enumerate(steps):
-        report(_COMPILING, done, len(steps))
-        step()
-    report(_COMPILING, len(steps), len(steps))
+
+def _compile(report: Report) -> None:
+    """Have all kernels compiled in two processes; what is part of others comes first."""
+    plants = ["own"] if lacks("mujoco") else ["own", "mujoco"]
+    rounds = (["filter", "calibration"], [plants[0], "unscented filter", "smoother", *plants[1:]])
+    done, parts = 0, sum(map(len, rounds))
+    report(_COMPILING, done, parts)
+    with Workers(2) as workers:
+        for one in rounds:
+            for _ in workers.at_once(_load, one):
+                done += 1
+                report(_COMPILING, done, parts)
 
 
 def _devices() -> dict[str, list[dict[str, str]]]:
@@ -67,8 +81,8 @@ def command(compiling: bool, as_json: bool) -> int:
 
     Ends with 2 when an installed package adds a device that cannot be used.
 
-    With --compile the machine code of estimators, smoother, calibration and emulated wall is made now (one
-    or two minutes, once for each version) instead of at the start of the first run.
+    With --compile the machine code of estimators, smoother, calibration and emulated wall is made now, in two
+    processes (up to a minute, once for each version), instead of at the start of the first run.
 
     Example: hil info --json
     """
