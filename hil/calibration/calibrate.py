@@ -13,7 +13,7 @@ from hil.calibration.evaluation import cost, track_all
 from hil.calibration.excitation import Driven, check_geometry, driven
 from hil.calibration.fitting import Fit, fit, twist_between
 from hil.calibration.identifiability import Identifiability, StandardErrors, identifiability, standard_errors
-from hil.calibration.model_choice import Candidate, Choice, can_choose, candidates, choose
+from hil.calibration.model_choice import Candidate, Choice, apart_m, can_choose, candidates, choose
 from hil.calibration.parameters import named, numbers
 from hil.calibration.problem import PAPER, Setting
 from hil.calibration.validation import (
@@ -43,8 +43,9 @@ class Calibration:
     """Everything that a calibration found; `to_json` gives the documented keys.
 
     `robot` is what errors before are counted from; `choice` says how held-out recordings decided the forward
-    model, None where they did not; all figures are of `recordings`, those that were fitted; `rejected` says
-    why others were left out, by name; `wall_s` is the compute time of the calibration itself, `validation_s`
+    model, None where they did not; `apart_m` how far from where it ends those end that may be as right, on a
+    metre of each motion; all figures are of `recordings`, those that were fitted; `rejected` says why others
+    were left out, by name; `wall_s` is the compute time of the calibration itself, `validation_s`
     that of judging the recordings and of the cross-validations.
     """
 
@@ -66,6 +67,7 @@ class Calibration:
     wall_s: float
     validation_s: float
     rejected: Mapping[str, str] = field(default_factory=dict)
+    apart_m: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def nominal(self) -> WheelGeometry:
@@ -81,6 +83,20 @@ class Calibration:
     def explains(self) -> bool:
         """Whether the result explains the recordings; else a warning says so and what to look for."""
         return not unexplained(self.fit)
+
+    def choice_in_words(self) -> tuple[str, ...]:
+        """How the forward model was chosen; of models that may be as right, what that costs elsewhere."""
+        if self.choice is None:
+            return ()
+        said = self.choice.in_words()
+        if not self.apart_m:
+            return (said,)
+        ways = ", ".join(f"{1e3 * apart:.1f} mm {motion}" for motion, apart in self.apart_m.items())
+        rivals = ", ".join(rival.name for rival in self.choice.rivals)
+        return (
+            said,
+            f"These explain the recordings as well: {rivals}. On a metre they end up to {ways} away.",
+        )
 
     @property
     def driven(self) -> Driven:
@@ -117,7 +133,9 @@ class Calibration:
             "searched_dimensions": self.fit.solution.searched,
             "iterations": self.fit.solution.iterations,
             "converged": self.fit.solution.converged,
-            "forward_models": None if self.choice is None else self.choice.to_json(),
+            "forward_models": None
+            if self.choice is None
+            else self.choice.to_json() | {"apart_m": dict(self.apart_m)},
             "parameters": named(z),
             "std": named(self.intervals.std),
             "interval_95": named(half),
@@ -200,7 +218,8 @@ def calibrate(
     spectrum = identifiability(found)
     before = track_all(recordings, cad, setting.model, setting.signal)
     after = track_all(recordings, found.geometry, setting.model, setting.signal)
-    intervals = _intervals(recordings, found, cad, choice)
+    rivals = [_rival_fit(recordings, c) for c in choice.rivals] if choice is not None else []
+    intervals = _intervals(found, cad, rivals)
     fitted_ns = clock.now_ns()
     paper = _paper_fit(recordings, cad) if setting.name != PAPER.name else None
     applied = deployed(recordings, found.geometry, cad, twist_between(found, cad), setting)
@@ -231,14 +250,12 @@ def calibrate(
         wall_s=(fitted_ns - chosen_ns) / NS_PER_S,
         validation_s=(clock.now_ns() - fitted_ns + chosen_ns - begin_ns) / NS_PER_S,
         rejected=rejected,
+        apart_m=apart_m(found, rivals, cad) if rivals else {},
     )
 
 
-def _intervals(
-    recordings: Sequence[Recording], found: Fit, cad: WheelGeometry, choice: Choice | None
-) -> StandardErrors:
+def _intervals(found: Fit, cad: WheelGeometry, rivals: Sequence[Fit]) -> StandardErrors:
     """Intervals of a fit, widened by the differences of its rivals' fits."""
-    rivals = [_rival_fit(recordings, c) for c in choice.rivals] if choice is not None else []
     return standard_errors(found, cad).beside(
         found.solution.z, [(other.solution.z, standard_errors(other, cad)) for other in rivals]
     )

@@ -18,19 +18,30 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.calibration.evaluation import Track, position_rmse
+from hil.calibration.evaluation import Track, position_rmse, rolled
+from hil.calibration.fitting import Fit
 from hil.calibration.problem import Setting
 from hil.calibration.validation import left_out, repetition_numbers
 from hil.core.errors import DataError
+from hil.core.geometry import Array
 from hil.datasets.blocks import reduce_recordings
 from hil.datasets.dataset import Recording
-from hil.robot.kinematics import WheelGeometry
+from hil.robot.kinematics import WheelGeometry, twist_of_vectors
+from hil.robot.odometry import integrate
 from hil.support.progress import Report, silent
 
 _MOST_FOLDS = 5
 _BOOTSTRAP = 2000
 _CLEARLY = 0.975
 _EQUAL = (1.0, 1.0, 1.0, 1.0)
+_ELSEWHERE = {
+    "forwards": (1.0, 0.0, 0.0),
+    "sideways": (0.0, 1.0, 0.0),
+    "diagonally": (0.7, 0.7, 0.0),
+    "on a circle": (1.0, 0.0, 2.0),
+}
+"""Motions of a metre: displacement in the body frame, m, m, rad."""
+_STEPS = 100
 
 
 @dataclass(frozen=True)
@@ -145,6 +156,35 @@ def choose(
     rivals = tuple(c for k, c in enumerate(among) if k != first and beaten[k] <= _CLEARLY)
     named = {c.name: m for c, m in zip(among, means, strict=True)}
     return Choice(among[first], named, beaten[second], rivals, tuple(groups), tuple(runs[first]))
+
+
+def apart_m(found: Fit, rivals: Sequence[Fit], nominal: WheelGeometry) -> dict[str, float]:
+    """How far models that explain the recordings alike end apart on other motions.
+
+    Args:
+        found: the fit of the chosen model.
+        rivals: those of models that may be as right.
+        nominal: by which the wheels are commanded.
+
+    Returns:
+        By motion of a metre, the largest distance from where the chosen model ends, m.
+    """
+    by_nominal = nominal.projection() / np.repeat(nominal.radius_m, 2)[:, None]
+    ends = {}
+    for name, way in _ELSEWHERE.items():
+        wheel_rad = np.tile(by_nominal @ np.array(way) / _STEPS, (_STEPS, 1))
+        ends[name] = [_end_of(one, wheel_rad) for one in (found, *rivals)]
+    return {
+        name: max((float(np.hypot(*(e - own))) for e in others), default=0.0)
+        for name, (own, *others) in ends.items()
+    }
+
+
+def _end_of(fit: Fit, wheel_rad: Array) -> Array:
+    """Where odometry by a fit ends, (2,), m, after wheel vectors (n, 8), rad."""
+    u = rolled(fit.geometry.vector(), wheel_rad)
+    motion = twist_of_vectors(fit.geometry, u, fit.problem.setting.model)
+    return integrate(np.zeros(3), motion, "exponential")[-1, :2]
 
 
 def _left_out(recordings: Sequence[Recording], groups: Sequence[object], candidate: Candidate) -> list[Track]:

@@ -169,7 +169,7 @@ def _text(result: Calibration) -> str:
         f"{len(result.recordings)} recordings: J {result.cost_before:.2f} -> {result.cost_after:.2f} "
         f"in {result.wall_s:.2f} s",
         f"from {result.robot.in_words()}",
-        *([] if result.choice is None else [result.choice.in_words()]),
+        *result.choice_in_words(),
         *_left_out(result),
         f"{'wheel':8}{'x_w mm':>10}{'y_w mm':>10}{'r mm':>10}{'delta0 deg':>12}   (effective values)",
     ]

@@ -206,9 +206,20 @@ def run(ctx: Context) -> None:
         rejected, fitted = len(result.rejected), len(result.recordings)
         ctx.measure("rejected_recordings", rejected)
         ctx.measure("rejected_share", rejected / (rejected + fitted))
+        if not ctx.passing() and (others := _other_models(result)):
+            ctx.note(
+                f"On this surface no forward model is clearly right; {result.setting.model} was taken. Run "
+                f"it again with another one: {' or '.join(f'--set model={name}' for name in others)}."
+            )
         show(ctx, rounds, fresh, result, p.method, p.compared_methods)
         judged = score(fresh.recordings, fresh.odometry.geometry, result.setting)
         _install(ctx, replace(result, validation={"fresh_run": judged}))
+
+
+def _other_models(result: Calibration) -> list[str]:
+    """Forward models that may be as right as the one that was taken."""
+    rivals = () if result.choice is None else result.choice.rivals
+    return sorted({rival.setting.model for rival in rivals} - {result.setting.model})
 
 
 def _check_turns(p: Parameters, config: BenchConfig) -> None:

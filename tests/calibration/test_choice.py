@@ -9,7 +9,7 @@ from hil.calibration import calibrate as calibrate_module
 from hil.calibration import model_choice as choice_module
 from hil.calibration.calibrate import calibrate
 from hil.calibration.calibration_file import calibration_file
-from hil.calibration.model_choice import Candidate, Choice, candidates, choose
+from hil.calibration.model_choice import Candidate, Choice, apart_m, candidates, choose
 from hil.calibration.problem import make_setting
 from hil.calibration.synthetic import _springs, hidden_robot, make_set
 from hil.calibration.validation import table_of
@@ -152,3 +152,30 @@ def test_without_a_repetition_to_leave_out_nothing_is_chosen():
     recordings = make_set(robot, 1, BRIEF, repetitions=1)
     with pytest.raises(DataError, match="at least two"):
         choose(recordings, candidates(SETTING, robot.nominal.geometry), seed=0)
+
+
+def test_what_models_are_apart_on_motions_of_a_metre():
+    robot = hidden_robot(3)
+    recordings = make_set(robot, 3, BRIEF, repetitions=1, run_to_run=0.0, slip_share=0.0)
+    setting = make_setting("recommended", model="exact")
+    result = calibrate(recordings, setting, MonotonicClock(), nominal=robot.nominal, validate=False)
+    fit, z = result.fit, result.fit.solution.z
+    larger = z.copy()
+    larger[8:12] *= 1.01
+    other = replace(fit, solution=replace(fit.solution, z=larger))
+    assert set(apart_m(fit, [fit], result.nominal).values()) == {0.0}
+    apart = apart_m(fit, [fit, other], result.nominal)
+    assert [apart["forwards"], apart["sideways"]] == pytest.approx([0.01, 0.01], rel=0.1)
+
+
+def test_models_that_are_as_right_are_named_with_what_that_costs_elsewhere():
+    """Lines alone leave open how wheels resist a diagonal motion."""
+    robot = hidden_robot(3)
+    recordings = make_set(robot, 3, ("line_x", "line_y"), repetitions=2, run_to_run=0.2, slip_share=0.0)
+    result = calibrate(recordings, SETTING, MonotonicClock(), nominal=robot.nominal)
+    assert result.choice.rivals
+    assert max(result.apart_m.values()) > 0.001
+    reported = result.to_json()["forward_models"]
+    assert reported["apart_m"] == dict(result.apart_m)
+    said = " ".join(result.choice_in_words())
+    assert all(rival.name in said for rival in result.choice.rivals)
