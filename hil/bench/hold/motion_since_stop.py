@@ -17,6 +17,7 @@ WINDOW_NS = nanoseconds(0.2)
 _LONGEST_NS, _LONGER_NS = nanoseconds(1.0), nanoseconds(0.1)
 _NOISE_TIMES = 4.0
 """A change that noise leads to has to be so much smaller than a motion."""
+_FEWEST_FOR_NOISE = 12
 _SIGMA_OF_MEDIAN = 1.4826
 """Standard deviation of normal noise by the median of its size."""
 JOINTS = "servos"
@@ -95,13 +96,16 @@ class Trail:
         return _trimmed_mean(places[:quarter]), _trimmed_mean(places[-quarter:])
 
     def _noise(self) -> float:
-        """Standard deviation of the change that noise alone leads to in a full window."""
-        t_s = np.array([1e-9 * (t_ns - self._seen[0][0]) for t_ns, _ in self._seen])
-        begin, end = self._ends()
-        along = (t_s / max(t_s[-1], 1e-9) - 0.125)[:, None] / 0.75  # quarters have their middles there
-        rest = np.array([place for _, place in self._seen]) - begin - along * (end - begin)
-        sigma = _SIGMA_OF_MEDIAN * float(np.median(np.abs(rest), axis=0).max())
-        expected = len(t_s) * self.window_ns / max(self._seen[-1][0] - self._seen[0][0], 1)
+        """Standard deviation of the change that noise alone leads to in a full window.
+
+        Second differences show the noise of each sighting, whether or not the robot moves. 0 of too few.
+        """
+        if len(self._seen) < _FEWEST_FOR_NOISE:
+            return 0.0
+        places = np.array([place for _, place in self._seen])
+        rough = float(np.median(np.abs(np.diff(places, n=2, axis=0))))
+        sigma = _SIGMA_OF_MEDIAN / math.sqrt(6.0) * rough
+        expected = len(places) * self.window_ns / max(self._seen[-1][0] - self._seen[0][0], 1)
         return sigma * math.sqrt(2.0 / max(1, self._quarter(int(expected)) - 1))
 
 
