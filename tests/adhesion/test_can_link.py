@@ -45,6 +45,7 @@ def heard(link, count):
     return found
 
 
+@pytest.mark.real_time
 def test_in_real_time_a_thread_makes_the_samples_that_the_loop_takes():
     options, made_by = {"port": free_udp_port(), "hop_limit": 0}, set()
     config = CanConfig(interface="udp_multicast", channel=GROUP, options=options)
@@ -97,6 +98,7 @@ class Jumping(MonotonicClock):
         super().sleep_until_ns(t_ns - self.ahead_ns)
 
 
+@pytest.mark.real_time
 def test_a_program_that_stood_still_waits_for_what_had_come_meanwhile():
     options, clock = {"port": free_udp_port(), "hop_limit": 0}, Jumping()
     config = CanConfig(interface="udp_multicast", channel=GROUP, options=options)
