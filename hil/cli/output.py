@@ -1,6 +1,6 @@
 """Standard output and standard error that may lose their reader: the command then ends, in order.
 
-Whoever reads may go (`| head`, a closed terminal). What is written from then on goes nowhere. A command that
+The reader may go (`| head`, a closed terminal). What is written from then on goes nowhere. A command that
 takes SIGTERM, as those with a robot in hand do, is asked to end by it, and ends with 4 unless its verdict
 stood already. Any other goes on to its end, and its exit code is that of what it found: whether the reader
 left before the last line or after it makes no difference. Where the output cannot be kept for another reason

@@ -19,8 +19,8 @@ class Ros2Config(Strict):
 
     Attributes:
         domain: of DDS, where `--ros2-domain` names none; without it that of `ROS_DOMAIN_ID`, else 0.
-        interface: network interface beside loopback, where `--ros2-interface` names none: whoever reaches it
-            can read the bench, and drive it where it takes commands.
+        interface: network interface beside loopback, where `--ros2-interface` names none: every host that
+            reaches it can read the bench, and drive it where it takes commands.
         distribution: of ROS 2 on the other side, `humble`, `iron`, `jazzy`, `kilted`, `lyrical` or `rolling`:
             `ros2 node list` shows the bench there. Left out, it does not, because Humble describes nodes
             otherwise than later ones do.

@@ -3,8 +3,8 @@
     v VX VY W     body velocity: m/s ahead, m/s to the left, rad/s counter-clockwise
     stop          at rest, at once
 
-The loop asks for what has arrived; nothing here blocks and no thread is needed. Whoever wants the
-robot to move repeats the command before the dead-man time-out (`hil.live.velocity_reference`).
+The loop asks for what has arrived; nothing here blocks and no thread is needed. A sender that wants the
+robot to move repeats its command before the dead-man time-out (`hil.live.velocity_reference`).
 
 Any user of this host can send to a port of it, so a datagram has to begin with a token that only the
 operator knows.

@@ -26,7 +26,7 @@ def tell(text: str) -> None:
 
 
 class Operator(Protocol):
-    """Whoever answers."""
+    """The person at the bench, or what answers in their place."""
 
     @abstractmethod
     def ask(self, question: str) -> str:

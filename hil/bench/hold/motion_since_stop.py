@@ -83,16 +83,13 @@ class Trail:
     def _most(self) -> float:
         return self._threshold * self.window_ns / WINDOW_NS
 
-    def _quarter(self, among: int) -> int:
-        return max(1, among // 4)
-
     def _ends(self) -> tuple[Array, Array]:
         """Mean places (k,) of the first and the last quarter.
 
         Of three and more the least and the greatest do not count: they may have been garbled on the way.
         """
         places = np.array([place for _, place in self._seen])
-        quarter = self._quarter(len(places))
+        quarter = _quarter(len(places))
         return _trimmed_mean(places[:quarter]), _trimmed_mean(places[-quarter:])
 
     def _noise(self) -> float:
@@ -106,7 +103,7 @@ class Trail:
         rough = float(np.median(np.abs(np.diff(places, n=2, axis=0))))
         sigma = _SIGMA_OF_MEDIAN / math.sqrt(6.0) * rough
         expected = len(places) * self.window_ns / max(self._seen[-1][0] - self._seen[0][0], 1)
-        return sigma * math.sqrt(2.0 / max(1, self._quarter(int(expected)) - 1))
+        return sigma * math.sqrt(2.0 / max(1, _quarter(int(expected)) - 1))
 
 
 class MotionSinceStop:
@@ -192,6 +189,10 @@ class MotionSinceStop:
         if slides and not reported.keys() - {JOINTS}:
             return None
         return max(reported.values(), default=None)
+
+
+def _quarter(among: int) -> int:
+    return max(1, among // 4)
 
 
 def _trimmed_mean(places: Array) -> Array:
