@@ -1,7 +1,7 @@
 """Where the bench is on DDS, and as what: domain, network interface, node; the configuration of Cyclone DDS.
 
-Every host that reaches the ports can read the bench, and command it where it takes commands: DDS has no password.
-So it stays on this computer unless an interface is named.
+Every host that reaches the ports can read the bench, and command it where it takes commands: DDS has no
+password. So it stays on this computer unless an interface is named.
 """
 
 from __future__ import annotations
