@@ -203,7 +203,7 @@ def _slide(robot: _Robot, ways: np.ndarray, rng: np.random.Generator) -> np.ndar
     body = body * (1.0 + draw[0]) + draw[1] * turned
     body[:, 2] += draw[2] * step_m
     body += robot.noise * np.sqrt(step_m)[:, None] * rng.normal(0.0, (6e-4, 6e-4, 2e-3), body.shape)
-    if rng.random() < 0.3:
+    if robot.noise and rng.random() < 0.3:
         for _ in range(rng.integers(1, 4)):
             begin = int(rng.uniform(0.1, 0.8) * len(body))
             size = rng.normal(0.0, (5e-3, 5e-3, 1e-2))
