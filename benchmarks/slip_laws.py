@@ -3,10 +3,10 @@
     python benchmarks/slip_laws.py 9500:9520
 
 Each seed is a robot of `tests/calibration/spoilt_sets.py`: wheels that creep with their load, hold by dry
-friction, lose a part of their way to load and pull, or both of these, with bursts of sliding and chance from run
-to run. It is calibrated on its recordings. Then the same robot drives every motion without chance, and odometry
-by the result is compared with where it went: `recorded` are the motions of the recordings, `others` all other
-ones. RMSE of the position in mm, means over the motions, and the worst motion.
+friction, lose a part of their way to load and pull, or both of these, with bursts of sliding and chance from
+run to run. It is calibrated on its recordings. Then the same robot drives every motion without chance, and
+odometry by the result is compared with where it went: `recorded` are the motions of the recordings, `others`
+all other ones. RMSE of the position in mm, means over the motions, and the worst motion.
 """
 
 from __future__ import annotations
