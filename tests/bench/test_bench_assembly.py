@@ -36,7 +36,7 @@ def log_hash(motion):
     return hashlib.sha256(pickle.dumps(reported)).hexdigest()
 
 
-LATE = ("good samples a second", "old or more when they arrive")
+LATE = ("good samples a second", "old or more when they arrive", "stale for", "answers again")
 """What a bench says of samples that come late: the emulator shares this computer, which may be busy."""
 
 
