@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import Annotated
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Annotated, Any
 
 from pydantic import AfterValidator
 
+from hil.config.bench import BenchConfig
 from hil.core.errors import ConfigError
 from hil.core.registry import further, kinds
 from hil.procedure import Context
@@ -37,6 +38,21 @@ def only(ctx: Context, wanted: Sequence[str]) -> dict[str, object]:
             + ",".join(name for name in wanted if name not in lacking),
         )
     return leaving(wanted, (*kinds(), *further(config.devices())))
+
+
+def with_own_devices(model: type[Any], given: Mapping[str, Any], config: BenchConfig) -> dict[str, Any]:
+    """Parameters as given; where they name no devices to look at, those of the bench.
+
+    Args:
+        model: class of the parameters; its `devices`, if their default names kinds of devices, are meant.
+        given: parameters by name.
+        config: of the bench.
+    """
+    field = getattr(model, "model_fields", {}).get("devices")
+    default = getattr(field, "default", None)
+    if "devices" in given or not isinstance(default, tuple) or not kinds().keys() >= set(default):
+        return dict(given)
+    return {**given, "devices": tuple(name for name in default if name in config.devices())}
 
 
 def leaving(wanted: Sequence[str], among: Iterable[str]) -> dict[str, object]:

@@ -20,6 +20,7 @@ from hil.procedure.bench_request import BenchSource
 from hil.procedure.context import Context
 from hil.procedure.declaration import Procedure
 from hil.procedure.measurements import Measurement, Verdict
+from hil.procedure.needed_devices import with_own_devices
 from hil.procedure.parameters import as_dict, described, make_parameters
 from hil.procedure.record_parts import keep_parts
 from hil.procedure.result_files import KEEPING, Failure, Result, write_result
@@ -57,7 +58,8 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
         HilError: something was wrong before anything could move (configuration, parameters, journal).
     """
     with options.interrupts.heeded():  # nothing is open, and what a script declares may take for ever
-        parameters = make_parameters(proc.parameters, options.parameters, proc.name)
+        given = with_own_devices(proc.parameters, options.parameters, source.config)
+        parameters = make_parameters(proc.parameters, given, proc.name)
         proc.check_needs(source.config)
         source.check_faults()
         declared = proc.declared(parameters, source.config)
@@ -209,8 +211,9 @@ def dry_run(proc: Procedure, source: BenchSource, settings: Mapping[str, Any]) -
     Raises:
         ConfigError, TrajectoryError: the first thing that would go wrong.
     """
-    parameters = make_parameters(proc.parameters, settings, proc.name)
     config = source.config
+    given = with_own_devices(proc.parameters, settings, config)
+    parameters = make_parameters(proc.parameters, given, proc.name)
     proc.check_needs(config)
     source.check_faults()
     source.describe_calibration()

@@ -5,6 +5,9 @@ import pytest
 
 from hil.bench import open_bench
 from hil.cli import main
+from hil.procedure import BenchSource
+from hil.procedure.procedure_lookup import load_procedure
+from hil.procedure.runner import dry_run
 from hil.procedure.sample_arrays import encoders
 
 
@@ -21,3 +24,15 @@ def test_encoders_whose_zeros_are_unknown_are_read_as_they_are():
 def test_bring_up_passes_on_a_robot_as_delivered(tmp_path):
     out = str(tmp_path / "out")
     assert main(["run", "bring_up", "--bench", "emulated_delivered", "--quick", "--out", out]) == 0
+
+
+@pytest.mark.parametrize("name", ["bring_up", "latency"])
+def test_the_devices_that_a_run_looks_at_are_those_of_its_bench(name):
+    proc = load_procedure(name)
+    without = BenchSource("emulated_floor", overrides={"encoders": None})
+    every = dry_run(proc, BenchSource("emulated_floor"), {})["parameters"]["devices"]
+    own = dry_run(proc, without, {})["parameters"]["devices"]
+    assert own
+    assert set(every) - set(own) == {"encoders"}
+    named = dry_run(proc, BenchSource("emulated_floor"), {"devices": own})["parameters"]["devices"]
+    assert named == own

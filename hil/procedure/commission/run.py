@@ -237,7 +237,7 @@ class _Running:
         asked = self._asked
         overrides = {**placed(stage, number, self._config), **overrides}
         source = asked.source.changed(overrides=overrides).with_its_faults()
-        parameters = stage.parameters(asked.quick, source.config)
+        parameters = stage.parameters(asked.quick)
         folder, resume = self._folder(stage, number, source, parameters)
         options = RunOptions(
             folder=folder,

@@ -51,13 +51,9 @@ class Stage:
         """Its declaration."""
         return load_procedure(self.name)
 
-    def parameters(self, quick: bool, config: BenchConfig) -> dict[str, Any]:
-        """Parameters of the form asked for; of the devices to look at, those of the bench that it runs on."""
-        found = dict(self.procedure.quick if quick else self.full)
-        devices = self.procedure.parameters.model_fields.get("devices")
-        if devices is not None:
-            found["devices"] = tuple(name for name in devices.default if name in config.devices())
-        return found
+    def parameters(self, quick: bool) -> dict[str, Any]:
+        """Parameters of the form asked for."""
+        return dict(self.procedure.quick if quick else self.full)
 
     def lacking(self, config: BenchConfig) -> str:
         """Why it has to be left out on a bench; empty where it can run."""
