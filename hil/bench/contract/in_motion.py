@@ -140,7 +140,11 @@ def obeys_after_silence(bench: Bench) -> str:
         pause(bench, 5.0 * _table(bench).watchdog_s)
         trouble = _servos(bench).look_after().trouble
         if trouble:
-            raise Broken(f"{trouble}", "servos that were looked after", "check supply and cable")
+            raise Broken(
+                "; ".join(f"{name}: {text}" for name, text in trouble.items()),
+                "all servos answer, with torque and an armed watchdog",
+                "check supply and cable; on a computer that was late itself, try again when it is idle",
+            )
         fresh(bench)
         moving = at_loop_rate(bench, 0.5, rolling(start))
         return _near(
