@@ -374,7 +374,9 @@ class RobotState:
         pose_body_in_wall: shape (3,), (x m, y m, theta rad unwrapped).
         twist_body: shape (3,), (m/s, m/s, rad/s).
         covariance: shape (6, 6) of (pose, twist), pose errors in wall axes.
-        diagnostics: scalar figures by name (`nis_wheels`, `rejected_tracker`, `sag_m_s`, ...).
+        diagnostics: scalar figures by name (`nis_wheels`, `rejected_tracker`, `sag_m_s`, ...), the
+            estimator's and those of checks (`adhesion_n`). In the record of a stop, which has no estimate,
+            those of checks alone.
     """
 
     t_ns: int

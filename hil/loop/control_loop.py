@@ -170,7 +170,7 @@ class ControlLoop:
         return following
 
     def _stopped(self, inputs: Inputs, stop: HilError, *, source: str = "supervisor") -> None:
-        """Hold the robot at once and leave a last record that names the reason."""
+        """Hold the robot at once and leave a last record: the reason, and what the checks measured."""
         if self.rig.servos is not None:
             self.rig.servos.stop()
         if isinstance(stop, SafetyStop) and stop.reason in LETTING_GO:
@@ -178,7 +178,10 @@ class ControlLoop:
         event = Event(inputs.t_ns, "error", source, str(stop))
         zero = np.zeros(4)
         nothing = Measurements(inputs.cycle, inputs.t_ns, added=inputs.added)
-        state = RobotState(inputs.t_ns, np.full(3, np.nan), np.full(3, np.nan), np.full((6, 6), np.nan))
+        figures = {} if source == OUTSIDE else dict(self.pipeline.figures)
+        state = RobotState(
+            inputs.t_ns, np.full(3, np.nan), np.full(3, np.nan), np.full((6, 6), np.nan), figures
+        )
         record = CycleRecord(
             self._cycle,
             inputs.t_ns,

@@ -75,6 +75,7 @@ class ControlPipeline:
     Attributes:
         estimator, controller, observers: may be exchanged before a run.
         reference: of the latest cycle, also when that ended in a `SafetyStop`.
+        figures: what the checks measured in that cycle (`Cycle.diagnostics`), by name.
     """
 
     def __init__(
@@ -94,6 +95,7 @@ class ControlPipeline:
         self.reference_at = reference_at
         self.observers = dict(observers or {})
         self.reference: Reference | None = None
+        self.figures: Mapping[str, float] = {}
         self._t0_ns: int | None = None
         self._waited_ns = 0
         self._steering = np.zeros(4)
@@ -135,7 +137,7 @@ class ControlPipeline:
             SafetyStop: the robot must be held.
             UsageError: an estimator or a controller has returned something else than a state or setpoints.
         """
-        self.reference = None
+        self.reference, self.figures = None, {}
         if self.external is not None:
             self.external.heard = None
         run_s = self._run_s(inputs.t_ns)
@@ -143,6 +145,7 @@ class ControlPipeline:
             self.restart.judge(inputs.t_ns)
         safety = self.supervisor
         cycle = safety.begin(inputs, self.alignment.measure(inputs))
+        self.figures = cycle.diagnostics
         safety.check_samples(cycle)
         if cycle.inflation != NO_INFLATION:
             self._inflate(*cycle.inflation)
