@@ -128,6 +128,10 @@ class Check:
 class LastingCheck(Check):
     """Stops once good samples of one kind have been wrong for a while; others do not count.
 
+    Samples of `servos` have angles, rates and currents. Voltages and temperatures of the servos come in
+    `cycle.inputs.health`, once per `servos.health_period_s` (s), and health is no kind: a check of these is a
+    `Check` that reads them there.
+
     Args:
         kind: of the device.
         reason: names the stop.
