@@ -1,6 +1,18 @@
 """The control loop: one cycle from devices to devices, at a fixed rate.
 
-`ControlLoop.run` adds devices, clock and sinks to what decides (`hil.loop.pipeline`).
+`ControlLoop.run` adds devices, clock and sinks to what decides (`hil.loop.pipeline`). The numbers of a
+cycle's steps, here and there:
+
+1. read all devices (`DeviceSet.read`);
+2. align their samples (`Alignment.measure`);
+3. judge them (`Supervisor.check_samples`);
+4. estimate the state (`Estimator.update`), by observers, too;
+5. take the reference, and judge the estimate (`Supervisor.check_estimate`);
+6. control (`Controller.update`) within limits (`Supervisor.limit`);
+7. make goals of the servos of that (`Alignment.to_servos`);
+8. send them (`Actuators.command`);
+9. hand the record to the sinks (`Sink.write`);
+10. sleep until the next deadline.
 """
 
 from __future__ import annotations

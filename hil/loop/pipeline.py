@@ -127,7 +127,7 @@ class ControlPipeline:
         self._ask()
 
     def decide(self, inputs: Inputs, lap: Lap = _untimed) -> Decision:
-        """Steps 2 to 7.
+        """Steps 2 to 7 of a cycle, as `hil.loop.control_loop` counts them.
 
         Args:
             inputs: what the devices delivered.
@@ -144,23 +144,23 @@ class ControlPipeline:
         if self.restart is not None:
             self.restart.judge(inputs.t_ns)
         safety = self.supervisor
-        cycle = safety.begin(inputs, self.alignment.measure(inputs))
+        cycle = safety.begin(inputs, self.alignment.measure(inputs))  # 2
         self.figures = cycle.diagnostics
-        safety.check_samples(cycle)
+        safety.check_samples(cycle)  # 3
         if cycle.inflation != NO_INFLATION:
             self._inflate(*cycle.inflation)
         believed = safety.left_out.believed(cycle.measurements)
-        state = self._states[_OWN] = self._estimate(believed)
+        state = self._states[_OWN] = self._estimate(believed)  # 4
         cycle.state = state = _with_figures(state, cycle.diagnostics) if cycle.diagnostics else state
         cycle.observers = {name: observe(believed) for name, observe in self._observe.items()}
         self._states.update(cycle.observers)
         lap("estimate")
         if self.reference_at is not None:
-            self.reference = self.reference_at(run_s)
+            self.reference = self.reference_at(run_s)  # 5
         cycle.reference = self.reference
         safety.check_estimate(cycle)
-        setpoint = safety.limit(self._control(cycle, state))
-        command = self.alignment.to_servos(setpoint)
+        setpoint = safety.limit(self._control(cycle, state))  # 6
+        command = self.alignment.to_servos(setpoint)  # 7
         lap("control")
         return Decision(
             cycle.measurements,
