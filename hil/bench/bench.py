@@ -16,10 +16,11 @@ from hil.bench.hold.held_devices import HeldDevices
 from hil.bench.loop_settings import real_time
 from hil.bench.model import BenchModel
 from hil.config.estimator import MocapNoise
+from hil.controller.joint_script import JointScript
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import ConfigError, DeviceError, check_number
 from hil.core.geometry import Array, ArrayLike
-from hil.core.interfaces import RUN_NOTE, Sink
+from hil.core.interfaces import RUN_NOTE, CommandingSink, Controller, Sink
 from hil.core.signals import CycleRecord, RobotState
 from hil.fakes.body_interface import PlantState
 from hil.fakes.fault import Fault
@@ -45,6 +46,7 @@ _RECORDED = ("t_ns", "pose_body_in_wall", "steering_true_rad", "normal_load_n", 
 """Of an emulated robot's truth, what its recordings keep (`PlantState`)."""
 _recorded = attrgetter(*_RECORDED)
 
+MakeController = Callable[[BenchModel], Controller]
 OnCycle = Callable[[CycleRecord], None]
 Until = Callable[[CycleRecord], bool]
 
@@ -89,6 +91,8 @@ class Bench(HeldDevices):
     ) -> None:
         super().__init__(model, clock, rig, sinks=sinks, faults=faults)
         self.world = world
+        self.own_controller: MakeController | None = None
+        self.driven_by: tuple[str, CommandingSink] | None = None
         self._left: RobotState | None = None
         self.warnings: list[str] = []
         self._inertial = InertialWatch(self.config)
@@ -331,6 +335,31 @@ class Bench(HeldDevices):
         if said and said not in self.warnings:
             self.warnings.append(said)
             LOG.warning("%s", said)
+
+    def make_pipeline(
+        self,
+        trajectory: Trajectory | JointScript | None,
+        *,
+        controller: str | None = None,
+        feedback: str = "ekf",
+        observers: tuple[str, ...] = (),
+    ) -> ControlPipeline:
+        """The deterministic part of the loop for one motion or script (also what replay runs).
+
+        A controller of the user's own follows every trajectory, and so does a program that drives the bench.
+
+        Raises:
+            UsageError: unknown feedback or controller.
+            ConfigError: the controller of the user's own cannot be made.
+        """
+        if self.driven_by is not None and isinstance(trajectory, Trajectory):
+            controller = self.driven_by[0]
+        pipeline = self.model.make_pipeline(
+            trajectory, controller=controller, feedback=feedback, observers=observers
+        )
+        if self.own_controller is not None and isinstance(trajectory, Trajectory):
+            pipeline.controller = self.own_controller(self.model)
+        return pipeline
 
     def make_loop(self, pipeline: ControlPipeline, start: RunStart) -> ControlLoop:
         """A loop over this bench's devices, clock and sinks; its statistics become the bench's.

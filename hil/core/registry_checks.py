@@ -9,16 +9,21 @@ from dataclasses import fields, is_dataclass
 
 from hil.core.device import DeviceKind, DeviceModel
 from hil.core.errors import ConfigError, did_you_mean
+from hil.core.signals import NO_KINDS
 
 NAME_RULE = (
-    "lower case letters, digits and _ that starts with a letter and is none of all, plant, or Python's words"
+    "lower case letters, digits and _ that starts with a letter and is none of all, plant, none, "
+    f"{', '.join(NO_KINDS)}, or Python's words"
 )
 _NAME = re.compile("[a-z][a-z0-9_]*")
-_TAKEN = ("all", "plant", "none")
+_TAKEN = ("all", "plant", "none", *NO_KINDS)
 
 
 def is_name(name: object) -> bool:
-    """Whether a kind may be called so: `--emulate all` and the fault `plant:...` mean something else."""
+    """Whether a kind may be called so.
+
+    `--emulate all`, the fault `plant:...` and the fields of `Inputs` that are no kinds mean something else.
+    """
     return (
         isinstance(name, str)
         and _NAME.fullmatch(name) is not None

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, fields
 from operator import attrgetter
 from typing import Any
 
+from hil.core.errors import UsageError
 from hil.core.external_commands import ExternalCommands
 from hil.core.geometry import Array
 from hil.core.suspects import SEPARATOR
@@ -89,7 +90,10 @@ class ServoSample:
 
 @dataclass(frozen=True)
 class ServoHealth:
-    """Slow bulk read: shape (8,), NaN where a servo did not answer."""
+    """Voltage (V) and temperature (degrees Celsius) of the servos: shape (8,), NaN where one did not answer.
+
+    Most cycles bring none: it comes once per `servos.health_period_s` (s; by default every second).
+    """
 
     stamp: Stamp
     voltage_v: Array
@@ -263,10 +267,15 @@ class Inputs:
     added: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
 
     def of(self, kind: str) -> tuple[Any, ...]:
-        """Samples of a kind by its name; none of a kind that delivered nothing."""
+        """Samples of a kind by its name; none of a kind that delivered nothing.
+
+        Raises:
+            UsageError: the name of a field that is no kind, such as `health`.
+        """
         if kind in _KNOWN:
             samples: tuple[Any, ...] = getattr(self, kind)
             return samples
+        _must_be_no_field(kind)
         return self.added.get(kind, ())
 
 
@@ -280,15 +289,28 @@ def worst(sample: Any) -> Status:
     return next(state for state in status if state is not _OK)
 
 
-KINDS = tuple(f.name for f in fields(Inputs) if f.name not in ("cycle", "t_ns", "health", "added"))
+NO_KINDS = ("cycle", "t_ns", "health", "added")
+"""Fields of `Inputs` that are no kinds of devices; no kind may be called so."""
+KINDS = tuple(f.name for f in fields(Inputs) if f.name not in NO_KINDS)
 """Names of the kinds of devices that this package knows, in the order in which they are opened and read."""
 _KNOWN = frozenset(KINDS)
 
 
+def _must_be_no_field(kind: str) -> None:
+    """Refuse a field of `Inputs` where a kind is meant: it would never have delivered anything."""
+    if kind in NO_KINDS:
+        raise UsageError(f"{kind} is no kind of devices", remedy=f"read it as `inputs.{kind}`")
+
+
 def samples_of(kind: str) -> Callable[[Inputs], tuple[Any, ...]]:
-    """A function that takes the samples of a kind out of inputs: `Inputs.of` for a caller in every cycle."""
+    """A function that takes the samples of a kind out of inputs: `Inputs.of` for a caller in every cycle.
+
+    Raises:
+        UsageError: as of `Inputs.of`.
+    """
     if kind in _KNOWN:
         return attrgetter(kind)
+    _must_be_no_field(kind)
     return lambda inputs: inputs.added.get(kind, ())
 
 
@@ -374,7 +396,9 @@ class RobotState:
         pose_body_in_wall: shape (3,), (x m, y m, theta rad unwrapped).
         twist_body: shape (3,), (m/s, m/s, rad/s).
         covariance: shape (6, 6) of (pose, twist), pose errors in wall axes.
-        diagnostics: scalar figures by name (`nis_wheels`, `rejected_tracker`, `sag_m_s`, ...).
+        diagnostics: scalar figures by name (`nis_wheels`, `rejected_tracker`, `sag_m_s`, ...), the
+            estimator's and those of checks (`adhesion_n`). In the record of a stop, which has no estimate,
+            those of checks alone.
     """
 
     t_ns: int

@@ -1,6 +1,18 @@
 """The control loop: one cycle from devices to devices, at a fixed rate.
 
-`ControlLoop.run` adds devices, clock and sinks to what decides (`hil.loop.pipeline`).
+`ControlLoop.run` adds devices, clock and sinks to what decides (`hil.loop.pipeline`). The numbers of a
+cycle's steps, here and there:
+
+1. read all devices (`DeviceSet.read`);
+2. align their samples (`Alignment.measure`);
+3. judge them (`Supervisor.check_samples`);
+4. estimate the state (`Estimator.update`), by observers, too;
+5. take the reference, and judge the estimate (`Supervisor.check_estimate`);
+6. control (`Controller.update`) within limits (`Supervisor.limit`);
+7. make goals of the servos of that (`Alignment.to_servos`);
+8. send them (`Actuators.command`);
+9. hand the record to the sinks (`Sink.write`);
+10. sleep until the next deadline.
 """
 
 from __future__ import annotations
@@ -170,7 +182,7 @@ class ControlLoop:
         return following
 
     def _stopped(self, inputs: Inputs, stop: HilError, *, source: str = "supervisor") -> None:
-        """Hold the robot at once and leave a last record that names the reason."""
+        """Hold the robot at once and leave a last record: the reason, and what the checks measured."""
         if self.rig.servos is not None:
             self.rig.servos.stop()
         if isinstance(stop, SafetyStop) and stop.reason in LETTING_GO:
@@ -178,7 +190,10 @@ class ControlLoop:
         event = Event(inputs.t_ns, "error", source, str(stop))
         zero = np.zeros(4)
         nothing = Measurements(inputs.cycle, inputs.t_ns, added=inputs.added)
-        state = RobotState(inputs.t_ns, np.full(3, np.nan), np.full(3, np.nan), np.full((6, 6), np.nan))
+        figures = {} if source == OUTSIDE else dict(self.pipeline.figures)
+        state = RobotState(
+            inputs.t_ns, np.full(3, np.nan), np.full(3, np.nan), np.full((6, 6), np.nan), figures
+        )
         record = CycleRecord(
             self._cycle,
             inputs.t_ns,

@@ -47,7 +47,8 @@ class Cycle:
         events: reported in this cycle.
         stops: by reason, the messages of what the robot must stop for; the first reason names the stop.
         suspects: devices that the messages name.
-        diagnostics: figures for the robot's state.
+        diagnostics: figures by name, which go into the robot's state (`RobotState.diagnostics`): what
+            `on_samples` has put there.
         next_inflation: of the estimate of the next cycle.
         source: the device whose check runs; empty for the bench's own.
     """
@@ -126,6 +127,10 @@ class Check:
 
 class LastingCheck(Check):
     """Stops once good samples of one kind have been wrong for a while; others do not count.
+
+    Samples of `servos` have angles, rates and currents. Voltages and temperatures of the servos come in
+    `cycle.inputs.health`, once per `servos.health_period_s` (s), and health is no kind: a check of these is a
+    `Check` that reads them there.
 
     Args:
         kind: of the device.

@@ -75,6 +75,7 @@ class ControlPipeline:
     Attributes:
         estimator, controller, observers: may be exchanged before a run.
         reference: of the latest cycle, also when that ended in a `SafetyStop`.
+        figures: what the checks measured in that cycle (`Cycle.diagnostics`), by name.
     """
 
     def __init__(
@@ -94,6 +95,7 @@ class ControlPipeline:
         self.reference_at = reference_at
         self.observers = dict(observers or {})
         self.reference: Reference | None = None
+        self.figures: Mapping[str, float] = {}
         self._t0_ns: int | None = None
         self._waited_ns = 0
         self._steering = np.zeros(4)
@@ -125,7 +127,7 @@ class ControlPipeline:
         self._ask()
 
     def decide(self, inputs: Inputs, lap: Lap = _untimed) -> Decision:
-        """Steps 2 to 7.
+        """Steps 2 to 7 of a cycle, as `hil.loop.control_loop` counts them.
 
         Args:
             inputs: what the devices delivered.
@@ -135,29 +137,30 @@ class ControlPipeline:
             SafetyStop: the robot must be held.
             UsageError: an estimator or a controller has returned something else than a state or setpoints.
         """
-        self.reference = None
+        self.reference, self.figures = None, {}
         if self.external is not None:
             self.external.heard = None
         run_s = self._run_s(inputs.t_ns)
         if self.restart is not None:
             self.restart.judge(inputs.t_ns)
         safety = self.supervisor
-        cycle = safety.begin(inputs, self.alignment.measure(inputs))
-        safety.check_samples(cycle)
+        cycle = safety.begin(inputs, self.alignment.measure(inputs))  # 2
+        self.figures = cycle.diagnostics
+        safety.check_samples(cycle)  # 3
         if cycle.inflation != NO_INFLATION:
             self._inflate(*cycle.inflation)
         believed = safety.left_out.believed(cycle.measurements)
-        state = self._states[_OWN] = self._estimate(believed)
+        state = self._states[_OWN] = self._estimate(believed)  # 4
         cycle.state = state = _with_figures(state, cycle.diagnostics) if cycle.diagnostics else state
         cycle.observers = {name: observe(believed) for name, observe in self._observe.items()}
         self._states.update(cycle.observers)
         lap("estimate")
         if self.reference_at is not None:
-            self.reference = self.reference_at(run_s)
+            self.reference = self.reference_at(run_s)  # 5
         cycle.reference = self.reference
         safety.check_estimate(cycle)
-        setpoint = safety.limit(self._control(cycle, state))
-        command = self.alignment.to_servos(setpoint)
+        setpoint = safety.limit(self._control(cycle, state))  # 6
+        command = self.alignment.to_servos(setpoint)  # 7
         lap("control")
         return Decision(
             cycle.measurements,

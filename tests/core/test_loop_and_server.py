@@ -2,12 +2,13 @@
 
 import os
 import socket
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hil.core.clock import MonotonicClock, nanoseconds
-from hil.core.errors import DeviceError, SafetyStop
+from hil.core.errors import DeviceError, RecordingError, SafetyStop
 from hil.core.interfaces import Actuators, Controller, Estimator, Sensor, Sink
 from hil.core.signals import (
     MocapSample,
@@ -23,11 +24,14 @@ from hil.fakes.server import EmulationServer, Transport
 from hil.fakes.world import NEVER_NS, VirtualClock, World
 from hil.loop.alignment import Alignment, AlignmentParameters
 from hil.loop.control_loop import ControlLoop
+from hil.loop.cycle_data import Check
 from hil.loop.device_set import DeviceSet
 from hil.loop.driven_motion import Motion
 from hil.loop.pipeline import ControlPipeline
 from hil.loop.safety import SafetyLimits
 from hil.loop.supervisor import Supervisor
+from hil.replay.difference_limits import Agreement
+from hil.replay.verification import verify_cycle
 
 
 class StillPlant:
@@ -209,6 +213,41 @@ def test_silent_servos_stop_the_robot_and_leave_a_record_of_why():
         loop.run(lambda r: False)
     assert rig.servos.held
     assert "stale_servos" in loop.sinks[0].seen[-1].events[0].message
+
+
+class Slack(Check):
+    """Measures a rope in every cycle, and stops where it is slack."""
+
+    def on_samples(self, cycle):
+        cycle.diagnostics["rope_n"] = force_n = 20.0 - cycle.inputs.cycle
+        if force_n < 15.0:
+            cycle.stop("slack", "the rope is slack")
+
+
+def test_the_record_of_a_stop_keeps_what_the_checks_measured_and_verifies_with_and_without():
+    _, loop = make(sinks=lambda clock: (Busy(clock, -1, 0),))
+    loop.pipeline.supervisor.in_order.append(("", Slack()))
+    with pytest.raises(SafetyStop, match="slack"):
+        loop.run(lambda r: False)
+    records = loop.sinks[0].seen
+    assert [r.state.diagnostics["rope_n"] for r in records] == [20.0, 19.0, 18.0, 17.0, 16.0, 15.0, 14.0]
+    bare = replace(records[-1], state=replace(records[-1].state, diagnostics={}))
+    for last in (records[-1], bare):
+        loop.pipeline.reset(RobotState(0, np.zeros(3), np.zeros(3), np.eye(6)))
+        for record in (*records[:-1], last):
+            assert verify_cycle(record, loop.pipeline, Agreement(), exact=True) == ("identical", "")
+
+
+def test_a_run_that_was_ended_from_outside_has_no_figures_of_the_cycle_before():
+    class Full(Busy):
+        def objection(self):
+            return RecordingError("disk", "is full") if len(self.seen) == 2 else None
+
+    _, loop = make(sinks=lambda clock: (Full(clock, -1, 0),))
+    loop.pipeline.supervisor.in_order.append(("", Slack()))
+    with pytest.raises(RecordingError):
+        loop.run(lambda r: False)
+    assert [dict(r.state.diagnostics) for r in loop.sinks[0].seen] == [{"rope_n": 20.0}, {"rope_n": 19.0}, {}]
 
 
 def test_an_error_in_the_callers_code_still_holds_the_robot():

@@ -3,7 +3,17 @@
 import numpy as np
 import pytest
 
-from hil.core.signals import EncoderSample, ImuSample, Inputs, MocapSample, Stamp, Status, TrackerSample
+from hil.core.errors import UsageError
+from hil.core.signals import (
+    EncoderSample,
+    ImuSample,
+    Inputs,
+    MocapSample,
+    Stamp,
+    Status,
+    TrackerSample,
+    samples_of,
+)
 from hil.loop.checks.sensor_status import SensorStatus
 
 PERIOD_NS = 10_000_000
@@ -102,3 +112,13 @@ def test_a_sensor_that_sends_on_was_never_away():
 def test_frozen_samples_are_a_silence_too():
     reported = watched("tracker", [Status.OK, *[Status.FROZEN] * 60], {"tracker": 0.5})
     assert [e.message.split()[0] for e in reported] == ["repeats", "stale"]
+
+
+@pytest.mark.parametrize("name", ["health", "added", "cycle", "t_ns"])
+def test_a_field_of_inputs_that_is_no_kind_is_refused_as_one(name):
+    """A check of it would be silent for ever."""
+    with pytest.raises(UsageError, match=rf"{name} is no kind of devices; read it as `inputs\.{name}`"):
+        Inputs(0, 0).of(name)
+    with pytest.raises(UsageError, match=name):
+        samples_of(name)
+    assert Inputs(0, 0).of("rangefinder") == ()

@@ -123,7 +123,7 @@ REFUSED = {
     "a name that is none": (changed('replace(THING, name="a thing")'), ("'a thing' with 1 models",)),
     **{
         f"the name {name!r}": (changed(f"replace(THING, name={name!r})"), (f"kind {name!r} with 1 models",))
-        for name in ("all", "plant", "Thing", "d\u00fcse", "_thing", "class", None)
+        for name in ("all", "plant", "health", "Thing", "d\u00fcse", "_thing", "class", None)
     },
     "an end of the process": (
         "import sys\nsys.exit(7)\n",

@@ -44,10 +44,10 @@ class ForceController(Sink):
         t_ns = record.inputs.t_ns
         if t_ns < self._next_ns or self._limits is None or "adhesion_n" not in record.state.diagnostics:
             return
-        self._next_ns = t_ns + _EVERY_NS
         heading_rad = float(record.state.pose_body_in_wall[2])
-        if not math.isfinite(heading_rad):
+        if not math.isfinite(heading_rad):  # the robot has been stopped
             return
+        self._next_ns = t_ns + _EVERY_NS
         wanted_n = min(_MARGIN * self._limits.limit_n(self._thrust_n, heading_rad), self._highest_n)
         runs_n = record.state.diagnostics.get("adhesion_fan_n", self._asked_n)
         if runs_n > self._asked_n + _RAISED_N:

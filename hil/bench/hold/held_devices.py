@@ -17,13 +17,11 @@ from hil.bench.loop_settings import can_fall, fail_limits
 from hil.bench.model import BenchModel
 from hil.bench.reconnect import reconnecting
 from hil.bench.unreached_faults import not_begun, not_begun_in_words
-from hil.controller.joint_script import JointScript
 from hil.core.clock import Clock
 from hil.core.errors import UsageError, check_number
-from hil.core.interfaces import HELD_NOTE, CommandingSink, Controller, Sink
+from hil.core.interfaces import HELD_NOTE, Sink
 from hil.fakes.fault import Fault
 from hil.loop.device_set import DeviceSet
-from hil.loop.pipeline import ControlPipeline
 from hil.recording.clocks import ptp_offsets
 from hil.recording.transform_tree import describe_clock
 from hil.robot.trajectories import Trajectory
@@ -31,7 +29,6 @@ from hil.robot.trajectories import Trajectory
 LOG = logging.getLogger(__name__)
 _LOOK_S = 1.0
 Opened = TypeVar("Opened", bound="HeldDevices")
-MakeController = Callable[[BenchModel], Controller]
 
 
 class HeldDevices:
@@ -52,8 +49,6 @@ class HeldDevices:
         self.held = untouched("no device was opened: the robot is as it was before")
         self.warns_not_held = True
         self.waits_for_sensors = False
-        self.own_controller: MakeController | None = None
-        self.driven_by: tuple[str, CommandingSink] | None = None
         self.lost: list[str] = []
         self.faults = faults
         self._is_open = False
@@ -181,31 +176,6 @@ class HeldDevices:
         for sink in self._sinks:
             sink.close()
         self._sinks.clear()
-
-    def make_pipeline(
-        self,
-        trajectory: Trajectory | JointScript | None,
-        *,
-        controller: str | None = None,
-        feedback: str = "ekf",
-        observers: tuple[str, ...] = (),
-    ) -> ControlPipeline:
-        """The deterministic part of the loop for one motion or script (also what replay runs).
-
-        A controller of the user's own follows every trajectory, and so does a program that drives the bench.
-
-        Raises:
-            UsageError: unknown feedback or controller.
-            ConfigError: the controller of the user's own cannot be made.
-        """
-        if self.driven_by is not None and isinstance(trajectory, Trajectory):
-            controller = self.driven_by[0]
-        pipeline = self.model.make_pipeline(
-            trajectory, controller=controller, feedback=feedback, observers=observers
-        )
-        if self.own_controller is not None and isinstance(trajectory, Trajectory):
-            pipeline.controller = self.own_controller(self.model)
-        return pipeline
 
     def check(self, trajectory: Trajectory, *, known: Trajectory | None = None) -> None:
         """Refuse what the limits cannot follow.

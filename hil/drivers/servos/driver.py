@@ -6,8 +6,9 @@ Which model it is they tell at open; its control table, units and limits then co
 Measured behaviour that the driver passes on as it is: Present Velocity lags the encoder by 52 ms and is
 truncated towards zero (authors' recordings); the stamp is that of the position.
 
-Here is what happens when: opening, the order of a cycle, the sample. What a read is made of is in `cycle`,
-what the goals are in `goals`, what RAM must hold in `upkeep`, when a fault becomes an error in `outage`.
+Here is what happens when: opening, the order of a cycle. What a read is made of is in `cyclic_read`, what a
+sample is made of in `servo_samples`, the goals in `goal_values` and their packet in `packets`, what RAM must
+hold in `recovery`, when a fault becomes an error in `answer_timeouts`.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.cyclic_read import CycleReader, Reading
 from hil.drivers.servos.goal_values import Goals
 from hil.drivers.servos.keep_alive import KeepAlive
+from hil.drivers.servos.packets import GoalWrite
 from hil.drivers.servos.recovery import ANSWERING, RamRecovery, acknowledge_all
 from hil.drivers.servos.register_map import RegisterMap
 from hil.drivers.servos.sdk_port import ServoPort
@@ -119,7 +121,8 @@ class DynamixelServos(Actuators):
         self._cycle = CycleReader(bus, config, registers, self._clock, fast=fast, mapped=mapped)
         self._health = HealthSchedule(config, model, self._clock)
         self._outage = AnswerTimeouts(config, self.name, self._clock.now_ns())
-        self._goals = Goals(config, registers, blocks, self._upkeep.goal_write(), self.name)
+        goals_at = registers.goal_data if mapped else registers.goal_addresses
+        self._goals = Goals(config, registers, blocks, GoalWrite(config.ids, goals_at), self.name)
         self._samples = Samples(registers, blocks, self._upkeep, self._clock, self.name)
         self._doubtful = self._commanded = self._paused = False
         self._identity = ident.described(config, registers, blocks)

@@ -205,6 +205,10 @@ class GoalWrite:
 
     Drives want Goal Velocity (104) and steers Goal Position (116). Mapped to the same indirect data, a
     sync write of 54 bytes serves both; without the map a bulk write of 82 bytes does.
+
+    Args:
+        ids: of the eight servos.
+        addresses: one for all of them makes a sync write, one for each a bulk write.
     """
 
     def __init__(self, ids: Sequence[int], addresses: Sequence[int] | int) -> None:

@@ -18,7 +18,7 @@ from hil.core.signals import SERVOS, Status
 from hil.drivers.servos import packets
 from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.cyclic_read import Reading
-from hil.drivers.servos.packets import GoalWrite, GroupRead
+from hil.drivers.servos.packets import GroupRead
 from hil.drivers.servos.register_map import AUDIT_LENGTH, FULL_LEVEL, RegisterMap
 
 _LOG = logging.getLogger(__name__)
@@ -47,7 +47,7 @@ class RamRecovery:
         fast: use fast sync reads.
 
     Attributes:
-        mapped: whether goals go through indirect data (one sync write) or by bulk write.
+        mapped: whether all servos have the goal map, so that goals go through indirect data.
         torque: whether torque should be on.
         released: whether it was on and has been switched off.
         hardware_error: (8,) Hardware Error Status as last read.
@@ -58,16 +58,11 @@ class RamRecovery:
     ) -> None:
         self._bus, self._config, self._device, self._fast = bus, config, device, fast
         self._ids, self._map = config.ids, registers
-        self._goal_addresses = [registers.goal_velocity] * 4 + [registers.goal_position] * 4
         drive, steer = registers.encoded(config.drive_registers), registers.encoded(config.steer_registers)
         self._registers = [drive] * 4 + [steer] * 4
         self.mapped = True
         self.torque = self.released = False
         self.hardware_error = [0] * 8
-
-    def goal_write(self) -> GoalWrite:
-        """The cheapest write that serves drives and steers."""
-        return GoalWrite(self._ids, self._map.goal_data if self.mapped else self._goal_addresses)
 
     def prepare(self, blocks: Sequence[bytes]) -> None:
         """Write RAM at open; a robot that is held by torque stays held.
@@ -88,7 +83,7 @@ class RamRecovery:
     def _map_goals(self, torque: Sequence[int]) -> bool:
         """Set indirect addresses 1..7, which a servo with torque on does not allow."""
         for joint, servo_id in enumerate(self._ids):
-            wanted = self._map.indirect_map(self._goal_addresses[joint])
+            wanted = self._map.indirect_map(self._map.goal_addresses[joint])
             answer = self._bus.read(servo_id, self._map.indirect_address, len(wanted))
             if answer.data == wanted:
                 continue
@@ -260,7 +255,7 @@ class RamRecovery:
         servo_id = self._ids[joint]
         if self.mapped:
             self._bus.send(packets.sync_write(self._map.torque, 1, [(servo_id, b"\x00")]))
-            wanted = self._map.indirect_map(self._goal_addresses[joint])
+            wanted = self._map.indirect_map(self._map.goal_addresses[joint])
             self._bus.send(packets.sync_write(self._map.indirect_address, len(wanted), [(servo_id, wanted)]))
         for address, data in self._registers[joint]:
             self._bus.send(packets.sync_write(address, len(data), [(servo_id, data)]))
@@ -271,7 +266,7 @@ class RamRecovery:
         data = (goal & 0xFFFFFFFF).to_bytes(4, "little")
         for address, value in (
             (self._map.watchdog, b"\x00"),
-            (self._goal_addresses[joint], data),
+            (self._map.goal_addresses[joint], data),
             (self._map.watchdog, bytes((self._config.watchdog_count,))),
             (self._map.torque, b"\x01"),
         ):

@@ -71,7 +71,8 @@ class RegisterMap:
 
     Attributes:
         model: whose table it is.
-        torque, hardware_error, watchdog, goal_velocity, goal_position: of these registers.
+        torque, hardware_error, watchdog, goal_velocity: of these registers.
+        goal_addresses: of the goal of each joint: the drives' velocity, the steers' position.
         cycle_address, cycle_length: current, velocity and position, one range.
         indirect_address: of the first; what they point at stands at `goal_data` and on.
         audit_data, direct_audit, direct_audit_length: of an audit, through the indirect data and without.
@@ -85,7 +86,7 @@ class RegisterMap:
         self.hardware_error = table["hardware_error_status"].address
         self.watchdog = table["bus_watchdog"].address
         self.goal_velocity = table["goal_velocity"].address
-        self.goal_position = table["goal_position"].address
+        self.goal_addresses = [self.goal_velocity] * 4 + [table["goal_position"].address] * 4
         self.cycle_address, self.cycle_length = _range(table, _CYCLE)
         self._health = _range(table, _HEALTH)
         self.indirect_address = table["indirect_address_1"].address

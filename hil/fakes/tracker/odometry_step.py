@@ -12,11 +12,11 @@ from typing import NamedTuple
 from hil.core.geometry import Array
 from hil.support.numba_jit import inner, kernel
 
-# What errs (7,).
+# What errs (7,): stated here, filled in this order by `VisualOdometry.__init__` from the truth options.
 (YAW_RATE, YAW_WALK, POSITION_WALK, POSITION_NOISE, VELOCITY_NOISE, RATE_NOISE, ANGLE_NOISE) = range(7)
 
 # The levelled world (17,): the wall's axes in it, and the parts of the camera's rotation (w, x, y, z) that go
-# with cosine and sine of half the body's heading.
+# with cosine and sine of half the body's heading. Filled by `VisualOdometry._start`, as is the state.
 ALONG_X, ALONG_Y, ALONG_Z, COSINE_PART, SINE_PART = 0, 3, 6, 9, 13
 WORLD_SIZE = 17
 

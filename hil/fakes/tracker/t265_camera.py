@@ -12,9 +12,9 @@ from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.geometry import Array
 from hil.fakes.body_interface import BodyMotion
 from hil.fakes.emulation_request import EmulationRequest
+from hil.fakes.tracker.camera_truth import TrackerTruthOptions
 from hil.fakes.tracker.librealsense_frames import MODEL, FrameCallback, PoseFrame, WorldPipeline
 from hil.fakes.tracker.t265_faults import SUPPORTED_FAULTS, TrackerFaults
-from hil.fakes.tracker.t265_truth import TrackerTruthOptions
 from hil.fakes.tracker.visual_odometry import VisualOdometry
 from hil.fakes.tracker.wheel_odometer_input import WheelInput
 from hil.fakes.world import NEVER_NS, Scheduled, World

@@ -21,8 +21,8 @@ from hil.core.geometry import (
     quat_rotate,
 )
 from hil.fakes.body_interface import BodyMotion
+from hil.fakes.tracker.camera_truth import TrackerTruthOptions
 from hil.fakes.tracker.odometry_step import DRAWS, LAST_X, LAST_Y, POSITION, STATE_SIZE, WORLD_SIZE, Way, step
-from hil.fakes.tracker.t265_truth import TrackerTruthOptions
 from hil.support.numba_jit import compile_for, plain
 
 _BLOCK = 512

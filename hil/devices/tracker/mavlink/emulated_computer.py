@@ -20,8 +20,8 @@ from hil.devices.tracker.mavlink.emulated_odometry import estimate_of
 from hil.devices.tracker.mavlink.odometry_messages import Parser, dialect
 from hil.fakes.body_interface import BodyMotion
 from hil.fakes.emulation_request import EmulationRequest
-from hil.fakes.tracker.t265_truth import IDEAL as IDEAL_CAMERA
-from hil.fakes.tracker.t265_truth import TrackerTruthOptions
+from hil.fakes.tracker.camera_truth import IDEAL as IDEAL_CAMERA
+from hil.fakes.tracker.camera_truth import TrackerTruthOptions
 from hil.fakes.tracker.visual_odometry import VisualOdometry
 from hil.fakes.world import Scheduled, World
 

@@ -1,4 +1,4 @@
-"""True imperfections of the emulated T265."""
+"""True imperfections of an emulated tracking camera: of the T265 and of that behind a MAVLink computer."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from hil.config.values import Within
 @dataclass(frozen=True)
 class TrackerTruthOptions:
     """What one camera does wrong; individual values are drawn once per seed.
+
+    A key without a range of its own has that of its suffix, such as `_m_s` (`hil.fakes.truth_bounds`).
 
     Attributes:
         scale: distance that the visual odometry sees over the true one, mean over cameras.
