@@ -8,6 +8,7 @@ hardware moves unless the command line names it.
 from __future__ import annotations
 
 from collections.abc import Generator
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -25,6 +26,8 @@ MARKERS = (
     "real_only: skip where a device is emulated",
     'controller(name, domain=None): a control law, FILE.py:NAME, MODULE:NAME or "ros2:TOPIC" drives every '
     "trajectory of `bench`; of ROS 2 in this DDS domain, else that of ROS_DOMAIN_ID",
+    "opens_stand_ins: the real devices of the benches that this test opens by itself are no hardware, but "
+    "pseudo terminals, loopback or ports of an emulator: they are opened without --bench, too",
 )
 NOT_HELD = "not_held"
 """Property of a test case whose robot should be held and is not: how far it went, and why."""
@@ -34,6 +37,7 @@ _OPENED = pytest.StashKey["Bench"]()
 _PASSED = pytest.StashKey[bool]()
 _SEEN = pytest.StashKey["list[Bench]"]()
 _FAILED = pytest.StashKey[pytest.TestReport]()
+_STAND_INS = pytest.StashKey[bool]()
 
 pytest.register_assert_rewrite("hil.pytest_plugin.selfcheck", "hil.pytest_plugin.contract")
 
@@ -103,9 +107,21 @@ def _devices(text: str) -> str:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Describe the markers."""
+    """Describe the markers; from now on refuse real devices that the command line does not name."""
+    from hil.core.opened_benches import guarded_by
+
     for line in MARKERS:
         config.addinivalue_line("markers", line)
+
+    def guard(given: Any, checked: Any) -> None:
+        from hil.pytest_plugin.bench_selection import refuse_unnamed
+
+        if not config.stash.get(_STAND_INS, False):
+            refuse_unnamed(config, given, checked)
+
+    stack = ExitStack()
+    stack.enter_context(guarded_by(guard))
+    config.add_cleanup(stack.close)
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
@@ -204,8 +220,11 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, None, None]:
 
             record(item, found, folder)
 
+    stash = item.config.stash
+    stash[_STAND_INS] = item.get_closest_marker("opens_stand_ins") is not None
     with shown_to(opened):
         yield
+    stash[_STAND_INS] = False
 
 
 @pytest.hookimpl(hookwrapper=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numbers
 import shlex
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from hil.config.bench import BenchConfig
 from hil.config.several_devices import meant
 from hil.core.errors import HilError, UsageError
 from hil.core.registry import kind_of, kinds
@@ -59,6 +60,54 @@ def check_session(config: pytest.Config) -> None:
             f"--bench {config.getoption('bench')}: {', '.join(real)} are real and cannot be shared by "
             "several processes; leave -n and --dist out, or add --emulate"
         )
+
+
+def refuse_unnamed(config: pytest.Config, given: str | Path | BenchConfig, wanted: BenchConfig) -> None:
+    """Refuse a bench with real devices that the command line does not name.
+
+    Args:
+        config: of the session.
+        given: file, profile or configuration that the bench is asked for by.
+        wanted: the configuration that comes of it.
+
+    Raises:
+        UsageError: a device of it is real, and not one of those that `--bench` and `--emulate` leave real.
+    """
+    real = [name for name in wanted.devices() if name not in wanted.emulated()]
+    if not real:
+        return
+    found = f"bench {wanted.name if isinstance(given, BenchConfig) else given}: {', '.join(real)} real"
+    named = config.getoption("bench")
+    if not named:
+        raise UsageError(
+            f"{found}, and pytest was started without --bench",
+            expected="every device emulated where the command line names no bench",
+            remedy="start pytest with --bench FILE, or give emulate='all' to open_bench; a test whose ports "
+            "are stand-ins is marked opens_stand_ins (docs/pytest.md)",
+        )
+    source = source_of(config)
+    if not _same(given, wanted, source, real):
+        raise UsageError(
+            f"{found}, and pytest was started with --bench {named}",
+            expected=f"real devices of {named} only",
+            remedy="name this bench with --bench, or give emulate='all' to open_bench",
+        )
+    if emulated := [name for name in real if name not in source.real]:
+        raise UsageError(
+            f"{found}, and --emulate {config.getoption('emulate')} has {', '.join(emulated)} emulated",
+            expected=f"only {', '.join(source.real) or 'none'} real",
+            remedy="leave --emulate out, or give emulate to open_bench, too",
+        )
+
+
+def _same(
+    given: str | Path | BenchConfig, wanted: BenchConfig, source: BenchSource, real: Sequence[str]
+) -> bool:
+    """Whether a bench is asked for by the file of the session, or has its tables of the real devices."""
+    if isinstance(given, BenchConfig) or isinstance(source.bench, BenchConfig):
+        ours, theirs = source.config.devices(), wanted.devices()
+        return all(name in ours and ours[name] == theirs[name] for name in real)
+    return Path(given).resolve() == Path(source.bench).resolve()
 
 
 def in_several_processes(config: pytest.Config) -> bool:
