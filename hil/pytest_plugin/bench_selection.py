@@ -137,7 +137,7 @@ def properties(source: BenchSource) -> list[tuple[str, object]]:
 
 
 def properties_of(bench: Bench) -> list[tuple[str, object]]:
-    """The same of a bench that a test has opened by itself, with how it has left the robot."""
+    """The same of a bench that a test has opened by itself, and how it has left the robot if it is closed."""
     from hil.bench import describe_fault
 
     version = bench.calibration.rpartition(" version ")[2].partition(" ")[0]
@@ -147,7 +147,7 @@ def properties_of(bench: Bench) -> list[tuple[str, object]]:
         ("seed", bench.seed),
         ("emulated", ",".join(bench.config.emulated()) or "none"),
         *(("fault", describe_fault(fault)) for fault in bench.faults),
-        *([("held", bench.held.state)] if bench.held.opened else []),
+        *([("held", bench.held.state)] if bench.held.opened and not bench.is_open else []),
     ]
 
 

@@ -41,6 +41,10 @@ def test_the_template_runs_as_it_stands(tmp_path):
     assert [name for name in skipped if not name.endswith(lacking)] == [
         "test_the_firmware_is_the_one_we_released"
     ]
+    for case in cases:
+        names = [p.get("name") for p in case.iter("property") if p.get("name") != "fault"]
+        assert len(names) == len(set(names))
+        assert "bench_2" not in names
     benches = {p.get("value") for case in cases for p in case.iter("property") if p.get("name") == "bench"}
     assert benches == {"my_bench"}
     result = json.loads((project / "results" / "short_line" / "result.json").read_text())
