@@ -15,7 +15,7 @@ import pytest
 from hil.config.bench import BenchConfig
 from hil.config.several_devices import meant
 from hil.core.errors import HilError, UsageError
-from hil.core.registry import kind_of, kinds
+from hil.core.registry import kind_of, kinds, which_device
 from hil.procedure.bench_request import BenchSource
 from hil.pytest_plugin.controllers import driven
 
@@ -256,7 +256,8 @@ def _needed(item: pytest.Item) -> tuple[str, ...]:
             raise UsageError(
                 f"marker needs({name!r})",
                 expected="some of " + ", ".join(kinds()),
-                remedy="install the package that adds this kind of device, or correct the name",
+                remedy=which_device(name, kinds())
+                or "install the package that adds this kind of device, or correct the name",
             )
     return tuple(dict.fromkeys(names))
 
