@@ -67,7 +67,8 @@ def open_bench(
         ConfigError: the configuration or the calibration is wrong.
         FaultNotSupportedError: a fault that no emulated device of the bench can produce.
         DeviceError: the emulated devices cannot be served.
-        UsageError: a seed that is no whole number from 0 on.
+        UsageError: a seed that is no whole number from 0 on; real devices, in a run of pytest whose command
+            line does not name them.
     """
     if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
         raise UsageError(f"seed is {seed!r}", expected="a whole number, 0 or more")
@@ -76,6 +77,7 @@ def open_bench(
     if start_pose is not None:
         overrides = {**(overrides or {}), "environment.start_pose": [float(v) for v in start_pose]}
     checked = load_bench(config, emulate=emulate, overrides=overrides, seed=seed).settled(realtime=realtime)
+    opened_benches.ask(config, checked)
     model = _model(with_wheel_sigma(checked), calibration, int(seed))
     bench = _put_together(model, planned_faults(model.config, faults), sinks, realtime=realtime)
     opened_benches.show(bench)

@@ -62,9 +62,15 @@ def _again(kind: type[HilError], args: tuple[object, ...], carried: dict[str, ob
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """A question that names the known word nearest to a mistyped one; empty when none is near."""
+    near = nearest(word, known)
+    return f"did you mean {near}?" if near else ""
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """The known word nearest to a mistyped one; empty when none is near."""
     by_lower = {name.lower(): name for name in known}
     near = difflib.get_close_matches(word.lower(), by_lower, n=1)
-    return f"did you mean {by_lower[near[0]]}?" if near else ""
+    return by_lower[near[0]] if near else ""
 
 
 def reason_of(error: Exception) -> str:

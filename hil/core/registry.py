@@ -13,7 +13,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
 from hil.core.device import DeviceKind, DeviceModel
-from hil.core.errors import ConfigError
+from hil.core.errors import ConfigError, nearest
 from hil.core.further_device import FurtherKind, is_label
 from hil.core.registry_checks import add_kind, add_model
 from hil.core.signals import KINDS, Inputs
@@ -80,6 +80,25 @@ def kinds() -> Kinds:
 def kind_of(name: str) -> DeviceKind | None:
     """The kind of a name or alias, or a further device's; None where there is none."""
     return next((k for k in kinds().values() if name in (k.name, *k.aliases)), kinds().get(name))
+
+
+def which_device(word: str, known: Iterable[str]) -> str:
+    """A question that names the device a word may mean, by what people call it; empty where none is near.
+
+    Args:
+        word: that is none of them, for example `camera` or `trackr`.
+        known: names of devices, for example `tracker`.
+    """
+    known = tuple(known)
+    called = {
+        other.lower().replace(" ", "_"): kind.name
+        for kind in kinds().values()
+        if kind.name in known
+        for other in (kind.noun, *kind.aliases)
+    }
+    said = called | {name.lower(): name for name in known}
+    near = nearest(word, said)
+    return f"did you mean {said[near]}?" if near else ""
 
 
 def further(names: Iterable[str]) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from collections.abc import Container, Hashable, Iterable, Mapping
 import numpy as np
 
 from hil.core.errors import FaultNotSupportedError, UsageError, did_you_mean
+from hil.core.registry import which_device
 from hil.fakes.fault import Fault, Supported, check_kind
 
 
@@ -81,7 +82,7 @@ class FaultPlan:
             raise FaultNotSupportedError(
                 f"fault {fault.device}:{fault.kind}: no emulated device of that name",
                 expected="one of " + ", ".join(sorted(self._supported)),
-                remedy=did_you_mean(fault.device, self._supported) or "faults are refused on real hardware",
+                remedy=which_device(fault.device, self._supported) or "faults are refused on real hardware",
             )
         kinds = self._supported[fault.device]
         if fault.kind not in kinds:

@@ -8,6 +8,7 @@ hardware moves unless the command line names it.
 from __future__ import annotations
 
 from collections.abc import Generator
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -25,15 +26,16 @@ MARKERS = (
     "real_only: skip where a device is emulated",
     'controller(name, domain=None): a control law, FILE.py:NAME, MODULE:NAME or "ros2:TOPIC" drives every '
     "trajectory of `bench`; of ROS 2 in this DDS domain, else that of ROS_DOMAIN_ID",
+    "opens_stand_ins: the real devices of the benches that this test opens by itself are no hardware, but "
+    "pseudo terminals, loopback or ports of an emulator: they are opened without --bench, too",
 )
 NOT_HELD = "not_held"
 """Property of a test case whose robot should be held and is not: how far it went, and why."""
-KEPT = ("recording", "page")
-"""Properties of a failed test: paths of what `--hil-keep` has kept of it."""
 _OPENED = pytest.StashKey["Bench"]()
 _PASSED = pytest.StashKey[bool]()
-_SEEN = pytest.StashKey["list[Bench]"]()
 _FAILED = pytest.StashKey[pytest.TestReport]()
+_STAND_INS = pytest.StashKey[bool]()
+_SEES = pytest.StashKey[bool]()
 
 pytest.register_assert_rewrite("hil.pytest_plugin.selfcheck", "hil.pytest_plugin.contract")
 
@@ -103,9 +105,21 @@ def _devices(text: str) -> str:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Describe the markers."""
+    """Describe the markers; from now on refuse real devices that the command line does not name."""
+    from hil.core.opened_benches import guarded_by
+
     for line in MARKERS:
         config.addinivalue_line("markers", line)
+
+    def guard(given: Any, checked: Any) -> None:
+        from hil.pytest_plugin.bench_selection import refuse_unnamed
+
+        if not config.stash.get(_STAND_INS, False):
+            refuse_unnamed(config, given, checked)
+
+    stack = ExitStack()
+    stack.enter_context(guarded_by(guard))
+    config.add_cleanup(stack.close)
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
@@ -163,11 +177,11 @@ def _tell_lost(reporter: Any) -> None:
 
 def _tell_kept(reporter: Any) -> None:
     """The files that are kept of failed tests."""
-    kept = {(r.nodeid, path) for r in _ended(reporter) for name, path in r.user_properties if name in KEPT}
+    kept = dict.fromkeys(line for r in _ended(reporter) for line in getattr(r, "hil_kept", ()))
     if kept:
         reporter.section("kept of failed tests")
-    for nodeid, path in sorted(kept):
-        reporter.write_line(f"{nodeid}: {path}")
+    for line in sorted(kept):
+        reporter.write_line(line)
 
 
 def _named(config: pytest.Config) -> bool:
@@ -198,14 +212,16 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, None, None]:
     from hil.core.opened_benches import shown_to
 
     def opened(found: Bench) -> None:
-        item.stash.setdefault(_SEEN, []).append(found)
-        if folder := item.config.getoption("hil_keep"):
-            from hil.pytest_plugin.kept_failures import record
+        from hil.pytest_plugin.seen_benches import see
 
-            record(item, found, folder)
+        item.config.stash[_SEES] = True
+        see(item, found)
 
+    stash = item.config.stash
+    stash[_STAND_INS] = item.get_closest_marker("opens_stand_ins") is not None
     with shown_to(opened):
         yield
+    stash[_STAND_INS] = False
 
 
 @pytest.hookimpl(hookwrapper=True)
@@ -228,18 +244,22 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
 
 def _end(item: pytest.Item, report: pytest.TestReport) -> None:
     """Put into the last report of a test which benches it has opened itself, and what is kept of it."""
-    seen, failed = item.stash.get(_SEEN, []), item.stash.get(_FAILED, None)
-    if seen:
-        from hil.pytest_plugin.bench_selection import properties_of
-        from hil.pytest_plugin.kept_failures import finish
+    if item.config.stash.get(_SEES, False):
+        from hil.pytest_plugin.seen_benches import end_test
 
-        own = [one for one in seen if one is not item.stash.get(_OPENED, None)]
-        added = dict.fromkeys(entry for one in own for entry in properties_of(one))
-        report.user_properties += [*added, *finish(item, failed)]
-    keys: tuple[pytest.StashKey[Any], ...] = (_OPENED, _SEEN, _FAILED)
+        end_test(item, report, item.stash.get(_OPENED, None), item.stash.get(_FAILED, None))
+    keys: tuple[pytest.StashKey[Any], ...] = (_OPENED, _FAILED)
     for key in keys:
         if key in item.stash:
             del item.stash[key]
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Finish what is still recorded."""
+    if session.config.stash.get(_SEES, False):
+        from hil.pytest_plugin.seen_benches import end_session
+
+        end_session(session.config)
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numbers
 import shlex
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from hil.config.bench import BenchConfig
 from hil.config.several_devices import meant
 from hil.core.errors import HilError, UsageError
-from hil.core.registry import kind_of, kinds
+from hil.core.registry import kind_of, kinds, which_device
 from hil.procedure.bench_request import BenchSource
 from hil.pytest_plugin.controllers import driven
 
@@ -61,6 +62,54 @@ def check_session(config: pytest.Config) -> None:
         )
 
 
+def refuse_unnamed(config: pytest.Config, given: str | Path | BenchConfig, wanted: BenchConfig) -> None:
+    """Refuse a bench with real devices that the command line does not name.
+
+    Args:
+        config: of the session.
+        given: file, profile or configuration that the bench is asked for by.
+        wanted: the configuration that comes of it.
+
+    Raises:
+        UsageError: a device of it is real, and not one of those that `--bench` and `--emulate` leave real.
+    """
+    real = [name for name in wanted.devices() if name not in wanted.emulated()]
+    if not real:
+        return
+    found = f"bench {wanted.name if isinstance(given, BenchConfig) else given}: {', '.join(real)} real"
+    named = config.getoption("bench")
+    if not named:
+        raise UsageError(
+            f"{found}, and pytest was started without --bench",
+            expected="every device emulated where the command line names no bench",
+            remedy="start pytest with --bench FILE, or give emulate='all' to open_bench; a test whose ports "
+            "are stand-ins is marked opens_stand_ins (docs/pytest.md)",
+        )
+    source = source_of(config)
+    if not _same(given, wanted, source, real):
+        raise UsageError(
+            f"{found}, and pytest was started with --bench {named}",
+            expected=f"real devices of {named} only",
+            remedy="name this bench with --bench, or give emulate='all' to open_bench",
+        )
+    if emulated := [name for name in real if name not in source.real]:
+        raise UsageError(
+            f"{found}, and --emulate {config.getoption('emulate')} has {', '.join(emulated)} emulated",
+            expected=f"only {', '.join(source.real) or 'none'} real",
+            remedy="leave --emulate out, or give emulate to open_bench, too",
+        )
+
+
+def _same(
+    given: str | Path | BenchConfig, wanted: BenchConfig, source: BenchSource, real: Sequence[str]
+) -> bool:
+    """Whether a bench is asked for by the file of the session, or has its tables of the real devices."""
+    if isinstance(given, BenchConfig) or isinstance(source.bench, BenchConfig):
+        ours, theirs = source.config.devices(), wanted.devices()
+        return all(name in ours and ours[name] == theirs[name] for name in real)
+    return Path(given).resolve() == Path(source.bench).resolve()
+
+
 def in_several_processes(config: pytest.Config) -> bool:
     """Whether xdist hands the tests to processes of their own (`-n`, or `--dist` with `--tx`)."""
     return config.pluginmanager.has_plugin("dsession")
@@ -88,7 +137,7 @@ def properties(source: BenchSource) -> list[tuple[str, object]]:
 
 
 def properties_of(bench: Bench) -> list[tuple[str, object]]:
-    """The same of a bench that a test has opened by itself, with how it has left the robot."""
+    """The same of a bench that a test has opened by itself, and how it has left the robot if it is closed."""
     from hil.bench import describe_fault
 
     version = bench.calibration.rpartition(" version ")[2].partition(" ")[0]
@@ -98,7 +147,7 @@ def properties_of(bench: Bench) -> list[tuple[str, object]]:
         ("seed", bench.seed),
         ("emulated", ",".join(bench.config.emulated()) or "none"),
         *(("fault", describe_fault(fault)) for fault in bench.faults),
-        *([("held", bench.held.state)] if bench.held.opened else []),
+        *([("held", bench.held.state)] if bench.held.opened and not bench.is_open else []),
     ]
 
 
@@ -207,7 +256,8 @@ def _needed(item: pytest.Item) -> tuple[str, ...]:
             raise UsageError(
                 f"marker needs({name!r})",
                 expected="some of " + ", ".join(kinds()),
-                remedy="install the package that adds this kind of device, or correct the name",
+                remedy=which_device(name, kinds())
+                or "install the package that adds this kind of device, or correct the name",
             )
     return tuple(dict.fromkeys(names))
 

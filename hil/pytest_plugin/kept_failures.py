@@ -1,13 +1,15 @@
 """What stays of a failed test: with `--hil-keep FOLDER` its recordings, and a page of each.
 
-Every bench that a test opens is recorded while it runs. What a passed test has recorded is removed again.
+Every bench that a test opens is recorded until it is closed. What was recorded while all tests passed is
+removed again.
 """
 
 from __future__ import annotations
 
 import hashlib
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,50 +22,61 @@ from hil.recording.mcap_writer import McapRecorder
 if TYPE_CHECKING:
     from hil.bench import Bench
 
-_KEPT = pytest.StashKey[list[McapRecorder]]()
 
-
-def record(item: pytest.Item, bench: Bench, root: str) -> None:
+def record(item: pytest.Item, bench: Bench, root: str, others: Sequence[Path]) -> McapRecorder:
     """Have a bench recorded that a test opens.
 
     Args:
         item: the test.
         bench: of it, before its devices are opened.
         root: folder of the session; the test gets one of its own in it.
+        others: recordings of this session that are not finished yet.
     """
-    kept = item.stash.setdefault(_KEPT, [])
     folder = item.config.invocation_params.dir / root / _name(item.nodeid)
-    if not kept:
+    if all(path.parent != folder for path in others):
         shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True, exist_ok=True)
-    name = f"recording-{len(kept) + 1}.mcap" if kept else "recording.mcap"
+    names = ("recording.mcap", *(f"recording-{k + 2}.mcap" for k in range(len(others))))
+    path = next(folder / name for name in names if folder / name not in others)
     virtual = bench.world is not None
-    kept.append(McapRecorder(folder / name, bench.header(), lossless=virtual, on_failure="go-on"))
-    bench.add_sink(kept[-1])
+    recorder = McapRecorder(path, bench.header(), lossless=virtual, on_failure="go-on")
+    bench.add_sink(recorder)
+    return recorder
 
 
-def finish(item: pytest.Item, failed: pytest.TestReport | None) -> Iterator[tuple[str, str]]:
-    """Keep or remove what was recorded of a test that is over; yields kinds and paths of what is kept.
+def finish(
+    recorder: McapRecorder, title: str, failed: pytest.TestReport | None, start: Path
+) -> Iterator[tuple[str, str]]:
+    """Keep or remove what was recorded of a bench that is over; yields kinds and paths of what is kept.
 
     Args:
-        item: the test, whose benches are closed.
-        failed: the report of the phase that failed first, None if the test has passed.
+        recorder: of the bench.
+        title: of the page.
+        failed: the report of the phase that failed first, None if no test has failed.
+        start: folder that paths below it are told from.
+
+    Yields:
+        `recording` and `page` with a path; `no page` with the reason where none could be written.
     """
-    for recorder in item.stash.get(_KEPT, []):
-        recorder.close()
-        if failed is None:
-            shutil.rmtree(recorder.path.parent, ignore_errors=True)
-            continue
-        yield "recording", str(recorder.path)
-        page = recorder.path.with_suffix(".html")
-        try:
-            _write_page(page, recorder.path, item.nodeid, _sentence(failed))
-        except HilError as error:
-            yield "page", f"none ({error})"
-        else:
-            yield "page", str(page)
-    if _KEPT in item.stash:
-        del item.stash[_KEPT]
+    recorder.close()
+    if failed is None:
+        recorder.path.unlink(missing_ok=True)
+        with suppress(OSError):  # another recording is in it
+            recorder.path.parent.rmdir()
+        return
+    yield "recording", _told(recorder.path, start)
+    page = recorder.path.with_suffix(".html")
+    try:
+        _write_page(page, recorder.path, title, _sentence(failed))
+    except HilError as error:
+        yield "no page", str(error)
+    else:
+        yield "page", _told(page, start)
+
+
+def _told(path: Path, start: Path) -> str:
+    """A path as it is told: from the folder that pytest was started in, where it lies below that."""
+    return str(path.relative_to(start) if path.is_relative_to(start) else path)
 
 
 def _name(nodeid: str) -> str:

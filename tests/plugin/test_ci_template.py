@@ -41,6 +41,10 @@ def test_the_template_runs_as_it_stands(tmp_path):
     assert [name for name in skipped if not name.endswith(lacking)] == [
         "test_the_firmware_is_the_one_we_released"
     ]
+    for case in cases:
+        names = [p.get("name") for p in case.iter("property") if p.get("name") != "fault"]
+        assert len(names) == len(set(names))
+        assert "bench_2" not in names
     benches = {p.get("value") for case in cases for p in case.iter("property") if p.get("name") == "bench"}
     assert benches == {"my_bench"}
     result = json.loads((project / "results" / "short_line" / "result.json").read_text())
@@ -49,6 +53,38 @@ def test_the_template_runs_as_it_stands(tmp_path):
     assert not (project / "results" / "failed").exists() or not list(
         (project / "results" / "failed").iterdir()
     )
+
+
+HIL = """#!/bin/sh
+[ "$2" != procedures/failing.py ] || { mkdir "$8"; touch "$8/report.html"; exit 1; }
+exec "%s" -m hil "$@"
+"""
+
+
+def test_what_is_said_of_a_procedure_that_has_not_passed_is_there(tmp_path):
+    (tmp_path / "procedures").mkdir()
+    for name, text in (("broken", "def run(:"), ("helper", "X = 1"), ("failing", "")):
+        (tmp_path / "procedures" / f"{name}.py").write_text(f"{text}\n")
+    shutil.copy(TEMPLATE / "bench.toml", tmp_path)
+    for name, text in (("python", "#!/bin/sh\n"), ("hil", HIL % sys.executable)):
+        (tmp_path / "bin" / name).parent.mkdir(exist_ok=True)
+        (tmp_path / "bin" / name).write_text(text)
+        (tmp_path / "bin" / name).chmod(0o755)
+    done = subprocess.run(
+        ["sh", TEMPLATE / "ci.sh"],
+        cwd=tmp_path,
+        env={**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}", "GITHUB_ACTIONS": "true"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 1
+    said = dict(line.removeprefix("::error file=").split("::") for line in done.stdout.splitlines())
+    assert "results/failing/report.html" in said["procedures/failing.py"]
+    for name in ("broken", "helper"):
+        assert "report.html" not in said[f"procedures/{name}.py"]
+        assert said[f"procedures/{name}.py"] in done.stderr
+        assert f"procedures/{name}.py" in said[f"procedures/{name}.py"]
 
 
 @pytest.mark.parametrize("jobs", [".github/workflows/bench.yml", ".gitlab-ci.yml"])

@@ -1,6 +1,5 @@
 """What a failed test leaves behind, and what the report says of a bench that a test opens by itself."""
 
-from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
@@ -60,10 +59,12 @@ def test_a_failed_test_keeps_its_recording_and_a_page_and_a_passed_one_nothing(p
     for name in failed:
         (recording,), (page,) = found[name]["recording"], found[name]["page"]
         result.stdout.fnmatch_lines([f"test_mine.py::{name.replace('[', '[[]')}: {recording}"])
-        opened = open_recording(Path(recording))
+        assert recording.startswith("kept/")
+        assert page.startswith("kept/")
+        opened = open_recording(pytester.path / recording)
         assert len(opened.run(0).records) > 5
-        assert name in Path(page).read_text(encoding="utf-8")
-    text = Path(found["test_of_the_fixture"]["page"][0]).read_text(encoding="utf-8")
+        assert name in (pytester.path / page).read_text(encoding="utf-8")
+    text = (pytester.path / found["test_of_the_fixture"]["page"][0]).read_text(encoding="utf-8")
     assert "a sentence of the failure" in text
     assert len({found[name]["recording"][0] for name in failed}) == 4
     assert "recording" not in found["test_that_passes"]
@@ -89,3 +90,78 @@ def test_nothing_is_kept_that_was_not_asked_for(pytester):
     assert found["test_of_the_fixture"]["bench"] == found["test_of_its_own"]["bench"] == ["emulated"]
     assert not any("recording" in own for own in found.values())
     assert [*pytester.path.rglob("*.mcap"), *pytester.path.rglob("*.html")] == []
+
+
+LONG = """
+import hil
+import pytest
+
+@pytest.fixture(scope="module")
+def mine():
+    with hil.open_bench("emulated", seed=5) as bench:
+        yield bench
+
+def test_that_opens(mine):
+    mine.observe(0.1, feedback="odometry")
+
+def test_between(mine):
+    mine.observe(0.1, feedback="odometry")
+    assert {between}
+
+def test_that_is_the_last(mine):
+    mine.observe(0.1, feedback="odometry")
+"""
+
+
+@pytest.mark.parametrize("between", [True, False])
+def test_a_bench_that_outlives_its_test_is_reported_when_it_is_closed(pytester, between):
+    pytester.makepyfile(test_mine=LONG.format(between=between))
+    options = ("--junitxml=junit.xml", "-p", "no:cacheprovider", "--hil-keep", "kept")
+    result = pytester.runpytest_subprocess(*options)
+    found = properties(pytester.path / "junit.xml")
+    assert found["test_that_opens"]["seed"] == ["5"]
+    assert "held" not in found["test_that_opens"]
+    assert found["test_between"] == {}
+    last = found["test_that_is_the_last"]
+    assert (last["seed"], last["held"]) == (["5"], ["HELD"])
+    if between:
+        assert "recording" not in last
+        assert list((pytester.path / "kept").iterdir()) == []
+        return
+    opened = open_recording(pytester.path / last["recording"][0])
+    assert sum(len(run.records) for run in opened.runs) > 25
+    assert "test_between" in (pytester.path / last["page"][0]).read_text(encoding="utf-8")
+    result.stdout.fnmatch_lines(f"test_mine.py::test_between: {last['recording'][0]}")
+
+
+SEVERAL = """
+import hil
+import pytest
+
+def test_three(bench):
+    for _ in range(2):
+        with hil.open_bench("emulated", seed=5):
+            pass
+    with hil.open_bench("emulated", seed=6):
+        pass
+    assert False
+"""
+
+
+def test_each_bench_of_a_test_has_properties_of_its_own_and_a_missing_page_is_none(pytester):
+    pytester.makepyfile(test_mine=SEVERAL)
+    options = (
+        "--junitxml=junit.xml",
+        "-p",
+        "no:cacheprovider",
+        f"--hil-keep={pytester.path.parent / 'kept'}",
+    )
+    result = pytester.runpytest_subprocess(*options)
+    found = properties(pytester.path / "junit.xml")["test_three"]
+    assert [found[name] for name in ("seed", "seed_2", "seed_3")] == [["0"], ["5"], ["6"]]
+    assert [found[name] for name in ("held", "held_2", "held_3")] == [["HELD"]] * 3
+    assert "seed_4" not in found
+    assert len(found["recording"]) == 4
+    assert all(path.startswith(f"{pytester.path.parent}/kept/") for path in found["recording"])
+    assert "page" not in found
+    result.stdout.fnmatch_lines("test_mine.py::test_three: no page (*)")

@@ -138,6 +138,10 @@ def test_needs_nothing(bench):
     pass
 
 
+@pytest.mark.needs("camera")
+def test_called_as_people_do(bench):
+    pass
+
 @pytest.mark.needs("radar")
 def test_unknown_device():
     raise AssertionError
@@ -259,6 +263,7 @@ def test_fixtures_and_markers_on_the_emulated_bench(run):
         "test_impossible_fault": "error",
         "test_impossible_option": "error",
         "test_needs_nothing": "error",
+        "test_called_as_people_do": "error",
         "test_unknown_device": "error",
         "test_half_a_fault": "error",
         "test_no_time": "error",
@@ -272,6 +277,7 @@ def test_fixtures_and_markers_on_the_emulated_bench(run):
     assert "real_only: bench emulated emulates servos" in found["test_only_on_hardware"].message
     assert "imu cannot produce the fault 'bus_off'" in found["test_impossible_fault"].message
     assert "period_s is 0; expected a number from 0.001" in found["test_impossible_option"].message
+    assert "did you mean tracker" in found["test_called_as_people_do"].message
     assert "needs('radar')" in found["test_unknown_device"].message
     assert "marker needs()" in found["test_needs_nothing"].message
     assert "at=seconds" in found["test_half_a_fault"].message
@@ -288,6 +294,10 @@ import pytest
 
 def test_it_opens(bench):
     assert bench.has("imu")
+
+@pytest.mark.needs("servo")
+def test_with_a_servo(bench):
+    raise AssertionError
 
 @pytest.mark.needs("mocap")
 def test_with_mocap(bench):
@@ -316,6 +326,7 @@ def test_that_needs_the_world(world):
 
 EMULATED = {
     "test_it_opens": "passed",
+    "test_with_a_servo": "skipped",
     "test_with_mocap": "skipped",
     "test_with_a_fault": "passed",
     "test_with_a_fault_of_a_servo": "skipped",
@@ -337,6 +348,7 @@ def test_a_bench_that_is_not_named_on_the_command_line_is_emulated(run, pytester
     result, found = run(test_lab=ON_A_LAB)
     assert {name: case.outcome for name, case in found.items()} == EMULATED, result.stdout.str()
     assert found["test_with_mocap"].message == "needs mocap, which bench lab lacks"
+    assert found["test_with_a_servo"].message == "needs servos, which bench lab lacks"
     assert found["test_with_a_fault_of_a_servo"].message.endswith("bench lab lacks servos")
     for case in found.values():
         assert case.properties.items() >= {"bench": "lab", "calibration_version": "3"}.items()

@@ -112,6 +112,11 @@ class HeldDevices:
         finally:
             self._let_go()
 
+    @property
+    def is_open(self) -> bool:
+        """Whether it has been entered and is not closed yet."""
+        return self._is_open
+
     def must_be_open(self) -> None:
         """Raise `UsageError` before the bench is entered, and once it is closed."""
         if not self._is_open:

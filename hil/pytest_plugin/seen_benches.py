@@ -1,0 +1,117 @@
+"""The benches that tests open: what the reports say of them, and what is kept of their recordings.
+
+A bench may outlive the test that has opened it, in a fixture of a module or of the session. How it has left
+the robot is known once it is closed: that is in the report of the test at whose end this happens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import pytest
+
+from hil.pytest_plugin.bench_selection import properties_of
+from hil.pytest_plugin.kept_failures import finish, record
+
+if TYPE_CHECKING:
+    from hil.bench import Bench
+    from hil.recording.mcap_writer import McapRecorder
+
+_OF_A_BENCH = ("bench", "calibration_version", "seed", "emulated", "fault", "controller", "held")
+_SEEN = pytest.StashKey["list[Seen]"]()
+
+
+@dataclass
+class Seen:
+    """A bench that a test has opened.
+
+    Attributes:
+        bench: itself.
+        recorder: what records it; None without `--hil-keep`.
+        failed: the first failure while it was open.
+        title: of its page: the test that failed, else the one that opened it.
+        told: whether a report has its properties already.
+    """
+
+    bench: Bench
+    recorder: McapRecorder | None
+    title: str
+    failed: pytest.TestReport | None = None
+    told: bool = False
+
+
+def see(item: pytest.Item, bench: Bench) -> None:
+    """Take notice of a bench that a test opens, and have it recorded where that is asked for."""
+    seen = item.config.stash.setdefault(_SEEN, [])
+    folder, recorder = item.config.getoption("hil_keep"), None
+    if folder:
+        others = [one.recorder.path for one in seen if one.recorder is not None]
+        recorder = record(item, bench, folder, others)
+    seen.append(Seen(bench, recorder, item.nodeid))
+
+
+def end_test(
+    item: pytest.Item, report: pytest.TestReport, fixture: Bench | None, failed: pytest.TestReport | None
+) -> None:
+    """Put into the last report of a test which benches it has opened or closed, and what is kept of them.
+
+    Args:
+        item: the test.
+        report: of its teardown.
+        fixture: its bench of the fixture `bench`, None without one.
+        failed: the report of the phase that failed first, None if the test has passed.
+    """
+    seen = item.config.stash.get(_SEEN, [])
+    groups = [[entry for entry in report.user_properties if entry[0] in _OF_A_BENCH]]
+    kept: list[str] = []
+    for one in list(seen):
+        if failed is not None and one.failed is None:
+            one.failed, one.title = failed, item.nodeid
+        still = one.bench.is_open
+        if one.bench is not fixture and not (still and one.told):
+            _add(report, groups, properties_of(one.bench))
+            one.told = True
+        if still:
+            continue
+        seen.remove(one)
+        if one.recorder is not None:
+            for name, text in finish(one.recorder, one.title, one.failed, item.config.invocation_params.dir):
+                kept.append(f"{one.title}: {f'no page ({text})' if name == 'no page' else text}")
+                if name != "no page":
+                    report.user_properties.append((name, text))
+    if kept:
+        vars(report)["hil_kept"] = kept  # for the terminal, also from a worker of xdist
+
+
+def _add(
+    report: pytest.TestReport, groups: list[list[tuple[str, object]]], entries: Sequence[tuple[str, object]]
+) -> None:
+    """Properties of one more bench, under names of its own; those of a bench that is there already once.
+
+    Args:
+        report: of the test.
+        groups: the properties of each bench it has; this one's are added.
+        entries: those of this bench.
+    """
+    for group in groups:
+        has_held = any(name == "held" for name, _ in group)
+        there = {(name, str(value)) for name, value in group}
+        missing = [entry for entry in entries if (entry[0], str(entry[1])) not in there]
+        if not missing or (group and not has_held and all(name == "held" for name, _ in missing)):
+            report.user_properties += missing
+            group += missing
+            return
+    if not groups[0]:
+        groups.clear()
+    groups.append(list(entries))
+    number = f"_{len(groups)}" if len(groups) > 1 else ""
+    report.user_properties += [(f"{name}{number}", value) for name, value in entries]
+
+
+def end_session(config: pytest.Config) -> None:
+    """Finish the recordings of benches that nobody has closed."""
+    for one in config.stash.get(_SEEN, []):
+        if one.recorder is not None:
+            tuple(finish(one.recorder, one.title, one.failed, config.invocation_params.dir))
