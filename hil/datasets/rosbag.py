@@ -165,6 +165,13 @@ def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
     for topic, stamp, message in _messages(file, (wheels.topic, truth.topic)):
         stamps[topic].append(stamp)
         (poses if topic == truth.topic else joints).add(message)
+    if silent := [topic for topic, found in stamps.items() if not found]:
+        raise DataError(
+            str(file),
+            f"{' and '.join(silent)} {'hold' if len(silent) > 1 else 'holds'} no message",
+            expected="messages of the wheels and of the ground truth",
+            remedy="name topics with messages in the mapping (`ros2 bag info` counts them), or leave it out",
+        )
     times = _times(file, stamps)
     wheel_s, rows = joints.rows(times[wheels.topic])
     known, planar, repairs = poses.rows()
