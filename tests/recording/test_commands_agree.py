@@ -5,7 +5,8 @@ import json
 import numpy as np
 import perfect_robot as perfect
 import pytest
-from test_faulty_sources import MAPPING, stepped
+from perfect_robot import MAPPING
+from test_faulty_sources import stepped
 from test_gaps_and_starts import rolling, with_gaps
 
 from hil.cli import main

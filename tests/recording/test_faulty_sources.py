@@ -10,6 +10,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
+from perfect_robot import MAPPING
 
 from hil.calibration.calibrate import calibrate
 from hil.calibration.evaluation import position_rmse, track
@@ -23,15 +24,6 @@ from hil.recording.mcap_writer import McapRecorder
 from hil.robot.kinematics import WheelGeometry
 
 WHEELS = WheelGeometry.nominal()
-MAPPING = """
-schema = 1
-[wheels]
-topic = "/wheels"
-drive = ["w1", "w2", "w3", "w4"]
-steer = ["s1", "s2", "s3", "s4"]
-[truth]
-topic = "/vicon"
-"""
 RIGHT_M = pytest.approx(np.sqrt(2.0) * 2e-4, rel=0.3)
 
 

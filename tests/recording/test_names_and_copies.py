@@ -6,6 +6,7 @@ import shutil
 from dataclasses import replace
 
 import numpy as np
+import perfect_robot as perfect
 import pytest
 
 from hil.calibration.calibrate import calibrate
@@ -15,8 +16,9 @@ from hil.calibration.synthetic import hidden_robot, make_set
 from hil.cli import main
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
+from hil.datasets.copies import is_copy
 from hil.datasets.plain_csv import write_plain
-from hil.datasets.read import is_copy, read_recordings
+from hil.datasets.read import read_recordings
 
 MOTIONS = ("line_x", "line_y", "rotation_ccw")
 
@@ -188,6 +190,27 @@ def test_an_export_beside_its_recording_is_a_copy(tmp_path, capsys):
     assert main(["export", str(path)]) == 0
     (one,) = read_recordings([tmp_path])
     assert one.repairs == {f"copy of it left out, {path}": 1}
+
+
+@pytest.mark.parametrize("rates_hz", [(100.0, 62.5), (240.0, 20.0), (10.0, 62.5)], ids=str)
+def test_an_export_of_a_bag_with_noise_is_a_copy(tmp_path, capsys, rates_hz):
+    """It holds the ground truth at the instants of the wheels, a part of the rows that the bag has."""
+    topics, folder = tmp_path / "topics.toml", tmp_path / "bags"
+    topics.write_text(perfect.MAPPING)
+    for k in range(3):
+        found = perfect.drive(truth_hz=rates_hz[0], wheel_hz=rates_hz[1], noise=2e-3, seed=k)
+        perfect.write_bag(folder / f"curve_{k}", perfect.messages(found))
+    named = ["--topics", topics]
+    words = ["--model", "exact", "--no-validation"]
+    _, alone, _ = hil(capsys, "calibrate", folder, *named, *words)
+    assert hil(capsys, "export", folder / "curve_1", *named)[0] == 0
+    code, table, _ = hil(capsys, "evaluate", folder, *named)
+    assert (code, table["recordings"]) == (0, 3)
+    copy = [line for line in table["warnings"] if "copy of it left out" in line]
+    assert [line.partition(":")[0] for line in copy] == ["curve_1"]
+    code, found, _ = hil(capsys, "calibrate", folder, *named, *words)
+    assert (code, found["recordings"], alone["recordings"]) == (0, 3, 3)
+    assert any("copy of it left out" in line for line in found["warnings"])
 
 
 def test_packed_and_plain_halves_of_one_run_get_one_statement(public_data, tmp_path):
