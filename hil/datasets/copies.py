@@ -50,6 +50,23 @@ def is_copy(one: Recording, other: Recording) -> bool:
     )
 
 
+def wheels_in_short(recording: Recording) -> list[float]:
+    """Number of wheel rows, their time (s), mean turns of the four wheels and mean steering angles (rad).
+
+    Copies have the same, whatever their files. Two drives do not, where wheels are measured.
+    """
+    turned = recording.wheel_angle_rad - recording.wheel_angle_rad[0]
+    means = np.concatenate([turned.mean(axis=0), recording.steering_rad.mean(axis=0)])
+    return [float(len(recording.t_s)), float(recording.t_s[-1] - recording.t_s[0]), *means.tolist()]
+
+
+def same_wheels(one: Sequence[float], other: Sequence[float]) -> bool:
+    """Whether two `wheels_in_short` are of one drive."""
+    if len(one) != len(other) or one[0] != other[0] or not abs(one[1] - other[1]) < _ALIKE_S:
+        return False
+    return _alike(np.array(one[2:]), np.array(other[2:]), _ALIKE_RAD)
+
+
 def _on_line(at_s: Array, pose: Array, line_s: Array, line: Array) -> bool:
     """Whether poses (n, 3) at times (n,) lie on the line through others, (m, 3) at (m,), where that is."""
     both = (at_s >= line_s[0]) & (at_s <= line_s[-1])

@@ -1,6 +1,7 @@
 """Recordings of one name in several folders, and copies of a recording, as commands take them."""
 
 import gzip
+import hashlib
 import json
 import shutil
 from dataclasses import replace
@@ -8,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import perfect_robot as perfect
 import pytest
+from rosbags.rosbag2 import StoragePlugin
 
 from hil.calibration.calibrate import calibrate
 from hil.calibration.calibration_file import read_calibration
@@ -211,6 +213,33 @@ def test_an_export_of_a_bag_with_noise_is_a_copy(tmp_path, capsys, rates_hz):
     code, found, _ = hil(capsys, "calibrate", folder, *named, *words)
     assert (code, found["recordings"], alone["recordings"]) == (0, 3, 3)
     assert any("copy of it left out" in line for line in found["warnings"])
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3], ids=lambda p: p.name)
+def test_a_calibration_knows_the_bags_it_was_fitted_to(tmp_path, capsys, plugin):
+    """By the folder, by the storage file in it and by an export; another bag it was not fitted to."""
+    topics, folder, out = tmp_path / "topics.toml", tmp_path / "bags", tmp_path / "c.toml"
+    topics.write_text(perfect.MAPPING)
+    for k in range(3):
+        perfect.write_bag(folder / f"curve_{k}", perfect.messages(perfect.drive(seed=k)), plugin)
+    held_out = tmp_path / "curve_7"
+    perfect.write_bag(held_out, perfect.messages(perfect.drive(seed=7, sense=-1.0)), plugin)
+    table = tmp_path / "table.csv"
+    named = ["--topics", topics]
+    assert hil(capsys, "export", folder / "curve_1", "--out", table, *named)[0] == 0
+    words = ["--model", "exact", "--no-validation", "--out", out]
+    assert hil(capsys, "calibrate", folder, *named, *words)[0] == 0
+    kept = read_calibration(out).recordings
+    storages = [next(p for p in sorted((folder / name).iterdir()) if p.suffix != ".yaml") for name in kept]
+    digests = [[hashlib.sha256(path.read_bytes()).hexdigest()] for path in storages]
+    assert [one["sha256"] for one in kept.values()] == digests
+
+    def seen(*paths):
+        return hil(capsys, "evaluate", *paths, *named, "--calibration", out)[1]["in_sample"]
+
+    assert seen(folder)["names"] == [f"curve_{k}" for k in range(3)]
+    assert seen(storages[2], held_out)["names"] == [storages[2].stem]
+    assert seen(table)["names"] == ["table"]
 
 
 def test_packed_and_plain_halves_of_one_run_get_one_statement(public_data, tmp_path):
