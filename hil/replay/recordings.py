@@ -27,6 +27,7 @@ from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import find_recordings, read_recordings
 from hil.datasets.rosbag import is_bag, read_bag
 from hil.datasets.topic_map import read_topic_map
+from hil.datasets.wrong_signs import check_signs
 from hil.recording.mcap_reader import RecordingReader
 from hil.recording.runs import RecordedRun, read_runs
 from hil.robot.kinematics import WheelGeometry
@@ -189,6 +190,7 @@ def _read_foreign(path: Path, topics: Path | None, robot: Nominal, tables: list[
     if topics is not None:
         found = read_bag(path, read_topic_map(topics), robot)
         tables.extend(covered(replace(part, later=()), robot) for part in (found, *found.later))
+        check_signs(tables, robot)
         return lambda: map(to_run, tables)
 
     def read() -> Iterator[RecordedRun]:
