@@ -13,7 +13,7 @@ import numpy as np
 from hil.bench.loop_settings import geometry_of, nominal_of, with_wheel_model
 from hil.bench.model import BenchModel
 from hil.calibration.calibration_file import read_calibration
-from hil.calibration.excitation import mismatch
+from hil.calibration.excitation import OTHER_ROBOT, mismatch
 from hil.calibration.usability_check import check_made_for, failed_validation
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
@@ -86,8 +86,7 @@ class OpenedRecording:
         assumed = [] if self.named or len(self.tables[0].sources) == _PAIR else [self._assumed()]
         robot = replace(self.robot, geometry=self.bench.geometry)
         found = mismatch(reduce_recordings(self.tables, _BLOCK_S), robot)
-        doubted = f"{found}; {robot.in_words()}; name the robot's bench file with --bench"
-        return [*failed, *reported, *assumed, *([doubted] if found else [])]
+        return [*failed, *reported, *assumed, *([f"{found}; {OTHER_ROBOT}"] if found else [])]
 
     def _assumed(self) -> str:
         surface = "a wall" if self.bench.config.environment.on_wall else "a floor"
