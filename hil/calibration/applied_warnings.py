@@ -10,7 +10,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from hil.calibration.calibration_file import CalibrationFile
+from hil.datasets.copies import same_wheels, wheels_in_short
 from hil.datasets.dataset import Recording
+
+_NAMED = 4
 
 
 @dataclass(frozen=True)
@@ -18,45 +21,77 @@ class InSample:
     """Which of some recordings a calibration was fitted to.
 
     Attributes:
-        names: of those that it was fitted to, by the digest of a file.
+        names: of those that it was fitted to, by the digest of a file or by their wheels.
+        maybe: names of those that it was fitted to another file of the same name of, and does not say of
+            which drive that is.
         among: how many there are in all.
-        known: whether the calibration says which files it was fitted to.
+        known: whether the calibration says to what it was fitted.
     """
 
     names: tuple[str, ...]
+    maybe: tuple[str, ...]
     among: int
     known: bool
 
     def to_json(self) -> dict[str, object]:
-        """`{"count": 2, "of": 24, "names": [...]}`; `count` is None where that is not known."""
-        return {"count": len(self.names) if self.known else None, "of": self.among, "names": list(self.names)}
+        """`{"count": 2, "of": 24, "names": [...], "maybe": []}`; `count` is None where that is not known."""
+        return {
+            "count": len(self.names) if self.known else None,
+            "of": self.among,
+            "names": list(self.names),
+            "maybe": list(self.maybe),
+        }
 
     def in_words(self) -> str:
         """One line for tables and pages."""
         if not self.known:
             return "in sample or not: the calibration does not say to which files it was fitted"
+        more = f" and {len(self.maybe) - _NAMED} more" if len(self.maybe) > _NAMED else ""
+        alike = (
+            f"other files of these names, maybe of the same drives: {', '.join(self.maybe[:_NAMED])}{more}"
+        )
+        if not self.names and self.maybe:
+            return f"in sample or not: the calibration was fitted to {alike}"
         if not self.names:
             return f"held out: the calibration was fitted to none of these {self.among} recordings"
         return (
             f"in sample: the calibration was fitted to {len(self.names)} of these {self.among} recordings; "
-            "errors on them do not say how it does on others"
+            f"errors on them do not say how it does on others{f'; and to {alike}' if self.maybe else ''}"
         )
 
 
 def in_sample(file: CalibrationFile, recordings: Sequence[Recording]) -> InSample:
-    """Which of the recordings a calibration was fitted to: those with a file of the same bytes, by any name.
+    """Which of the recordings a calibration was fitted to: those of the same bytes or wheels, by any name.
 
     Args:
         file: the calibration.
         recordings: that it is applied to.
     """
-    fitted = {digest for used in file.recordings.values() for digest in _digests(used.get("sha256"))}
-    names = tuple(r.name for r in recordings if fitted.intersection(r.sha256))
-    return InSample(names, len(recordings), bool(fitted))
+    digests = {digest for used in file.recordings.values() for digest in _digests(used.get("sha256"))}
+    wheels = {name: _numbers(used.get("wheels")) for name, used in file.recordings.items()}
+    short = [wheels_in_short(r) for r in recordings]
+    names = tuple(
+        r.name
+        for r, own in zip(recordings, short, strict=True)
+        if digests.intersection(r.sha256) or any(same_wheels(own, kept) for kept in wheels.values())
+    )
+    untold = {_own(name) for name, numbers in wheels.items() if not numbers}
+    maybe = tuple(r.name for r in recordings if r.name not in names and _own(r.name) in untold)
+    return InSample(names, maybe, len(recordings), bool(digests) or any(wheels.values()))
+
+
+def _own(name: str) -> str:
+    """Name of a recording without the folders that distinguish it from others."""
+    return name.rpartition("/")[2]
 
 
 def _digests(found: object) -> Iterable[str]:
     return (str(digest) for digest in found) if isinstance(found, list) else ()
+
+
+def _numbers(found: object) -> list[float]:
+    numbers = found if isinstance(found, list) else []
+    return numbers if all(isinstance(number, (int, float)) for number in numbers) else []
 
 
 def used_otherwise(file: CalibrationFile, model: str | None, signal: str, deploy: str) -> list[str]:

@@ -29,6 +29,7 @@ from hil.calibration.parameters import (
 from hil.config.robot_record.parts import Identity
 from hil.core.errors import ConfigError, reason_of
 from hil.core.geometry import Array
+from hil.datasets.copies import wheels_in_short
 from hil.robot.kinematics import ForwardModel, WheelGeometry
 from hil.support.atomic_files import put_whole
 from hil.support.file_reading import read_toml
@@ -62,6 +63,8 @@ class CalibrationFile(BaseModel):
     """Content of `calibration.toml`, schema 1.
 
     Attributes:
+        recordings: that it was fitted to, by name: their motion, the digests of their files, their wheels
+            (`hil.datasets.copies.wheels_in_short`) and their weight.
         verdict: of the validation run on the bench; empty for a calibration that had none.
         made_for: servos that it was made with, None for recordings of unknown origin.
         robot: whose it is; None where the bench is not known.
@@ -196,7 +199,12 @@ def calibration_file(
         "std": {k: [_finite(x) for x in v] for k, v in described["std"].items()},
         "twist_correction": result.twist.tolist(),
         "recordings": {
-            r.name: {"motion": r.motion, "sha256": list(r.sha256), "weight": float(w)}
+            r.name: {
+                "motion": r.motion,
+                "sha256": list(r.sha256),
+                "wheels": wheels_in_short(r),
+                "weight": float(w),
+            }
             for r, w in zip(result.recordings, result.fit.problem.weights, strict=True)
         },
         "validation": result.validation,

@@ -16,12 +16,15 @@ from hil.core.errors import DataError
 from hil.core.geometry import Array
 from hil.datasets.blocks import Blocks
 from hil.datasets.nominal_robot import Nominal, lever_m
+from hil.datasets.wrong_signs import LOOK
 from hil.robot.kinematics import WheelGeometry
 
 DIRECTIONS = ("forward", "sideways", "turning")
 _SHARE, _OWN_SHARE = 0.05, 0.2
 _WORTH_M, _WORTH_RAD = 0.3, 1.0
 _PLAUSIBLE = 0.2
+OTHER_ROBOT = f"name the robot's bench file with --bench, or correct its [robot] section; else {LOOK}"
+"""What to do about ways that are not those of the robot: geometry first, then the columns."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +100,9 @@ def mismatch(blocks: Blocks, nominal: Nominal) -> str:
         ratio = float(np.median(by_truth[enough] / by_wheels[enough])) if enough.any() else 1.0
         if abs(ratio - 1.0) > _PLAUSIBLE:
             wrong.append(f"{verb} {ratio:.2f} times {much}")
-    return f"by ground truth the robot {' and '.join(wrong)} as its wheels say" if wrong else ""
+    if not wrong:
+        return ""
+    return f"by ground truth the robot {' and '.join(wrong)} as its wheels say; {nominal.in_words()}"
 
 
 def check_geometry(blocks: Blocks, nominal: Nominal) -> None:
@@ -106,9 +111,9 @@ def check_geometry(blocks: Blocks, nominal: Nominal) -> None:
     if found:
         raise DataError(
             "",
-            f"the geometry does not fit the recordings: {found}; {nominal.in_words()}",
+            f"the geometry does not fit the recordings: {found}",
             expected=f"agreement within {100 * _PLAUSIBLE:.0f} %",
-            remedy="name the robot's bench file with --bench, or correct its [robot] section",
+            remedy=OTHER_ROBOT,
         )
 
 

@@ -7,13 +7,14 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from hil.cli.completion_types import BENCH
-from hil.cli.options import FILE, JSON, OUT
+from hil.cli.options import FILE, JSON, OUT, TOPICS
 from hil.cli.progress import reporting
 from hil.core.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, ConfigError, DataError, UsageError
 from hil.support.atomic_files import check_ending, check_file, put_whole, refused
@@ -57,6 +58,7 @@ _DEFAULT = (
 )
 @click.option("--calibration", type=FILE, help="calibration.toml for the wheels.")
 @click.option("--out", type=OUT, help="Write the fitted [estimator] tables here.")
+@TOPICS
 @JSON
 def command(
     recordings: tuple[Path, ...],
@@ -66,6 +68,7 @@ def command(
     bench: str | None,
     calibration: Path | None,
     out: Path | None,
+    topics: Path | None,
     as_json: bool,
 ) -> int:
     """Fit the estimator's noise by the likelihood of the true pose in RECORDINGS.
@@ -80,14 +83,17 @@ def command(
 
     if out is not None:
         _check_out(out, bench)
-    fitted, held_out = _found(recordings), _found(check)
+    fitted, held_out = _found(recordings, topics), _found(check, topics)
     if twice := _files(fitted) & _files(held_out):
         raise UsageError(
             f"{min(twice)}: is fitted and held out at once", expected="other recordings for --check"
         )
     problems, doubts = list[str](), list[str]()
-    config, runs = _read(_once(recordings, fitted), bench, calibration, problems, doubts)
-    held = _read(_once(check, held_out), bench, calibration, problems, doubts)[1] if check else []
+    read = partial(
+        _read, bench=bench, calibration=calibration, topics=topics, problems=problems, doubts=doubts
+    )
+    config, runs = read(_once(recordings, fitted))
+    held = read(_once(check, held_out))[1] if check else []
     start = _start(config.estimator, runs)
     pair: tuple[Score, Score] | None = None
     with reporting(quiet=as_json) as report:
@@ -139,11 +145,11 @@ def _check_out(out: Path, bench: str | None) -> None:
         )
 
 
-def _found(paths: Sequence[Path]) -> list[list[Job]]:
+def _found(paths: Sequence[Path], topics: Path | None) -> list[list[Job]]:
     """The recordings at each path; those of a folder each by itself, as one of ours is more than a table."""
     from hil.datasets.read import find_recordings
 
-    return [find_recordings([path]) for path in paths]
+    return [find_recordings([path], topics) for path in paths]
 
 
 def _files(found: Sequence[Sequence[Job]]) -> set[Path]:
@@ -163,12 +169,19 @@ def _once(paths: Sequence[Path], found: Sequence[Sequence[Job]]) -> list[Job]:
 
 
 def _read(
-    jobs: Sequence[Job], bench: str | None, calibration: Path | None, problems: list[str], doubts: list[str]
+    jobs: Sequence[Job],
+    *,
+    bench: str | None,
+    calibration: Path | None,
+    topics: Path | None,
+    problems: list[str],
+    doubts: list[str],
 ) -> tuple[BenchConfig, list[TruthRun]]:
     """Bench and runs of recordings; `problems` and `doubts` receive what is wrong with files and columns."""
     from hil.calibration.calibration_file import read_calibration
     from hil.calibration.usability_check import check_not_failed
     from hil.datasets.dataset import Recording
+    from hil.datasets.rosbag import is_bag
     from hil.datasets.wrong_signs import contradictions
     from hil.estimator.tuning import TruthRun
     from hil.loop.driven_motion import Motion
@@ -177,7 +190,8 @@ def _read(
 
     config, runs, tables, geometry = None, [], list[Recording](), None
     for path in (job.files[0] for job in jobs):
-        opened = open_recording(path, bench=bench, calibration=calibration)
+        mapping = topics if is_bag(path) else None
+        opened = open_recording(path, bench=bench, calibration=calibration, topics=mapping)
         if calibration is not None:
             check_not_failed(read_calibration(calibration), opened.bench.config, str(calibration))
         _same_robot(path, opened.header, opened.bench.config)

@@ -60,19 +60,20 @@ class JointRows:
         """Times (n,) of the rows and (n, 12): angles of drive and steering, rad, and drive rates, rad/s.
 
         Args:
-            t_s: (m,) times of the messages, as they were added.
+            t_s: (m,) times of the messages, as they were added; at least one.
 
         Raises:
             DataError: a joint that no message names.
         """
-        named = np.array(self._named, dtype=bool).reshape(-1, len(self._names))
-        values = np.array(self._rows, dtype=np.float64).reshape(len(named), -1)
+        named, values = np.array(self._named, dtype=bool), np.array(self._rows, dtype=np.float64)
         missing = [name for k, name in enumerate(self._names) if not named[:, k].any()]
-        if len(named) and missing:
+        if missing:
             raise DataError(
                 str(self._path),
                 f"{self._topic} has no joint {', '.join(missing)}",
-                expected=f"some of {', '.join(self._others)}",
+                expected=f"some of {', '.join(self._others)}"
+                if self._others
+                else "messages that name joints",
             )
         first = named[:, 0]
         out = values[first]

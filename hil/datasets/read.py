@@ -8,63 +8,20 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from hil.core.errors import DataError
-from hil.core.geometry import Array
 from hil.core.wrong_path_hint import meant
 from hil.datasets import export, plain_csv, public_csv, rosbag
+from hil.datasets.copies import without_copies
 from hil.datasets.dataset import Recording
 from hil.datasets.drive_coverage import covered
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.recording_names import named_apart
-from hil.datasets.sampling import interpolate
 from hil.datasets.topic_map import TopicMap, read_topic_map
 from hil.datasets.unpacking import PACKED
 from hil.datasets.wrong_signs import check_signs
 from hil.recording.mcap_reader import NEEDS_TOPICS
 from hil.recording.mcap_records import COPY_AGAIN
 from hil.support.atomic_files import check_name
-
-_ALIKE_S, _ALIKE_RAD = 1e-5, 1e-6
-_ALIKE_TRUTH = 1e-3
-
-
-def without_copies(recordings: Sequence[Recording]) -> list[Recording]:
-    """The first of each set of copies, in order; a repair names the others."""
-    out: list[Recording] = []
-    for one in recordings:
-        twin = next((k for k, other in enumerate(out) if is_copy(one, other)), None)
-        if twin is None:
-            out.append(one)
-            continue
-        more = {f"copy of it left out, {one.sources[0] if one.sources else one.name}": 1}
-        out[twin] = replace(out[twin], repairs={**out[twin].repairs, **more})
-    return out
-
-
-def is_copy(one: Recording, other: Recording) -> bool:
-    """Whether two recordings are of one drive: the same wheel rows, and ground truth within 1 mm, 1 mrad.
-
-    Line ends, compression and the digits of an export do not matter, nor do names.
-    """
-    if len(one.t_s) != len(other.t_s):
-        return False
-    begin_s, begin_other_s = one.t_s[0], other.t_s[0]
-    if not (
-        _alike(one.wheel_angle_rad, other.wheel_angle_rad, _ALIKE_RAD)
-        and _alike(one.steering_rad, other.steering_rad, _ALIKE_RAD)
-        and _alike(one.t_s - begin_s, other.t_s - begin_other_s, _ALIKE_S)
-    ):
-        return False
-    at_s, there_s = one.truth_t_s - begin_s, other.truth_t_s - begin_other_s
-    both = (at_s >= there_s[0]) & (at_s <= there_s[-1])
-    return _alike(one.truth_pose[both], interpolate(at_s[both], there_s, other.truth_pose), _ALIKE_TRUTH)
-
-
-def _alike(one: Array, other: Array, within: float) -> bool:
-    return bool(np.all(np.abs(one - other) < within))
-
 
 _READERS = 2
 _OTHERS = (".py", ".toml", ".json", ".html")

@@ -106,6 +106,7 @@ _CDR, _MOST_SAID = "cdr", 200
 _REPAIR = {".mcap": CONVERT, ".db3": "repair it with `sqlite3 FILE .recover`"}
 _REINDEX = "write its metadata.yaml afresh with `ros2 bag reindex`"
 _DAY_NS = 86_400 * NS_PER_S
+_BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -153,9 +154,25 @@ def read_bag(path: str | Path, topics: TopicMap, nominal: Nominal | None = None)
                 expected=error.expected,
                 remedy=error.remedy,
             ) from None
-    digest = (hashlib.sha256(file.read_bytes()).hexdigest(),) if file.is_file() else ()
-    parts = [replace(part, sources=(str(file),), sha256=digest) for part in (found, *found.later)]
+        digests = tuple(_digest(storage) for storage in _storages(plain))
+    parts = [replace(part, sources=(str(file),), sha256=digests) for part in (found, *found.later)]
     return replace(parts[0], later=tuple(parts[1:]))
+
+
+def _storages(bag: Path) -> list[Path]:
+    """Files that hold the messages of a bag, by name: itself where it is one."""
+    if bag.is_file():
+        return [bag]
+    return sorted(file for file in bag.iterdir() if file.is_file() and _storage(file) in _STORAGES)
+
+
+def _digest(file: Path) -> str:
+    """SHA-256 of a file, which may be larger than the memory."""
+    digest = hashlib.sha256()
+    with file.open("rb") as stream:
+        while block := stream.read(_BLOCK_BYTES):
+            digest.update(block)
+    return digest.hexdigest()
 
 
 def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
@@ -165,6 +182,13 @@ def _read(file: Path, topics: TopicMap, nominal: Nominal | None) -> Recording:
     for topic, stamp, message in _messages(file, (wheels.topic, truth.topic)):
         stamps[topic].append(stamp)
         (poses if topic == truth.topic else joints).add(message)
+    if silent := [topic for topic, found in stamps.items() if not found]:
+        raise DataError(
+            str(file),
+            f"{' and '.join(silent)} {'hold' if len(silent) > 1 else 'holds'} no message",
+            expected="messages of the wheels and of the ground truth",
+            remedy="name topics with messages in the mapping (`ros2 bag info` counts them), or leave it out",
+        )
     times = _times(file, stamps)
     wheel_s, rows = joints.rows(times[wheels.topic])
     known, planar, repairs = poses.rows()

@@ -19,10 +19,11 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from hil.config.device import Position
 from hil.config.values import UnitQuaternion
@@ -30,6 +31,7 @@ from hil.core.errors import ConfigError
 from hil.support.file_reading import read_toml
 
 _Names = tuple[str, str, str, str]
+_Zeros = tuple[float, float, float, float]
 _Signs = tuple[Literal[1, -1], Literal[1, -1], Literal[1, -1], Literal[1, -1]]
 
 
@@ -45,7 +47,14 @@ class WheelTopic(_Strict):
     steer: _Names
     drive_sign: _Signs = (1, 1, 1, 1)
     steer_sign: _Signs = (1, 1, 1, 1)
-    steer_zero_rad: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    steer_zero_rad: _Zeros = (0.0, 0.0, 0.0, 0.0)
+
+    @field_validator("steer_zero_rad")
+    @classmethod
+    def _in_radians(cls, zeros: _Zeros) -> _Zeros:
+        if not all(abs(zero) <= math.tau for zero in zeros):
+            raise ValueError(f"{list(zeros)} goes beyond 2 pi, a whole turn: give radians, not degrees")
+        return zeros
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 from hil.bench.loop_settings import geometry_of, nominal_of, with_wheel_model
 from hil.bench.model import BenchModel
 from hil.calibration.calibration_file import read_calibration
-from hil.calibration.excitation import mismatch
+from hil.calibration.excitation import OTHER_ROBOT, mismatch
 from hil.calibration.usability_check import check_made_for, failed_validation
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
@@ -27,6 +27,7 @@ from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import find_recordings, read_recordings
 from hil.datasets.rosbag import is_bag, read_bag
 from hil.datasets.topic_map import read_topic_map
+from hil.datasets.wrong_signs import check_signs
 from hil.recording.mcap_reader import RecordingReader
 from hil.recording.runs import RecordedRun, read_runs
 from hil.robot.kinematics import WheelGeometry
@@ -85,8 +86,7 @@ class OpenedRecording:
         assumed = [] if self.named or len(self.tables[0].sources) == _PAIR else [self._assumed()]
         robot = replace(self.robot, geometry=self.bench.geometry)
         found = mismatch(reduce_recordings(self.tables, _BLOCK_S), robot)
-        doubted = f"{found}; {robot.in_words()}; name the robot's bench file with --bench"
-        return [*failed, *reported, *assumed, *([doubted] if found else [])]
+        return [*failed, *reported, *assumed, *([f"{found}; {OTHER_ROBOT}"] if found else [])]
 
     def _assumed(self) -> str:
         surface = "a wall" if self.bench.config.environment.on_wall else "a floor"
@@ -189,6 +189,7 @@ def _read_foreign(path: Path, topics: Path | None, robot: Nominal, tables: list[
     if topics is not None:
         found = read_bag(path, read_topic_map(topics), robot)
         tables.extend(covered(replace(part, later=()), robot) for part in (found, *found.later))
+        check_signs(tables, robot)
         return lambda: map(to_run, tables)
 
     def read() -> Iterator[RecordedRun]:

@@ -12,10 +12,12 @@ from hil.calibration.problem import RECOMMENDED, make_setting
 from hil.calibration.synthetic import MOTIONS, hidden_robot, make_set
 from hil.calibration.validation import Deployed
 from hil.calibration.warnings import beyond_driven, unpredicted, worse_as_twist
+from hil.cli import main
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
 from hil.datasets.blocks import reduce_recordings
 from hil.datasets.nominal_robot import Nominal
+from hil.datasets.plain_csv import write_plain
 from hil.datasets.read import read_recordings
 from hil.robot.kinematics import WheelGeometry
 
@@ -126,6 +128,21 @@ def test_the_geometry_of_another_robot_is_refused():
     assert "turned" in mismatch(reduce_recordings(data, 0.3), wider)
     assert "went" not in mismatch(reduce_recordings(data, 0.3), wider)
     assert mismatch(reduce_recordings(data, 0.3), SMALL) == ""
+
+
+def test_wheels_in_another_order_are_looked_for_by_calibrate_as_by_evaluate(tmp_path, capsys):
+    order = [1, 0, 2, 3]
+    for one in make_set(hidden_robot(3), 3, ["circle_cw", "line_x", "rotation_ccw"], 1):
+        columns = {
+            name: getattr(one, name)[:, order]
+            for name in ("wheel_angle_rad", "steering_rad", "wheel_rate_rad_s")
+        }
+        write_plain(tmp_path / f"{one.name}.csv", replace(one, **columns))
+    causes = ("--bench", "wheels in another order", "a wheel or its steering (delta) with the other sign")
+    for command, code in (("evaluate", 0), ("calibrate", 2)):
+        assert main([command, str(tmp_path)]) == code
+        said = next(line for line in capsys.readouterr().err.splitlines() if "by ground truth" in line)
+        assert all(cause in said for cause in causes)
 
 
 def test_steering_of_a_robot_stays_within_its_own_range():

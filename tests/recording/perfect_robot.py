@@ -14,6 +14,15 @@ from rosbags.typesys import Stores, get_typestore
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 JOINT, POSE = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
 DRIVE, STEER = [f"w{i}" for i in range(1, 5)], [f"s{i}" for i in range(1, 5)]
+MAPPING = """
+schema = 1
+[wheels]
+topic = "/wheels"
+drive = ["w1", "w2", "w3", "w4"]
+steer = ["s1", "s2", "s3", "s4"]
+[truth]
+topic = "/vicon"
+"""
 BEGIN_NS = 1_700_000_000_000_000_000
 RADIUS_M, HALF_M = 0.0254, 0.1125
 WHEELS_M = np.array([[HALF_M, HALF_M], [-HALF_M, HALF_M], [-HALF_M, -HALF_M], [HALF_M, -HALF_M]])

@@ -176,6 +176,23 @@ def test_a_mapping_that_names_one_thing_twice_is_refused(topics, old, new, said)
     assert caught.match(said) or pytest.fail(str(caught.value))
 
 
+@pytest.mark.parametrize("zeros", ["[0, 45, 0, 0]", "[0.0, 0.0, -7.0, 0.0]", "[0.0, 0.0, 0.0, nan]"])
+def test_a_steering_zero_that_is_no_angle_in_radians_is_refused_by_its_name(tmp_path, topics, zeros, capsys):
+    """The steering would be beyond its limits, and the bag be blamed for it."""
+    topics.write_text(MAPPING.replace("[truth]", f"steer_zero_rad = {zeros}\n[truth]"))
+    bag = write(tmp_path / "line_x_1", messages())
+    assert main(["evaluate", str(bag), "--topics", str(topics)]) == 2
+    said = capsys.readouterr().err
+    assert all(word in said for word in (str(topics), "wheels.steer_zero_rad", "radians"))
+    assert str(bag) not in said
+
+
+def test_a_steering_zero_within_a_turn_is_one(topics):
+    """As of a joint that counts from 0 to 2 pi."""
+    topics.write_text(MAPPING.replace("[truth]", "steer_zero_rad = [0.0, 4.71, 0.0, -3.2]\n[truth]"))
+    assert read_topic_map(topics).wheels.steer_zero_rad == (0.0, 4.71, 0.0, -3.2)
+
+
 @pytest.mark.parametrize(
     ("name", "motion"),
     [

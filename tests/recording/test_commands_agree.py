@@ -1,11 +1,13 @@
 """One recording through every command that reads it: where they print the same quantity, it is the same."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import perfect_robot as perfect
 import pytest
-from test_faulty_sources import MAPPING, stepped
+from perfect_robot import MAPPING
+from test_faulty_sources import stepped
 from test_gaps_and_starts import rolling, with_gaps
 
 from hil.cli import main
@@ -77,3 +79,25 @@ def test_of_two_parts(tmp_path, said):
     assert longest["rmse_position_m"] == pytest.approx(np.sqrt(2.0) * 2e-4, rel=0.4)
     assert row["motions"]["curve"]["rmse_position_m"] == pytest.approx(np.sqrt(2.0) * 2e-4, rel=0.4)
     assert main(["export", str(bag), "--topics", str(topics)]) == 2
+
+
+def test_of_tuning_on_a_bag_and_on_the_table_that_is_exported_from_it(tmp_path, said):
+    topics, table = tmp_path / "topics.toml", tmp_path / "curve_2.csv"
+    topics.write_text(MAPPING)
+    folder = tmp_path / "bags"
+    bag = perfect.write_bag(folder / "curve_1", perfect.messages(perfect.drive()))
+    said("export", bag, "--topics", topics, "--out", table)
+    few = ("--topics", topics, "--parameter", "wheels.per_sqrt_m", "--evaluations", "2")
+    found = said("tune", folder, "--check", table, *few)
+    likely = [found[of]["before"]["likelihood"] for of in ("held_out", "fitted")]
+    assert likely[0] == pytest.approx(likely[1], rel=0.02)
+
+
+@pytest.mark.parametrize("command", ["evaluate", "replay", "tune"])
+def test_of_a_heading_with_the_other_sign(tmp_path, capsys, command):
+    topics, whole = tmp_path / "topics.toml", perfect.drive()
+    topics.write_text(MAPPING)
+    mirrored = replace(whole, pose=whole.pose * (1.0, 1.0, -1.0))
+    bag = perfect.write_bag(tmp_path / "curve_1", perfect.messages(mirrored))
+    assert main([command, str(bag), "--topics", str(topics)]) == 2
+    assert "the heading (theta) had the other sign" in capsys.readouterr().err

@@ -1,5 +1,6 @@
 """Bags whose drivers or clocks are at fault: what can be distinguished is, and a perfect robot stays one."""
 
+import json
 import math
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
+from perfect_robot import MAPPING
 
 from hil.calibration.calibrate import calibrate
 from hil.calibration.evaluation import position_rmse, track
@@ -22,15 +24,6 @@ from hil.recording.mcap_writer import McapRecorder
 from hil.robot.kinematics import WheelGeometry
 
 WHEELS = WheelGeometry.nominal()
-MAPPING = """
-schema = 1
-[wheels]
-topic = "/wheels"
-drive = ["w1", "w2", "w3", "w4"]
-steer = ["s1", "s2", "s3", "s4"]
-[truth]
-topic = "/vicon"
-"""
 RIGHT_M = pytest.approx(np.sqrt(2.0) * 2e-4, rel=0.3)
 
 
@@ -97,6 +90,46 @@ def test_positions_alone_are_refused_by_every_command(tmp_path, topics, capsys):
     for command in (["evaluate", bag], ["calibrate", bag], ["replay", bag], ["export", bag]):
         assert main([*map(str, command), "--topics", str(topics)]) == 2
         assert "none of 2000 messages holds a heading" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("silent", [("/wheels",), ("/vicon",), ("/wheels", "/vicon")])
+def test_a_topic_without_a_message_is_named_and_its_bag_left_out(tmp_path, topics, capsys, silent):
+    folder = tmp_path / "bags"
+    for k in range(3):
+        perfect.write_bag(folder / f"curve_{k}", perfect.messages(perfect.drive(seed=k)))
+    kept = [one for one in perfect.messages(perfect.drive()) if one[0] not in silent]
+    bag = perfect.write_bag(folder / "mute_1", kept)
+    for command in ("evaluate", "replay", "export"):
+        assert main([command, str(bag), "--topics", str(topics)]) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert all(name in said.err for name in (str(bag), *silent))
+    words = ["calibrate", folder, "--topics", topics, "--model", "exact", "--no-validation", "--json"]
+    assert main([*map(str, words)]) == 2
+    found = json.loads(capsys.readouterr().out)
+    assert (found["recordings"], found["rejected"]) == (3, [str(bag)])
+    assert all(topic in found["rejected_because"][str(bag)] for topic in silent)
+
+
+@pytest.mark.parametrize(("topic", "kind"), [("/wheels", "wheel"), ("/vicon", "ground-truth")])
+def test_a_topic_with_one_message_is_refused_with_its_number(tmp_path, topics, topic, kind):
+    found = list(perfect.messages(perfect.drive()))
+    first = next(one for one in found if one[0] == topic)
+    bag = perfect.write_bag(tmp_path / "curve_1", [one for one in found if one[0] != topic or one is first])
+    with pytest.raises(DataError, match=f"only 1 usable {kind} rows"):
+        read_recordings([bag], topics=topics)
+
+
+def test_joints_without_names_are_said_to_have_none(tmp_path, topics):
+    def found():
+        for topic, at, message in perfect.messages(perfect.drive()):
+            if topic == "/wheels":
+                message.name = []
+            yield topic, at, message
+
+    bag = perfect.write_bag(tmp_path / "curve_1", found())
+    with pytest.raises(DataError, match=r"no joint w1, .*expected messages that name joints"):
+        read_recordings([bag], topics=topics)
 
 
 def test_a_driver_that_repeats_its_last_pose_is_left_out_and_named(read):

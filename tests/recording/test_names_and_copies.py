@@ -1,12 +1,15 @@
 """Recordings of one name in several folders, and copies of a recording, as commands take them."""
 
 import gzip
+import hashlib
 import json
 import shutil
 from dataclasses import replace
 
 import numpy as np
+import perfect_robot as perfect
 import pytest
+from rosbags.rosbag2 import StoragePlugin
 
 from hil.calibration.calibrate import calibrate
 from hil.calibration.calibration_file import read_calibration
@@ -15,8 +18,9 @@ from hil.calibration.synthetic import hidden_robot, make_set
 from hil.cli import main
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
+from hil.datasets.copies import is_copy
 from hil.datasets.plain_csv import write_plain
-from hil.datasets.read import is_copy, read_recordings
+from hil.datasets.read import read_recordings
 
 MOTIONS = ("line_x", "line_y", "rotation_ccw")
 
@@ -188,6 +192,54 @@ def test_an_export_beside_its_recording_is_a_copy(tmp_path, capsys):
     assert main(["export", str(path)]) == 0
     (one,) = read_recordings([tmp_path])
     assert one.repairs == {f"copy of it left out, {path}": 1}
+
+
+@pytest.mark.parametrize("rates_hz", [(100.0, 62.5), (240.0, 20.0), (10.0, 62.5)], ids=str)
+def test_an_export_of_a_bag_with_noise_is_a_copy(tmp_path, capsys, rates_hz):
+    """It holds the ground truth at the instants of the wheels, a part of the rows that the bag has."""
+    topics, folder = tmp_path / "topics.toml", tmp_path / "bags"
+    topics.write_text(perfect.MAPPING)
+    for k in range(3):
+        found = perfect.drive(truth_hz=rates_hz[0], wheel_hz=rates_hz[1], noise=2e-3, seed=k)
+        perfect.write_bag(folder / f"curve_{k}", perfect.messages(found))
+    named = ["--topics", topics]
+    words = ["--model", "exact", "--no-validation"]
+    _, alone, _ = hil(capsys, "calibrate", folder, *named, *words)
+    assert hil(capsys, "export", folder / "curve_1", *named)[0] == 0
+    code, table, _ = hil(capsys, "evaluate", folder, *named)
+    assert (code, table["recordings"]) == (0, 3)
+    copy = [line for line in table["warnings"] if "copy of it left out" in line]
+    assert [line.partition(":")[0] for line in copy] == ["curve_1"]
+    code, found, _ = hil(capsys, "calibrate", folder, *named, *words)
+    assert (code, found["recordings"], alone["recordings"]) == (0, 3, 3)
+    assert any("copy of it left out" in line for line in found["warnings"])
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3], ids=lambda p: p.name)
+def test_a_calibration_knows_the_bags_it_was_fitted_to(tmp_path, capsys, plugin):
+    """By the folder, by the storage file in it and by an export; another bag it was not fitted to."""
+    topics, folder, out = tmp_path / "topics.toml", tmp_path / "bags", tmp_path / "c.toml"
+    topics.write_text(perfect.MAPPING)
+    for k in range(3):
+        perfect.write_bag(folder / f"curve_{k}", perfect.messages(perfect.drive(seed=k)), plugin)
+    held_out = tmp_path / "curve_7"
+    perfect.write_bag(held_out, perfect.messages(perfect.drive(seed=7, sense=-1.0)), plugin)
+    table = tmp_path / "table.csv"
+    named = ["--topics", topics]
+    assert hil(capsys, "export", folder / "curve_1", "--out", table, *named)[0] == 0
+    words = ["--model", "exact", "--no-validation", "--out", out]
+    assert hil(capsys, "calibrate", folder, *named, *words)[0] == 0
+    kept = read_calibration(out).recordings
+    storages = [next(p for p in sorted((folder / name).iterdir()) if p.suffix != ".yaml") for name in kept]
+    digests = [[hashlib.sha256(path.read_bytes()).hexdigest()] for path in storages]
+    assert [one["sha256"] for one in kept.values()] == digests
+
+    def seen(*paths):
+        return hil(capsys, "evaluate", *paths, *named, "--calibration", out)[1]["in_sample"]
+
+    assert seen(folder)["names"] == [f"curve_{k}" for k in range(3)]
+    assert seen(storages[2], held_out)["names"] == [storages[2].stem]
+    assert seen(table)["names"] == ["table"]
 
 
 def test_packed_and_plain_halves_of_one_run_get_one_statement(public_data, tmp_path):
