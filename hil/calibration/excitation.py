@@ -23,7 +23,8 @@ DIRECTIONS = ("forward", "sideways", "turning")
 _SHARE, _OWN_SHARE = 0.05, 0.2
 _WORTH_M, _WORTH_RAD = 0.3, 1.0
 _PLAUSIBLE = 0.2
-OTHER_ROBOT = f"name the robot's bench file with --bench, or correct its [robot] section; else {LOOK}"
+BENCH_FILE = "name the robot's bench file with --bench, or correct its [robot] section"
+OTHER_ROBOT = f"{BENCH_FILE}; else {LOOK}"
 """What to do about ways that are not those of the robot: geometry first, then the columns."""
 
 

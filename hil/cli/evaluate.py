@@ -154,7 +154,7 @@ def _doubts(
     recordings: list[Recording], file: CalibrationFile | None, robot: Nominal, signal: str, deploy: str
 ) -> list[str]:
     """What these errors must be judged by: geometry or columns that cannot be right, motions never fitted."""
-    from hil.calibration.excitation import OTHER_ROBOT, Driven, mismatch
+    from hil.calibration.excitation import BENCH_FILE, OTHER_ROBOT, Driven, mismatch
     from hil.calibration.problem import make_setting
     from hil.calibration.validation import deployed
     from hil.calibration.warnings import beyond_driven, worse_as_twist
@@ -163,8 +163,9 @@ def _doubts(
 
     blocks = reduce_recordings(recordings, _BLOCK_S, signal)
     found = mismatch(blocks, robot)
-    out = [f"{found}; {OTHER_ROBOT}"] if found else []
-    out += contradictions(recordings, robot.geometry if file is None else file.geometry)
+    contradicted = contradictions(recordings, robot.geometry if file is None else file.geometry)
+    out = [f"{found}; {BENCH_FILE if contradicted else OTHER_ROBOT}"] if found else []
+    out += contradicted
     if file is None:
         return out
     if file.driven_m:
