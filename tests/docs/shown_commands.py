@@ -4,11 +4,11 @@ import ast
 import re
 import shlex
 from itertools import pairwise
-from pathlib import Path
 
 import click
 
 from hil.cli import COMMANDS, cli
+from hil.procedure.procedure_lookup import shipped_names
 
 ANY = "ANYTHING"
 """Stands for what a message fills in."""
@@ -16,7 +16,7 @@ ANY = "ANYTHING"
 NOT_COMMANDS = {"import", "monitor", "monitor:"}
 """Words that follow `hil` in strings that are no commands: code, and what the monitor says of itself."""
 
-PROCEDURES = {path.stem for path in (Path(__file__).resolve().parents[2] / "procedures").glob("[a-z]*.py")}
+PROCEDURES = shipped_names()
 HELP = {"--help", "-h", "--version", "-v", "--verbose"}
 
 
