@@ -77,8 +77,8 @@ class RunOutputs:
 
     @property
     def where(self) -> str:
-        """Title of the current step; `script` outside of all steps."""
-        return self.titles[-1] if self.titles else "script"
+        """Title of the current step; `start` outside of all steps."""
+        return self.titles[-1] if self.titles else "start"
 
     def add_step(self, title: str, outcome: str, **passed_s: float) -> Entry:
         """Count a step within those that have begun; how it goes on is put into what this returns."""

@@ -94,7 +94,7 @@ def test_an_exception_of_any_characters_keeps_all_results(run_small, text, repor
     assert next(suite.iter("error")).get("message").startswith(reported)
     assert [case.get("name") for case in suite.iter("testcase")] == ["run", "a", reported]
     said = text_of(result)
-    assert f"FileNotFoundError in 'script': {reported}" in said
+    assert f"FileNotFoundError in 'start': {reported}" in said
     assert f"note: {reported}" in said
     assert write_run_page(result.folder).read_text()
 

@@ -278,7 +278,8 @@ SMALL = {"encoders": None, "imu": None, "mocap": None}
 
 
 def test_devices_that_a_smaller_bench_lacks_are_named_before_it_is_opened(tmp_path):
-    refused = run("bring_up", tmp_path / "refused", SHORT, overrides=SMALL)
+    named = SHORT | {"devices": "servos,encoders,imu,tracker,mocap"}
+    refused = run("bring_up", tmp_path / "refused", named, overrides=SMALL)
     assert refused.result.exit_code == 2
     assert "encoders, imu, mocap" in refused.result.error.message
     assert not refused.source.benches
