@@ -212,7 +212,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, None, None]:
     from hil.core.opened_benches import shown_to
 
     def opened(found: Bench) -> None:
-        from hil.pytest_plugin.seen_benches import see
+        from hil.pytest_plugin.benches_of_tests import see
 
         item.config.stash[_SEES] = True
         see(item, found)
@@ -245,7 +245,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
 def _end(item: pytest.Item, report: pytest.TestReport) -> None:
     """Put into the last report of a test which benches it has opened itself, and what is kept of it."""
     if item.config.stash.get(_SEES, False):
-        from hil.pytest_plugin.seen_benches import end_test
+        from hil.pytest_plugin.benches_of_tests import end_test
 
         end_test(item, report, item.stash.get(_OPENED, None), item.stash.get(_FAILED, None))
     keys: tuple[pytest.StashKey[Any], ...] = (_OPENED, _FAILED)
@@ -257,7 +257,7 @@ def _end(item: pytest.Item, report: pytest.TestReport) -> None:
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Finish what is still recorded."""
     if session.config.stash.get(_SEES, False):
-        from hil.pytest_plugin.seen_benches import end_session
+        from hil.pytest_plugin.benches_of_tests import end_session
 
         end_session(session.config)
 

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from hil.recording.mcap_writer import McapRecorder
 
 _OF_A_BENCH = ("bench", "calibration_version", "seed", "emulated", "fault", "controller", "held")
-_SEEN = pytest.StashKey["list[Seen]"]()
+_OPENED = pytest.StashKey["list[OpenedBench]"]()
 
 
 @dataclass
-class Seen:
+class OpenedBench:
     """A bench that a test has opened.
 
     Attributes:
@@ -32,24 +32,24 @@ class Seen:
         recorder: what records it; None without `--hil-keep`.
         failed: the first failure while it was open.
         title: of its page: the test that failed, else the one that opened it.
-        told: whether a report has its properties already.
+        reported: whether a report has its properties already.
     """
 
     bench: Bench
     recorder: McapRecorder | None
     title: str
     failed: pytest.TestReport | None = None
-    told: bool = False
+    reported: bool = False
 
 
 def see(item: pytest.Item, bench: Bench) -> None:
     """Take notice of a bench that a test opens, and have it recorded where that is asked for."""
-    seen = item.config.stash.setdefault(_SEEN, [])
+    seen = item.config.stash.setdefault(_OPENED, [])
     folder, recorder = item.config.getoption("hil_keep"), None
     if folder:
         others = [one.recorder.path for one in seen if one.recorder is not None]
         recorder = record(item, bench, folder, others)
-    seen.append(Seen(bench, recorder, item.nodeid))
+    seen.append(OpenedBench(bench, recorder, item.nodeid))
 
 
 def end_test(
@@ -63,16 +63,16 @@ def end_test(
         fixture: its bench of the fixture `bench`, None without one.
         failed: the report of the phase that failed first, None if the test has passed.
     """
-    seen = item.config.stash.get(_SEEN, [])
+    seen = item.config.stash.get(_OPENED, [])
     groups = [[entry for entry in report.user_properties if entry[0] in _OF_A_BENCH]]
     kept: list[str] = []
     for one in list(seen):
         if failed is not None and one.failed is None:
             one.failed, one.title = failed, item.nodeid
         still = one.bench.is_open
-        if one.bench is not fixture and not (still and one.told):
+        if one.bench is not fixture and not (still and one.reported):
             _add(report, groups, properties_of(one.bench))
-            one.told = True
+            one.reported = True
         if still:
             continue
         seen.remove(one)
@@ -112,6 +112,6 @@ def _add(
 
 def end_session(config: pytest.Config) -> None:
     """Finish the recordings of benches that nobody has closed."""
-    for one in config.stash.get(_SEEN, []):
+    for one in config.stash.get(_OPENED, []):
         if one.recorder is not None:
             tuple(finish(one.recorder, one.title, one.failed, config.invocation_params.dir))
