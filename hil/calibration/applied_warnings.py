@@ -13,8 +13,6 @@ from hil.calibration.calibration_file import CalibrationFile
 from hil.datasets.copies import same_wheels, wheels_in_short
 from hil.datasets.dataset import Recording
 
-_NAMED = 4
-
 
 @dataclass(frozen=True)
 class InSample:
@@ -22,41 +20,27 @@ class InSample:
 
     Attributes:
         names: of those that it was fitted to, by the digest of a file or by their wheels.
-        maybe: names of those that it was fitted to another file of the same name of, and does not say of
-            which drive that is.
         among: how many there are in all.
         known: whether the calibration says to what it was fitted.
     """
 
     names: tuple[str, ...]
-    maybe: tuple[str, ...]
     among: int
     known: bool
 
     def to_json(self) -> dict[str, object]:
-        """`{"count": 2, "of": 24, "names": [...], "maybe": []}`; `count` is None where that is not known."""
-        return {
-            "count": len(self.names) if self.known else None,
-            "of": self.among,
-            "names": list(self.names),
-            "maybe": list(self.maybe),
-        }
+        """`{"count": 2, "of": 24, "names": [...]}`; `count` is None where that is not known."""
+        return {"count": len(self.names) if self.known else None, "of": self.among, "names": list(self.names)}
 
     def in_words(self) -> str:
         """One line for tables and pages."""
         if not self.known:
             return "in sample or not: the calibration does not say to which files it was fitted"
-        more = f" and {len(self.maybe) - _NAMED} more" if len(self.maybe) > _NAMED else ""
-        alike = (
-            f"other files of these names, maybe of the same drives: {', '.join(self.maybe[:_NAMED])}{more}"
-        )
-        if not self.names and self.maybe:
-            return f"in sample or not: the calibration was fitted to {alike}"
         if not self.names:
             return f"held out: the calibration was fitted to none of these {self.among} recordings"
         return (
             f"in sample: the calibration was fitted to {len(self.names)} of these {self.among} recordings; "
-            f"errors on them do not say how it does on others{f'; and to {alike}' if self.maybe else ''}"
+            "errors on them do not say how it does on others"
         )
 
 
@@ -68,21 +52,14 @@ def in_sample(file: CalibrationFile, recordings: Sequence[Recording]) -> InSampl
         recordings: that it is applied to.
     """
     digests = {digest for used in file.recordings.values() for digest in _digests(used.get("sha256"))}
-    wheels = {name: _numbers(used.get("wheels")) for name, used in file.recordings.items()}
+    wheels = [numbers for used in file.recordings.values() if (numbers := _numbers(used.get("wheels")))]
     short = [wheels_in_short(r) for r in recordings]
     names = tuple(
         r.name
         for r, own in zip(recordings, short, strict=True)
-        if digests.intersection(r.sha256) or any(same_wheels(own, kept) for kept in wheels.values())
+        if digests.intersection(r.sha256) or any(same_wheels(own, kept) for kept in wheels)
     )
-    untold = {_own(name) for name, numbers in wheels.items() if not numbers}
-    maybe = tuple(r.name for r in recordings if r.name not in names and _own(r.name) in untold)
-    return InSample(names, maybe, len(recordings), bool(digests) or any(wheels.values()))
-
-
-def _own(name: str) -> str:
-    """Name of a recording without the folders that distinguish it from others."""
-    return name.rpartition("/")[2]
+    return InSample(names, len(recordings), bool(digests or wheels))
 
 
 def _digests(found: object) -> Iterable[str]:
