@@ -187,6 +187,10 @@ def junit(tree: Mapping[str, Any]) -> str:
         ("bench", tree.get("bench", "")),
         ("seed", tree.get("seed", "")),
         ("calibration_version", calibration.get("version", "none")),
+        ("emulated", ",".join(tree.get("emulated", ())) or "none"),
+        ("virtual_time", str(bool(tree.get("virtual_time"))).lower()),
+        *(("fault", spec) for spec in tree.get("faults", ())),
+        *((("held", tree["held"]["state"]),) if tree.get("held") else ()),
     ):
         ElementTree.SubElement(properties, "property", name=key, value=str(value))
     run = ElementTree.SubElement(suite, "testcase", classname=f"hil.{name}", name="run", time=duration)

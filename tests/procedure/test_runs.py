@@ -63,6 +63,10 @@ def test_a_run_leaves_its_result_as_json_and_junit(run_small):
     suite = ElementTree.parse(result.folder / "junit.xml").getroot()
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("3", "0", "0")
     assert {p.get("name") for p in suite.iter("property")} >= {"bench", "calibration_version"}
+    properties = {entry.get("name"): entry.get("value") for entry in suite.iter("property")}
+    assert properties["virtual_time"] == "true"
+    assert properties["emulated"] == ",".join(result.facts["emulated"])
+    assert properties["held"] == result.facts["held"]["state"]
 
 
 def test_a_limit_decides_the_exit_code(run_small):
