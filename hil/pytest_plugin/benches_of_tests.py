@@ -6,7 +6,7 @@ the robot is known once it is closed: that is in the report of the test at whose
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -77,12 +77,19 @@ def end_test(
             continue
         seen.remove(one)
         if one.recorder is not None:
-            for name, text in finish(one.recorder, one.title, one.failed, item.config.invocation_params.dir):
+            for name, text in _finished(one, item.config):
                 kept.append(f"{one.title}: {f'no page ({text})' if name == 'no page' else text}")
                 if name != "no page":
                     report.user_properties.append((name, text))
     if kept:
         vars(report)["hil_kept"] = kept  # for the terminal, also from a worker of xdist
+
+
+def _finished(one: OpenedBench, config: pytest.Config) -> Iterator[tuple[str, str]]:
+    """Kinds and paths of what is kept of a bench that is recorded."""
+    assert one.recorder is not None
+    facts = [f"{name.replace('_', ' ')}: {value}" for name, value in properties_of(one.bench)]
+    return finish(one.recorder, one.title, facts, one.failed, config.invocation_params.dir)
 
 
 def _add(
@@ -114,4 +121,4 @@ def end_session(config: pytest.Config) -> None:
     """Finish the recordings of benches that nobody has closed."""
     for one in config.stash.get(_OPENED, []):
         if one.recorder is not None:
-            tuple(finish(one.recorder, one.title, one.failed, config.invocation_params.dir))
+            tuple(_finished(one, config))

@@ -45,15 +45,16 @@ def record(item: pytest.Item, bench: Bench, root: str, others: Sequence[Path]) -
 
 
 def finish(
-    recorder: McapRecorder, title: str, failed: pytest.TestReport | None, start: Path
+    recorder: McapRecorder, title: str, facts: Sequence[str], failed: pytest.TestReport | None, start: Path
 ) -> Iterator[tuple[str, str]]:
     """Keep or remove what was recorded of a bench that is over; yields kinds and paths of what is kept.
 
     Args:
         recorder: of the bench.
         title: of the page.
+        facts: on the page: what the test is repeated with, and how it ended.
         failed: the report of the phase that failed first, None if no test has failed.
-        start: folder that paths below it are told from.
+        start: folder that paths below it begin from.
 
     Yields:
         `recording` and `page` with a path; `no page` with the reason where none could be written.
@@ -64,18 +65,18 @@ def finish(
         with suppress(OSError):  # another recording is in it
             recorder.path.parent.rmdir()
         return
-    yield "recording", _told(recorder.path, start)
+    yield "recording", _path_of(recorder.path, start)
     page = recorder.path.with_suffix(".html")
     try:
-        _write_page(page, recorder.path, title, _sentence(failed))
+        _write_page(page, recorder.path, title, facts, _sentence(failed))
     except HilError as error:
         yield "no page", str(error)
     else:
-        yield "page", _told(page, start)
+        yield "page", _path_of(page, start)
 
 
-def _told(path: Path, start: Path) -> str:
-    """A path as it is told: from the folder that pytest was started in, where it lies below that."""
+def _path_of(path: Path, start: Path) -> str:
+    """A path from the folder that pytest was started in, where it lies below that."""
     return str(path.relative_to(start) if path.is_relative_to(start) else path)
 
 
@@ -91,7 +92,7 @@ def _sentence(failed: pytest.TestReport) -> str:
     return text.strip().partition("\n")[0]
 
 
-def _write_page(page: Path, recording: Path, title: str, sentence: str) -> None:
+def _write_page(page: Path, recording: Path, title: str, facts: Sequence[str], sentence: str) -> None:
     """The page of the longest run in a recording, as it was estimated then.
 
     Raises:
@@ -111,6 +112,8 @@ def _write_page(page: Path, recording: Path, title: str, sentence: str) -> None:
         motions,
         truth_of(next(iter(motions.values()))),
         table(motions),
-        [f"The test failed: {sentence}", *opened.problems, *dict.fromkeys(events)],
+        [*opened.problems, *dict.fromkeys(events)],
+        facts,
         on_wall=opened.bench.config.environment.on_wall,
+        said=f"FAIL: {sentence}",
     )

@@ -62,6 +62,7 @@ def write_replay_page(
     facts: Sequence[str] = (),
     *,
     on_wall: bool = True,
+    said: str = "",
 ) -> Path:
     """Write the page; returns its path.
 
@@ -74,6 +75,7 @@ def write_replay_page(
         warnings: above the figures: what could not be read, or makes no sense.
         facts: which sensors there are.
         on_wall: whether x points up.
+        said: sentence below the heading; about the errors where it is empty.
 
     Raises:
         DataError: the file cannot be written.
@@ -111,7 +113,7 @@ def write_replay_page(
             "columns count measurements that were refused.",
         ),
     ]
-    return write_overview(path, Overview(title, _sentence(numbers), figures, tables, warnings, facts))
+    return write_overview(path, Overview(title, said or _sentence(numbers), figures, tables, warnings, facts))
 
 
 def write_verification_page(
