@@ -40,9 +40,9 @@ def _load(part: str) -> None:
     from hil.estimator.fusion import load_filter
     from hil.estimator.smoother import load_smoother
     from hil.estimator.unscented import points_of
-    from hil.support.numba_jit import TELLING
+    from hil.support.numba_jit import PROGRESS
 
-    TELLING.setLevel(logging.ERROR)  # the command itself says how far it is
+    PROGRESS.setLevel(logging.ERROR)  # the command itself says how far it is
     loads: dict[str, Callable[[], None]] = {
         "filter": load_filter,
         "unscented filter": lambda: load_filter(points_of(EstimatorConfig(kind="ukf"))),

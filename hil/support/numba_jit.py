@@ -33,7 +33,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T", bound=tuple[Any, ...])
 
 _LOG = logging.getLogger(__name__)
-TELLING = logging.getLogger(f"{__name__}.telling")
+PROGRESS = logging.getLogger(f"{__name__}.progress")
 """Says that a compilation runs, and for how long."""
 _PACKAGE = Path(__file__).parents[1]
 _SOURCES = ("calibration", "config", "controller", "estimator", "fakes", "loop", "robot", "core", "support")
@@ -210,7 +210,7 @@ class _Watch(event.Listener):  # type: ignore[misc]
         spent_ns = self._spent_ns + self._clock.now_ns() - self._begun_ns
         if spent_ns > self._reported_ns + (_NEXT_WORD_NS if self._reported_ns else _FIRST_WORD_NS):
             self._reported_ns = spent_ns
-            TELLING.warning(
+            PROGRESS.warning(
                 "compiling the numerical kernels, once for this version (`hil info --compile` does it "
                 "beforehand): %d functions in %.0f s",
                 self._functions,
