@@ -78,6 +78,8 @@ class Adhesion(DeviceKind):
     max_age_s, max_gap_s, min_delivered = 0.01, 0.2, 0.9
     topics = (Topic("/adhesion/fan", "sensor_msgs/msg/JointState", fan_state),)
     plots = (
+        Plot("Adhesion", "Force on the wall (N)", "adhesion/force_n"),
+        Plot("Adhesion", "Most used wheel, share of its friction", "adhesion/utilisation"),
         Plot("Adhesion", "Fan (1/min)", "adhesion/speed_rpm"),
         Plot("Adhesion", "Fan's currents (A)", "adhesion/current_a"),
         Plot("Adhesion", "Fan's battery (V)", "adhesion/battery_v"),
