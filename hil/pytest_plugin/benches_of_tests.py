@@ -118,7 +118,7 @@ def _add(
 
 
 def end_session(config: pytest.Config) -> None:
-    """Finish the recordings of benches that nobody has closed."""
+    """Finish the recordings of benches that no test has closed."""
     for one in config.stash.get(_OPENED, []):
         if one.recorder is not None:
             tuple(_finished(one, config))
