@@ -26,22 +26,23 @@ IGNORED = (signal.SIGHUP, signal.SIGPIPE, signal.SIGINT, signal.SIGTERM)
 """What the loss of a connection may bring must not end this program before the robot is held."""
 
 
-def heard(silence_s: float) -> bool:
-    """Wait for the caller's next byte; False when it is lost."""
+def heard(silence_s: float) -> bytes | None:
+    """The caller's next bytes; empty when it has closed the line, None when it is silent."""
     ready, _, _ = select.select([0], [], [], silence_s)
-    return bool(ready and os.read(0, 4096))
+    return os.read(0, 4096) if ready else None
 
 
 def forward(process: "subprocess.Popen[bytes]") -> None:
-    """Pass on what a process says, as long as there is one to hear it; read it in any case."""
+    """Pass on what a process says, as long as the line takes it; read it in any case."""
     assert process.stdout is not None
+    os.set_blocking(2, False)  # a line that is cut takes no more, and must not hold `hil` up
     for line in process.stdout:
         with contextlib.suppress(OSError):
             os.write(2, line)
 
 
-def kept(command: list[str], silence_s: float) -> int:
-    """Run `hil` as long as the caller is there; returns its exit code."""
+def kept(command: list[str], silence_s: float) -> tuple[int, bool]:
+    """Run `hil` as long as the caller is there; returns its exit code, and whether the line still is."""
     process = subprocess.Popen(
         ["hil", *command],
         stdin=subprocess.DEVNULL,
@@ -52,17 +53,18 @@ def kept(command: list[str], silence_s: float) -> int:
     )
     speaking = threading.Thread(target=forward, args=(process,))
     speaking.start()
-    while process.poll() is None:
-        if not heard(silence_s):
-            process.terminate()
-            break
+    said: bytes | None = b"."
+    while said and process.poll() is None:
+        said = heard(silence_s)
+    if not said:
+        process.terminate()
     code = process.wait()
     speaking.join()
-    return code
+    return code, said is not None
 
 
 def hand_over(folder: Path) -> None:
-    """Write a folder to stdout as a tar archive; a caller who is gone does not get it."""
+    """Write a folder to stdout as a tar archive; a caller who has just gone does not get it."""
     with contextlib.suppress(OSError), tarfile.open(fileobj=sys.stdout.buffer, mode="w|gz") as archive:
         archive.add(folder, arcname=".")
 
@@ -82,8 +84,8 @@ def main() -> int:
         os.write(1, b"ready\n")
         if not heard(asked.silence):
             return 4
-        code = kept([*asked.command, "--out", str(asked.out)], asked.silence)
-        if asked.out.is_dir():
+        code, there = kept([*asked.command, "--out", str(asked.out)], asked.silence)
+        if there and asked.out.is_dir():
             hand_over(asked.out)
         return code
     finally:
