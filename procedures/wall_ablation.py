@@ -187,7 +187,8 @@ def run(ctx: Context) -> None:
     else:
         for number, (setting, case) in enumerate(jobs, start=1):
             title = f"{setting.name}, {case}"
-            lines.append(ctx.checkpoint(title, partial(_here, ctx, setting, case)))
+            may_stop = setting != settings[-1]
+            lines.append(ctx.checkpoint(title, partial(_here, ctx, setting, case, may_stop=may_stop)))
             ctx.progress("lines", number, len(jobs), (number, len(jobs)))
     with ctx.step("evaluate"):
         evaluate(ctx, jobs, lines)
@@ -200,7 +201,8 @@ def drive(bench: Bench, case: str, p: Parameters, *, may_stop: bool) -> Driven:
         bench: to drive.
         case: which line.
         p: its length and times.
-        may_stop: whether a check of what is measured by sensors ends the line, and not the run.
+        may_stop: whether a check of what sensors measure ends the line, and not the run: where less is known
+            than there is, so that the line is not judged.
     """
     start = stand(bench)
     way = reference(case, p, start)
@@ -223,23 +225,19 @@ def _without(config: BenchConfig, setting: Setting) -> dict[str, object]:
     return {"record.without": (*own, *(n for n in PARTS if n not in setting.known and n not in own))}
 
 
-def _here(ctx: Context, setting: Setting, case: str) -> Driven:
+def _here(ctx: Context, setting: Setting, case: str, *, may_stop: bool) -> Driven:
     bench = ctx.reopen(_label(setting, case), overrides=_without(ctx.source.config, setting))
-    return drive(bench, case, ctx.parameters, may_stop=_may_stop(setting, ctx))
-
-
-def _may_stop(setting: Setting, ctx: Context) -> bool:
-    """Whether less is known in a setting than there is: its lines are not judged."""
-    return setting != _settings(ctx.parameters, ctx.source.config)[-1]
+    return drive(bench, case, ctx.parameters, may_stop=may_stop)
 
 
 def _at_once(ctx: Context, jobs: Jobs, found: list[Driven]) -> list[Driven]:
     p: Parameters = ctx.parameters
     config = ctx.source.config
+    judged, _ = jobs[-1]
     work = [
         DriveJob(
             ctx.source.changed(overrides=_without(config, setting)),
-            partial(drive, case=case, p=p, may_stop=_may_stop(setting, ctx)),
+            partial(drive, case=case, p=p, may_stop=setting != judged),
             _label(setting, case),
         )
         for setting, case in jobs

@@ -60,7 +60,8 @@ class Trail:
         """Whether it reaches back for a window, and is not out of date."""
         if not self._reaches_back(now_ns):
             return False
-        while self.window_ns < _LONGEST_NS and _NOISE_TIMES * self._noise() > self._most():
+        sigma = self._sigma()
+        while self.window_ns < _LONGEST_NS and _NOISE_TIMES * self._noise(sigma) > self._most():
             self.window_ns += _LONGER_NS
         return self._reaches_back(now_ns)
 
@@ -69,9 +70,15 @@ class Trail:
         return self._is_fresh(now_ns) and not self.full(now_ns)
 
     def moves(self) -> bool:
-        """Whether the place has changed by more than that of a robot at rest may."""
-        begin, end = self._ends()
-        return float(np.abs(end - begin).max()) > self._most()
+        """Whether the place has changed by more than that of a robot at rest may.
+
+        The means of the first and the last quarter are compared. Of three and more sightings in one the least
+        and the greatest do not count: they may have been garbled on the way.
+        """
+        places = np.array([place for _, place in self._seen])
+        quarter = _quarter(len(places))
+        change = _trimmed_mean(places[-quarter:]) - _trimmed_mean(places[:quarter])
+        return float(np.abs(change).max()) > self._most()
 
     def _reaches_back(self, now_ns: int) -> bool:
         seen = self._seen
@@ -83,26 +90,21 @@ class Trail:
     def _most(self) -> float:
         return self._threshold * self.window_ns / WINDOW_NS
 
-    def _ends(self) -> tuple[Array, Array]:
-        """Mean places (k,) of the first and the last quarter.
+    def _sigma(self) -> float:
+        """Standard deviation of one sighting; 0 of too few.
 
-        Of three and more the least and the greatest do not count: they may have been garbled on the way.
-        """
-        places = np.array([place for _, place in self._seen])
-        quarter = _quarter(len(places))
-        return _trimmed_mean(places[:quarter]), _trimmed_mean(places[-quarter:])
-
-    def _noise(self) -> float:
-        """Standard deviation of the change that noise alone leads to in a full window.
-
-        Second differences show the noise of each sighting, whether or not the robot moves. 0 of too few.
+        Second differences show it, whether or not the robot moves.
         """
         if len(self._seen) < _FEWEST_FOR_NOISE:
             return 0.0
         places = np.array([place for _, place in self._seen])
         rough = float(np.median(np.abs(np.diff(places, n=2, axis=0))))
-        sigma = _SIGMA_OF_MEDIAN / math.sqrt(6.0) * rough
-        expected = len(places) * self.window_ns / max(self._seen[-1][0] - self._seen[0][0], 1)
+        return _SIGMA_OF_MEDIAN / math.sqrt(6.0) * rough
+
+    def _noise(self, sigma: float) -> float:
+        """Standard deviation of the change that noise alone leads to in a full window."""
+        seen = self._seen
+        expected = len(seen) * self.window_ns / max(seen[-1][0] - seen[0][0], 1)
         return sigma * math.sqrt(2.0 / max(1, _quarter(int(expected)) - 1))
 
 
