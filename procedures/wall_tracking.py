@@ -35,6 +35,8 @@ from hil.procedure.tracking_errors import (
 from hil.procedure.worker_processes import Workers
 from hil.robot.trajectories import Trajectory, line, scan
 
+_FILTERS = {"ekf": "the EKF", "ukf": "the UKF"}
+_LINES = (("x_line", "Up the wall", "short", "shortfall"), ("y_line", "Across it", "too low", "sag"))
 Case = Literal["x_line", "y_line", "scan"]
 World = dict[str, Any]
 """What each drive in the worlds of one seed has given, by its label: `errors`, and of the first `series`."""
@@ -198,10 +200,6 @@ def drive(bench: Bench, one: Drive, p: Parameters) -> dict[str, Any]:
         start_pose=start,
     )
     return {"errors": tracking_errors(motion), "series": series(motion)}
-
-
-_FILTERS = {"ekf": "the EKF", "ukf": "the UKF"}
-_LINES = (("x_line", "Up the wall", "short", "shortfall"), ("y_line", "Across it", "too low", "sag"))
 
 
 def headline(v: Mapping[str, float]) -> str:

@@ -47,10 +47,12 @@ from hil.procedures.bring_up.report import (
 from hil.procedures.bring_up.streams import Stream, judge_stream
 from hil.robot.trajectories import Trajectory, line
 
-MOST_DRIFT_PPM = 90.0
 _DEG = float(np.degrees(1.0))
 _PUSHES = 0.5
 """Least cosine between where a drive pushes and where it should."""
+_CLEAR = 0.5
+"""Of what is measured: below it something else moved, or hardly anything."""
+_MOST_DRIFT_PPM = 90.0
 
 
 class Parameters(BaseModel):
@@ -130,8 +132,8 @@ def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
             yield Measurement(
                 f"{name}.clock_drift",
                 "ppm",
-                low=-MOST_DRIFT_PPM,
-                high=MOST_DRIFT_PPM,
+                low=-_MOST_DRIFT_PPM,
+                high=_MOST_DRIFT_PPM,
                 marginal=10.0,
                 rationale="device clock against bench clock, positive is fast; drivers follow up to 100",
             )
@@ -204,10 +206,6 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     for title in ("identity", "streams", "steering", "drives"):
         yield PlannedStep(title)
     yield PlannedStep("body", tuple(steps(p, np.array(config.environment.start_pose))))
-
-
-_CLEAR = 0.5
-"""Of what is measured: below it something else moved, or hardly anything."""
 
 
 def headline(v: Mapping[str, float]) -> str:
@@ -353,7 +351,7 @@ def _measure_stream(ctx: Context, name: str, stream: Stream) -> None:
     if kinds()[name].has_own_clock:
         ctx.measure(f"{name}.clock_drift", stream.drift_ppm)
         ctx.measure(f"{name}.clock_drift_uncertainty", stream.drift_uncertainty_ppm)
-        if stream.drift_uncertainty_ppm > MOST_DRIFT_PPM:
+        if stream.drift_uncertainty_ppm > _MOST_DRIFT_PPM:
             ctx.note(
                 f"{name}: samples came too unevenly to judge the drift of its clock. Watch it for longer "
                 "(--set watch_s=60), on a computer that does nothing else."
