@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,25 +25,15 @@ from hil.calibration.evaluation import position_rmse, track_all
 from hil.calibration.problem import make_setting
 from hil.core.clock import MonotonicClock
 from hil.datasets.read import read_recordings
-from tests.calibration import spoilt_sets as sets
+from tests.calibration.spoilt_sets import Drive, drives_without_chance, make_drives
 
 
-def read(drives: list[sets.Drive]) -> list:
+def read(drives: list[Drive]) -> list:
     """The recordings, as files are read."""
     with tempfile.TemporaryDirectory() as folder:
         for drive in drives:
             drive.write(Path(folder))
         return read_recordings([Path(folder)])
-
-
-def without_chance(seed: int) -> tuple[str, list[sets.Drive]]:
-    """The law of a seed's robot, and every motion, a metre long, as it drives without chance."""
-    rng = np.random.default_rng([seed, 77])
-    robot = sets._robot(rng)
-    motions = (*sets._STRAIGHT, *sets._TURNING)
-    shapes = [(f"{motion}_1", sets._shape(motion, 1.0, 0.08, 1)) for motion in motions]
-    still = replace(robot, noise=0.0)
-    return robot.law, [sets._drive(still, name, shape, rng) for name, shape in shapes]
 
 
 def main() -> None:
@@ -57,9 +46,9 @@ def main() -> None:
     print("seed law   model          clear  recorded  worst | others  worst | apart, most")
     rows = []
     for seed in range(first, end):
-        recordings = read(sets.make_drives(seed))
+        recordings = read(make_drives(seed))
         result = calibrate(recordings, make_setting("recommended"), MonotonicClock())
-        law, drives = without_chance(seed)
+        law, drives = drives_without_chance(seed)
         known = {r.name.rsplit("_", 1)[0] for r in recordings}
         tracks = track_all(read(drives), result.geometry, result.setting.model, result.setting.signal)
         errors = {t.recording.name.rsplit("_", 1)[0]: 1e3 * position_rmse(t) for t in tracks}

@@ -93,6 +93,15 @@ def make_drives(seed: int, spoilt: tuple[str, ...] = ()) -> list[Drive]:
     return drives
 
 
+def drives_without_chance(seed: int) -> tuple[str, list[Drive]]:
+    """The law of a seed's robot, and every motion, a metre long, as it drives without noise and bursts."""
+    rng = np.random.default_rng([seed, 77])
+    robot = _robot(rng)
+    still = replace(robot, noise=0.0)
+    shapes = {motion: _shape(motion, 1.0, 0.08, 1) for motion in (*_STRAIGHT, *_TURNING)}
+    return robot.law, [_drive(still, f"{motion}_1", shape, rng) for motion, shape in shapes.items()]
+
+
 def _robot(rng: np.random.Generator) -> _Robot:
     zero = np.radians(rng.normal(0.0, 1.0, 4))
     weight = np.array([0.0, rng.choice([0.0, 0.0, -1.0])])
