@@ -20,6 +20,7 @@ from hil.core.geometry import Array
 from hil.core.signals import SERVOS, ServoSample, ServoSetpoint
 
 _PATIENCE_S = 1.0
+_TRIES = 5
 _RATE_RAD_S = 1.0
 _STEP = np.array([0.1, -0.1, 0.1, -0.1])
 _RESTS_RAD, _STEERS_RAD, _RATE_OFF_RAD_S = 0.01, 0.03, 0.1
@@ -49,16 +50,35 @@ def fresh(bench: Bench) -> ServoSample:
 
 
 def at_loop_rate(bench: Bench, duration_s: float, setpoint: ServoSetpoint | None = None) -> ServoSample:
-    """Read (and command) at the loop rate; the last good sample."""
-    period_ns = nanoseconds(1.0 / bench.config.loop.rate_hz)
-    next_ns, servos = bench.clock.now_ns(), _servos(bench)
-    for _ in range(round(duration_s * bench.config.loop.rate_hz)):
-        if setpoint is not None:
-            servos.command(setpoint)
-        servos.read()
-        next_ns += period_ns
-        bench.clock.sleep_until_ns(next_ns)
-    return fresh(bench)
+    """Read (and command) at the loop rate for a time without a gap; the last good sample.
+
+    After a gap as long as half a bus watchdog's time, wheels may have stopped: the time begins anew.
+
+    Raises:
+        Broken: if this computer leaves a gap in each of `_TRIES` tries.
+    """
+    period_ns, servos = nanoseconds(1.0 / bench.config.loop.rate_hz), _servos(bench)
+    longest_ns = max(nanoseconds(_table(bench).watchdog_s) // 2, 2 * period_ns)
+    cycles = round(duration_s * bench.config.loop.rate_hz)
+    for _ in range(_TRIES):
+        next_ns = last_ns = bench.clock.now_ns()
+        for _ in range(cycles):
+            if setpoint is not None:
+                servos.command(setpoint)
+            servos.read()
+            next_ns += period_ns
+            bench.clock.sleep_until_ns(next_ns)
+            now_ns = bench.clock.now_ns()
+            if now_ns - last_ns > longest_ns:
+                break
+            last_ns = now_ns
+        else:
+            return fresh(bench)
+    raise Broken(
+        f"cycles more than {1e-9 * longest_ns:g} s apart in each of {_TRIES} tries",
+        f"{duration_s:g} s at {bench.config.loop.rate_hz:g} Hz without a gap",
+        "end other programs on this computer and try again",
+    )
 
 
 @contextmanager
