@@ -18,10 +18,10 @@ from hil.core.clock import MonotonicClock, nanoseconds
 from hil.core.errors import ConfigError, DeviceError, UsageError
 from hil.core.signals import Status as SampleStatus
 from hil.core.signals import worst
-from hil.drivers.adhesion.fan_daemon import client
-from hil.drivers.adhesion.fan_daemon.client import Status, of_whom
-from hil.drivers.adhesion.fan_daemon.server import bus_of, running_daemons
-from hil.drivers.adhesion.fan_daemon.spec import Spec
+from hil.fan_daemon import client
+from hil.fan_daemon.client import Status, of_whom
+from hil.fan_daemon.server import bus_of, running_daemons
+from hil.fan_daemon.spec import Spec
 from hil.support.port_users import Program, ending, named, running
 
 __all__ = [

@@ -28,7 +28,7 @@ class DaemonMotorConfig(CanConfig):
     fail_after_s: Patience = 1.0
 
     def daemon_spec(self) -> dict[str, Any]:
-        """The arguments of its daemon's `hil.drivers.adhesion.fan_daemon.spec.Spec`."""
+        """The arguments of its daemon's `hil.fan_daemon.spec.Spec`."""
         return {
             "interface": self.interface,
             "channel": self.channel,

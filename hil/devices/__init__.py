@@ -8,5 +8,5 @@ folder here, as an installed package has them in its own.
 What such a package imports: `hil.core` (kinds, samples, seams, errors), `hil.config.device`,
 `hil.devices.emulated_device` (how an emulated device is connected), `hil.devices.doctor_watch` (what the
 doctor asks),
-`hil.drivers.links.serial_url` and `hil.fakes.serial_chip` (bytes on a serial line, from either end).
+`hil.links.serial_url` and `hil.fakes.serial_chip` (bytes on a serial line, from either end).
 """

@@ -87,7 +87,7 @@ class CanModel(DeviceModel):
 
     def search(self, search: Search) -> Found | None:
         """Open the driver on the CAN buses that were named, or that the system has; it only listens."""
-        from hil.drivers.links.can_bus import detected
+        from hil.links.can_bus import detected
 
         named = [config for config in search.given.get(self.kind, ()) if isinstance(config, self.config)]
         for config in named or detected(self.config, open_timeout_s=SEARCH_S):

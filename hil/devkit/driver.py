@@ -4,13 +4,13 @@ from hil.core.clock import NS_PER_S, Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.interfaces import Holding, Sensor
 from hil.core.signals import Stamp, Status
-from hil.drivers.links.can_sensor import CanSensor
-from hil.drivers.links.packets import LineParser, PacketParser
-from hil.drivers.links.serial_port import PortLostError, SerialPort
-from hil.drivers.links.serial_sensor import SerialSensor
-from hil.drivers.links.silence_limit import Usefulness, used_while_closed
-from hil.drivers.links.streaming_sensor import StreamingSensor
-from hil.drivers.links.stuck_values import StuckTest
+from hil.links.can_sensor import CanSensor
+from hil.links.packets import LineParser, PacketParser
+from hil.links.serial_port import PortLostError, SerialPort
+from hil.links.serial_sensor import SerialSensor
+from hil.links.silence_limit import Usefulness, used_while_closed
+from hil.links.streaming_sensor import StreamingSensor
+from hil.links.stuck_values import StuckTest
 
 __all__ = [
     "NS_PER_S",

@@ -5,9 +5,9 @@ import time
 
 from hil.core.clock import MonotonicClock
 from hil.core.errors import UsageError
-from hil.drivers.adhesion.fan_daemon.failover import FailoverClient
-from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
-from hil.drivers.adhesion.fan_daemon.spec import Spec
+from hil.fan_daemon.failover import FailoverClient
+from hil.fan_daemon.fan_control import SetPoint
+from hil.fan_daemon.spec import Spec
 
 
 def tell(text):

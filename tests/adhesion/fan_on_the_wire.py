@@ -11,8 +11,8 @@ from contextlib import contextmanager
 
 import can
 
-from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.fakes.free_port import free_udp_port
+from hil.fan_daemon.spec import Spec
 
 GROUP = "239.74.164.9"
 RELEASED_AFTER_S = 1.0

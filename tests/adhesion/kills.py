@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.core.errors import DeviceError
-from hil.drivers.adhesion.fan_daemon import client
+from hil.fan_daemon import client
 
 STAND_IN = Path(__file__).with_name("bench_stand_in.py")
 HELD_DUTY = 0.57

@@ -24,9 +24,9 @@ from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, UsageError
 from hil.core.signals import Status
-from hil.drivers.adhesion.fan_daemon import client
-from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
-from hil.drivers.adhesion.fan_daemon.server import of_another
+from hil.fan_daemon import client
+from hil.fan_daemon.fan_control import SetPoint
+from hil.fan_daemon.server import of_another
 from hil.support.emulated_can_mark import is_emulated
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
@@ -425,9 +425,9 @@ def test_a_fan_that_a_bench_commands_is_left_to_it(at_wire, hil):
 
 SETS = """
 import sys
-from hil.drivers.adhesion.fan_daemon import client
-from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
-from hil.drivers.adhesion.fan_daemon.spec import Spec
+from hil.fan_daemon import client
+from hil.fan_daemon.fan_control import SetPoint
+from hil.fan_daemon.spec import Spec
 
 spec = Spec.from_json(sys.argv[1])
 connection = client.connect(spec)

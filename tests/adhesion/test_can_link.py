@@ -11,11 +11,11 @@ from hil.config.can_bus import CanConfig
 from hil.config.robot import RobotConfig
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError
-from hil.drivers.links.can_bus import CanLink
 from hil.fakes.can_channel import CanChannel
 from hil.fakes.free_port import free_udp_port
 from hil.fakes.plant import make_plant
 from hil.fakes.world import VirtualClock, World
+from hil.links.can_bus import CanLink
 
 GROUP = "239.74.164.11"
 

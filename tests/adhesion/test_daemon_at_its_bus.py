@@ -6,10 +6,10 @@ from can_bus import Bus
 
 from hil.core.clock import nanoseconds
 from hil.core.errors import DeviceError
-from hil.drivers.adhesion.fan_daemon import bus_cycle
-from hil.drivers.adhesion.fan_daemon.bus_cycle import BusCycle
-from hil.drivers.adhesion.fan_daemon.fan_control import FanControl, SetPoint
-from hil.drivers.adhesion.fan_daemon.spec import Spec
+from hil.fan_daemon import bus_cycle
+from hil.fan_daemon.bus_cycle import BusCycle
+from hil.fan_daemon.fan_control import FanControl, SetPoint
+from hil.fan_daemon.spec import Spec
 
 SPEC = Spec("udp_multicast", "239.74.164.9", 7)
 PERIOD_NS = nanoseconds(SPEC.period_s)

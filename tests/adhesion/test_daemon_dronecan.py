@@ -9,11 +9,11 @@ from can_bus import Bus
 
 from hil.core.clock import nanoseconds
 from hil.core.errors import ConfigError
-from hil.drivers.adhesion.dronecan import frames
-from hil.drivers.adhesion.fan_daemon.bus_cycle import BusCycle
-from hil.drivers.adhesion.fan_daemon.fan_control import FanControl, SetPoint
-from hil.drivers.adhesion.fan_daemon.protocols import protocol_of
-from hil.drivers.adhesion.fan_daemon.spec import Spec
+from hil.fan_daemon.bus_cycle import BusCycle
+from hil.fan_daemon.fan_control import FanControl, SetPoint
+from hil.fan_daemon.protocols import protocol_of
+from hil.fan_daemon.spec import Spec
+from hil.links.dronecan import frames
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "dronecan_frames.json").read_text())
 RUNNING = GOLDEN["statuses"][0]

@@ -23,10 +23,10 @@ from kills import (
 )
 
 from hil.core.clock import MonotonicClock
-from hil.drivers.adhesion.fan_daemon import client, failover
-from hil.drivers.adhesion.fan_daemon.failover import FailoverClient
-from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
-from hil.drivers.adhesion.fan_daemon.server import of_another
+from hil.fan_daemon import client, failover
+from hil.fan_daemon.failover import FailoverClient
+from hil.fan_daemon.fan_control import SetPoint
+from hil.fan_daemon.server import of_another
 
 MOST_S = 0.2
 FEW, MANY = 2, 100

@@ -13,9 +13,9 @@ from kills import HELD_DUTY, both, daemon_pid, wait_until
 from test_daemon_process import emulating, written
 
 from hil.core.clock import MonotonicClock
-from hil.drivers.adhesion.fan_daemon import client
-from hil.drivers.adhesion.fan_daemon.failover import FailoverClient
-from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
+from hil.fan_daemon import client
+from hil.fan_daemon.failover import FailoverClient
+from hil.fan_daemon.fan_control import SetPoint
 from hil.support.emulated_can_mark import Emulation, Mark, is_emulated
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
@@ -111,7 +111,7 @@ def daemons_of(state):
     return {
         pid
         for pid in map(int, re.findall(r"(?:daemon of|standby),? .*?process (\d+)", logs))
-        if "adhesion.fan_daemon" in _command(pid)
+        if "hil.fan_daemon" in _command(pid)
     }
 
 

@@ -16,10 +16,10 @@ import pytest
 from kills import commanded, end_daemon
 
 from hil.core.errors import DeviceError, UsageError
-from hil.drivers.adhesion.fan_daemon import client, server, standby
-from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
-from hil.drivers.adhesion.fan_daemon.server import Server
-from hil.drivers.adhesion.fan_daemon.spec import Spec
+from hil.fan_daemon import client, server, standby
+from hil.fan_daemon.fan_control import SetPoint
+from hil.fan_daemon.server import Server
+from hil.fan_daemon.spec import Spec
 
 POINT = SetPoint("duty", 0.3)
 
@@ -93,7 +93,7 @@ def set_when_heard(connection, spec, point=POINT):
 
 
 def test_it_imports_little():
-    code = "import sys, hil.drivers.adhesion.fan_daemon.process; print(*sys.modules)"
+    code = "import sys, hil.fan_daemon.process; print(*sys.modules)"
     modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     loaded = {name.partition(".")[0] for name in modules.split()}
     assert loaded.isdisjoint({"numpy", "numba", "pydantic", "cantools", "click", "scipy"})
@@ -289,7 +289,7 @@ def test_root_asks_the_daemon_of_another_user_and_learns_whose_it_is(wire):
     _, spec = wire
     code = (
         "import os, sys, can.interfaces.udp_multicast; "
-        "from hil.drivers.adhesion.fan_daemon.process import main; "
+        "from hil.fan_daemon.process import main; "
         f"{BECOME_NOBODY}; main([sys.argv[1], '--stay'])"
     )
     command, quiet = [sys.executable, "-c", code, spec.to_json()], subprocess.DEVNULL
@@ -310,7 +310,7 @@ def test_root_asks_the_daemon_of_another_user_and_learns_whose_it_is(wire):
 def test_another_user_learns_that_the_daemon_is_roots(daemon):
     _, spec, _ = daemon
     code = (
-        "import os, sys; from hil.drivers.adhesion.fan_daemon import client, spec; "
+        "import os, sys; from hil.fan_daemon import client, spec; "
         f"{BECOME_NOBODY}; client.connect(spec.Spec.from_json(sys.argv[1]))"
     )
     command = [sys.executable, "-c", code, spec.to_json()]

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from hil.core.clock import nanoseconds
 from hil.core.errors import ConfigError, DeviceError, UsageError
-from hil.drivers.adhesion.fan_daemon.fan_control import RELEASE, FanControl, SetPoint
-from hil.drivers.adhesion.fan_daemon.spec import Spec
+from hil.fan_daemon.fan_control import RELEASE, FanControl, SetPoint
+from hil.fan_daemon.spec import Spec
 
 SPEC = Spec("udp_multicast", "239.74.164.9", 7)
 PERIOD_NS = nanoseconds(SPEC.period_s)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.core.errors import UsageError
-from hil.drivers.adhesion import vesc
+from hil.links import vesc
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "vesc_frames.json").read_text())
 DATABASE = cantools.database.load_file(vesc.DBC)

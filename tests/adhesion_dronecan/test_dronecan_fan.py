@@ -12,9 +12,9 @@ from hil.devices.adhesion.dronecan import dronecan_library as libraries
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.driver import DroneCanFan
 from hil.devices.adhesion.emulated_daemon import DaemonInWorld
-from hil.drivers.adhesion.fan_daemon.protocols import protocol_of
-from hil.drivers.adhesion.fan_daemon.spec import Spec
-from hil.drivers.links.can_bus import CanLink
+from hil.fan_daemon.protocols import protocol_of
+from hil.fan_daemon.spec import Spec
+from hil.links.can_bus import CanLink
 
 dronecan = pytest.importorskip("dronecan", reason="the extra dronecan is not installed")
 COMMON = dronecan.driver.common

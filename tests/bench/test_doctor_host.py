@@ -11,7 +11,7 @@ import pytest
 from hil.bench.doctor.port_findings import _GRABBERS, Host, host_findings, udev_rules
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.drivers.links.serial_url import cannot_open
+from hil.links.serial_url import cannot_open
 from hil.support.port_users import programs_with
 
 

@@ -20,11 +20,11 @@ from hil.config.loading import load_bench
 from hil.config.thrust import TeensyConfig
 from hil.core.registry import kinds
 from hil.devices.imu.microstrain.emulated_chip import MicrostrainChip
-from hil.drivers.links.serial_url import open_serial
 from hil.fakes.imu import Bno055Chip
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.thrust import TeensyChip, ThrustTruthOptions
 from hil.fakes.world import VirtualClock, World
+from hil.links.serial_url import open_serial
 from tests.turning_plant import TurningPlant
 
 SETTINGS = {"baud": 115_200, "timeout_s": 0.0, "write_timeout_s": 0.1}

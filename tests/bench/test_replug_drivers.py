@@ -14,11 +14,11 @@ from hil.core.signals import Status, worst
 from hil.devices.imu.microstrain.config import MicrostrainConfig
 from hil.devices.imu.microstrain.driver import MicrostrainImu
 from hil.devices.imu.microstrain.emulated_chip import MicrostrainChip
-from hil.drivers.links import serial_url
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World
+from hil.links import serial_url
 
 CLOCK = MonotonicClock()
 PERIOD_NS = 10_000_000

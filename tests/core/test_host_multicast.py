@@ -9,8 +9,8 @@ from can.interfaces.udp_multicast import UdpMulticastBus
 from can.interfaces.udp_multicast.utils import pack_message
 
 from hil.config.encoders import EncodersConfig
-from hil.drivers.links.can_bus import open_bus
 from hil.fakes.free_port import free_udp_port
+from hil.links.can_bus import open_bus
 from hil.support import host_multicast
 from hil.support.emulated_can_mark import Mark, bus_name
 from hil.support.host_multicast import HostMulticastBus, is_of_this_host

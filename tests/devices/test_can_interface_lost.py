@@ -10,10 +10,10 @@ from hil.bench.reconnect import Reconnecting
 from hil.config.load_cells import CanCellsConfig
 from hil.config.robot import RobotConfig
 from hil.core.clock import MonotonicClock
-from hil.drivers.links import can_bus
 from hil.drivers.load_cells.can_cells import CanCells
 from hil.fakes.plant import make_plant
 from hil.fakes.world import VirtualClock, World
+from hil.links import can_bus
 
 PATIENT = CanCellsConfig(
     interface="usb", channel="usb0", rate_hz=80.0, open_timeout_s=10.0, fail_after_s=10.0

@@ -11,11 +11,11 @@ from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, UsageError
 from hil.core.signals import Status
 from hil.drivers.encoders import As5045Encoders
-from hil.drivers.links.can_bus import open_bus
 from hil.fakes.can_channel import CanChannel
 from hil.fakes.can_server import CanTransport
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import NEVER_NS
+from hil.links.can_bus import open_bus
 
 pytestmark = pytest.mark.alone
 

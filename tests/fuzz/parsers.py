@@ -16,11 +16,6 @@ from hil.core.t265_datagrams import FEED_INFO, FEED_MAGIC, INFO_RECORD
 from hil.devices.imu.microstrain import mip_fields as mip_fields
 from hil.devices.imu.microstrain.mip_packets import PacketParser, encode
 from hil.devices.tracker.mavlink.odometry_messages import Parser, axes_of, dialect, pose_of, twist_of
-from hil.drivers.adhesion.dronecan.frames import StatusReader, command_of
-from hil.drivers.adhesion.fan_daemon.client import understood
-from hil.drivers.adhesion.fan_daemon.server import _answered
-from hil.drivers.adhesion.fan_daemon.spec import Spec
-from hil.drivers.adhesion.vesc import frames as vesc
 from hil.drivers.mocap.natnet_frames import FrameParser, parse_frame
 from hil.drivers.mocap.natnet_packets import MalformedPacket, parse_server_info, split
 from hil.drivers.mocap.rigid_body_names import parse_models
@@ -29,6 +24,11 @@ from hil.drivers.tracker.emulated_pipeline import FeedDevice
 from hil.fakes.fault import parse_fault
 from hil.fakes.imu.bno055_uart import RequestParser
 from hil.fakes.servos import protocol
+from hil.fan_daemon.client import understood
+from hil.fan_daemon.server import _answered
+from hil.fan_daemon.spec import Spec
+from hil.links.dronecan.frames import StatusReader, command_of
+from hil.links.vesc import frames as vesc
 from hil.live.velocity_input import parse_command
 from hil.recording import cdr
 from hil.recording.ros_types import MessageMaker, from_cdr, to_cdr

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hil.config.tracker import TrackerConfig
-from hil.drivers.links.device_clock import DeviceClock
-from hil.drivers.links.pose_jumps import JumpTest
 from hil.fakes.tracker import IDEAL
+from hil.links.device_clock import DeviceClock
+from hil.links.pose_jumps import JumpTest
 
 STILL = (1.0, 0.0, 0.0, 0.0)
 

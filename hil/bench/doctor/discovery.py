@@ -20,7 +20,7 @@ from hil.config.mocap import MocapConfig
 from hil.core.clock import Clock
 from hil.core.device import DeviceModel, Found, Search
 from hil.core.registry import base_of, kinds, may_be_twice
-from hil.drivers.links.serial_url import BY_ID
+from hil.links.serial_url import BY_ID
 
 _ORDINALS = ("first", "second", "third", "fourth", *(f"number_{k}" for k in range(5, 100)))
 _WALL = {"surface": "melamine", "tilt_rad": 1.5708}

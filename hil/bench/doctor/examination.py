@@ -34,7 +34,7 @@ from hil.core.package_errors import OURS, asked
 from hil.core.registry import base_of, kinds
 from hil.core.signals import Inputs, Measurements, Status, worst
 from hil.devices.doctor_watch import Watched
-from hil.drivers.links.serial_url import latency_timer
+from hil.links.serial_url import latency_timer
 from hil.loop.alignment import Alignment
 from hil.loop.checks.adhesion import DISAGREE_N, DISAGREE_SHARE, apart
 

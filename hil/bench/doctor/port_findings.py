@@ -14,7 +14,7 @@ from hil.bench.doctor.host_usb import HUB_BUDGET_MA, UsbDevice, behind, plugged_
 from hil.config.bench import BenchConfig
 from hil.config.tracker import T265Config
 from hil.core.finding import Finding
-from hil.drivers.links.serial_url import BY_ID
+from hil.links.serial_url import BY_ID
 from hil.support.port_users import PROC, named, programs_with, running
 
 T265_IDS = {("8087", "0b37")}

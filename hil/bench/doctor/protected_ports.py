@@ -19,8 +19,8 @@ from hil.config.loading import load_bench
 from hil.core.device import DeviceModel
 from hil.core.errors import ConfigError
 from hil.core.registry import kinds
-from hil.drivers.adhesion.fan_daemon.server import running_daemons
-from hil.drivers.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
+from hil.fan_daemon.server import running_daemons
+from hil.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
 from hil.support.file_reading import read_toml
 from hil.support.port_users import named, programs_with
 

@@ -15,13 +15,13 @@ from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError
 from hil.devices.emulated_can import on_can
 from hil.devices.emulated_device import EmulatedDevice, EmulationRequest
-from hil.drivers.adhesion.fan_daemon.bus_cycle import BusCycle
-from hil.drivers.adhesion.fan_daemon.client import Status
-from hil.drivers.adhesion.fan_daemon.commander import MotorCommander
-from hil.drivers.adhesion.fan_daemon.fan_control import FanControl, SetPoint
-from hil.drivers.adhesion.fan_daemon.spec import Spec
 from hil.fakes.can_channel import CanChannel, WorldBus
 from hil.fakes.world import Scheduled, World
+from hil.fan_daemon.bus_cycle import BusCycle
+from hil.fan_daemon.client import Status
+from hil.fan_daemon.commander import MotorCommander
+from hil.fan_daemon.fan_control import FanControl, SetPoint
+from hil.fan_daemon.spec import Spec
 
 _LOG = logging.getLogger(__name__)
 

@@ -18,10 +18,10 @@ def controllers(search: Search, buses: Iterable[C]) -> Iterator[tuple[C, list[in
 
     A bus on which a daemon commands a fan or propellers is only listened to.
     """
-    from hil.drivers.adhesion.fan_daemon.server import bus_of, running_daemons
     from hil.drivers.adhesion.vesc_identity import ask_who
     from hil.drivers.adhesion.vesc_settings import Answers
-    from hil.drivers.links.can_bus import CanLink
+    from hil.fan_daemon.server import bus_of, running_daemons
+    from hil.links.can_bus import CanLink
 
     for bus in buses:
         busy = bus.bus in map(bus_of, running_daemons())

@@ -41,11 +41,11 @@ class Vesc(DaemonFan):
     kind, name, title = "adhesion", "vesc", "a ducted fan on a VESC"
     config, subnet, printed = VescConfig, 164, ("controller_id",)
     driver, chip = "hil.drivers.adhesion.vesc_fan:VescFan", "hil.fakes.adhesion:VescNode"
-    dbc = "hil.drivers.adhesion.vesc:DBC"
+    dbc = "hil.links.vesc:DBC"
 
     def search(self, search: Search) -> Found | None:
         """Ping the controllers on the CAN buses that were named, or that the system has."""
-        from hil.drivers.links.can_bus import detected
+        from hil.links.can_bus import detected
 
         named = [c for c in search.given.get("adhesion", ()) if isinstance(c, VescConfig)]
         for config, ids in controllers(search, named or detected(VescConfig)):

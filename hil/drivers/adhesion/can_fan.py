@@ -14,10 +14,10 @@ from hil.core.clock import Clock
 from hil.core.errors import HilError, UsageError
 from hil.core.signals import AdhesionSample, Stamp, Status
 from hil.drivers.adhesion.can_motor import DaemonMotor
-from hil.drivers.adhesion.fan_daemon.commander import MakeCommander
 from hil.drivers.adhesion.speed_trim import SpeedTrim
-from hil.drivers.links.silence_limit import Usefulness
-from hil.drivers.links.stuck_values import StuckTest
+from hil.fan_daemon.commander import MakeCommander
+from hil.links.silence_limit import Usefulness
+from hil.links.stuck_values import StuckTest
 
 _FASTEST = 3.0
 """Times the rated speed: no fan turns so fast."""

@@ -17,12 +17,12 @@ from hil.config.can_motor import DaemonMotorConfig
 from hil.core.clock import NS_PER_S, Clock
 from hil.core.errors import DeviceTimeoutError, UsageError
 from hil.core.interfaces import Holding
-from hil.drivers.adhesion.fan_daemon.commander import MakeCommander, MotorCommander
-from hil.drivers.adhesion.fan_daemon.failover import FailoverClient
-from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
-from hil.drivers.adhesion.fan_daemon.spec import Spec
-from hil.drivers.links.can_bus import CanLink, remedy_of_silence
-from hil.drivers.links.silence_limit import used_while_closed
+from hil.fan_daemon.commander import MakeCommander, MotorCommander
+from hil.fan_daemon.failover import FailoverClient
+from hil.fan_daemon.fan_control import SetPoint
+from hil.fan_daemon.spec import Spec
+from hil.links.can_bus import CanLink, remedy_of_silence
+from hil.links.silence_limit import used_while_closed
 
 C = TypeVar("C", bound=DaemonMotorConfig)
 S = TypeVar("S", covariant=True)

@@ -9,7 +9,7 @@ from typing import Any
 from hil.config.adhesion import MotorConfig
 from hil.core.clock import nanoseconds
 from hil.core.signals import AdhesionSample, Status
-from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
+from hil.fan_daemon.fan_control import SetPoint
 
 _NOMINAL_V, _LEAST_V, _MOST_V = 22.2, 5.0, 100.0
 """Battery voltage (V) where the controller reports none that can be."""

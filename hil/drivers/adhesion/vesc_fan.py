@@ -12,11 +12,11 @@ from hil.config.adhesion import VescConfig
 from hil.core.clock import Clock, nanoseconds
 from hil.core.finding import Finding
 from hil.drivers.adhesion.can_fan import Figures, MotorFan
-from hil.drivers.adhesion.fan_daemon.commander import MakeCommander, finding
-from hil.drivers.adhesion.fan_daemon.spec import Spec
-from hil.drivers.adhesion.vesc import Packet, Status, Status4, Status5, address, decode
 from hil.drivers.adhesion.vesc_identity import BusReplies, ask_who
 from hil.drivers.adhesion.vesc_settings import Answers
+from hil.fan_daemon.commander import MakeCommander, finding
+from hil.fan_daemon.spec import Spec
+from hil.links.vesc import Packet, Status, Status4, Status5, address, decode
 
 _SLOW_REPORTS_NS = nanoseconds(1.5)
 Report = Status | Status4 | Status5

@@ -11,10 +11,10 @@ from hil.config.adhesion import VescConfig
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.finding import Finding, Level
-from hil.drivers.adhesion.fan_daemon.spec import Spec
-from hil.drivers.adhesion.vesc import ALL_SERVOS, Pong, Status, Status4, Status5, decode, ping_frame
 from hil.drivers.adhesion.vesc_settings import QUESTIONS, SHORT, Answers, question
-from hil.drivers.links.can_bus import CanLink, remedy_of_silence
+from hil.fan_daemon.spec import Spec
+from hil.links.can_bus import CanLink, remedy_of_silence
+from hil.links.vesc import ALL_SERVOS, Pong, Status, Status4, Status5, decode, ping_frame
 
 _WAIT_S = 0.01
 _SETTINGS_S = 0.15

@@ -19,10 +19,10 @@ from hil.drivers.encoders.as5045_word import decode_words
 from hil.drivers.encoders.frame_layout import FrameLayout, load_layout
 from hil.drivers.encoders.node_clock import NodeTimeline
 from hil.drivers.encoders.node_status import NodeStatus
-from hil.drivers.links.can_arrival_times import ArrivalClock
-from hil.drivers.links.can_bus import BUS_ERRORS, has_failed, open_bus, receiver, remedy_of_silence, shut
-from hil.drivers.links.rate_limited_log import Seldom
-from hil.drivers.links.silence_limit import Usefulness, used_while_closed
+from hil.links.can_arrival_times import ArrivalClock
+from hil.links.can_bus import BUS_ERRORS, has_failed, open_bus, receiver, remedy_of_silence, shut
+from hil.links.rate_limited_log import Seldom
+from hil.links.silence_limit import Usefulness, used_while_closed
 
 _LOG = logging.getLogger(__name__)
 

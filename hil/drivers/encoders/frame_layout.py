@@ -1,6 +1,6 @@
 """Bit positions of the encoder frames, taken from a DBC file once and then applied without it.
 
-cantools reads and checks the DBC (`hil.drivers.links.dbc_file`); decoding a frame is then two shifts per
+cantools reads and checks the DBC (`hil.links.dbc_file`); decoding a frame is then two shifts per
 signal, a tenth of the cost of a general decode (a test holds the two against each other).
 """
 
@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from hil.config.encoders import EncodersConfig
 from hil.core.errors import DataError
-from hil.drivers.links.dbc_file import load_database
+from hil.links.dbc_file import load_database
 
 SEQUENCE, NODE_TIME = "Sequence", "NodeTime"
 _WORD_BITS = 18

@@ -7,7 +7,7 @@ from typing import Any
 import can
 
 from hil.config.encoders import EncodersConfig
-from hil.drivers.links.dbc_file import load_database
+from hil.links.dbc_file import load_database
 
 _MESSAGE, _LAYOUT = "NodeStatus", "Layout"
 _COUNTERS = {

@@ -19,8 +19,8 @@ from hil.drivers.imu import bno055_burst
 from hil.drivers.imu.bno055_calibration import ImuCalibration
 from hil.drivers.imu.bno055_protocol import ExchangeError, Link
 from hil.drivers.imu.bno055_setup import MODES, OPR_MODE, REMEDY, Chip
-from hil.drivers.links.silence_limit import Usefulness, used_while_closed
-from hil.drivers.links.stuck_values import StuckTest
+from hil.links.silence_limit import Usefulness, used_while_closed
+from hil.links.stuck_values import StuckTest
 
 _LOG = logging.getLogger(__name__)
 

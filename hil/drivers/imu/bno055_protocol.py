@@ -13,7 +13,7 @@ from typing import Any
 from hil.config.imu import Bno055Config
 from hil.core.clock import Clock, nanoseconds
 from hil.core.signals import Status
-from hil.drivers.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
+from hil.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
 
 READ, WRITE = 0x01, 0x00
 STATUS_TEXT = {

@@ -5,11 +5,11 @@ from collections.abc import Mapping
 
 from hil.config.load_cells import LineCellsConfig
 from hil.core.signals import LoadCellSample, Stamp
-from hil.drivers.links.packets import LineParser
-from hil.drivers.links.serial_port import SerialPort
-from hil.drivers.links.serial_sensor import SerialSensor
 from hil.drivers.load_cells.can_cells import CanCells
 from hil.drivers.load_cells.counts_to_force import Judge
+from hil.links.packets import LineParser
+from hil.links.serial_port import SerialPort
+from hil.links.serial_sensor import SerialSensor
 
 _LINE = re.compile(rb"LC (\d{1,5}) (-?\d{1,8}) (-?\d{1,8})")
 _COUNTS = 1 << 23

@@ -8,9 +8,9 @@ from typing import Any
 from hil.config.load_cells import CanCellsConfig
 from hil.core.errors import DataError
 from hil.core.signals import LoadCellSample, Stamp
-from hil.drivers.links.can_sensor import CanSensor
-from hil.drivers.links.dbc_file import load_database
 from hil.drivers.load_cells.counts_to_force import Judge
+from hil.links.can_sensor import CanSensor
+from hil.links.dbc_file import load_database
 
 _BITS = 24
 

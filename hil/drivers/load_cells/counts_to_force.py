@@ -8,7 +8,7 @@ import numpy as np
 
 from hil.config.load_cells import LoadCellsConfig
 from hil.core.signals import LoadCellSample, Stamp, Status
-from hil.drivers.links.stuck_values import StuckTest
+from hil.links.stuck_values import StuckTest
 
 _STUCK_S = 0.2
 _END = 0.995

@@ -13,14 +13,14 @@ from hil.core.clock import NS_PER_S, Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.interfaces import Sensor
 from hil.core.signals import MocapSample, Stamp, Status
-from hil.drivers.links.device_clock import DeviceClock
-from hil.drivers.links.pose_jumps import JumpTest
-from hil.drivers.links.silence_limit import USELESS, Usefulness, nothing_usable, used_while_closed
-from hil.drivers.links.stuck_values import StuckTest
 from hil.drivers.mocap.natnet_frames import BodyPose, Frame
 from hil.drivers.mocap.natnet_handshake import Handshake
 from hil.drivers.mocap.natnet_session import Session
 from hil.drivers.mocap.udp_ports import DatagramFactory, udp_ports
+from hil.links.device_clock import DeviceClock
+from hil.links.pose_jumps import JumpTest
+from hil.links.silence_limit import USELESS, Usefulness, nothing_usable, used_while_closed
+from hil.links.stuck_values import StuckTest
 
 _LOG = logging.getLogger(__name__)
 

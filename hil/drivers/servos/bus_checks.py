@@ -9,10 +9,10 @@ from hil.config.servos import ServosConfig
 from hil.core.clock import NS_PER_S, Clock
 from hil.core.finding import Finding
 from hil.core.signals import SERVOS, Status
-from hil.drivers.links.serial_url import latency_timer
 from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.expected_servos import setup_command
 from hil.drivers.servos.register_map import RegisterMap
+from hil.links.serial_url import latency_timer
 
 _SHORT_READ_BYTES = 14 + 13
 _SLOW_S = 0.008

@@ -28,7 +28,6 @@ from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.finding import Finding
 from hil.core.interfaces import Actuators
 from hil.core.signals import SERVOS, ServoHealth, ServoHold, ServoSample, ServoSetpoint, Status
-from hil.drivers.links.silence_limit import used_while_closed
 from hil.drivers.servos import bus_checks
 from hil.drivers.servos import expected_servos as ident
 from hil.drivers.servos.answer_timeouts import AnswerTimeouts
@@ -41,6 +40,7 @@ from hil.drivers.servos.recovery import ANSWERING, RamRecovery, acknowledge_all
 from hil.drivers.servos.register_map import RegisterMap
 from hil.drivers.servos.sdk_port import ServoPort
 from hil.drivers.servos.servo_samples import HealthSchedule, Samples
+from hil.links.silence_limit import used_while_closed
 
 _LOG = logging.getLogger(__name__)
 _OK = Status.OK

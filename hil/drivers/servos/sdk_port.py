@@ -15,7 +15,7 @@ from typing import Any
 from dynamixel_sdk import PortHandler
 
 from hil.core.clock import NS_PER_S, Clock, nanoseconds
-from hil.drivers.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
+from hil.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
 
 _BITS = 10
 _SMALLEST_TIMEOUT_S = 1e-4

@@ -18,8 +18,8 @@ from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceTimeoutError, UsageError
 from hil.core.interfaces import Holding
 from hil.core.signals import Stamp, Status, ThrustSample
-from hil.drivers.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
-from hil.drivers.links.silence_limit import used_while_closed
+from hil.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
+from hil.links.silence_limit import used_while_closed
 
 _LOG = logging.getLogger(__name__)
 

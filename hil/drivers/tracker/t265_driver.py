@@ -23,10 +23,6 @@ from hil.core.clock import NS_PER_S, Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.interfaces import Sensor
 from hil.core.signals import Stamp, Status, TrackerSample
-from hil.drivers.links.device_clock import DeviceClock
-from hil.drivers.links.pose_jumps import JumpTest
-from hil.drivers.links.silence_limit import USELESS, Usefulness, nothing_usable, used_while_closed
-from hil.drivers.links.stuck_values import StuckTest
 from hil.drivers.tracker.emulated_pipeline import FeedPipeline
 from hil.drivers.tracker.librealsense_interface import (
     VENDOR_ERRORS,
@@ -38,6 +34,10 @@ from hil.drivers.tracker.librealsense_interface import (
     realsense,
 )
 from hil.drivers.tracker.t265_settings import WheelVelocities, tell
+from hil.links.device_clock import DeviceClock
+from hil.links.pose_jumps import JumpTest
+from hil.links.silence_limit import USELESS, Usefulness, nothing_usable, used_while_closed
+from hil.links.stuck_values import StuckTest
 
 _LOG = logging.getLogger(__name__)
 

@@ -14,10 +14,10 @@ from hil.core.finding import Finding
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.dronecan_library import Receiver, frames_of, library
 from hil.drivers.adhesion.can_fan import Figures, MotorFan
-from hil.drivers.adhesion.dronecan.frames import EscStatus, StatusReader
-from hil.drivers.adhesion.fan_daemon.commander import MakeCommander, finding
-from hil.drivers.adhesion.fan_daemon.spec import Spec
-from hil.drivers.links.can_bus import remedy_of_silence
+from hil.fan_daemon.commander import MakeCommander, finding
+from hil.fan_daemon.spec import Spec
+from hil.links.can_bus import remedy_of_silence
+from hil.links.dronecan.frames import EscStatus, StatusReader
 
 _WAIT_S = 0.01
 _ASK_NS = nanoseconds(0.1)

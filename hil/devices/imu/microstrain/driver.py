@@ -28,9 +28,9 @@ from hil.devices.imu.microstrain.command_queue import (
 from hil.devices.imu.microstrain.config import MicrostrainConfig
 from hil.devices.imu.microstrain.mip_packets import Packet, PacketParser
 from hil.devices.imu.microstrain.serial_link import Link, LinkLostError, longest_packet_ns
-from hil.drivers.links.device_clock import DeviceClock
-from hil.drivers.links.silence_limit import Usefulness, used_while_closed
-from hil.drivers.links.stuck_values import StuckTest
+from hil.links.device_clock import DeviceClock
+from hil.links.silence_limit import Usefulness, used_while_closed
+from hil.links.stuck_values import StuckTest
 
 _LOG = logging.getLogger(__name__)
 

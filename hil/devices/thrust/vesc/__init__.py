@@ -25,7 +25,7 @@ class VescPropellers(CanModel):
         from hil.devices.adhesion.emulated_daemon import commanded_on_can
         from hil.devices.emulated_can import channel_of
         from hil.devices.thrust.vesc.emulated_propellers import VescThrustTruthOptions, propellers
-        from hil.drivers.adhesion.vesc import DBC
+        from hil.links.vesc import DBC
 
         channel = channel_of(request)
         options = request.options(VescThrustTruthOptions, timeout_s=request.config.timeout_s)
@@ -34,7 +34,7 @@ class VescPropellers(CanModel):
 
     def search(self, search: Search) -> Found | None:
         """Ping the controllers on the CAN buses that were named, or of the system, without the fan's."""
-        from hil.drivers.links.can_bus import detected
+        from hil.links.can_bus import detected
 
         fan = VescConfig.model_validate(search.found["adhesion"]) if "adhesion" in search.found else None
         named = [c for c in search.given.get("thrust", ()) if isinstance(c, VescThrustConfig)]

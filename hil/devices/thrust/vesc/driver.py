@@ -13,15 +13,15 @@ from hil.core.finding import Finding
 from hil.core.signals import Stamp, Status, ThrustSample
 from hil.devices.thrust.vesc.config import VescThrustConfig
 from hil.drivers.adhesion.can_motor import DaemonMotor
-from hil.drivers.adhesion.fan_daemon.commander import MakeCommander, finding
-from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
-from hil.drivers.adhesion.fan_daemon.spec import Spec
-from hil.drivers.adhesion.vesc import Packet, address, decode
-from hil.drivers.adhesion.vesc import Status as Report
 from hil.drivers.adhesion.vesc_identity import BusReplies, ask_who
 from hil.drivers.adhesion.vesc_settings import Answers
-from hil.drivers.links.silence_limit import Usefulness
-from hil.drivers.links.stuck_values import StuckTest
+from hil.fan_daemon.commander import MakeCommander, finding
+from hil.fan_daemon.fan_control import SetPoint
+from hil.fan_daemon.spec import Spec
+from hil.links.silence_limit import Usefulness
+from hil.links.stuck_values import StuckTest
+from hil.links.vesc import Packet, address, decode
+from hil.links.vesc import Status as Report
 
 _FASTEST = 3.0
 """Times the full speed: no propeller turns so fast."""

@@ -24,10 +24,10 @@ from hil.devices.tracker.mavlink.first_contact import await_sender, silent
 from hil.devices.tracker.mavlink.session import Received, Session
 from hil.devices.tracker.mavlink.transport_interface import LinkFactory
 from hil.devices.tracker.mavlink.transports import open_link
-from hil.drivers.links.device_clock import DeviceClock
-from hil.drivers.links.pose_jumps import JumpTest
-from hil.drivers.links.silence_limit import USELESS, Usefulness, nothing_usable, used_while_closed
-from hil.drivers.links.stuck_values import StuckTest
+from hil.links.device_clock import DeviceClock
+from hil.links.pose_jumps import JumpTest
+from hil.links.silence_limit import USELESS, Usefulness, nothing_usable, used_while_closed
+from hil.links.stuck_values import StuckTest
 
 _LOG = logging.getLogger(__name__)
 

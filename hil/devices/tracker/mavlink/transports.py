@@ -12,8 +12,8 @@ from hil.core.clock import Clock
 from hil.core.errors import DeviceError, reason_of
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig, UdpAddress, udp_address
 from hil.devices.tracker.mavlink.transport_interface import Address, Arrival, Link
-from hil.drivers.links.serial_url import PORT_ERRORS, cannot_open, open_serial
 from hil.drivers.mocap.udp_ports import UdpPort
+from hil.links.serial_url import PORT_ERRORS, cannot_open, open_serial
 
 _LOOK_NS = 1_000_000
 _GONE_AFTER = 20

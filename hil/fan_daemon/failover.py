@@ -14,8 +14,8 @@ from collections.abc import Callable
 
 from hil.core.clock import NS_PER_S, Clock, nanoseconds
 from hil.core.errors import DeviceError, HilError
-from hil.drivers.adhesion.fan_daemon.bus_cycle import BusCycle, open_bus
-from hil.drivers.adhesion.fan_daemon.client import (
+from hil.fan_daemon.bus_cycle import BusCycle, open_bus
+from hil.fan_daemon.client import (
     Connection,
     Request,
     Starting,
@@ -28,9 +28,9 @@ from hil.drivers.adhesion.fan_daemon.client import (
     set_request,
     understood,
 )
-from hil.drivers.adhesion.fan_daemon.commander import MotorCommander
-from hil.drivers.adhesion.fan_daemon.fan_control import FanControl, SetPoint, check_point
-from hil.drivers.adhesion.fan_daemon.spec import Spec
+from hil.fan_daemon.commander import MotorCommander
+from hil.fan_daemon.fan_control import FanControl, SetPoint, check_point
+from hil.fan_daemon.spec import Spec
 from hil.support.emulated_can_mark import Emulation
 
 _LOG = logging.getLogger(__name__)

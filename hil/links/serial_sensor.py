@@ -8,8 +8,8 @@ from typing import Any
 
 from hil.core.clock import Clock
 from hil.core.errors import DeviceError
-from hil.drivers.links.serial_port import PortLostError, SerialPort
-from hil.drivers.links.streaming_sensor import C, S, StreamingSensor
+from hil.links.serial_port import PortLostError, SerialPort
+from hil.links.streaming_sensor import C, S, StreamingSensor
 
 
 class SerialSensor(StreamingSensor[C, S]):

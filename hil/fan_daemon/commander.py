@@ -8,9 +8,9 @@ from typing import Protocol
 
 from hil.core.clock import Clock
 from hil.core.finding import Finding
-from hil.drivers.adhesion.fan_daemon.client import Status, of_whom
-from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
-from hil.drivers.adhesion.fan_daemon.spec import Spec
+from hil.fan_daemon.client import Status, of_whom
+from hil.fan_daemon.fan_control import SetPoint
+from hil.fan_daemon.spec import Spec
 
 
 class MotorCommander(Protocol):

@@ -21,7 +21,7 @@ import can
 
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError
-from hil.drivers.links.can_arrival_times import ArrivalClock
+from hil.links.can_arrival_times import ArrivalClock
 from hil.support.emulated_can_mark import bitrate_of, bus_name, stays_on_host
 
 _MULTICAST_ALL = ((socket.IPPROTO_IP, 49), (socket.IPPROTO_IPV6, 29))

@@ -22,7 +22,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from hil.core.errors import DeviceError, HilError, UsageError, reason_of
-from hil.drivers.adhesion.fan_daemon.spec import Spec
+from hil.fan_daemon.spec import Spec
 from hil.support.emulated_can_mark import abstract_names
 
 MOST_BYTES = 8192

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import DeviceError, UsageError, did_you_mean
-from hil.drivers.adhesion.fan_daemon.spec import Spec
+from hil.fan_daemon.spec import Spec
 
 _LISTEN_NS = nanoseconds(1.5)
 """Time after its start in which a daemon looks for a fan that runs already."""

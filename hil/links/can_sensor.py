@@ -8,8 +8,8 @@ from typing import Any
 
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError, DeviceTimeoutError
-from hil.drivers.links.can_bus import CanLink, has_failed, remedy_of_silence
-from hil.drivers.links.streaming_sensor import C, S, StreamingSensor
+from hil.links.can_bus import CanLink, has_failed, remedy_of_silence
+from hil.links.streaming_sensor import C, S, StreamingSensor
 
 _LOOK_S, _STANDARD = 0.02, 0x7FF
 

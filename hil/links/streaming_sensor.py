@@ -11,8 +11,8 @@ from hil.core.clock import NS_PER_S, Clock, nanoseconds
 from hil.core.errors import DeviceTimeoutError
 from hil.core.interfaces import Sensor
 from hil.core.signals import Stamp
-from hil.drivers.links.silence_limit import Usefulness, used_while_closed
-from hil.drivers.links.stuck_values import StuckTest
+from hil.links.silence_limit import Usefulness, used_while_closed
+from hil.links.stuck_values import StuckTest
 
 C = TypeVar("C", bound=DeviceConfig)
 S = TypeVar("S", covariant=True)

@@ -10,11 +10,11 @@ import can
 
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import DeviceError
-from hil.drivers.adhesion.fan_daemon.fan_control import FanControl, SetPoint
-from hil.drivers.adhesion.fan_daemon.protocols import Wire, protocol_of
-from hil.drivers.adhesion.fan_daemon.spec import Spec
-from hil.drivers.links import can_bus
-from hil.drivers.links.can_bus import BUS_ERRORS
+from hil.fan_daemon.fan_control import FanControl, SetPoint
+from hil.fan_daemon.protocols import Wire, protocol_of
+from hil.fan_daemon.spec import Spec
+from hil.links import can_bus
+from hil.links.can_bus import BUS_ERRORS
 
 _MOST_FRAMES = 512
 _REOPEN_NS = nanoseconds(0.5)

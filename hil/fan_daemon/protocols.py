@@ -10,11 +10,11 @@ from typing import NamedTuple, Protocol
 
 from hil.core.clock import NS_PER_S
 from hil.core.errors import ConfigError, did_you_mean
-from hil.drivers.adhesion import vesc
-from hil.drivers.adhesion.dronecan import frames as dronecan
-from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
-from hil.drivers.adhesion.fan_daemon.spec import Spec
-from hil.drivers.adhesion.vesc import ALL_SERVOS, Packet
+from hil.fan_daemon.fan_control import SetPoint
+from hil.fan_daemon.spec import Spec
+from hil.links import vesc
+from hil.links.dronecan import frames as dronecan
+from hil.links.vesc import ALL_SERVOS, Packet
 
 Wire = tuple[int, bytes]
 """Identifier and data of an extended frame."""

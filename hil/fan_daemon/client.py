@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from hil.core.errors import EXIT_USAGE, DeviceError, UsageError
-from hil.drivers.adhesion.fan_daemon.fan_control import SetPoint
-from hil.drivers.adhesion.fan_daemon.server import MOST_BYTES, address, may_ask, of_another, peer, user
-from hil.drivers.adhesion.fan_daemon.spec import Spec
+from hil.fan_daemon.fan_control import SetPoint
+from hil.fan_daemon.server import MOST_BYTES, address, may_ask, of_another, peer, user
+from hil.fan_daemon.spec import Spec
 from hil.support.emulated_can_mark import is_emulated
 from hil.support.file_reading import json_object
 
-DAEMON = (sys.executable, "-m", "hil.drivers.adhesion.fan_daemon")
+DAEMON = (sys.executable, "-m", "hil.fan_daemon")
 _START_S = 15.0
 _ANSWER_S = 2.0
 _AGAIN_S = 0.01

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from hil.core.clock import Clock, nanoseconds
 from hil.core.errors import DeviceError
-from hil.drivers.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
+from hil.links.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
 
 T = TypeVar("T")
 

@@ -1,6 +1,6 @@
 """The daemon's process: detached from its parent, ignoring signals, ended only by an `off` that is done.
 
-    python -m hil.drivers.adhesion.fan_daemon SPEC [--stay] [--standby] [--emulated] [--log FILE]
+    python -m hil.fan_daemon SPEC [--stay] [--standby] [--emulated] [--log FILE]
 
 The first line on stdout is a JSON object with its process id, or the error. Then it is silent. A daemon of
 a running fan starts a second one as its standby.
@@ -23,13 +23,13 @@ from typing import Any
 
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import EXIT_DEVICE, HilError, UsageError
-from hil.drivers.adhesion.fan_daemon.bus_cycle import BusCycle, open_bus
-from hil.drivers.adhesion.fan_daemon.client import DAEMON, Status
-from hil.drivers.adhesion.fan_daemon.fan_control import FanControl, SetPoint
-from hil.drivers.adhesion.fan_daemon.process_hardening import detach, harden, ignore_signals
-from hil.drivers.adhesion.fan_daemon.server import HOW_TO_ASK, IDLE_S, Peer, Server, TakenError
-from hil.drivers.adhesion.fan_daemon.spec import Spec
-from hil.drivers.adhesion.fan_daemon.standby import StandbyStarter, wait_as_standby
+from hil.fan_daemon.bus_cycle import BusCycle, open_bus
+from hil.fan_daemon.client import DAEMON, Status
+from hil.fan_daemon.fan_control import FanControl, SetPoint
+from hil.fan_daemon.process_hardening import detach, harden, ignore_signals
+from hil.fan_daemon.server import HOW_TO_ASK, IDLE_S, Peer, Server, TakenError
+from hil.fan_daemon.spec import Spec
+from hil.fan_daemon.standby import StandbyStarter, wait_as_standby
 from hil.support.emulated_can_mark import Emulation
 
 _MOST_BYTES = 1 << 20

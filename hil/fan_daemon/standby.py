@@ -14,9 +14,9 @@ import time
 from collections.abc import Callable, Sequence
 
 from hil.core.clock import nanoseconds
-from hil.drivers.adhesion.fan_daemon import client
-from hil.drivers.adhesion.fan_daemon.server import MOST_BYTES
-from hil.drivers.adhesion.fan_daemon.spec import Spec
+from hil.fan_daemon import client
+from hil.fan_daemon.server import MOST_BYTES
+from hil.fan_daemon.spec import Spec
 
 _ASK_S = 0.025
 _AGAIN_NS, _ABSENT_NS = nanoseconds(5.0), nanoseconds(1.0)

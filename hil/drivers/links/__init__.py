@@ -1,1 +1,0 @@
-"""What drivers of sensors that send unasked have in common: ports, packets, stamps, silence."""

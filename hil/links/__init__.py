@@ -1,0 +1,1 @@
+"""Ports, buses, packets, stamps and silence; protocols that several devices share (VESC, DroneCAN)."""
