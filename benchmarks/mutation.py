@@ -122,7 +122,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "stop_words": ("hil/procedure/commission/stop_reason.py", (_COMMISSION, "-k", _OF_STOPPING)),
     "alarm": ("hil/console/not_held_alarm.py", ("tests/console/test_alarm.py",)),
     "written": (
-        "hil/report/history/own_files.py",
+        "hil/report/history/removal.py",
         ("tests/report/test_removal.py", "-k", "not command and not terminal"),
     ),
     "coverage": ("hil/datasets/drive_coverage.py", ("tests/calibration/test_coverage_of_a_drive.py",)),

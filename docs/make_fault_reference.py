@@ -13,8 +13,17 @@ from hil.bench.emulation import supported_faults
 from hil.config.loading import load_bench
 from hil.core.registry import kinds
 from hil.core.signals import KINDS as KINDS_HERE
-from hil.fakes.fault import DELAY_S, DUTY, FACTOR, MEANINGS, PERIOD_S, PROBABILITY, VOCABULARY, Supported
-from hil.fakes.fault_options import OPTIONS
+from hil.fakes.fault import (
+    DELAY_S,
+    DUTY,
+    FACTOR,
+    MEANINGS,
+    OPTIONS,
+    PERIOD_S,
+    PROBABILITY,
+    VOCABULARY,
+    Supported,
+)
 
 PAGE = Path(__file__).with_name("faults.md")
 ROOT = Path(hil.__file__).resolve().parent

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from hil.bench.drivers import model_of
 from hil.bench.further_device_errors import named
 from hil.bench.third_party.emulated import parts_of, wrapped_transport
@@ -21,14 +23,46 @@ from hil.core.errors import ConfigError, FaultNotSupportedError, HilError, Usage
 from hil.core.package_errors import OURS, PackageError, asked
 from hil.core.registry import base_of, kinds
 from hil.core.signals import KINDS
+from hil.datasets.read import read_recordings
 from hil.devices.emulated_device import EmulatedDevice, EmulationRequest, Transport
 from hil.fakes.active_faults import FaultPlan
 from hil.fakes.body_interface import Plant
 from hil.fakes.fault import Fault, Supported, describe
 from hil.fakes.fault_files import read_faults
-from hil.fakes.plant import SteppedBody, make_plant
+from hil.fakes.plant import RecordedMotion, RecordedRobot, SteppedBody, make_plant
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World, random_stream
+
+
+def repeating_robot(config: BenchConfig) -> RecordedRobot:
+    """The robot of `emulation.replay`.
+
+    Raises:
+        ConfigError: the path holds more than one recording.
+        DataError: it cannot be read, or is too short.
+    """
+    emulation, alignment = config.emulation, config.alignment
+    path = str(emulation.replay)
+    found = read_recordings([Path(path)])
+    if len(found) != 1:
+        raise ConfigError(
+            f"emulation.replay: {path} holds {len(found)} recordings", expected="one", remedy="name one file"
+        )
+    recording = found[0]
+    motion = RecordedMotion(
+        recording.name,
+        recording.t_s,
+        np.column_stack(
+            [
+                np.array(alignment.drive_sign) * recording.wheel_angle_rad,
+                np.array(alignment.steer_sign) * recording.steering_rad + np.array(alignment.steer_zero_rad),
+            ]
+        ),
+        recording.truth_t_s,
+        recording.truth_pose,
+    )
+    return RecordedRobot(motion, tilt_rad=config.environment.tilt_rad, after_s=emulation.replay_after_s)
+
 
 _NUMBERS = itertools.count(1)
 _EMULATED = "an EmulatedDevice: connect() gives a Connection, serve() a Transport"
@@ -51,7 +85,7 @@ def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ())
     """The robot on its surface at world time 0, without devices."""
     plan = FaultPlan(faults)
     if config.emulation.replay is not None:
-        from hil.bench.emulated_replay import repeating_robot  # with readers of every kind of recording
+        from hil.bench.emulation import repeating_robot  # with readers of every kind of recording
 
         return World(repeating_robot(config), seed=seed, faults=plan)
     return World(_simulated(config, seed, plan), seed=seed, faults=plan)

@@ -20,13 +20,12 @@ from hil.core.clock import NS_PER_S
 from hil.core.errors import DataError, HilError
 from hil.core.geometry import Array
 from hil.datasets.bag_check import CONVERT, check_bag
+from hil.datasets.bag_rows import JointRows, TruthPoses
 from hil.datasets.cleaning import Log
 from hil.datasets.dataset import Recording, build_recording
-from hil.datasets.joint_rows import JointRows
 from hil.datasets.nominal_robot import Nominal
 from hil.datasets.recording_names import motion_of
 from hil.datasets.topic_map import TopicMap, WheelTopic
-from hil.datasets.truth_poses import TruthPoses
 from hil.datasets.unpacking import PACKED, unpacked
 
 _TRANSFORMS = ("/tf", "/tf_static")

@@ -1,26 +1,80 @@
 """A program on ROS 2 in a live session: waited for until it publishes; what it sends decides how it drives.
 
 Joint commands drive the wheels. Velocities move the reference of the bench's own control law; where a
-trajectory is to be followed, they drive the wheels, too.
+trajectory is to be followed, they drive the wheels, too. A publisher that is missing, sends nothing, or is
+gone causes a warning.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from typing import NoReturn
 
 from hil.bench import Bench
 from hil.bench.bench import Until
+from hil.core.clock import NS_PER_S
 from hil.core.errors import SafetyStop
 from hil.core.external_commands import ExternalCommand
 from hil.core.signals import CycleRecord
-from hil.live.publisher_watch import PublisherWatch
 from hil.live.velocity_input import CommandLines
 from hil.recording.runs import RunStart
 from hil.ros2.command_exchange import PUBLISHERS
 from hil.ros2.command_topic import JOINTS, CommandTopic, commands_of
 from hil.ros2.external_controller import COMMAND, body_velocity
 from hil.ros2.publisher import Ros2Publisher
+from hil.ros2.publishers import Publisher
+
+LOG = logging.getLogger(__name__)
+_PATIENCE_S = 5
+_NONE = 0
+"""Handle of no publisher."""
+
+
+class PublisherWatch:
+    """Warns once of each.
+
+    Args:
+        topic: from which the commands come.
+
+    Attributes:
+        lost: publishers that are gone.
+    """
+
+    def __init__(self, topic: CommandTopic) -> None:
+        self._topic, self.lost = topic, 0
+        self._known: dict[int, Publisher] = {}
+        self._since_ns: dict[int, int] = {}
+        self._warned: set[int] = set()
+
+    def look(self, t_ns: int) -> None:
+        """Look which publishers are there.
+
+        Args:
+            t_ns: now, bench clock; of every cycle.
+        """
+        found = self._topic.publishers()
+        if found != self._known.keys():
+            self._changed()
+        silent = [handle for handle in found if self._topic.silent_s(handle) is None]
+        if not found and not self._known and not self.lost:
+            silent = [_NONE]
+        for handle in silent:
+            since_ns = self._since_ns.setdefault(handle, t_ns)
+            if handle not in self._warned and t_ns - since_ns > _PATIENCE_S * NS_PER_S:
+                self._warned.add(handle)
+                why = self._topic.why_silent() if handle else self._topic.why_none()
+                LOG.warning("no command within %d s: %s", _PATIENCE_S, why)
+
+    def _changed(self) -> None:
+        """Note which are there now, and warn of those that are gone."""
+        now = {one.handle: one for one in self._topic.described()}
+        for handle in self._known.keys() - now.keys():
+            self.lost += 1
+            silent_s = self._topic.silent_s(handle)
+            last = "without a command" if silent_s is None else f"{silent_s:.1f} s after its last command"
+            LOG.warning("%s: %s is gone, %s", self._topic.name, self._known[handle], last)
+        self._known = now
 
 
 class TwistCommands(CommandLines):

@@ -5,9 +5,10 @@ Whatever ends it, the robot is stopped, and the summary says whether it is held.
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,9 +18,10 @@ from hil.config.servos import ServosConfig
 from hil.core.clock import nanoseconds
 from hil.core.errors import Aborted, HilError
 from hil.core.geometry import Array
-from hil.core.signals import CycleRecord
+from hil.core.interfaces import Sink
+from hil.core.registry import heard_in
+from hil.core.signals import CycleRecord, Status, worst
 from hil.live.reference_files import MakeTrajectory
-from hil.live.sample_counts import SampleCounter
 from hil.live.velocity_input import CommandLines
 from hil.live.velocity_reference import VelocityReference
 from hil.loop.pipeline import ControlPipeline
@@ -31,6 +33,56 @@ from hil.recording.runs import RunStart
 from hil.robot.paths import Segment, Straight
 from hil.robot.trajectories import Trajectory
 from hil.support.stop_signals import StopRequest
+
+
+@dataclass
+class SampleCount:
+    """Samples of one device.
+
+    Attributes:
+        received: all of them; `bad` by status, of those in which any channel is not OK.
+        missing: numbers that the source has given and that never came.
+    """
+
+    received: int = 0
+    missing: int = 0
+    bad: Counter[str] = field(default_factory=Counter)
+    last_seq: int | None = None
+
+    def add(self, sample: Any) -> None:
+        """Count one sample."""
+        self.received += 1
+        last, self.last_seq = self.last_seq, sample.stamp.seq
+        if last is not None and self.last_seq - last > 1:
+            self.missing += self.last_seq - last - 1
+        status = worst(sample)
+        if status is not Status.OK:
+            self.bad[status.value] += 1
+
+    def to_json(self) -> dict[str, object]:
+        """As plain data."""
+        return {"received": self.received, "missing": self.missing, "bad": dict(self.bad)}
+
+
+class SampleCounter(Sink):
+    """Sink that counts."""
+
+    def __init__(self) -> None:
+        self.counts: defaultdict[str, SampleCount] = defaultdict(SampleCount)
+
+    def write(self, record: CycleRecord) -> None:
+        """Count one cycle's samples."""
+        for name in heard_in(record.inputs):
+            for sample in record.inputs.of(name):
+                self.counts[name].add(sample)
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to close."""
+
+    def to_json(self) -> dict[str, dict[str, object]]:
+        """As plain data, by device."""
+        return {name: count.to_json() for name, count in self.counts.items()}
+
 
 if TYPE_CHECKING:
     from hil.live.ros2_program import Ros2Program

@@ -1,4 +1,8 @@
-"""The bench's participant on DDS, with writers and readers of CDR bytes.
+"""The bench's participant on DDS, with writers and readers of CDR bytes, and a node of its own.
+
+For `ros2 node list` it publishes its writers and readers on `ros_discovery_info`: from this topic ROS 2
+learns which node has which endpoints of DDS. Identifiers are longer in Humble than in later distributions,
+and one of the wrong length is misread. So the distribution has to be known.
 
 To import this module loads cyclonedds and rosbags, which takes some tenths of a second.
 """
@@ -10,8 +14,17 @@ import socket
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
-from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
+from cyclonedds.core import (
+    DDSException,
+    Entity,
+    InstanceState,
+    ReadCondition,
+    SampleState,
+    ViewState,
+    WaitSet,
+)
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
@@ -20,10 +33,53 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from hil.core.errors import UsageError
-from hil.ros2.message_types import sample_type
+from hil.ros2.message_types import sample_type, type_store
 from hil.ros2.network import Network
-from hil.ros2.node_entry import NodeEntry
 from hil.ros2.publishers import Publisher, handles_of, publishers_of
+
+_TOPIC = "ros_discovery_info"
+_PACKAGE = "rmw_dds_common/msg/"
+_ENTITIES = f"{_PACKAGE}ParticipantEntitiesInfo"
+
+
+class NodeEntry:
+    """Announces one node; DDS keeps the newest message for subscribers that come later.
+
+    Args:
+        participant: of Cyclone DDS.
+        name: of the node.
+        distribution: of ROS 2.
+        quality: of a topic whose last message reaches later subscribers, too.
+    """
+
+    def __init__(self, participant: Any, name: str, distribution: str, quality: Qos) -> None:
+        self._name, self._store = name, type_store(distribution)
+        self._sample = sample_type(_ENTITIES, distribution)
+        ((_, (_, (_, self._length))),) = self._store.fielddefs[f"{_PACKAGE}Gid"][1]
+        self._participant = participant
+        self._writer: Any = DataWriter(participant, Topic(participant, _TOPIC, self._sample), quality)
+
+    def announce(self, writers: Sequence[Entity], readers: Sequence[Entity]) -> None:
+        """Publish which endpoints the node has now.
+
+        Raises:
+            DDSException: it is not sent.
+        """
+        types = self._store.types
+        node = types[f"{_PACKAGE}NodeEntitiesInfo"](
+            node_namespace="/",
+            node_name=self._name,
+            reader_gid_seq=[self._identifier(reader) for reader in readers],
+            writer_gid_seq=[self._identifier(writer) for writer in writers],
+        )
+        info = types[_ENTITIES](gid=self._identifier(self._participant), node_entities_info_seq=[node])
+        self._writer.write(self._sample(bytes(self._store.serialize_cdr(info, _ENTITIES))))
+
+    def _identifier(self, entity: Entity) -> Any:
+        """An entity's GUID, with zeros up to the length of the distribution."""
+        data = entity.get_guid().bytes.ljust(self._length, b"\0")
+        return self._store.types[f"{_PACKAGE}Gid"](data=np.frombuffer(data, dtype=np.uint8))
+
 
 LOG = logging.getLogger(__name__)
 LATCHED = ("/tf_static", "/robot_description")

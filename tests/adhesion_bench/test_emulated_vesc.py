@@ -11,7 +11,7 @@ from hil.config.adhesion import VescConfig
 from hil.fakes.adhesion import vesc_frames
 
 VECTORS = json.loads((Path(__file__).parents[1] / "golden" / "vesc_frames.json").read_text())
-DBC = Path(vesc_frames.__file__).parents[2] / "drivers" / "adhesion" / "vesc" / "vesc.dbc"
+DBC = Path(vesc_frames.__file__).parents[2] / "links" / "vesc" / "vesc.dbc"
 S = 1_000_000_000
 
 

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from hil.bench.doctor.noise_at_rest import noise_at_rest
+from hil.bench.doctor.examination import noise_at_rest
 from hil.bench.loop_settings import alignment_parameters
 from hil.config.loading import load_bench
 from hil.config.robot_record import Figure, NewPart, Part, RobotRecord

@@ -7,8 +7,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from hil.procedure.campaign.cancellation import Strikes, close_once
-from hil.procedure.campaign.dask_run import spread
+from hil.procedure.campaign.dask_run import Strikes, close_once, spread
 
 
 def strike(number=signal.SIGINT):

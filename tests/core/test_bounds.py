@@ -14,7 +14,7 @@ from hil.config.values import bounds_of
 from hil.core.errors import ConfigError
 from hil.core.registry import kinds
 from hil.devices.emulated_device import EmulationRequest
-from hil.fakes.truth_bounds import impossible, ranges
+from hil.fakes.emulation_request import impossible, ranges
 
 WRONG = (0, -1, -1e-300, 1e-300, -1e12, 1e21, 10**400, math.inf, -math.inf, math.nan, True, False, "1")
 

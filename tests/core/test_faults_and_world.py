@@ -9,8 +9,7 @@ from hil.bench import supported_faults
 from hil.config.loading import load_bench
 from hil.core.errors import FaultNotSupportedError, UsageError
 from hil.fakes.active_faults import DeviceFaults, FaultPlan
-from hil.fakes.fault import VOCABULARY, describe, make_fault, parse_fault
-from hil.fakes.fault_options import FINITE, OPTIONS, option_of
+from hil.fakes.fault import FINITE, OPTIONS, VOCABULARY, describe, make_fault, option_of, parse_fault
 from hil.fakes.world import NEVER_NS, Scheduled, VirtualClock, World
 
 

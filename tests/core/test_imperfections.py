@@ -12,7 +12,7 @@ from hil.config.values import Within
 from hil.core.errors import ConfigError
 from hil.core.registry import kinds
 from hil.devices.emulated_device import EmulationRequest
-from hil.fakes.truth_bounds import impossible
+from hil.fakes.emulation_request import impossible
 
 SIGNED = {"ambient_c"}
 NUMBERS = [

@@ -10,7 +10,7 @@ import serial
 from emulators import emulator
 
 from hil.bench import open_emulation
-from hil.cli.port_links import PortLinks
+from hil.cli.emulate import PortLinks
 from hil.config.loading import load_bench
 from hil.fakes.free_port import free_udp_port
 

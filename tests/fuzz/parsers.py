@@ -18,7 +18,7 @@ from hil.devices.imu.microstrain.mip_packets import PacketParser, encode
 from hil.devices.tracker.mavlink.odometry_messages import Parser, axes_of, dialect, pose_of, twist_of
 from hil.drivers.mocap.natnet_frames import FrameParser, parse_frame
 from hil.drivers.mocap.natnet_packets import MalformedPacket, parse_server_info, split
-from hil.drivers.mocap.rigid_body_names import parse_models
+from hil.drivers.mocap.natnet_session import parse_models
 from hil.drivers.servos.packets import GroupRead, find_statuses
 from hil.drivers.tracker.emulated_pipeline import FeedDevice
 from hil.fakes.fault import parse_fault

@@ -16,7 +16,7 @@ from natnet.version import Version
 
 from hil.drivers.mocap.natnet_frames import frame_number, parse_frame
 from hil.drivers.mocap.natnet_packets import MalformedPacket, Message, parse_server_info, request, split
-from hil.drivers.mocap.rigid_body_names import parse_models
+from hil.drivers.mocap.natnet_session import parse_models
 from hil.fakes.mocap import natnet_encoding
 from hil.fakes.mocap.camera_view import SeenBody
 

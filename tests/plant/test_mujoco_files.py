@@ -12,9 +12,9 @@ from plant_driving import drive, settle, wait
 
 from hil.config.robot import RobotConfig
 from hil.core.errors import ConfigError
-from hil.fakes.mujoco_plant import mjcf_check
+from hil.fakes.mujoco_plant import mjcf
 from hil.fakes.mujoco_plant import robot as robot_module
-from hil.fakes.mujoco_plant.mjcf_generation import describe_robot
+from hil.fakes.mujoco_plant.mjcf import describe_robot
 
 PLAIN = describe_robot(truth("melamine", math.pi / 2))
 
@@ -216,7 +216,7 @@ def test_wheels_that_weigh_more_than_the_robot_turns_are_refused():
 
 
 def test_without_the_engine_the_line_that_installs_it_is_reported(monkeypatch):
-    monkeypatch.setattr(mjcf_check, "lacks", lambda extra: "not installed")
+    monkeypatch.setattr(mjcf, "lacks", lambda extra: "not installed")
     with pytest.raises(ConfigError, match=r"needs the extra mujoco: not installed; install") as caught:
         robot()
     assert caught.value.exit_code == 2
@@ -234,5 +234,5 @@ def test_an_engine_that_is_installed_and_broken_is_named(tmp_path, monkeypatch, 
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "mujoco")
     with pytest.raises(ConfigError, match=message) as caught:
-        mjcf_check.load_mujoco()
+        mjcf.load_mujoco()
     assert caught.value.exit_code == 2

@@ -6,8 +6,8 @@ from hil.procedure.faults import CellVerdict, cells_of, summary
 from hil.procedure.faults.matrix_table import write_faults
 from hil.report.history.index import find_results
 from hil.report.history.opening import page_of
-from hil.report.history.own_files import written
 from hil.report.history.query import LAST, named
+from hil.report.history.removal import written
 
 CELLS = cells_of({"imu": ("off", "jump")}, seeds=(0,), plants=("own",), moments=("motion",))
 

@@ -18,8 +18,8 @@ from hil.config.servos import ServosConfig
 from hil.core.errors import DeviceError, UsageError
 from hil.core.signals import ServoSetpoint
 from hil.drivers.servos import scan, set_up
-from hil.drivers.servos.multi_turn import ALL_SERVOS, MultiTurnCounter
 from hil.drivers.servos.register_map import RegisterMap
+from hil.drivers.servos.servo_samples import ALL_SERVOS, MultiTurnCounter
 
 NUMBERS = (1000, 1010, 1020, 1030, 1040, 1050)
 PORT = "hil://servos"

@@ -15,8 +15,7 @@ from hil.core.signals import Status
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
 from hil.devices.tracker.mavlink.driver import MavlinkTracker
 from hil.devices.tracker.mavlink.emulated_computer import ComputerTruthOptions
-from hil.devices.tracker.mavlink.emulated_links import SerialComputer
-from hil.devices.tracker.mavlink.emulated_udp import MavlinkTransport
+from hil.devices.tracker.mavlink.emulated_links import MavlinkTransport, SerialComputer
 from hil.fakes.free_port import free_udp_port
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty

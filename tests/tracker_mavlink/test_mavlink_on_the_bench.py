@@ -16,8 +16,7 @@ from hil.core.errors import ConfigError
 from hil.core.registry import kinds
 from hil.core.signals import Status
 from hil.devices.tracker.mavlink.emulated_computer import ComputerTruthOptions
-from hil.devices.tracker.mavlink.emulated_links import SerialComputer
-from hil.devices.tracker.mavlink.emulated_udp import MavlinkTransport
+from hil.devices.tracker.mavlink.emulated_links import MavlinkTransport, SerialComputer
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.recording.mcap_writer import McapRecorder

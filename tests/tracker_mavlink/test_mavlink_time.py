@@ -9,7 +9,7 @@ from following import follow, kinds
 from hil.core.errors import DeviceTimeoutError
 from hil.core.signals import Status
 from hil.devices.tracker.mavlink.emulated_computer import IDEAL
-from hil.devices.tracker.mavlink.timesync import TimeSync
+from hil.devices.tracker.mavlink.session import TimeSync
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
 

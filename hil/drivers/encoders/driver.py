@@ -17,12 +17,35 @@ from hil.core.interfaces import Sensor
 from hil.core.signals import EncoderSample, Stamp
 from hil.drivers.encoders.as5045_word import decode_words
 from hil.drivers.encoders.frame_layout import FrameLayout, load_layout
-from hil.drivers.encoders.node_clock import NodeTimeline
-from hil.drivers.encoders.node_status import NodeStatus
+from hil.drivers.encoders.node_status import NodeStatus, NodeTimeline
 from hil.links.can_arrival_times import ArrivalClock
 from hil.links.can_bus import BUS_ERRORS, has_failed, open_bus, receiver, remedy_of_silence, shut
-from hil.links.rate_limited_log import Seldom
 from hil.links.silence_limit import Usefulness, used_while_closed
+
+_EVERY_NS = NS_PER_S
+
+
+class Seldom:
+    """One kind of warning.
+
+    Args:
+        log: where it goes.
+    """
+
+    def __init__(self, log: logging.Logger) -> None:
+        self._log = log
+        self._written_ns: int | None = None
+        self._skipped = 0
+
+    def warn(self, now_ns: int, message: str) -> None:
+        """Log it, unless one was logged less than a second ago; the next one then says how often it came."""
+        if self._written_ns is not None and 0 <= now_ns - self._written_ns < _EVERY_NS:
+            self._skipped += 1
+            return
+        also = f" ({self._skipped} times more since the last message)" if self._skipped else ""
+        self._log.warning("%s%s", message, also)
+        self._written_ns, self._skipped = now_ns, 0
+
 
 _LOG = logging.getLogger(__name__)
 

@@ -23,15 +23,7 @@ from hil.fakes.mujoco_plant.contact import (
     TIME_CONSTANT_S,
     ContactSetting,
 )
-from hil.fakes.mujoco_plant.mjcf_check import (
-    JOINTS,
-    compiled,
-    load_mujoco,
-    named,
-    read_robot,
-    refuse,
-    wheel_geoms,
-)
+from hil.fakes.mujoco_plant.mjcf import JOINTS, compiled, load_mujoco, named, read_robot, refuse, wheel_geoms
 from hil.fakes.mujoco_plant.named_numbers import PLACES
 from hil.fakes.mujoco_plant.wheels import (
     at_zero,

@@ -19,7 +19,7 @@ from hil.core.signals import WHEELS
 from hil.fakes.active_faults import FaultPlan
 from hil.fakes.mujoco_plant import step_hooks as mk
 from hil.fakes.mujoco_plant.contact import CREEP_FLOOR_M_S, HOLDING_IMPRATIO
-from hil.fakes.mujoco_plant.mjcf_check import JOINTS, load_mujoco
+from hil.fakes.mujoco_plant.mjcf import JOINTS, load_mujoco
 from hil.fakes.mujoco_plant.model import Built, as_built
 from hil.fakes.mujoco_plant.named_numbers import ROBOT
 from hil.fakes.plant.common_body import SteppedBody, checked_pose

@@ -16,7 +16,7 @@ import numpy as np
 from hil.config.robot import RobotConfig
 from hil.core.geometry import Array
 from hil.core.signals import WHEELS
-from hil.fakes.mujoco_plant.mjcf_check import JOINTS, wheel_geoms
+from hil.fakes.mujoco_plant.mjcf import JOINTS, wheel_geoms
 
 _AXES = {"drive": ((0.0, 1.0, 0.0), "+y, to the left"), "steer": ((0.0, 0.0, 1.0), "+z, off the surface")}
 _AGREE = math.cos(math.radians(2.5))

@@ -12,7 +12,7 @@ from hil.config.values import Within
 class TrackerTruthOptions:
     """What one camera does wrong; individual values are drawn once per seed.
 
-    A key without a range of its own has that of its suffix, such as `_m_s` (`hil.fakes.truth_bounds`).
+    A key without a range of its own has that of its suffix, such as `_m_s` (`hil.fakes.emulation_request`).
 
     Attributes:
         scale: distance that the visual odometry sees over the true one, mean over cameras.

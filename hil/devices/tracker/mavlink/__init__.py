@@ -82,7 +82,7 @@ class Mavlink(DeviceModel):
 
 def _transport(request: EmulationRequest, computer: VisualInertialComputer) -> Transport:
     """On UDP: where the bench file says, at the usual ground station's port, or at a free port."""
-    from hil.devices.tracker.mavlink.emulated_udp import MavlinkTransport
+    from hil.devices.tracker.mavlink.emulated_links import MavlinkTransport
 
     config: MavlinkTrackerConfig = request.config
     address = udp_address(config.port) if "port" in config.model_fields_set else None
