@@ -60,7 +60,8 @@ def command(
     """Odometry error table of recordings: folders of odom_N/abs_N pairs, or plain CSV files.
 
     With --calibration it says to how many of them that was fitted: errors on those are in sample. One that
-    failed its validation run is judged all the same, and a warning names it.
+    failed its validation run is judged all the same, and a warning names it. Where the wheels contradict the
+    ground truth (wheel order, signs, axes), the exit code is 2.
 
     Example: hil evaluate recordings/ --calibration calibration.toml
     """
@@ -70,6 +71,7 @@ def command(
     from hil.calibration.warnings import crossed_gaps, warnings_of
     from hil.core.errors import UsageError
     from hil.datasets.read import read_recordings
+    from hil.datasets.wrong_signs import contradictions
     from hil.support.atomic_files import check_folder
 
     if deploy == "twist" and calibration is None:
@@ -101,9 +103,10 @@ def command(
     warnings = [failed, *warnings_of(recordings)] if failed else warnings_of(recordings)
     warnings += crossed_gaps(recordings) if used_model == "paper" else []
     warnings += [] if file is None else used_otherwise(file, model, used_signal, deploy)
-    warnings += _doubts(recordings, file, robot, used_signal, deploy)
+    contradicted = contradictions(recordings, robot.geometry if file is None else file.geometry)
+    warnings += _doubts(recordings, file, robot, used_signal, deploy, bool(contradicted)) + contradicted
     table["warnings"] = warnings
-    table["problems"] = [f"{r.name}: {what}" for r in recordings for what in r.problems]
+    table["problems"] = [f"{r.name}: {what}" for r in recordings for what in r.problems] + contradicted
     for line in warnings:
         click.echo(f"warning: {line}", err=True)
     if plots is not None:
@@ -151,21 +154,23 @@ def _tracks(
 
 
 def _doubts(
-    recordings: list[Recording], file: CalibrationFile | None, robot: Nominal, signal: str, deploy: str
+    recordings: list[Recording],
+    file: CalibrationFile | None,
+    robot: Nominal,
+    signal: str,
+    deploy: str,
+    contradicted: bool,
 ) -> list[str]:
-    """What these errors must be judged by: geometry or columns that cannot be right, motions never fitted."""
+    """What these errors must be judged by: a geometry that cannot be right, motions never fitted."""
     from hil.calibration.excitation import BENCH_FILE, OTHER_ROBOT, Driven, mismatch
     from hil.calibration.problem import make_setting
     from hil.calibration.validation import deployed
     from hil.calibration.warnings import beyond_driven, worse_as_twist
     from hil.datasets.blocks import reduce_recordings
-    from hil.datasets.wrong_signs import contradictions
 
     blocks = reduce_recordings(recordings, _BLOCK_S, signal)
     found = mismatch(blocks, robot)
-    contradicted = contradictions(recordings, robot.geometry if file is None else file.geometry)
     out = [f"{found}; {BENCH_FILE if contradicted else OTHER_ROBOT}"] if found else []
-    out += contradicted
     if file is None:
         return out
     if file.driven_m:

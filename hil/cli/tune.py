@@ -75,7 +75,8 @@ def command(
 
     Figures about which they say nothing, as the gyro's in recordings of wheels alone, are left out. With
     --check the exit code is 1 where the new figures do worse on what was not fitted. A damaged recording is
-    used as far as it can be read, and the exit code is 2.
+    used as far as it can be read, and the exit code is 2. Nothing is fitted well to wheels that contradict
+    the ground truth: no file is written, and the exit code is 2.
 
     Example: hil tune out/wall_tracking/first
     """
@@ -88,9 +89,14 @@ def command(
         raise UsageError(
             f"{min(twice)}: is fitted and held out at once", expected="other recordings for --check"
         )
-    problems, doubts = list[str](), list[str]()
+    problems, contradicted = list[str](), list[str]()
     read = partial(
-        _read, bench=bench, calibration=calibration, topics=topics, problems=problems, doubts=doubts
+        _read,
+        bench=bench,
+        calibration=calibration,
+        topics=topics,
+        problems=problems,
+        contradicted=contradicted,
     )
     config, runs = read(_once(recordings, fitted))
     held = read(_once(check, held_out))[1] if check else []
@@ -112,16 +118,16 @@ def command(
         result["held_out"] = {"before": asdict(pair[0]), "after": asdict(pair[1])}
         lost = worse(*pair)
     result["verdict"] = None if pair is None else "FAIL" if lost else "PASS"
-    result["problems"] = problems
+    result["problems"] = problems + contradicted
     result["warnings"] = [f"{what}; what was readable is used" for what in problems]
-    result["warnings"] += doubts
+    result["warnings"] += [f"{what}; {out} is not written" if out else what for what in contradicted]
     result["warnings"] += [_do_not_use(check, lost, out)] if lost else []
     for line in result["warnings"]:
         click.echo(f"warning: {line}", err=True)
-    if out is not None:
+    if out is not None and not contradicted:
         _write(out, bench, found)
     click.echo(json.dumps(result) if as_json else _text(found, pair, result["verdict"]))
-    return EXIT_LIMIT_FAILED if lost else EXIT_USAGE if problems else EXIT_PASS
+    return EXIT_LIMIT_FAILED if lost else EXIT_USAGE if result["problems"] else EXIT_PASS
 
 
 def _check_out(out: Path, bench: str | None) -> None:
@@ -175,9 +181,9 @@ def _read(
     calibration: Path | None,
     topics: Path | None,
     problems: list[str],
-    doubts: list[str],
+    contradicted: list[str],
 ) -> tuple[BenchConfig, list[TruthRun]]:
-    """Bench and runs of recordings; `problems` and `doubts` receive what is wrong with files and columns."""
+    """Bench and runs of recordings; `problems` and `contradicted` receive what is wrong."""
     from hil.calibration.calibration_file import read_calibration
     from hil.calibration.usability_check import check_not_failed
     from hil.datasets.dataset import Recording
@@ -218,7 +224,7 @@ def _read(
     if config is None:
         raise UsageError("no recording given")
     if geometry is not None:
-        doubts += contradictions(tables, geometry)
+        contradicted += contradictions(tables, geometry)
     return config, runs
 
 
