@@ -77,16 +77,21 @@ def slowed(trajectory: Trajectory, projection: Array, limits: MotionLimits, *, a
         limits: of which those of the wheels count here.
         at_most: how many times as long it may take; what needs longer stays as it is, for `check` to refuse.
     """
-    until_s = trajectory.duration_s
-    times_s = _times_s(trajectory, until_s, np.arange(0.0, until_s, _CHECK_STEP_S))
-    pose, twist, pull = trajectory.sample_many(times_s)
-    speed, acceleration = (q.values.max() / q.limit for q in _held(pose, twist, pull, projection, limits)[:2])
-    longer = max(speed, math.sqrt(acceleration))
+    longer = _times_as_long(trajectory, projection, limits)
     if longer <= 1.0 or not longer <= at_most:
         return trajectory
     longer *= 1.0 + _MARGIN
     slower = tuple(replace(part, duration_s=part.duration_s * longer) for part in trajectory.segments)
     return replace(trajectory, segments=slower)
+
+
+def _times_as_long(trajectory: Trajectory, projection: Array, limits: MotionLimits) -> float:
+    """How many times as long the way must take for the wheels to keep to their speed and acceleration."""
+    until_s = trajectory.duration_s
+    times_s = _times_s(trajectory, until_s, np.arange(0.0, until_s, _CHECK_STEP_S))
+    pose, twist, pull = trajectory.sample_many(times_s)
+    speed, acceleration = (q.values.max() / q.limit for q in _held(pose, twist, pull, projection, limits)[:2])
+    return float(max(speed, math.sqrt(acceleration)))
 
 
 def _times_s(trajectory: Trajectory, until_s: float, steps_s: Array) -> Array:
@@ -136,11 +141,23 @@ def _check(trajectory: Trajectory, times_s: Array, projection: Array, limits: Mo
             quantity=first.name,
             value=float(first.values[k]),
             limit=first.limit,
+            remedy=_remedy(first.name, trajectory, projection, limits),
         )
     if known < len(times_s):
         raise TrajectoryError(
             trajectory.name, t_s=float(times_s[known]), quantity="reference", value=math.nan, limit=math.inf
         )
+
+
+def _remedy(name: str, trajectory: Trajectory, projection: Array, limits: MotionLimits) -> str:
+    """How long the motion must last at least, where its wheels are too quick; else another shape of it."""
+    longer = _times_as_long(trajectory, projection, limits) if name.startswith("wheel ") else math.inf
+    if not math.isfinite(longer):
+        return "change the shape of the motion"
+    takes_s = math.ceil(10.0 * longer * trajectory.duration_s) / 10.0
+    return (
+        f"let the same way take {takes_s:g} s instead of {trajectory.duration_s:.3g} s, or change its shape"
+    )
 
 
 class _Held(NamedTuple):
