@@ -8,7 +8,7 @@ from hil.fakes.active_faults import FaultPlan
 from hil.fakes.fault import Fault
 from tests.to_the_bit import bits
 
-CYCLES, RATE_HZ = 60, 100
+CYCLES, RATE_HZ = 25, 100
 LATER = (
     "servos:stuck",
     "servo.drive_FL:off",

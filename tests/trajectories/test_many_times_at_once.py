@@ -105,14 +105,15 @@ def test_a_refusal_is_the_same_as_by_looking_one_by_one(trajectory, limits):
     assert refusal(trajectory, limits) == refusal(OneByOne(trajectory), limits)
 
 
-@pytest.mark.parametrize("where", [1, 20_000, 20_001, 33_333])
+@pytest.mark.parametrize("where", [1, 20_000, 20_001])
 def test_the_first_of_many_offences_is_reported_wherever_it_comes(where):
     """Stretches of 10 ms: that which is too quick, and a later one that is quicker."""
-    quick = {where: 1.0, where + 5: 2.0}
-    parts = [
-        Segment(Straight((0.0, 0.0, 0.0), (0.01 * quick.get(k, 0.1), 0.0, 0.0)), 0.01, "constant")
-        for k in range(40_000)
-    ]
+    slow, quick, quicker = (
+        Segment(Straight((0.0, 0.0, 0.0), (0.01 * speed_m_s, 0.0, 0.0)), 0.01, "constant")
+        for speed_m_s in (0.1, 1.0, 2.0)
+    )
+    parts = [slow] * 25_000
+    parts[where], parts[where + 5] = quick, quicker
     with pytest.raises(TrajectoryError, match="wheel speed") as error:
         check(tr.Trajectory("short stretches", tuple(parts)), CAD, MotionLimits())
     assert error.value.t_s == pytest.approx(0.01 * where, abs=0.0100001)

@@ -2,6 +2,7 @@
 
 import json
 import math
+from bisect import bisect
 
 import numpy as np
 import pytest
@@ -305,7 +306,8 @@ def refused(way, limits):
 @pytest.mark.parametrize("way", ALL, ids=lambda way: way.name)
 @pytest.mark.parametrize("limit", ["wheel_speed_m_s", "wheel_acceleration_m_s2"])
 def test_what_is_a_little_too_fast_is_driven_slower_along_the_same_way(way, limit):
-    reached = next(value for value in 0.25 * 0.998 ** np.arange(3000) if refused(way, {limit: value}))
+    falling = 0.25 * 0.998 ** np.arange(3000)
+    reached = falling[bisect(falling, False, key=lambda value: refused(way, {limit: value}))]
     limits = MotionLimits(**{limit: 0.95 * reached})
     slower = slowed(way, CAD, limits, at_most=1.1)
     check(slower, CAD, limits)
