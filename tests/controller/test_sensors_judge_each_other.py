@@ -124,11 +124,12 @@ def test_a_camera_that_was_frozen_before_the_loop_began_is_named_at_once(at_s):
 
 
 def test_who_follows_odometry_or_nothing_needs_no_camera():
-    ride = Ride(straight([0.12, 0, 0]), "tracker:wrong@0,confidence=1", feedback="odometry")
+    fault, soon = "tracker:wrong@0.5,confidence=1", {"safety.tracker_stale_s": 0.5}
+    ride = Ride(straight([0.07, 0, 0]), fault, feedback="odometry", **soon)
     assert ride.stop is None
-    assert ride.ended_s > 2.2
-    with open_bench("emulated_floor", faults=("tracker:wrong@0,confidence=1",)) as bench:
-        bench.observe(2.3)
+    assert ride.ended_s > 1.2
+    with open_bench("emulated_floor", faults=(fault,), overrides=soon) as bench:
+        bench.observe(1.2)
 
 
 def test_a_bench_without_a_camera_follows_its_filter():
@@ -226,41 +227,23 @@ def test_a_servo_whose_encoder_slips_is_named_and_stops_the_robot(fault, servo, 
 SILENT = {
     "servos:unplug": "none of the eight answers",
     "servo.drive_BL:off": "drive_BL (ID 2): timeout",
-    "servo.2:corrupt": "drive_BL (ID 2): crc",
-    "servo.steer_FR:brownout": "steer_FR (ID 8): timeout",
-}
-SILENT_TOO = {
-    "servos:off": "none of the eight",
     "servos:baud_mismatch": "none of the eight",
-    "servos:brownout": "none of the eight",
+    "servo.2:corrupt,probability=1": "drive_BL (ID 2): crc",
+    "servos:off": "none of the eight",
     "servos:garbage": "none of the eight",
-    "servos:corrupt": "none of the eight",
-    "servos:truncate": "none of the eight",
-    "servos:drop": "none of the eight",
-    "servos:reset": "none of the eight",
-    "servo.7:intermittent": "steer_BR (ID 7): timeout",
-    "servo.2:garbage": "drive_BL (ID 2): timeout",
-    "servo.2:drop": "drive_BL (ID 2): timeout",
+    "servo.7:intermittent,duty=0.9": "steer_BR (ID 7): timeout",
     "servo.6:reset": "steer_BL (ID 6): timeout",
 }
 
 
-@pytest.mark.parametrize(
-    "fault", [*every(2, SILENT), *(pytest.param(f, marks=pytest.mark.long) for f in SILENT_TOO)]
-)
+@pytest.mark.parametrize("fault", every(3, SILENT))
 def test_servos_that_fall_silent_in_motion_are_named_with_what_to_do(fault):
-    options = {
-        "corrupt": ",probability=1",
-        "drop": ",probability=1",
-        "truncate": ",probability=1",
-        "intermittent": ",duty=0.9",
-    }.get(fault.split(":")[1], "")
-    ride = Ride(straight([0.1, 0, 0]), f"{fault}@1{options}")
+    device_kind, _, options = fault.partition(",")
+    ride = Ride(straight([0.1, 0, 0]), f"{device_kind}@1" + f",{options}" * bool(options))
     assert ride.stop.reason == "stale_servos"
     assert ride.ended_s < 1.05 + ride.bench.config.safety.servo_stale_s + 0.1 * ("intermittent" in fault)
-    assert (SILENT | SILENT_TOO)[fault] in str(ride.stop)
-    assert "check" in str(ride.stop)
-    for wheel in ("FL", "BR") if "ID 2" in (SILENT | SILENT_TOO)[fault] and "corrupt" not in fault else ():
+    assert SILENT[fault] in str(ride.stop)
+    for wheel in ("FL", "BR") if fault == "servo.drive_BL:off" else ():
         assert wheel not in str(ride.stop)
 
 
@@ -291,24 +274,18 @@ SURVIVED = [
     "tracker:jump@1.5,distance_m=0.3",
     "tracker:delayed@2+1,delay_s=0.2",
     "tracker:off@1.5+0.8",
-    "encoders:delayed@1,delay_s=0.03",
-]
-SURVIVED_TOO = [
-    "tracker:delayed,delay_s=0.05",
     "tracker:intermittent@1",
     "tracker:wrong@2+1,confidence=1",
     "tracker:drop@1,probability=0.5",
-    "tracker:slow@1,factor=4",
     "tracker:reset@2",
     "imu:off@2+0.4",
     "imu:jump@2",
+    "encoders:delayed@1,delay_s=0.03",
     "servos:delayed@2,delay_s=0.02",
 ]
 
 
-@pytest.mark.parametrize(
-    "fault", [*every(4, SURVIVED), *(pytest.param(f, marks=pytest.mark.long) for f in SURVIVED_TOO)]
-)
+@pytest.mark.parametrize("fault", every(len(SURVIVED), SURVIVED))
 def test_what_the_estimator_copes_with_raises_no_doubt(fault):
     ride = Ride(straight([0.2, 0.0, 0.0]), fault)
     assert ride.stop is None
@@ -350,14 +327,6 @@ def clean_rides(seeds):
 def alarms(bench, way, feedback, seed):
     ride = Ride(way, bench=bench, seed=seed, feedback=feedback)
     return [str(e.message) for e in ride.events] + ([str(ride.stop)] if ride.stop is not None else [])
-
-
-@pytest.mark.long
-def test_honest_sensors_raise_no_alarm():
-    short = [(line(ORIGIN, to), f) for to, f in ((UP, "ekf"), (ACROSS, "ukf"), ([0.2, -0.2, 0.1], "ekf"))]
-    for seed, (way, feedback) in enumerate(short):
-        assert alarms("emulated", way, feedback, 20 + seed) == []
-    assert alarms("emulated_floor", line(ORIGIN, [0.1, 0.1, 1.5]), "ekf", 30) == []
 
 
 @pytest.mark.long

@@ -248,13 +248,6 @@ def controller_of(**given):
     return make_controller(ControlConfig(**given), CAD, line(np.zeros(3), [0.5, 0, 0], duration_s=5.0))
 
 
-def test_integral_action_is_what_one_gets_unasked():
-    config = ControlConfig()
-    assert config.law == "optimal"
-    assert config.integral
-    assert config.integral_weight > 0.0
-
-
 def asked_after(waiting, **given):
     """Forward speed, m/s, asked for 1.5 mm behind the end, after `waiting(controller)` in 20 s of cycles."""
     controller = controller_of(**given)

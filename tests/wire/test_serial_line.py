@@ -18,13 +18,7 @@ from hil.fakes.serial_line import heard as heard_by_a_uart
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World
-
-
-class Still:
-    t_ns = 0
-
-    def advance(self, t_ns):
-        self.t_ns = t_ns
+from tests.still_plant import StillPlant
 
 
 class Echo(SerialChip):
@@ -60,7 +54,7 @@ def wired():
     lines = []
 
     def build(*faults, latency_s=0.001, timeout=0.1, baud=115_200):
-        world = World(Still(), seed=3, faults=FaultPlan([parse_fault(f) for f in faults]))
+        world = World(StillPlant(), seed=3, faults=FaultPlan([parse_fault(f) for f in faults]))
         chip = Echo()
         line = SerialLine(world, chip, latency_s=latency_s).open()
         lines.append(line)
@@ -153,7 +147,7 @@ def test_a_port_has_one_client_and_a_line_one_name(wired):
 
 
 def test_a_chip_may_speak_unasked():
-    world = World(Still())
+    world = World(StillPlant())
     line = SerialLine(world, Beacon(), latency_s=0.0).open()
     try:
         port = serial.serial_for_url("hil://echo", baudrate=115_200, timeout=0.05)
@@ -232,10 +226,10 @@ def asked_until(port, done):
 
 
 @pytest.mark.real_time
-@pytest.mark.parametrize("baud", [9600, 115_200, 1_000_000, 3_000_000, 4_500_000])
+@pytest.mark.parametrize("baud", [9600, 1_000_000, 4_500_000])
 def test_a_terminal_client_is_heard_at_the_rate_it_has_set(baud):
     chip = Echo(baud=baud)
-    world = World(Still())
+    world = World(StillPlant())
     transport = SerialPty(SerialLine(world, chip), {"baud": baud})
     server = EmulationServer(world, MonotonicClock(), {"echo": transport})
     thread = threading.Thread(target=server.run)
@@ -258,7 +252,7 @@ def test_a_terminal_client_is_heard_at_the_rate_it_has_set(baud):
 
 def test_a_terminal_that_is_not_read_loses_and_counts():
     chip = Echo()
-    world = World(Still())
+    world = World(StillPlant())
     line = SerialLine(world, chip, latency_s=0.001)
     transport = SerialPty(line)
     try:
@@ -279,7 +273,7 @@ def test_a_terminal_that_is_not_read_loses_and_counts():
 
 def test_what_a_chip_says_far_too_late_is_lost_and_counted():
     """A client would take it for the answer to what it has asked since."""
-    world = World(Still())
+    world = World(StillPlant())
     line = SerialLine(world, Echo())
     transport = SerialPty(line)
     try:
@@ -315,7 +309,7 @@ def deaf():
     lines = []
 
     def build(*faults, baud=115_200, rate=115_200):
-        world = World(Still(), seed=3, faults=FaultPlan([parse_fault(f) for f in faults]))
+        world = World(StillPlant(), seed=3, faults=FaultPlan([parse_fault(f) for f in faults]))
         chip = Deaf(rate)
         lines.append(SerialLine(world, chip).open())
         return world, chip, serial.serial_for_url("hil://echo", baudrate=baud, timeout=0.1)
@@ -337,7 +331,6 @@ def spoken(world, chip, port):
     [
         (("echo:baud_mismatch",), {}),
         (("echo:baud_mismatch",), {"rate": None}),
-        ((), {"baud": 57_600}),
         ((), {"baud": 230_400}),
         ((), {"rate": 1_000_000}),
     ],
