@@ -116,23 +116,6 @@ def test_lag_model_and_gains_against_scipy():
     assert np.max(np.abs(np.linalg.eigvals(a - b @ steady))) < 1.0
 
 
-def test_what_one_drive_has_worked_out_the_next_takes_over(monkeypatch):
-    """Matrix exponentials are most of what a controller costs before a drive; shared ones are read-only."""
-    import scipy.linalg
-
-    def law():
-        return OptimalLaw(
-            lambda t_s: 0.123 + 0.01 * t_s, 2.0, dt_s=DT, lag_s=0.0789, weights=(25.0, 20.0, 1.0), clamp=0.1
-        )
-
-    first = law()
-    monkeypatch.setattr(scipy.linalg, "expm", None)
-    second = law()
-    np.testing.assert_array_equal(first._gains, second._gains)
-    with pytest.raises(ValueError, match="read-only"):
-        lag_model(0.123, DT, 0.0789)[0][0, 0] = 1.0
-
-
 def test_module_oracles_of_wpimath():
     limits = ModuleLimits(steering_rad=3.0, flip_hysteresis_rad=0.0)
     speed, angle = optimize(1.0, 2.5, 0.0, limits)

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from hil.bench import supported_faults
 from hil.config.loading import load_bench
 from hil.core.errors import FaultNotSupportedError, UsageError
+from hil.core.registry import kinds, which_device
 from hil.fakes.active_faults import DeviceFaults, FaultPlan
 from hil.fakes.fault import FINITE, OPTIONS, VOCABULARY, describe, make_fault, option_of, parse_fault
 from hil.fakes.world import NEVER_NS, Scheduled, VirtualClock, World
@@ -74,10 +75,18 @@ def test_both_ends_of_a_range_are_taken(name):
 
 
 def test_every_option_that_a_shipped_device_declares_has_a_range():
-    for device, kinds in supported_faults(load_bench("emulated")).items():
-        for kind, options in kinds.items():
+    for device, supported in supported_faults(load_bench("emulated")).items():
+        for kind, options in supported.items():
             for option in options:
                 assert option_of(kind, option) is not FINITE, (device, kind, option)
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"), [("camera", "tracker"), ("trackr", "tracker"), ("fan", "adhesion"), ("zzz", None)]
+)
+def test_nouns_and_aliases_of_kinds_lead_to_their_devices(word, meant):
+    assert which_device(word, kinds()) == (f"did you mean {meant}?" if meant else "")
+    assert which_device(word, ["servos"]) == ""
 
 
 def test_a_fault_acts_in_its_half_open_interval():

@@ -70,6 +70,8 @@ def from_the_cache(folder):
 IN_FORKS = """
 import os, pathlib, sys, numba
 
+numba.njit(lambda x: x + 1.0)(1.0)  # what every compilation needs is loaded before the forks
+
 def says():
     sys.stdout.flush()
     if not os.fork():
@@ -86,8 +88,10 @@ geometry.write_text(geometry.read_text().replace("return math.pi - (math", "retu
 says()
 """
 TURNING = """
-from hil.core.geometry import wrap
-from hil.support.numba_jit import kernel
+from hil.core import geometry
+from hil.support.numba_jit import inner, kernel
+
+wrap = inner(geometry.wrap)
 
 @kernel
 def turned(angle_rad):
