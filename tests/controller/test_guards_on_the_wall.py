@@ -35,7 +35,7 @@ def drive(bench, length_m=0.25, duration_s=6.0, start=ORIGIN, **options):
 
 def assert_held(bench):
     """Wheels at rest and torque on: without torque the robot would roll down by centimetres in a second."""
-    bench.clock.sleep_until_ns(bench.clock.now_ns() + SECOND_NS // 4)
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + SECOND_NS // 2)
     before = bench.truth()
     bench.clock.sleep_until_ns(bench.clock.now_ns() + SECOND_NS)
     after = bench.truth()
@@ -47,7 +47,7 @@ def assert_held(bench):
 
 @pytest.mark.parametrize(
     ("fault", "reason"),
-    every(2, [("plant:adhesion_loss@1", "adhesion"), ("plant:adhesion_loss@1,factor=0.42", "adhesion")]),
+    every(2, [("plant:adhesion_loss@1.5", "adhesion"), ("plant:adhesion_loss@1.5,factor=0.42", "adhesion")]),
 )
 def test_a_fault_under_way_stops_and_holds(fault, reason):
     with open_wall((fault,)) as bench:
