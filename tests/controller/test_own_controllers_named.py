@@ -51,9 +51,9 @@ from hil.robot.trajectories import line
 
 @procedure(name="straight", needs=("servos",), measurements=(Measurement("way", "m"),))
 def run(ctx: Context) -> None:
-    \"\"\"Drives 0.1 m.\"\"\"
+    \"\"\"Drives 0.05 m.\"\"\"
     start = stand(ctx.bench)
-    motion = ctx.bench.drive(line(start, start + np.array([0.1, 0.0, 0.0]), duration_s=4.0), hold_s=0.2)
+    motion = ctx.bench.drive(line(start, start + np.array([0.05, 0.0, 0.0]), duration_s=2.0), hold_s=0.1)
     ctx.measure("way", float(ctx.bench.truth().pose_body_in_wall[0] - start[0]))
 """
 
@@ -85,20 +85,19 @@ def driven_by(folder):
     return [r.start.controller for r in read_runs(path) if r.start.trajectory is not None]
 
 
-@pytest.mark.parametrize("named", ["mine:Ahead", "mine.py:Ahead"])
-def test_a_class_of_ones_own_drives_what_the_procedure_asks_for(here, capsys, named):
-    code, reported, err = run(capsys, "--controller", named)
+def test_a_class_of_ones_own_drives_what_the_procedure_asks_for(here, capsys):
+    code, reported, err = run(capsys, "--controller", "mine.py:Ahead")
     assert code == 0, err
     (way,) = (row["value"] for row in reported["measurements"] if row["name"] == "way")
-    assert way == pytest.approx(0.01, abs=0.005), "a tenth of 0.1 m"
-    assert driven_by(here) in (["mine.Ahead"], ["hil_script_mine.Ahead"])
-    assert json.loads((here / "results" / "result.json").read_text())["controller"] == named
+    assert way == pytest.approx(0.005, abs=0.0025), "a tenth of 0.05 m"
+    assert driven_by(here) == ["hil_script_mine.Ahead"]
+    assert json.loads((here / "results" / "result.json").read_text())["controller"] == "mine.py:Ahead"
 
 
 def test_a_law_is_that_of_the_bench_for_this_run(here, capsys):
-    code, _, err = run(capsys, "--controller", "optimal")
+    code, _, err = run(capsys, "--controller", "nonlinear")
     assert code == 0, err
-    assert driven_by(here) == ["optimal"]
+    assert driven_by(here) == ["nonlinear"]
 
 
 def test_what_it_returns_is_limited_and_checked_as_ever(here, capsys):
@@ -108,19 +107,21 @@ def test_what_it_returns_is_limited_and_checked_as_ever(here, capsys):
     assert reported["held"]["state"] in ("HELD", "not needed")
 
 
+RUN = ("run", "straight.py")
+
+
 @pytest.mark.parametrize(
-    ("named", "reported"),
+    ("words", "named", "reported"),
     [
-        ("optimaal", "did you mean optimal?"),
-        ("mine.py", "mine.py:NAME"),
-        ("mine:Ahaed", "did you mean Ahead?"),
-        ("nothing_here:Ahead", "nothing_here"),
-        ("nothing.py:Ahead", "no such file"),
-        ("broken:Ahead", "nowhere_at_all"),
-        (":Ahead", "no module"),
+        (RUN, "optimaal", "did you mean optimal?"),
+        (RUN, "mine.py", "mine.py:NAME"),
+        (RUN, "mine:Ahaed", "did you mean Ahead?"),
+        (RUN, "nothing_here:Ahead", "nothing_here"),
+        (RUN, "nothing.py:Ahead", "nothing.py"),
+        (RUN, "broken:Ahead", "nowhere_at_all"),
+        (("live", "--duration", "1"), "mine:Ahaed", "did you mean Ahead?"),
     ],
 )
-@pytest.mark.parametrize("words", [("run", "straight.py"), ("live", "--duration", "1")])
 def test_a_name_that_is_wrong_is_refused_before_anything_opens(here, capsys, words, named, reported):
     assert main([*words, "--controller", named]) == 2
     error = capsys.readouterr().err

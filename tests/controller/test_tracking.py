@@ -116,23 +116,6 @@ def test_lag_model_and_gains_against_scipy():
     assert np.max(np.abs(np.linalg.eigvals(a - b @ steady))) < 1.0
 
 
-def test_what_one_drive_has_worked_out_the_next_takes_over(monkeypatch):
-    """Matrix exponentials are most of what a controller costs before a drive; shared ones are read-only."""
-    import scipy.linalg
-
-    def law():
-        return OptimalLaw(
-            lambda t_s: 0.123 + 0.01 * t_s, 2.0, dt_s=DT, lag_s=0.0789, weights=(25.0, 20.0, 1.0), clamp=0.1
-        )
-
-    first = law()
-    monkeypatch.setattr(scipy.linalg, "expm", None)
-    second = law()
-    np.testing.assert_array_equal(first._gains, second._gains)
-    with pytest.raises(ValueError, match="read-only"):
-        lag_model(0.123, DT, 0.0789)[0][0, 0] = 1.0
-
-
 def test_module_oracles_of_wpimath():
     limits = ModuleLimits(steering_rad=3.0, flip_hysteresis_rad=0.0)
     speed, angle = optimize(1.0, 2.5, 0.0, limits)
@@ -176,13 +159,13 @@ def slip_m_s(out, steering):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_wheels_do_not_contradict_each_other_while_they_are_steered(seed):
     """Twists that change at once: as commanded, at the angles measured and at those just sent, no wheel
     slips by more than 5 mm/s, and the motion asked for is reached."""
     rng = np.random.default_rng(seed)
     layer, steering = ModuleLayer(CAD, ModuleLimits(), DT), np.zeros(4)
-    for _ in range(3):
+    for _ in range(2):
         twist = np.array([*rng.uniform(-0.08, 0.08, 2), rng.uniform(-0.3, 0.3)])
         for _ in range(100):
             out = layer.allocate(twist, steering)
@@ -235,10 +218,10 @@ def test_tracks_without_slip(law, trajectory):
 def test_integral_action_beats_the_proportional_law_under_sag():
     """A slip velocity d leaves e = d / k beyond the dead zone under the non-linear law; integral action
     removes it."""
-    trajectory = line(np.zeros(3), [0.0, 1.0, 0.0], duration_s=20.0)
+    trajectory = line(np.zeros(3), [0.0, 0.5, 0.0], duration_s=10.0)
     sag = (-2e-3, 0.0, 0.0)
     plain, optimal = drive("nonlinear", trajectory, slip=sag), drive("optimal", trajectory, slip=sag)
-    moving = slice(200, 1900)
+    moving = slice(200, 900)
     assert plain[moving, 0].mean() == pytest.approx(2e-3 / 4.0 + ControlConfig().dead_zone[0], rel=0.1)
     rms = [np.sqrt(np.mean(e[:, 0] ** 2)) for e in (plain, optimal)]
     assert rms[1] <= 0.7 * rms[0]
@@ -248,17 +231,10 @@ def controller_of(**given):
     return make_controller(ControlConfig(**given), CAD, line(np.zeros(3), [0.5, 0, 0], duration_s=5.0))
 
 
-def test_integral_action_is_what_one_gets_unasked():
-    config = ControlConfig()
-    assert config.law == "optimal"
-    assert config.integral
-    assert config.integral_weight > 0.0
-
-
 def asked_after(waiting, **given):
-    """Forward speed, m/s, asked for 1.5 mm behind the end, after `waiting(controller)` in 60 s of cycles."""
+    """Forward speed, m/s, asked for 1.5 mm behind the end, after `waiting(controller)` in 20 s of cycles."""
     controller = controller_of(**given)
-    for _ in range(6000):
+    for _ in range(2000):
         waiting(controller)
     end = reference([0.5, 0, 0], [0, 0, 0], 5.0, done=True)
     out = controller.update(state([0.4985, 0, 0]), end, wheels(np.zeros(4)))

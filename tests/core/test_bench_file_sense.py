@@ -11,62 +11,11 @@ from hil.config.recorded import recorded_bench
 from hil.core.errors import ConfigError
 from hil.procedure.bench_request import BenchSource
 
-NUMBERS = (
-    "safety.servo_stale_s",
-    "safety.imu_stale_s",
-    "safety.tracker_stale_s",
-    "safety.wheel_rate_limit_rad_s",
-    "safety.steering_limit_rad",
-    "safety.heading_limit_rad",
-    "safety.tracking_error_limit_m",
-    "safety.body_speed_limit_m_s",
-    "safety.adhesion_limit_m_s2",
-    "control.wheel_speed_m_s",
-    "control.acceleration_m_s2",
-    "control.steering_rate_rad_s",
-    "control.heading_limit_rad",
-    "control.servo_lag_s",
-    "control.goal_position_m",
-    "loop.rate_hz",
-    "loop.late_after_s",
-    "servos.watchdog_s",
-    "servos.velocity_limit_rad_s",
-    "servos.steer_limit_rad",
-    "servos.fail_after_s",
-    "servos.dead_poll_s",
-    "servos.health_period_s",
-    "imu.fail_after_s",
-    "imu.stuck_after_s",
-    "encoders.fail_after_s",
-    "tracker.stale_after_s",
-    "tracker.max_speed_m_s",
-    "mocap.stale_after_s",
-    "estimator.process.acceleration_m_s2_sqrt_hz",
-    "estimator.gates.one_dof",
-    "estimator.gates.three_dof",
-    "estimator.tracker.position_m",
-    "estimator.tracker.jump_m",
-    "estimator.wheels.longest_gap_s",
-    "estimator.time.future_s",
-    "estimator.wall.slip_m_s",
-    "robot.mass_kg",
-    "robot.yaw_inertia_kg_m2",
-    "robot.propeller_y_m",
-    "adhesion.timeout_s",
-)
-
 
 def refused(**overrides):
     with pytest.raises(ConfigError) as error:
         load_bench("emulated", overrides={k.replace("__", "."): v for k, v in overrides.items()})
     return error.value.problems
-
-
-@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, -1.0, 1e9], ids=str)
-def test_what_is_no_finite_positive_number_or_beyond_any_robot_is_refused_with_its_path(value):
-    problems = refused(**dict.fromkeys(NUMBERS, value))
-    assert sorted(problem.partition(": ")[0] for problem in problems) == sorted(NUMBERS)
-    assert all(f"found {value!r}" in problem for problem in problems)
 
 
 @pytest.mark.parametrize(
@@ -79,49 +28,17 @@ def test_what_is_no_finite_positive_number_or_beyond_any_robot_is_refused_with_i
         ("control.wheel_speed_m_s", 0.2, "0.178 m/s of the largest wheel"),
         ("safety.heading_limit_rad", 0.9, "slides"),
         ("safety.adhesion_limit_m_s2", 0.0, "no fall would be noticed"),
-        ("safety.tracker_stale_s", 3600.0, "within"),
         ("loop.rate_hz", 10.0, "trip between cycles"),
         ("environment.x_range_m", [1.0, -1.0], "before it begins"),
-        ("environment.x_range_m.1", [-1.0, 1e300], "within -100 .. 100"),
-        ("robot.mass_kg", 0.001, "within 0.1 .. 100: kg"),
-        ("robot.mass_kg", 1e30, "within 0.1 .. 100: kg"),
-        ("robot.wheel_radius_m.0", [25.4, 0.0254, 0.0254, 0.0254], "m, for example 0.0254"),
-        ("robot.wheel_x_m.0", [1e300, -0.1, -0.1, 0.1], "within -5 .. 5"),
         ("load_cells.n_per_count.0", [0.0, 5e-5], "in size at least 1e-07: N per count"),
         ("load_cells.zero_n", [1000.0, 1000.0], "at most half of the range (largest_n = 392), 196 N"),
         ("adhesion.timeout_s", 0.0, "at 0 the motor would run for ever"),
-        ("adhesion.timeout_s", 0.3, "within 0.5 .. 60: ten commands may be late"),
-        ("estimator.gates.one_dof", 1e300, "chi-squared"),
-        ("alignment.steer_zero_rad.0", [100.0, 0.0, 0.0, 0.0], "a turn is 6.28"),
-        ("imu.mount_position_m.2", [0.0, 0.0, 80.0], "m in the body"),
     ],
 )
 def test_a_limit_says_what_it_would_take(path, value, reported):
     (problem,) = refused(**{re.sub(r"\.\d+$", "", path): value})
     assert problem.startswith(f"{path}: ")
     assert reported in problem
-
-
-SWITCHES = (
-    "safety.tethered",
-    "control.integral",
-    "adhesion.by_need",
-    "estimator.gates.on",
-    "tracker.mapping",
-    "estimator.mocap.use",
-    "imu.prefetch",
-    "servos.prefetch",
-    "emulation.randomise_truth",
-)
-
-
-@pytest.mark.parametrize("value", ["yes", "true", 1, 0, 1.0])
-def test_a_switch_is_true_or_false(value):
-    reported = f"must be true or false, without quotes (found {value!r})"
-    assert sorted(refused(**dict.fromkeys(SWITCHES, value))) == sorted(
-        f"{path}: {reported}" for path in SWITCHES
-    )
-    assert load_bench("emulated", overrides=dict.fromkeys(SWITCHES, False))
 
 
 @pytest.mark.parametrize(
@@ -132,7 +49,6 @@ def test_a_switch_is_true_or_false(value):
             {"adhesion.controller_id": 3},
             ["thrust.controller_ids: VESC id 3 is that of adhesion.controller_id"],
         ),
-        ({"thrust.own_id": 254}, ["thrust.own_id: VESC id 254 is that of adhesion.own_id"]),
         ({"thrust.own_id": 2}, ["thrust.own_id: VESC id 2 is that of thrust.controller_ids"]),
         (
             {"thrust.own_id": 1, "adhesion.own_id": 3},
@@ -142,7 +58,6 @@ def test_a_switch_is_true_or_false(value):
             ],
         ),
         ({"encoders.node_id": 15}, ["load_cells.node_id: frame 432 is that of encoders.node_id"]),
-        ({"encoders.node_id": 14}, ["load_cells.node_id: frame 432 is that of encoders.node_id"]),
         ({"encoders.bitrate": 250_000}, ["adhesion.bitrate: 500000, but encoders.bitrate = 250000"]),
         ({"adhesion.model": "dronecan", "adhesion.own_id": 42}, ["adhesion.own_id: DroneCAN node 42"]),
     ],
@@ -163,7 +78,7 @@ def test_who_shares_a_bus_shares_no_identifier_and_its_bit_rate(overrides, paths
     load_bench(str(path), overrides={**own, **apart})
 
 
-@pytest.mark.parametrize("watchdog_s", [0.0, 0.12, 0.2, 2.54])
+@pytest.mark.parametrize("watchdog_s", [0.0, 0.12])
 def test_on_a_wall_the_watchdog_stops_the_wheels_within_a_tenth_of_a_second(watchdog_s):
     (problem,) = refused(**{"servos.watchdog_s": watchdog_s})
     assert problem.startswith("servos.watchdog_s: ")
@@ -232,8 +147,6 @@ PORTS = (
     ("key", "port", "reported"),
     [
         ("thrust.port", "usb0", "thrust.port: '{dev}/usb0' is the port of servos.port = '{dev}/usb0', too"),
-        ("thrust.port", "usb1", "thrust.port: '{dev}/usb1' is the port of imu.port = '{dev}/usb1', too"),
-        ("imu.port", "usb0", "imu.port: '{dev}/usb0' is the port of servos.port"),
         ("imu.port", "by-id", "imu.port: '{dev}/by-id' is the port of servos.port = '{dev}/usb0', too"),
         ("imu.port", "../dev/usb0", "imu.port: '{dev}/../dev/usb0' is the port of servos.port"),
         ("load_cells.port", "usb0", "load_cells.port: '{dev}/usb0' is the port of servos.port"),

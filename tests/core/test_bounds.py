@@ -1,6 +1,5 @@
 """Every number of every table of the bench file has bounds, refuses what lies beyond, and names them."""
 
-import dataclasses
 import math
 import typing
 
@@ -11,10 +10,7 @@ from hil.cli import main
 from hil.config.bench import bench_model
 from hil.config.loading import explained
 from hil.config.values import bounds_of
-from hil.core.errors import ConfigError
 from hil.core.registry import kinds
-from hil.devices.emulated_device import EmulationRequest
-from hil.fakes.emulation_request import impossible, ranges
 
 WRONG = (0, -1, -1e-300, 1e-300, -1e12, 1e21, 10**400, math.inf, -math.inf, math.nan, True, False, "1")
 
@@ -40,14 +36,6 @@ NUMBERS = [
     for path, model in tables()
     for name, field in model.model_fields.items()
     if list(bounds_of(field.annotation, field.metadata))
-]
-IMPERFECT = [
-    pytest.param(m, field, id=f"{m.kind}.{m.name}.{field.name}")
-    for kind in kinds().values()
-    for m in kind.models
-    if m.truth_options() is not None
-    for field in dataclasses.fields(m.truth_options())
-    if field.name in ranges(m.truth_options())
 ]
 
 
@@ -88,26 +76,6 @@ def test_a_number_has_bounds_and_names_them_where_it_is_refused(model, name, fie
                     value,
                     reported,
                 )
-
-
-@pytest.mark.parametrize(("model", "field"), IMPERFECT)
-def test_a_number_of_an_imperfection_has_bounds(model, field):
-    assert all(ranges(model.truth_options())[field.name])
-    if isinstance(field.default, (int, float)) and not isinstance(field.default, bool):
-        for value in (10**400, math.inf, math.nan, -1e300, True):
-            request = EmulationRequest(model.kind, None, {field.name: value}, None, "x")
-            with pytest.raises(ConfigError, match=rf"emulation\.{model.kind}\.{field.name}: "):
-                request.options(model.truth_options())
-
-
-def test_a_whole_number_too_large_for_a_fraction_is_no_traceback():
-    @dataclasses.dataclass(frozen=True)
-    class Own:
-        """Another package's device."""
-
-        gain: float = 1.0
-
-    assert not list(impossible(Own, {"gain": 10**400}))
 
 
 REFUSED = {

@@ -50,11 +50,9 @@ KIND = Thing()
     [
         ({}, []),
         ({"value": math.nan}, ["value"]),
-        ({"value": np.float32("nan")}, ["value"]),
         ({"value": -math.inf, "maybe": math.nan}, ["value", "maybe"]),
         ({"pair": (1.0, math.inf)}, ["pair"]),
         ({"vector": np.array([0.0, np.nan])}, ["vector"]),
-        ({"vector": np.array([1, 2])}, []),
         ({"named": {"x": math.nan}}, ["named"]),
         ({"inner": Inner(math.nan)}, ["inner"]),
         ({"value": math.nan, "status": LOST}, []),
@@ -63,7 +61,6 @@ KIND = Thing()
         ({"vector": np.array([[1.0, 2.0], [np.nan, 2.0]]), "status": (OK, LOST)}, []),
         ({"vector": np.array([[np.nan, 2.0], [1.0, 2.0]]), "status": (OK, LOST)}, ["vector"]),
         ({"vector": np.full(3, np.nan), "status": (OK, LOST)}, []),
-        ({"vector": np.full(3, np.nan), "status": (OK, OK)}, ["vector"]),
     ],
 )
 def test_what_is_no_number_is_found(given, names):

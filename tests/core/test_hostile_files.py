@@ -144,7 +144,7 @@ def test_any_toml(tmp_path, kind, tree):
     reads(TOMLS[kind], path)
 
 
-@pytest.mark.parametrize("kind", TOMLS)
+@pytest.mark.parametrize("kind", ["faults", "record"])
 @BOUNDED
 @given(data=st.binary(max_size=60) | st.text("[]{}.=\"'\n a1#,", max_size=60).map(str.encode))
 def test_any_bytes_as_toml(tmp_path, kind, data):
@@ -298,7 +298,9 @@ HEADER = "t," + ",".join(f"phi{i}" for i in range(1, 5)) + "," + ",".join(f"delt
 CELLS = st.floats().map(repr) | st.sampled_from(
     ["", "nan", "1e400", "-1e308", "x", '"', "1_0", "٣", "\x1c", "'"]
 )
-PLAIN_ROWS = st.lists(st.lists(CELLS, min_size=12, max_size=12).map(",".join), min_size=20, max_size=25)
+PLAIN_ROWS = st.lists(st.lists(CELLS, min_size=12, max_size=12).map(",".join), min_size=1, max_size=3).map(
+    lambda rows: rows * 20
+)
 
 
 @BOUNDED

@@ -14,7 +14,6 @@ import hil
 from hil.cli import main
 from hil.core.errors import UsageError
 from hil.core.signals import RobotState, WheelSetpoint
-from hil.loop.user_parts import own_name
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RunStart, read_runs
 from hil.replay.estimator_comparison import estimate
@@ -92,9 +91,7 @@ def run(bench, cycles=20, observers=None, **parts):
     ("found", "reported"),
     [
         (None, "None"),
-        ((FOUR, FOUR), "of type tuple: "),
         (WheelSetpoint(0.5, FOUR), "a WheelSetpoint whose wheel_rate_rad_s is of type float: 0.5"),
-        (WheelSetpoint([0.0] * 4, FOUR), "a WheelSetpoint whose wheel_rate_rad_s is of type list: "),
         (
             WheelSetpoint(FOUR, THREE),
             r"a WheelSetpoint whose steering_rad is an array of shape \(3,\) and type",
@@ -131,7 +128,6 @@ def state(**fields):
         (state(pose_body_in_wall=(0.0, 0.0, 0.0)), "a RobotState whose pose_body_in_wall is of type tuple"),
         (state(t_ns=0.5), "a RobotState whose t_ns is of type float: 0.5"),
         (state(diagnostics=None), "a RobotState whose diagnostics are None"),
-        (state(pose_body_in_wall=np.zeros(2)), r"whose pose_body_in_wall is an array of shape \(2,\)"),
         (state(twist_body=np.zeros(3, dtype=complex)), "whose twist_body is an array .* type complex128"),
         (state(covariance=np.triu(np.ones((6, 6)))), r"covariance\[0, 1\] is 1, and \[1, 0\] is 0"),
         (state(t_ns=2**63), "a RobotState whose t_ns is of type int: 9223372036854775808"),
@@ -150,12 +146,6 @@ def test_an_estimator_that_returns_no_state_is_named(bench, found, reported, obs
         run(bench, **parts)
     assert f" (from cycle {mine.cycle} on); expected " in str(e.value)
     assert mine.calls == after + 1
-
-
-def test_ours_have_no_name_of_their_own(bench):
-    pipeline = bench.make_pipeline(WAY, observers=("ukf", "odometry"))
-    ours = (pipeline.controller, pipeline.estimator, *pipeline.observers.values(), None)
-    assert [own_name(part) for part in ours] == [""] * 5
 
 
 def test_a_recording_names_parts_that_replay_cannot_make(bench, tmp_path, capsys):
@@ -214,7 +204,7 @@ def every_sample(records):
 
 
 @pytest.mark.parametrize("observes", [False, True])
-@pytest.mark.parametrize("kind", ["wheels", "gyro", "tracker", "mocap"])
+@pytest.mark.parametrize("kind", ["wheels", "tracker"])
 def test_an_estimator_cannot_write_into_what_it_is_given(bench, kind, observes):
     mine = Writer(kind)
     parts = {"observers": {"mine": mine}} if observes else {"estimator": mine}

@@ -46,15 +46,6 @@ def test_what_was_done_before_says_nothing_about_the_pace():
     assert pace.left_s == pytest.approx(9 * 6.0, rel=0.01)
 
 
-def test_work_in_quick_pieces_has_a_pace_too():
-    clock = Waiting()
-    pace = Pace(clock)
-    for done in range(11):
-        pace.update(done, 30)
-        clock.s += 0.5
-    assert pace.left_s == pytest.approx(20 * 0.5, rel=0.2)
-
-
 def test_plain_lines_tell_the_whole_runs_time_left(capsys):
     clock = Waiting()
     with reporting(clock=clock) as report:
@@ -66,7 +57,6 @@ def test_plain_lines_tell_the_whole_runs_time_left(capsys):
     assert lines[0] == "round 2 of 2 to 4, recording: 0/30"
     assert lines[2] == "round 2 of 2 to 4, recording: 12/30, about 3 min left in all"
     assert lines[-1] == "round 2 of 2 to 4, recording: 30/30, about 70 s left in all"
-    assert not any(line.startswith(WHOLE) for line in lines)
 
 
 def test_nothing_is_left_of_what_is_done():

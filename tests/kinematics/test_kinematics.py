@@ -25,7 +25,7 @@ def test_both_directions_agree_with_wpimath_on_two_thousand_states():
     from wpimath.geometry import Rotation2d, Translation2d
     from wpimath.kinematics import SwerveDrive4Kinematics, SwerveModuleState
 
-    rng = np.random.default_rng(0)
+    rng, found, expected = np.random.default_rng(0), [], []
     for _ in range(20):
         geometry = random_geometry(rng)
         theirs = SwerveDrive4Kinematics(
@@ -36,14 +36,12 @@ def test_both_directions_agree_with_wpimath_on_two_thousand_states():
             states = [SwerveModuleState(v, Rotation2d(d)) for v, d in zip(speed, heading, strict=True)]
             chassis = theirs.toChassisSpeeds(states)
             ours = k.forward(geometry, speed, heading + geometry.steering_zero_rad)
-            np.testing.assert_allclose(ours, [chassis.vx, chassis.vy, chassis.omega], atol=1e-12, rtol=0)
-            back = theirs.toSwerveModuleStates(chassis)
             v, d = k.inverse(geometry, ours)
-            vectors = k.wheel_vectors(v, d - geometry.steering_zero_rad)
-            expected = k.wheel_vectors(
-                np.array([b.speed for b in back]), np.array([b.angle.radians() for b in back])
-            )
-            np.testing.assert_allclose(vectors, expected, atol=1e-12, rtol=0)
+            found += [*ours, *k.wheel_vectors(v, d - geometry.steering_zero_rad)]
+            back = theirs.toSwerveModuleStates(chassis)
+            v, d = np.array([(b.speed, b.angle.radians()) for b in back]).T
+            expected += [chassis.vx, chassis.vy, chassis.omega, *k.wheel_vectors(v, d)]
+    np.testing.assert_allclose(found, expected, atol=1e-12, rtol=0)
 
 
 @pytest.mark.parametrize("model", k.MODELS)
