@@ -18,7 +18,6 @@ from hil.datasets.recording_names import motion_of
 from hil.datasets.rosbag import read_bag
 from hil.datasets.topic_map import read_topic_map
 from hil.robot.kinematics import NOMINAL_RADIUS_M
-from hil.support.extras import is_installed
 
 RATE_HZ, SPEED_M_S, SECONDS = 50, 0.08, 10
 BEGIN_NS = 1_700_000_000_000_000_000
@@ -83,9 +82,11 @@ def read(folder, topics):
     return read_bag(folder, read_topic_map(topics))
 
 
-@pytest.fixture
-def usual(tmp_path, topics):
-    return read(write(tmp_path / "usual_1", messages()), topics)
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("usual")
+    (folder / "topics.toml").write_text(MAPPING)
+    return read(write(folder / "usual_1", messages()), folder / "topics.toml")
 
 
 @pytest.mark.parametrize("begin_ns", [0, -5_000_000_000])
@@ -102,7 +103,7 @@ def test_headers_without_any_stamp_fall_back_to_the_times_of_the_log(tmp_path, t
     np.testing.assert_array_equal(found.t_s, usual.t_s)
 
 
-@pytest.mark.parametrize("damaged_ns", [2_000_000_000_000_000_000, -2_000_000_000_000_000_000, 0])
+@pytest.mark.parametrize("damaged_ns", [2_000_000_000_000_000_000, 0])
 def test_a_damaged_stamp_is_named_with_its_message(tmp_path, topics, damaged_ns):
     bag = write(tmp_path / "line_x_1", messages(lambda log_ns, k: damaged_ns if k == 100 else log_ns))
     with pytest.raises(
@@ -113,7 +114,7 @@ def test_a_damaged_stamp_is_named_with_its_message(tmp_path, topics, damaged_ns)
         read(bag, topics)
 
 
-@pytest.mark.parametrize("every", [1, 2, 4])
+@pytest.mark.parametrize("every", [1, 4])
 def test_drive_and_steering_may_come_in_messages_of_their_own(tmp_path, topics, usual, every):
     found = read(write(tmp_path / "line_x_1", messages(apart=True, steer_every=every)), topics)
     np.testing.assert_array_equal(found.wheel_angle_rad, usual.wheel_angle_rad)
@@ -176,7 +177,7 @@ def test_a_mapping_that_names_one_thing_twice_is_refused(topics, old, new, said)
     assert caught.match(said) or pytest.fail(str(caught.value))
 
 
-@pytest.mark.parametrize("zeros", ["[0, 45, 0, 0]", "[0.0, 0.0, -7.0, 0.0]", "[0.0, 0.0, 0.0, nan]"])
+@pytest.mark.parametrize("zeros", ["[0, 45, 0, 0]", "[0.0, 0.0, 0.0, nan]"])
 def test_a_steering_zero_that_is_no_angle_in_radians_is_refused_by_its_name(tmp_path, topics, zeros, capsys):
     """The steering would be beyond its limits, and the bag be blamed for it."""
     topics.write_text(MAPPING.replace("[truth]", f"steer_zero_rad = {zeros}\n[truth]"))
@@ -194,17 +195,7 @@ def test_a_steering_zero_within_a_turn_is_one(topics):
 
 
 @pytest.mark.parametrize(
-    ("name", "motion"),
-    [
-        ("line_x", "line_x"),
-        ("line_x_2", "line_x"),
-        ("circle_ccw", "circle_ccw"),
-        ("run_10", "run"),
-        ("line", "line"),
-        ("slow_run_a", "slow_run_a"),
-        ("_3", "_3"),
-        ("line_x_2b", "line_x_2b"),
-    ],
+    ("name", "motion"), [("line_x", "line_x"), ("run_10", "run"), ("_3", "_3"), ("line_x_2b", "line_x_2b")]
 )
 def test_only_a_number_makes_a_repetition(name, motion):
     """`line_x` and `line_y` had been two repetitions of `line`, one held out of a fit to the other."""
@@ -225,22 +216,13 @@ def rows_of(table):
         return list(csv.DictReader(file))
 
 
-@pytest.mark.parametrize("kind", ["csv", "parquet"])
-def test_nothing_is_exported_where_nothing_was_commanded(tmp_path, topics, kind, capsys):
+def test_nothing_is_exported_where_nothing_was_commanded(tmp_path, topics, capsys):
     """Set-points of 0 had stood there."""
-    if kind == "parquet" and not is_installed("parquet"):
-        pytest.skip("the extra parquet is not installed")
-    bag, out = write(tmp_path / "line_x_1", messages()), tmp_path / f"line_x_1.{kind}"
+    bag, out = write(tmp_path / "line_x_1", messages()), tmp_path / "line_x_1.csv"
     assert main(["export", str(bag), "--topics", str(topics), "--out", str(out), "--json"]) == 0
     names = [name for name in json.loads(capsys.readouterr().out)["columns"] if name.startswith("setpoint")]
     assert len(names) == 8
-    if kind == "csv":
-        rows = rows_of(out)
-        assert {row[name] for row in rows for name in names} == {""}
-    else:
-        from pyarrow import parquet
-
-        assert np.isnan([parquet.read_table(out)[name].to_numpy() for name in names]).all()
+    assert {row[name] for row in rows_of(out) for name in names} == {""}
 
 
 def test_an_export_keeps_the_angles_behind_a_gap(tmp_path, topics, usual):
@@ -270,8 +252,6 @@ def mcap(path, *, profile="ros2", schema="ros2msg", encoding="cdr"):
     ("made", "said"),
     [
         ({"encoding": "json"}, "/wheels is encoded as 'json'; expected cdr"),
-        ({"encoding": "ros1"}, "/wheels is encoded as 'ros1'; expected cdr"),
-        ({"schema": "protobuf", "encoding": "protobuf"}, "(profile 'ros2', encoded as protobuf)"),
         ({"profile": "", "schema": "jsonschema", "encoding": "json"}, "'', encoded as json, jsonschema)"),
         ({"profile": ""}, "is an MCAP file, but no rosbag2 recording (profile '', encoded as cdr, ros2msg)"),
     ],
@@ -290,10 +270,8 @@ def test_an_mcap_file_of_another_kind_is_to_be_converted(tmp_path, topics, made,
     ("content", "said"),
     [
         (b"", "it is empty; copy it again"),
-        (b"hello " * 100, "it is text; convert it"),
         (b"#ROSBAG V2.0\n" + bytes(90), "it is a ROS 1 bag; convert it with `rosbags-convert`"),
         (b"SQLite format 3\0" + bytes(90), "it is an SQLite database; give it a name that ends with .db3"),
-        (b"\x1f\x8b" + bytes(90), "it is packed by gzip"),
         (bytes(range(100)), "it is of an unknown kind; convert it"),
     ],
 )

@@ -105,6 +105,8 @@ def test_two_libraries_read_every_topic_alike(recording):
     assert set(ours) == set(theirs) == set(topics_with(shipped))
     for topic, messages in ours.items():
         assert messages == theirs[topic], topic
+    assert len(ours["/hil/cycle"]) == len(ours["/joint_states"]) == CYCLES
+    assert len(ours["/tracker/pose"]) == 2 * CYCLES
     assert len(ours["/joint_states"][7]["position"]) == 8
 
 

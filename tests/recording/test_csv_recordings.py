@@ -139,16 +139,6 @@ def test_a_number_that_slid_into_the_next_row_is_no_even_table(tmp_path, fast, m
 
 
 @needs_pyarrow
-def test_pyarrow_and_numpy_read_the_same_numbers(tmp_path, run):
-    """Digits as Python writes them, with exponents and without."""
-    values = np.concatenate([run.wheel_angle_rad.ravel(), 1e-7 * run.steering_rad.ravel()])[: 400 * 16]
-    text = "\n".join(",".join(map(repr, row)) for row in values.reshape(-1, 16).tolist()) + "\n"
-    quick = [read(text.encode(), 400, 16) for read in (number_table._by_pyarrow, number_table._by_numpy)]
-    np.testing.assert_array_equal(quick[0], quick[1])
-    np.testing.assert_array_equal(quick[0], values.reshape(-1, 16))
-
-
-@needs_pyarrow
 def test_plain_files_are_read_alike_at_once_and_line_by_line(tmp_path, run, monkeypatch):
     """A gap in the ground truth is `nan` in some rows."""
     gap = (run.truth_t_s > 1.0) & (run.truth_t_s < 1.5)
@@ -167,7 +157,7 @@ def test_plain_files_are_read_alike_at_once_and_line_by_line(tmp_path, run, monk
             np.testing.assert_array_equal(one, same)
 
 
-@pytest.mark.parametrize("cell", ["1_0", "\u0e51", "1e", "true", "0x10"])
+@pytest.mark.parametrize("cell", ["1_0", "\u0e51", "true"])
 def test_what_is_hardly_a_number_is_named(tmp_path, run, cell):
     path = tmp_path / "line_x_1.csv"
     write_plain(path, run)
@@ -302,11 +292,8 @@ def with_column(path, name, cell):
     ("file", "column", "cell", "said"),
     [
         ("abs_3.csv", ".pose.position.x", "inf", r"holds 'inf', not a number"),
-        ("abs_3.csv", ".pose.position.y", "text", r"holds 'text', not a number"),
-        ("abs_3.csv", ".pose.position.x", "", r"holds '', not a number"),
         ("abs_3.csv", "time", "noon", r"holds 'noon', not 6 numbers"),
         ("odom_3.csv", ".position", "(1.0, 2.0)", r"holds '\(1\.0, 2\.0\)', not 8 numbers"),
-        ("odom_3.csv", ".velocity", "x" * 60, rf"holds '{'x' * 40}', not 8 numbers"),
     ],
 )
 def test_a_column_of_a_public_file_that_cannot_be_read_is_named_with_its_row(
@@ -324,31 +311,12 @@ def test_a_row_of_a_public_file_with_other_fields_is_named(tmp_path):
         read_recordings([tmp_path])
 
 
-@pytest.mark.parametrize(("separator", "word"), [(",", "commas"), ("\t", "tabs")])
-def test_the_separator_of_a_public_file_is_named(tmp_path, separator, word):
+def test_the_separator_of_a_public_file_is_named(tmp_path):
     write_pair(tmp_path)
     path = tmp_path / "abs_3.csv"
-    path.write_text(path.read_text().replace(";", separator))
-    with pytest.raises(DataError, match=rf"abs_3\.csv: has {word} between .* expected semicolons"):
+    path.write_text(path.read_text().replace(";", ","))
+    with pytest.raises(DataError, match=r"abs_3\.csv: has commas between .* expected semicolons"):
         read_recordings([tmp_path])
-
-
-def test_the_column_without_numbers_is_named(tmp_path, run):
-    write_pair(tmp_path)
-    with_column(tmp_path / "abs_3.csv", ".pose.position.x", "-inf")
-    with pytest.raises(
-        DataError, match=r"only 0 .*ground-truth rows \(x holds no number in 200 of 200 rows\)"
-    ):
-        read_recordings([tmp_path])
-    path = tmp_path / "line_x_1.csv"
-    write_plain(path, run)
-    header, *rows = path.read_text().splitlines()
-    rows = [",".join([*row.split(",")[:2], "", *row.split(",")[3:]]) for row in rows]
-    path.write_text("\n".join([header, *rows]) + "\n")
-    with pytest.raises(
-        DataError, match=rf"wheel rows \(phi2 holds no number in {len(rows)} of {len(rows)} rows"
-    ):
-        read_recordings([path])
 
 
 def test_the_public_recordings_are_classified_and_read_whole(public_data):
@@ -357,6 +325,9 @@ def test_the_public_recordings_are_classified_and_read_whole(public_data):
     assert recording.has_rates
     assert np.median(np.diff(recording.t_s)) == pytest.approx(0.016, abs=5e-4)
     recordings = read_recordings([public_data])
+    assert len(recordings) == 24
+    assert all(np.all(np.isfinite(r.truth_pose)) for r in recordings)
+    assert not [what for r in recordings for what in r.repairs if "copy" in what]
     by_run = {int(r.name.split("_")[1]): r.motion for r in recordings}
     motions = ("line_x", "line_y", "circle_ccw", "circle_cw", "rotation_ccw", "rotation_cw")
     assert by_run == {run: motions[(run - 1) // 5] for run in by_run}

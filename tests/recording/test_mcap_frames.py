@@ -166,7 +166,7 @@ def test_the_offset_is_kept_as_metadata_at_start_and_end(recording):
 
 
 def test_virtual_time_has_no_offset_and_stays_the_same_bytes(tmp_path):
-    paths = [record(tmp_path / n, map(driving_record, range(9)), header(None)) for n in ("a.mcap", "b.mcap")]
+    paths = [record(tmp_path / n, map(driving_record, range(70)), header(None)) for n in ("a.mcap", "b.mcap")]
     assert paths[0].read_bytes() == paths[1].read_bytes()
     assert read_wall_offsets(paths[0]) == ()
     assert max(log_ns for _, log_ns, _ in messages(paths[0])) < NS_PER_S

@@ -133,6 +133,7 @@ def test_a_recorder_objects_from_the_failure_on(tmp_path, full_disk, lossless):
         clock.sleep_until_ns(clock.now_ns() + NS_PER_S // 100)
     assert "No space left" in str(recorder.objection())
     recorder.close()
+    assert recorder.written + recorder.dropped + recorder.lost == 300
     assert len(list(read_cycles(recorder.path, []))) == recorder.written > 0
 
 
