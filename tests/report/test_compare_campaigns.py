@@ -77,23 +77,14 @@ def test_campaigns_that_say_nothing_about_each_other_are_refused(tmp_path, capsy
         assert reported in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("rounding", [0.0, 1e-13])
-def test_equal_campaigns_have_no_difference_and_no_doubt(tmp_path, capsys, rounding):
-    first, second = ({f"seed={k}": ("PASS", k * (1.0 + off)) for k in range(4)} for off in (0.0, rounding))
+def test_equal_campaigns_have_no_difference_and_no_doubt(tmp_path, capsys):
+    first, second = ({f"seed={k}": ("PASS", k * (1.0 + off)) for k in range(4)} for off in (0.0, 1e-13))
     folders = [campaign(tmp_path / "a", first), campaign(tmp_path / "b", second)]
     assert main(["report", *folders, "--json"]) == 0
     (found,) = json.loads(capsys.readouterr().out)["measurements"]
     assert (found["change"], found["interval"], found["p"]) == (0.0, None, None)
-
-
-def test_what_is_the_same_in_every_case_is_named_and_not_drawn(tmp_path, capsys):
-    values = {f"seed={k}": ("PASS", 5.0 + k) for k in range(4)}
-    first, second = campaign(tmp_path / "one", values), campaign(tmp_path / "two", values)
-    assert main(["report", first, second]) == 0
-    page = (tmp_path / "one" / "compare.html").read_text()
-    assert "The same in every pair: end error." in page
-    assert '<div class="plot"' not in page
-    assert "<td>0</td>" in page
+    assert main(["report", *folders]) == 0
+    assert '<div class="plot"' not in (tmp_path / "a" / "compare.html").read_text()
 
 
 def test_cases_without_a_value_make_no_pair_and_are_named(tmp_path, capsys):
@@ -120,19 +111,6 @@ def test_a_measurement_that_only_one_campaign_has_is_named(tmp_path, capsys):
         [],
         [{"name": "end error", "first": [], "second": ["seed=0", "seed=1"]}],
     )
-
-
-def test_cases_in_which_a_fault_never_acted_are_left_out(tmp_path, capsys):
-    values = {f"seed={k}": ("PASS", 5.0 + k) for k in range(3)}
-    first, second = campaign(tmp_path / "one", values), campaign(tmp_path / "two", values)
-    path = tmp_path / "two" / "campaign.json"
-    tree = json.loads(path.read_text())
-    tree["rows"][1]["faults_not_begun"] = ["imu:off@500"]
-    path.write_text(json.dumps(tree))
-    assert main(["report", first, second]) == 0
-    said = capsys.readouterr().out
-    assert "3 cases in both, 1 NOT TESTED (a fault never acted) are left out; good: 2 and then 2" in said
-    assert "1 of them are left out" in (tmp_path / "one" / "compare.html").read_text()
 
 
 def test_lost_cases_are_no_failures_and_are_left_out(tmp_path, capsys):

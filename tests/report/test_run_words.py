@@ -1,6 +1,5 @@
 """The sentence that opens a page, and figures beside their limits: they say what happened."""
 
-import numpy as np
 import pytest
 
 from hil.cli.run import text_of
@@ -23,25 +22,6 @@ def test_what_was_not_measured_after_a_failure_does_not_count_as_one():
     gap, more = Measurement("gap_width", "m", high=0.005), Measurement("after", "m", high=1.0)
     assert said_of([gap, more], {"gap_width": 0.006}) == (
         "1 of 2 limits failed: gap width 6 mm, at most 5 mm. What comes after that was not measured: after."
-    )
-
-
-def measured_of(declared, values):
-    """As in `result.json`: no number stands where a value is not finite, but the step that set it does."""
-    rows = judge(declared, values, {}, dict.fromkeys(values, "start"), ended=True)
-    rows = [
-        r | {"value": None} if r["value"] is not None and not np.isfinite(r["value"]) else r for r in rows
-    ]
-    return sentence({"error": None, "headline": "", "measurements": rows})
-
-
-def test_a_value_that_is_no_number_is_a_limit_that_failed_and_not_what_comes_after():
-    three = [Measurement(name, "mm", high=1.0) for name in ("first", "second", "third")]
-    assert measured_of(three, {"first": np.nan, "second": 5.0, "third": 0.5}) == (
-        "2 of 3 limits failed: first is no finite number, at most 1 mm; second 5 mm, at most 1 mm."
-    )
-    assert measured_of(three, {"second": 5.0, "third": 0.5}) == (
-        "2 of 3 limits failed: first was never measured, at most 1 mm; second 5 mm, at most 1 mm."
     )
 
 

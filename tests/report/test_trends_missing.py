@@ -102,17 +102,6 @@ def test_what_no_run_has_a_value_of_is_named_and_not_drawn(tmp_path, capsys):
     assert '<svg class="drawn"' not in page
 
 
-def test_one_run_is_a_value_and_no_drawing(tmp_path):
-    """An axis around a single value would show bounds that nothing measured."""
-    write(tmp_path, 0, one=5.0)
-    assert main(["results", "trends", "--in", str(tmp_path)]) == 0
-    page = (tmp_path / "trends.html").read_text()
-    assert "<b>one</b>" in page
-    assert "last 5" in page
-    assert 'class="drawn"' not in page
-    assert "10 mm" not in page
-
-
 def test_an_axis_shows_only_what_was_measured_or_is_a_limit(tmp_path):
     """Two equal values have a drawing, whose upper edge is nothing."""
     for day in range(2):
