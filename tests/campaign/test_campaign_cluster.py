@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import shlex
 import signal
 import subprocess
@@ -282,18 +281,6 @@ def once(folder, act):
         act()
 
     Thread(target=look, daemon=True).start()
-
-
-@pytest.mark.long
-@pytest.mark.timeout(300)
-def test_a_worker_of_another_make_that_comes_later_is_named_and_gets_no_runs(cluster, here, capsys, caplog):
-    cluster.worker("one", BLIND, here)
-    once(here / "far", lambda: cluster.worker("two", OTHER))
-    options = ("--seeds", "0:16", "--set", "hold_s=3", "--scheduler", cluster.address, "--out", "far")
-    code, tree, said = campaign(capsys, *options)
-    assert (code, tree["verdicts"]) == (0, {"PASS": 16}), said
-    assert re.search(r"worker tcp://[\d.:]+: has hil 0\.0\.7, this computer .*it gets no runs", caplog.text)
-    assert cluster.workers() == 1
 
 
 @pytest.mark.long

@@ -226,27 +226,6 @@ def test_a_full_disk_ends_it_with_what_to_do(campaign, monkeypatch):
     assert campaign("--seeds", "0:2", "--workers", "0", "--out", "o", "--resume")[0] == 0
 
 
-def test_the_terminal_names_runs_that_ended_in_an_error_and_why(script, capsys):
-    options = (
-        "--seeds",
-        "0:7",
-        "--workers",
-        "0",
-        "--keep",
-        "results",
-        "--fault",
-        "servos:off@0",
-        "--out",
-        "o",
-    )
-    assert main(["campaign", script, *options]) == 3
-    lines = capsys.readouterr().out.splitlines()
-    named = [line for line in lines if line.startswith("ERROR seed=")]
-    assert len(named) == 5
-    assert all("servo" in line for line in named)
-    assert "2 more such runs are in campaign.csv" in lines
-
-
 @pytest.mark.parametrize(
     ("options", "reported"),
     [
@@ -314,6 +293,14 @@ def test_ctrl_c_ends_the_workers_says_what_is_finished_and_shows_nothing_of_dask
     assert f"{finished} of 400 runs are finished" in (tmp_path / "o" / "campaign.html").read_text()
     with (tmp_path / "o" / "campaign.csv").open(newline="") as file:
         assert len(list(csv.DictReader(file))) == finished
+
+
+def test_an_error_in_one_run_is_a_row(campaign):
+    options = ("--seeds", "1", "--vary", "fault=none;servos:off", "--workers", "0", "--keep", "results")
+    code, tree, _ = campaign(*options, "--out", "o")
+    assert code == 3
+    assert [row["verdict"] for row in tree["rows"]] == ["PASS", "ERROR"]
+    assert "servos" in tree["rows"][1]["error"]
 
 
 def test_a_warning_of_a_run_names_its_case(tmp_path, monkeypatch, caplog, capsys):

@@ -71,11 +71,6 @@ def test_the_share_is_that_of_the_runs_in_which_the_fault_acted_also_when_they_a
         assert "[2.3 to 3.3]" in said
 
 
-def test_a_fault_that_acted_everywhere_changes_nothing(campaign):
-    code, said = campaign("--seeds", "0:2", "--vary", "fault=tracker:delayed@0.1")
-    assert (code, "NOT TESTED" in said) == (0, False), said
-
-
 def test_an_untested_failure_is_not_counted_either():
     rows = [
         Row(Case(0), "0", "PASS", 0, 1.0),
@@ -124,11 +119,3 @@ def test_a_run_that_left_no_result_is_lost_and_counts_as_neither_good_nor_bad(
     monkeypatch.chdir(tmp_path)
     code, said = campaign("--seeds", "0:4", "--resume")
     assert (code, "4 runs, 100 % good (95 %" in said) == (0, True), said
-
-
-def test_lost_runs_and_faults_that_never_acted_are_distinguished(campaign, monkeypatch):
-    no_room_for(monkeypatch, 0)
-    code, said = campaign("--seeds", "0:4", "--set", "bench.name=a", "--fault", "tracker:off@2")
-    assert code == 4
-    assert "2 NOT TESTED: tracker:off@2 never acted in 1, 1 LOST\n" in said
-    assert "2 of them NOT TESTED: a fault never acted, or they left no result" in said

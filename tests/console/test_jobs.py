@@ -218,14 +218,6 @@ def test_how_a_job_ended_is_in_what_it_wrote_last(tmp_path, out, err, verdict, w
     assert in_words(state) == words
 
 
-def test_of_a_long_story_the_end_is_read(tmp_path):
-    story = "".join(
-        line(progress={"what": "long", "done": n, "total": 9999, "left_s": None}) for n in range(9999)
-    )
-    state = jobs.state(job_in(tmp_path, process=jobs.identity(os.getpid()), err=story))
-    assert (state["progress"]["done"], state["messages"]) == (9998, [])
-
-
 def test_folders_that_are_no_jobs_are_left_out(tmp_path):
     job_in(tmp_path)
     for name, text in (("a", "{"), ("b", '{"words": 1, "title": "x", "started": 0}'), ("c", "[]")):

@@ -245,24 +245,6 @@ def test_bad_files_are_named(tmp_path):
         read_recordings([tmp_path / "void"])
 
 
-@pytest.mark.parametrize(
-    ("spoil", "said"),
-    [
-        (lambda text: text.encode("utf-16"), "is not UTF-8 text"),
-        (lambda text: b"\x89MCAP0\r\n" + text.encode() + b'"', "is an MCAP recording; .* ends with .mcap"),
-        (lambda text: text.replace("\n", "\r").encode(), r"has lines that end with \\r alone"),
-        (lambda text: text.replace(",", ";").encode(), "has no comma in its header"),
-        (lambda text: text.replace("\n", '\n"', 2).encode(), "line 2 has a quote that is not closed"),
-    ],
-)
-def test_what_a_spreadsheet_makes_of_a_table_is_named(tmp_path, spoil, said):
-    path = tmp_path / "line_x_1.csv"
-    names = "t,phi1,phi2,phi3,phi4,delta1,delta2,delta3,delta4,x,y,theta"
-    path.write_bytes(spoil("\n".join([names, *[",".join(["0.1"] * 12)] * 3, ""])))
-    with pytest.raises(DataError, match=said):
-        read_recordings([path])
-
-
 def test_damaged_public_files_are_named(tmp_path):
     write_pair(tmp_path, compress=True)
     odom, absolute = tmp_path / "odom_3.csv.gz", tmp_path / "abs_3.csv.gz"
@@ -278,45 +260,6 @@ def test_damaged_public_files_are_named(tmp_path):
     write_pair(tmp_path / "c", columns=False)
     with pytest.raises(DataError, match="lacks the columns"):
         read_recordings([tmp_path / "c"])
-
-
-def with_column(path, name, cell):
-    """Put one cell into a column of all rows of a public file."""
-    header, *rows = path.read_text().splitlines()
-    at = header.split(";").index(name)
-    rows = [";".join([*row.split(";")[:at], cell, *row.split(";")[at + 1 :]]) for row in rows]
-    path.write_text("\n".join([header, *rows]) + "\n")
-
-
-@pytest.mark.parametrize(
-    ("file", "column", "cell", "said"),
-    [
-        ("abs_3.csv", ".pose.position.x", "inf", r"holds 'inf', not a number"),
-        ("abs_3.csv", "time", "noon", r"holds 'noon', not 6 numbers"),
-        ("odom_3.csv", ".position", "(1.0, 2.0)", r"holds '\(1\.0, 2\.0\)', not 8 numbers"),
-    ],
-)
-def test_a_column_of_a_public_file_that_cannot_be_read_is_named_with_its_row(
-    tmp_path, file, column, cell, said
-):
-    write_pair(tmp_path)
-    with_column(tmp_path / file, column, cell)
-    with pytest.raises(DataError, match=rf"{file}: 200 of 200 rows .* the first is line 2: {column} {said}"):
-        read_recordings([tmp_path])
-
-
-def test_a_row_of_a_public_file_with_other_fields_is_named(tmp_path):
-    write_pair(tmp_path, break_rows=range(100, 200))
-    with pytest.raises(DataError, match=r"100 of 200 rows .* line 102: it has 1 fields, its header 9"):
-        read_recordings([tmp_path])
-
-
-def test_the_separator_of_a_public_file_is_named(tmp_path):
-    write_pair(tmp_path)
-    path = tmp_path / "abs_3.csv"
-    path.write_text(path.read_text().replace(";", ","))
-    with pytest.raises(DataError, match=r"abs_3\.csv: has commas between .* expected semicolons"):
-        read_recordings([tmp_path])
 
 
 def test_the_public_recordings_are_classified_and_read_whole(public_data):

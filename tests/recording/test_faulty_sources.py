@@ -111,18 +111,6 @@ def test_a_topic_with_one_message_is_refused_with_its_number(tmp_path, topics):
         read_recordings([bag], topics=topics)
 
 
-def test_joints_without_names_are_said_to_have_none(tmp_path, topics):
-    def found():
-        for topic, at, message in perfect.messages(perfect.drive()):
-            if topic == "/wheels":
-                message.name = []
-            yield topic, at, message
-
-    bag = perfect.write_bag(tmp_path / "curve_1", found())
-    with pytest.raises(DataError, match=r"no joint w1, .*expected messages that name joints"):
-        read_recordings([bag], topics=topics)
-
-
 def test_a_driver_that_repeats_its_last_pose_is_left_out_and_named(read):
     whole = perfect.drive()
     frozen = (whole.truth_s > 6.0) & (whole.truth_s < 8.0)

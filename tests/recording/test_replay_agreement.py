@@ -266,11 +266,6 @@ def test_a_sample_on_the_other_side_of_its_threshold_is_remarked_upon(record, ca
     assert found["runs"][0]["remark"] in capsys.readouterr().out
 
 
-def test_a_run_has_its_number_also_by_itself(record, capsys):
-    code, found = replay(capsys, record(fingerprint(), 0.0), "--run", 1)
-    assert (code, [run["run"] for run in found["runs"]]) == (0, [1])
-
-
 @pytest.mark.parametrize("arithmetic", ["fast", {"blas": 3}])
 def test_a_header_that_names_no_arithmetic_is_refused(record, capsys, arithmetic):
     assert main(["replay", str(record(arithmetic, 0.0)), "--verify"]) == 2

@@ -46,15 +46,6 @@ def test_a_path_that_is_thinned_keeps_its_extremes_on_both_sides_and_its_gaps():
     assert kept_rows(x[:MOST_POINTS]).tolist() == list(range(MOST_POINTS))
 
 
-def test_what_can_be_read_off_a_path_keeps_a_glitch_along_x(tmp_path):
-    figure = new_figure()
-    axes = style(figure.add_subplot(), "x (m)", "y (m)")
-    axes.plot(glitch(7001, 3.0), glitch(9001, -3.0), label="path")
-    (line,) = of_axes(figure, tmp_path / "a.svg")[0]["series"]
-    assert (max(line["x"]), min(line["y"])) == pytest.approx((3.0, -3.0), abs=1.0)
-    assert len(line["x"]) <= MOST_POINTS
-
-
 def test_the_series_of_a_motion_keep_its_largest_error():
     still = np.zeros((LONG, 3))
     mocap = still.copy()

@@ -215,28 +215,21 @@ def test_a_campaign_goes_whole_but_for_a_notebook_and_a_run_that_is_none_of_it(h
     "words",
     [
         ("run", "small.py"),
-        *(pytest.param(w, marks=pytest.mark.long) for w in (("run", "bring_up", "--quick"), ("accept",))),
+        *(
+            pytest.param(words, marks=pytest.mark.long)
+            for words in (
+                ("run", "bring_up", "--quick"),
+                ("run", "imu_calibration", "--quick"),
+                ("run", "odometry_calibration", "--quick"),
+                ("commission", "--quick"),
+                ("accept",),
+            )
+        ),
     ],
 )
 def test_what_a_command_leaves_goes_whole(hil, tmp_path, words):
     hil(*words, "--out", "out/x")
-    hil("report", "out/x") if words[0] == "run" else None
-    assert "stay" not in hil("results", "delete", "x", "--yes")
-    assert not (tmp_path / "out" / "x").exists()
-
-
-def test_the_terminal_says_what_stays(hil, tmp_path):
-    hil("run", "small.py", "--out", "out/x")
-    put(tmp_path / "out" / "x", {"thesis.txt": "years"})
-    said = hil("results", "delete", "x", "--yes")
-    assert said.splitlines() == ["deleted: x", "1 file that is not part of it stays in out/x: thesis.txt"]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "words", [("run", "imu_calibration"), ("run", "odometry_calibration"), ("commission",)]
-)
-def test_what_a_long_command_leaves_goes_whole(hil, tmp_path, words):
-    hil(*words, "--quick", "--out", "out/x")
+    if words == ("run", "small.py"):
+        hil("report", "out/x")
     assert "stay" not in hil("results", "delete", "x", "--yes")
     assert not (tmp_path / "out" / "x").exists()
