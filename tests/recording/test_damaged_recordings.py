@@ -7,6 +7,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_cases import driving_record
+from recorded import recorded
 
 from hil.bench import open_bench
 from hil.cli import main
@@ -19,11 +20,7 @@ from hil.recording.record_comparison import first_difference
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     path = tmp_path_factory.mktemp("whole") / "run.mcap"
-    recorder = McapRecorder(path, {"config": {}}, lossless=True)
-    for k in range(50):
-        recorder.write(driving_record(k))
-    recorder.close()
-    return path.read_bytes()
+    return recorded(path, map(driving_record, range(50)), {"config": {}}).read_bytes()
 
 
 def reported(tmp_path, data):

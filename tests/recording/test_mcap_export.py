@@ -13,6 +13,7 @@ import pyarrow.parquet
 import pytest
 from click.testing import CliRunner
 from mcap_cases import driving_record
+from recorded import recorded
 
 from hil.cli.export import command
 from hil.core.errors import ConfigError, DataError, UsageError
@@ -21,7 +22,6 @@ from hil.datasets.export import COLUMNS, tabulate, to_recording, write_table
 from hil.datasets.plain_csv import read_plain
 from hil.datasets.rosbag import read_bag
 from hil.datasets.topic_map import read_topic_map
-from hil.recording.mcap_writer import McapRecorder
 
 CYCLES = 300
 
@@ -29,11 +29,7 @@ CYCLES = 300
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     path = tmp_path_factory.mktemp("export") / "line_x_1.mcap"
-    recorder = McapRecorder(path, {}, lossless=True)
-    for k in range(CYCLES):
-        recorder.write(driving_record(k))
-    recorder.close()
-    return path
+    return recorded(path, map(driving_record, range(CYCLES)), {})
 
 
 def column(table, name):

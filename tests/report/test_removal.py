@@ -161,8 +161,7 @@ def hil(tmp_path, monkeypatch, capsys):
     return call
 
 
-@pytest.mark.parametrize("with_mine", [False, True])
-def test_a_commissioning_goes_with_its_procedures_and_its_record_and_nothing_else(root, with_mine):
+def test_a_commissioning_goes_with_its_procedures_and_its_record_and_nothing_else(root):
     whole = root / "whole"
     own = (
         "commission.html",
@@ -183,18 +182,13 @@ def test_a_commissioning_goes_with_its_procedures_and_its_record_and_nothing_els
     run(whole / "01_gap")
     run(whole / "01_gap-2")
     put(whole, {"commission.json": '{"options": {"bench": "lab"}, "done": {}}', **dict.fromkeys(own, "x")})
-    if with_mine:
-        run(whole / "a_run_of_mine")
-        put(whole, mine)
-    kept = files_of(whole / "a_run_of_mine") if with_mine else set()
+    run(whole / "a_run_of_mine")
+    put(whole, mine)
+    kept = files_of(whole / "a_run_of_mine")
     lost = removed(root, "whole")
-    assert set(lost.stays) - {"given.txt"} == {
-        *(mine if with_mine else ()),
-        *(f"a_run_of_mine/{name}" for name in kept),
-    }
+    assert set(lost.stays) - {"given.txt"} == {*mine, *(f"a_run_of_mine/{name}" for name in kept)}
     assert files_of(whole) == set(lost.stays)
-    if with_mine:
-        assert "whole/a_run_of_mine" in {k.name for k in find_results(root)}
+    assert "whole/a_run_of_mine" in {k.name for k in find_results(root)}
 
 
 def test_a_campaign_goes_whole_but_for_a_notebook_and_a_run_that_is_none_of_it(hil, tmp_path):
