@@ -3,13 +3,14 @@
 import csv
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
+import perfect_robot as perfect
 import pytest
 from mcap.writer import Writer as McapWriter
 from mcap_cases import MAPPING
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from perfect_robot import BEGIN_NS, DRIVE, JOINT, POSE, STEER, STORE, header_at
 
 from hil.cli import main
 from hil.core.errors import ConfigError, DataError
@@ -20,26 +21,14 @@ from hil.datasets.topic_map import read_topic_map
 from hil.robot.kinematics import NOMINAL_RADIUS_M
 
 RATE_HZ, SPEED_M_S, SECONDS = 50, 0.08, 10
-BEGIN_NS = 1_700_000_000_000_000_000
-DRIVE, STEER = [f"w{i}" for i in range(1, 5)], [f"s{i}" for i in range(1, 5)]
-STORE = get_typestore(Stores.ROS2_HUMBLE)
-JOINT, POSE = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
-
-
-def header(t_ns):
-    stamp = STORE.types["builtin_interfaces/msg/Time"](sec=t_ns // 10**9, nanosec=t_ns % 10**9)
-    return STORE.types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
 
 
 def joints(t_ns, names, angles):
-    return STORE.types[JOINT](header(t_ns), names, np.array(angles), np.array([]), np.array([]))
+    return STORE.types[JOINT](header_at(t_ns), names, np.array(angles), np.array([]), np.array([]))
 
 
 def pose(t_ns, x_m):
-    kinds = STORE.types
-    place = kinds["geometry_msgs/msg/Point"](x=x_m, y=0.0, z=0.0)
-    ahead = kinds["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
-    return STORE.types[POSE](header(t_ns), kinds["geometry_msgs/msg/Pose"](position=place, orientation=ahead))
+    return replace(perfect.pose(0.0, (x_m, 0.0, 0.0)), header=header_at(t_ns))
 
 
 def messages(stamp=lambda log_ns, number: log_ns, *, apart=False, steer_every=1, speed_m_s=SPEED_M_S):
@@ -67,15 +56,9 @@ def messages(stamp=lambda log_ns, number: log_ns, *, apart=False, steer_every=1,
 
 
 def write(folder, found):
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        lanes = {
-            topic: (writer.add_connection(topic, kind, typestore=STORE), kind)
-            for topic, kind in (("/wheels", JOINT), ("/vicon", POSE))
-        }
-        for topic, log_ns, message in found:
-            lane, kind = lanes[topic]
-            writer.write(lane, log_ns, STORE.serialize_cdr(message, kind))
-    return folder
+    return perfect.write_bag(
+        folder, ((topic, (ns - BEGIN_NS) / 1e9, message) for topic, ns, message in found)
+    )
 
 
 def read(folder, topics):
