@@ -166,7 +166,7 @@ def test_an_export_beside_its_recording_is_a_copy(tmp_path, capsys):
     assert one.repairs == {f"copy of it left out, {path}": 1}
 
 
-@pytest.mark.parametrize("rates_hz", [(240.0, 20.0), (10.0, 62.5)], ids=str)
+@pytest.mark.parametrize("rates_hz", [(100.0, 20.0), (10.0, 62.5)], ids=str)
 def test_an_export_of_a_bag_with_noise_is_a_copy(tmp_path, capsys, rates_hz):
     """It holds the ground truth at the instants of the wheels, a part of the rows that the bag has."""
     topics, folder = tmp_path / "topics.toml", tmp_path / "bags"
