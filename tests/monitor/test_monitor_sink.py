@@ -164,7 +164,6 @@ def test_empty_targets_are_refused(target):
     [
         ("http://127.0.0.1:1/proxy", "rerun+http://127.0.0.1:1/proxy"),
         ("spawn,ftp://robot/x.rrd", "rerun+http://robot/proxy"),
-        ("rerun+http://robot:9876", "rerun+http://robot:9876/proxy"),
         ("rerun://robot:99999/proxy", "rerun://robot:99999/proxy"),
         ("rerun+http://", "rerun+http://127.0.0.1:9876/proxy"),
     ],

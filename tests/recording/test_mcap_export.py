@@ -16,7 +16,7 @@ from mcap_cases import driving_record
 from recorded import recorded
 
 from hil.cli.export import command
-from hil.core.errors import ConfigError, DataError, UsageError
+from hil.core.errors import DataError, UsageError
 from hil.core.signals import SERVOS
 from hil.datasets.export import COLUMNS, tabulate, to_recording, write_table
 from hil.datasets.plain_csv import read_plain
@@ -155,15 +155,6 @@ def test_a_mapping_that_does_not_fit_names_what_is_there(recording, tmp_path, ol
     with pytest.raises(DataError, match=reason) as caught:
         read_bag(recording, topics)
     assert caught.value.path == str(recording)
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [("schema = 1", "2 problem"), (MAPPING + "speed = 1", "speed"), ("= nothing", "not valid TOML")],
-)
-def test_wrong_mappings_list_their_problems(tmp_path, text, reason):
-    with pytest.raises(ConfigError, match=reason):
-        mapped(tmp_path, text)
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])

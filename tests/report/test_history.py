@@ -19,7 +19,7 @@ from hil.report.history.index import UNFINISHED, find_results
 from hil.report.history.opening import page_of
 from hil.report.history.page import drawing, headline, write_trends_page
 from hil.report.history.query import chosen, named
-from hil.report.history.removal import delete, loss
+from hil.report.history.removal import loss
 from hil.report.history.series import groups
 from hil.report.run_page import write_run_page
 
@@ -217,14 +217,6 @@ def test_what_is_foreign_is_not_deleted(root):
     for name in ("newer", "page", "junk"):
         with pytest.raises(DataError, match="is not deleted"):
             loss(root, named(found, name))
-
-
-def test_a_deleted_run_says_what_others_may_build_on_and_leaves_the_folder_above(root):
-    (root / "gap" / "one" / "recording.mcap").write_text("")
-    lost = loss(root, named(find_results(root), "gap/one"))
-    assert "with recording.mcap" in lost.in_words()
-    delete([lost])
-    assert files_of(root / "gap") == {"one/figures/page.html"}
 
 
 @pytest.mark.parametrize(
