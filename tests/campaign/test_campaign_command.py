@@ -175,7 +175,7 @@ def test_a_run_that_lacked_room_is_run_again(campaign, tmp_path):
 
 
 def test_who_resumes_with_files_that_have_changed_is_refused_with_their_names(campaign, tmp_path):
-    profile = resources.files("hil.config.profiles").joinpath("emulated.toml").read_text()
+    profile = resources.files("hil.config.profiles").joinpath("emulated_floor.toml").read_text()
     (tmp_path / "bench.toml").write_text(profile)
     options = ("--bench", "bench.toml", "--out", "o")
     options = (*options, "--vary", "fault=none")

@@ -13,8 +13,8 @@ from recorded import HEADER, messages, recorded
 
 from hil.core.clock import NS_PER_S, WallOffset
 from hil.core.errors import DataError
-from hil.recording.clocks import PtpOffset, ptp_offsets, recorded_ptp, shift_between
-from hil.recording.mcap_reader import read_cycles, read_header
+from hil.recording.clocks import PtpOffset, ptp_offsets, shift_between
+from hil.recording.mcap_reader import read_cycles
 from hil.recording.transform_tree import describe_clock
 
 EPOCH_NS = 1_790_000_000 * NS_PER_S
@@ -117,10 +117,3 @@ def test_hardware_clocks_are_read_where_there_are_any(tmp_path):
 
     assert ptp_offsets(time.monotonic_ns, tmp_path, read=refuses) == ()
     assert ptp_offsets(time.monotonic_ns, tmp_path) == ()  # an ordinary file is no clock
-
-
-def test_what_the_header_says_of_hardware_clocks_comes_back(tmp_path):
-    path = recording(tmp_path / "a.mcap", zero_s=1.0, ptp_error_ns=7)
-    (ptp,) = recorded_ptp(read_header(path))
-    assert (ptp.device, ptp.uncertainty_ns, ptp.measured_ns) == ("ptp0", 900, NS_PER_S)
-    assert recorded_ptp(read_header(recording(tmp_path / "b.mcap", zero_s=1.0))) == ()
