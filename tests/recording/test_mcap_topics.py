@@ -1,19 +1,26 @@
-"""A bag that another robot's `ros2 bag record` wrote: evaluated, exported and replayed by a topic mapping."""
+"""A bag that another robot's `ros2 bag record` wrote: evaluated, exported and replayed by a topic mapping.
+
+Packed ones are read as plain ones; damaged ones are named.
+"""
 
 import contextlib
 import io
 import json
+import re
 import sqlite3
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import zstandard
 from mcap_cases import MAPPING
 from perfect_robot import BEGIN_NS, JOINT, STORE, header, joints, pose
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
 from hil.cli import main
-from hil.datasets.rosbag import broken_frames
+from hil.core.errors import DataError
+from hil.datasets.rosbag import broken_frames, read_bag
+from hil.datasets.topic_map import read_topic_map
 from hil.robot.kinematics import NOMINAL_RADIUS_M
 
 RATE_HZ = 50
@@ -193,3 +200,42 @@ def test_a_bag_with_a_broken_frame_tree_is_read_and_named(bag, caplog):
         code, _ = hil("evaluate", folder, "--topics", topics)
     assert code == 0
     assert f"{folder}: {problem}" in caplog.text
+
+
+@pytest.fixture
+def mapping(topics):
+    return read_topic_map(topics)
+
+
+def test_a_bag_packed_as_a_whole_is_read_or_named(mapping, tmp_path):
+    bag = tmp_path / "line_x_1"
+    write_bag(bag)
+    plain = read_bag(bag, mapping)
+    file = next(bag.glob("*.mcap"))
+    packed = file.with_name(f"{file.name}.zstd")
+    packed.write_bytes(zstandard.compress(file.read_bytes()))
+    assert len(read_bag(packed, mapping).t_s) == len(plain.t_s)
+    metadata = bag / "metadata.yaml"
+    text = metadata.read_text().replace(file.name, packed.name)
+    text = re.sub("compression_format:.*", "compression_format: zstd", text)
+    metadata.write_text(re.sub("compression_mode:.*", "compression_mode: FILE", text))
+    file.unlink()
+    np.testing.assert_array_equal(read_bag(bag, mapping).t_s, plain.t_s)
+    packed.write_bytes(packed.read_bytes()[:-40])
+    for given in (bag, packed):
+        with pytest.raises(DataError, match="line_x_1"):
+            read_bag(given, mapping)
+
+
+def test_a_bag_packed_message_by_message_is_read(mapping, tmp_path):
+    plain, bag = write_bag(tmp_path / "line_x_1", StoragePlugin.SQLITE3), tmp_path / "line_x_2"
+    writer = Writer(bag, version=9)
+    writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    with Reader(plain) as reader, writer:
+        channels = {
+            c.id: writer.add_connection(c.topic, c.msgtype, msgdef=c.msgdef.data, rihs01=c.digest)
+            for c in reader.connections
+        }
+        for connection, t_ns, data in reader.messages():
+            writer.write(channels[connection.id], t_ns, data)
+    np.testing.assert_array_equal(read_bag(bag, mapping).t_s, read_bag(plain, mapping).t_s)
