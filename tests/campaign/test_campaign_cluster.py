@@ -14,9 +14,9 @@ from threading import Thread
 
 import pytest
 
-from hil.calibration.calibration_file import CalibrationFile, save_calibration
+from hil.calibration.calibration_file import save_calibration
 from hil.cli import main
-from hil.config.loading import load_bench
+from tests.procedures.made_calibrations import made
 
 distributed = pytest.importorskip("distributed", reason="Dask (the extra campaign) is not installed")
 
@@ -172,28 +172,7 @@ def here(tmp_path, monkeypatch):
     monkeypatch.delitem(sys.modules, "moment_helper", raising=False)
     Path("rest.py").write_text(SCRIPT)
     Path("moment_helper.py").write_text("MM_PER_M = 1e3\n")
-    robot = load_bench("emulated_floor").robot
-    nominal = {"x_w_m": robot.wheel_x_m, "y_w_m": robot.wheel_y_m, "r_m": robot.wheel_radius_m}
-    known = {**nominal, "r_m": tuple(0.999 * r for r in robot.wheel_radius_m)}
-    save_calibration(
-        Path("cal/calibration.toml"),
-        CalibrationFile(
-            schema=1,
-            version=3,
-            created="2026-01-01T00:00:00+00:00",
-            method="lm",
-            setting="recommended",
-            model="exact",
-            signal="velocity",
-            parameters=known,
-            nominal=nominal,
-            std={},
-            twist_correction=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-            cost_before=1.0,
-            cost_after=0.5,
-            recordings={},
-        ),
-    )
+    save_calibration(Path("cal/calibration.toml"), made(0.0253))
     profile = resources.files("hil.config.profiles").joinpath("emulated_floor.toml").read_text()
     Path("bench.toml").write_text(f'calibration = "cal/calibration.toml"\n{profile}')
     Path("late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "slow"\nat_s = 0.1\n')

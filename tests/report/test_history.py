@@ -212,13 +212,6 @@ def test_a_result_that_contradicts_itself_is_not_believed(tmp_path):
             write_run_page(path.parent)
 
 
-def test_what_is_foreign_is_not_deleted(root):
-    found = find_results(root)
-    for name in ("newer", "page", "junk"):
-        with pytest.raises(DataError, match="is not deleted"):
-            loss(root, named(found, name))
-
-
 @pytest.mark.parametrize(
     ("values", "state"),
     [
