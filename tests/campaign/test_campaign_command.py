@@ -260,19 +260,8 @@ def test_a_plan_of_which_nothing_ran_is_no_campaign(campaign, tmp_path):
 def test_ctrl_c_ends_the_workers_says_what_is_finished_and_shows_nothing_of_dask(script, campaign, tmp_path):
     """What Dask's workers have finished is what one process gives."""
     pytest.importorskip("distributed", reason="Dask (the extra campaign) is not installed")
-    words = [
-        "--bench",
-        "emulated_floor",
-        "--workers",
-        "1",
-        "--seeds",
-        "0:400",
-        "--keep",
-        "results",
-        "--out",
-        "o",
-    ]
-    command = [sys.executable, "-m", "hil", "campaign", script, *words]
+    words = ("--workers", "1", "--seeds", "0:400", "--keep", "results", "--out", "o")
+    command = [sys.executable, "-m", "hil", "campaign", script, "--bench", "emulated_floor", *words]
     process = subprocess.Popen(
         command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
