@@ -183,12 +183,12 @@ def test_one_is_called_by_its_name_its_folder_or_a_part_of_its_name(root):
 
 
 CONTRADICTIONS = (
-    ({"verdict": "SPLENDID"}, "verdict: Input should be 'PASS'"),
-    ({"measurements.0.outcome": "FAIL"}, "verdict PASS, but width is FAIL"),
-    ({"measurements.0.outcome": "MARGINAL"}, "verdict PASS, but a measurement is MARGINAL"),
-    ({"measurements.0.value": 6.5}, "width is PASS with a value beyond its limit"),
-    ({"verdict": "FAIL"}, "verdict FAIL, but no measurement is"),
-    ({"error": {"type": "x", "message": "y"}}, "verdict PASS, but it ended in an error"),
+    ({"verdict": "SPLENDID"}, {}, "verdict: Input should be 'PASS'"),
+    ({}, {"outcome": "FAIL"}, "verdict PASS, but width is FAIL"),
+    ({}, {"outcome": "MARGINAL"}, "verdict PASS, but a measurement is MARGINAL"),
+    ({}, {"value": 6.5}, "width is PASS with a value beyond its limit"),
+    ({"verdict": "FAIL"}, {}, "verdict FAIL, but no measurement is"),
+    ({"error": {"type": "x", "message": "y"}}, {}, "verdict PASS, but it ended in an error"),
 )
 
 
@@ -196,14 +196,9 @@ def test_a_result_that_contradicts_itself_is_not_believed(tmp_path):
     run(gap, tmp_path / "one")
     path = tmp_path / "one" / "result.json"
     whole = path.read_text()
-    for change, why in CONTRADICTIONS:
-        tree = json.loads(whole)
-        for key, value in change.items():
-            *way, last = key.split(".")
-            place = tree
-            for step in way:
-                place = place[int(step) if step.isdigit() else step]
-            place[last] = value
+    for change, measured, why in CONTRADICTIONS:
+        tree = json.loads(whole) | change
+        tree["measurements"][0] |= measured
         path.write_text(json.dumps(tree))
         (kept,) = find_results(tmp_path)
         assert (kept.kind, kept.verdict) == ("foreign", "")
@@ -284,10 +279,7 @@ def test_runs_that_can_be_compared_stand_together_and_the_drift_comes_first(drif
     assert len(first.runs) == 30
     assert [(s.name, s.chart.state) for s in first.series] == [("width", DRIFTING), ("seen", STEADY)]
     assert sorted(len(g.runs) for g in others) == [1, 1]
-    words = first.series[0].in_words()
-    assert re.match(
-        r"drifts by \+0\.0\d+ mm a run; at this rate it meets its limit of 6 mm in \d+ runs", words
-    )
+    assert "meets its limit of 6 mm in" in first.series[0].in_words()
     assert [p.calibration for p in first.series[0].points][9:11] == [
         "version 1 (FalseF)",
         "version 2 (TrueTr)",
