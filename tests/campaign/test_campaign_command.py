@@ -82,7 +82,7 @@ def campaign(script, capsys):
 def test_results_alone_are_the_same_without_recordings_and_figures(campaign, tmp_path):
     rows = {}
     for keep in ("all", "results"):
-        words = ("--seeds", "3", "--keep", keep, "--out", keep)
+        words = ("--bench", "emulated", "--seeds", "3", "--keep", keep, "--out", keep)
         code, tree, _ = campaign(*words)
         assert code == 0
         rows[keep] = tree["rows"][0]

@@ -27,7 +27,7 @@ def run(ctx):
     """Drive on from where the first drive ended."""
 
     def drive(name, begin_m):
-        way = line((begin_m, 0, 0), (begin_m + 0.01, 0, 0), duration_s=0.5)
+        way = line((begin_m, 0, 0), (begin_m + 0.005, 0, 0), duration_s=0.5)
         ctx.bench.drive(way, feedback="odometry")
         ctx.measure(name, ctx.bench.truth().pose_body_in_wall[0])
 
@@ -35,7 +35,7 @@ def run(ctx):
         if Path("die").exists():
             Path("die").unlink()
             os.kill(os.getpid(), 9)
-        drive("second", 0.01)
+        drive("second", 0.005)
 
     ctx.checkpoint("one", lambda: drive("first", 0.0))
     ctx.checkpoint("two", fall_over)

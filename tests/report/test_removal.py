@@ -27,9 +27,9 @@ from hil.robot.trajectories import line
 
 @procedure(name="small", needs=("servos",), measurements=(Measurement("one", "1"),))
 def run(ctx):
-    """Drive 10 mm."""
+    """Drive 5 mm."""
     with ctx.step("a drive"):
-        ctx.bench.drive(line((0, 0, 0), (0.01, 0, 0), duration_s=0.5), feedback="odometry")
+        ctx.bench.drive(line((0, 0, 0), (0.005, 0, 0), duration_s=0.5), feedback="odometry")
         ctx.measure("one", 1.0)
     ctx.figure(Figure, "Nothing to see")
     own = ctx.folder / "own.txt"
