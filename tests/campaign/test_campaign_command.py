@@ -257,6 +257,7 @@ def test_a_plan_of_which_nothing_ran_is_no_campaign(campaign, tmp_path):
     assert campaign("--seeds", "0", "--out", "o")[0] == 0
 
 
+@pytest.mark.usefixtures("warm_commands")
 def test_ctrl_c_ends_the_workers_says_what_is_finished_and_shows_nothing_of_dask(script, campaign, tmp_path):
     """What Dask's workers have finished is what one process gives."""
     pytest.importorskip("distributed", reason="Dask (the extra campaign) is not installed")
