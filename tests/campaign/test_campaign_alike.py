@@ -52,11 +52,6 @@ def test_only_the_values_that_are_alike_in_every_run_are_named():
     assert alike([*rows[:5], row(1, 1.0, "FAIL", a="z")]) == []
 
 
-def test_runs_that_measured_nothing_say_nothing():
-    assert alike([row(0, None, "ERROR", a=a) for a in "xy"]) == []
-    assert alike([row(0, 1.0), row(1, 1.0)]) == []
-
-
 def test_a_run_that_ended_in_an_error_does_not_hide_what_the_others_show():
     rows = [
         row(0, 1.0, a="x"),

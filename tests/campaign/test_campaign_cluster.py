@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import shlex
 import signal
 import subprocess
@@ -15,9 +14,9 @@ from threading import Thread
 
 import pytest
 
-from hil.calibration.calibration_file import CalibrationFile, save_calibration
+from hil.calibration.calibration_file import save_calibration
 from hil.cli import main
-from hil.config.loading import load_bench
+from tests.procedures.made_calibrations import made
 
 distributed = pytest.importorskip("distributed", reason="Dask (the extra campaign) is not installed")
 
@@ -173,28 +172,7 @@ def here(tmp_path, monkeypatch):
     monkeypatch.delitem(sys.modules, "moment_helper", raising=False)
     Path("rest.py").write_text(SCRIPT)
     Path("moment_helper.py").write_text("MM_PER_M = 1e3\n")
-    robot = load_bench("emulated_floor").robot
-    nominal = {"x_w_m": robot.wheel_x_m, "y_w_m": robot.wheel_y_m, "r_m": robot.wheel_radius_m}
-    known = {**nominal, "r_m": tuple(0.999 * r for r in robot.wheel_radius_m)}
-    save_calibration(
-        Path("cal/calibration.toml"),
-        CalibrationFile(
-            schema=1,
-            version=3,
-            created="2026-01-01T00:00:00+00:00",
-            method="lm",
-            setting="recommended",
-            model="exact",
-            signal="velocity",
-            parameters=known,
-            nominal=nominal,
-            std={},
-            twist_correction=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-            cost_before=1.0,
-            cost_after=0.5,
-            recordings={},
-        ),
-    )
+    save_calibration(Path("cal/calibration.toml"), made(0.0253))
     profile = resources.files("hil.config.profiles").joinpath("emulated_floor.toml").read_text()
     Path("bench.toml").write_text(f'calibration = "cal/calibration.toml"\n{profile}')
     Path("late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "slow"\nat_s = 0.1\n')
@@ -282,18 +260,6 @@ def once(folder, act):
         act()
 
     Thread(target=look, daemon=True).start()
-
-
-@pytest.mark.long
-@pytest.mark.timeout(300)
-def test_a_worker_of_another_make_that_comes_later_is_named_and_gets_no_runs(cluster, here, capsys, caplog):
-    cluster.worker("one", BLIND, here)
-    once(here / "far", lambda: cluster.worker("two", OTHER))
-    options = ("--seeds", "0:16", "--set", "hold_s=3", "--scheduler", cluster.address, "--out", "far")
-    code, tree, said = campaign(capsys, *options)
-    assert (code, tree["verdicts"]) == (0, {"PASS": 16}), said
-    assert re.search(r"worker tcp://[\d.:]+: has hil 0\.0\.7, this computer .*it gets no runs", caplog.text)
-    assert cluster.workers() == 1
 
 
 @pytest.mark.long

@@ -24,17 +24,11 @@ def run(ctx):
 '''
 
 
-@pytest.fixture
-def holes(tmp_path, monkeypatch, capsys):
-    """Folder of a campaign of nine runs, and what the terminal said."""
+def test_terminal_and_data_say_how_many_runs_a_range_covers_and_why(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "holes.py").write_text(SCRIPT)
     main(["campaign", "holes.py", "--seeds", "0:9", "--workers", "0", "--keep", "results", "--out", "o"])
-    return tmp_path / "o", capsys.readouterr().out
-
-
-def test_the_terminal_says_how_many_runs_a_range_covers(holes):
-    folder, said = holes
+    folder, said = tmp_path / "o", capsys.readouterr().out
     (two,) = [line for line in said.splitlines() if line.startswith("  two ")]
     assert two.endswith("[0 to 6] in 3 of 9 runs; 1 ended before, 3 never measured, 2 no finite number")
     (free,) = [line for line in said.splitlines() if line.startswith("  free ")]
@@ -42,11 +36,8 @@ def test_the_terminal_says_how_many_runs_a_range_covers(holes):
     found = json.loads((folder / "campaign.json").read_text())["groups"][0]["measurements"][0]
     assert (found["n"], found["of"]) == (3, 9)
     assert found["missing"] == {"ended before": 1, "never measured": 3, "no finite number": 2}
-
-
-def test_parquet_says_why_there_is_no_value(holes):
     parquet = pytest.importorskip("pyarrow.parquet")
-    table = parquet.read_table(holes[0] / "rows").to_pydict()
+    table = parquet.read_table(folder / "rows").to_pydict()
     whys = dict(zip(zip(table["seed"], table["measurement"], strict=True), table["missing"], strict=True))
     assert [whys[seed, "two"] for seed in (0, 1, 2, 7)] == [
         "",

@@ -27,14 +27,15 @@ def run(ctx):
     """Drive on from where the first drive ended."""
 
     def drive(name, begin_m):
-        ctx.bench.drive(line((begin_m, 0, 0), (begin_m + 0.03, 0, 0), duration_s=1.0))
+        way = line((begin_m, 0, 0), (begin_m + 0.005, 0, 0), duration_s=0.5)
+        ctx.bench.drive(way, feedback="odometry")
         ctx.measure(name, ctx.bench.truth().pose_body_in_wall[0])
 
     def fall_over():
         if Path("die").exists():
             Path("die").unlink()
             os.kill(os.getpid(), 9)
-        drive("second", 0.03)
+        drive("second", 0.005)
 
     ctx.checkpoint("one", lambda: drive("first", 0.0))
     ctx.checkpoint("two", fall_over)
@@ -120,17 +121,13 @@ def test_what_a_script_prints_is_no_part_of_the_json_object(campaign, tmp_path):
     assert "a script that prints" in said
 
 
-@pytest.mark.parametrize(
-    ("changed", "reported"),
-    [("hil_sources", "was begun with hil_sources"), ("numba", "was begun with numba")],
-)
-def test_other_versions_do_not_go_on_with_it(campaign, tmp_path, monkeypatch, changed, reported):
+def test_other_versions_do_not_go_on_with_it(campaign, tmp_path, monkeypatch):
     (tmp_path / "plain.py").write_text(PLAIN)
     assert campaign("plain.py", "--seeds", "0", "--out", "o")[0] == 0
     here = versions.make()
-    monkeypatch.setattr("hil.procedure.campaign.plan_file.make", lambda: {**here, changed: "another"})
+    monkeypatch.setattr("hil.procedure.campaign.plan_file.make", lambda: {**here, "numba": "another"})
     code, _, said = campaign("plain.py", "--seeds", "0:2", "--out", "o", "--resume")
-    assert (code, reported in said) == (2, True), said
+    assert (code, "was begun with numba" in said) == (2, True), said
 
 
 def test_the_digest_of_the_package_holds_the_shipped_procedures(tmp_path, monkeypatch):

@@ -2,11 +2,10 @@
 
 import json
 import os
-import subprocess
-import sys
 
 import pytest
 
+from hil.cli import main
 from hil.console import jobs
 from hil.console.not_held_alarm import SECURED, Alarm
 from hil.console.stop_server import StopProcess
@@ -122,11 +121,10 @@ def test_what_cannot_be_noted_is_not_taken_away(folder):
     assert len(asked(process, "GET", "/state")["not_held"]) == 1
 
 
-def test_a_terminal_learns_it_with_exit_code_3_until_it_is_secured(folder):
+def test_a_terminal_learns_it_with_exit_code_3_until_it_is_secured(folder, capsys):
     def stop(*words):
-        command = [sys.executable, "-m", "hil", "console", "--in", str(folder.parent), "--stop", *words]
-        done = subprocess.run(command, capture_output=True, text=True)
-        return done.returncode, done.stdout
+        code = main(["console", "--in", str(folder.parent), "--stop", *words])
+        return code, capsys.readouterr().out
 
     code, said = stop()
     assert code == 3

@@ -75,8 +75,9 @@ def test_a_stream_that_serves_takes_records_and_ends_its_server(monkeypatch, cap
 def test_a_server_ends_with_the_process_that_started_it():
     grpc_port, web_port = free_port(), free_port()
     serve = f"viewer.serve({grpc_port}, {web_port})"
-    code = f"import os; from hil.monitor import viewer; {serve}; os.kill(os.getpid(), 9)"
-    subprocess.run([sys.executable, "-c", code], check=False, env=os.environ, timeout=120)
+    code = f"import os; from hil.monitor import rerun_viewer as viewer; {serve}; os.kill(os.getpid(), 9)"
+    done = subprocess.run([sys.executable, "-c", code], check=False, env=os.environ, timeout=120)
+    assert done.returncode == -9, "it was served until then"
     for _ in range(200):
         if not addresses(grpc_port):
             return

@@ -2,8 +2,6 @@
 
 import os
 import shutil
-import signal
-import time
 from pathlib import Path
 
 import numpy as np
@@ -142,20 +140,6 @@ def test_a_process_struck_at_any_write_leaves_the_old_version_or_the_new_one(rec
         if ended:
             break
     assert strike > 8
-
-
-def test_kill_9_in_the_middle_of_it_leaves_a_version_that_can_be_read(record):
-    child = os.fork()
-    if child == 0:
-        while True:
-            add(record, camera=part(SCALE))
-    while record.read().version < 4:
-        time.sleep(0.01)
-    os.kill(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    assert record.read().parts["camera"].values == SCALE
-    add(record, zeros=part(ZEROS))
-    assert load(record).tracker.scale == 1.004
 
 
 def test_processes_that_add_at_the_same_time_lose_nothing_of_each_other(record):

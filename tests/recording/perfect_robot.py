@@ -98,7 +98,10 @@ def drive(*, truth_hz=100.0, wheel_hz=62.5, noise=2e-4, seed=0, sense=1.0, radiu
 
 
 def header(t_s):
-    t_ns = BEGIN_NS + round(t_s * 1e9)
+    return header_at(BEGIN_NS + round(t_s * 1e9))
+
+
+def header_at(t_ns):
     stamp = STORE.types["builtin_interfaces/msg/Time"](sec=t_ns // 10**9, nanosec=t_ns % 10**9)
     return STORE.types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
 

@@ -3,13 +3,14 @@
 import csv
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
+import perfect_robot as perfect
 import pytest
 from mcap.writer import Writer as McapWriter
 from mcap_cases import MAPPING
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from perfect_robot import BEGIN_NS, DRIVE, JOINT, POSE, STEER, STORE, header_at
 
 from hil.cli import main
 from hil.core.errors import ConfigError, DataError
@@ -18,29 +19,16 @@ from hil.datasets.recording_names import motion_of
 from hil.datasets.rosbag import read_bag
 from hil.datasets.topic_map import read_topic_map
 from hil.robot.kinematics import NOMINAL_RADIUS_M
-from hil.support.extras import is_installed
 
 RATE_HZ, SPEED_M_S, SECONDS = 50, 0.08, 10
-BEGIN_NS = 1_700_000_000_000_000_000
-DRIVE, STEER = [f"w{i}" for i in range(1, 5)], [f"s{i}" for i in range(1, 5)]
-STORE = get_typestore(Stores.ROS2_HUMBLE)
-JOINT, POSE = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
-
-
-def header(t_ns):
-    stamp = STORE.types["builtin_interfaces/msg/Time"](sec=t_ns // 10**9, nanosec=t_ns % 10**9)
-    return STORE.types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
 
 
 def joints(t_ns, names, angles):
-    return STORE.types[JOINT](header(t_ns), names, np.array(angles), np.array([]), np.array([]))
+    return STORE.types[JOINT](header_at(t_ns), names, np.array(angles), np.array([]), np.array([]))
 
 
 def pose(t_ns, x_m):
-    kinds = STORE.types
-    place = kinds["geometry_msgs/msg/Point"](x=x_m, y=0.0, z=0.0)
-    ahead = kinds["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
-    return STORE.types[POSE](header(t_ns), kinds["geometry_msgs/msg/Pose"](position=place, orientation=ahead))
+    return replace(perfect.pose(0.0, (x_m, 0.0, 0.0)), header=header_at(t_ns))
 
 
 def messages(stamp=lambda log_ns, number: log_ns, *, apart=False, steer_every=1, speed_m_s=SPEED_M_S):
@@ -68,24 +56,20 @@ def messages(stamp=lambda log_ns, number: log_ns, *, apart=False, steer_every=1,
 
 
 def write(folder, found):
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        lanes = {
-            topic: (writer.add_connection(topic, kind, typestore=STORE), kind)
-            for topic, kind in (("/wheels", JOINT), ("/vicon", POSE))
-        }
-        for topic, log_ns, message in found:
-            lane, kind = lanes[topic]
-            writer.write(lane, log_ns, STORE.serialize_cdr(message, kind))
-    return folder
+    return perfect.write_bag(
+        folder, ((topic, (ns - BEGIN_NS) / 1e9, message) for topic, ns, message in found)
+    )
 
 
 def read(folder, topics):
     return read_bag(folder, read_topic_map(topics))
 
 
-@pytest.fixture
-def usual(tmp_path, topics):
-    return read(write(tmp_path / "usual_1", messages()), topics)
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("usual")
+    (folder / "topics.toml").write_text(MAPPING)
+    return read(write(folder / "usual_1", messages()), folder / "topics.toml")
 
 
 @pytest.mark.parametrize("begin_ns", [0, -5_000_000_000])
@@ -102,7 +86,7 @@ def test_headers_without_any_stamp_fall_back_to_the_times_of_the_log(tmp_path, t
     np.testing.assert_array_equal(found.t_s, usual.t_s)
 
 
-@pytest.mark.parametrize("damaged_ns", [2_000_000_000_000_000_000, -2_000_000_000_000_000_000, 0])
+@pytest.mark.parametrize("damaged_ns", [2_000_000_000_000_000_000, 0])
 def test_a_damaged_stamp_is_named_with_its_message(tmp_path, topics, damaged_ns):
     bag = write(tmp_path / "line_x_1", messages(lambda log_ns, k: damaged_ns if k == 100 else log_ns))
     with pytest.raises(
@@ -113,7 +97,7 @@ def test_a_damaged_stamp_is_named_with_its_message(tmp_path, topics, damaged_ns)
         read(bag, topics)
 
 
-@pytest.mark.parametrize("every", [1, 2, 4])
+@pytest.mark.parametrize("every", [1, 4])
 def test_drive_and_steering_may_come_in_messages_of_their_own(tmp_path, topics, usual, every):
     found = read(write(tmp_path / "line_x_1", messages(apart=True, steer_every=every)), topics)
     np.testing.assert_array_equal(found.wheel_angle_rad, usual.wheel_angle_rad)
@@ -153,17 +137,10 @@ def test_steering_that_was_not_sent_for_long_is_no_steering(tmp_path, topics):
     assert repairs["wheel rows without numbers dropped"] == pytest.approx(100, abs=2)
 
 
-def test_a_joint_that_no_message_names_is_missing(tmp_path, topics):
-    topics.write_text(MAPPING.replace('"s4"', '"steer4"'))
-    with pytest.raises(DataError, match=r"/wheels has no joint steer4; expected some of w1, .*s4"):
-        read(write(tmp_path / "line_x_1", messages(apart=True)), topics)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
         ('"w2"', '"w1"', r"wheels: drive names the joint 'w1' twice"),
-        ('"s4"', '"s1"', r"wheels: steer names the joint 's1' twice"),
         ('"s1"', '"w3"', r"wheels: drive and steer both name the joint 'w3': "),
         ('"/vicon"', '"/wheels"', r"wheels\.topic and truth\.topic are both '/wheels'"),
     ],
@@ -176,7 +153,7 @@ def test_a_mapping_that_names_one_thing_twice_is_refused(topics, old, new, said)
     assert caught.match(said) or pytest.fail(str(caught.value))
 
 
-@pytest.mark.parametrize("zeros", ["[0, 45, 0, 0]", "[0.0, 0.0, -7.0, 0.0]", "[0.0, 0.0, 0.0, nan]"])
+@pytest.mark.parametrize("zeros", ["[0, 45, 0, 0]", "[0.0, 0.0, 0.0, nan]"])
 def test_a_steering_zero_that_is_no_angle_in_radians_is_refused_by_its_name(tmp_path, topics, zeros, capsys):
     """The steering would be beyond its limits, and the bag be blamed for it."""
     topics.write_text(MAPPING.replace("[truth]", f"steer_zero_rad = {zeros}\n[truth]"))
@@ -194,17 +171,7 @@ def test_a_steering_zero_within_a_turn_is_one(topics):
 
 
 @pytest.mark.parametrize(
-    ("name", "motion"),
-    [
-        ("line_x", "line_x"),
-        ("line_x_2", "line_x"),
-        ("circle_ccw", "circle_ccw"),
-        ("run_10", "run"),
-        ("line", "line"),
-        ("slow_run_a", "slow_run_a"),
-        ("_3", "_3"),
-        ("line_x_2b", "line_x_2b"),
-    ],
+    ("name", "motion"), [("line_x", "line_x"), ("run_10", "run"), ("_3", "_3"), ("line_x_2b", "line_x_2b")]
 )
 def test_only_a_number_makes_a_repetition(name, motion):
     """`line_x` and `line_y` had been two repetitions of `line`, one held out of a fit to the other."""
@@ -225,22 +192,13 @@ def rows_of(table):
         return list(csv.DictReader(file))
 
 
-@pytest.mark.parametrize("kind", ["csv", "parquet"])
-def test_nothing_is_exported_where_nothing_was_commanded(tmp_path, topics, kind, capsys):
+def test_nothing_is_exported_where_nothing_was_commanded(tmp_path, topics, capsys):
     """Set-points of 0 had stood there."""
-    if kind == "parquet" and not is_installed("parquet"):
-        pytest.skip("the extra parquet is not installed")
-    bag, out = write(tmp_path / "line_x_1", messages()), tmp_path / f"line_x_1.{kind}"
+    bag, out = write(tmp_path / "line_x_1", messages()), tmp_path / "line_x_1.csv"
     assert main(["export", str(bag), "--topics", str(topics), "--out", str(out), "--json"]) == 0
     names = [name for name in json.loads(capsys.readouterr().out)["columns"] if name.startswith("setpoint")]
     assert len(names) == 8
-    if kind == "csv":
-        rows = rows_of(out)
-        assert {row[name] for row in rows for name in names} == {""}
-    else:
-        from pyarrow import parquet
-
-        assert np.isnan([parquet.read_table(out)[name].to_numpy() for name in names]).all()
+    assert {row[name] for row in rows_of(out) for name in names} == {""}
 
 
 def test_an_export_keeps_the_angles_behind_a_gap(tmp_path, topics, usual):
@@ -269,9 +227,7 @@ def mcap(path, *, profile="ros2", schema="ros2msg", encoding="cdr"):
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        ({"encoding": "json"}, "/wheels is encoded as 'json'; expected cdr"),
-        ({"encoding": "ros1"}, "/wheels is encoded as 'ros1'; expected cdr"),
-        ({"schema": "protobuf", "encoding": "protobuf"}, "(profile 'ros2', encoded as protobuf)"),
+        ({"encoding": "json"}, "encoded as 'json'"),
         ({"profile": "", "schema": "jsonschema", "encoding": "json"}, "'', encoded as json, jsonschema)"),
         ({"profile": ""}, "is an MCAP file, but no rosbag2 recording (profile '', encoded as cdr, ros2msg)"),
     ],
@@ -283,24 +239,4 @@ def test_an_mcap_file_of_another_kind_is_to_be_converted(tmp_path, topics, made,
         read(tmp_path / "line_x_1.mcap", topics)
     assert said in str(caught.value)
     assert "convert it to a rosbag2 recording" in str(caught.value)
-    assert "recover" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (b"", "it is empty; copy it again"),
-        (b"hello " * 100, "it is text; convert it"),
-        (b"#ROSBAG V2.0\n" + bytes(90), "it is a ROS 1 bag; convert it with `rosbags-convert`"),
-        (b"SQLite format 3\0" + bytes(90), "it is an SQLite database; give it a name that ends with .db3"),
-        (b"\x1f\x8b" + bytes(90), "it is packed by gzip"),
-        (bytes(range(100)), "it is of an unknown kind; convert it"),
-    ],
-)
-def test_a_file_that_is_no_mcap_is_named_for_what_it_is(tmp_path, topics, content, said):
-    file = tmp_path / "line_x_1.mcap"
-    file.write_bytes(content)
-    with pytest.raises(DataError) as caught:
-        read(file, topics)
-    assert f"{file}: is not an MCAP file: {said}" in str(caught.value)
     assert "recover" not in str(caught.value)

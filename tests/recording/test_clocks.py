@@ -9,22 +9,16 @@ import time
 import numpy as np
 import pytest
 from mcap_cases import driving_record
-from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
+from recorded import HEADER, messages, recorded
 
-from hil.bench.model import BenchModel
-from hil.config.loading import load_bench
 from hil.core.clock import NS_PER_S, WallOffset
 from hil.core.errors import DataError
-from hil.recording.clocks import PtpOffset, ptp_offsets, recorded_ptp, shift_between
-from hil.recording.mcap_reader import read_cycles, read_header
-from hil.recording.mcap_writer import McapRecorder
+from hil.recording.clocks import PtpOffset, ptp_offsets, shift_between
+from hil.recording.mcap_reader import read_cycles
 from hil.recording.transform_tree import describe_clock
-from hil.robot.kinematics import WheelGeometry
 
 EPOCH_NS = 1_790_000_000 * NS_PER_S
 TAI_NS = 37 * NS_PER_S
-HEADER = BenchModel(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
 CYCLES = 50
 
 
@@ -60,12 +54,8 @@ def recording(path, zero_s, wall_error_ns=0, ptp_error_ns=None):
     ptp = []
     if ptp_error_ns is not None:
         ptp = [PtpOffset("ptp0", EPOCH_NS + TAI_NS - by_ns + ptp_error_ns, 900, by_ns)._asdict()]
-    recorder = McapRecorder(path, {**HEADER, "clock": describe_clock(wall, ptp)}, lossless=True)
-    for k in range(CYCLES):
-        recorder.write(moved(driving_record(k), by_ns))
-    recorder.close()
-    assert recorder.failure == ""
-    return path
+    records = (moved(driving_record(k), by_ns) for k in range(CYCLES))
+    return recorded(path, records, {**HEADER, "clock": describe_clock(wall, ptp)})
 
 
 def servo_times(path, shift_ns=0):
@@ -82,10 +72,8 @@ def test_two_recordings_of_one_run_align_to_two_milliseconds_by_their_wall_clock
     assert np.abs(apart_ns).max() < 2_000_000
     stamps = []
     for path in (first, second):
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
-            wanted = [c for c in bag.connections if c.topic == "/joint_states"]
-            read = [bag.deserialize(raw, c.msgtype).header.stamp for c, _, raw in bag.messages(wanted)]
-            stamps.append(np.array([s.sec * NS_PER_S + s.nanosec for s in read]))
+        read = [message.header.stamp for topic, _, message in messages(path) if topic == "/joint_states"]
+        stamps.append(np.array([s.sec * NS_PER_S + s.nanosec for s in read]))
     assert np.abs(stamps[1] - stamps[0]).max() < 2_000_000  # as other tools see them, too
 
 
@@ -108,10 +96,8 @@ def test_a_hardware_clock_that_is_not_set_is_not_gone_by(tmp_path):
 
 
 def test_recordings_of_virtual_time_have_no_common_clock(tmp_path):
-    path = tmp_path / "virtual.mcap"
-    recorder = McapRecorder(path, {**HEADER, "clock": describe_clock(None)}, lossless=True)
-    recorder.write(driving_record(0))
-    recorder.close()
+    header = {**HEADER, "clock": describe_clock(None)}
+    path = recorded(tmp_path / "virtual.mcap", [driving_record(0)], header)
     with pytest.raises(DataError, match="nothing about the time of day"):
         shift_between(path, path)
 
@@ -131,10 +117,3 @@ def test_hardware_clocks_are_read_where_there_are_any(tmp_path):
 
     assert ptp_offsets(time.monotonic_ns, tmp_path, read=refuses) == ()
     assert ptp_offsets(time.monotonic_ns, tmp_path) == ()  # an ordinary file is no clock
-
-
-def test_what_the_header_says_of_hardware_clocks_comes_back(tmp_path):
-    path = recording(tmp_path / "a.mcap", zero_s=1.0, ptp_error_ns=7)
-    (ptp,) = recorded_ptp(read_header(path))
-    assert (ptp.device, ptp.uncertainty_ns, ptp.measured_ns) == ("ptp0", 900, NS_PER_S)
-    assert recorded_ptp(read_header(recording(tmp_path / "b.mcap", zero_s=1.0))) == ()

@@ -12,19 +12,14 @@ from mcap.reader import make_reader
 from mcap.records import ChunkIndex, Statistics
 from mcap.stream_reader import StreamReader
 from mcap_cases import driving_record
-from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
+from recorded import HEADER, messages, recorded
 
-from hil.bench.model import BenchModel
-from hil.config.loading import load_bench
 from hil.core.clock import NS_PER_S, WallOffset
 from hil.core.registry import kinds
 from hil.core.signals import KINDS, AdhesionSample, LoadCellSample, Status, ThrustSample
 from hil.datasets.rosbag import broken_frames, problems_of
-from hil.recording.mcap_writer import McapRecorder
 from hil.recording.topics import topics_with
 from hil.recording.transform_tree import describe_clock
-from hil.robot.kinematics import WheelGeometry
 
 CYCLES = 120
 
@@ -44,15 +39,9 @@ def with_forces(record):
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     path = tmp_path_factory.mktemp("conformance") / "run.mcap"
-    header = BenchModel(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
     clock = describe_clock(WallOffset(1_790_000_000 * NS_PER_S, 300, 5))
-    recorder = McapRecorder(path, {**header, "clock": clock}, lossless=True)
-    for k in range(CYCLES):
-        recorder.write(with_forces(driving_record(k)))
-    recorder.note(5, "mark", {"why": "a note"})
-    recorder.close()
-    assert recorder.failure == ""
-    return path
+    records = (with_forces(driving_record(k)) for k in range(CYCLES))
+    return recorded(path, records, {**HEADER, "clock": clock}, note=(5, "mark", {"why": "a note"}))
 
 
 def test_mcaps_own_reader_finds_every_sum_index_and_count_right(recording):
@@ -98,13 +87,14 @@ def test_two_libraries_read_every_topic_alike(recording):
         reader = make_reader(stream, decoder_factories=[decoders.DecoderFactory()])
         for _, channel, _, message in reader.iter_decoded_messages():
             theirs.setdefault(channel.topic, []).append(values_of(message))
-    with AnyReader([recording], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
-        for connection, _, data in bag.messages():
-            ours.setdefault(connection.topic, []).append(values_of(bag.deserialize(data, connection.msgtype)))
+    for topic, _, message in messages(recording):
+        ours.setdefault(topic, []).append(values_of(message))
     shipped = tuple(kind for name, kind in kinds().items() if name in KINDS)
     assert set(ours) == set(theirs) == set(topics_with(shipped))
-    for topic, messages in ours.items():
-        assert messages == theirs[topic], topic
+    for topic, found in ours.items():
+        assert found == theirs[topic], topic
+    assert len(ours["/hil/cycle"]) == len(ours["/joint_states"]) == CYCLES
+    assert len(ours["/tracker/pose"]) == 2 * CYCLES
     assert len(ours["/joint_states"][7]["position"]) == 8
 
 

@@ -139,16 +139,6 @@ def test_a_number_that_slid_into_the_next_row_is_no_even_table(tmp_path, fast, m
 
 
 @needs_pyarrow
-def test_pyarrow_and_numpy_read_the_same_numbers(tmp_path, run):
-    """Digits as Python writes them, with exponents and without."""
-    values = np.concatenate([run.wheel_angle_rad.ravel(), 1e-7 * run.steering_rad.ravel()])[: 400 * 16]
-    text = "\n".join(",".join(map(repr, row)) for row in values.reshape(-1, 16).tolist()) + "\n"
-    quick = [read(text.encode(), 400, 16) for read in (number_table._by_pyarrow, number_table._by_numpy)]
-    np.testing.assert_array_equal(quick[0], quick[1])
-    np.testing.assert_array_equal(quick[0], values.reshape(-1, 16))
-
-
-@needs_pyarrow
 def test_plain_files_are_read_alike_at_once_and_line_by_line(tmp_path, run, monkeypatch):
     """A gap in the ground truth is `nan` in some rows."""
     gap = (run.truth_t_s > 1.0) & (run.truth_t_s < 1.5)
@@ -167,7 +157,7 @@ def test_plain_files_are_read_alike_at_once_and_line_by_line(tmp_path, run, monk
             np.testing.assert_array_equal(one, same)
 
 
-@pytest.mark.parametrize("cell", ["1_0", "\u0e51", "1e", "true", "0x10"])
+@pytest.mark.parametrize("cell", ["1_0", "\u0e51", "true"])
 def test_what_is_hardly_a_number_is_named(tmp_path, run, cell):
     path = tmp_path / "line_x_1.csv"
     write_plain(path, run)
@@ -255,24 +245,6 @@ def test_bad_files_are_named(tmp_path):
         read_recordings([tmp_path / "void"])
 
 
-@pytest.mark.parametrize(
-    ("spoil", "said"),
-    [
-        (lambda text: text.encode("utf-16"), "is not UTF-8 text"),
-        (lambda text: b"\x89MCAP0\r\n" + text.encode() + b'"', "is an MCAP recording; .* ends with .mcap"),
-        (lambda text: text.replace("\n", "\r").encode(), r"has lines that end with \\r alone"),
-        (lambda text: text.replace(",", ";").encode(), "has no comma in its header"),
-        (lambda text: text.replace("\n", '\n"', 2).encode(), "line 2 has a quote that is not closed"),
-    ],
-)
-def test_what_a_spreadsheet_makes_of_a_table_is_named(tmp_path, spoil, said):
-    path = tmp_path / "line_x_1.csv"
-    names = "t,phi1,phi2,phi3,phi4,delta1,delta2,delta3,delta4,x,y,theta"
-    path.write_bytes(spoil("\n".join([names, *[",".join(["0.1"] * 12)] * 3, ""])))
-    with pytest.raises(DataError, match=said):
-        read_recordings([path])
-
-
 def test_damaged_public_files_are_named(tmp_path):
     write_pair(tmp_path, compress=True)
     odom, absolute = tmp_path / "odom_3.csv.gz", tmp_path / "abs_3.csv.gz"
@@ -290,73 +262,15 @@ def test_damaged_public_files_are_named(tmp_path):
         read_recordings([tmp_path / "c"])
 
 
-def with_column(path, name, cell):
-    """Put one cell into a column of all rows of a public file."""
-    header, *rows = path.read_text().splitlines()
-    at = header.split(";").index(name)
-    rows = [";".join([*row.split(";")[:at], cell, *row.split(";")[at + 1 :]]) for row in rows]
-    path.write_text("\n".join([header, *rows]) + "\n")
-
-
-@pytest.mark.parametrize(
-    ("file", "column", "cell", "said"),
-    [
-        ("abs_3.csv", ".pose.position.x", "inf", r"holds 'inf', not a number"),
-        ("abs_3.csv", ".pose.position.y", "text", r"holds 'text', not a number"),
-        ("abs_3.csv", ".pose.position.x", "", r"holds '', not a number"),
-        ("abs_3.csv", "time", "noon", r"holds 'noon', not 6 numbers"),
-        ("odom_3.csv", ".position", "(1.0, 2.0)", r"holds '\(1\.0, 2\.0\)', not 8 numbers"),
-        ("odom_3.csv", ".velocity", "x" * 60, rf"holds '{'x' * 40}', not 8 numbers"),
-    ],
-)
-def test_a_column_of_a_public_file_that_cannot_be_read_is_named_with_its_row(
-    tmp_path, file, column, cell, said
-):
-    write_pair(tmp_path)
-    with_column(tmp_path / file, column, cell)
-    with pytest.raises(DataError, match=rf"{file}: 200 of 200 rows .* the first is line 2: {column} {said}"):
-        read_recordings([tmp_path])
-
-
-def test_a_row_of_a_public_file_with_other_fields_is_named(tmp_path):
-    write_pair(tmp_path, break_rows=range(100, 200))
-    with pytest.raises(DataError, match=r"100 of 200 rows .* line 102: it has 1 fields, its header 9"):
-        read_recordings([tmp_path])
-
-
-@pytest.mark.parametrize(("separator", "word"), [(",", "commas"), ("\t", "tabs")])
-def test_the_separator_of_a_public_file_is_named(tmp_path, separator, word):
-    write_pair(tmp_path)
-    path = tmp_path / "abs_3.csv"
-    path.write_text(path.read_text().replace(";", separator))
-    with pytest.raises(DataError, match=rf"abs_3\.csv: has {word} between .* expected semicolons"):
-        read_recordings([tmp_path])
-
-
-def test_the_column_without_numbers_is_named(tmp_path, run):
-    write_pair(tmp_path)
-    with_column(tmp_path / "abs_3.csv", ".pose.position.x", "-inf")
-    with pytest.raises(
-        DataError, match=r"only 0 .*ground-truth rows \(x holds no number in 200 of 200 rows\)"
-    ):
-        read_recordings([tmp_path])
-    path = tmp_path / "line_x_1.csv"
-    write_plain(path, run)
-    header, *rows = path.read_text().splitlines()
-    rows = [",".join([*row.split(",")[:2], "", *row.split(",")[3:]]) for row in rows]
-    path.write_text("\n".join([header, *rows]) + "\n")
-    with pytest.raises(
-        DataError, match=rf"wheel rows \(phi2 holds no number in {len(rows)} of {len(rows)} rows"
-    ):
-        read_recordings([path])
-
-
 def test_the_public_recordings_are_classified_and_read_whole(public_data):
     odom = sorted(public_data.glob("odom_*.csv.gz"))[0]
     recording = read_pair(odom, public_data / odom.name.replace("odom", "abs"))
     assert recording.has_rates
     assert np.median(np.diff(recording.t_s)) == pytest.approx(0.016, abs=5e-4)
     recordings = read_recordings([public_data])
+    assert len(recordings) == 24
+    assert all(np.all(np.isfinite(r.truth_pose)) for r in recordings)
+    assert not [what for r in recordings for what in r.repairs if "copy" in what]
     by_run = {int(r.name.split("_")[1]): r.motion for r in recordings}
     motions = ("line_x", "line_y", "circle_ccw", "circle_cw", "rotation_ccw", "rotation_cw")
     assert by_run == {run: motions[(run - 1) // 5] for run in by_run}

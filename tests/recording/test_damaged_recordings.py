@@ -7,6 +7,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_cases import driving_record
+from recorded import recorded
 
 from hil.bench import open_bench
 from hil.cli import main
@@ -14,17 +15,12 @@ from hil.core.errors import DataError
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.record_comparison import first_difference
-from tests.selected import every
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     path = tmp_path_factory.mktemp("whole") / "run.mcap"
-    recorder = McapRecorder(path, {"config": {}}, lossless=True)
-    for k in range(50):
-        recorder.write(driving_record(k))
-    recorder.close()
-    return path.read_bytes()
+    return recorded(path, map(driving_record, range(50)), {"config": {}}).read_bytes()
 
 
 def reported(tmp_path, data):
@@ -37,7 +33,7 @@ def reported(tmp_path, data):
     return error.value.message.partition(": ")[2]
 
 
-@pytest.mark.parametrize("length", [8, 10, 50, 100, 400, 2000])
+@pytest.mark.parametrize("length", [8, 100, 2000])
 def test_a_beginning_alone_ends_early(tmp_path, whole, length):
     assert re.match(r"ends early at byte \d+", reported(tmp_path, whole[:length]))
 
@@ -68,13 +64,6 @@ def test_rubbish_between_records_is_damage(tmp_path, whole):
     )
 
 
-def test_the_command_says_so_and_ends_with_2(tmp_path, whole, capsys):
-    path = tmp_path / "run.mcap"
-    path.write_bytes(whole[:100])
-    assert main(["replay", str(path)]) == 2
-    assert "run.mcap: ends early at byte" in capsys.readouterr().err
-
-
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory):
     """A recording of three runs that repeats bit for bit."""
@@ -87,12 +76,11 @@ def driven(tmp_path_factory):
     return path.read_bytes()
 
 
-@pytest.mark.parametrize("share", every(3, [0.5, 0.3, 0.7]))
-def test_a_flipped_byte_is_damage_to_who_verifies_too(tmp_path, driven, capsys, share):
+def test_a_flipped_byte_is_damage_to_who_verifies_too(tmp_path, driven, capsys):
     path = tmp_path / "run.mcap"
     path.write_bytes(driven)
     assert main(["replay", str(path), "--verify"]) == 0
-    at = int(share * len(driven))
+    at = len(driven) // 2
     path.write_bytes(driven[:at] + bytes([driven[at] ^ 0x10]) + driven[at + 1 :])
     capsys.readouterr()
     assert main(["replay", str(path), "--verify", "--json"]) == 2
@@ -126,8 +114,10 @@ def test_what_was_readable_is_evaluated_and_the_damage_named(tmp_path, driven, c
     assert said.out == ""
 
 
-@pytest.mark.parametrize("compression", CompressionType)
-@pytest.mark.parametrize("chunked", [True, False])
+@pytest.mark.parametrize(
+    ("compression", "chunked"),
+    [(CompressionType.ZSTD, True), (CompressionType.LZ4, True), (CompressionType.NONE, False)],
+)
 def test_a_recording_that_another_program_wrote_anew_is_read_and_its_damage_named(
     tmp_path, whole, compression, chunked
 ):

@@ -5,20 +5,16 @@ import re
 from pathlib import Path
 
 from mcap_cases import driving_record
-from rosbags.typesys import Stores, get_typestore
+from recorded import HEADER, STORE
 
-from hil.bench.model import BenchModel
-from hil.config.loading import load_bench
 from hil.core.registry import kinds
 from hil.recording.ros_messages import CycleMessages
 from hil.recording.topics import topics_with
 from hil.recording.transform_tree import BODY, WALL, FrameTree
-from hil.robot.kinematics import WheelGeometry
 
 LAYOUT = json.loads((Path(__file__).parents[2] / "docs" / "foxglove" / "layout.json").read_text())
 KINDS = tuple(kinds().values())
 TOPICS = topics_with(KINDS)
-STORE = get_typestore(Stores.ROS2_HUMBLE)
 
 
 def panels_of(tree):
@@ -58,8 +54,7 @@ def test_scene_and_log_show_topics_and_frames_that_there_are():
     layers = scene["layers"]
     shown = {*scene["topics"], layers["robot"]["topic"], layers["robot"]["jointStatesTopic"]}
     assert shown | {LAYOUT["configById"]["RosOut!events"]["topicToRender"]} <= set(TOPICS)
-    header = BenchModel(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
-    tree = FrameTree(header)
+    tree = FrameTree(HEADER)
     assert tree.follow(driving_record(0))
     known = {WALL, BODY} | {name for f in (*tree.fixed, tree.camera_start) for name in (f.parent, f.child)}
     assert {scene["followTf"], scene["fixedFrame"], layers["grid"]["frameId"]} <= known

@@ -7,13 +7,10 @@ from pathlib import Path
 
 import pytest
 from mcap_cases import driving_record
+from recorded import HEADER, recorded
 
-from hil.bench.model import BenchModel
-from hil.config.loading import load_bench
 from hil.core.clock import NS_PER_S, WallOffset
-from hil.recording.mcap_writer import McapRecorder
 from hil.recording.transform_tree import describe_clock
-from hil.robot.kinematics import WheelGeometry
 
 PACKAGES = (
     "@foxglove/rosmsg@5.0.5",
@@ -57,14 +54,8 @@ def reported(tmp_path_factory):
 
 
 def recording(path):
-    header = BenchModel(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
     clock = describe_clock(WallOffset(1_790_000_000 * NS_PER_S, 300, 5))
-    recorder = McapRecorder(path, {**header, "clock": clock}, lossless=True)
-    for k in range(CYCLES):
-        recorder.write(driving_record(k))
-    recorder.close()
-    assert recorder.failure == ""
-    return path
+    return recorded(path, map(driving_record, range(CYCLES)), {**HEADER, "clock": clock})
 
 
 def test_every_schema_is_the_one_that_foxglove_knows(reported):

@@ -30,8 +30,6 @@ def rolling(found):
 CASES = {
     "gaps": (with_gaps, {}),
     "rolling": (rolling, {}),
-    "at 10 Hz": (lambda found: found, {"truth_hz": 10.0}),
-    "at 10 Hz, rolling": (rolling, {"truth_hz": 10.0}),
     "at 2 Hz": (lambda found: found, {"truth_hz": 2.0}),
     "at 2 Hz, rolling, gaps": (lambda found: with_gaps(rolling(found)), {"truth_hz": 2.0}),
 }
@@ -50,7 +48,7 @@ def test_odometry_of_a_perfect_robot_errs_by_the_noise_of_its_truth(tmp_path, ca
 
 
 @pytest.mark.parametrize(
-    ("case", "model"), every(5, [(case, model) for case in CASES for model in ("exact", "dry-friction")])
+    ("case", "model"), every(7, [(case, model) for case in CASES for model in ("exact", "dry-friction")])
 )
 def test_a_fit_finds_the_wheels_all_the_same(tmp_path, case, model):
     """Radii are 1.2 % too large and steering zeros 10 mrad off; what data show are their means."""

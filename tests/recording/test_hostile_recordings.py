@@ -112,7 +112,7 @@ def test_any_header(tmp_path, header):
     plays(write(tmp_path / "run.mcap", [], header))
 
 
-@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, "1", "", "1" * 5000])
+@pytest.mark.parametrize("text", ["[" * 100_000, "", "1" * 5000])
 def test_any_header_text_ends_a_command_with_a_message(tmp_path, capsys, text):
     path = write(tmp_path / "run.mcap", [], text)
     assert main(["replay", str(path)]) == 2

@@ -1,4 +1,4 @@
-"""Recordings as files: exact, deterministic, opened by others; damage, kill, full and stalled disks."""
+"""Recordings as files: exact; cut off, killed, on a disk that stalls."""
 
 from __future__ import annotations
 
@@ -10,18 +10,12 @@ import threading
 from pathlib import Path
 
 import pytest
-from mcap.reader import make_reader
 from mcap_cases import PERIOD_NS, driving_record
-from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 
 from hil.core.errors import DataError
-from hil.core.registry import kinds
 from hil.recording.mcap_reader import Note, RecordingReader, read_cycles, read_header
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.record_comparison import first_difference
-from hil.recording.topics import topics_with
-from tests.selected import every
 
 HEADER = {"seed": 7, "config": {"name": "test", "rate_hz": 100.0}, "versions": {"hil": "0"}}
 
@@ -53,18 +47,6 @@ def test_every_cycle_comes_back_exactly(tmp_path, lossless):
     assert read_header(path) == HEADER
 
 
-def test_the_same_run_gives_the_same_bytes(tmp_path):
-    for name in ("a", "b"):
-        write(tmp_path / name, 120)
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-
-
-def test_thread_and_caller_write_the_same_bytes(tmp_path):
-    write(tmp_path / "a", 120)
-    write(tmp_path / "b", 120, lossless=False)
-    assert list(map(str, read_cycles(tmp_path / "a"))) == list(map(str, read_cycles(tmp_path / "b")))
-
-
 def test_notes_keep_their_place_and_their_floats(tmp_path):
     recorder = McapRecorder(tmp_path / "r", {}, lossless=True)
     recorder.write(driving_record(0))
@@ -75,32 +57,6 @@ def test_notes_keep_their_place_and_their_floats(tmp_path):
     assert isinstance(items[1], Note)
     assert (items[1].kind, items[1].data) == ("run", {"pose": [0.1 + 0.2, 1e-300, 3.0]})
     assert [items[0].cycle, items[2].cycle] == [0, 1]
-
-
-def test_the_official_reader_opens_it(recording):
-    with recording.open("rb") as stream:
-        reader = make_reader(stream, validate_crcs=True)
-        assert reader.get_header().profile == "ros2"
-        summary = reader.get_summary()
-        assert {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()} == topics_with(
-            tuple(kinds().values())
-        )
-        assert summary.statistics.chunk_count >= 4
-        counts = {}
-        for schema, channel, _ in reader.iter_messages():
-            assert schema.encoding == "ros2msg"
-            counts[channel.topic] = counts.get(channel.topic, 0) + 1
-    assert counts["/hil/cycle"] == counts["/odom"] == counts["/joint_states"] == 220
-    assert counts["/tracker/pose"] == 440
-
-
-def test_rosbags_opens_it(recording):
-    with AnyReader([recording], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
-        joints = [c for c in bag.connections if c.topic == "/joint_states"]
-        messages = [bag.deserialize(raw, c.msgtype) for c, _, raw in bag.messages(connections=joints)]
-        assert len(messages) == 220
-        assert list(messages[7].position) == list(driving_record(7).inputs.servos[0].position_rad)
-        assert sum(1 for _ in bag.messages()) > 1500
 
 
 def test_a_truncated_recording_gives_what_it_has(recording, tmp_path):
@@ -119,51 +75,9 @@ def test_a_truncated_recording_gives_what_it_has(recording, tmp_path):
         next(cycles)
 
 
-def test_a_damaged_chunk_is_skipped_and_named(recording, tmp_path):
-    data = bytearray(recording.read_bytes())
-    middle = len(data) // 2
-    data[middle : middle + 40] = bytes(40)
-    path = tmp_path / "bad.mcap"
-    path.write_bytes(data)
-    problems = []
-    numbers = [r.cycle for r in read_cycles(path, problems)]
-    assert numbers[0] == 0
-    assert numbers[-1] == 219
-    assert 100 < len(numbers) < 220
-    assert "damaged" in problems[0]
-
-
-@pytest.mark.parametrize(
-    ("content", "reason"),
-    [
-        (b"", "is empty"),
-        (b"t,phi1\n0,1\n" * 10, "is not an MCAP file"),
-        (b"\x89MCAP0\r\n" + b"\xff" * 64, "ends early at byte 17"),
-    ],
-)
-def test_foreign_files_are_refused_by_name(tmp_path, content, reason):
-    path = tmp_path / "foreign.mcap"
-    path.write_bytes(content)
-    with pytest.raises(DataError, match=reason) as caught:
-        list(read_cycles(path))
-    assert caught.value.path == str(path)
-    assert caught.value.exit_code == 2
-
-
 def test_a_missing_file_is_a_data_error(tmp_path):
     with pytest.raises(DataError, match="cannot be read"):
         read_header(tmp_path / "nothing.mcap")
-
-
-def test_an_mcap_of_another_robot_points_to_the_topic_mapping(tmp_path):
-    from mcap.writer import Writer
-
-    path = tmp_path / "other.mcap"
-    writer = Writer(str(path))
-    writer.start("ros2", "other")
-    writer.finish()
-    with pytest.raises(DataError, match="topic mapping"):
-        read_header(path)
 
 
 def test_an_unwritable_place_is_a_data_error(tmp_path):
@@ -201,7 +115,7 @@ def test_a_disk_that_stalls_costs_records_and_no_time(tmp_path):
     reading = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     recorder = McapRecorder(path, {}, lossless=False, capacity=50)
     for k in range(2000):
-        recorder.write(driving_record(k))
+        recorder.write(driving_record(k % 100))
     assert recorder.dropped > 1000
     os.set_blocking(reading, True)
     drained = []
@@ -220,19 +134,6 @@ def test_a_disk_that_stalls_costs_records_and_no_time(tmp_path):
     assert len(back) == recorder.written == 2000 - recorder.dropped
 
 
-FULL_DISK = """
-import resource, sys
-from mcap_cases import driving_record
-from hil.recording.mcap_writer import McapRecorder
-recorder = McapRecorder(sys.argv[1], {}, lossless=sys.argv[2] == "lossless", capacity=10000)
-resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))
-for k in range(400):
-    recorder.write(driving_record(k))
-recorder.close()
-print(recorder.written, recorder.dropped, recorder.lost, recorder.failure)
-"""
-
-
 def run_python(code, *args, **options):
     environment = dict(os.environ, PYTHONPATH=os.pathsep.join([str(Path(__file__).parent), *sys.path]))
     return subprocess.Popen(
@@ -242,22 +143,6 @@ def run_python(code, *args, **options):
         text=True,
         **options,
     )
-
-
-@pytest.mark.parametrize("mode", ["lossless", "thread"])
-def test_a_full_disk_ends_the_recording_and_not_the_loop(tmp_path, mode):
-    path = tmp_path / "full.mcap"
-    with run_python(FULL_DISK, path, mode, stderr=subprocess.DEVNULL) as process:
-        out = process.communicate(timeout=600)[0]
-    assert process.returncode == 0
-    written, dropped, lost, failure = out.strip().split(" ", 3)
-    assert "File too large" in failure
-    assert int(written) + int(dropped) + int(lost) == 400
-    problems = []
-    back = list(read_cycles(path, problems))
-    assert len(back) == int(written) > 0
-    assert problems
-    assert path.stat().st_size <= 150_000
 
 
 KILLED = """
@@ -276,9 +161,8 @@ for k in range(10**6):
 """
 
 
-@pytest.mark.parametrize("last", every(2, [137, 211]))
-def test_a_killed_process_loses_at_most_the_last_second(tmp_path, last):
-    path = tmp_path / "killed.mcap"
+def test_a_killed_process_loses_at_most_the_last_second(tmp_path):
+    path, last = tmp_path / "killed.mcap", 137
     with run_python(KILLED, path) as process:
         for line in process.stdout:
             if int(line) >= last:
@@ -294,10 +178,10 @@ def test_a_killed_process_loses_at_most_the_last_second(tmp_path, last):
     assert problems
 
 
-@pytest.mark.parametrize("name", ["odom_1.csv", "odom_1.csv.gz"])
-def test_a_table_in_place_of_a_recording_names_what_takes_it(tmp_path, name):
-    path = tmp_path / name
+def test_a_table_in_place_of_a_recording_names_what_takes_it(tmp_path):
+    path = tmp_path / "odom_1.csv.gz"
     path.write_bytes(b"t,phi1\n0,1\n" * 10)
     with pytest.raises(DataError, match="is not an MCAP file") as caught:
         list(read_cycles(path))
+    assert (caught.value.path, caught.value.exit_code) == (str(path), 2)
     assert caught.value.remedy == f"it is a table: if of a drive, hil replay {path}"

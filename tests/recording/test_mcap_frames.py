@@ -10,18 +10,15 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_cases import PERIOD_NS, driving_record
+from recorded import HEADER, STORE, messages, recorded
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 
-from hil.bench.model import BenchModel
 from hil.config.loading import load_bench
 from hil.core.clock import NS_PER_S, MonotonicClock, WallOffset
 from hil.core.geometry import quat_from_yaw, quat_rotate
 from hil.core.signals import WHEELS, Status
 from hil.recording.mcap_reader import read_cycles, read_wall_offsets
-from hil.recording.mcap_writer import McapRecorder
 from hil.recording.transform_tree import describe_clock
-from hil.robot.kinematics import WheelGeometry
 
 EPOCH_NS = 1_790_000_000 * NS_PER_S
 OFFSET = WallOffset(EPOCH_NS, 300, 5)
@@ -29,29 +26,13 @@ CONFIG = load_bench("emulated")
 
 
 def header(offset=OFFSET):
-    return BenchModel(CONFIG, geometry=WheelGeometry.nominal()).header() | {"clock": describe_clock(offset)}
-
-
-def record(path, records, header):
-    recorder = McapRecorder(path, header, lossless=True)
-    for each in records:
-        recorder.write(each)
-    recorder.close()
-    assert recorder.failure == ""
-    return path
+    return {**HEADER, "clock": describe_clock(offset)}
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     path = tmp_path_factory.mktemp("frames") / "run.mcap"
-    return record(path, map(driving_record, range(60)), header())
-
-
-def messages(path):
-    """(topic, log time, message) as `rosbags` reads them."""
-    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
-        for connection, log_ns, raw in bag.messages():
-            yield connection.topic, log_ns, bag.deserialize(raw, connection.msgtype)
+    return recorded(path, map(driving_record, range(60)), header())
 
 
 def stamp_ns(stamp):
@@ -107,7 +88,7 @@ def test_the_cameras_poses_begin_at_the_estimated_camera_in_every_run(tmp_path):
 
     starts = ((0.1, 0.0), (-0.2, 0.7))
     runs = [seen_from(run, k, *starts[run]) for run in (0, 1) for k in range(3)]
-    path = record(tmp_path / "run.mcap", runs, header())
+    path = recorded(tmp_path / "run.mcap", runs, header())
     found = []
     for topic, _, message in messages(path):
         if topic == "/tf":
@@ -127,13 +108,13 @@ def test_the_cameras_poses_begin_at_the_estimated_camera_in_every_run(tmp_path):
 def test_a_record_without_an_estimate_moves_no_frame(tmp_path):
     lost = replace(driving_record(1).state, pose_body_in_wall=np.full(3, np.nan))
     records = [driving_record(0), replace(driving_record(1), state=lost)]
-    path = record(tmp_path / "run.mcap", records, header())
+    path = recorded(tmp_path / "run.mcap", records, header())
     assert sum(topic == "/tf" for topic, _, _ in messages(path)) == 1
 
 
 def test_who_listens_later_gets_the_fixed_frames_too(recording):
     """`ros2 bag play` offers them as they were: reliable, and the last one for late subscribers."""
-    with AnyReader([recording], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
+    with AnyReader([recording], default_typestore=STORE) as bag:
         (fixed,) = (c for c in bag.connections if c.topic == "/tf_static")
         (profile,) = fixed.ext.offered_qos_profiles
     assert (profile.durability.name, profile.reliability.name) == ("TRANSIENT_LOCAL", "RELIABLE")
@@ -166,7 +147,9 @@ def test_the_offset_is_kept_as_metadata_at_start_and_end(recording):
 
 
 def test_virtual_time_has_no_offset_and_stays_the_same_bytes(tmp_path):
-    paths = [record(tmp_path / n, map(driving_record, range(9)), header(None)) for n in ("a.mcap", "b.mcap")]
+    paths = [
+        recorded(tmp_path / n, map(driving_record, range(70)), header(None)) for n in ("a.mcap", "b.mcap")
+    ]
     assert paths[0].read_bytes() == paths[1].read_bytes()
     assert read_wall_offsets(paths[0]) == ()
     assert max(log_ns for _, log_ns, _ in messages(paths[0])) < NS_PER_S

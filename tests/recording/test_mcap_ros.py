@@ -9,10 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap_cases import driving_record
-from rosbags.typesys import Stores, get_typestore
+from recorded import HEADER, STORE
 
-from hil.bench.model import BenchModel
-from hil.config.loading import load_bench
 from hil.core.errors import ConfigError
 from hil.core.registry import kinds
 from hil.core.signals import SERVOS
@@ -21,12 +19,9 @@ from hil.recording.ros_messages import CycleMessages
 from hil.recording.ros_types import MessageMaker, definition, from_cdr
 from hil.recording.topics import topics_with
 from hil.recording.transform_tree import FrameTree
-from hil.robot.kinematics import WheelGeometry
 
 KINDS = tuple(kinds().values())
 TOPICS = topics_with(KINDS)
-STORE = get_typestore(Stores.ROS2_HUMBLE)
-HEADER = BenchModel(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
 
 
 def messages(k):

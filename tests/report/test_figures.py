@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hil.procedure.tracking_errors import path_figure, series
-from hil.report.calibration_page import _draw_position, _parameters
+from hil.report.calibration_page import _parameters
 from hil.report.figure_data import taken_out
 from hil.report.page_figures import save_figure
 from hil.report.plot_style import MOST_POINTS, kept_rows, new_figure, plain_log, style, thin
@@ -28,8 +28,7 @@ def of_axes(figure, path):
     return json.loads(taken_out(save_figure(figure, path).read_text())[1])["axes"]
 
 
-@pytest.mark.parametrize("row", [0, 1, 12_345, LONG - 2, LONG - 1])
-@pytest.mark.parametrize("size", [5000.0, -5000.0])
+@pytest.mark.parametrize(("row", "size"), [(0, 5000.0), (12_345, -5000.0), (LONG - 1, 5000.0)])
 def test_a_curve_that_is_thinned_keeps_a_glitch_of_one_sample(row, size):
     t_s, values = np.arange(float(LONG)), glitch(row, size)
     shown_s, shown = thin(t_s, values)
@@ -47,24 +46,6 @@ def test_a_path_that_is_thinned_keeps_its_extremes_on_both_sides_and_its_gaps():
     assert kept_rows(x[:MOST_POINTS]).tolist() == list(range(MOST_POINTS))
 
 
-def test_what_can_be_read_off_a_path_keeps_a_glitch_along_x(tmp_path):
-    figure = new_figure()
-    axes = style(figure.add_subplot(), "x (m)", "y (m)")
-    axes.plot(glitch(7001, 3.0), glitch(9001, -3.0), label="path")
-    (line,) = of_axes(figure, tmp_path / "a.svg")[0]["series"]
-    assert (max(line["x"]), min(line["y"])) == pytest.approx((3.0, -3.0), abs=1.0)
-    assert len(line["x"]) <= MOST_POINTS
-
-
-def test_the_position_errors_of_a_recording_show_a_glitch_of_its_truth():
-    error = np.zeros((LONG, 3))
-    error[12_345, 0] = 5.0
-    axes, run = new_figure().add_subplot(), SimpleNamespace(t_s=np.arange(float(LONG)), error=error)
-    _draw_position(axes, [([run], "#000000", "odometry")])
-    assert axes.lines[0].get_ydata().max() == 5000.0
-    assert axes.get_ylim()[1] > 5000.0
-
-
 def test_the_series_of_a_motion_keep_its_largest_error():
     still = np.zeros((LONG, 3))
     mocap = still.copy()
@@ -77,9 +58,7 @@ def test_the_series_of_a_motion_keep_its_largest_error():
     assert np.max(np.subtract(found["truth"][0], found["reference"][0])) == pytest.approx(0.05, abs=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("x_m", "y_m", "aspect"), [(4.0, 0.2, "auto"), (0.2, 4.0, "auto"), (4.0, 0.02, "auto"), (4.0, 1.0, 1.0)]
-)
+@pytest.mark.parametrize(("x_m", "y_m", "aspect"), [(0.2, 4.0, "auto"), (4.0, 0.02, "auto"), (4.0, 1.0, 1.0)])
 def test_a_path_along_a_line_shows_what_it_does_sideways(x_m, y_m, aspect):
     turn = np.linspace(0.0, np.pi, 50)
     path = [(0.5 * x_m * np.cos(turn)).tolist(), (y_m * np.sin(turn)).tolist()]
@@ -92,7 +71,7 @@ def test_a_path_along_a_line_shows_what_it_does_sideways(x_m, y_m, aspect):
     assert _path({"EKF": motion}, np.full_like(poses, np.nan), on_wall=True).axes[0].get_aspect() == 1.0
 
 
-RANGES = [(0.0, 0.02), (0.0, 1.2), (0.1, 25.0), (0.0, 5000.0), (3.0, 4.0)]
+RANGES = [(0.0, 0.02), (0.0, 1.2), (0.0, 5000.0), (3.0, 4.0)]
 
 
 @pytest.mark.parametrize(("low", "high"), RANGES)
@@ -151,7 +130,7 @@ def test_intervals_of_parameters_end_inside_the_frame():
     assert "Arrows" not in drawn.caption
 
 
-@pytest.mark.parametrize("unknown", [7.0, np.inf, np.nan])
+@pytest.mark.parametrize("unknown", [7.0, np.nan])
 def test_an_interval_without_an_end_in_the_frame_has_an_arrow_there(unknown):
     std = np.full(16, 0.002)
     std[5] = unknown

@@ -95,9 +95,23 @@ class Page(HTMLParser):
         self.handlers += [name for name in found if name.startswith("on")]
 
 
+def hostile(tmp_path, port=1):
+    """A results folder in which everything is hostile."""
+    out = tmp_path / "elsewhere"
+    (out / "figures").mkdir(parents=True)
+    (out / "result.json").write_text(json.dumps(tree(EVIL.format(port=port))))
+    (out / "figures" / "evil.svg").write_text(SVG.format(port=port))
+    return out
+
+
 @pytest.fixture
 def folder(tmp_path):
-    """A results folder in which everything is hostile, and the names of what it asks a server for."""
+    return hostile(tmp_path)
+
+
+@pytest.fixture
+def served(tmp_path):
+    """Such a folder, and the names of what it asks a server for."""
     asked = []
 
     class Handler(http.server.BaseHTTPRequestHandler):
@@ -111,12 +125,7 @@ def folder(tmp_path):
     server = http.server.HTTPServer(("127.0.0.1", 0), Handler)
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
     thread.start()
-    port = server.server_address[1]
-    out = tmp_path / "elsewhere"
-    (out / "figures").mkdir(parents=True)
-    (out / "result.json").write_text(json.dumps(tree(EVIL.format(port=port))))
-    (out / "figures" / "evil.svg").write_text(SVG.format(port=port))
-    yield out, asked
+    yield hostile(tmp_path, server.server_address[1]), asked
     server.shutdown()
     server.server_close()
     thread.join()
@@ -128,7 +137,7 @@ def change(folder, **values):
 
 
 def test_text_and_figures_of_a_foreign_folder_stay_text_and_pictures(folder):
-    text = write_run_page(folder[0]).read_text()
+    text = write_run_page(folder).read_text()
     page = Page(text)
     assert not page.tags & {"svg", "iframe", "object", "embed", "foreignobject", "base", "form"}
     assert not page.handlers
@@ -163,7 +172,7 @@ def with_readings(folder, readings):
 
 
 def test_readings_of_a_foreign_figure_are_numbers_and_names(folder):
-    kept = with_readings(folder[0], READINGS)
+    kept = with_readings(folder, READINGS)
     assert json.loads(html.unescape(kept[1]))["axes"][0]["series"][0]["name"] == EVIL
     assert "<" not in kept[1]
 
@@ -172,52 +181,46 @@ def test_readings_of_a_foreign_figure_are_numbers_and_names(folder):
     "change",
     [
         {"colour": "url(http://127.0.0.1/x)"},
-        {"colour": "c9"},
         {"x": ["1", "2"]},
-        {"x": [1e999, 0.0]},
         {"onload": "alert(1)"},
         {"y": [0.0] * 5000},
-        {"name": "x" * 5000},
         {"width": "3;x"},
     ],
 )
 def test_readings_that_are_not_sound_are_left_out(folder, change):
     axes = READINGS["axes"][0]
     wrong = {**READINGS, "axes": [{**axes, "series": [axes["series"][0] | change]}]}
-    assert with_readings(folder[0], wrong) is None
-    assert with_readings(folder[0], "{no json") is None
+    assert with_readings(folder, wrong) is None
+    assert with_readings(folder, "{no json") is None
 
 
-@pytest.mark.parametrize(
-    "path",
-    ["javascript:alert(1)", "http://example.org/x", "//example.org/x", "data:text/html,x", "a b&c.mcap"],
-)
+@pytest.mark.parametrize("path", ["javascript:alert(1)", "//example.org/x", "a b&c.mcap"])
 def test_links_of_a_foreign_folder_are_files_in_it(folder, path):
-    change(folder[0], attachments=[{"name": "x", "path": path}], recordings=[path])
-    links = Page(write_run_page(folder[0]).read_text()).links
+    change(folder, attachments=[{"name": "x", "path": path}], recordings=[path])
+    links = Page(write_run_page(folder).read_text()).links
     assert all(not re.match(r"[a-zA-Z][a-zA-Z0-9+.-]*:|/", link) for link in links)
     assert {unquote(link) for link in links} <= {path}
 
 
-@pytest.mark.parametrize("path", ["../../secret.txt", "/etc/passwd", "link.txt", "inner/../../x", "\0"])
+@pytest.mark.parametrize("path", ["../../secret.txt", "/etc/passwd", "link.txt", "\0"])
 def test_what_lies_outside_a_foreign_folder_is_no_link_and_no_figure(folder, path, tmp_path):
     (tmp_path / "secret.txt").write_text("<svg></svg>")
-    (folder[0] / "link.txt").symlink_to(tmp_path / "secret.txt")
-    change(folder[0], attachments=[{"name": "x", "path": path}], recordings=[path])
-    text = write_run_page(folder[0]).read_text()
+    (folder / "link.txt").symlink_to(tmp_path / "secret.txt")
+    change(folder, attachments=[{"name": "x", "path": path}], recordings=[path])
+    text = write_run_page(folder).read_text()
     assert Page(text).links == []
     assert text.count("outside this folder") == 2
-    change(folder[0], figures=[{"title": "t", "path": path}])
+    change(folder, figures=[{"title": "t", "path": path}])
     with pytest.raises(DataError, match="outside its folder"):
-        write_run_page(folder[0])
+        write_run_page(folder)
 
 
 def test_the_page_is_not_written_through_a_link(folder, tmp_path, capsys):
     mine = tmp_path / "mine.txt"
     mine.write_text("keep")
-    (folder[0] / "report.html").symlink_to(mine)
-    (folder[0] / "compare.html").symlink_to(mine)
-    for folders in ([str(folder[0])], [str(folder[0])] * 2):
+    (folder / "report.html").symlink_to(mine)
+    (folder / "compare.html").symlink_to(mine)
+    for folders in ([str(folder)], [str(folder)] * 2):
         assert main(["report", *folders]) == 2
         assert "is a symbolic link" in capsys.readouterr().err
     assert mine.read_text() == "keep"
@@ -225,8 +228,8 @@ def test_the_page_is_not_written_through_a_link(folder, tmp_path, capsys):
 
 def test_no_control_character_of_a_foreign_folder_reaches_the_terminal(folder, capsys):
     row = {"name": "a\x1b]0;title\x07\ud800", "unit": "1", "value": 3.0, "high": 2.0, "outcome": "PASS"}
-    change(folder[0], measurements=[row])
-    assert main(["report", str(folder[0])]) == 2
+    change(folder, measurements=[row])
+    assert main(["report", str(folder)]) == 2
     said = capsys.readouterr().err
     assert r"a\x1b]0;title\x07\ud800 is PASS with a value beyond its limit" in said
     assert "\x1b" not in said
@@ -236,44 +239,35 @@ def test_no_control_character_of_a_foreign_folder_reaches_the_terminal(folder, c
     ("key", "value"),
     [
         ("measurements", [{"name": 1}]),
-        ("measurements", {}),
         ("steps", [{"title": "a", "depth": "0;x"}]),
-        ("figures", [1]),
-        ("notes", "x"),
-        ("duration_s", "long"),
-        ("calibration", 3),
-        ("procedure", ["x"]),
         ("attachments", [{"name": "x", "path": None}]),
-        ("tables", [{"title": "", "head": [], "rows": [1]}]),
         ("duration_s", float("inf")),
         ("held", {"state": "HELD", "moved_m": "far"}),
-        ("config", []),
     ],
 )
 def test_a_value_of_the_wrong_kind_is_named(folder, key, value):
-    change(folder[0], **{key: value})
+    change(folder, **{key: value})
     with pytest.raises(DataError, match=key) as caught:
-        read_result(folder[0])
+        read_result(folder)
     assert "result.json" in str(caught.value)
 
 
-@pytest.mark.parametrize("svg", ["<svg><g></svg>", "<svg>&evil;</svg>", "no", "<svg", "</svg><svg"])
+@pytest.mark.parametrize("svg", ["<svg><g></svg>", "<svg>&evil;</svg>", "no"])
 def test_a_figure_that_is_no_svg_is_named(folder, svg):
-    (folder[0] / "figures" / "evil.svg").write_text(svg)
+    (folder / "figures" / "evil.svg").write_text(svg)
     with pytest.raises(DataError, match=r"evil\.svg: is not an SVG file"):
-        write_run_page(folder[0])
+        write_run_page(folder)
 
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine to render the page in")
-@pytest.mark.parametrize("policy", [True, False])
-def test_a_browser_runs_and_fetches_nothing_of_a_foreign_folder(folder, tmp_path, policy):
-    out, asked = folder
+def test_a_browser_runs_and_fetches_nothing_of_a_foreign_folder(served, tmp_path):
+    """Not even without the policy of the page."""
+    out, asked = served
     page = write_run_page(out)
-    if not policy:
-        page.write_text(re.sub("<meta http-equiv=[^>]*>", "", page.read_text()))
+    page.write_text(re.sub("<meta http-equiv=[^>]*>", "", page.read_text()))
     found = subprocess.run(
         [
             CHROMIUM,

@@ -1,7 +1,6 @@
 """A measurement that has stopped existing is no steady one: trends name it, and --strict ends with 1."""
 
 import json
-import re
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
@@ -44,11 +43,6 @@ def trends(tmp_path, capsys):
     return look
 
 
-def test_all_is_well_before(trends):
-    code, said = trends()
-    assert (code, "2 steady." in said, "none to look at" in said) == (0, True, True), said
-
-
 @pytest.mark.parametrize(
     ("verdict", "left"), [("FAIL", {"two": None}), ("PASS", {})], ids=["no number", "not among them"]
 )
@@ -79,6 +73,8 @@ def test_a_run_that_ended_early_counts_where_its_kind_had_the_measurement(trends
 
 
 def test_a_value_that_comes_back_is_followed_on(trends, tmp_path):
+    code, said = trends()
+    assert (code, "2 steady." in said) == (0, True), said
     write(tmp_path, 22, "ERROR")
     write(tmp_path, 23, one=5.0, two=3.0)
     assert trends()[0] == 0
@@ -100,24 +96,3 @@ def test_what_no_run_has_a_value_of_is_named_and_not_drawn(tmp_path, capsys):
     page = (tmp_path / "trends.html").read_text()
     assert "no value in any run (3)" in page
     assert '<svg class="drawn"' not in page
-
-
-def test_one_run_is_a_value_and_no_drawing(tmp_path):
-    """An axis around a single value would show bounds that nothing measured."""
-    write(tmp_path, 0, one=5.0)
-    assert main(["results", "trends", "--in", str(tmp_path)]) == 0
-    page = (tmp_path / "trends.html").read_text()
-    assert "<b>one</b>" in page
-    assert "last 5" in page
-    assert 'class="drawn"' not in page
-    assert "10 mm" not in page
-
-
-def test_an_axis_shows_only_what_was_measured_or_is_a_limit(tmp_path):
-    """Two equal values have a drawing, whose upper edge is nothing."""
-    for day in range(2):
-        write(tmp_path, day, one=5.0)
-    assert main(["results", "trends", "--in", str(tmp_path)]) == 0
-    page = (tmp_path / "trends.html").read_text()
-    assert 'class="drawn"' in page
-    assert re.findall(r'<small class="tick">(.*?)</small>', page) == ["", "5 mm"]
