@@ -35,12 +35,9 @@ def drives(motions):
 @pytest.mark.parametrize(
     ("motions", "missing"),
     [
-        (MOTIONS, ()),
         (("line_x", "line_y", "rotation_ccw"), ()),
         (("line_y", "circle_ccw", "circle_cw"), ()),
         ([m for m in MOTIONS if m != "line_y"], ("sideways",)),
-        (("line_x",), ("sideways", "turning")),
-        (("line_y", "rotation_cw"), ("forward",)),
         (("line_y", "circle_ccw"), ("forward", "turning")),
         (("diagonal", "rotation_ccw"), ("forward", "sideways")),
     ],

@@ -12,7 +12,6 @@ from hil.core.errors import DataError
 from hil.datasets.cleaning import Log
 from hil.datasets.dataset import build_recording
 from hil.datasets.nominal_robot import Nominal
-from hil.datasets.read import read_recordings
 from hil.robot.kinematics import WheelGeometry
 
 CAD = WheelGeometry.nominal()
@@ -144,7 +143,3 @@ def test_a_robot_of_any_size_and_noise_of_millimetres_are_no_leaps(scale):
         pose += rng.normal(0.0, 1.0, pose.shape) * (0.003, 0.003, 0.005)
 
     assert line(shake, hidden_robot(4, nominal=robot))[1].repairs == {}
-
-
-def test_the_real_recordings_leap_nowhere(public_data):
-    assert not any("leap" in what for one in read_recordings([public_data]) for what in one.repairs)

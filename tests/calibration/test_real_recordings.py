@@ -7,13 +7,17 @@ import numpy as np
 import pytest
 
 from hil.calibration.calibrate import calibrate
+from hil.calibration.corrupt_recordings import corrupt
 from hil.calibration.evaluation import evaluate, track
 from hil.calibration.fitting import fit
 from hil.calibration.problem import RECOMMENDED, make_setting
 from hil.cli.calibrate import _text
 from hil.core.clock import MonotonicClock
 from hil.datasets.blocks import reduce_recordings
+from hil.datasets.nominal_robot import Nominal
 from hil.datasets.read import read_recordings
+from hil.datasets.time_offset import time_offset_s
+from hil.datasets.wrong_signs import check_signs, contradictions
 from hil.robot.kinematics import WheelGeometry
 
 # Table II with its two misprints corrected from the raw data (arXiv 2509.04016).
@@ -30,6 +34,15 @@ TABLE_2 = {
 @pytest.fixture(scope="module")
 def recordings(public_data):
     return read_recordings([public_data])
+
+
+def test_nothing_is_wrong_with_them(recordings):
+    """Neither damage nor signs, leaps, parts that were not seen or another clock are taken to be there."""
+    assert corrupt(recordings, Nominal()) == {}
+    check_signs(recordings, Nominal())
+    assert contradictions(recordings, WheelGeometry.nominal()) == []
+    assert not any("leap" in what or "not checked" in what for one in recordings for what in one.repairs)
+    assert max(abs(time_offset_s(one)) for one in recordings) < 0.015
 
 
 def test_nominal_errors_equal_table_2(recordings):

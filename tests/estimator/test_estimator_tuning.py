@@ -60,7 +60,6 @@ def seen_by_camera(seed):
 @pytest.mark.parametrize(
     ("name", "begin", "low", "high"),
     [
-        ("tracker.position_m", 1e-4, 0.7e-3, 1.3e-3),
         ("tracker.position_m", 2e-2, 0.7e-3, 1.3e-3),
         ("process.angular_acceleration_rad_s2_sqrt_hz", 3.0, 0.0, 0.1),
     ],

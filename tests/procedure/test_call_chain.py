@@ -45,9 +45,6 @@ def chained(ctx):
     except ValueError as error:
         raise KeyError("lost") from error
 
-def undeclared(ctx):
-    ctx.measure("valu", 1.0)
-
 def steered(ctx):
     bench = ctx.bench
     way = line(bench.start_state().pose_body_in_wall, [0.1, 0, 0], duration_s=3)
@@ -61,7 +58,6 @@ CASES = {
     "an exception": ("deep", ["run", "<lambda>", "middle", "deep"], "JSONDecodeError"),
     "one from another": ("chained", ["run", "<lambda>", "middle", "chained", "chained", "deep"], "KeyError"),
     "a controller": ("steered", ["run", "<lambda>", "middle", "steered", "update"], "ZeroDivisionError"),
-    "a refusal": ("undeclared", ["run", "<lambda>", "middle", "undeclared"], "UsageError"),
 }
 
 

@@ -10,6 +10,7 @@ import pytest
 from hil.bench import open_bench
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
+from hil.core.geometry import wrap_array
 from hil.loop.driven_motion import Motion
 from hil.procedure import procedure
 from hil.procedure.bench_request import BenchSource
@@ -110,6 +111,14 @@ def blind(motion, begin, end):
         wheels=motion.wheels,
         estimate=motion.estimate,
     )
+
+
+def test_errors_are_truth_minus_reference(driven):
+    errors, apart = tracking_errors(driven), driven.mocap - driven.reference
+    last = apart[driven.t_s > driven.t_s[-1] - 0.3].mean(axis=0)
+    assert errors["end_x"] == pytest.approx(1e3 * last[0])
+    assert errors["end_heading"] == pytest.approx(np.degrees(wrap_array(last)[2]))
+    assert errors["saturated_s"] == 0.0
 
 
 def test_what_was_seen_is_measured_and_the_rest_is_not(driven):
