@@ -18,6 +18,7 @@ from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.tracking_errors import stand
 from hil.recording.runs import read_runs
 from tests.patience import FANLESS
+from tests.procedure.in_turn import InTurn
 
 SHORT = {
     "cases": ["y_line"],
@@ -36,23 +37,15 @@ def run(folder, processes, *faults):
     return result, json.loads((folder / "result.json").read_text())
 
 
-@pytest.fixture(scope="module")
-def both(tmp_path_factory):
-    folders = [tmp_path_factory.mktemp("run") / str(processes) for processes in (1, 2)]
-    return [run(folder, processes)[1] for processes, folder in enumerate(folders, start=1)], folders
-
-
-def test_two_processes_leave_the_recordings_of_one(both):
-    (one, two), folders = both
+def test_two_processes_leave_what_one_leaves(tmp_path):
+    """Recordings to the byte, how the robot was left, and for how long it drove."""
+    folders = [tmp_path / str(processes) for processes in (1, 2)]
+    one, two = (run(folder, processes)[1] for processes, folder in enumerate(folders, start=1))
     names = ["recording_y_line_odometry_seed_3.mcap", "recording_y_line_ekf_seed_3.mcap"]
     assert one["recordings"] == two["recordings"] == names
     for name in names:
         first, second = ((folder / name).read_bytes() for folder in folders)
         assert first == second
-
-
-def test_two_processes_say_how_the_robot_was_left_and_for_how_long_it_drove(both):
-    one, two = both[0]
     assert one["held"]["state"] == "HELD"
     assert one["held"] == two["held"]
     assert one["measurements"] == two["measurements"]
@@ -141,13 +134,6 @@ def test_a_run_that_is_stopped_meanwhile_does_not_say_that_nothing_was_opened(tm
     assert "the process that drove it" in reported["held"]["why"]
     assert reported["recordings"] == ["recording_first.mcap"]
     assert reported["bench_duration_s"] == pytest.approx(0.1, abs=0.05)
-
-
-class InTurn:
-    """Workers that do one job after the other in this process."""
-
-    def at_once(self, work, jobs):
-        return map(work, jobs)
 
 
 @pytest.mark.parametrize(("asked_for", "verdict"), [(2, Verdict.PASS), (1, Verdict.ERROR)])
