@@ -227,7 +227,8 @@ def test_one_recording_gives_no_interval_and_says_so():
 
 def test_twist_deployment_predicts_like_the_parameters():
     robot = hidden_robot(4)
-    result = calibrate(make_set(robot, 4), RECOMMENDED, CLOCK, validate=False)
+    exact = make_setting("recommended", model="exact")
+    result = calibrate(make_set(robot, 4), exact, CLOCK, validate=False)
     for run in make_set(robot, 200, OTHER_MOTIONS, 1, slip_share=0, run_to_run=0):
         by_twist = track(run, CAD, "exact", "position", result.twist)
         by_parameters = track(run, result.geometry, result.setting.model, "position")
@@ -262,6 +263,7 @@ def test_a_fit_that_did_not_end_is_no_secret(recordings, monkeypatch):
         "hil.calibration.fitting.levenberg_marquardt",
         lambda p, z, limit=1: replace(levenberg_marquardt(p, z, 1), converged=False),
     )
-    found = calibrate(recordings, RECOMMENDED, CLOCK, validate=False)
+    exact = make_setting("recommended", model="exact")
+    found = calibrate(recordings, exact, CLOCK, validate=False)
     assert not found.to_json()["converged"]
     assert any("the fit ended before its parameters had settled" in line for line in found.warnings)

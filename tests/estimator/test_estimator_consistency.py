@@ -130,7 +130,7 @@ def test_nees_and_nis_lie_in_the_95_percent_band_of_many_runs(kind):
     assert_consistent(kind, runs=400)
 
 
-def start_up_nees(kind, sigma, runs=200):
+def start_up_nees(kind, sigma, runs=100):
     """A metre driven with a heading known to `sigma` only, then one position good to 5 mm: mean NEES."""
     config = EstimatorConfig(
         kind=kind,
