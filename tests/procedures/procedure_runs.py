@@ -88,13 +88,16 @@ def watched(name: str, **source: Any) -> WatchedSource:
     return WatchedSource(source.pop("bench", None) or load_procedure(name).bench, **source)
 
 
+def options_of(folder: Path, parameters: dict[str, Any] | None = None, **more: Any) -> RunOptions:
+    """Of a run without anybody at the terminal."""
+    given = {"operator": AbsentOperator(), **more}
+    return RunOptions(folder, MonotonicClock(), "2026-01-01T00:00:00", parameters or {}, **given)
+
+
 def run(name: str, folder: Path, parameters: dict[str, Any] | None = None, **source: Any) -> Run:
     """One run without anybody at the terminal."""
     used = watched(name, **source)
-    options = RunOptions(
-        folder, MonotonicClock(), "2026-01-01T00:00:00", parameters or {}, operator=AbsentOperator()
-    )
-    return Run(run_procedure(load_procedure(name), used, options), used)
+    return Run(run_procedure(load_procedure(name), used, options_of(folder, parameters)), used)
 
 
 def true_world(bench: str, seed: int, overrides: dict[str, object] | None = None):

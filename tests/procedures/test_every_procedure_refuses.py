@@ -1,26 +1,17 @@
 """What cannot work is refused by name, with exit code 2, before a bench is opened."""
 
 import pytest
-from procedure_runs import AbsentOperator, watched
+from procedure_runs import options_of, watched
 
-from hil.core.clock import MonotonicClock
 from hil.core.errors import HilError
 from hil.procedure.procedure_lookup import load_procedure, shipped_names
-from hil.procedure.runner import RunOptions, run_procedure
+from hil.procedure.runner import run_procedure
 
 
-def refused(name, folder, *, parameters=None, resume=False, **source):
+def refused(name, folder, *, parameters=None, **source):
     used = watched(name, **source)
-    options = RunOptions(
-        folder,
-        MonotonicClock(),
-        "2026-01-01T00:00:00",
-        parameters or {},
-        operator=AbsentOperator(),
-        resume=resume,
-    )
     with pytest.raises(HilError) as caught:
-        run_procedure(load_procedure(name), used, options)
+        run_procedure(load_procedure(name), used, options_of(folder, parameters))
     assert caught.value.exit_code == 2
     assert not used.benches
     return str(caught.value)

@@ -4,15 +4,15 @@ import math
 
 import numpy as np
 import pytest
+from procedure_runs import options_of
 
 from hil.bench import open_bench
 from hil.config.loading import load_bench
-from hil.core.clock import MonotonicClock, nanoseconds
+from hil.core.clock import nanoseconds
 from hil.core.errors import ConfigError
 from hil.fakes.body_interface import JointCommand
 from hil.procedure import BenchSource
-from hil.procedure.operator import Terminal
-from hil.procedure.runner import RunOptions, dry_run, run_procedure
+from hil.procedure.runner import dry_run, run_procedure
 from hil.procedures import surface_identification
 from hil.procedures.surface_identification.slip import rate
 
@@ -28,10 +28,8 @@ DAMPING_N_S_M = 30.0
 
 
 def identify(folder, seed=0, parameters=QUICK, **source):
-    options = RunOptions(
-        folder, MonotonicClock(), "2026-01-01T00:00:00", dict(parameters), operator=Terminal()
-    )
-    result = run_procedure(surface_identification.run, BenchSource(seed=seed, **source), options)
+    source = BenchSource(seed=seed, **source)
+    result = run_procedure(surface_identification.run, source, options_of(folder, dict(parameters)))
     return result, {row["name"]: row["value"] for row in result.measurements}
 
 

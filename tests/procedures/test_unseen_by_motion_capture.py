@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from procedure_runs import options_of
 
 from hil.bench import open_bench
-from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
 from hil.core.geometry import wrap_array
 from hil.loop.driven_motion import Motion
@@ -16,7 +16,7 @@ from hil.procedure import procedure
 from hil.procedure.bench_request import BenchSource
 from hil.procedure.measurements import Measurement, Verdict
 from hil.procedure.procedure_lookup import load_procedure
-from hil.procedure.runner import RunOptions, run_procedure
+from hil.procedure.runner import run_procedure
 from hil.procedure.sample_arrays import Series
 from hil.procedure.tracking_errors import tracking_errors, unseen
 from hil.procedures import grid_scan
@@ -42,7 +42,7 @@ GAPS = "mocap:intermittent@1,period_s=2,duty=0.97"
 
 def run(proc, folder, fault, **parameters):
     source = BenchSource("emulated", faults=(fault,), overrides=FANLESS)
-    return run_procedure(proc, source, RunOptions(folder, MonotonicClock(), "2026-01-01", parameters))
+    return run_procedure(proc, source, options_of(folder, parameters))
 
 
 def outcomes(result):
