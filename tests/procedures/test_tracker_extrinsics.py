@@ -14,7 +14,7 @@ from procedure_runs import (
 )
 
 from hil.config.loading import load_bench
-from hil.core.geometry import quat_from_rotvec, quat_multiply
+from hil.core.geometry import quat_from_rotvec, quat_multiply, quat_rotate
 from hil.fakes.tracker import T265
 from hil.procedure.sample_arrays import Series
 from hil.procedures.tracker_extrinsics.hand_eye import Truth, intervals, solve
@@ -137,22 +137,10 @@ def test_hand_eye_recovers_an_exact_camera_exactly():
         c, s = math.cos(theta), math.sin(theta)
         place = np.array([x + c * mount_m[0] - s * mount_m[1], y + s * mount_m[0] + c * mount_m[1], 0.05])
         attitude = quat_multiply(frame, quat_multiply(turn, mount))
-        rows.append(np.concatenate([scale * rotate(frame, place), attitude, np.zeros(6)]))
+        rows.append(np.concatenate([scale * quat_rotate(frame, place), attitude, np.zeros(6)]))
     found = solve(
         intervals(series(seen_t, np.array(rows))), Truth(series(t, body)), (0.14, 0.0, 0.05), (1.0, 0, 0, 0)
     )
     assert found.position_m == pytest.approx(mount_m[:2], abs=1e-5)
     assert found.angles_rad == pytest.approx([0.02, -0.03, 0.1], abs=1e-5)
     assert (found.scale, found.late_s) == pytest.approx((scale, late), abs=1e-5)
-
-
-def rotate(q, v):
-    w, x, y, z = q
-    matrix = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    return matrix @ v
