@@ -150,7 +150,7 @@ def run(ctx):
 """
 
 
-def test_after_kill_9_the_command_line_resumes(tmp_path, capsys):
+def test_after_kill_9_the_command_line_resumes(tmp_path, capsys, warm_commands):
     script = tmp_path / "killed.py"
     script.write_text(SCRIPT)
     words = ["run", str(script), "--bench", "sensors", "--out", str(tmp_path / "out"), "--json"]

@@ -33,11 +33,11 @@ def ran(folder, record, proc=learns, **overrides):
 
 
 def test_a_run_that_passes_adds_its_part_and_the_bench_then_has_it(tmp_path):
-    result, source = ran(tmp_path / "run", tmp_path / "robot", **{"record.valid_days": 30})
+    result, source = ran(tmp_path / "run", tmp_path / "robot", **{"record.valid_days": 36_500})
     assert result.verdict.value == "PASS"
     assert result.facts["record"]["parts"] == ["camera"]
     part = known_parts(source.config).get("camera")
-    assert (part.procedure, part.measured, part.until) == ("learns", "2026-01-01T00:00:00", "2026-01-31")
+    assert (part.procedure, part.measured, part.until) == ("learns", "2026-01-01T00:00:00", "2125-12-08")
     config = load_bench("emulated", overrides={"record.folder": str(tmp_path / "robot")})
     assert config.tracker.scale == 1.01
     assert any("is now version 1, with camera" in note for note in result.facts["notes"])
