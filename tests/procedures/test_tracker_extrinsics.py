@@ -86,7 +86,7 @@ def test_a_camera_is_found_where_it_is_and_how_late_it_is(tmp_path):
 
 @pytest.mark.parametrize("scale", [0.77, pytest.param(1.28, marks=pytest.mark.long)])
 def test_a_scale_that_is_far_off_is_found(tmp_path, scale):
-    ratios, done = recover(4, tmp_path / "run", SHORT | {"turn_deg": 40.0}, scale=scale)
+    ratios, done = recover(4, tmp_path / "run", QUICK, scale=scale)
     assert done.values["scale"] == pytest.approx(scale, abs=0.03)
     assert_covered(ratios, few=True)
 
