@@ -12,7 +12,6 @@ from hil.calibration.calibration_file import read_calibration
 from hil.cli import main
 from hil.core.errors import ConfigError
 from hil.core.signals import WHEELS
-from tests.selected import every
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +31,8 @@ def run_json(capsys, *args):
 
 def test_calibrate_then_evaluate_with_the_file(data, tmp_path, capsys):
     out = tmp_path / "calibration.toml"
-    code, result = run_json(
-        capsys, "calibrate", data, "--no-validation", "--out", out, "--plots", tmp_path / "p"
-    )
+    words = ["--no-validation", "--model", "exact", "--out", out, "--plots", tmp_path / "p"]
+    code, result = run_json(capsys, "calibrate", data, *words)
     assert code == 0
     assert result["cost_after"] < 0.1 * result["cost_before"]
     for key in ("method", "model", "signal", "std", "at_bound", "unobservable", "evaluations", "wall_s"):
@@ -60,10 +58,11 @@ def test_calibrate_then_evaluate_with_the_file(data, tmp_path, capsys):
     assert set(before["motions"]["line_x"]) >= {"n", "e_x_m", "e_theta_a", "final_position_m"}
 
 
-@pytest.fixture
-def fitted_to_some(data, tmp_path):
-    """A calibration by the first repetitions, and the folder of all."""
-    out, runs = tmp_path / "calibration.toml", [str(path) for path in sorted(data.glob("*_1.csv"))]
+@pytest.fixture(scope="module")
+def fitted_to_some(data, tmp_path_factory):
+    """A calibration by the first repetitions of all."""
+    out = tmp_path_factory.mktemp("fitted") / "calibration.toml"
+    runs = [str(path) for path in sorted(data.glob("*_1.csv"))]
     assert main(["calibrate", *runs, "--no-validation", "--model", "exact", "--out", str(out)]) == 0
     return out
 
@@ -79,14 +78,6 @@ def test_recordings_that_a_calibration_was_fitted_to_are_in_sample_by_any_name(
     assert evaluated(*sorted(data.glob("*_2.csv"))) == {"count": 0, "of": 6, "names": []}
     shutil.copy(data / "line_x_1.csv", tmp_path / "line_x_9.csv")
     assert evaluated(tmp_path / "line_x_9.csv")["names"] == ["line_x_9"]
-    lines = {
-        "*": "in sample: the calibration was fitted to 6 of these 12",
-        "*_2*": "held out: the calibration",
-    }
-    for files, said in lines.items():
-        paths = [str(p) for p in sorted(data.glob(files + ".csv"))]
-        assert main(["evaluate", *paths, "--calibration", str(fitted_to_some)]) == 0
-        assert said in capsys.readouterr().out
     assert run_json(capsys, "evaluate", data)[1].get("in_sample") is None
 
 
@@ -99,13 +90,11 @@ def test_a_file_of_other_bytes_is_in_sample_by_its_wheels(data, fitted_to_some, 
     assert run_json(capsys, "evaluate", *words)[1]["in_sample"]["names"] == ["monday/line_x_1"]
 
 
-def test_a_calibration_that_names_no_files_says_neither(data, fitted_to_some, capsys):
-    text = fitted_to_some.read_text()
-    fitted_to_some.write_text(re.sub(r"(sha256|wheels) = \[[^]]*\]", r"\1 = []", text))
-    _, table = run_json(capsys, "evaluate", data, "--calibration", fitted_to_some)
+def test_a_calibration_that_names_no_files_says_neither(data, fitted_to_some, tmp_path, capsys):
+    nameless = tmp_path / "calibration.toml"
+    nameless.write_text(re.sub(r"(sha256|wheels) = \[[^]]*\]", r"\1 = []", fitted_to_some.read_text()))
+    _, table = run_json(capsys, "evaluate", data, "--calibration", nameless)
     assert table["in_sample"]["count"] is None
-    assert main(["evaluate", str(data), "--calibration", str(fitted_to_some)]) == 0
-    assert "does not say to which files it was fitted" in capsys.readouterr().out
 
 
 def test_another_model_or_signal_than_the_calibrations_is_warned_of(data, fitted_to_some, capsys):
@@ -128,7 +117,7 @@ def test_another_model_or_signal_than_the_calibrations_is_warned_of(data, fitted
 
 
 def test_a_calibration_is_never_overwritten(data, tmp_path):
-    out, runs = tmp_path / "calibration.toml", [str(path) for path in sorted(data.glob("*_1.csv"))]
+    out, runs = tmp_path / "calibration.toml", [str(data / "line_x_1.csv"), str(data / "circle_cw_1.csv")]
     for version in (1, 2, 3):
         assert main(["calibrate", *runs, "--no-validation", "--model", "exact", "--out", str(out)]) == 0
         assert read_calibration(out).version == version
@@ -136,13 +125,11 @@ def test_a_calibration_is_never_overwritten(data, tmp_path):
     assert read_calibration(out).previous["file"] == "calibration.v2.toml"
 
 
-@pytest.mark.parametrize("method", every(3, ["interior-point", "ga", "pso"]))
-def test_the_papers_setting_by_every_method(data, capsys, method):
-    code, result = run_json(
-        capsys, "calibrate", data, "--setting", "paper", "--method", method, "--no-validation"
-    )
+def test_the_papers_setting_by_another_method(data, capsys):
+    words = ["--setting", "paper", "--method", "interior-point", "--no-validation"]
+    code, result = run_json(capsys, "calibrate", data, *words)
     assert (code, result["model"], result["signal"]) == (0, "paper", "velocity")
-    assert result["polished"] == (method in ("ga", "pso"))
+    assert not result["polished"]
     assert result["determined_directions"] == 6
 
 
@@ -150,10 +137,8 @@ def test_the_papers_setting_by_every_method(data, capsys, method):
     ("args", "message"),
     [
         (["evaluate", "nowhere"], "nowhere: does not exist"),
-        (["evaluate", "{data}", "--calibration", "nothing.toml"], "nothing.toml: cannot be read"),
         (["evaluate", "{data}", "--deploy", "twist"], "needs --calibration"),
         (["calibrate", "{data}", "--method", "magic"], "magic"),
-        (["calibrate", "{data}", "--bounds", "-1"], "bounds"),
         (["demo-data", "{data}", "--corrupt", "tango_1"], "no such recording"),
     ],
 )
@@ -176,37 +161,24 @@ def test_a_spoiled_calibration_file_lists_every_problem(tmp_path):
         read_calibration(path)
 
 
-GIVEN = [("evaluate",), ("calibrate", "--no-validation", "--model", "exact")]
-
-
-@pytest.mark.parametrize("command", GIVEN)
-def test_a_file_that_is_given_twice_is_taken_once_and_named(data, tmp_path, capsys, command):
-    path = data / "line_x_1.csv"
-    (tmp_path / "link_1.csv").symlink_to(path)
+@pytest.mark.parametrize(
+    ("command", "key"),
+    [(("evaluate",), "cost"), (("calibrate", "--no-validation", "--model", "exact"), "cost_after")],
+)
+def test_files_given_twice_and_copies_count_once_and_are_named(data, tmp_path, capsys, command, key):
+    path, (link, copy) = data / "line_x_1.csv", (tmp_path / name for name in ("link_1.csv", "line_x_3.csv"))
+    link.symlink_to(path)
+    shutil.copy(path, copy)
     _, once = run_json(capsys, *command, data)
     code, more = run_json(capsys, *command, data, path, data, tmp_path)
-    assert (code, more["recordings"]) == (0, once["recordings"])
+    assert (code, more["recordings"], more[key]) == (0, once["recordings"], once[key])
     assert f"line_x_1: 3 mentions of {path} beyond the first left out" in more["warnings"]
     assert sum("beyond the first" in line for line in more["warnings"]) == once["recordings"]
-    key = "cost" if command == ("evaluate",) else "cost_after"
-    assert more[key] == once[key]
-
-
-@pytest.mark.parametrize("command", GIVEN)
-def test_copies_at_other_paths_count_once_and_are_named(data, tmp_path, capsys, command):
-    copy = tmp_path / "line_x_3.csv"
-    shutil.copy(data / "line_x_1.csv", copy)
-    _, once = run_json(capsys, *command, data)
-    code, found = run_json(capsys, *command, data, copy)
-    assert (code, found["recordings"]) == (0, 12)
-    assert f"line_x_1: 1 copy of it left out, {copy}" in found["warnings"]
-    key = "cost" if command == ("evaluate",) else "cost_after"
-    assert found[key] == once[key]
+    assert f"line_x_1: 1 copy of it left out, {copy}" in more["warnings"]
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
-    [("", "is empty"), ("# nothing\n", "is empty"), ('schema = 1\nname = "lab"\n', "is no")],
+    ("content", "said"), [("# nothing\n", "is empty"), ('schema = 1\nname = "lab"\n', "is no")]
 )
 def test_what_is_no_calibration_file_is_reported_in_one_line(data, tmp_path, capsys, content, said):
     path = tmp_path / "c.toml"
@@ -214,7 +186,6 @@ def test_what_is_no_calibration_file_is_reported_in_one_line(data, tmp_path, cap
     assert main(["evaluate", str(data), "--calibration", str(path)]) == 2
     reported = capsys.readouterr().err
     assert f"{path}: {said}" in reported
-    assert "expected a file that hil calibrate --out FILE wrote" in reported
     assert reported.count("\n") == 1
 
 
@@ -249,9 +220,8 @@ def small(tmp_path_factory):
     """Bench file and generated data of a robot of other proportions."""
     folder = tmp_path_factory.mktemp("small")
     (folder / "bench.toml").write_text(BENCH)
-    assert (
-        main(["demo-data", str(folder / "data"), "--bench", str(folder / "bench.toml"), "--seed", "2"]) == 0
-    )
+    words = ["--bench", str(folder / "bench.toml"), "--seed", "2", "--repetitions", "2"]
+    assert main(["demo-data", str(folder / "data"), *words]) == 0
     return folder / "bench.toml", folder / "data"
 
 
@@ -296,27 +266,6 @@ def test_a_calibration_of_another_robot_is_refused_beside_its_bench(small, data,
     assert main(["calibrate", str(data), "--no-validation", "--out", str(out)]) == 0
     assert main(["evaluate", str(data), "--calibration", str(out), "--bench", str(small[0])]) == 2
     assert "made for another robot" in capsys.readouterr().err
-
-
-@pytest.mark.long
-def test_text_and_json_name_the_robot_and_what_is_missing(data, tmp_path, capsys):
-    folder = tmp_path / "no_line_y"
-    folder.mkdir()
-    for file in data.glob("*.csv"):
-        if not file.name.startswith("line_y"):
-            shutil.copy(file, folder)
-    out, page = tmp_path / "c.toml", tmp_path / "page"
-    args = ["calibrate", str(folder), "--no-validation", "--model", "creep", "--out", str(out)]
-    assert main([*args, "--plots", str(page)]) == 0
-    said = capsys.readouterr()
-    assert "warning: no recording drives sideways on its own" in said.err
-    assert "built-in CAD" in said.out
-    assert "no recording drives sideways on its own" in (page / "index.html").read_text()
-    code, table = run_json(capsys, "evaluate", data, "--calibration", out, "--plots", tmp_path / "e")
-    assert code == 0
-    (line,) = [w for w in table["warnings"] if "no recording of the calibration" in w]
-    assert line.startswith("line_y drives sideways")
-    assert line.split(":")[0] in (tmp_path / "e" / "index.html").read_text()
 
 
 @pytest.mark.long
@@ -372,16 +321,6 @@ def test_what_cannot_be_written_is_named_before_the_work(data, tmp_path, capsys,
     assert (tmp_path / "file").read_text() == "kept"
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write anywhere")
-def test_a_read_only_folder_is_named(data, tmp_path, capsys):
-    locked = tmp_path / "locked"
-    locked.mkdir(mode=0o500)
-    for words in (["demo-data", str(locked)], ["evaluate", str(data), "--plots", str(locked / "p")]):
-        assert main(words) == 2
-        assert "Permission denied" in capsys.readouterr().err
-    assert list(locked.iterdir()) == []
-
-
 def test_nothing_is_half_written(tmp_path, capsys, monkeypatch):
     """The room runs out after three recordings: what was there stays, nothing new appears."""
     import hil.procedure.odometry_motions  # noqa: F401  binds it at import: not while it is another one
@@ -413,7 +352,7 @@ def held(folder):
 SMALL_SET = ("--motions", "line_x,line_y", "--repetitions", "1")
 
 
-@pytest.mark.parametrize("name", ["line_x_1.csv", "mine_1.csv", "run.mcap", "odom_1.csv.gz", "truth.json"])
+@pytest.mark.parametrize("name", ["line_x_1.csv", "run.mcap", "truth.json"])
 def test_generated_recordings_neither_replace_nor_join_those_of_a_user(tmp_path, capsys, name):
     (tmp_path / name).write_text("mine")
     assert main(["demo-data", str(tmp_path), *SMALL_SET]) == 2
@@ -424,7 +363,7 @@ def test_generated_recordings_neither_replace_nor_join_those_of_a_user(tmp_path,
     assert held(tmp_path) == {name: b"mine"}
 
 
-@pytest.mark.parametrize("other", [("--seed", "1"), ("--motions", "line_x"), ("--plant", "own")])
+@pytest.mark.parametrize("other", [("--seed", "1"), ("--plant", "own")])
 def test_two_robots_are_never_in_one_folder_of_generated_recordings(tmp_path, capsys, other):
     assert main(["demo-data", str(tmp_path), *SMALL_SET]) == 0
     before = held(tmp_path)

@@ -84,13 +84,6 @@ def test_what_belongs_together_is_left_out_together(monkeypatch):
     assert seen[-1] == [0, 0, 1, 1]
 
 
-def test_the_choice_says_how_clear_it_was():
-    among = candidates(SETTING, hidden_robot(1).nominal.geometry)
-    close = Choice(among[0], {"exact": 2.0e-3, "dry friction": 2.01e-3}, 0.6)
-    assert "exact, 2.00 mm; dry friction 2.01 mm" in close.in_words()
-    assert "60 %: no clear choice" in close.in_words()
-
-
 def test_hil_calibrate_lets_held_out_recordings_decide_and_says_so(monkeypatch):
     """What the choice has left out of a fit is not left out of the same fit once more."""
     robot = hidden_robot(3, contact="coulomb")
@@ -124,16 +117,6 @@ def test_models_that_may_be_as_right_are_in_the_intervals():
     apart = alone.fit.solution.z - other.fit.solution.z
     wanted = 0.5 * (alone.intervals.covariance + other.intervals.covariance + np.outer(apart, apart))
     np.testing.assert_allclose(beside.intervals.covariance, wanted, rtol=1e-9, atol=1e-18)
-
-
-def test_no_candidate_is_tried_twice():
-    among = candidates(SETTING, WheelGeometry.nominal())
-    assert [c.name for c in among] == [
-        "exact",
-        "dry friction",
-        "creep, equal loads, tyre ratio 1",
-        "creep, equal loads, tyre ratio 0.4",
-    ]
 
 
 def test_springs_that_roll_on_come_to_creep():

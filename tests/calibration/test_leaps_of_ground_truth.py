@@ -5,14 +5,13 @@ import pytest
 
 from hil.calibration.calibrate import calibrate
 from hil.calibration.evaluation import position_rmse, track
-from hil.calibration.problem import RECOMMENDED
+from hil.calibration.problem import make_setting
 from hil.calibration.synthetic import hidden_robot, make_set, simulate
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
 from hil.datasets.cleaning import Log
 from hil.datasets.dataset import build_recording
 from hil.datasets.nominal_robot import Nominal
-from hil.datasets.read import read_recordings
 from hil.robot.kinematics import WheelGeometry
 
 CAD = WheelGeometry.nominal()
@@ -87,10 +86,8 @@ def test_one_row_in_a_hundred_is_no_reason_to_blame_the_geometry():
         bad = rng.random(len(pose)) < 0.01
         pose[bad, :2] += rng.normal(0.0, 0.3, (int(bad.sum()), 2))
         data.append(build_recording(one.name, Log(one.t_s, wheels), Log(one.truth_t_s, pose)))
-    found = calibrate(data, RECOMMENDED, MonotonicClock(), validate=False)
-    clean = calibrate(
-        make_set(hidden_robot(4), 4, repetitions=1), RECOMMENDED, MonotonicClock(), validate=False
-    )
+    setting, whole = make_setting("recommended", model="exact"), make_set(hidden_robot(4), 4, repetitions=1)
+    found, clean = (calibrate(each, setting, MonotonicClock(), validate=False) for each in (data, whole))
     assert found.rejected == clean.rejected
     np.testing.assert_allclose(found.fit.solution.z, clean.fit.solution.z, rtol=1e-3, atol=1e-4)
 
@@ -144,7 +141,3 @@ def test_a_robot_of_any_size_and_noise_of_millimetres_are_no_leaps(scale):
         pose += rng.normal(0.0, 1.0, pose.shape) * (0.003, 0.003, 0.005)
 
     assert line(shake, hidden_robot(4, nominal=robot))[1].repairs == {}
-
-
-def test_the_real_recordings_leap_nowhere(public_data):
-    assert not any("leap" in what for one in read_recordings([public_data]) for what in one.repairs)

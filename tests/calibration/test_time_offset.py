@@ -9,7 +9,6 @@ from hil.calibration.synthetic import OTHER_MOTIONS, hidden_robot, make_set
 from hil.calibration.warnings import warnings_of
 from hil.cli import main
 from hil.datasets.plain_csv import write_plain
-from hil.datasets.read import read_recordings
 from hil.datasets.time_offset import different_clocks, time_offset_s
 
 
@@ -72,8 +71,3 @@ def test_evaluate_says_so(tmp_path, capsys, data):
     write_plain(tmp_path / "line_x_1.csv", late(data[0], 0.2))
     assert main(["evaluate", str(tmp_path)]) == 0
     assert "the ground truth moves 0.20 s later than the wheels" in capsys.readouterr().err
-
-
-def test_the_real_recordings_have_one_clock(public_data):
-    found = [time_offset_s(one) for one in read_recordings([public_data])]
-    assert max(map(abs, found)) < 0.015

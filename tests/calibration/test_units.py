@@ -32,8 +32,6 @@ def turn():
     ("factor", "begin", "said"),
     [
         (1e3, 0.0, "16 from row .*expected seconds.* 1e3 if it is in milliseconds"),
-        (1e6, 0.0, "1.6e[+]04 .* 1e6 if it is in microseconds"),
-        (1e9, 0.0, "1.6e[+]07 .* 1e9 if it is in nanoseconds"),
         (1e9, 1.7e9, "1.6e[+]07 .* 1e9 if it is in nanoseconds"),
     ],
 )
@@ -191,8 +189,8 @@ def test_rates_that_stay_zero_while_wheels_roll_were_not_recorded(with_rates):
     assert found.repairs["columns of wheel rates (w) that are 0 throughout taken as not recorded"] == 4
 
 
-@pytest.mark.parametrize("command", ["evaluate", "calibrate", "tune"])
-def test_every_command_refuses_such_a_file_by_name(tmp_path, capsys, command):
+def test_a_command_refuses_such_a_file_by_name(tmp_path, capsys):
+    """As every command does that reads recordings: test_coverage_of_a_drive.py."""
     path = tmp_path / "rotation_cw_1.csv"
     write_plain(path, simulate(hidden_robot(1), "rotation_cw", "rotation_cw_1", np.random.default_rng(1)))
     head, *rows = path.read_text().splitlines()
@@ -213,5 +211,5 @@ def test_every_command_refuses_such_a_file_by_name(tmp_path, capsys, command):
             for row in rows
         ]
         path.write_text("\n".join([head, *lines, ""]))
-        assert main([command, str(path)]) == 2
+        assert main(["evaluate", str(path)]) == 2
         assert f"{path}: {said}" in capsys.readouterr().err

@@ -37,8 +37,7 @@ def same_way(recording, angle):
     np.testing.assert_allclose(recording.wheel_angle_rad - recording.wheel_angle_rad[0], angle - angle[0])
 
 
-@pytest.mark.parametrize("seconds", [0.5, 0.9, 1.1, 2.0, 3.0])
-@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize(("seconds", "sense"), [(0.5, 1.0), (1.1, -1.0), (3.0, 1.0)])
 def test_angles_that_go_on_lose_no_turn_in_a_gap(seconds, sense):
     """They had lost one for every half turn: 1.1 s without rows made 3 mm into 123."""
     t, angle, w, truth = drive((5.0, 5.0 + seconds), ahead_rad_s=sense * SPEED_RAD_S)
@@ -102,7 +101,7 @@ def test_wheel_rates_that_fit_no_number_of_turns_count_none():
         read(t, wrapped(short), w, truth)
 
 
-@pytest.mark.parametrize("seconds", [3.0, 4.0, 4.5, 5.0, 5.3, 6.0])
+@pytest.mark.parametrize("seconds", [3.0, 4.5, 6.0])
 def test_wheel_rates_that_change_in_a_long_gap_count_no_turns(seconds):
     """The wheels stand before it and roll behind it, and it is unknown since when."""
     t, angle, w, truth = drive((0.5, 0.5 + seconds), rates=True)

@@ -1,5 +1,6 @@
 """A short simulated drive with everything that happens: turns, latency, outliers, a lost wheel."""
 
+import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +33,7 @@ def twist(t_s):
     return np.array([0.05 + 0.02 * np.sin(t_s), 0.03 * np.sin(1.3 * t_s), 0.25 * np.sin(0.7 * t_s)])
 
 
+@functools.cache
 def true_path(seconds, rate_hz=1000.0, start_s=1.0, motion=twist):
     t_s = start_s + np.arange(int(seconds * rate_hz) + 1) / rate_hz
     poses = [np.zeros(3)]
@@ -72,6 +74,7 @@ def with_outliers(wheels, tracker, rng):
     return tuple(bad), tuple(poses)
 
 
+@functools.cache
 def drive(seconds=2.0, seed=0, outliers=False, camera_rate_hz=100.0, wheel_noise_m=2e-5):
     """A drive as control cycles."""
     rng = np.random.default_rng(seed)

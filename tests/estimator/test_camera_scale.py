@@ -17,7 +17,6 @@ from simulated_sensors import (
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator import make_estimator
-from hil.estimator.smoother import smooth
 from hil.robot.kinematics import WheelGeometry
 from tests.selected import every
 
@@ -67,17 +66,6 @@ def test_a_camera_whose_noise_is_known_does_not_pull_its_scale_away(kind):
         found.append(last["scale"])
     assert abs(np.mean(found)) < 0.15 * 0.005
     assert np.std(found) < 0.15 * 0.005
-
-
-def test_the_smoother_ends_where_the_filter_does_and_has_the_same_scale():
-    parts, start, path = climb(0.0, 1)
-    config = EstimatorConfig(tracker=MATCHED)
-    states = followed(config, parts, start)
-    smoothed = smooth(config, WheelGeometry.nominal(), "wall", parts, start)
-    truth = path.at(np.array([m.t_ns for m in parts]) * 1e-9)
-    error = np.array([s.pose_body_in_wall for s in smoothed]) - truth
-    assert np.allclose(smoothed[-1].pose_body_in_wall, states[-1].pose_body_in_wall, atol=1e-6)
-    assert np.max(np.abs(error[:, 0])) < 3e-3
 
 
 @pytest.mark.parametrize("kind", every(2, ["ekf", "ukf"]))

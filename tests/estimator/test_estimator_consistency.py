@@ -26,7 +26,7 @@ advance, moments, predicted = (
 )
 move, add_noise = kernel(constant_twist.move), kernel(process_model.add_noise)
 condition, joint_nis = kernel(kalman_update.condition), kernel(kalman_update.joint_nis)
-new_frame, clone_pose = kernel(tracker.new_frame), kernel(wheels.clone_pose)
+clone_pose = kernel(wheels.clone_pose)
 
 DT_S = 0.01
 VARIANCE = {
@@ -50,7 +50,7 @@ class World:
         close = EstimatorConfig(tracker={"position_m": 1e-3, "heading_rad": 1e-3})
         close_par = parameters(close, WheelGeometry.nominal(), "wall")[0].tracker
         memory = first_memory()[0].tracker
-        new_frame(0.0, self.x, self.p, memory, np.zeros(1, ROW)[0].tracker, close_par)
+        tracker.new_frame(0.0, self.x, self.p, memory, np.zeros(1, ROW)[0].tracker, close_par)
         clone_pose(self.x, self.p)
         self.true = self.x + self.drawn(self.p)
         self.nis = {sensor: [] for sensor in VARIANCE}
@@ -130,7 +130,7 @@ def test_nees_and_nis_lie_in_the_95_percent_band_of_many_runs(kind):
     assert_consistent(kind, runs=400)
 
 
-def start_up_nees(kind, sigma, runs=200):
+def start_up_nees(kind, sigma, runs=100):
     """A metre driven with a heading known to `sigma` only, then one position good to 5 mm: mean NEES."""
     config = EstimatorConfig(
         kind=kind,

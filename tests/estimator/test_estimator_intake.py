@@ -75,7 +75,7 @@ def test_a_sample_that_comes_twice_is_counted_and_changes_nothing():
     assert refused == len(earlier.wheels) > 0
 
 
-ABSURD = [1.001e3, 1e12, -1e13, 1e154, -1.7e308]
+ABSURD = [1.001e3, -1e13, -1.7e308]
 
 
 def spoilt(measurements, value):

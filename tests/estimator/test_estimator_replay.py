@@ -42,18 +42,13 @@ def test_the_table_holds_all_four_and_the_filters_beat_odometry(recording, tmp_p
     assert table["ekf"]["nis_tracker"] > 0.0
     assert abs(table["ekf"]["lag1_gyro"]) < 1.0
     assert table["odometry"]["nis_tracker"] is None
-    written = page.read_text(encoding="utf-8")
-    assert "smoother" in written
-    assert "NEES: the squared error over the variance" in written
-    assert "X is up the wall" in written
-    assert "X, up" in written
+    assert "smoother" in page.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
     ("words", "ending"),
     [
         (("export", "{}", "--out", "{}"), ".csv"),
-        (("export", "{}", "--format", "csv", "--out", "table.parquet"), ".csv"),
         (("replay", "{}", "--estimator", "odometry", "--page", "{}"), ".html"),
         (("tune", "{}", "--evaluations", "2", "--out", "{}"), ".toml"),
     ],
@@ -63,11 +58,6 @@ def test_a_recording_is_not_written_over_by_what_is_made_of_it(recording, words,
     assert main([word.format(recording) for word in words]) == 2
     assert f"expected one that ends with {ending}" in capsys.readouterr().err
     assert recording.read_bytes() == before
-
-
-def test_what_is_fitted_is_not_held_out(recording, capsys):
-    assert main(["tune", str(recording), "--check", str(recording), "--evaluations", "2"]) == 2
-    assert "is fitted and held out at once; expected other recordings" in capsys.readouterr().err
 
 
 def test_what_is_left_of_a_damaged_recording_is_fitted_and_the_damage_named(recording, tmp_path, capsys):
@@ -100,19 +90,6 @@ def test_a_page_that_the_disk_does_not_take_costs_no_figure(
         assert reported["error"]["message"].startswith(str(page))
     else:
         assert [row.split()[0] for row in out.splitlines()][:3] == ["estimator", "recorded", "odometry"]
-
-
-def test_a_choice_of_estimators(recording, capsys):
-    assert main(["replay", str(recording), "--estimator", "smoother", "--estimator", "odometry"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == [
-        "estimator",
-        "recorded",
-        "odometry",
-        "smoother",
-        "sensors:",
-    ]
-    assert lines[-1] == "sensors: wheels, IMU, camera, motion capture"
 
 
 def test_each_sensor_has_the_noise_that_it_has(recording):

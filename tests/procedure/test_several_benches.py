@@ -21,6 +21,7 @@ from hil.procedure.stop_requests import Interrupts
 from hil.procedure.tracking_errors import stand
 from hil.report.run_page import write_run_page
 from hil.robot.trajectories import line
+from tests.procedure.in_turn import InTurn
 
 WHY = "adhesion is lost"
 MEASURED = (Measurement("done", "1", low=1.0),)
@@ -34,7 +35,7 @@ def fall(bench):
 
 
 def ran(folder, proc, *, resume=False):
-    source = BenchSource("emulated", overrides={"exit.look_after_s": 8.0})
+    source = BenchSource("emulated", overrides={"exit.look_after_s": 2.0})
     options = RunOptions(folder, MonotonicClock(), "2026-01-01T00:00:00", {}, resume=resume)
     result = run_procedure(proc, source, options)
     return result, json.loads((folder / "result.json").read_text())
@@ -81,13 +82,6 @@ def test_what_is_worse_stays_the_verdict_and_a_note_names_the_bench(tmp_path):
     result, reported = ran(tmp_path / "run", ends_early)
     assert (result.verdict.value, result.exit_code, reported["held"]["state"]) == ("ABORTED", 4, "NOT HELD")
     assert any(note.startswith("NOT HELD: bench 1 (falls): ") and WHY in note for note in reported["notes"])
-
-
-class InTurn:
-    """Workers that do one job after the other in this process."""
-
-    def at_once(self, work, jobs):
-        return map(work, jobs)
 
 
 def stood(bench):

@@ -2,6 +2,7 @@
 
 import copy
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +20,11 @@ from hil.procedure.runner import RunOptions, run_procedure
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_run
 
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
 SAFE_HEADING_RAD = math.radians(15.0)
 
 
@@ -33,6 +39,11 @@ class WatchedSource(BenchSource):
         bench = super().open((*sinks, *self.extra_sinks))
         self.benches.append(bench)
         return bench
+
+
+def fragment_of(folder: Path) -> dict[str, Any]:
+    """What a run leaves for the bench file."""
+    return tomllib.loads((folder / "bench_fragment.toml").read_text())
 
 
 @dataclass
@@ -77,13 +88,16 @@ def watched(name: str, **source: Any) -> WatchedSource:
     return WatchedSource(source.pop("bench", None) or load_procedure(name).bench, **source)
 
 
+def options_of(folder: Path, parameters: dict[str, Any] | None = None, **more: Any) -> RunOptions:
+    """Of a run without anybody at the terminal."""
+    given = {"operator": AbsentOperator(), **more}
+    return RunOptions(folder, MonotonicClock(), "2026-01-01T00:00:00", parameters or {}, **given)
+
+
 def run(name: str, folder: Path, parameters: dict[str, Any] | None = None, **source: Any) -> Run:
     """One run without anybody at the terminal."""
     used = watched(name, **source)
-    options = RunOptions(
-        folder, MonotonicClock(), "2026-01-01T00:00:00", parameters or {}, operator=AbsentOperator()
-    )
-    return Run(run_procedure(load_procedure(name), used, options), used)
+    return Run(run_procedure(load_procedure(name), used, options_of(folder, parameters)), used)
 
 
 def true_world(bench: str, seed: int, overrides: dict[str, object] | None = None):

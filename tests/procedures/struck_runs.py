@@ -13,13 +13,12 @@ import signal
 import traceback
 
 import numpy as np
-from procedure_runs import AbsentOperator, Run, assert_still, watched
+from procedure_runs import Run, assert_still, options_of, watched
 
-from hil.core.clock import MonotonicClock
 from hil.core.interfaces import Sink
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.run_journal import read_journal
-from hil.procedure.runner import RunOptions, run_procedure
+from hil.procedure.runner import run_procedure
 from hil.procedure.step_timer import StepTimer
 from hil.recording.mcap_reader import read_cycles
 
@@ -159,14 +158,7 @@ def struck(name, folder, parameters, ways, **options):
     strikes = Strikes(folder, ways, **options)
     used = watched(name, extra_sinks=(strikes,))
     strikes.benches = used.benches
-    run_options = RunOptions(
-        folder,
-        MonotonicClock(),
-        "2026-01-01T00:00:00",
-        parameters,
-        operator=AbsentOperator(),
-        report=strikes.report,
-    )
+    run_options = options_of(folder, parameters, report=strikes.report)
     try:
         done = Run(run_procedure(load_procedure(name), used, run_options), used)
         if strikes.way is not None:

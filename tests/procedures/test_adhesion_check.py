@@ -6,15 +6,15 @@ from procedure_runs import part, run, true_world
 from hil.fakes.load_cells import CellNode
 
 SHORT = {"levels": 3, "dwell_s": 0.5}
-WITHOUT_DRIFT = {"emulation.load_cells.drift_n_per_min": 0.0}
+OVERRIDES = {"emulation.load_cells.drift_n_per_min": 0.0, "loop.rate_hz": 50.0}
 
 
 def test_zeros_force_margin_and_friction_are_those_of_the_robot(tmp_path):
     seed = 3
-    done = run("adhesion_check", tmp_path / "run", SHORT, seed=seed, overrides=WITHOUT_DRIFT)
+    done = run("adhesion_check", tmp_path / "run", SHORT, seed=seed, overrides=OVERRIDES)
     assert done.result.exit_code == 0, done.failed or done.result.error
     done.assert_held()
-    world = true_world("emulated", seed, WITHOUT_DRIFT)
+    world = true_world("emulated", seed, OVERRIDES)
     truth, cells = world.plant.parameters, part(world, CellNode)._cells
     values = done.values
     for k in (0, 1):

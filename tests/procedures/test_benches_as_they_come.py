@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from hil.bench import open_bench
-from hil.cli import main
 from hil.procedure import BenchSource
 from hil.procedure.procedure_lookup import load_procedure
 from hil.procedure.runner import dry_run
@@ -18,12 +17,6 @@ def test_encoders_whose_zeros_are_unknown_are_read_as_they_are():
         read = encoders(motion, bench.config)
     raw = [s.angle_rad for r in motion.records for s in r.inputs.encoders]
     assert np.allclose(read.values, raw[: len(read.values)])
-
-
-@pytest.mark.long
-def test_bring_up_passes_on_a_robot_as_delivered(tmp_path):
-    out = str(tmp_path / "out")
-    assert main(["run", "bring_up", "--bench", "emulated_delivered", "--quick", "--out", out]) == 0
 
 
 @pytest.mark.parametrize("name", ["bring_up", "latency"])

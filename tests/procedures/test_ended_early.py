@@ -3,12 +3,12 @@
 import signal
 
 import pytest
+from procedure_runs import options_of
 
-from hil.core.clock import MonotonicClock
 from hil.core.interfaces import Sink
 from hil.procedure.bench_request import BenchSource
 from hil.procedure.procedure_lookup import load_procedure
-from hil.procedure.runner import RunOptions, run_procedure
+from hil.procedure.runner import run_procedure
 from hil.procedure.stop_requests import Interrupts
 from tests.patience import FANLESS
 
@@ -32,9 +32,7 @@ def test_what_was_finished_is_measured(name, tmp_path):
         if (what.startswith("seed") or what in ("lines", "repetition 3")) and done == 1:
             interrupts.handle(signal.SIGTERM)
 
-    options = RunOptions(
-        tmp_path / "out", MonotonicClock(), "2026-01-01", parameters, report=report, interrupts=interrupts
-    )
+    options = options_of(tmp_path / "out", parameters, report=report, interrupts=interrupts)
     result = run_procedure(load_procedure(name), BenchSource("emulated", overrides=FANLESS), options)
     reported = result.to_json()
     assert (reported["verdict"], reported["exit_code"]) == ("ABORTED", 4)
@@ -65,9 +63,7 @@ class EndsTheSecondBench(Sink):
 @pytest.mark.long
 def test_levels_of_force_are_measured_where_the_slide_is_cut_off(tmp_path):
     interrupts = Interrupts()
-    options = RunOptions(
-        tmp_path / "out", MonotonicClock(), "2026-01-01", {"levels": 4, "dwell_s": 0.8}, interrupts=interrupts
-    )
+    options = options_of(tmp_path / "out", {"levels": 4, "dwell_s": 0.8}, interrupts=interrupts)
     source = BenchSource("emulated", watch=(EndsTheSecondBench(interrupts),))
     reported = run_procedure(load_procedure("adhesion_check"), source, options).to_json()
     assert reported["verdict"] == "ABORTED"

@@ -6,14 +6,13 @@ every run that was killed.
 """
 
 import pytest
-from procedure_runs import AbsentOperator, Run, watched
+from procedure_runs import Run, options_of, watched
 from struck_runs import WAYS, check, struck
 
-from hil.core.clock import MonotonicClock
 from hil.procedure.parameters import make_parameters
 from hil.procedure.procedure_lookup import load_procedure, shipped_names
 from hil.procedure.run_journal import read_journal
-from hil.procedure.runner import RunOptions, run_procedure
+from hil.procedure.runner import run_procedure
 
 SHORT = {
     "adhesion_check": {"levels": 3, "dwell_s": 0.5, "slide": False},
@@ -87,9 +86,7 @@ def test_every_step_of_every_procedure_ends_held(tmp_path, name):
 def check_resumed(name, folder, undisturbed):
     """What was done before the kill counts, and the figures are those of the undisturbed run."""
     source = watched(name)
-    options = RunOptions(
-        folder, MonotonicClock(), "2026-01-01T00:00:00", SHORT[name], operator=AbsentOperator(), resume=True
-    )
+    options = options_of(folder, SHORT[name], resume=True)
     before = set(read_journal(folder / "journal.jsonl").checkpoints)
     resumed = Run(run_procedure(load_procedure(name), source, options), source)
     assert resumed.result.exit_code == 0, resumed.failed or resumed.result.error

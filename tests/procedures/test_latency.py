@@ -23,9 +23,8 @@ def recover(seed):
     return {name: (measured[name] - true[name]) / measured[f"{name}_uncertainty"] for name in true}, true
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.long) for k in (1, 2))])
-def test_every_delay_comes_back(seed):
-    ratios, _ = recover(seed)
+def test_every_delay_comes_back():
+    ratios, _ = recover(0)
     assert_covered(list(ratios.values()), few=True)
 
 

@@ -5,16 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from procedure_runs import AbsentOperator
+from procedure_runs import options_of
 
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.config.robot_record import Figure, NewPart, Part, RobotRecord
 from hil.config.robot_record.overlay import identity
-from hil.core.clock import MonotonicClock
 from hil.procedure import BenchSource, Measurement, procedure
 from hil.procedure.record_parts import known_parts, leave_part
-from hil.procedure.runner import RunOptions, run_procedure
+from hil.procedure.runner import run_procedure
 from hil.procedures.surface_identification.slip import next_lines
 from hil.procedures.tracker_extrinsics import Parameters
 from hil.procedures.tracker_extrinsics.scale import session_spread
@@ -30,16 +29,15 @@ def learns(ctx):
 
 def ran(folder, record, proc=learns, **overrides):
     source = BenchSource("emulated", overrides={"record.folder": str(record), **overrides})
-    options = RunOptions(folder, MonotonicClock(), "2026-11-22T10:00:00", {}, operator=AbsentOperator())
-    return run_procedure(proc, source, options), source
+    return run_procedure(proc, source, options_of(folder)), source
 
 
 def test_a_run_that_passes_adds_its_part_and_the_bench_then_has_it(tmp_path):
-    result, source = ran(tmp_path / "run", tmp_path / "robot", **{"record.valid_days": 30})
+    result, source = ran(tmp_path / "run", tmp_path / "robot", **{"record.valid_days": 36_500})
     assert result.verdict.value == "PASS"
     assert result.facts["record"]["parts"] == ["camera"]
     part = known_parts(source.config).get("camera")
-    assert (part.procedure, part.measured, part.until) == ("learns", "2026-11-22T10:00:00", "2026-12-22")
+    assert (part.procedure, part.measured, part.until) == ("learns", "2026-01-01T00:00:00", "2125-12-08")
     config = load_bench("emulated", overrides={"record.folder": str(tmp_path / "robot")})
     assert config.tracker.scale == 1.01
     assert any("is now version 1, with camera" in note for note in result.facts["notes"])

@@ -18,8 +18,6 @@ from hil.procedures import sensor_noise
 from hil.recording.runs import START_COVARIANCE
 from tests.estimator.noisy_drives import GEOMETRY, Noise, driven
 
-TURNED_S = 28.0
-
 
 class TakenAway:
     """An emulation's table that nothing may look into."""

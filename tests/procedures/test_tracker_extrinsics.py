@@ -1,22 +1,23 @@
 """A camera mounted and delayed otherwise than believed is found where it is."""
 
 import math
-import sys
 
 import numpy as np
 import pytest
-from procedure_runs import assert_covered, assert_covered_over_twenty_seeds, part, run, true_world
+from procedure_runs import (
+    assert_covered,
+    assert_covered_over_twenty_seeds,
+    fragment_of,
+    part,
+    run,
+    true_world,
+)
 
 from hil.config.loading import load_bench
-from hil.core.geometry import quat_from_rotvec, quat_multiply
+from hil.core.geometry import quat_from_rotvec, quat_multiply, quat_rotate
 from hil.fakes.tracker import T265
 from hil.procedure.sample_arrays import Series
 from hil.procedures.tracker_extrinsics.hand_eye import Truth, intervals, solve
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 SHORT = {"repetitions": 1, "way_m": 0.15, "turn_deg": 60.0}
 QUICK = {"repetitions": 1, "way_m": 0.1, "turn_deg": 40.0}
@@ -40,9 +41,10 @@ def scale_of(seed, bench, options):
     return part(true_world(bench, seed, {"emulation.tracker": options}), T265).odometry.scale
 
 
-def as_bench(fragment_text, folder):
+def as_bench(folder):
     """The fragment in a bench file, as a lab would use it."""
-    (folder / "bench.toml").write_text('schema = 1\nname = "lab"\n' + fragment_text)
+    fragment = (folder / "bench_fragment.toml").read_text()
+    (folder / "bench.toml").write_text('schema = 1\nname = "lab"\n' + fragment)
     return load_bench(folder / "bench.toml").tracker
 
 
@@ -63,30 +65,28 @@ def recover(seed, folder, parameters=SHORT, scale=1.0, **source):
         [values[f"{n}_uncertainty"] for n in ("mount_x", "mount_y", "roll", "pitch", "yaw", "late", "scale")]
     )
     true_scale = scale_of(seed, source.get("bench", "emulated_floor"), options)
-    text = (folder / "bench_fragment.toml").read_text()
-    fragment = tomllib.loads(text)["tracker"]
+    fragment = fragment_of(folder)["tracker"]
     assert fragment["scale"] == pytest.approx(values["scale"], abs=1e-5)
     between_sessions = 0.001
     sigma = np.hypot(values["scale_uncertainty"] / 2.0, between_sessions)
     assert fragment["scale_sigma"] == pytest.approx(sigma, rel=0.05)
     assert fragment["scale"] == pytest.approx(true_scale, abs=4.0 * fragment["scale_sigma"])
-    read = as_bench(text, folder)
+    read = as_bench(folder)
     assert (read.scale, read.scale_sigma) == (fragment["scale"], fragment["scale_sigma"])
     assert fragment["latency_s"] == pytest.approx(options["latency_s"], abs=0.006)
     assert fragment["mount_position_m"][:2] == pytest.approx(options["mount_position_m"][:2], abs=0.004)
     return ((found - [*truth, true_scale]) / half).tolist(), done
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_a_camera_is_found_where_it_is_and_how_late_it_is(tmp_path, seed):
-    ratios, done = recover(seed, tmp_path / "run", QUICK)
+def test_a_camera_is_found_where_it_is_and_how_late_it_is(tmp_path):
+    ratios, done = recover(1, tmp_path / "run", QUICK)
     assert_covered(ratios, few=True)
     assert done.values["applied.position_rmse"] < 0.5 * done.values["before.position_rmse"]
 
 
 @pytest.mark.parametrize("scale", [0.77, pytest.param(1.28, marks=pytest.mark.long)])
 def test_a_scale_that_is_far_off_is_found(tmp_path, scale):
-    ratios, done = recover(4, tmp_path / "run", SHORT | {"turn_deg": 40.0}, scale=scale)
+    ratios, done = recover(4, tmp_path / "run", QUICK, scale=scale)
     assert done.values["scale"] == pytest.approx(scale, abs=0.03)
     assert_covered(ratios, few=True)
 
@@ -137,22 +137,10 @@ def test_hand_eye_recovers_an_exact_camera_exactly():
         c, s = math.cos(theta), math.sin(theta)
         place = np.array([x + c * mount_m[0] - s * mount_m[1], y + s * mount_m[0] + c * mount_m[1], 0.05])
         attitude = quat_multiply(frame, quat_multiply(turn, mount))
-        rows.append(np.concatenate([scale * rotate(frame, place), attitude, np.zeros(6)]))
+        rows.append(np.concatenate([scale * quat_rotate(frame, place), attitude, np.zeros(6)]))
     found = solve(
         intervals(series(seen_t, np.array(rows))), Truth(series(t, body)), (0.14, 0.0, 0.05), (1.0, 0, 0, 0)
     )
     assert found.position_m == pytest.approx(mount_m[:2], abs=1e-5)
     assert found.angles_rad == pytest.approx([0.02, -0.03, 0.1], abs=1e-5)
     assert (found.scale, found.late_s) == pytest.approx((scale, late), abs=1e-5)
-
-
-def rotate(q, v):
-    w, x, y, z = q
-    matrix = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    return matrix @ v

@@ -6,16 +6,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from procedure_runs import options_of
 
 from hil.bench import open_bench
-from hil.core.clock import MonotonicClock
 from hil.core.errors import DataError
+from hil.core.geometry import wrap_array
 from hil.loop.driven_motion import Motion
 from hil.procedure import procedure
 from hil.procedure.bench_request import BenchSource
 from hil.procedure.measurements import Measurement, Verdict
 from hil.procedure.procedure_lookup import load_procedure
-from hil.procedure.runner import RunOptions, run_procedure
+from hil.procedure.runner import run_procedure
 from hil.procedure.sample_arrays import Series
 from hil.procedure.tracking_errors import tracking_errors, unseen
 from hil.procedures import grid_scan
@@ -41,7 +42,7 @@ GAPS = "mocap:intermittent@1,period_s=2,duty=0.97"
 
 def run(proc, folder, fault, **parameters):
     source = BenchSource("emulated", faults=(fault,), overrides=FANLESS)
-    return run_procedure(proc, source, RunOptions(folder, MonotonicClock(), "2026-01-01", parameters))
+    return run_procedure(proc, source, options_of(folder, parameters))
 
 
 def outcomes(result):
@@ -110,6 +111,14 @@ def blind(motion, begin, end):
         wheels=motion.wheels,
         estimate=motion.estimate,
     )
+
+
+def test_errors_are_truth_minus_reference(driven):
+    errors, apart = tracking_errors(driven), driven.mocap - driven.reference
+    last = apart[driven.t_s > driven.t_s[-1] - 0.3].mean(axis=0)
+    assert errors["end_x"] == pytest.approx(1e3 * last[0])
+    assert errors["end_heading"] == pytest.approx(np.degrees(wrap_array(last)[2]))
+    assert errors["saturated_s"] == 0.0
 
 
 def test_what_was_seen_is_measured_and_the_rest_is_not(driven):
