@@ -105,7 +105,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "pressing": ("hil/bench/hold/adhesion_force.py", ("tests/adhesion_bench/test_press_watch.py",)),
     "fault_verdicts": (
         "hil/procedure/faults/judge.py",
-        ("tests/procedure/test_fault_campaign.py", "-k", _OF_CELLS),
+        ("tests/procedure/test_fault_judge.py", "-k", _OF_CELLS),
     ),
     "measurements": (
         "hil/procedure/measurements.py",

@@ -88,7 +88,7 @@ def slowed(trajectory: Trajectory, projection: Array, limits: MotionLimits, *, a
 def _times_as_long(trajectory: Trajectory, projection: Array, limits: MotionLimits) -> float:
     """How many times as long the way must take for the wheels to keep to their speed and acceleration."""
     until_s = trajectory.duration_s
-    times_s = _times_s(trajectory, until_s, np.arange(0.0, until_s, _CHECK_STEP_S))
+    times_s = _times_s(trajectory, until_s, np.arange(0.0, until_s + _CHECK_STEP_S, _CHECK_STEP_S))
     pose, twist, pull = trajectory.sample_many(times_s)
     speed, acceleration = (q.values.max() / q.limit for q in _held(pose, twist, pull, projection, limits)[:2])
     return float(max(speed, math.sqrt(acceleration)))

@@ -256,7 +256,7 @@ def test_without_the_bench_file_another_robot_is_distinguished(small, tmp_path, 
     assert "--bench" in reported
     assert "built-in CAD" in reported
     code, table = run_json(capsys, "evaluate", data)
-    assert code == 0
+    assert code == 2
     assert any("--bench" in line for line in table["warnings"])
     assert table["geometry"]["source"].startswith("built-in CAD")
 

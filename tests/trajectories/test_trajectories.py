@@ -2,7 +2,9 @@
 
 import json
 import math
+import re
 from bisect import bisect
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -313,6 +315,20 @@ def test_what_is_a_little_too_fast_is_driven_slower_along_the_same_way(way, limi
     assert refused(slower, {limit: 0.93 * reached})
     assert slowed(way, CAD, limits, at_most=1.01) is way
     assert slowed(way, CAD, MotionLimits(), at_most=1.1) is way
+
+
+@pytest.mark.parametrize("way", ALL[:5], ids=lambda way: way.name)
+def test_a_refusal_says_in_which_time_the_same_way_can_be_driven(way):
+    quick = replace(way, segments=tuple(replace(s, duration_s=0.2 * s.duration_s) for s in way.segments))
+    with pytest.raises(TrajectoryError) as refusal:
+        check(quick, CAD, MotionLimits())
+    takes_s = float(re.search(r"([\d.]+) s instead of", refusal.value.remedy)[1])
+    for share, passes in ((1.0, True), (0.95, False)):
+        longer = share * takes_s / quick.duration_s
+        other = replace(
+            quick, segments=tuple(replace(s, duration_s=longer * s.duration_s) for s in quick.segments)
+        )
+        assert refused(other, {}) is not passes
 
 
 @pytest.mark.parametrize(("pull", "held"), [(0.19, True), (0.21, False)])
