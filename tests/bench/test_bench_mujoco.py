@@ -38,7 +38,6 @@ def test_the_same_drive_in_another_world_ends_where_it_should_and_twice_at_the_s
         ({"emulation.contact": "holding"}, "emulation.contact: 'holding' is of the plant 'mujoco'"),
         ({"emulation.mjcf": "a.xml"}, r"emulation.mjcf: '.*a.xml' is of the plant 'mujoco'"),
         ({**MUJOCO, "emulation.replay": "a.mcap"}, "emulation.plant: 'mujoco' simulates a robot"),
-        ({"emulation.plant": "bullet"}, "emulation.plant: Input should be 'own' or 'mujoco'"),
     ],
 )
 def test_contradictions_are_named(overrides, message):

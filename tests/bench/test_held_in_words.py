@@ -13,7 +13,6 @@ from hil.core.signals import SERVOS, ServoHold
         (Held("HELD", 0.0003, "torque on"), "HELD: moved 0.3 mm since the stop; torque on"),
         (Held("NOT HELD", 0.012, "it slides"), "NOT HELD: moved at least 12.0 mm since the stop; it slides"),
         (Held("NOT HELD", None, "not checked"), "NOT HELD: not checked"),
-        (Held("not needed", 0.0, "on the floor"), "not needed: moved 0.0 mm since the stop; on the floor"),
     ],
 )
 def test_a_way_is_reported_where_it_was_measured_and_as_the_least_where_the_robot_is_lost(held, words):

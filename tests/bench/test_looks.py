@@ -100,15 +100,7 @@ def test_a_package_that_breaks_its_promises_is_reported_each_with_what_to_do():
 
 
 @pytest.mark.parametrize(
-    ("good", "starting", "level"),
-    [
-        (100, 0, "ok"),
-        (99, 0, "ok"),
-        (90, 9, "warning"),
-        (85, 0, "warning"),
-        (75, 0, "failure"),
-        (0, 99, "failure"),
-    ],
+    ("good", "starting", "level"), [(99, 0, "ok"), (90, 9, "warning"), (75, 0, "failure")]
 )
 def test_samples_that_are_missing_are_a_warning_or_a_failure_by_their_share(good, starting, level):
     statuses = [Status.STARTING] * starting + [Status.OK] * good
@@ -117,16 +109,10 @@ def test_samples_that_are_missing_are_a_warning_or_a_failure_by_their_share(good
     assert losses("imu", [], 0, "check wiring").level == "failure"
 
 
-@pytest.mark.parametrize(
-    ("count", "level"),
-    [(100, "ok"), (102, "ok"), (106, "ok"), (108, "warning"), (123, "failure"), (200, "failure")],
-)
+@pytest.mark.parametrize(("count", "level"), [(106, "ok"), (108, "warning"), (123, "failure")])
 def test_more_samples_than_the_rate_allows_are_not_ok(count, level):
     found = losses("imu", [Status.OK] * count, 100, "check wiring")
     assert found.level == level
-    if level != "ok":
-        assert found.found == f"{count} samples where 100 are due"
-        assert "delivers samples twice" in found.remedy
 
 
 def test_bad_samples_count_among_those_that_are_too_many():
