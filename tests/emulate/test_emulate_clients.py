@@ -2,7 +2,6 @@
 
 import os
 import re
-import signal
 import subprocess
 import sys
 import time
@@ -70,46 +69,6 @@ def test_the_public_natnet_client_finds_the_robot(endpoints_file):
     said = run_example("mocap_natnet", endpoints_file)
     assert number(r"(\d+) frames per second", said) > 40
     assert re.search(r"^robot: .* tracked$", said, re.M)
-
-
-LOGGER = (
-    "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    "runpy.run_module('can.logger', run_name='__main__')"
-)
-"""`python -m can.logger` that heeds Ctrl-C also where a shell started the tests in its background."""
-
-
-def test_python_cans_logger_records_the_bus(served, tmp_path):
-    where = served["can"]
-    file = tmp_path / "bus.asc"
-    with subprocess.Popen(
-        [
-            sys.executable,
-            "-u",
-            "-c",
-            LOGGER,
-            "-i",
-            where["interface"],
-            "-c",
-            where["channel"],
-            "-f",
-            file,
-            "--bus-kwargs",
-            f"port={where['port']}",
-        ],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    ) as logger:
-        try:
-            said = logger.stdout.readline() + logger.stdout.readline()
-            with pytest.raises(subprocess.TimeoutExpired):
-                logger.wait(1.0)
-        finally:
-            logger.send_signal(signal.SIGINT)
-            said += logger.communicate(timeout=CLIENT_S)[0]
-    assert file.exists(), said
-    assert len(re.findall(r"\s1A[01]\s", file.read_text())) > 50
 
 
 def test_a_fault_reaches_the_client(emulate):
