@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from worlds import ON, fan_world
+from worlds import ON, after, fan_world, orders
 
 from hil.config.adhesion import VescConfig
 from hil.core.errors import DeviceError, DeviceTimeoutError, UsageError
@@ -28,23 +28,6 @@ def driver():
     yield make
     for fan in made:
         fan.close()
-
-
-def after(fan, clock, seconds):
-    samples = []
-    for _ in range(round(100 * seconds)):
-        samples += fan.read()
-        clock.sleep_until_ns(clock.now_ns() + 10_000_000)
-    return samples
-
-
-def orders(bus):
-    """Identifiers of the SET_* frames that a client overheard."""
-    found = []
-    while (message := bus.recv(0)) is not None:
-        if message.arbitration_id >> 8 in (0, 1, 2, 3, 4, 10, 11, 12, 13):
-            found.append(message.arbitration_id)
-    return found
 
 
 @pytest.mark.parametrize("command", ["duty", "current", "rpm"])

@@ -6,7 +6,7 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
-from worlds import heard
+from worlds import after, orders
 
 import hil
 from hil.bench.doctor.discovery import Discovery
@@ -89,18 +89,6 @@ def test_a_bus_with_the_fans_controller_alone_has_no_propellers(tmp_path):
     found = found_on_one_bus((7,), tmp_path)
     assert found.sections["adhesion"]["controller_id"] == 7
     assert "thrust" not in found.sections
-
-
-def after(driver, clock, seconds):
-    samples = []
-    for _ in range(math.ceil(100 * seconds)):
-        samples += driver.read()
-        clock.sleep_until_ns(clock.now_ns() + 10_000_000)
-    return samples
-
-
-def orders(bus):
-    return [(i, d) for i, d in heard(bus) if i >> 8 in (0, 1, 2, 3, 4, 10, 11, 12, 13)]
 
 
 def test_every_controller_is_given_the_same_command():

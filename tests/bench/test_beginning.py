@@ -11,7 +11,7 @@ from hil.core.errors import TrajectoryError
 from hil.procedure.tracking_errors import stand
 from hil.robot.trajectories import line
 
-UP = line((0, 0, 0), (0.1, 0, 0), duration_s=2.5)
+UP = line((0, 0, 0), (0.06, 0, 0), duration_s=1.5)
 
 
 @pytest.mark.parametrize(
@@ -38,12 +38,12 @@ def test_a_second_drive_from_the_first_ones_start_is_refused_and_nothing_moves()
     with hil.open_bench("emulated", seed=3) as bench:
         bench.drive(UP, hold_s=0.3)
         before = bench.truth().pose_body_in_wall.copy()
-        with pytest.raises(TrajectoryError, match=r"the robot stands at x 0\.1"):
+        with pytest.raises(TrajectoryError, match=r"the robot stands at x 0\.06"):
             bench.drive(UP)
         np.testing.assert_allclose(bench.truth().pose_body_in_wall[:2], before[:2], atol=1e-3)
         start = stand(bench)
-        bench.drive(line(start, start + np.array([0.05, 0, 0]), duration_s=2.0), hold_s=0.3)
-        assert bench.truth().pose_body_in_wall[0] == pytest.approx(before[0] + 0.05, abs=0.005)
+        bench.drive(line(start, start + np.array([0.03, 0, 0]), duration_s=1.0), hold_s=0.3)
+        assert bench.truth().pose_body_in_wall[0] == pytest.approx(before[0] + 0.03, abs=0.005)
     assert bench.held.state == "HELD"
 
 

@@ -15,7 +15,7 @@ from tests.patience import FANLESS, PATIENT
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 
-STRAIGHT = line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=2.0)
+STRAIGHT = line((0.0, 0.0, 0.0), (0.06, 0.0, 0.0), duration_s=1.2)
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +162,7 @@ command_port = {emulator["mocap"]["command_port"]}
     with hil.open_bench(mixed, emulate="imu,tracker,encoders", overrides=PATIENT) as bench:
         assert bench.config.emulated() == ("encoders", "imu", "tracker")
         motion = bench.drive(STRAIGHT, feedback="odometry", hold_s=0.3)
-        assert np.linalg.norm(motion.mocap[np.isfinite(motion.mocap[:, 0])][-1][:2] - [0.1, 0.0]) < 0.02
+        assert np.linalg.norm(motion.mocap[np.isfinite(motion.mocap[:, 0])][-1][:2] - [0.06, 0.0]) < 0.02
         inputs = motion.records[-1].inputs
         assert inputs.servos
         assert any(r.inputs.imu for r in motion.records[-20:])

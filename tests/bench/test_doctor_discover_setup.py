@@ -3,7 +3,6 @@
 import json
 import re
 import shlex
-import socket
 from functools import partial
 from itertools import pairwise
 
@@ -211,16 +210,6 @@ def test_discover_without_an_answer_and_with_nonsense(capsys, tmp_path):
 def test_discover_names_what_is_wrong_with_a_place(place, reported, capsys):
     assert main(["discover", "--at", place]) == 2
     assert reported in capsys.readouterr().err
-
-
-def test_discover_listens_where_it_is_reported(capsys):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = f"udpin:127.0.0.1:{probe.getsockname()[1]}"
-    assert main(["discover", "--at", "tracker.model=mavlink", "--at", f"tracker.port={port}"]) == 3
-    said = capsys.readouterr().err
-    assert f"listening for MAVLink odometry at {port}" in said
-    assert "hil: asking" not in said
 
 
 def test_setup_renames_a_servo_and_changes_its_baud_rate(emulator, capsys):

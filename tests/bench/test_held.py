@@ -202,18 +202,6 @@ def test_a_program_that_reports_it_otherwise_is_not_warned(caplog):
     assert "is left" not in caplog.text
 
 
-def test_a_robot_that_came_off_while_its_servos_are_away_is_said_to_have_lost_both():
-    faults = ["servos:off@2.5", "plant:adhesion_loss@3"]
-    with hil.open_bench(
-        "emulated", seed=1, faults=faults, overrides={**FANLESS, "exit.look_after_s": 1.0}
-    ) as bench:
-        climb(bench)
-        wait(bench, 3.5 - bench.clock.now_ns() / SECOND)
-    assert bench.held.state == "NOT HELD"
-    assert "adhesion is lost" in bench.held.why
-    assert "no servo answers" in bench.held.why
-
-
 def test_hardware_errors_are_reported():
     with hil.open_bench("emulated", seed=1, overrides={**FANLESS, "exit.look_after_s": 1.0}) as bench:
         bench.observe(0.2)

@@ -81,20 +81,6 @@ def test_a_camera_that_was_just_in_doubt_does_not_witness_that_the_robot_rests(p
     assert held.moved_m is None, "no trusted sensor saw it"
 
 
-@pytest.mark.long
-def test_a_doubted_camera_is_named_where_no_other_sensor_could_see_a_slide():
-    held, stop, moved_m, speed_m_s = left("tracker:wrong@2.5,scale=0.3", without=("mocap", "load_cells"))
-    assert stop.reason == "sensors_disagree"
-    assert (held.state, held.moved_m) == ("NOT HELD", None)
-    assert (
-        "no sensor can see whether the robot slides (what the camera said before the stop is in doubt)"
-        in held.why
-    )
-    assert (moved_m < FAR_M, speed_m_s < 1e-4) == (True, True), (
-        "it is right to be careful, and rests all the same"
-    )
-
-
 def test_motion_capture_does_without_the_camera():
     held, stop, _, speed_m_s = left("tracker:wrong@2.5,scale=0.3", without=("load_cells",))
     assert stop.reason == "sensors_disagree"
@@ -302,11 +288,11 @@ def test_a_servo_that_answers_late_for_ever_is_held_with_the_others_and_named(se
 @pytest.mark.parametrize("plant", ["own", pytest.param("mujoco", marks=pytest.mark.long)])
 @pytest.mark.parametrize(
     "fault",
-    [pytest.param("thrust:off@4.9", marks=pytest.mark.long), "thrust:off@5.1", "thrust:wrong@5.0,factor=0.5"],
+    [pytest.param("thrust:off@1.9", marks=pytest.mark.long), "thrust:off@2.1", "thrust:wrong@2.0,factor=0.5"],
 )
 def test_propellers_that_fail_as_the_way_ends_are_not_called_holding(fault, plant):
     """They report nothing, and push for a moment longer: the look outlasts that."""
-    way = line((0, 0, 0), (0.2, 0, 0), duration_s=4.0)
+    way = line((0, 0, 0), (0.05, 0, 0), duration_s=1.0)
     held, stop, _, _ = left(fault, seed=1, way=way, **{"emulation.plant": plant})
     assert stop is None
     assert held.state == "NOT HELD"

@@ -18,7 +18,7 @@ from hil.procedure.declaration import Measurement, Procedure
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.robot.trajectories import line
 
-HOP = line((0, 0, 0), (0.12, 0, 0), duration_s=2.4)
+HOP = line((0, 0, 0), (0.06, 0, 0), duration_s=1.2)
 SEES = ("imu", "tracker", "mocap")
 PRESSES = ("adhesion", "load_cells")
 BRIEFLY = {"exit.look_after_s": 1.0}
@@ -84,10 +84,10 @@ def test_motion_capture_of_another_world_does_not_say_where_the_robot_stands(mon
     """It would see the robot of its own world at its start for ever."""
     with mixed(monkeypatch, "mocap", start_pose=(0.1, 0.0, 0.0), overrides=BRIEFLY) as bench:
         np.testing.assert_array_equal(bench.measured_pose(np.ones((5, 3))), (0.1, 0.0, 0.0))
-        way = line((0.1, 0, 0), (0.22, 0, 0), duration_s=2.4)
+        way = line((0.1, 0, 0), (0.16, 0, 0), duration_s=1.2)
         end = bench.drive(way, feedback="odometry", hold_s=0.3).estimate[-1]
         np.testing.assert_allclose(bench.settle(), end, atol=1e-3)
-        back = line((0.22, 0, 0), (0.1, 0, 0), duration_s=2.4)
+        back = line((0.16, 0, 0), (0.1, 0, 0), duration_s=1.2)
         begun = bench.drive(back, feedback="odometry", hold_s=0.3).estimate[0]
         np.testing.assert_allclose(begun, end, atol=2e-3)
 
@@ -97,7 +97,7 @@ def test_a_drive_past_blind_sensors_is_reported_before_it_moves(monkeypatch, tmp
         ctx.bench.observe(0.1)
         assert "in another world" not in caplog.text, "nothing moves yet"
         for k in range(2):
-            ctx.bench.drive(line((0.05 * k, 0, 0), (0.05 * (k + 1), 0, 0), duration_s=2.0), hold_s=0.3)
+            ctx.bench.drive(line((0.02 * k, 0, 0), (0.02 * (k + 1), 0, 0), duration_s=0.8), hold_s=0.1)
         ctx.measure("x", 0.0)
 
     monkeypatch.setattr(BenchConfig, "elsewhere", lambda self: ("tracker", "load_cells"))
@@ -132,7 +132,7 @@ def test_an_emulated_camera_stops_the_drive_of_real_servos():
     """It rests while the wheels roll: so the mix that the examples once showed could not pass."""
     with servos_of_another_process() as overrides, hil.open_bench("emulated", overrides=overrides) as bench:
         with pytest.raises(SafetyStop) as stop:
-            bench.drive(HOP)
+            bench.drive(line((0, 0, 0), (0.12, 0, 0), duration_s=2.4))
         assert stop.value.reason == "sensors_disagree"
         reported = ("fan, propellers: emulated beside real", "IMU, camera, motion capture: in another world")
         assert all(said.startswith(start) for said, start in zip(bench.warnings, reported, strict=True))

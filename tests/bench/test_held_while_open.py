@@ -9,7 +9,7 @@ from hil.config.thrust import TeensyConfig
 from hil.core.errors import UsageError
 from hil.robot.trajectories import line
 
-SHORT = line((0.0, 0.0, 0.0), (0.06, 0.0, 0.0), duration_s=1.5)
+SHORT = line((0.0, 0.0, 0.0), (0.03, 0.0, 0.0), duration_s=0.8)
 
 
 def took_s(bench, look):

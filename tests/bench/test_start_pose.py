@@ -110,7 +110,7 @@ def test_at_a_terminal_it_is_asked_until_it_is_answered(blind, monkeypatch):
     assert start_question.asked_start(load_bench("emulated")) == {}
 
 
-@pytest.mark.parametrize("words", [["live"], ["doctor"], ["run", "bring_up", "--dry-run"]])
+@pytest.mark.parametrize("words", [["doctor"], ["run", "bring_up", "--dry-run"]])
 def test_degrees_in_place_of_radians_are_refused_before_anything_opens(words, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     given = ["--start", "0,0,90"]
