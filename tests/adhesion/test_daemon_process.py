@@ -126,16 +126,6 @@ def test_it_belongs_to_no_session_and_no_parent_of_ours(daemon):
     assert terminal == 0
 
 
-def test_the_next_program_finds_it_as_it_was_left(daemon):
-    fan, spec, connection = daemon
-    set_when_heard(connection, spec)
-    connection.close()
-    with client.find_or_start(spec) as again:
-        status = client.ask(again, {"do": "status"}, spec)
-    assert status["target"] == ["duty", POINT.value]
-    assert fan.commands
-
-
 def test_off_without_a_confirmation_is_refused_and_the_fan_runs_on(daemon):
     fan, spec, connection = daemon
     set_when_heard(connection, spec)

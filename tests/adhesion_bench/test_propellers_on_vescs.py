@@ -192,7 +192,7 @@ def test_nothing_moves_before_they_push_and_the_robot_is_held_at_the_end():
     with hil.open_bench("emulated", seed=1, overrides=cold) as bench:
         wanted_n = thrust_wanted_n(bench.config)
         assert bench.world.plant.working_point is not None
-        motion = bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=3.0))
+        motion = bench.drive(line((0, 0, 0), (0.03, 0, 0), duration_s=1.5))
         newest = [s for r in motion.records for s in r.inputs.thrust][-1]
         assert 39.7 * newest.throttle**2 == pytest.approx(wanted_n, rel=0.02)
         world = bench.world

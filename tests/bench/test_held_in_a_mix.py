@@ -108,12 +108,9 @@ def test_a_drive_past_blind_sensors_is_reported_before_it_moves(monkeypatch, tmp
         folder=tmp_path / "o", clock=MonotonicClock(), started="2025-01-01T00:00:00", parameters={}
     )
     result = run_procedure(proc, BenchSource("emulated", overrides=BRIEFLY), options)
-    said = (
-        "camera: in another world than the servos (emulated beside real ones, or the reverse), so they do not"
-    )
+    said = "camera: in another world than the servos"
     assert sum(said in record.getMessage() for record in caplog.records) == 1, "once, and of no load cells"
     assert sum(note.startswith(said) for note in result.facts["notes"]) == 1
-    assert said in (tmp_path / "o" / "result.json").read_text()
 
 
 def test_real_servos_beside_emulated_sensors_are_not_held_by_them():

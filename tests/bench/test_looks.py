@@ -104,8 +104,7 @@ def test_samples_that_are_missing_are_a_warning_or_a_failure_by_their_share(good
 
 
 @pytest.mark.parametrize(
-    ("good", "bad", "level"),
-    [(106, 0, "ok"), (108, 0, "warning"), (123, 0, "failure"), (100, 100, "failure")],
+    ("good", "bad", "level"), [(106, 0, "ok"), (108, 0, "warning"), (100, 100, "failure")]
 )
 def test_more_samples_than_the_rate_allows_are_not_ok(good, bad, level):
     statuses = [Status.OK] * good + [Status.CRC] * bad

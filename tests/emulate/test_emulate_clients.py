@@ -4,7 +4,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -83,33 +82,3 @@ def test_a_fault_reaches_the_client(emulate):
         assert {packets.ping(port, silent)[1] for _ in range(5)} == {COMM_RX_TIMEOUT}
     finally:
         port.closePort()
-
-
-def test_a_robot_in_another_physics_answers_the_same_client(emulate, tmp_path):
-    pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
-    bench = tmp_path / "bench.toml"
-    bench.write_text(
-        'schema = 1\nname = "another"\n[environment]\nsurface = "floor"\ntilt_rad = 0.0\n'
-        '[emulation]\nplant = "mujoco"\n[servos]\nbackend = "emulated"\n'
-    )
-    found = emulate("--bench", str(bench))["servos"]
-    port, packets = PortHandler(found["port"]), PacketHandler(2.0)
-    assert port.openPort()
-    try:
-        port.setBaudRate(found["baud"])
-        packets.write1ByteTxRx(port, 1, 64, 1)
-        packets.write4ByteTxRx(port, 1, 104, 100)
-        before, end_s = position(packets, port), time.monotonic() + CLIENT_S
-        while position(packets, port) - before < 300:
-            assert time.monotonic() < end_s, "the wheel does not turn"
-    finally:
-        port.closePort()
-
-
-def position(packets, port):
-    """Of servo 1; a busy computer may keep the emulator from answering for a moment."""
-    for _ in range(50):
-        found, result, _ = packets.read4ByteTxRx(port, 1, 132)
-        if result == COMM_SUCCESS:
-            return found
-    raise AssertionError("servo 1 is silent")

@@ -4,7 +4,6 @@ import re
 from contextlib import contextmanager
 
 import pytest
-from emulators import END_S, emulator
 
 from hil.bench import open_bench, open_emulation
 from hil.bench.hold.emulated_support import EmulatedSupport
@@ -58,13 +57,3 @@ def test_torque_holds_it_and_without_torque_it_slides():
             r"at the end NOT HELD: the robot (slides at \d+ mm/s|has left its wall), \d+ mm from .*",
             robot.at_the_end(),
         )
-
-
-def test_the_command_reports_it_on_stderr():
-    with emulator("--only", "servos") as running:
-        running.endpoints()
-        running.process.terminate()
-        assert running.process.wait(END_S) == 0
-        reported = running.process.stderr.read().splitlines()
-    first_words = [" ".join(line.split()[:3]) for line in reported]
-    assert first_words == ["at the start", "at the end"]
