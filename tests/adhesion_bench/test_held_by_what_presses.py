@@ -11,11 +11,13 @@ from hil.core.errors import SafetyStop
 from hil.robot.trajectories import line
 
 CLIMB = line((0, 0, 0), (0.12, 0, 0), duration_s=4.0)
+BRIEFLY = {"exit.look_after_s": 1.0}
+"""For a bench whose end is not checked."""
 
 
-def left(fault, *, overrides=None):
+def left(fault, **overrides):
     """How a climb that the fault ended left the robot, how long the look took, and how far the robot went."""
-    with hil.open_bench("emulated", seed=1, faults=[fault], overrides=overrides) as bench:
+    with hil.open_bench("emulated", seed=1, faults=[fault], overrides={**BRIEFLY, **overrides}) as bench:
         with pytest.raises(SafetyStop):
             bench.drive(CLIMB, feedback="odometry")
         stopped = bench.truth().pose_body_in_wall
@@ -38,7 +40,7 @@ def test_a_fan_off_its_bus_is_never_held_before_it_has_run_down(start_s):
 def test_a_fan_that_runs_down_during_the_hold_check_is_not_held(reset_s):
     """The last estimate before the stop is NaN; what is needed must not become NaN with it."""
     faults = ["servos:unplug@1+0.2", f"adhesion:reset@{reset_s}"]
-    with hil.open_bench("emulated", seed=1, faults=faults) as bench:
+    with hil.open_bench("emulated", seed=1, faults=faults, overrides=BRIEFLY) as bench:
         with pytest.raises(SafetyStop):
             bench.drive(CLIMB, feedback="odometry")
         held = bench.look(0.35)
@@ -55,13 +57,13 @@ def test_a_fan_that_runs_on_unheard_is_held_by_what_the_cells_feel_for_long_enou
 
 
 def test_a_fan_without_reports_and_load_cells_is_not_held():
-    held, _, _ = left("adhesion:garbage@1", overrides={"load_cells": None})
+    held, _, _ = left("adhesion:garbage@1", load_cells=None)
     assert held.state == "NOT HELD"
     assert "no sensor measures it" in held.why
 
 
 def test_a_tether_holds_what_no_fan_presses():
-    held, took_s, _ = left("servos:unplug@1+0.5", overrides={"safety.tethered": True})
+    held, took_s, _ = left("servos:unplug@1+0.5", **{"safety.tethered": True})
     assert held.state == "HELD"
     assert took_s < RUN_DOWN_S
 

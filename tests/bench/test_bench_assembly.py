@@ -15,7 +15,7 @@ from tests.patience import FANLESS, PATIENT
 
 pytestmark = pytest.mark.usefixtures("warm_commands")
 
-STRAIGHT = line((0.0, 0.0, 0.0), (0.06, 0.0, 0.0), duration_s=1.2)
+STRAIGHT = line((0.0, 0.0, 0.0), (0.06, 0.0, 0.0), duration_s=1.5)
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from hil.procedure.declaration import Measurement, Procedure
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.robot.trajectories import line
 
-HOP = line((0, 0, 0), (0.06, 0, 0), duration_s=1.2)
+HOP = line((0, 0, 0), (0.06, 0, 0), duration_s=1.5)
 SEES = ("imu", "tracker", "mocap")
 PRESSES = ("adhesion", "load_cells")
 BRIEFLY = {"exit.look_after_s": 1.0}
@@ -84,10 +84,10 @@ def test_motion_capture_of_another_world_does_not_say_where_the_robot_stands(mon
     """It would see the robot of its own world at its start for ever."""
     with mixed(monkeypatch, "mocap", start_pose=(0.1, 0.0, 0.0), overrides=BRIEFLY) as bench:
         np.testing.assert_array_equal(bench.measured_pose(np.ones((5, 3))), (0.1, 0.0, 0.0))
-        way = line((0.1, 0, 0), (0.16, 0, 0), duration_s=1.2)
+        way = line((0.1, 0, 0), (0.16, 0, 0), duration_s=1.5)
         end = bench.drive(way, feedback="odometry", hold_s=0.3).estimate[-1]
         np.testing.assert_allclose(bench.settle(), end, atol=1e-3)
-        back = line((0.16, 0, 0), (0.1, 0, 0), duration_s=1.2)
+        back = line((0.16, 0, 0), (0.1, 0, 0), duration_s=1.5)
         begun = bench.drive(back, feedback="odometry", hold_s=0.3).estimate[0]
         np.testing.assert_allclose(begun, end, atol=2e-3)
 

@@ -10,8 +10,8 @@ from hil.fakes.servos.bus import ServoBus
 from hil.robot.trajectories import line
 
 WAY = line((0.0, 0.0, 0.0), (0.12, 0.0, 0.0), duration_s=3.0)
-SHORT = line((0.0, 0.0, 0.0), (0.04, 0.0, 0.0), duration_s=1.0)
-ENDED_S = 2.5
+SHORT = line((0.0, 0.0, 0.0), (0.04, 0.0, 0.0), duration_s=1.2)
+ENDED_S = 2.7
 
 
 def place(bench):
