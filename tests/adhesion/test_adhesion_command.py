@@ -240,6 +240,14 @@ def test_status_reports_the_fan_where_the_propellers_daemon_is_another_users(at_
         assert (code, "adhesion: idle" in out, "thrust: its daemon refuses" in out) == (3, True, True)
 
 
+def test_propellers_that_need_no_daemon_are_given_none(at_wire, hil):
+    _, _, path = at_wire
+    with path.open("a") as file:
+        file.write('[thrust]\nport = "/dev/ttyACM0"\n')
+    code, _, err = hil("adhesion", "keep", "--bench", path, "--propellers")
+    assert (code, "no propellers that a daemon could run" in err) == (2, True)
+
+
 def test_the_service_is_started_by_a_command_that_there_is():
     unit = configparser.ConfigParser(strict=False, interpolation=None)
     unit.optionxform = str

@@ -173,16 +173,6 @@ def test_the_doctor_reads_time_out_messages_and_firmware_from_the_controller(dri
         assert (daemon.level, daemon.found) == ("ok", "keeps it running")
 
 
-def test_what_a_controller_does_not_report_is_named_with_a_remedy(driver):
-    with fan_world(**ON) as (_world, clock, node, _bus):
-        node._answer = lambda *asked: None
-        fan = driver(clock)
-        fan.open()
-        found = {f.check: f for f in fan.diagnose()}
-        assert (found["time-out"].level, found["firmware"].level) == ("warning", "warning")
-        assert found["firmware"].remedy == "update it with VESC Tool"
-
-
 def test_a_daemon_that_cannot_send_is_reported_with_a_remedy(driver):
     with fan_world(faults=["adhesion:unplug@1"], **ON) as (_world, clock, _node, _bus):
         fan = driver(clock)

@@ -111,17 +111,6 @@ def test_a_force_is_reached_by_both_and_reported_by_their_speed():
         assert newest.status is Status.OK
 
 
-def test_the_push_goes_on_when_the_driver_is_closed():
-    with made() as (_, clock, nodes, driver, _):
-        driver.open()
-        after(driver, clock, 0.3)
-        driver.set_force_n(20.0)
-        after(driver, clock, 3.0)
-        driver.close()
-        clock.sleep_until_ns(clock.now_ns() + 5 * S)
-        assert sum(node.fan.force_n for node in nodes) > 18.0
-
-
 @pytest.mark.parametrize(
     ("keys", "options", "messages"),
     [

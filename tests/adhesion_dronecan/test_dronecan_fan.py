@@ -131,18 +131,6 @@ def test_a_force_is_reached_and_kept_up(command, fan_world, driver, after):
         assert math.isnan(newest.duty)
 
 
-def test_a_node_that_does_not_say_who_it_is_is_reported_with_a_remedy(fan_world, driver):
-    with fan_world() as made:
-        made.node._introduce = lambda *asked: None
-        fan = driver(made.clock)
-        fan.open()
-        wrong = {f.check: f.remedy for f in fan.diagnose() if f.level != "ok"}
-    assert wrong == {
-        "identity": "look at the node with `dronecan_gui_tool`",
-        "time-out": "look at it in VESC Tool",
-    }
-
-
 def test_a_silent_bus_and_the_wrong_node_are_named(fan_world, driver):
     silent = pytest.raises(DeviceTimeoutError, match=r"no DroneCAN node answers.*CAN Mode")
     with fan_world(nodes=()) as made, silent:

@@ -9,7 +9,7 @@ import pytest
 
 import hil
 from hil.config.loading import load_bench
-from hil.core.errors import ConfigError, FaultNotSupportedError, SafetyStop, TrajectoryError, UsageError
+from hil.core.errors import ConfigError, FaultNotSupportedError, TrajectoryError, UsageError
 from hil.robot.trajectories import line
 from tests.patience import FANLESS, PATIENT
 
@@ -114,16 +114,6 @@ def test_what_the_limits_cannot_follow_is_refused_before_anything_moves():
         with pytest.raises(UsageError, match="controller"):
             bench.drive(STRAIGHT, controller="hope")
         assert bench.clock.now_ns() == before
-
-
-def test_lost_adhesion_ends_in_a_held_robot():
-    with hil.open_bench("emulated", seed=1, faults=("plant:adhesion_loss@2.5",)) as bench:
-        with pytest.raises(SafetyStop, match=r"adhesion|sliding"):
-            bench.drive(line((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), duration_s=20.0))
-        for _ in range(30):
-            bench.clock.sleep_until_ns(bench.clock.now_ns() + 10_000_000)
-            held = bench.rig.servos.read()[-1]
-        assert np.all(np.abs(held.velocity_rad_s[:4]) < 0.05)
 
 
 def test_the_same_drive_at_the_wire_in_real_time():

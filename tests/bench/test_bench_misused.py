@@ -67,20 +67,16 @@ def test_a_bench_is_used_open_only_and_follows_a_trajectory():
     bench = hil.open_bench("emulated_floor", faults="tracker:off@4+1")
     assert [fault.device for fault in bench.faults] == ["tracker"]
     for use in (lambda: bench.drive(way), lambda: bench.observe(0.1), bench.settle):
-        with pytest.raises(
-            UsageError, match=r"the bench is not open; use `with hil.open_bench\(...\) as bench:`"
-        ):
+        with pytest.raises(UsageError, match="the bench is not open"):
             use()
     with bench:
-        with pytest.raises(UsageError, match=r"\(0.0, 0.0, 0.0\) is no trajectory; expected a hil.robot"):
+        with pytest.raises(UsageError, match="is no trajectory"):
             bench.drive(ORIGIN)
         motion = bench.drive(way, hold_s=0.0, observers="odometry")
         assert motion.observer("odometry").shape == (len(motion.records), 3)
-        with pytest.raises(
-            UsageError, match=r"no observer 'odometri' .*expected one of odometry; did you mean"
-        ):
+        with pytest.raises(UsageError, match="no observer 'odometri'"):
             motion.observer("odometri")
-        with pytest.raises(UsageError, match=r"no observer 'ekf' ran .*; drive with observers=\('ekf',\)"):
+        with pytest.raises(UsageError, match="no observer 'ekf' ran"):
             bench.observe(0.1).observer("ekf")
-    with pytest.raises(UsageError, match="the bench is closed; use `with"):
+    with pytest.raises(UsageError, match="the bench is closed"):
         bench.drive(way)

@@ -134,7 +134,6 @@ def test_a_hardware_error_is_reported_in_words(tmp_path):
     [
         (dict.fromkeys("01234567", 1000), "model_number = 1000"),
         ({"3": 1050}, "# servos of model 1010 (XH430-W210), 1050 (XH430-V210) at"),
-        (dict.fromkeys("01234567", 1060), "# servos of model 1060 (XL430-W250) at"),
     ],
 )
 def test_discover_writes_the_model_down_or_says_that_it_is_not_known(models, reported):

@@ -67,11 +67,6 @@ def test_cameras_that_see_nothing_are_no_reason_to_believe_in_the_origin(blind):
     np.testing.assert_allclose(reported.measured_pose(nothing), (0.5, 1.0, 0.1))
 
 
-def test_an_emulated_robot_is_where_its_environment_says():
-    with hil.open_bench("emulated", start_pose=(0.3, -0.2, 0.1)) as bench:
-        np.testing.assert_allclose(bench.truth().pose_body_in_wall, (0.3, -0.2, 0.1), atol=0.01)
-
-
 @pytest.mark.parametrize("command", [("run", "bring_up"), ("live",)])
 def test_the_command_line_refuses_without_a_terminal(blind, tmp_path, command, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
