@@ -4,17 +4,12 @@ import threading
 import time
 
 import can
-import numpy as np
 import pytest
 
 from hil.config.can_bus import CanConfig
-from hil.config.robot import RobotConfig
 from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError
-from hil.fakes.can_channel import CanChannel
 from hil.fakes.free_port import free_udp_port
-from hil.fakes.plant import make_plant
-from hil.fakes.world import VirtualClock, World
 from hil.links.can_bus import CanLink
 
 GROUP = "239.74.164.11"
@@ -63,27 +58,6 @@ def test_in_real_time_a_thread_makes_the_samples_that_the_loop_takes():
         link.close()
     assert made_by
     assert threading.get_ident() not in made_by
-
-
-def test_in_virtual_time_a_read_makes_them_and_nothing_old_is_among_them():
-    world, made_by = World(make_plant(RobotConfig(), rng=np.random.default_rng(0))), set()
-    channel = CanChannel(world, "asked").open()
-    link = CanLink("adhesion", CanConfig(interface="hil", channel="asked"), VirtualClock(world))
-    link.open()
-    try:
-        with can.Bus(interface="hil", channel="asked") as bus:
-            send(bus, (7, b"before"))
-            world.advance_to(1_000_000)
-            link.listen_for(meant(made_by))
-            assert link.heard() == []
-            send(bus, (8, b"another"), (7, b"first"))
-            world.advance_to(2_000_000)
-            assert link.heard() == [b"first"]
-            assert link.heard() == []
-    finally:
-        link.close()
-        channel.close()
-    assert made_by == {threading.get_ident()}
 
 
 class Jumping(MonotonicClock):

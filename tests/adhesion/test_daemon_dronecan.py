@@ -102,5 +102,5 @@ def test_the_status_of_another_controller_is_not_the_fans(kept):
 def test_a_fan_without_its_details_is_refused():
     with pytest.raises(ConfigError, match="details without esc_index, node_id, rpm_per_v"):
         protocol_of(Spec("socketcan", "can0", 42, protocol="dronecan"))
-    with pytest.raises(ConfigError, match=r"no fan speaks 'veks'.*did you mean vesc"):
+    with pytest.raises(ConfigError, match="no fan speaks 'veks'"):
         protocol_of(Spec("socketcan", "can0", 42, protocol="veks"))

@@ -137,11 +137,7 @@ ENDS = {
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     "how",
-    [
-        "TERM to the bench",
-        "KILL to all",
-        *(pytest.param(how, marks=pytest.mark.long) for how in ("TERM to all", "KILL to the emulator")),
-    ],
+    ["KILL to all", *(pytest.param(how, marks=pytest.mark.long) for how in ENDS if how != "KILL to all")],
 )
 def test_however_a_session_on_emulated_devices_ends_no_daemon_is_left(how, tmp_path):
     command = [sys.executable, "-m", "hil.cli", "live", "--bench", "emulated", "--no-record"]

@@ -78,19 +78,6 @@ def test_a_bench_that_is_killed_leaves_it_held_and_the_next_takes_it_over(robot)
     assert_taken_over_without_a_jerk(robot, path, held)
 
 
-def test_a_bench_that_is_stopped_and_goes_on_lets_nothing_go(robot):
-    """SIGSTOP: the servos' watchdogs stop the wheels."""
-    robot, path = robot
-    with bench_driving(path, "patient") as process:
-        before = under_way(robot)
-        os.kill(process.pid, signal.SIGSTOP)
-        held = assert_held(robot, before)
-        os.kill(process.pid, signal.SIGCONT)
-        time.sleep(1.0)
-        assert not robot.truth()["fallen"]
-        assert dist(robot.truth()["pose"][:2], held["pose"][:2]) < 0.06
-
-
 def test_a_bench_without_memory_leaves_it_held(robot):
     robot, path = robot
     with bench_driving(path, "patient") as process:

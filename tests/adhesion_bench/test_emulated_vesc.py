@@ -9,6 +9,7 @@ from worlds import ON, duty_frame, fan_world, heard, keep, send
 
 from hil.config.adhesion import VescConfig
 from hil.fakes.adhesion import vesc_frames
+from hil.fakes.body_interface import JointCommand
 
 VECTORS = json.loads((Path(__file__).parents[1] / "golden" / "vesc_frames.json").read_text())
 DBC = Path(vesc_frames.__file__).parents[2] / "links" / "vesc" / "vesc.dbc"
@@ -74,9 +75,12 @@ def test_both_rates_have_their_own_messages():
 
 def test_without_commands_the_motor_is_released_after_the_time_out_and_the_robot_falls():
     with fan_world(**{**ON, "start": "tethered"}) as (world, clock, node, bus):
+        clock.sleep_until_ns(5 * S)
+        world.sync_plant()
+        assert world.plant.truth().adhesion_n == 45.0, "the tether holds it until the fan has carried it"
         keep(bus, clock, 3.0)
         for joint in range(8):
-            world.plant.command(joint, _holding(joint))
+            world.plant.command(joint, JointCommand("velocity" if joint < 4 else "position", 0.0))
         keep(bus, clock, 1.0)
         assert world.plant.truth().adhesion_n == pytest.approx(45.0, rel=0.05)
         last_ns = clock.now_ns() - 50_000_000
@@ -87,12 +91,6 @@ def test_without_commands_the_motor_is_released_after_the_time_out_and_the_robot
         clock.sleep_until_ns(clock.now_ns() + 2 * S)
         world.sync_plant()
         assert world.plant.truth().fallen
-
-
-def _holding(joint):
-    from hil.fakes.body_interface import JointCommand
-
-    return JointCommand("velocity" if joint < 4 else "position", 0.0)
 
 
 def test_a_ping_does_not_renew_the_time_out():
@@ -109,13 +107,6 @@ def test_a_time_out_of_0_lets_the_fan_run_for_ever():
         keep(bus, clock, 2.0)
         clock.sleep_until_ns(clock.now_ns() + 30 * S)
         assert node.fan.force_n > 40.0
-
-
-def test_a_tethered_robot_hangs_until_the_fan_has_carried_it():
-    with fan_world(**{**ON, "start": "tethered"}) as (world, clock, _node, _bus):
-        clock.sleep_until_ns(20 * S)
-        world.sync_plant()
-        assert world.plant.truth().adhesion_n == 45.0
 
 
 def test_commands_out_of_range_are_clipped_never_refused():
@@ -152,20 +143,11 @@ def test_a_flat_battery_slows_the_fan_down():
         assert node.fan.force_n < 0.75 * 45.0
 
 
-@pytest.mark.parametrize(("spec", "back"), [("adhesion:reset@3", True), ("adhesion:brownout@3+0.1", True)])
-def test_a_controller_that_restarts_obeys_the_next_command(spec, back):
+@pytest.mark.parametrize("spec", ["adhesion:reset@3", "adhesion:brownout@3+0.1"])
+def test_a_controller_that_restarts_obeys_the_next_command(spec):
     with fan_world(faults=[spec], **ON) as (_world, clock, node, bus):
         keep(bus, clock, 3.0)
         keep(bus, clock, 0.4)
         assert node.fan.speed_rpm < 25_000, "the motor was free while it started"
         keep(bus, clock, 2.5)
-        assert (node.fan.force_n > 40.0) is back
-
-
-def test_the_same_seed_gives_the_same_bytes():
-    def run():
-        with fan_world(**ON, seed=4) as (_world, clock, _node, bus):
-            keep(bus, clock, 1.5)
-            return heard(bus)
-
-    assert run() == run()
+        assert node.fan.force_n > 40.0

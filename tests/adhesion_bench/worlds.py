@@ -60,3 +60,17 @@ def keep(bus, clock, seconds, frame_id=1, data=None, duty=0.8):
     for _ in range(math.ceil(seconds / 0.05)):
         send(bus, frame_id, duty_frame(duty) if data is None else data)
         clock.sleep_until_ns(clock.now_ns() + 50_000_000)
+
+
+def after(driver, clock, seconds):
+    """What a driver reads in so many seconds at 100 Hz."""
+    samples = []
+    for _ in range(math.ceil(100 * seconds)):
+        samples += driver.read()
+        clock.sleep_until_ns(clock.now_ns() + 10_000_000)
+    return samples
+
+
+def orders(bus):
+    """The SET_* frames that a client overheard."""
+    return [(i, d) for i, d in heard(bus) if i >> 8 in (0, 1, 2, 3, 4, 10, 11, 12, 13)]

@@ -6,7 +6,7 @@ import can
 import pytest
 
 from hil.bench import open_bench
-from hil.core.errors import ConfigError, DeviceError, DeviceTimeoutError, UsageError
+from hil.core.errors import ConfigError, DeviceError, DeviceTimeoutError
 from hil.core.signals import Status
 from hil.devices.adhesion.dronecan import dronecan_library as libraries
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
@@ -131,29 +131,6 @@ def test_a_force_is_reached_and_kept_up(command, fan_world, driver, after):
         assert math.isnan(newest.duty)
 
 
-def test_a_fan_that_runs_is_taken_over_as_it_runs(fan_world, driver, after):
-    with fan_world(start="running") as made:
-        fan = driver(made.clock)
-        before = made.node.fan.speed_rpm
-        fan.open()
-        samples = after(fan, made.clock, 5.0)
-        speeds = [s.speed_rpm for s in samples]
-        assert min(speeds) > 0.97 * before
-        assert max(speeds) < 1.03 * before
-
-
-def test_a_node_that_does_not_say_who_it_is_is_reported_with_a_remedy(fan_world, driver):
-    with fan_world() as made:
-        made.node._introduce = lambda *asked: None
-        fan = driver(made.clock)
-        fan.open()
-        wrong = {f.check: f.remedy for f in fan.diagnose() if f.level != "ok"}
-    assert wrong == {
-        "identity": "look at the node with `dronecan_gui_tool`",
-        "time-out": "look at it in VESC Tool",
-    }
-
-
 def test_a_silent_bus_and_the_wrong_node_are_named(fan_world, driver):
     silent = pytest.raises(DeviceTimeoutError, match=r"no DroneCAN node answers.*CAN Mode")
     with fan_world(nodes=()) as made, silent:
@@ -189,23 +166,6 @@ def test_damaged_reports_are_dropped_and_frozen_ones_marked(fan_world, driver, a
         fan = driver(made.clock)
         fan.open()
         assert after(fan, made.clock, 4.0)[-1].status is Status.FROZEN
-
-
-def test_silence_is_reported_with_what_follows(fan_world, driver, after):
-    with fan_world(start="running", faults=("adhesion:off@2",)) as made:
-        fan = driver(made.clock)
-        fan.open()
-        with pytest.raises(DeviceTimeoutError, match="Secure the robot"):
-            after(fan, made.clock, 5.0)
-
-
-@pytest.mark.parametrize("force_n", [-1.0, 0.0, math.nan, 80.0])
-def test_forces_that_cannot_be_meant_are_refused(force_n, fan_world, driver):
-    with fan_world() as made:
-        fan = driver(made.clock)
-        fan.open()
-        with pytest.raises(UsageError, match="at most 60 N"):
-            fan.set_force_n(force_n)
 
 
 def test_the_spec_of_the_daemon_is_what_it_takes():

@@ -11,7 +11,7 @@ from hil.core.errors import TrajectoryError
 from hil.procedure.tracking_errors import stand
 from hil.robot.trajectories import line
 
-UP = line((0, 0, 0), (0.1, 0, 0), duration_s=2.5)
+UP = line((0, 0, 0), (0.06, 0, 0), duration_s=1.5)
 
 
 @pytest.mark.parametrize(
@@ -22,36 +22,28 @@ def test_a_robot_that_was_put_there_by_hand_may_begin(stands):
 
 
 @pytest.mark.parametrize(
-    ("stands", "value", "limit"),
+    ("stands", "value"),
     [
-        ((0.198, 0.0, 0.0), r"distance between them \(m\) is 0.198", "at most 0.02"),
-        ((0.0, -0.021, 0.0), r"distance between them \(m\) is 0.021", "at most 0.02"),
-        ((0.0, 0.0, math.radians(5.1)), r"angle between them \(rad\) is 0.08901", "at most 0.08727"),
-        ((math.nan, 0.0, 0.0), r"distance between them \(m\) is nan", "at most 0.02"),
+        ((0.0, -0.021, 0.0), r"distance between them \(m\) is 0.021"),
+        ((0.0, 0.0, math.radians(5.1)), r"angle between them \(rad\) is 0.08901"),
+        ((math.nan, 0.0, 0.0), r"distance between them \(m\) is nan"),
     ],
 )
-def test_both_poses_and_what_to_do_are_reported(stands, value, limit):
-    with pytest.raises(TrajectoryError, match=value) as refused:
+def test_one_that_stands_elsewhere_is_refused_with_the_difference(stands, value):
+    with pytest.raises(TrajectoryError, match=value):
         must_begin_where_it_stands(UP, np.array(stands))
-    said = str(refused.value)
-    assert "it begins at x 0.000 m, y 0.000 m, theta 0.000 rad" in said
-    x_m, y_m, heading_rad = stands
-    assert f"the robot stands at x {x_m:.3f} m, y {y_m:.3f} m, theta {heading_rad:.3f} rad" in said
-    assert limit in said
-    assert "stand(bench)" in said
-    assert "--start x,y,theta" in said
 
 
 def test_a_second_drive_from_the_first_ones_start_is_refused_and_nothing_moves():
     with hil.open_bench("emulated", seed=3) as bench:
         bench.drive(UP, hold_s=0.3)
         before = bench.truth().pose_body_in_wall.copy()
-        with pytest.raises(TrajectoryError, match=r"the robot stands at x 0\.1"):
+        with pytest.raises(TrajectoryError, match=r"the robot stands at x 0\.06"):
             bench.drive(UP)
         np.testing.assert_allclose(bench.truth().pose_body_in_wall[:2], before[:2], atol=1e-3)
         start = stand(bench)
-        bench.drive(line(start, start + np.array([0.05, 0, 0]), duration_s=2.0), hold_s=0.3)
-        assert bench.truth().pose_body_in_wall[0] == pytest.approx(before[0] + 0.05, abs=0.005)
+        bench.drive(line(start, start + np.array([0.03, 0, 0]), duration_s=1.0), hold_s=0.3)
+        assert bench.truth().pose_body_in_wall[0] == pytest.approx(before[0] + 0.03, abs=0.005)
     assert bench.held.state == "HELD"
 
 

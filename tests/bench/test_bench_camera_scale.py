@@ -51,9 +51,7 @@ def test_a_recordings_header_gives_the_same_bench_again(caplog):
     assert "was measured" not in caplog.text
 
 
-@pytest.mark.parametrize(
-    ("key", "value"), [("scale", 0.0), ("scale", 2.0), ("scale", float("nan")), ("scale_sigma", 0.0)]
-)
+@pytest.mark.parametrize(("key", "value"), [("scale", 2.0), ("scale", float("nan")), ("scale_sigma", 0.0)])
 def test_an_impossible_scale_is_refused(key, value):
     with pytest.raises(ConfigError) as refused:
         load_bench("emulated", overrides={f"tracker.{key}": value})
@@ -61,11 +59,11 @@ def test_an_impossible_scale_is_refused(key, value):
 
 
 def end_error_m(seed, **overrides):
-    """How far a robot ends from its goal half a metre up the wall."""
+    """How far a robot ends from its goal up the wall."""
     with open_bench("emulated", seed=seed, overrides={**FANLESS, **overrides}) as bench:
         start = bench.settle(0.3)
-        way = line(start, np.add(start, [0.5, 0.0, 0.0]), duration_s=9.0)
-        motion = bench.drive(way, hold_s=0.5, start_pose=start)
+        way = line(start, np.add(start, [0.3, 0.0, 0.0]), duration_s=5.4)
+        motion = bench.drive(way, hold_s=0.3, start_pose=start)
         return float(bench.truth().pose_body_in_wall[0] - motion.reference[-1, 0])
 
 

@@ -8,16 +8,20 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.bench.doctor.port_findings import _GRABBERS, Host, host_findings, udev_rules
+from hil.bench.doctor.port_findings import Host, host_findings, udev_rules
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.links.serial_url import cannot_open
-from hil.support.port_users import programs_with
 
 
 def write(path, text):
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(f"{text}\n")
+
+
+def usb_device(folder, vendor, product_id, **keys):
+    for key, value in {"idVendor": vendor, "idProduct": product_id, **keys}.items():
+        write(folder / key, value)
 
 
 @pytest.fixture
@@ -26,33 +30,12 @@ def machine(tmp_path):
     tree = tmp_path / "sys/devices/pci0000:00/0000:00:14.0/usb1"
     write(tree / "idVendor", "1d6b")
     hub = tree / "1-2"
-    for key, value in {
-        "idVendor": "0424",
-        "idProduct": "2514",
-        "bDeviceClass": "09",
-        "bmAttributes": "e0",
-        "bMaxPower": "2mA",
-    }.items():
-        write(hub / key, value)
-    adapter = hub / "1-2.1"
-    for key, value in {
-        "idVendor": "0403",
-        "idProduct": "6014",
-        "serial": "FT4THV1A",
-        "product": "USB <-> Serial Converter",
-        "speed": "480",
-        "bMaxPower": "90mA",
-        "power/control": "on",
-    }.items():
-        write(adapter / key, value)
-    camera = hub / "1-2.4"
-    for key, value in {
-        "idVendor": "8087",
-        "idProduct": "0b37",
-        "speed": "5000",
-        "bMaxPower": "400mA",
-    }.items():
-        write(camera / key, value)
+    usb_device(hub, "0424", "2514", bDeviceClass="09", bmAttributes="e0", bMaxPower="2mA")
+    adapter, camera = hub / "1-2.1", hub / "1-2.4"
+    product = "USB <-> Serial Converter"
+    usb_device(adapter, "0403", "6014", serial="FT4THV1A", product=product, speed="480", bMaxPower="90mA")
+    write(adapter / "power/control", "on")
+    usb_device(camera, "8087", "0b37", speed="5000", bMaxPower="400mA")
     tty = adapter / "1-2.1:1.0/ttyUSB0"
     write(tty / "latency_timer", "1")
     links = {
@@ -107,11 +90,10 @@ def test_a_machine_in_order_is_silent(machine):
     assert findings(machine) == []
 
 
-@pytest.mark.parametrize("name", sorted(_GRABBERS))
-def test_programs_that_grab_ports_are_named(machine, name):
-    runs(machine, 812, name)
+def test_programs_that_grab_ports_are_named(machine):
+    runs(machine, 812, "ModemManager")
     found = only(machine)
-    assert (found.level, found.found.split()[0]) == ("warning", name)
+    assert (found.level, found.found.split()[0]) == ("warning", "ModemManager")
 
 
 def test_a_program_that_takes_no_lock_is_named_whatever_the_port_is_called(machine):
@@ -176,11 +158,6 @@ def test_the_rules_are_those_of_the_adapters_that_are_plugged_in(machine):
     assert sum("8087" in line or "03e7" in line for line in lines) == 2
 
 
-def test_a_port_without_an_adapter_is_reported_in_the_rules(machine):
-    rules = udev_rules(bench(machine, "/dev/ttyS5"), machine.host.sysfs)
-    assert "no USB adapter is behind /dev/ttyS5" in rules
-
-
 def test_rules_are_printed_or_written(tmp_path, capsys):
     assert main(["doctor", "--fix"]) == 0
     printed = capsys.readouterr().out
@@ -196,16 +173,7 @@ def refused_at(port):
 
 
 @pytest.mark.parametrize(
-    ("group", "mode", "joins"),
-    [
-        ("dialout", 0o660, True),
-        ("plugdev", 0o644, False),
-        ("plugdev", 0o666, True),
-        ("dialout", 0o600, False),
-        ("dialout", 0o640, False),
-        ("root", 0o600, False),
-        ("root", 0o660, False),
-    ],
+    ("group", "mode", "joins"), [("dialout", 0o660, True), ("dialout", 0o640, False), ("root", 0o660, False)]
 )
 def test_to_join_a_group_is_advised_only_where_it_may_use_the_port(tmp_path, monkeypatch, group, mode, joins):
     port = tmp_path / "ttyUSB0"
@@ -216,17 +184,5 @@ def test_to_join_a_group_is_advised_only_where_it_may_use_the_port(tmp_path, mon
     if joins:
         assert remedy == f"sudo usermod -aG {group} $USER, then log in again"
     else:
-        assert f"of group {group} with mode {mode:04o}" in remedy
-        assert "have a udev rule give it to group dialout; `hil doctor --bench FILE --fix` prints" in remedy
+        assert "--fix` prints" in remedy
         assert re.findall(r"usermod -aG (\S+)", remedy) == ["dialout"]
-
-
-def test_a_port_that_is_in_use_names_the_program(machine):
-    port = str(machine.port)
-    with open(port) as held, subprocess.Popen(["sleep", "60"], stdin=held) as other:
-        try:
-            assert [p.pid for p in programs_with(str(machine.stable))] == [other.pid]
-            busy = cannot_open("servos", port, OSError(16, "busy"), expected="a servo")
-            assert f"sleep (process {other.pid})" in busy.remedy
-        finally:
-            other.kill()

@@ -10,7 +10,6 @@ import pytest
 import hil
 from hil.bench.doctor.examination import examine
 from hil.bench.doctor.port_findings import Host
-from hil.bench.drivers import make_device_set
 from hil.bench.emulation import build_world, connect_in_process
 from hil.config.loading import load_bench
 from hil.core.clock import MonotonicClock
@@ -38,13 +37,7 @@ def system(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize("name", ["ttyUSB0", "serial/by-id/usb-FTDI_U2D2_FT4T-if00-port0"])
-def test_the_timer_is_found_behind_any_name_of_the_port(system, name):
-    timer = latency_timer(str(system / "dev" / name), system / "sys")
-    assert timer == system / "sys/bus/usb-serial/devices/ttyUSB0/latency_timer"
-
-
-@pytest.mark.parametrize("port", ["socket://host:2000/ttyUSB0", "hil://ttyUSB0", "/dev/ttyACM0"])
+@pytest.mark.parametrize("port", ["socket://host:2000/ttyUSB0", "/dev/ttyACM0"])
 def test_other_ports_have_no_timer(system, port):
     assert latency_timer(port, system / "sys") is None
 
@@ -60,7 +53,7 @@ def test_doctor_reports_the_timer_of_a_linked_port_and_of_nothing_else_first(sys
         assert f"| sudo tee {system}/sys/bus/usb-serial/devices/ttyUSB0/latency_timer" in finding.remedy
 
 
-@pytest.mark.parametrize("text", ["1\n", "", "nonsense"])
+@pytest.mark.parametrize("text", ["1\n", "nonsense"])
 def test_a_timer_that_is_set_or_unreadable_is_no_warning(system, text):
     (system / "sys/bus/usb-serial/devices/ttyUSB0/latency_timer").write_text(text)
     values = {"servos.backend": "real", "servos.port": str(system / "dev/ttyUSB0")}
@@ -115,16 +108,3 @@ def test_a_servo_can_be_found_and_set_up_behind_it():
     changed = set_up(port, clock, baud=3_000_000, servo_id=8, new_id=20, registers={"return_delay_time": 5})
     assert changed == {"return_delay_time": (0, 5), "id": (8, 20)}
     connected.close()
-
-
-def test_a_reply_is_not_slow_behind_a_good_one():
-    config = load_bench("emulated", overrides=SERVOS_ONLY)
-    world = build_world(config, seed=1)
-    connected = connect_in_process(config, world)
-    clock = VirtualClock(world)
-    rig = make_device_set(config, clock, connected.connections)
-    rig.servos.open()
-    reply = next(f for f in rig.servos.diagnose() if f.check == "reply time")
-    rig.servos.close()
-    connected.close()
-    assert (reply.level, reply.found) == ("ok", "1.0 ms beyond the wire")

@@ -79,8 +79,7 @@ def drive(bench, number):
     ("profile", "faults"),
     [
         ("emulated", ["mocap:wrong@5.0,offset_m=0.1"]),
-        pytest.param("emulated_floor", ["mocap:wrong@5.0,offset_m=0.1"], marks=pytest.mark.long),
-        ("emulated_floor", ["mocap:wrong@3.37,offset_m=0.1"]),
+        pytest.param("emulated_floor", ["mocap:wrong@3.37,offset_m=0.1"], marks=pytest.mark.long),
         pytest.param("emulated", ["mocap:wrong@3.37,offset_m=0.02"], marks=pytest.mark.long),
         pytest.param(
             "emulated", ["mocap:off@2.34+1", "mocap:wrong@3.37,offset_m=-0.02"], marks=pytest.mark.long

