@@ -77,22 +77,6 @@ def test_an_answer_at_the_very_edge_is_in_time_and_silence_is_not_lateness(line,
     assert [joint for joint, _ in line.asked].count(1) == 1
 
 
-def test_what_changes_is_said_once(line, roll, caplog):
-    line.needs[2], line.needs[3] = 0.02, 0.03
-    roll.call(request)
-    roll.call(request)
-    line.needs[2], line.needs[3] = 0.001, NEVER
-    roll.call(request)
-    roll.call(request)
-    assert [text.split(": ")[1] for text in said(caplog)] == [
-        "drive_BR (ID 13) answers after 20 ms, at most 3 ms are expected",
-        "drive_FR (ID 14) answers after 30 ms, at most 3 ms are expected",
-        "drive_BR (ID 13) answers in time again",
-        "drive_FR (ID 14) does not answer any more",
-    ]
-    assert roll.late_s == {}
-
-
 def test_a_late_one_is_waited_for_only_where_there_is_time(line, roll, caplog):
     line.needs[2] = 0.02
     roll.call(request)

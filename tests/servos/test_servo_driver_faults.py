@@ -65,13 +65,6 @@ def test_a_servo_whose_fault_is_cleared_while_it_is_off_answers_again(servo_benc
     assert cycles(bench, 2)[-1].status[1] is Status.OK
 
 
-def test_two_dead_servos(servo_bench):
-    bench = servo_bench("servo.2:off@1", "servo.7:off@1.5", config={"fail_after_s": 60.0})
-    bench.driver.enable()
-    last = cycles(bench, 3)[-1]
-    assert [s is Status.OK for s in last.status] == [True, False, True, True, True, True, False, True]
-
-
 def test_servos_that_die_one_by_one_until_none_is_left_and_come_back(servo_bench):
     faults = [f"servo.{i}:off@{0.5 + 0.2 * i}+{6.0 - 0.2 * i}" for i in range(1, 9)]
     bench = servo_bench(*faults, config={"fail_after_s": 60.0, "health_period_s": 0.3})
@@ -119,15 +112,6 @@ def test_a_restarted_servo_is_set_up_again_and_counts_on(servo_bench, fault):
     true = bench.plant.position[2]
     assert moved == pytest.approx(true, abs=0.15)
     assert statuses(samples, 1) == {Status.OK}
-
-
-def test_all_servos_brown_out_and_come_back(servo_bench):
-    bench = servo_bench("servos:brownout@1+0.3", config={"health_period_s": 0.2})
-    bench.driver.enable()
-    samples = cycles(bench, 4, ROLLING)
-    assert samples[-1].ok
-    np.testing.assert_allclose(samples[-1].velocity_rad_s[:4], ROLLING.drive_velocity_rad_s, atol=0.05)
-    np.testing.assert_allclose(samples[-1].position_rad[4:], ROLLING.steer_position_rad, atol=0.01)
 
 
 def test_stuck_wrong_delayed_and_slow(servo_bench):
@@ -237,15 +221,10 @@ def test_a_pulled_adapter_and_its_return(servo_bench):
     bench.driver.close()
 
 
-def test_an_adapter_that_goes_while_setting_up_is_a_device_error(servo_bench):
+@pytest.mark.parametrize("fault", ["off@0.004", "off@0.028", "unplug@0.01"])
+def test_a_bus_that_goes_while_setting_up_is_a_device_error(servo_bench, fault):
     with pytest.raises(DeviceError):
-        servo_bench("servos:unplug@0.01")
-
-
-@pytest.mark.parametrize("at_s", [0.004, 0.012, 0.02, 0.028])
-def test_a_bus_that_falls_silent_while_setting_up_is_a_device_error(servo_bench, at_s):
-    with pytest.raises(DeviceError):
-        servo_bench(f"servos:off@{at_s}")
+        servo_bench(f"servos:{fault}")
 
 
 def test_overload_is_reported_and_becomes_an_error_and_enabling_is_refused(servo_bench):

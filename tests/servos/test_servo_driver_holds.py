@@ -1,7 +1,5 @@
 """Torque on and off, stop, release and close: the wheels rest and the robot is held, whatever was asked."""
 
-import contextlib
-
 import numpy as np
 import pytest
 from servo_cycles import ROLLING, SECOND, STILL, cycles
@@ -130,13 +128,3 @@ def test_positions_survive_the_wrap_of_the_register(servo_bench):
     assert good.mean() > 0.95
     assert positions[good][-1] - first == pytest.approx(3.0 * 2.45, abs=0.3)
     assert bench.bus.servos[0].present < -(2**31) + 10_000
-
-
-def test_an_error_leaves_the_driver_closable(servo_bench):
-    bench = servo_bench("servos:off@1")
-    bench.driver.enable()
-    with contextlib.suppress(DeviceError):
-        cycles(bench, 10)
-    bench.driver.stop()
-    bench.driver.close()
-    assert bench.driver.identity() == {}

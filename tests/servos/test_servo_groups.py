@@ -24,7 +24,6 @@ from servo_client import (
 )
 from servo_wire import make_wire
 
-from hil.config.servo_models.codes import BAUD_RATES
 from hil.core.signals import Status
 from hil.drivers.servos.packets import GroupRead, find_statuses, instruction
 from hil.fakes.body_interface import JointCommand
@@ -243,18 +242,6 @@ def test_servos_with_the_same_id_talk_over_each_other(wire, ids):
     data = b"".join(r.data for r in bench.replies)
     answers = GroupRead((4, 1, 5), 132, 4, fast=True).answers(data)
     assert [a.status for a in answers.values()] == [Status.OK, Status.CRC, Status.CRC]
-
-
-@pytest.mark.parametrize("code", sorted(BAUD_RATES))
-def test_servos_hear_their_own_rate_only(wire, code):
-    rate = BAUD_RATES[code]
-    bench = wire(baud=rate)
-    for other in BAUD_RATES.values():
-        bench.baud = other
-        heard = bench.send(instruction(1, PING))
-        assert bool(heard) == (other == rate)
-    bench.baud = round(rate * 1.02)
-    assert bench.send(instruction(1, PING))
 
 
 def test_a_servo_without_power_is_silent_and_limp_and_starts_over(wire):

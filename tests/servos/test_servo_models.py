@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from servo_client import MODEL
 from servo_wire import make_wire
 
-from hil.config.servo_models import model_text, models_text, servo_model, servo_models, shared_register
+from hil.config.servo_models import models_text, servo_model, shared_register
 from hil.config.servo_models.codes import BAUD_RATES, RETURN_DELAY_STEP_S, WATCHDOG_STEP_S
 from hil.config.servos import ServosConfig
 from hil.core.errors import DeviceError, UsageError
@@ -58,12 +58,6 @@ def bench_of(servo_bench):
         return servo_bench(*faults, model_number=number, **values)
 
     return build
-
-
-def test_these_models_are_known_and_named_where_the_bench_file_is_described():
-    assert tuple(servo_models()) == NUMBERS
-    for number in NUMBERS:
-        assert model_text(number) in " ".join(ServosConfig.__doc__.split())
 
 
 @each_model

@@ -112,24 +112,16 @@ def test_an_answer_that_is_late_is_listened_for_from_the_read_on(ahead):
     assert 500_000 < waited_ns[0] < 2_100_000
 
 
-@pytest.mark.parametrize("servo", [1, 4, 8])
-def test_a_silent_servo_costs_the_others_no_sample(ahead, servo):
-    bench = ahead(f"servo.{servo}:off@0.5+1", config={"fail_after_s": 60.0})
+@pytest.mark.parametrize("servo", [1, 8])
+def test_a_silent_servo_costs_the_others_no_sample_and_comes_back(ahead, servo):
+    bench = ahead(f"servo.{servo}:off@0.5+1", config={"fail_after_s": 60.0, "health_period_s": 0.2})
     bench.driver.enable()
-    samples, _, _ = cycles(bench, 400)
+    samples, _, _ = cycles(bench, 500)
     assert all(s.status[j] is Status.OK for s in samples for j in range(8) if j != servo - 1)
     assert sum(s.status[servo - 1] is Status.OK for s in samples) > 100
-
-
-def test_a_dead_servo_affects_no_other_servo_and_comes_back(ahead):
-    bench = ahead("servo.3:off@1+1", config={"fail_after_s": 60.0, "health_period_s": 0.2})
-    bench.driver.enable()
-    samples, _, _ = cycles(bench, 800)
-    others = [s.status[j] for s in samples for j in range(8) if j != 2]
-    assert others.count(Status.OK) / len(others) > 0.99
-    assert samples[300].status[2] is Status.TIMEOUT
+    assert samples[200].status[servo - 1] is Status.TIMEOUT
     assert samples[-1].ok
-    assert bench.bus.servos[2].torque
+    assert bench.bus.servos[servo - 1].torque
 
 
 def test_after_a_pause_the_old_answer_is_not_taken_for_the_present(ahead):
