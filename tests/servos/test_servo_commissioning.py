@@ -18,7 +18,7 @@ def bus_of(servo_bench):
     return build
 
 
-@pytest.mark.parametrize("baud", [57_600, 1_000_000, 4_500_000, 9_600])
+@pytest.mark.parametrize("baud", [9_600, 4_500_000])
 def test_a_scan_finds_all_at_any_rate(bus_of, baud):
     bench = bus_of(baud=baud)
     found = scan(PORT, bench.clock, ids=range(20))
@@ -51,10 +51,6 @@ def test_a_scan_asks_only_what_is_given(bus_of):
         scan(PORT, bench.clock, bauds=(123,))
     with pytest.raises(DeviceError, match="cannot be opened"):
         scan("hil://absent", bench.clock)
-
-
-def test_a_scan_of_a_dead_or_pulled_bus_finds_nothing(bus_of):
-    assert scan(PORT, bus_of("servos:off").clock, ids=range(5)) == ()
 
 
 def test_an_adapter_that_is_pulled_during_a_scan_is_an_error(bus_of):

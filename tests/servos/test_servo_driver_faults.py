@@ -57,14 +57,6 @@ def test_a_dead_servo_is_an_error_once_it_lasts(servo_bench):
     assert bench.clock.now_ns() == pytest.approx(3.0 * SECOND, rel=0.02)
 
 
-def test_a_servo_whose_fault_is_cleared_while_it_is_off_answers_again(servo_bench):
-    bench = servo_bench("servo.2:off@0.2")
-    bench.driver.enable()
-    assert cycles(bench, 1)[-1].status[1] is Status.TIMEOUT
-    bench.world.faults.clear()
-    assert cycles(bench, 2)[-1].status[1] is Status.OK
-
-
 def test_servos_that_die_one_by_one_until_none_is_left_and_come_back(servo_bench):
     faults = [f"servo.{i}:off@{0.5 + 0.2 * i}+{6.0 - 0.2 * i}" for i in range(1, 9)]
     bench = servo_bench(*faults, config={"fail_after_s": 60.0, "health_period_s": 0.3})
@@ -72,7 +64,7 @@ def test_servos_that_die_one_by_one_until_none_is_left_and_come_back(servo_bench
     samples = cycles(bench, 6)
     assert set(samples[-1].status) == {Status.TIMEOUT}
     assert bench.driver.read_health() == ()
-    back = cycles(bench, 12)
+    back = cycles(bench, 9)
     assert back[-1].ok
     assert all(s.torque for s in bench.bus.servos)
 
@@ -144,13 +136,20 @@ def test_a_slipped_magnet_is_reported_and_bridged(servo_bench):
     assert statuses(samples, 0) == {Status.OK}
 
 
-@pytest.mark.parametrize("fault", ["servo.1:garbage@1+0.3", "servo.8:garbage@1+0.3", "servos:garbage@1+0.3"])
-@pytest.mark.parametrize("fast", ["auto", False])
+@pytest.mark.parametrize(
+    ("fault", "fast"),
+    [
+        ("servo.1:garbage@1+0.3", "auto"),
+        ("servo.8:garbage@1+0.3", False),
+        ("servos:garbage@1+0.3", "auto"),
+        ("servos:garbage@1+0.3", False),
+    ],
+)
 def test_garbage_is_never_a_number(servo_bench, fault, fast):
     bench = servo_bench(fault, config={"fast_sync_read": fast})
     bench.driver.enable()
     still = bench.driver.read()[0].position_rad
-    samples = cycles(bench, 2.5)
+    samples = cycles(bench, 1.8)
     bad = between(samples, 1.01, 1.29)
     joint = 0 if "servo.1" in fault else 7
     assert Status.OK not in statuses(bad, joint)
@@ -181,7 +180,7 @@ def test_a_bad_line_costs_readings_but_never_truth(servo_bench, fault, fast):
     bench = servo_bench(fault, config={"fast_sync_read": fast}, seed=7)
     bench.driver.enable()
     start = bench.driver.read()[0].position_rad - bench.plant.position
-    samples = cycles(bench, 6, ROLLING)
+    samples = cycles(bench, 4, ROLLING)
     good = bad = 0
     for s in samples:
         for j in range(8):
