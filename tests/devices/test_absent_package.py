@@ -2,11 +2,9 @@
 
 import csv
 import shutil
-import subprocess
 import sys
 
 import pytest
-from installing import EXAMPLE, environment
 from mcap.reader import make_reader
 
 TWIN = """
@@ -51,29 +49,6 @@ def run(ctx):
 """
 
 
-@pytest.fixture(scope="module")
-def climb(rangefinder, tmp_path_factory):
-    """A results folder of the example's procedure, made where its package is installed."""
-    out = tmp_path_factory.mktemp("climb") / "out"
-    subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "hil.cli",
-            "run",
-            EXAMPLE / "approach.py",
-            "--bench",
-            EXAMPLE / "bench.toml",
-            "--out",
-            out,
-        ],
-        env=environment(rangefinder),
-        check=True,
-        capture_output=True,
-    )
-    return out
-
-
 @pytest.fixture
 def stand(tmp_path):
     """A bench without anything that is added, and a procedure that looks at it."""
@@ -106,9 +81,7 @@ def test_a_recording_repeats_is_exported_and_drawn_with_its_package(climb, range
         ("replay", "{}"),
         ("replay", "{}", "--verify"),
         ("replay", "{}", "--rerun", "x.rrd"),
-        ("replay", "{}", "--page", "x.html"),
         ("export", "{}"),
-        ("evaluate", "{}"),
         ("tune", "{}"),
         ("doctor", "--bench", "replay.toml"),
     ],
