@@ -129,11 +129,11 @@ def test_the_stamp_is_when_the_data_were_true(bench, turning_plant, ideal, baud)
     b = bench(plant=turning_plant(rate_rad_s=1.0), options=centred, config={"baud": baud}, baud=baud)
     b.driver.open()
     late_s = []
-    for sample in b.run(10.0)[20:]:
+    for sample in b.run(4.0)[20:]:
         up = in_body(sample)
         seen = math.atan2(-up[1], up[0])
         late_s.append(math.remainder(sample.stamp.t_ns * 1e-9 - seen, 2 * math.pi))
-    assert len(late_s) > 1000
+    assert len(late_s) > 400
     assert min(late_s) > -0.0005
     assert max(late_s) < 0.0025
 
@@ -142,8 +142,8 @@ def test_stamps_follow_a_clock_that_runs_wrong(bench, turning_plant, ideal):
     options = dataclasses.replace(ideal, position_m=(0.0, 0.0, 0.0), clock_ppm=-80.0)
     b = bench(plant=turning_plant(rate_rad_s=0.5), options=options)
     b.driver.open()
-    for _ in range(10):
-        b.run(10.0)
+    for _ in range(4):
+        b.run(12.5)
         sample = b.run(0.05)[-1]
         up = in_body(sample)
         late = math.remainder(0.5 * sample.stamp.t_ns * 1e-9 - math.atan2(-up[1], up[0]), 2 * math.pi) / 0.5
