@@ -15,6 +15,19 @@ from hil.config.bench import bench_model
 from hil.core.registry import kinds
 
 
+CLIMB = """
+from hil.procedure import procedure
+from hil.procedure.tracking_errors import stand
+from hil.robot.trajectories import line
+
+
+@procedure(name="climb", needs=("servos", "rangefinder"))
+def run(ctx):
+    start = stand(ctx.bench)
+    ctx.bench.drive(line(start, start + [0.02, 0.0, 0.0], duration_s=0.6), start_pose=start)
+"""
+
+
 @pytest.fixture(scope="session")
 def rangefinder(tmp_path_factory):
     """A folder with the example package as pip would install it; tests of the guide have it installed."""
@@ -66,12 +79,14 @@ def hil(tmp_path, monkeypatch, capsys, forget):
 
 @pytest.fixture(scope="session")
 def climb(rangefinder, tmp_path_factory):
-    """A results folder of the example's procedure, made where its package is installed."""
-    out = tmp_path_factory.mktemp("climb") / "out"
+    """A results folder of a short drive on the example's bench, made where its package is installed."""
+    folder = tmp_path_factory.mktemp("climb")
+    script, out = folder / "climb.py", folder / "out"
+    script.write_text(CLIMB)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "path", [str(rangefinder), *sys.path])
         forget_kinds()
-        words = ("run", EXAMPLE / "approach.py", "--bench", EXAMPLE / "bench.toml", "--out", out)
+        words = ("run", script, "--bench", EXAMPLE / "bench.toml", "--out", out)
         assert main([str(word) for word in words]) == 0
     forget_kinds()
     return out

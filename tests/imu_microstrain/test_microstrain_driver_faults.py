@@ -142,12 +142,6 @@ def test_a_client_that_changes_the_format_is_put_right(bench):
     assert kinds(seen[-20:]) == {Status.OK}
 
 
-def test_a_client_that_sets_it_to_idle_is_put_right(bench):
-    b = opened(bench)
-    b.chip.receive(encode(f.BASE, [Field(f.SET_IDLE)]), b.clock.now_ns(), 115_200)
-    assert kinds(b.run(1.0)[-20:]) == {Status.OK}
-
-
 @pytest.mark.parametrize(
     ("spec", "reason"),
     [
@@ -168,16 +162,6 @@ def test_what_lasts_raises_with_its_reason_and_a_remedy(bench, spec, reason):
     assert "hil://imu" in str(caught.value)
     b.driver.close()
     b.driver.close()
-
-
-def test_a_port_that_comes_back_is_used_again(bench):
-    b = opened(bench)
-    before = dict(b.driver.identity())
-    struck, after = during(b, "imu:unplug", 2.0)
-    assert kinds(struck) == {Status.TIMEOUT}
-    assert after[-1].status is Status.OK
-    assert dict(b.driver.identity()) == before
-    assert all(s.status is Status.OK for s in b.run(0.2))
 
 
 class Altered:

@@ -31,13 +31,6 @@ def test_on_a_vertical_wall_gravity_gives_the_heading(bench, turning_plant, idea
     assert up[2] == pytest.approx(0.0, abs=1e-5)
 
 
-def test_on_the_floor_gravity_points_out_of_the_label(bench, turning_plant, ideal):
-    """Up in the sensor's own axes, whose z comes out of its bottom."""
-    b = bench(plant=turning_plant(tilt_rad=0.0), options=ideal)
-    b.driver.open()
-    np.testing.assert_allclose(b.run(0.1)[-1].gravity_m_s2, [0.0, 0.0, -9.80665], atol=1e-5)
-
-
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.6, math.pi / 2, 2.5])
 @pytest.mark.parametrize("mount", [LABEL_UP, (0.5, 0.5, -0.5, 0.5)])
 def test_quaternion_and_gravity_agree_at_any_tilt(bench, turning_plant, tilt_rad, mount):

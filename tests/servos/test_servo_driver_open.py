@@ -72,24 +72,6 @@ def test_missing_and_wrong_servos_are_in_one_table(servo_bench):
     assert "hil discover" in text
 
 
-@pytest.mark.parametrize("config", [{}, {"model_number": 1010}])
-@pytest.mark.parametrize(("model", "name"), [(1060, "1060 (XL430-W250)"), (7, "7")])
-def test_a_servo_without_a_control_table_is_refused_by_name(servo_bench, model, name, config):
-    with pytest.raises(DeviceError) as caught:
-        servo_bench(model_by_joint={3: model}, config=config)
-    text = str(caught.value)
-    assert f"drive_FR (ID 4): found model {name}, firmware 46" in text
-    assert "exchange the servo: units and ranges are known of 1000 (XH430-W350), 1010 (XH430-W210)" in text
-
-
-def test_servos_of_two_models_are_refused(servo_bench):
-    with pytest.raises(DeviceError) as caught:
-        servo_bench(model_by_joint={5: 1030})
-    assert "1 of 8 servos" in str(caught.value)
-    assert "steer_BL (ID 6): found model 1030 (XM430-W210)" in str(caught.value)
-    assert "all eight must be of one model, others are 1010 (XH430-W210)" in caught.value.remedy
-
-
 def test_another_model_than_the_bench_file_names_is_refused(servo_bench):
     """The bench file can guard against an exchanged servo."""
     with pytest.raises(DeviceError, match=r"expected model 1010(.|\n)*set servos\.model_number = 1000"):
@@ -229,11 +211,6 @@ def test_ram_registers_of_the_bench_file_are_written_and_restored_after_a_restar
     assert gain.get("torque_enable") == 1
 
 
-def test_a_register_that_a_servo_refuses_is_named(servo_bench):
-    with pytest.raises(DeviceError, match=r"servo 1: register at 102 cannot be written .*limit below"):
-        servo_bench(config={"drive_registers": {"goal_current": 500}}, eeprom={0: {"current_limit": 400}})
-
-
 def test_steering_in_extended_mode_turns_further(servo_bench):
     bench = servo_bench(config={"steer_mode": "extended", "steer_limit_rad": 7.0}, steer_mode=4)
     bench.driver.enable()
@@ -338,6 +315,17 @@ def test_garbled_answers_in_the_first_moment_are_asked_for_again(servo_bench):
     assert bench.driver.identity()
 
 
-def test_answers_that_stay_garbled_are_refused_before_long(servo_bench):
-    with pytest.raises(DeviceError, match="garbled"):
-        servo_bench("servos:corrupt@0,probability=1")
+@pytest.mark.parametrize(
+    ("model", "name", "config"), [(1060, "1060 (XL430-W250)", {}), (7, "7", {"model_number": 1010})]
+)
+def test_a_servo_without_a_control_table_is_refused_by_name(servo_bench, model, name, config):
+    with pytest.raises(DeviceError) as caught:
+        servo_bench(model_by_joint={3: model}, config=config)
+    text = str(caught.value)
+    assert f"drive_FR (ID 4): found model {name}, firmware 46" in text
+    assert "exchange the servo: units and ranges are known of 1000 (XH430-W350), 1010 (XH430-W210)" in text
+
+
+def test_a_register_that_a_servo_refuses_is_named(servo_bench):
+    with pytest.raises(DeviceError, match=r"servo 1: register at 102 cannot be written .*limit below"):
+        servo_bench(config={"drive_registers": {"goal_current": 500}}, eeprom={0: {"current_limit": 400}})

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from servo_client import MODEL
 from servo_wire import make_wire
 
-from hil.config.servo_models import models_text, servo_model, shared_register
+from hil.config.servo_models import servo_model, shared_register
 from hil.config.servo_models.codes import BAUD_RATES, RETURN_DELAY_STEP_S, WATCHDOG_STEP_S
 from hil.config.servos import ServosConfig
 from hil.core.errors import UsageError
@@ -138,12 +138,6 @@ def test_the_emulated_motor_gives_the_vendors_stall_and_no_load_rows(number):
         drop = motor.resistance_ohm / motor.torque_constant_n_m_a
         top = (row.supply_v - drop * coulomb) / (motor.back_emf_v_s_rad + drop * viscous)
         assert top == pytest.approx(row.no_load_rad_s, rel=0.06)
-
-
-def test_a_model_without_a_table_is_refused_with_those_that_have_one():
-    with pytest.raises(UsageError, match=r"no control table for servo model 1060 \(XL430-W250\)") as caught:
-        servo_model(1060)
-    assert models_text() in str(caught.value)
 
 
 def test_what_a_bench_writes_at_open_must_be_right_for_the_model_on_the_bus():

@@ -34,12 +34,6 @@ def test_pauses_in_polling_do_not_count():
         noted(Status.TIMEOUT, 2 * LIMIT_NS + 1, excused_ns=LIMIT_NS)
 
 
-def test_an_error_of_the_hardware_is_another_failure_with_another_remedy():
-    with pytest.raises(DeviceError, match=r"drive_BR \(ID 3\): hardware error .*overload.*reboot") as error:
-        noted(Status.HARDWARE_ERROR, LIMIT_NS + 1, alert=0x20)
-    assert not isinstance(error.value, DeviceTimeoutError)
-
-
 def test_a_broken_servo_among_silent_ones_is_what_has_to_be_mended():
     watch = AnswerTimeouts(ServosConfig(fail_after_s=LIMIT_NS * 1e-9), "servos", 0)
     status = (Status.TIMEOUT, Status.HARDWARE_ERROR, *[Status.OK] * 6)
