@@ -14,7 +14,6 @@ from hil.cli import main
 from hil.config.bench import bench_model
 from hil.core.registry import kinds
 
-
 CLIMB = """
 from hil.procedure import procedure
 from hil.procedure.tracking_errors import stand

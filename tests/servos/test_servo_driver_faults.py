@@ -35,7 +35,7 @@ def test_a_dead_servo_costs_little_and_affects_no_other_servo(servo_bench, joint
             bench.clock.sleep_until_ns(began + CYCLE_NS)
         return found
 
-    healthy = durations(40)
+    healthy = durations(20)
     bench.world.faults.add(parse_fault(f"servo.{joint + 1}:off"))
     dead = durations(200)
     assert max(dead) - max(healthy) <= 3_000_000
@@ -58,13 +58,13 @@ def test_a_dead_servo_is_an_error_once_it_lasts(servo_bench):
 
 
 def test_servos_that_die_one_by_one_until_none_is_left_and_come_back(servo_bench):
-    faults = [f"servo.{i}:off@{0.5 + 0.2 * i}+{6.0 - 0.2 * i}" for i in range(1, 9)]
+    faults = [f"servo.{i}:off@{0.5 + 0.1 * i}+{2.5 - 0.1 * i}" for i in range(1, 9)]
     bench = servo_bench(*faults, config={"fail_after_s": 60.0, "health_period_s": 0.3})
     bench.driver.enable()
-    samples = cycles(bench, 6)
+    samples = cycles(bench, 2.5)
     assert set(samples[-1].status) == {Status.TIMEOUT}
     assert bench.driver.read_health() == ()
-    back = cycles(bench, 9)
+    back = cycles(bench, 5)
     assert back[-1].ok
     assert all(s.torque for s in bench.bus.servos)
 
@@ -77,29 +77,17 @@ def test_a_servo_that_restarts_without_torque_is_left_without(servo_bench):
     assert not any(s.torque for s in bench.bus.servos)
 
 
-def test_a_bus_that_falls_silent_altogether(servo_bench):
-    bench = servo_bench("servos:off@1")
-    bench.driver.enable()
-    cycles(bench, 1)
-    began = bench.clock.now_ns()
-    (sample,) = bench.driver.read()
-    assert bench.clock.now_ns() - began < 9_000_000
-    assert set(sample.status) == {Status.TIMEOUT}
-    with pytest.raises(DeviceTimeoutError, match=r"drive_FL(.*)steer_FR"):
-        cycles(bench, 6)
-
-
-@pytest.mark.parametrize("fault", ["servo.3:brownout@1+0.4", "servo.3:reset@1", "servo.3:off@1+0.4"])
+@pytest.mark.parametrize("fault", ["servo.3:reset@0.5", "servo.3:off@0.5+0.4"])
 def test_a_restarted_servo_is_set_up_again_and_counts_on(servo_bench, fault):
     bench = servo_bench(fault, config={"health_period_s": 0.2})
     bench.driver.enable()
-    samples = cycles(bench, 4, ROLLING)
+    samples = cycles(bench, 2.5, ROLLING)
     assert {Status.OK, Status.TIMEOUT, Status.RESET} >= statuses(samples, 2)
     assert Status.RESET in statuses(samples, 2)
     assert {s.status[2] for s in samples[-50:]} == {Status.OK}
     assert bench.bus.servos[2].torque
     assert samples[-1].velocity_rad_s[2] == pytest.approx(2.0, abs=0.05)
-    offset = samples[5].position_rad[2] - 0.0
+    offset = samples[5].position_rad[2]
     moved = samples[-1].position_rad[2] - offset
     true = bench.plant.position[2]
     assert moved == pytest.approx(true, abs=0.15)
@@ -109,21 +97,21 @@ def test_a_restarted_servo_is_set_up_again_and_counts_on(servo_bench, fault):
 def test_stuck_wrong_delayed_and_slow(servo_bench):
     bench = servo_bench(
         "servo.1:stuck@1+0.5",
-        "servo.5:wrong@2+0.5,angle_rad=0.3",
-        "servo.3:delayed@3+1,delay_s=0.2",
-        "servo.4:slow@5+0.5,answer_s=0.0005",
+        "servo.5:wrong@1+0.5,angle_rad=0.3",
+        "servo.3:delayed@2+1,delay_s=0.2",
+        "servo.4:slow@1+0.5,answer_s=0.0005",
     )
     bench.driver.enable()
-    samples = cycles(bench, 6, ROLLING)
+    samples = cycles(bench, 3, ROLLING)
     frozen = between(samples, 1.05, 1.45)
     assert len({s.position_rad[0] for s in frozen}) == 1
-    wrong = between(samples, 2.1, 2.4)
+    wrong = between(samples, 1.1, 1.4)
     assert np.mean([s.position_rad[4] for s in wrong]) == pytest.approx(0.2 + 0.3, abs=0.01)
-    assert np.mean([s.position_rad[4] for s in between(samples, 2.6, 2.9)]) == pytest.approx(0.2, abs=0.01)
-    before, during = between(samples, 2.8, 2.95)[-1], between(samples, 3.5, 3.9)[0]
+    assert np.mean([s.position_rad[4] for s in between(samples, 1.6, 1.9)]) == pytest.approx(0.2, abs=0.01)
+    before, during = between(samples, 1.8, 1.95)[-1], between(samples, 2.5, 2.9)[0]
     dt_s = (during.stamp.t_ns - before.stamp.t_ns) * 1e-9
     assert during.position_rad[2] - before.position_rad[2] == pytest.approx(2.0 * (dt_s - 0.2), abs=0.05)
-    slow = between(samples, 5.05, 5.45)
+    slow = between(samples, 1.05, 1.45)
     assert statuses(slow, 3) == {Status.OK}
 
 
@@ -247,3 +235,15 @@ def test_an_alert_carries_the_error_bits_beside_the_sample(servo_bench):
     after = cycles(bench, 6)
     assert after[-1].status[2] is Status.OK
     assert after[-1].alert == (0,) * 8
+
+
+def test_a_bus_that_falls_silent_altogether(servo_bench):
+    bench = servo_bench("servos:off@1")
+    bench.driver.enable()
+    cycles(bench, 1)
+    began = bench.clock.now_ns()
+    (sample,) = bench.driver.read()
+    assert bench.clock.now_ns() - began < 9_000_000
+    assert set(sample.status) == {Status.TIMEOUT}
+    with pytest.raises(DeviceTimeoutError, match=r"drive_FL(.*)steer_FR"):
+        cycles(bench, 6)

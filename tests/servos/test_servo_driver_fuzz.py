@@ -67,7 +67,7 @@ def test_opening_a_bus_that_talks_nonsense_is_a_device_error(answers):
         assert clock.now_ns() < 5 * SECOND
 
 
-@settings(max_examples=25)
+@settings(max_examples=15)
 @given(answers=PIECES, fast=st.sampled_from(["auto", False]))
 def test_nonsense_between_the_answers_gives_samples_or_a_device_error(answers, fast):
     with babbling(answers, with_bus=True, fast_sync_read=fast) as (chip, driver, clock):

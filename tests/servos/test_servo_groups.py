@@ -138,14 +138,10 @@ def test_a_servo_asked_to_answer_pings_only_is_silent_in_a_group(wire, code):
     ("code", "parameters"),
     [
         (SYNC_READ, b""),
-        (SYNC_READ, POSITION),
         (FAST_SYNC_READ, POSITION[:3]),
-        (BULK_READ, b""),
         (BULK_READ, b"\x01" + POSITION + b"\x02"),
         (FAST_BULK_READ, b"\x01\x84"),
         (SYNC_WRITE, b"\x41"),
-        (SYNC_WRITE, word(65) + word(1) + b"\x01"),
-        (BULK_WRITE, b"\x01\x41\x00"),
         (BULK_WRITE, b"\x01" + word(65) + word(4) + b"\x01"),
         (SYNC_WRITE, word(65) + word(0) + b"\x01"),
     ],
@@ -261,7 +257,7 @@ PACKETS = st.builds(
 )
 
 
-@settings(max_examples=100)
+@settings(max_examples=50)
 @given(pieces=st.lists(NOISE | PACKETS, max_size=6), at_once=st.booleans())
 def test_no_bytes_upset_the_bus(pieces, at_once):
     bench = make_wire()

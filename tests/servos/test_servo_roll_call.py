@@ -128,5 +128,5 @@ def test_one_that_is_quick_again_is_driven_again(servo_bench):
     ids=str,
 )
 def test_who_is_silent_lost_or_garbled_is_not_called_late(servo_bench, faults):
-    found = looks(stopped(servo_bench(*faults, config=LONG)), 60)
+    found = looks(stopped(servo_bench(*faults, config=LONG)), 40)
     assert all(hold.late == {} for hold in found)
