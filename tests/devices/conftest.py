@@ -23,7 +23,7 @@ from hil.robot.trajectories import line
 @procedure(name="climb", needs=("servos", "rangefinder"))
 def run(ctx):
     start = stand(ctx.bench)
-    ctx.bench.drive(line(start, start + [0.02, 0.0, 0.0], duration_s=0.6), start_pose=start)
+    ctx.bench.drive(line(start, start + [0.01, 0.0, 0.0], duration_s=0.6), start_pose=start)
 """
 
 
