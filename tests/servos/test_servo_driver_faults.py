@@ -35,7 +35,7 @@ def test_a_dead_servo_costs_little_and_affects_no_other_servo(servo_bench, joint
             bench.clock.sleep_until_ns(began + CYCLE_NS)
         return found
 
-    healthy = durations(20)
+    healthy = durations(40)
     bench.world.faults.add(parse_fault(f"servo.{joint + 1}:off"))
     dead = durations(200)
     assert max(dead) - max(healthy) <= 3_000_000
