@@ -6,38 +6,58 @@ import sys
 from types import SimpleNamespace
 
 import pytest
+import tomllib
 from faulty_package import DRIVE, TABLES
-from installing import EXAMPLE, install
+from installing import EXAMPLE
 
 from hil.cli import main
 from hil.config.bench import bench_model
 from hil.core.registry import kinds
 
+CLIMB = """
+from hil.procedure import procedure
+from hil.procedure.tracking_errors import stand
+from hil.robot.trajectories import line
+
+
+@procedure(name="climb", needs=("servos", "rangefinder"))
+def run(ctx):
+    start = stand(ctx.bench)
+    ctx.bench.drive(line(start, start + [0.01, 0.0, 0.0], duration_s=0.6), start_pose=start)
+"""
+
 
 @pytest.fixture(scope="session")
 def rangefinder(tmp_path_factory):
-    """A folder into which the example package is installed, from a copy of it."""
-    source, target = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("installed")
-    shutil.copytree(EXAMPLE, source / "rangefinder", ignore=shutil.ignore_patterns("build", "*.egg-info"))
-    install(source / "rangefinder", target)
+    """A folder with the example package as pip would install it; tests of the guide have it installed."""
+    target = tmp_path_factory.mktemp("installed")
+    project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]
+    shutil.copytree(EXAMPLE / "src" / "hil_rangefinder", target / "hil_rangefinder")
+    about = target / "hil_rangefinder-0.1.0.dist-info"
+    about.mkdir()
+    lines = [f"{key}: {project[key.lower()]}" for key in ("Name", "Version")]
+    (about / "METADATA").write_text("\n".join(("Metadata-Version: 2.1", *lines, "")))
+    points = [f"{name} = {place}" for name, place in project["entry-points"]["hil.devices"].items()]
+    (about / "entry_points.txt").write_text("\n".join(("[hil.devices]", *points, "")))
     return target
+
+
+def forget_kinds():
+    importlib.invalidate_caches()
+    for cached in (kinds, bench_model):
+        cached.cache_clear()
 
 
 @pytest.fixture
 def forget():
     """Forgets which kinds there are; what a test has made known is forgotten after it."""
 
-    def now():
-        importlib.invalidate_caches()
-        for cached in (kinds, bench_model):
-            cached.cache_clear()
-
     known = set(sys.modules)
-    yield now
+    yield forget_kinds
     for name in set(sys.modules) - known:
         if name.startswith("hil_"):
             del sys.modules[name]
-    now()
+    forget_kinds()
 
 
 @pytest.fixture
@@ -54,6 +74,21 @@ def hil(tmp_path, monkeypatch, capsys, forget):
         return SimpleNamespace(code=code, out=printed.out, said=printed.err)
 
     return run
+
+
+@pytest.fixture(scope="session")
+def climb(rangefinder, tmp_path_factory):
+    """A results folder of a short drive on the example's bench, made where its package is installed."""
+    folder = tmp_path_factory.mktemp("climb")
+    script, out = folder / "climb.py", folder / "out"
+    script.write_text(CLIMB)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "path", [str(rangefinder), *sys.path])
+        forget_kinds()
+        words = ("run", script, "--bench", EXAMPLE / "bench.toml", "--out", out)
+        assert main([str(word) for word in words]) == 0
+    forget_kinds()
+    return out
 
 
 @pytest.fixture

@@ -2,11 +2,9 @@
 
 import csv
 import shutil
-import subprocess
 import sys
 
 import pytest
-from installing import EXAMPLE, environment
 from mcap.reader import make_reader
 
 TWIN = """
@@ -51,29 +49,6 @@ def run(ctx):
 """
 
 
-@pytest.fixture(scope="module")
-def climb(rangefinder, tmp_path_factory):
-    """A results folder of the example's procedure, made where its package is installed."""
-    out = tmp_path_factory.mktemp("climb") / "out"
-    subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "hil.cli",
-            "run",
-            EXAMPLE / "approach.py",
-            "--bench",
-            EXAMPLE / "bench.toml",
-            "--out",
-            out,
-        ],
-        env=environment(rangefinder),
-        check=True,
-        capture_output=True,
-    )
-    return out
-
-
 @pytest.fixture
 def stand(tmp_path):
     """A bench without anything that is added, and a procedure that looks at it."""
@@ -94,7 +69,7 @@ def test_a_recording_repeats_is_exported_and_drawn_with_its_package(climb, range
     assert done.code == 0, done.said
     with (tmp_path / "table.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) > 200
+    assert len(rows) > 60
     assert 0.1 < float(rows[-1]["rangefinder_distance_m"]) < 3.0
     assert 0.0 <= float(rows[-1]["t"]) - float(rows[-1]["rangefinder_t"]) < 0.1
     assert "/range" in topics(recording)
@@ -106,9 +81,7 @@ def test_a_recording_repeats_is_exported_and_drawn_with_its_package(climb, range
         ("replay", "{}"),
         ("replay", "{}", "--verify"),
         ("replay", "{}", "--rerun", "x.rrd"),
-        ("replay", "{}", "--page", "x.html"),
         ("export", "{}"),
-        ("evaluate", "{}"),
         ("tune", "{}"),
         ("doctor", "--bench", "replay.toml"),
     ],

@@ -1,41 +1,27 @@
 """A package whose code fails while it is in use is named, with its device and what to do: exit 3."""
 
 import json
-import os
-import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from faulty_package import CHANNELS, CHIP, PACKAGE, TABLES, driver
 
+from hil.cli import main
+
 FAILING = {
     "a constructor": (driver("__init__ = fail"), "its constructor raised RuntimeError: boom"),
     "open": (driver("open = fail"), "open() raised RuntimeError: boom"),
-    "open for the system": (
-        driver("def open(self): raise OSError(5, 'gone')"),
-        "open() raised OSError: [Errno 5] gone",
-    ),
     "an end of the process": (driver("def read(self): sys.exit(7)"), "read() raised SystemExit: 7"),
     "nothing": (driver("def read(self): return None"), "read() gave None"),
-    "a number": (driver("def read(self): return 5"), "read() gave 5"),
     "other samples": (driver("def read(self): return ((1, 2),)"), "read() gave a tuple: (1, 2)"),
     "samples without end": (driver("def read(self): return endless(self)"), "more than 10000 samples"),
     "a stamp of None": (
         driver("def read(self): return (Sample(Stamp(None, 0, 0), 1.0),)"),
         "read() gave Sample.stamp with t_ns None",
     ),
-    "a stamp in seconds": (
-        driver("def read(self): return (Sample(Stamp(1.5, 0, 0), 1.0),)"),
-        "read() gave Sample.stamp with t_ns 1.5",
-    ),
     "a value of another type": (
         driver("def read(self): return (replace(self.sample(), value=None),)"),
         "gave Sample.value None",
-    ),
-    "a text in a tuple": (
-        driver("def read(self): return (self.sample(pair=('x', None)),)"),
-        "gave Sample.pair ('x', None)",
     ),
     "a tuple of another length": (
         driver("def read(self): return (self.sample(pair=(1.0,)),)"),
@@ -43,10 +29,6 @@ FAILING = {
     ),
     "a number beyond every float": (
         driver("def read(self): return (self.sample(10**400),)"),
-        "which no float holds",
-    ),
-    "a number of thousands of digits": (
-        driver("def read(self): return (self.sample(10**9999),)"),
         "which no float holds",
     ),
     "a number beyond 64 bits": (
@@ -77,7 +59,7 @@ def test_the_doctor_names_the_package_and_goes_on(case, package, hil):
 
 
 @pytest.mark.usefixtures("bench")
-@pytest.mark.parametrize("case", ["open", "an end of the process", "a number", "emulate"])
+@pytest.mark.parametrize("case", ["open", "nothing", "emulate"])
 def test_a_run_names_the_package(case, package, hil):
     source, reported = FAILING[case]
     folder = package("hil-evil", PACKAGE + source, "ITEM", version="6.6")
@@ -118,12 +100,6 @@ def test_the_doctor_names_what_else_of_a_package_fails(part, package, hil):
 
 PROMISES = {
     "a hole that is not reported": ("return (self.sample(math.nan),)", "NaN or infinity in value", 3),
-    "a hole in a tuple": (
-        "return (self.sample(pair=(1.0, math.inf)),)",
-        "NaN or infinity in pair with Status.OK",
-        3,
-    ),
-    "a hole of numpy": ("return (self.sample(np.float32('nan')),)", "NaN or infinity in value", 3),
     "a hole in a mapping": ("return (self.sample(more={'x': math.nan}),)", "NaN or infinity in more", 3),
     "a stamp of an hour ago": (
         "return (self.sample(ahead_ns=-3600 * 10**9),)",
@@ -133,11 +109,6 @@ PROMISES = {
     "a stamp that goes back": (
         "return (self.sample(ahead_ns=-10**8 * (self.seq % 2)),)",
         "were measured no later than the one",
-        3,
-    ),
-    "the same stamp": (
-        "self.first = getattr(self, 'first', None) or self.sample(); return (self.first,)",
-        "19 of 20 good samples were measured no later than the one before",
         3,
     ),
     "a stamp whose number goes back": (
@@ -192,22 +163,15 @@ def test_a_model_without_a_wire_says_so(package, hil):
 
 
 @pytest.mark.usefixtures("bench")
-def test_figures_that_fail_are_named_and_the_rest_is_drawn(package, hil, tmp_path):
+def test_figures_that_fail_are_named_and_the_rest_is_drawn(package, forget, monkeypatch, tmp_path, capfd):
+    """Another process draws."""
     folder = package("hil-evil", PACKAGE + "ITEM = thing(figures=fail)\n", "ITEM", version="6.6")
-    assert hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder]).code == 0
-    done = subprocess.run(
-        [sys.executable, "-m", "hil", "replay", "out/recording.mcap", "--rerun", "x.rrd"],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (folder, Path(__file__).parents[2])))},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "hil: wrote x.rrd (" in done.stderr
-    assert (
-        done.stderr.count("WARNING hil.monitor.plot_series: thing (hil-evil 6.6): figures raised Runtime")
-        == 1
-    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [str(folder), *sys.path])
+    forget()
+    assert main(["run", "look.py", "--bench", "bench.toml", "--out", "out"]) == 0
+    assert main(["replay", "out/recording.mcap", "--rerun", "x.rrd"]) == 0
+    assert capfd.readouterr().err.count("thing (hil-evil 6.6): figures raised Runtime") == 1
     assert (tmp_path / "x.rrd").stat().st_size > 0
 
 
@@ -277,14 +241,11 @@ def test_an_emulator_ends_by_a_device_that_fails(package, hil):
 
 WRONG_CHECKS = {
     "none": ("lambda self, config: 3", "checks() gave 3"),
-    "one": ("lambda self, config: LastingCheck('thing', 'low', bool)", "checks() gave <"),
     "raising": ("fail", "checks() raised RuntimeError: boom"),
     "of another kind": ("lambda self, config: (LastingCheck('thin', 'low', bool),)", "checks() gave 'thin'"),
-    "a sentence": ("lambda self, config: (LastingCheck('thing', 'Too low!', bool),)", "gave 'Too low!'"),
 }
 FAILING_CHECKS = {
     "raises": ("fail(cycle)", "on_samples() of its check raised RuntimeError: boom"),
-    "no reason": ("cycle.stop(7, 'low')", "reason 7"),
     "no message": ("cycle.stop('low', None)", "message None"),
 }
 

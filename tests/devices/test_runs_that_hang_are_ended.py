@@ -31,7 +31,7 @@ def declared(parameters):
 def run(ctx):
     pass
 """
-SIGNALS = {"twice": [signal.SIGINT, signal.SIGINT], "term": [signal.SIGTERM]}
+TWICE, TERM = [signal.SIGINT, signal.SIGINT], [signal.SIGTERM]
 
 
 def ended(folder, packages, awaited, signals):
@@ -60,10 +60,9 @@ def ended(folder, packages, awaited, signals):
 
 
 @pytest.mark.usefixtures("bench")
-@pytest.mark.parametrize("name", SIGNALS)
-def test_a_run_ends_while_a_driver_does_not_open(name, tmp_path, package):
+def test_a_run_ends_while_a_driver_does_not_open(tmp_path, package):
     folder = package("hil-evil", PACKAGE + driver(STUCK.format(method="open")), "ITEM", version="6.6")
-    code, out, said, took_s = ended(tmp_path, [folder], "in open", SIGNALS[name])
+    code, out, said, took_s = ended(tmp_path, [folder], "in open", TWICE)
     assert code == 4, said
     reported = json.loads(out)
     assert reported["verdict"] == "ABORTED"
@@ -72,11 +71,10 @@ def test_a_run_ends_while_a_driver_does_not_open(name, tmp_path, package):
 
 
 @pytest.mark.usefixtures("bench")
-@pytest.mark.parametrize("name", SIGNALS)
-def test_a_run_ends_while_its_script_declares_for_ever(name, tmp_path, package):
+def test_a_run_ends_while_its_script_declares_for_ever(tmp_path, package):
     (tmp_path / "look.py").write_text(DECLARES)
     folder = package("hil-good", PACKAGE + "\n\nITEM = thing()\n", "ITEM")
-    code, out, said, took_s = ended(tmp_path, [folder], "in declared", SIGNALS[name])
+    code, out, said, took_s = ended(tmp_path, [folder], "in declared", TERM)
     assert code == 4, said
     assert json.loads(out)["error"]["exit_code"] == 4
     assert took_s < 20.0
@@ -90,7 +88,7 @@ def test_a_driver_that_opens_slowly_is_open_before_a_run_is_ended(tmp_path, pack
         print("closed", file=sys.stderr, flush=True)
 """
     folder = package("hil-slow", PACKAGE + driver(body), "ITEM")
-    code, out, said, _ = ended(tmp_path, [folder], "in open", SIGNALS["term"])
+    code, out, said, _ = ended(tmp_path, [folder], "in open", TERM)
     assert code == 4, said
     assert json.loads(out)["error"]["message"].startswith("stopped at once by STOP")
     assert "closed" in said

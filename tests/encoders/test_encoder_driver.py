@@ -95,14 +95,6 @@ def test_stuck_words_and_wrong_angles_look_plausible(encoder_bench, steering_pla
     np.testing.assert_allclose(last.angle_rad[1:], [truth, truth, truth + 0.3], atol=0.002)
 
 
-def test_a_jump_stays(encoder_bench, drain):
-    bench = encoder_bench("encoder.BR:jump@0.5+0.1,angle_rad=0.1", options=IDEAL)
-    bench.driver.open()
-    samples = drain(bench, 150)
-    assert samples[20].angle_rad[2] == pytest.approx(0.0, abs=0.001)
-    np.testing.assert_allclose(samples[-1].angle_rad, [0, 0, 0.1, 0], atol=0.001)
-
-
 def test_slow_and_delayed(encoder_bench, drain):
     bench = encoder_bench("encoders:slow@1,factor=4")
     bench.driver.open()
@@ -213,14 +205,6 @@ def test_open_says_what_is_missing(encoder_bench, fault):
     assert caught.value.exit_code == 3
     assert bench.driver.identity() == {}
     bench.driver.close()
-
-
-def test_error_frames_are_no_frames_of_another_node(encoder_bench):
-    """What a wrong bit rate looks like: nothing but error frames, before a first frame has come."""
-    bench = encoder_bench("encoders:baud_mismatch")
-    reported = "no sample set .* error frames.*check first .*same bit rate .encoders.bitrate = 500000"
-    with pytest.raises(DeviceTimeoutError, match=reported):
-        bench.driver.open()
 
 
 def test_open_names_frames_that_do_not_match_the_dbc(encoder_bench):

@@ -67,32 +67,6 @@ def test_any_frames_give_samples_or_a_device_error(frames, with_node):
         channel.close()
 
 
-def test_frames_of_others_alone_are_no_encoders():
-    world = World(StillPlant(), seed=1)
-    channel = CanChannel(world, "fuzz").open()
-
-    class Chatter:
-        due_ns = 0
-
-        def next_due_ns(self):
-            return self.due_ns
-
-        def on_due(self, t_ns):
-            self.due_ns = t_ns + 1_000_000
-            channel.transmit(0x123, bytes(range(8)), t_ns)
-
-    world.add(Chatter())
-    config = EncodersConfig(interface="hil", channel="fuzz", open_timeout_s=0.3)
-    driver = As5045Encoders(config, VirtualClock(world))
-    try:
-        with pytest.raises(DeviceError) as caught:
-            driver.open()
-        assert caught.value.remedy
-    finally:
-        driver.close()
-        channel.close()
-
-
 class Flood:
     """A bus on which there is always one more frame."""
 

@@ -84,13 +84,6 @@ def test_a_dbc_of_a_lab_need_not_describe_a_status(watched, tmp_path):
     assert (finding.level, finding.found) == ("ok", "the node does not say")
 
 
-def test_another_layout_is_reported_in_a_run_too(watched, caplog):
-    watched({"Layout": 7}, {"Layout": 7})
-    assert [r.getMessage() for r in caplog.records if "layout" in r.getMessage()] == [
-        "encoders at hil:test0 sends frames of layout 7, the DBC describes 1"
-    ]
-
-
 def of_another_node(bench, k):
     """Both frames of a node that began counting elsewhere."""
     for frame, left, right in ((416, "AngleFL", "AngleBL"), (417, "AngleBR", "AngleFR")):

@@ -234,13 +234,6 @@ def test_bus_overrun_comes_at_its_rate_and_less_without_magnetometer(imu_bench):
     assert share["00"] == 0.0
 
 
-def test_power_cycle_by_the_line(client):
-    client.send("AA 00 3D 01 08")
-    client.after(20).chip.reset(client.world.now_ns)
-    assert client.send("AA 01 00 01") == ""
-    assert client.after(650).read(0x3D, 1) == b"\x00"
-
-
 @given(st.lists(st.binary(max_size=40), max_size=30))
 def test_no_bytes_whatever_upset_the_parser(chunks):
     parser = RequestParser()

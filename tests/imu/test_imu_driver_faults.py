@@ -1,18 +1,15 @@
 """Every failure of the emulated BNO055 ends as data with a status, a repair, or a named device error."""
 
 import contextlib
-import gc
-import weakref
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hil.core.errors import DataError, DeviceError, DeviceTimeoutError, HilError
+from hil.core.errors import DataError, DeviceError, DeviceTimeoutError
 from hil.core.signals import Status
 from hil.drivers.imu import ImuCalibration
-from hil.fakes.fault import parse_fault
 from hil.fakes.serial_chip import Reply
 
 MODE_WRITE = bytes.fromhex("AA003D0108")
@@ -39,29 +36,6 @@ def test_bus_overruns_are_repeated_within_the_cycle(imu_bench):
     good = sum(s.status is Status.OK for s in samples)
     assert good > 0.98 * len(samples)
     assert len(samples) > 400
-
-
-def test_a_reply_that_was_repeated_keeps_nothing_of_its_caller_alive(imu_bench):
-    """An error that is kept would keep all who called, and all that they have recorded."""
-
-    class Recorded:
-        pass
-
-    bench = imu_bench(overrun_probability=0.25, config={"fusion_mode": "ndof"})
-    bench.driver.open()
-    asked = len(bench.written)
-
-    def ran():
-        recorded = Recorded()
-        run(bench, 1)
-        return weakref.ref(recorded)
-
-    gc.disable()
-    try:
-        assert ran()() is None
-    finally:
-        gc.enable()
-    assert len(bench.written) - asked > 110  # of 100 requests, some were repeated
 
 
 @pytest.mark.parametrize("fault", ["imu:reset@1", "imu:brownout@1+0.2", "imu:off@1+0.2"])
@@ -123,11 +97,6 @@ def test_a_bad_calibration_file_is_a_data_error_naming_it(imu_bench, tmp_path, t
     assert str(path) in str(caught.value)
 
 
-def test_a_missing_calibration_file_is_a_data_error(imu_bench):
-    with pytest.raises(DataError, match="cannot be read"):
-        imu_bench(config={"calibration_file": "/no/such/file"}).driver.open()
-
-
 def test_frozen_data_are_marked(imu_bench):
     bench = imu_bench("imu:stuck@1+2")
     bench.driver.open()
@@ -163,7 +132,7 @@ def test_silence_costs_little_time_per_cycle(imu_bench):
     assert spent_ns < 100 * 3_000_000
 
 
-@pytest.mark.parametrize("code", [2, 3, 4, 5, 6, 7, 8, 9, 10, 99])
+@pytest.mark.parametrize("code", [2, 7, 99])
 def test_error_replies_are_protocol_samples(imu_bench, code):
     bench = imu_bench(f"imu:intermittent@0.5,code={code}")
     bench.driver.open()
@@ -201,13 +170,6 @@ def test_wrong_slow_delayed_and_jump(imu_bench, turning_plant):
     assert run(bench, 0.1)[-1].status is Status.OK
 
 
-def test_delayed_data_that_do_not_exist_yet_read_zero(imu_bench):
-    bench = imu_bench("imu:delayed,delay_s=1")
-    bench.driver.open()
-    assert statuses(run(bench, 0.3)) <= {Status.STARTING}
-    assert run(bench, 2)[-1].status is Status.OK
-
-
 def test_slow_answers_are_lost_when_slower_than_the_time_out(imu_bench):
     bench = imu_bench("imu:slow@1,answer_s=0.04")
     bench.driver.open()
@@ -221,7 +183,6 @@ def test_slow_answers_are_lost_when_slower_than_the_time_out(imu_bench):
         ("chip://denied", "dialout"),
         ("chip://absent", "discover"),
         ("/dev/no_such_tty", "discover"),
-        ("what://is", "discover"),
         ("/", "discover"),
     ],
 )
@@ -245,14 +206,6 @@ def test_open_waits_for_a_booting_chip(imu_bench):
     bench.chip.reset(0)
     bench.driver.open()
     assert 0.65e9 < bench.clock.now_ns() < 0.8e9
-
-
-def test_calibration_access_reports_a_dead_chip(imu_bench):
-    bench = imu_bench("imu:off@1")
-    bench.driver.open()
-    bench.clock.sleep_until_ns(1_100_000_000)
-    with pytest.raises(DeviceTimeoutError, match="cannot be read"):
-        bench.driver.read_calibration()
 
 
 class Impostor:
@@ -313,18 +266,6 @@ def test_garbage_of_any_length_never_hangs_and_never_escapes(imu_bench, answers,
     assert bench.clock.now_ns() < 20_000_000_000
 
 
-def test_faults_can_be_added_while_running_and_unknown_ones_are_refused(imu_bench):
-    bench = imu_bench()
-    bench.driver.open()
-    run(bench, 0.2)
-    bench.world.faults.add(parse_fault("imu:off"))
-    assert statuses(run(bench, 0.3)) == {Status.TIMEOUT}
-    bench.world.faults.clear()
-    assert run(bench, 1.5)[-1].status is Status.OK
-    with pytest.raises(HilError, match="cannot produce"):
-        bench.world.faults.add(parse_fault("imu:adhesion_loss"))
-
-
 @pytest.mark.parametrize("prefetch", [False, True])
 def test_a_port_that_has_gone_shows_at_once_and_the_chip_is_set_up_anew(imu_bench, prefetch):
     bench = imu_bench(config={"prefetch": prefetch})
@@ -369,16 +310,6 @@ def test_a_chip_that_refuses_its_set_up_does_not_open(imu_bench):
     assert bench.driver.identity() == {}
 
 
-def test_a_reply_cut_short_is_a_time_out(imu_bench):
-    bench = imu_bench()
-    bench.driver.open()
-    run(bench, 0.1)
-    bench.interpose(Impostor(bench.chip, [bytes.fromhex("BB220102")] * 5, only=bytes.fromhex("AA0114")))
-    kinds = [s.status for s in run(bench, 0.5)]
-    assert Status.TIMEOUT in kinds
-    assert kinds[-1] is Status.OK
-
-
 def test_a_second_client_that_changes_the_page_is_repaired(imu_bench):
     bench = imu_bench()
     bench.driver.open()
@@ -420,3 +351,16 @@ def test_open_is_patient_with_a_busy_computer_and_a_cycle_is_not(imu_bench):
     began_ns = bench.clock.now_ns()
     assert {sample.status for sample in bench.driver.read()} == {Status.TIMEOUT}
     assert bench.clock.now_ns() - began_ns < 50_000_000
+
+
+def test_a_missing_calibration_file_is_a_data_error(imu_bench):
+    with pytest.raises(DataError, match="cannot be read"):
+        imu_bench(config={"calibration_file": "/no/such/file"}).driver.open()
+
+
+def test_calibration_access_reports_a_dead_chip(imu_bench):
+    bench = imu_bench("imu:off@1")
+    bench.driver.open()
+    bench.clock.sleep_until_ns(1_100_000_000)
+    with pytest.raises(DeviceTimeoutError, match="cannot be read"):
+        bench.driver.read_calibration()

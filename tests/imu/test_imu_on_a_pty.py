@@ -10,7 +10,6 @@ import serial
 
 from hil.config.imu import Bno055Config
 from hil.core.clock import MonotonicClock
-from hil.core.errors import DeviceError
 from hil.core.signals import Status
 from hil.drivers.imu import Bno055Imu
 from hil.fakes.imu import Bno055Chip
@@ -78,14 +77,6 @@ def test_the_driver_reads_at_100_hz(served):
     good = [s for s in samples if s.status is Status.OK]
     assert len(good) > 40
     assert good[-1].gyro_rad_s[2] == pytest.approx(0.2, abs=0.03)
-
-
-def test_a_second_client_is_refused(served):
-    with (
-        serial.Serial(served, 115_200, exclusive=True),
-        pytest.raises(DeviceError, match="close the other program"),
-    ):
-        Bno055Imu(Bno055Config(port=served), MonotonicClock()).open()
 
 
 def test_a_plain_pyserial_script_talks_to_the_chip(served):

@@ -31,13 +31,6 @@ def test_on_a_vertical_wall_gravity_gives_the_heading(bench, turning_plant, idea
     assert up[2] == pytest.approx(0.0, abs=1e-5)
 
 
-def test_on_the_floor_gravity_points_out_of_the_label(bench, turning_plant, ideal):
-    """Up in the sensor's own axes, whose z comes out of its bottom."""
-    b = bench(plant=turning_plant(tilt_rad=0.0), options=ideal)
-    b.driver.open()
-    np.testing.assert_allclose(b.run(0.1)[-1].gravity_m_s2, [0.0, 0.0, -9.80665], atol=1e-5)
-
-
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.6, math.pi / 2, 2.5])
 @pytest.mark.parametrize("mount", [LABEL_UP, (0.5, 0.5, -0.5, 0.5)])
 def test_quaternion_and_gravity_agree_at_any_tilt(bench, turning_plant, tilt_rad, mount):
@@ -129,11 +122,11 @@ def test_the_stamp_is_when_the_data_were_true(bench, turning_plant, ideal, baud)
     b = bench(plant=turning_plant(rate_rad_s=1.0), options=centred, config={"baud": baud}, baud=baud)
     b.driver.open()
     late_s = []
-    for sample in b.run(10.0)[20:]:
+    for sample in b.run(4.0)[20:]:
         up = in_body(sample)
         seen = math.atan2(-up[1], up[0])
         late_s.append(math.remainder(sample.stamp.t_ns * 1e-9 - seen, 2 * math.pi))
-    assert len(late_s) > 1000
+    assert len(late_s) > 400
     assert min(late_s) > -0.0005
     assert max(late_s) < 0.0025
 
@@ -142,8 +135,8 @@ def test_stamps_follow_a_clock_that_runs_wrong(bench, turning_plant, ideal):
     options = dataclasses.replace(ideal, position_m=(0.0, 0.0, 0.0), clock_ppm=-80.0)
     b = bench(plant=turning_plant(rate_rad_s=0.5), options=options)
     b.driver.open()
-    for _ in range(10):
-        b.run(10.0)
+    for _ in range(4):
+        b.run(12.5)
         sample = b.run(0.05)[-1]
         up = in_body(sample)
         late = math.remainder(0.5 * sample.stamp.t_ns * 1e-9 - math.atan2(-up[1], up[0]), 2 * math.pi) / 0.5

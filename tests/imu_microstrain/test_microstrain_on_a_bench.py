@@ -25,7 +25,7 @@ pytestmark = pytest.mark.usefixtures("warm_commands")
 
 IMU = {"model": "microstrain", "backend": "emulated"}
 ALONE = {"schema": 1, "name": "sensor", "imu": IMU}
-CLIMB = line((0.0, 0.0, 0.0), (0.2, 0.0, 0.0), duration_s=4.0)
+CLIMB = line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=2.0)
 SHORT = line((0.0, 0.0, 0.0), (0.03, 0.0, 0.0), duration_s=1.0)
 
 
@@ -91,17 +91,25 @@ def test_imperfections_are_those_of_the_chosen_model(bench_file):
         hil.open_bench(bench_file("[emulation.imu]\nyaw_drift_rad_s = 0.5\n"))
 
 
-def test_up_a_wall_with_it_in_virtual_time():
-    with wall(seed=2) as bench:
+def test_up_a_wall_with_it_in_virtual_time_and_in_a_replay_bit_for_bit(tmp_path):
+    path = tmp_path / "climb.mcap"
+    bench = wall(seed=2)
+    bench.add_sink(McapRecorder(path, bench.header(), lossless=True))
+    with bench:
         motion = bench.drive(CLIMB, feedback="ekf", hold_s=0.3)
         truth = bench.truth().pose_body_in_wall
         samples = [s for r in motion.records for s in r.inputs.imu]
     assert not motion.events
-    assert len(samples) == pytest.approx(4.3 * 111.1, rel=0.05)
+    assert len(samples) == pytest.approx(2.3 * 111.1, rel=0.05)
     assert {s.status for s in samples} == {Status.OK}
     np.testing.assert_allclose(motion.estimate[-1][:2], truth[:2], atol=0.005)
     assert motion.estimate[-1][2] == pytest.approx(truth[2], abs=0.005)
-    assert truth[0] == pytest.approx(0.2, abs=0.01)
+    assert truth[0] == pytest.approx(0.1, abs=0.01)
+    recording = open_recording(path)
+    assert isinstance(recording.bench.config.of(MicrostrainConfig), MicrostrainConfig)
+    found = verify_recording(recording)
+    assert found["verdict"] == "identical"
+    assert sum(run["cycles"] for run in found["runs"]) > 220
 
 
 @pytest.mark.long
@@ -126,21 +134,8 @@ def test_up_a_wall_with_it_at_the_wire_in_real_time():
         assert not motion.events
 
 
-def test_a_recording_of_it_replays_bit_for_bit(tmp_path):
-    path = tmp_path / "climb.mcap"
-    bench = wall(seed=3)
-    bench.add_sink(McapRecorder(path, bench.header(), lossless=True))
-    with bench:
-        bench.drive(CLIMB, feedback="ekf")
-    recording = open_recording(path)
-    assert isinstance(recording.bench.config.of(MicrostrainConfig), MicrostrainConfig)
-    found = verify_recording(recording)
-    assert found["verdict"] == "identical"
-    assert sum(run["cycles"] for run in found["runs"]) > 390
-
-
 def test_a_fault_of_it_is_seen_and_survived():
-    with wall(seed=2, faults=("imu:off@1.5+0.2",)) as bench:
+    with wall(seed=2, faults=("imu:off@1.0+0.2",)) as bench:
         motion = bench.drive(CLIMB, feedback="ekf", hold_s=0.3)
         statuses = {s.status for r in motion.records for s in r.inputs.imu}
         np.testing.assert_allclose(motion.estimate[-1][:2], bench.truth().pose_body_in_wall[:2], atol=0.01)
@@ -163,23 +158,13 @@ def test_the_doctor_finds_it_healthy(bench_file):
     assert found["late samples"].found == "0 of 111"
 
 
-def test_the_doctor_expects_the_rate_of_the_bench_file(bench_file):
-    path = bench_file()
-    path.write_text(path.read_text() + "rate_hz = 20\n")
-    found = findings(hil.open_bench(path))
-    assert {f.level for f in found.values()} == {"ok"}
-    assert found["samples"].found.startswith("20 of 20 good")
-
-
 @pytest.mark.parametrize(
     ("fault", "check", "level", "reported"),
     [
         ("imu:off", "open", "failure", "no MicroStrain sensor answers"),
-        ("imu:drop@0.3,probability=0.2", "rate", "warning", "gaps"),
         ("imu:slow@0.3,factor=3", "rate", "warning", "37.0 Hz"),
         ("imu:delayed@1.2,delay_s=0.07", "late samples", "failure", " of "),
         ("imu:stuck@0.2", "samples", "failure", "frozen"),
-        ("imu:corrupt@0.2,probability=0.2", "samples", "warning", "crc"),
         ("imu:reset@0.5", "filter", "failure", "initialising"),
     ],
 )

@@ -6,7 +6,6 @@ import pytest
 import serial
 
 from hil.core.clock import MonotonicClock
-from hil.core.errors import DeviceError
 from hil.core.signals import Status
 from hil.devices.imu.microstrain import mip_fields as f
 from hil.devices.imu.microstrain.config import MicrostrainConfig
@@ -47,14 +46,6 @@ def test_the_driver_reads_the_stream(served):
     good = [s for s in samples if s.status is Status.OK]
     assert len(good) > 50
     assert good[-1].gyro_rad_s[2] == pytest.approx(-0.2, abs=0.03)
-
-
-def test_a_second_client_is_refused(served):
-    with (
-        serial.Serial(served, 115_200, exclusive=True),
-        pytest.raises(DeviceError, match="close the other program"),
-    ):
-        MicrostrainImu(MicrostrainConfig(port=served), MonotonicClock()).open()
 
 
 def test_a_plain_pyserial_script_talks_to_the_sensor(served):

@@ -51,16 +51,6 @@ def test_it_can_be_opened_again_while_it_goes_on_sending(bench):
         b.driver.read()
 
 
-def test_a_sensor_that_sends_something_else_is_set_up_to_send_what_is_wanted(bench):
-    b = bench(saved=Settings(formats=OTHER))
-    b.driver.open()
-    settings = b.chip.commands.settings
-    assert [descriptor for descriptor, _ in settings.formats[f.FILTER_DATA]] == list(f.LAYOUTS)
-    assert settings.streams == {f.FILTER_DATA}
-    assert b.run(0.2)[-1].status is Status.OK
-    assert b.chip.commands.saved.formats == OTHER
-
-
 @pytest.mark.parametrize("wanted", [False, True])
 def test_the_magnetometer_is_used_only_when_asked_for(bench, wanted):
     b = bench(config={"magnetometer": wanted})
@@ -113,7 +103,7 @@ def test_another_sensor_of_the_maker_is_refused_by_name(bench):
     assert not b.line.in_use
 
 
-@pytest.mark.parametrize("model", ["6287", "6288", "6289"])
+@pytest.mark.parametrize("model", ["6287", "6289"])
 def test_its_siblings_serve_as_well(bench, model):
     b = bench(model=model)
     b.driver.open()
@@ -166,29 +156,11 @@ def test_a_silent_port_is_a_time_out_that_says_what_to_look_at(bench):
     assert not b.line.in_use
 
 
-@pytest.mark.parametrize("fault", ["imu:garbage", "imu:baud_mismatch"])
-def test_noise_is_distinguished_from_silence(bench, fault):
+def test_noise_is_distinguished_from_silence(bench):
     formats = {f.FILTER_DATA: tuple((descriptor, 10) for descriptor in f.LAYOUTS)}
-    b = bench(fault, saved=Settings(formats=formats))
+    b = bench("imu:garbage", saved=Settings(formats=formats))
     with pytest.raises(DeviceTimeoutError, match="what comes is no MIP packet"):
         b.driver.open()
-
-
-def test_a_wrong_baud_rate_is_silence(bench):
-    b = bench(config={"baud": 230_400})
-    with pytest.raises(DeviceTimeoutError, match="no MicroStrain sensor answers"):
-        b.driver.open()
-
-
-def test_no_port_and_a_taken_port_are_named(bench):
-    b = bench(config={"port": "hil://nowhere"})
-    with pytest.raises(DeviceError, match="port cannot be opened"):
-        b.driver.open()
-    b = bench()
-    b.driver.open()
-    other = type(b.driver)(b.config, b.clock)
-    with pytest.raises(DeviceError, match="close the other program"):
-        other.open()
 
 
 def test_a_sensor_that_is_still_starting_is_waited_for(bench):
@@ -210,7 +182,7 @@ def test_losses_on_the_wire_do_not_stop_the_set_up(bench):
     assert b.run(0.2)[-1].status is Status.OK
 
 
-@pytest.mark.parametrize("after_s", [0.015, 0.03, 0.04, 0.05])
+@pytest.mark.parametrize("after_s", [0.015, 0.05])
 def test_a_sensor_that_restarts_in_the_middle_is_begun_anew(bench, after_s):
     b = bench(f"imu:reset@{after_s}", config={"open_timeout_s": 10.0})
     b.driver.open()
@@ -220,14 +192,11 @@ def test_a_sensor_that_restarts_in_the_middle_is_begun_anew(bench, after_s):
     assert b.chip.commands.settings.streams == {f.FILTER_DATA}
 
 
-def test_a_sensor_that_stops_in_the_middle_is_distinguished_from_one_that_never_answered(bench):
-    b = bench("imu:off@0.015")
-    with pytest.raises(DeviceTimeoutError, match="stopped answering while it was set up"):
-        b.driver.open()
-
-
-def test_a_port_that_is_pulled_out_while_opening(bench):
-    b = bench("imu:unplug@0.015")
-    with pytest.raises(DeviceTimeoutError, match="the port failed"):
+@pytest.mark.parametrize(("fault", "reported"), [("off", "stopped answering"), ("unplug", "the port failed")])
+def test_a_sensor_that_goes_in_the_middle_is_distinguished_from_one_that_never_answered(
+    bench, fault, reported
+):
+    b = bench(f"imu:{fault}@0.015")
+    with pytest.raises(DeviceTimeoutError, match=reported):
         b.driver.open()
     assert not b.line.in_use

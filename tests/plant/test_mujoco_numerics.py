@@ -7,7 +7,7 @@ import pytest
 from mujoco_driving import mujoco, robot
 from plant_driving import MS_NS, build, drive, settle, wait
 
-from hil.core.errors import DeviceError, UsageError
+from hil.core.errors import DeviceError
 from hil.fakes.mujoco_plant import CONTACTS
 from hil.fakes.mujoco_plant.model import as_built, build_model
 
@@ -86,8 +86,3 @@ def test_a_simulation_that_diverges_is_an_error_of_the_plant_and_no_verdict(tmp_
         wait(plant, 0.1)
     assert e.value.exit_code == 3
     assert list(tmp_path.iterdir()) == []  # MuJoCo's own log
-
-
-def test_what_is_no_place_is_refused():
-    with pytest.raises(UsageError, match="start pose"):
-        robot(start_pose=(0.0, 0.0, float("nan")))

@@ -7,7 +7,6 @@ import pytest
 from plant_driving import (
     FLOOR,
     MS_NS,
-    X_LINE,
     assert_falls_freely,
     build,
     drive,
@@ -26,7 +25,7 @@ from hil.fakes.fault import make_fault
 from hil.fakes.plant import Patch, Surface, make_plant
 from hil.fakes.plant.robot import GRAVITY_M_S2
 from hil.robot.kinematics import WheelGeometry
-from hil.robot.trajectories import circle
+from hil.robot.trajectories import circle, line
 from tests.selected import every
 
 WEIGHT_N = 3.25 * GRAVITY_M_S2
@@ -37,10 +36,9 @@ def test_a_held_robot_does_not_creep(random):
     plant = build(1, random=random)
     settle(plant)
     before = plant.truth().pose_body_in_wall
-    wait(plant, 60.0)
+    wait(plant, 20.0)
     drift = np.abs(plant.truth().pose_body_in_wall - before)
-    assert drift[:2].max() <= 1e-5
-    assert drift[2] <= 1e-5
+    assert drift.max() <= 1e-5 / 3.0
 
 
 def _holds(**options) -> bool:
@@ -141,13 +139,13 @@ def _slip_free(plant, **contact):
 
 
 def test_without_slip_the_floor_robot_moves_as_kinematics_says():
-    way_m, duration_s = 3.0, 60.0
-    path = circle((0, 0, 0), way_m / (2 * math.pi), speed_m_s=1.875 * way_m / duration_s)
+    share = 0.25
+    path = circle((0, 0, 0), 3.0 / (2 * math.pi), turns=share, speed_m_s=0.094)
     stiff = _slip_free(build(**FLOOR), creep_along=1000.0, creep_across=700.0)
     _, _, apart = play_back(stiff, path, WheelGeometry.nominal())
-    assert np.all(apart <= 2e-5)
+    assert np.all(apart <= 2e-5 * share)
     _, _, apart = play_back(_slip_free(build(**FLOOR)), path, WheelGeometry.nominal())
-    assert np.all(apart <= 2e-4)
+    assert np.all(apart <= 1e-4)
 
 
 def test_a_tenth_of_the_step_gives_the_same_path():
@@ -167,8 +165,8 @@ def test_a_tenth_of_the_step_gives_the_same_path():
 
 def test_creep_is_per_metre_rolled_not_per_second():
     short_m = []
-    for duration_s in (30.0, 60.0):
-        path = type(X_LINE)("x", (type(X_LINE.segments[0])(X_LINE.segments[0].path, duration_s),))
+    for duration_s in (8.0, 16.0):
+        path = line((0, 0, 0), (0.4, 0, 0), duration_s=duration_s)
         error, _, _ = play_back(build(), path, WheelGeometry.nominal())
         short_m.append(-error[0])
     assert short_m[0] == pytest.approx(short_m[1], rel=0.05)
@@ -251,15 +249,6 @@ def test_the_robot_slides_where_the_fan_is_set_below_the_closed_form():
         plant.set_adhesion(force_n)
         wait(plant, 4.0)
         assert plant.truth().fallen == falls
-
-
-def test_the_robot_slides_without_its_propellers():
-    plant = build()
-    settle(plant)
-    plant.set_thrust(0.0)
-    wait(plant, 4.0)
-    assert plant.truth().fallen
-    assert plant.truth().thrust_n == 0.0
 
 
 @pytest.mark.parametrize("force_n", [-1.0, math.nan, math.inf])

@@ -21,24 +21,24 @@ def _differences(a, b):
         yield field.name, float(np.max(np.abs(np.asarray(x, float) - np.asarray(y, float))))
 
 
-def _adventure(plant, rng, seconds=1.2):
+def _adventure(plant, rng):
     """All modes, steering, a loss of adhesion if there is one, torque off."""
-    for k in range(round(seconds * 10)):
+    for k in range(12):
         drive(plant, rng.uniform(-5, 5, 4), rng.uniform(-2, 2, 4))
         plant.command(
             k % 4, JointCommand(("pwm", "current", "velocity")[k % 3], float(rng.uniform(-0.5, 0.5)))
         )
         if k == 9:
             release(plant)
-        wait(plant, 0.1)
+        wait(plant, 0.05)
         yield plant.truth()
 
 
-@pytest.mark.parametrize("case", every(2, [{}, {"surface": "patchy"}, FLOOR, {"tilt_rad": 2.0}]))
+@pytest.mark.parametrize("case", every(2, [{"surface": "patchy"}, {}, FLOOR, {"tilt_rad": 2.0}]))
 def test_machine_code_and_plain_python_agree(case, monkeypatch):
     runs = []
     for compiled in (True, False):
-        faults = FaultPlan([make_fault("plant", "adhesion_loss", at=0.7, duration=0.2, factor=0.5)])
+        faults = FaultPlan([make_fault("plant", "adhesion_loss", at=0.35, duration=0.1, factor=0.5)])
         if not compiled:
             monkeypatch.setattr("hil.fakes.plant.robot.advance", advance.py_func)
         plant = build(3, random=True, faults=faults, **case)

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 from plant_driving import FLOOR, X_LINE, Y_LINE, build, track
 
+from hil.robot.trajectories import line
+
 MM, DEG = 1e3, math.degrees(1.0)
+SHORT = line((0, 0, 0), (0.5, 0, 0), duration_s=10.0)
 
 
 @cache
@@ -33,15 +36,15 @@ def test_end_errors_are_of_the_size_of_the_facts(trajectory, along, expected):
 
 
 def test_the_floor_needs_no_correction():
-    truth, _, wanted = track(build(**FLOOR), X_LINE)
-    assert np.abs(truth - wanted)[-1, :2].max() < 2e-3
+    truth, _, wanted = track(build(**FLOOR), SHORT)
+    assert np.abs(truth - wanted)[-1, :2].max() < 2e-3 / 3.0
 
 
 def test_friction_decides_how_far_it_slips():
     lost = []
     for surface in ("concrete", "melamine"):
-        truth, _, wanted = x_line(surface)
-        lost.append(wanted[-1, 0] - truth[-1, 0])
+        truth, _, wanted = track(build(surface=surface), SHORT)
+        lost.append(3.0 * (wanted[-1, 0] - truth[-1, 0]))
     assert 0.005 < lost[0] < 0.85 * lost[1]
 
 

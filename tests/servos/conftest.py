@@ -1,12 +1,8 @@
 """Factories: a packet-level client on an emulated bus, and a driver on `hil://servos`."""
 
-import errno
-import sys
-import types
 from types import SimpleNamespace
 
 import pytest
-import serial
 from servo_wire import JointPlant, make_wire
 
 from hil.config.servos import ServosConfig
@@ -22,27 +18,6 @@ from hil.fakes.world import VirtualClock, World
 def wire():
     """Factory of a bus and a packet-level client on it."""
     return make_wire
-
-
-class DeniedPort:
-    """What pyserial does where the user may not use a device (a privileged user cannot be refused)."""
-
-    def __init__(self, port, **settings):
-        raise serial.SerialException(errno.EACCES, f"could not open port {port}: Permission denied")
-
-
-@pytest.fixture
-def denied_port():
-    """URL of a port without permission."""
-    package, module = types.ModuleType("servo_urls"), types.ModuleType("servo_urls.protocol_denied")
-    module.Serial = DeniedPort
-    modules = {"servo_urls": package, "servo_urls.protocol_denied": module}
-    sys.modules.update(modules)
-    serial.protocol_handler_packages.append("servo_urls")
-    yield "denied://bus"
-    serial.protocol_handler_packages.remove("servo_urls")
-    for name in modules:
-        del sys.modules[name]
 
 
 @pytest.fixture

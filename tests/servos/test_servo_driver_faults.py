@@ -57,29 +57,14 @@ def test_a_dead_servo_is_an_error_once_it_lasts(servo_bench):
     assert bench.clock.now_ns() == pytest.approx(3.0 * SECOND, rel=0.02)
 
 
-def test_a_servo_whose_fault_is_cleared_while_it_is_off_answers_again(servo_bench):
-    bench = servo_bench("servo.2:off@0.2")
-    bench.driver.enable()
-    assert cycles(bench, 1)[-1].status[1] is Status.TIMEOUT
-    bench.world.faults.clear()
-    assert cycles(bench, 2)[-1].status[1] is Status.OK
-
-
-def test_two_dead_servos(servo_bench):
-    bench = servo_bench("servo.2:off@1", "servo.7:off@1.5", config={"fail_after_s": 60.0})
-    bench.driver.enable()
-    last = cycles(bench, 3)[-1]
-    assert [s is Status.OK for s in last.status] == [True, False, True, True, True, True, False, True]
-
-
 def test_servos_that_die_one_by_one_until_none_is_left_and_come_back(servo_bench):
-    faults = [f"servo.{i}:off@{0.5 + 0.2 * i}+{6.0 - 0.2 * i}" for i in range(1, 9)]
+    faults = [f"servo.{i}:off@{0.5 + 0.1 * i}+{2.5 - 0.1 * i}" for i in range(1, 9)]
     bench = servo_bench(*faults, config={"fail_after_s": 60.0, "health_period_s": 0.3})
     bench.driver.enable()
-    samples = cycles(bench, 6)
+    samples = cycles(bench, 2.5)
     assert set(samples[-1].status) == {Status.TIMEOUT}
     assert bench.driver.read_health() == ()
-    back = cycles(bench, 12)
+    back = cycles(bench, 5)
     assert back[-1].ok
     assert all(s.torque for s in bench.bus.servos)
 
@@ -92,62 +77,41 @@ def test_a_servo_that_restarts_without_torque_is_left_without(servo_bench):
     assert not any(s.torque for s in bench.bus.servos)
 
 
-def test_a_bus_that_falls_silent_altogether(servo_bench):
-    bench = servo_bench("servos:off@1")
-    bench.driver.enable()
-    cycles(bench, 1)
-    began = bench.clock.now_ns()
-    (sample,) = bench.driver.read()
-    assert bench.clock.now_ns() - began < 9_000_000
-    assert set(sample.status) == {Status.TIMEOUT}
-    with pytest.raises(DeviceTimeoutError, match=r"drive_FL(.*)steer_FR"):
-        cycles(bench, 6)
-
-
-@pytest.mark.parametrize("fault", ["servo.3:brownout@1+0.4", "servo.3:reset@1", "servo.3:off@1+0.4"])
+@pytest.mark.parametrize("fault", ["servo.3:reset@0.5", "servo.3:off@0.5+0.4"])
 def test_a_restarted_servo_is_set_up_again_and_counts_on(servo_bench, fault):
     bench = servo_bench(fault, config={"health_period_s": 0.2})
     bench.driver.enable()
-    samples = cycles(bench, 4, ROLLING)
+    samples = cycles(bench, 2.5, ROLLING)
     assert {Status.OK, Status.TIMEOUT, Status.RESET} >= statuses(samples, 2)
     assert Status.RESET in statuses(samples, 2)
     assert {s.status[2] for s in samples[-50:]} == {Status.OK}
     assert bench.bus.servos[2].torque
     assert samples[-1].velocity_rad_s[2] == pytest.approx(2.0, abs=0.05)
-    offset = samples[5].position_rad[2] - 0.0
+    offset = samples[5].position_rad[2]
     moved = samples[-1].position_rad[2] - offset
     true = bench.plant.position[2]
     assert moved == pytest.approx(true, abs=0.15)
     assert statuses(samples, 1) == {Status.OK}
 
 
-def test_all_servos_brown_out_and_come_back(servo_bench):
-    bench = servo_bench("servos:brownout@1+0.3", config={"health_period_s": 0.2})
-    bench.driver.enable()
-    samples = cycles(bench, 4, ROLLING)
-    assert samples[-1].ok
-    np.testing.assert_allclose(samples[-1].velocity_rad_s[:4], ROLLING.drive_velocity_rad_s, atol=0.05)
-    np.testing.assert_allclose(samples[-1].position_rad[4:], ROLLING.steer_position_rad, atol=0.01)
-
-
 def test_stuck_wrong_delayed_and_slow(servo_bench):
     bench = servo_bench(
         "servo.1:stuck@1+0.5",
-        "servo.5:wrong@2+0.5,angle_rad=0.3",
-        "servo.3:delayed@3+1,delay_s=0.2",
-        "servo.4:slow@5+0.5,answer_s=0.0005",
+        "servo.5:wrong@1+0.5,angle_rad=0.3",
+        "servo.3:delayed@2+1,delay_s=0.2",
+        "servo.4:slow@1+0.5,answer_s=0.0005",
     )
     bench.driver.enable()
-    samples = cycles(bench, 6, ROLLING)
+    samples = cycles(bench, 3, ROLLING)
     frozen = between(samples, 1.05, 1.45)
     assert len({s.position_rad[0] for s in frozen}) == 1
-    wrong = between(samples, 2.1, 2.4)
+    wrong = between(samples, 1.1, 1.4)
     assert np.mean([s.position_rad[4] for s in wrong]) == pytest.approx(0.2 + 0.3, abs=0.01)
-    assert np.mean([s.position_rad[4] for s in between(samples, 2.6, 2.9)]) == pytest.approx(0.2, abs=0.01)
-    before, during = between(samples, 2.8, 2.95)[-1], between(samples, 3.5, 3.9)[0]
+    assert np.mean([s.position_rad[4] for s in between(samples, 1.6, 1.9)]) == pytest.approx(0.2, abs=0.01)
+    before, during = between(samples, 1.8, 1.95)[-1], between(samples, 2.5, 2.9)[0]
     dt_s = (during.stamp.t_ns - before.stamp.t_ns) * 1e-9
     assert during.position_rad[2] - before.position_rad[2] == pytest.approx(2.0 * (dt_s - 0.2), abs=0.05)
-    slow = between(samples, 5.05, 5.45)
+    slow = between(samples, 1.05, 1.45)
     assert statuses(slow, 3) == {Status.OK}
 
 
@@ -160,13 +124,20 @@ def test_a_slipped_magnet_is_reported_and_bridged(servo_bench):
     assert statuses(samples, 0) == {Status.OK}
 
 
-@pytest.mark.parametrize("fault", ["servo.1:garbage@1+0.3", "servo.8:garbage@1+0.3", "servos:garbage@1+0.3"])
-@pytest.mark.parametrize("fast", ["auto", False])
+@pytest.mark.parametrize(
+    ("fault", "fast"),
+    [
+        ("servo.1:garbage@1+0.3", "auto"),
+        ("servo.8:garbage@1+0.3", False),
+        ("servos:garbage@1+0.3", "auto"),
+        ("servos:garbage@1+0.3", False),
+    ],
+)
 def test_garbage_is_never_a_number(servo_bench, fault, fast):
     bench = servo_bench(fault, config={"fast_sync_read": fast})
     bench.driver.enable()
     still = bench.driver.read()[0].position_rad
-    samples = cycles(bench, 2.5)
+    samples = cycles(bench, 1.8)
     bad = between(samples, 1.01, 1.29)
     joint = 0 if "servo.1" in fault else 7
     assert Status.OK not in statuses(bad, joint)
@@ -197,7 +168,7 @@ def test_a_bad_line_costs_readings_but_never_truth(servo_bench, fault, fast):
     bench = servo_bench(fault, config={"fast_sync_read": fast}, seed=7)
     bench.driver.enable()
     start = bench.driver.read()[0].position_rad - bench.plant.position
-    samples = cycles(bench, 6, ROLLING)
+    samples = cycles(bench, 4, ROLLING)
     good = bad = 0
     for s in samples:
         for j in range(8):
@@ -210,14 +181,6 @@ def test_a_bad_line_costs_readings_but_never_truth(servo_bench, fault, fast):
     age_s = (bench.clock.now_ns() - last.stamp.t_ns) * 1e-9
     true = bench.plant.position + start - age_s * bench.plant.velocity
     np.testing.assert_allclose(last.position_rad, true, atol=0.02)
-
-
-def test_a_baud_rate_that_changes_under_way_is_silence(servo_bench):
-    bench = servo_bench("servos:baud_mismatch@1+0.5")
-    bench.driver.enable()
-    samples = cycles(bench, 3)
-    assert set(between(samples, 1.1, 1.4)[0].status) == {Status.TIMEOUT}
-    assert samples[-1].ok
 
 
 def test_a_pulled_adapter_and_its_return(servo_bench):
@@ -237,15 +200,10 @@ def test_a_pulled_adapter_and_its_return(servo_bench):
     bench.driver.close()
 
 
-def test_an_adapter_that_goes_while_setting_up_is_a_device_error(servo_bench):
+@pytest.mark.parametrize("fault", ["off@0.004", "off@0.028", "unplug@0.01"])
+def test_a_bus_that_goes_while_setting_up_is_a_device_error(servo_bench, fault):
     with pytest.raises(DeviceError):
-        servo_bench("servos:unplug@0.01")
-
-
-@pytest.mark.parametrize("at_s", [0.004, 0.012, 0.02, 0.028])
-def test_a_bus_that_falls_silent_while_setting_up_is_a_device_error(servo_bench, at_s):
-    with pytest.raises(DeviceError):
-        servo_bench(f"servos:off@{at_s}")
+        servo_bench(f"servos:{fault}")
 
 
 def test_overload_is_reported_and_becomes_an_error_and_enabling_is_refused(servo_bench):
@@ -279,10 +237,13 @@ def test_an_alert_carries_the_error_bits_beside_the_sample(servo_bench):
     assert after[-1].alert == (0,) * 8
 
 
-def test_the_bits_of_an_alert_stay_unknown_where_they_are_not_read(servo_bench):
-    bench = servo_bench("servo.3:drop@3.06,probability=0.5", seed=2, config={"health_period_s": 60.0})
+def test_a_bus_that_falls_silent_altogether(servo_bench):
+    bench = servo_bench("servos:off@1")
     bench.driver.enable()
-    bench.plant.load_a[2] = 1.3
-    seen = {s.alert[2] for s in cycles(bench, 3.9) if s.status[2] is Status.HARDWARE_ERROR}
-    assert seen <= {0x20, 0x80}
-    assert seen
+    cycles(bench, 1)
+    began = bench.clock.now_ns()
+    (sample,) = bench.driver.read()
+    assert bench.clock.now_ns() - began < 9_000_000
+    assert set(sample.status) == {Status.TIMEOUT}
+    with pytest.raises(DeviceTimeoutError, match=r"drive_FL(.*)steer_FR"):
+        cycles(bench, 6)

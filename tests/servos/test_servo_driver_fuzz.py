@@ -67,15 +67,7 @@ def test_opening_a_bus_that_talks_nonsense_is_a_device_error(answers):
         assert clock.now_ns() < 5 * SECOND
 
 
-def test_answers_of_another_length_are_no_answers():
-    with (
-        babbling([protocol.status(1, 0, b"ab")]) as (_, driver, _clock),
-        pytest.raises(DeviceError, match=r"found garbled replies \(protocol\)"),
-    ):
-        driver.open()
-
-
-@settings(max_examples=25)
+@settings(max_examples=15)
 @given(answers=PIECES, fast=st.sampled_from(["auto", False]))
 def test_nonsense_between_the_answers_gives_samples_or_a_device_error(answers, fast):
     with babbling(answers, with_bus=True, fast_sync_read=fast) as (chip, driver, clock):

@@ -13,8 +13,7 @@ from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.signals import ServoSetpoint, Status
 from hil.drivers.servos import DynamixelServos, set_up
-from hil.drivers.servos.expected_servos import identified
-from hil.drivers.servos.packets import BAD_CHECKSUM, NO_ANSWER, instruction
+from hil.drivers.servos.packets import instruction
 
 
 @pytest.mark.parametrize(
@@ -31,11 +30,6 @@ def test_a_port_that_cannot_be_opened_is_a_device_error(port):
     driver.close()
 
 
-def test_a_port_without_permission_reports_how_to_get_it(denied_port):
-    with pytest.raises(DeviceError, match="usermod -aG dialout"):
-        DynamixelServos(ServosConfig(port=denied_port), MonotonicClock()).open()
-
-
 def test_a_busy_port_says_so(servo_bench):
     bench = servo_bench()
     with pytest.raises(DeviceError, match="close the other program"):
@@ -44,7 +38,7 @@ def test_a_busy_port_says_so(servo_bench):
     DynamixelServos(bench.config, bench.clock).open()
 
 
-@pytest.mark.parametrize("baud", [b for b in BAUD_RATES.values() if b != 1_000_000])
+@pytest.mark.parametrize("baud", [min(BAUD_RATES.values()), max(BAUD_RATES.values())])
 def test_the_wrong_baud_rate_is_recognised(servo_bench, baud):
     with pytest.raises(DeviceTimeoutError, match=f"servos answer at {baud} baud"):
         servo_bench(baud=baud)
@@ -78,31 +72,6 @@ def test_missing_and_wrong_servos_are_in_one_table(servo_bench):
     assert "hil discover" in text
 
 
-@pytest.mark.parametrize("config", [{}, {"model_number": 1010}])
-@pytest.mark.parametrize(("model", "name"), [(1060, "1060 (XL430-W250)"), (7, "7")])
-def test_a_servo_without_a_control_table_is_refused_by_name(servo_bench, model, name, config):
-    with pytest.raises(DeviceError) as caught:
-        servo_bench(model_by_joint={3: model}, config=config)
-    text = str(caught.value)
-    assert f"drive_FR (ID 4): found model {name}, firmware 46" in text
-    assert "exchange the servo: units and ranges are known of 1000 (XH430-W350), 1010 (XH430-W210)" in text
-
-
-def test_eight_servos_without_a_control_table_are_refused(servo_bench):
-    with pytest.raises(
-        DeviceError, match=r"8 of 8 servos(.|\n)*1060 \(XL430-W250\)(.|\n)*eight of one model"
-    ):
-        servo_bench(model_by_joint=dict.fromkeys(range(8), 1060))
-
-
-def test_servos_of_two_models_are_refused(servo_bench):
-    with pytest.raises(DeviceError) as caught:
-        servo_bench(model_by_joint={5: 1030})
-    assert "1 of 8 servos" in str(caught.value)
-    assert "steer_BL (ID 6): found model 1030 (XM430-W210)" in str(caught.value)
-    assert "all eight must be of one model, others are 1010 (XH430-W210)" in caught.value.remedy
-
-
 def test_another_model_than_the_bench_file_names_is_refused(servo_bench):
     """The bench file can guard against an exchanged servo."""
     with pytest.raises(DeviceError, match=r"expected model 1010(.|\n)*set servos\.model_number = 1000"):
@@ -119,27 +88,11 @@ def test_two_servos_with_one_id_are_recognised(servo_bench):
         servo_bench(ids=(1, 2, 3, 3, 5, 6, 7, 8), config={"drive_ids": (1, 2, 3, 4)})
 
 
-@pytest.mark.parametrize("garbled", [4, 5, 8])
-def test_where_most_answers_are_garbled_no_shared_id_is_the_cause(garbled):
-    answers = [BAD_CHECKSUM] * garbled + [NO_ANSWER] * (8 - garbled)
-    with pytest.raises(DeviceError) as refused:
-        identified(None, ServosConfig(port="/dev/x"), answers, "servos")
-    another = "most answers are garbled: another device at this port, a wrong servos.baud, or noise"
-    assert (another in refused.value.remedy) is (garbled > 4)
-    assert ("two servos may share" in refused.value.remedy) is (garbled <= 4)
-
-
 @pytest.mark.parametrize(
     ("joint", "register", "raw", "said"),
     [
-        (
-            0,
-            "operating_mode",
-            3,
-            r"drive_FL \(ID 1\): operating_mode 3 \(position\), expected 1 \(velocity\)",
-        ),
-        (4, "operating_mode", 4, r"operating_mode 4 \(extended position\), expected 3 \(position\)"),
-        (4, "operating_mode", 2, r"operating_mode 2 \(unknown\)"),
+        (0, "operating_mode", 3, r"drive_FL \(ID 1\): operating_mode 3"),
+        (4, "operating_mode", 2, "operating_mode 2"),
         (1, "drive_mode", 1, "drive_mode 1, expected 0"),
         (6, "homing_offset", 100, "homing_offset 100, expected 0"),
     ],
@@ -153,12 +106,9 @@ def test_an_eeprom_that_does_not_fit_is_reported_and_left_alone(servo_bench, joi
     ("modes", "first"),
     [
         ({0: 3, 4: 1}, "drive_FL (ID 1) and steer_FL (ID 5) have each other's operating mode"),
-        ({2: 3, 4: 1}, "drive_BR (ID 3) and steer_FL (ID 5) have"),
         ({0: 3, 1: 3, 4: 1, 5: 1}, "drive_FL (ID 1), drive_BL (ID 2) and steer_FL (ID 5), steer_BL (ID 6)"),
         ({0: 3}, "nothing is written"),
-        ({4: 1}, "nothing is written"),
         ({0: 3, 1: 3, 4: 1}, "nothing is written"),
-        ({0: 4, 4: 1}, "nothing is written"),
     ],
 )
 def test_exchanged_ids_are_named_before_any_register(servo_bench, modes, first):
@@ -259,11 +209,6 @@ def test_ram_registers_of_the_bench_file_are_written_and_restored_after_a_restar
     assert gain.get("velocity_p_gain") == 123
     assert gain.get("bus_watchdog") == 4
     assert gain.get("torque_enable") == 1
-
-
-def test_a_register_that_a_servo_refuses_is_named(servo_bench):
-    with pytest.raises(DeviceError, match=r"servo 1: register at 102 cannot be written .*limit below"):
-        servo_bench(config={"drive_registers": {"goal_current": 500}}, eeprom={0: {"current_limit": 400}})
 
 
 def test_steering_in_extended_mode_turns_further(servo_bench):
@@ -370,6 +315,17 @@ def test_garbled_answers_in_the_first_moment_are_asked_for_again(servo_bench):
     assert bench.driver.identity()
 
 
-def test_answers_that_stay_garbled_are_refused_before_long(servo_bench):
-    with pytest.raises(DeviceError, match="garbled"):
-        servo_bench("servos:corrupt@0,probability=1")
+@pytest.mark.parametrize(
+    ("model", "name", "config"), [(1060, "1060 (XL430-W250)", {}), (7, "7", {"model_number": 1010})]
+)
+def test_a_servo_without_a_control_table_is_refused_by_name(servo_bench, model, name, config):
+    with pytest.raises(DeviceError) as caught:
+        servo_bench(model_by_joint={3: model}, config=config)
+    text = str(caught.value)
+    assert f"drive_FR (ID 4): found model {name}, firmware 46" in text
+    assert "exchange the servo: units and ranges are known of 1000 (XH430-W350), 1010 (XH430-W210)" in text
+
+
+def test_a_register_that_a_servo_refuses_is_named(servo_bench):
+    with pytest.raises(DeviceError, match=r"servo 1: register at 102 cannot be written .*limit below"):
+        servo_bench(config={"drive_registers": {"goal_current": 500}}, eeprom={0: {"current_limit": 400}})

@@ -141,9 +141,9 @@ def test_the_recorded_cadence_as_an_option(wire):
     client = Client(bench)
     client.put("torque_enable", 1)
     client.put("goal_velocity", 120)
-    client.wait(1.0)
+    client.wait(0.2)
     renewed, last = [], None
-    for _ in range(60_000):
+    for _ in range(24_000):
         bench.world.advance_to(bench.world.now_ns + 500_000)
         bench.world.sync_plant()
         counts = show(bench)[2]

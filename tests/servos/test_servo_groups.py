@@ -24,7 +24,6 @@ from servo_client import (
 )
 from servo_wire import make_wire
 
-from hil.config.servo_models.codes import BAUD_RATES
 from hil.core.signals import Status
 from hil.drivers.servos.packets import GroupRead, find_statuses, instruction
 from hil.fakes.body_interface import JointCommand
@@ -139,14 +138,10 @@ def test_a_servo_asked_to_answer_pings_only_is_silent_in_a_group(wire, code):
     ("code", "parameters"),
     [
         (SYNC_READ, b""),
-        (SYNC_READ, POSITION),
         (FAST_SYNC_READ, POSITION[:3]),
-        (BULK_READ, b""),
         (BULK_READ, b"\x01" + POSITION + b"\x02"),
         (FAST_BULK_READ, b"\x01\x84"),
         (SYNC_WRITE, b"\x41"),
-        (SYNC_WRITE, word(65) + word(1) + b"\x01"),
-        (BULK_WRITE, b"\x01\x41\x00"),
         (BULK_WRITE, b"\x01" + word(65) + word(4) + b"\x01"),
         (SYNC_WRITE, word(65) + word(0) + b"\x01"),
     ],
@@ -214,13 +209,6 @@ def test_broadcasts_that_only_pings_answer(wire):
     assert len(statuses(bench.send(instruction(ALL, PING), wait_ns=20_000_000))) == 8
 
 
-def test_old_firmware_obeys_a_factory_reset_of_everything_for_everybody(wire):
-    bench = wire(firmware=41)
-    bench.send(instruction(ALL, FACTORY, b"\xff"), wait_ns=300_000_000)
-    assert {s.id for s in bench.bus.servos} == {1}
-    assert {s.baud for s in bench.bus.servos} == {57_600}
-
-
 @pytest.mark.parametrize("ids", [(1, 1, 3, 4, 5, 6, 7, 8), (1, 1, 1, 4, 5, 6, 7, 8)])
 def test_servos_with_the_same_id_talk_over_each_other(wire, ids):
     bench = wire(ids=ids)
@@ -245,18 +233,6 @@ def test_servos_with_the_same_id_talk_over_each_other(wire, ids):
     assert [a.status for a in answers.values()] == [Status.OK, Status.CRC, Status.CRC]
 
 
-@pytest.mark.parametrize("code", sorted(BAUD_RATES))
-def test_servos_hear_their_own_rate_only(wire, code):
-    rate = BAUD_RATES[code]
-    bench = wire(baud=rate)
-    for other in BAUD_RATES.values():
-        bench.baud = other
-        heard = bench.send(instruction(1, PING))
-        assert bool(heard) == (other == rate)
-    bench.baud = round(rate * 1.02)
-    assert bench.send(instruction(1, PING))
-
-
 def test_a_servo_without_power_is_silent_and_limp_and_starts_over(wire):
     bench = wire("servo.drive_FL:brownout@0.5+0.5", "servos:off@2+0.5")
     client = Client(bench)
@@ -272,26 +248,6 @@ def test_a_servo_without_power_is_silent_and_limp_and_starts_over(wire):
     assert len(statuses(bench.send(instruction(ALL, PING), wait_ns=20_000_000))) == 8
 
 
-def test_power_cut_at_the_line_forgets_ram(wire):
-    bench = wire()
-    client = Client(bench)
-    client.put("led", 1)
-    bench.bus.reset(bench.world.now_ns)
-    assert client.do(PING) is None
-    client.wait(0.2)
-    assert client.get("led") == 0
-
-
-def test_stuffed_instructions_are_understood(wire):
-    bench = wire()
-    client = Client(bench, 5)
-    client.put("operating_mode", 4)
-    goal = int.from_bytes(b"\xff\xff\xfd\xff", "little", signed=True)
-    assert client.put("goal_position", goal) == 0
-    assert b"\xff\xff\xfd\xfd" in instruction(5, WRITE, word(116) + b"\xff\xff\xfd\xff")
-    assert client.get("goal_position") == goal
-
-
 NOISE = st.binary(max_size=40)
 PACKETS = st.builds(
     instruction,
@@ -301,7 +257,7 @@ PACKETS = st.builds(
 )
 
 
-@settings(max_examples=100)
+@settings(max_examples=50)
 @given(pieces=st.lists(NOISE | PACKETS, max_size=6), at_once=st.booleans())
 def test_no_bytes_upset_the_bus(pieces, at_once):
     bench = make_wire()
@@ -312,3 +268,10 @@ def test_no_bytes_upset_the_bus(pieces, at_once):
     alive = [s for s in bench.bus.servos if s.baud == bench.baud]
     if len({s.id for s in alive}) == 8:
         assert len(statuses(bench.send(instruction(ALL, PING), wait_ns=300_000_000))) == 8
+
+
+def test_old_firmware_obeys_a_factory_reset_of_everything_for_everybody(wire):
+    bench = wire(firmware=41)
+    bench.send(instruction(ALL, FACTORY, b"\xff"), wait_ns=300_000_000)
+    assert {s.id for s in bench.bus.servos} == {1}
+    assert {s.baud for s in bench.bus.servos} == {57_600}

@@ -2,8 +2,6 @@
 
 import itertools
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -12,10 +10,10 @@ from hypothesis import strategies as st
 from servo_client import MODEL
 from servo_wire import make_wire
 
-from hil.config.servo_models import model_text, models_text, servo_model, servo_models, shared_register
+from hil.config.servo_models import servo_model, shared_register
 from hil.config.servo_models.codes import BAUD_RATES, RETURN_DELAY_STEP_S, WATCHDOG_STEP_S
 from hil.config.servos import ServosConfig
-from hil.core.errors import DeviceError, UsageError
+from hil.core.errors import UsageError
 from hil.core.signals import ServoSetpoint
 from hil.drivers.servos import scan, set_up
 from hil.drivers.servos.register_map import RegisterMap
@@ -58,12 +56,6 @@ def bench_of(servo_bench):
         return servo_bench(*faults, model_number=number, **values)
 
     return build
-
-
-def test_these_models_are_known_and_named_where_the_bench_file_is_described():
-    assert tuple(servo_models()) == NUMBERS
-    for number in NUMBERS:
-        assert model_text(number) in " ".join(ServosConfig.__doc__.split())
 
 
 @each_model
@@ -146,23 +138,6 @@ def test_the_emulated_motor_gives_the_vendors_stall_and_no_load_rows(number):
         drop = motor.resistance_ohm / motor.torque_constant_n_m_a
         top = (row.supply_v - drop * coulomb) / (motor.back_emf_v_s_rad + drop * viscous)
         assert top == pytest.approx(row.no_load_rad_s, rel=0.06)
-
-
-def test_nothing_is_read_before_it_is_asked_for():
-    code = (
-        "import hil.config.servos, hil.drivers.servos, hil.fakes.servos, hil.bench.doctor.discovery;"
-        "from hil.config.servo_models import loading;"
-        "assert loading._families.cache_info().currsize == 0;"
-        "loading.servo_models();"
-        "assert loading._families.cache_info().currsize == 1"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_a_model_without_a_table_is_refused_with_those_that_have_one():
-    with pytest.raises(UsageError, match=r"no control table for servo model 1060 \(XL430-W250\)") as caught:
-        servo_model(1060)
-    assert models_text() in str(caught.value)
 
 
 def test_what_a_bench_writes_at_open_must_be_right_for_the_model_on_the_bus():
@@ -271,17 +246,6 @@ def test_a_setup_refuses_what_another_model_would_take(bench_of, number, registe
     with pytest.raises(UsageError, match=rf"{register} = {raw}; expected {said}"):
         set_up(PORT, bench.clock, baud=1_000_000, servo_id=1, registers={register: raw})
     assert bytes(bench.bus.servos[0].table.data) == before
-
-
-def test_a_setup_refuses_a_model_without_a_table(servo_bench):
-    bench = servo_bench(model_by_joint={0: 1060}, open_driver=False)
-    before = bytes(bench.bus.servos[0].table.data)
-    with pytest.raises(
-        DeviceError, match=r"servo 1 is of model 1060 \(XL430-W250\), which has no control table"
-    ):
-        set_up(PORT, bench.clock, baud=1_000_000, servo_id=1, registers={"return_delay_time": 0})
-    assert bytes(bench.bus.servos[0].table.data) == before
-    assert scan(PORT, bench.clock, bauds=(1_000_000,), ids=(1,))[0].operating_mode == -1
 
 
 def test_a_register_that_the_firmware_lacks_is_refused_by_servo_and_setup(servo_bench):

@@ -6,7 +6,6 @@ from hil.config.servos import ServosConfig
 from hil.core.errors import DeviceError, DeviceTimeoutError
 from hil.core.signals import Status
 from hil.drivers.servos.answer_timeouts import AnswerTimeouts
-from hil.drivers.servos.cyclic_read import ALL_OK
 
 LIMIT_NS = 500_000_000
 
@@ -35,25 +34,9 @@ def test_pauses_in_polling_do_not_count():
         noted(Status.TIMEOUT, 2 * LIMIT_NS + 1, excused_ns=LIMIT_NS)
 
 
-def test_an_error_of_the_hardware_is_another_failure_with_another_remedy():
-    with pytest.raises(DeviceError, match=r"drive_BR \(ID 3\): hardware error .*overload.*reboot") as error:
-        noted(Status.HARDWARE_ERROR, LIMIT_NS + 1, alert=0x20)
-    assert not isinstance(error.value, DeviceTimeoutError)
-
-
 def test_a_broken_servo_among_silent_ones_is_what_has_to_be_mended():
     watch = AnswerTimeouts(ServosConfig(fail_after_s=LIMIT_NS * 1e-9), "servos", 0)
     status = (Status.TIMEOUT, Status.HARDWARE_ERROR, *[Status.OK] * 6)
     with pytest.raises(DeviceError, match=r"drive_FL \(ID 1\): timeout, drive_BL .*reboot") as error:
         watch.note(status, [0, 0x20, *[0] * 6], LIMIT_NS + 1)
     assert not isinstance(error.value, DeviceTimeoutError)
-
-
-def test_whether_all_were_usable_is_said_and_remembered():
-    watch = AnswerTimeouts(ServosConfig(fail_after_s=LIMIT_NS * 1e-9), "servos", 0)
-    silent = (Status.TIMEOUT, *[Status.OK] * 7)
-    assert watch.saw(ALL_OK, LIMIT_NS)
-    assert not watch.saw(silent, 2 * LIMIT_NS)
-    watch.note(silent, [0] * 8, 2 * LIMIT_NS)
-    with pytest.raises(DeviceTimeoutError):
-        watch.note(silent, [0] * 8, 2 * LIMIT_NS + 1)

@@ -1,7 +1,5 @@
 """Nothing talks to the servos for a while: torque is off, or the whole program stands still."""
 
-import logging
-
 import numpy as np
 import pytest
 
@@ -32,26 +30,15 @@ def test_a_pause_longer_than_the_persistence_is_not_a_dead_servo(servo_bench):
 
 def test_several_pauses_are_not_a_dead_servo_and_a_dead_one_is_still_found(servo_bench):
     """Reads after long pauses are all marked RESET; only what is asked and not answered counts."""
-    bench = servo_bench("servo.3:off@20", config={"fail_after_s": 2.0})
+    bench = servo_bench("servo.3:off@8", config={"fail_after_s": 2.0})
     bench.driver.enable()
-    for _ in range(6):
+    for _ in range(3):
         bench.world.advance_to(bench.clock.now_ns() + 1_500_000_000)
         (marked,) = bench.driver.read()
         assert Status.RESET in marked.status
-    bench.clock.sleep_until_ns(20 * SECOND)
+    bench.clock.sleep_until_ns(8 * SECOND)
     with pytest.raises(DeviceTimeoutError, match=r"nothing usable .*ID 3"):
         read_for(bench, 400)
-
-
-def test_a_watchdog_that_trips_in_a_pause_is_armed_again_without_a_warning(servo_bench, caplog):
-    bench = servo_bench()
-    bench.driver.enable()
-    bench.world.advance_to(bench.clock.now_ns() + SECOND)
-    with caplog.at_level(logging.DEBUG, "hil.drivers.servos"):
-        (marked,) = bench.driver.read()
-    assert marked.status == (Status.RESET,) * 8
-    found = [r for r in caplog.records if "tripped" in r.message]
-    assert [r.levelno for r in found] == [logging.DEBUG]
 
 
 def test_a_bus_that_was_away_for_as_long_as_the_watchdog_waits_is_obeyed_again_at_once(servo_bench):

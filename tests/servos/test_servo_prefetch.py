@@ -39,9 +39,9 @@ def test_no_read_waits_for_the_bus(ahead, setpoint):
     bench = ahead(config={"health_period_s": 0.2})
     if setpoint is not None:
         bench.driver.enable()
-    samples, took_ns, health = cycles(bench, 400, setpoint)
+    samples, took_ns, health = cycles(bench, 200, setpoint)
     assert all(s.ok for s in samples)
-    assert len(health) == pytest.approx(10, abs=1)
+    assert len(health) == pytest.approx(5, abs=1)
     assert max(took_ns[5:]) == 0
 
 
@@ -62,7 +62,7 @@ def test_the_stamp_is_when_the_servos_took_it(servo_bench, prefetch):
     bench = servo_bench(config={"prefetch": prefetch})
     bench.driver.enable()
     offset = bench.driver.read()[0].position_rad[0] - bench.plant.position[0]
-    cycles(bench, 300)
+    cycles(bench, 100)
     samples, true = [], []
     for _ in range(50):
         bench.clock.sleep_until_ns(bench.clock.now_ns() + CYCLE_NS)
@@ -82,7 +82,7 @@ def test_what_is_sent_meanwhile_waits_for_the_answer(ahead):
     """Watching asks at the end of a read; a command right after it must not talk into the answer."""
     bench = ahead()
     bench.driver.enable()
-    for _ in range(50):
+    for _ in range(20):
         bench.clock.sleep_until_ns(bench.clock.now_ns() + 2 * CYCLE_NS)
         assert bench.driver.read()[0].ok
         bench.clock.sleep_until_ns(bench.clock.now_ns() + 2 * CYCLE_NS)
@@ -94,10 +94,10 @@ def test_what_is_sent_meanwhile_waits_for_the_answer(ahead):
 
 
 def test_an_answer_that_was_lost_is_asked_for_again(ahead):
-    bench = ahead("servos:drop@1+1,probability=0.01")
+    bench = ahead("servos:drop@0.2+1,probability=0.01")
     bench.driver.enable()
-    samples, _, _ = cycles(bench, 600)
-    assert sum(s.ok for s in samples) >= 590
+    samples, _, _ = cycles(bench, 280)
+    assert sum(s.ok for s in samples) >= 270
     assert len({s.stamp.t_ns for s in samples}) == len(samples)
 
 
@@ -112,24 +112,16 @@ def test_an_answer_that_is_late_is_listened_for_from_the_read_on(ahead):
     assert 500_000 < waited_ns[0] < 2_100_000
 
 
-@pytest.mark.parametrize("servo", [1, 4, 8])
-def test_a_silent_servo_costs_the_others_no_sample(ahead, servo):
-    bench = ahead(f"servo.{servo}:off@0.5+1", config={"fail_after_s": 60.0})
+@pytest.mark.parametrize("servo", [1, 8])
+def test_a_silent_servo_costs_the_others_no_sample_and_comes_back(ahead, servo):
+    bench = ahead(f"servo.{servo}:off@0.5+1", config={"fail_after_s": 60.0, "health_period_s": 0.2})
     bench.driver.enable()
-    samples, _, _ = cycles(bench, 400)
+    samples, _, _ = cycles(bench, 500)
     assert all(s.status[j] is Status.OK for s in samples for j in range(8) if j != servo - 1)
     assert sum(s.status[servo - 1] is Status.OK for s in samples) > 100
-
-
-def test_a_dead_servo_affects_no_other_servo_and_comes_back(ahead):
-    bench = ahead("servo.3:off@1+1", config={"fail_after_s": 60.0, "health_period_s": 0.2})
-    bench.driver.enable()
-    samples, _, _ = cycles(bench, 800)
-    others = [s.status[j] for s in samples for j in range(8) if j != 2]
-    assert others.count(Status.OK) / len(others) > 0.99
-    assert samples[300].status[2] is Status.TIMEOUT
+    assert samples[200].status[servo - 1] is Status.TIMEOUT
     assert samples[-1].ok
-    assert bench.bus.servos[2].torque
+    assert bench.bus.servos[servo - 1].torque
 
 
 def test_after_a_pause_the_old_answer_is_not_taken_for_the_present(ahead):

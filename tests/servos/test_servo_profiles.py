@@ -150,20 +150,6 @@ def test_the_registers_show_the_profile(wire):
     assert client.get("moving_status") & 0b1000
 
 
-def test_a_new_goal_on_the_way_is_followed_from_there(wire):
-    client = Client(wire(), 5)
-    client.put("torque_enable", 1)
-    client.put("profile_velocity", 100)
-    client.put("goal_position", 3500)
-    client.wait(0.3)
-    on_the_way = client.get("position_trajectory")
-    client.put("goal_position", 2000)
-    client.wait(0.01)
-    assert on_the_way - 100 < client.get("position_trajectory") < on_the_way
-    client.wait(2.0)
-    assert abs(client.get("present_position") - 2000) <= 3
-
-
 def test_a_drive_shows_its_ramp_and_no_position_status(wire):
     client = Client(wire())
     client.put("torque_enable", 1)

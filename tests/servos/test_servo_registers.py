@@ -133,8 +133,11 @@ def test_baud_codes_and_silence_at_the_wrong_rate(wire, code):
     assert client.put("baud_rate", code) == 0
     bench, client.bench.baud = client.bench, BAUD_RATES[code]
     assert client.get("baud_rate") == code
-    bench.baud = 250_000
-    assert client.do(PING) is None
+    for other in (250_000, *BAUD_RATES.values()):
+        bench.baud = other
+        assert (client.do(PING) is not None) == (other == BAUD_RATES[code])
+    bench.baud = round(BAUD_RATES[code] * 1.02)
+    assert client.do(PING) is not None
 
 
 def test_a_new_id_and_a_secondary_one(drive):

@@ -36,14 +36,7 @@ IN_TURN, AHEAD = {"fast_sync_read": False}, {"prefetch": True}
 
 @pytest.mark.parametrize(
     ("servo_id", "answer_s", "config"),
-    [
-        *((servo_id, 0.02, {}) for servo_id in (2, 5, 8)),
-        *(
-            (servo_id, answer_s, how)
-            for how in (IN_TURN, AHEAD)
-            for servo_id, answer_s in ((1, 0.05), (3, 0.01), (8, 0.02))
-        ),
-    ],
+    [(2, 0.02, {}), (1, 0.05, IN_TURN), (8, 0.02, IN_TURN), (3, 0.01, AHEAD)],
     ids=str,
 )
 def test_a_late_servo_is_named_waited_for_and_affects_no_other_servo(servo_bench, servo_id, answer_s, config):
@@ -71,8 +64,7 @@ def test_one_that_is_too_late_to_be_waited_for_is_named_and_left_alone(servo_ben
     assert (last.late, last.trouble) == ({}, {})
 
 
-@pytest.mark.parametrize("pair", [(3, 8), (1, 2), (5, 6), (1, 8)])
-@pytest.mark.parametrize("fast", ["auto", False])
+@pytest.mark.parametrize(("pair", "fast"), [((3, 8), "auto"), ((1, 2), False)])
 def test_two_late_servos_are_both_named_and_no_other(servo_bench, pair, fast):
     faults = [f"servo.{i}:slow@1,answer_s=0.02" for i in pair]
     last = looks(stopped(servo_bench(*faults, config={**LONG, "fast_sync_read": fast})), 25)[-1]
@@ -80,7 +72,7 @@ def test_two_late_servos_are_both_named_and_no_other(servo_bench, pair, fast):
     assert last.trouble == {}
 
 
-@pytest.mark.parametrize(("late", "dead"), [(3, 5), (5, 3), (1, 2), (8, 1)])
+@pytest.mark.parametrize(("late", "dead"), [(3, 5), (8, 1)])
 def test_a_late_and_a_dead_servo_are_distinguished(servo_bench, late, dead):
     bench = servo_bench(f"servo.{late}:slow@1,answer_s=0.02", f"servo.{dead}:off@1", config=LONG)
     last = looks(stopped(bench), 30)[-1]
@@ -93,7 +85,7 @@ def test_many_dead_ones_do_not_make_a_roll_call_long(servo_bench):
     dead = [f"servo.{i}:off@1" for i in (1, 2, 3, 5, 6)]
     bench = stopped(servo_bench("servo.8:slow@1,answer_s=0.02", *dead, config=LONG))
     found, took_ns = [], []
-    for _ in range(100):
+    for _ in range(60):
         began_ns = bench.clock.now_ns()
         found.append(bench.driver.look_after())
         took_ns.append(bench.clock.now_ns() - began_ns)
@@ -136,5 +128,5 @@ def test_one_that_is_quick_again_is_driven_again(servo_bench):
     ids=str,
 )
 def test_who_is_silent_lost_or_garbled_is_not_called_late(servo_bench, faults):
-    found = looks(stopped(servo_bench(*faults, config=LONG)), 60)
+    found = looks(stopped(servo_bench(*faults, config=LONG)), 40)
     assert all(hold.late == {} for hold in found)
