@@ -37,11 +37,9 @@ ALONE = (
     "bench/test_doctor_discover_setup.py::test_discover_finds_everything",
     "bench/test_doctor_discover_setup.py::test_the_emulated_bench_is_healthy",
     "bench/test_held_in_a_mix.py::test_an_emulated_camera_stops_the_drive_of_real_servos",
-    "bench/test_held_in_a_mix.py::test_an_emulated_fan_does_not_press_a_real_robot",
     "bench/test_held_in_a_mix.py::test_real_servos_beside_emulated_sensors",
     "bench/test_replug_drivers.py",
     "devices/test_runs_that_hang_are_ended.py",
-    "emulate/test_emulate_clients.py::test_a_robot_in_another_physics",
     "emulate/test_emulate_command.py",
     "emulate/test_emulate_ports.py::test_a_client_that_knows_only_the_standard_connects",
     "live/test_live_command.py::test_a_real_time_recording_repeats_bit_for_bit",
@@ -69,7 +67,6 @@ def files(marker, *places):
 
 
 THINNED = {
-    "adhesion_bench/test_hanging_on_the_wall.py::test_falling_adhesion_stops": 3,
     "adhesion_bench/test_hanging_on_the_wall.py::test_who_lies": 6,
     "bench/test_doctor_discover_setup.py::test_a_sick_device": 2,
     "bench/test_held.py::test_whenever_it_happens": 4,
