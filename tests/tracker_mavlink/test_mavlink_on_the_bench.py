@@ -23,7 +23,6 @@ from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_run
 from hil.robot.trajectories import line
-from tests.patience import PATIENT
 from tests.tracker_mavlink.test_mavlink_links import BAUD, serving
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
@@ -86,16 +85,6 @@ def test_a_correction_of_the_senders_map_is_reported_and_the_estimate_stays(dist
     motion, error_m = drive(f"tracker:jump@4,distance_m={distance_m}")
     assert Status.RESET in {s.status for s in tracker_samples(motion)}
     assert error_m < 0.004
-
-
-@pytest.mark.alone
-@pytest.mark.long
-def test_the_same_drive_at_the_wire_in_real_time():
-    with hil.open_bench("emulated", seed=1, realtime=True, overrides={**MODEL, **PATIENT}) as bench:
-        motion = bench.drive(SHORT, hold_s=0.5)
-        measured = motion.mocap[np.isfinite(motion.mocap[:, 0])][-1]
-        assert np.linalg.norm(motion.estimate[-1][:2] - measured[:2]) < 0.01
-        assert len(tracker_samples(motion)) > 100
 
 
 @pytest.mark.parametrize(
