@@ -89,15 +89,6 @@ def test_a_closed_standard_input_is_an_empty_one(words, folder):
     assert "Traceback" not in done.stderr
 
 
-def test_a_question_without_standard_input_ends_the_run(folder):
-    (folder / "ask.py").write_text(SCRIPT.replace('ctx.measure("value", 0.5)', 'ctx.prompt("ready?")'))
-    command = ["sh", "-c", 'exec "$@" <&-', "sh", sys.executable, "-m", "hil", "run", "ask.py", "--json"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 4, done.stderr
-    assert "'ready?'" in json.loads(done.stdout)["error"]["message"]
-    assert "Traceback" not in done.stderr
-
-
 @pytest.mark.parametrize(
     ("raised", "where"),
     [

@@ -11,7 +11,7 @@ from hil.fakes.fault import parse_fault
 from hil.pytest_plugin import test_outcome
 
 pytest_plugins = ["pytester"]
-pytestmark = pytest.mark.usefixtures("started_commands")
+pytestmark = pytest.mark.usefixtures("warm_commands")
 
 LOST = """
 import pytest

@@ -17,6 +17,7 @@ from tests.ros2.test_lockstep import TOPIC, driver
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
 PATIENCE_S = 240
 ROLLS = {"on": 50, "stamp": "wall", "velocity": [0.5] * 4}
 TIMES = {"late_after_s": 1.0, "start_timeout_s": 60.0, "answer_timeout_s": 20.0}

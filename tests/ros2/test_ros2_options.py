@@ -20,6 +20,7 @@ pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 from hil.ros2.network import Network, domain_of, network_of
 from hil.ros2.publisher import Ros2Publisher
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
 PATIENCE_S = 240.0
 WATCHES = """
 from pathlib import Path

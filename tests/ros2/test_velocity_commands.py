@@ -11,7 +11,11 @@ from tests.ros2.test_joint_commands import PATIENCE_S, ended, verdict
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 
-pytestmark = [pytest.mark.alone, pytest.mark.timeout(PATIENCE_S + 60)]
+pytestmark = [
+    pytest.mark.alone,
+    pytest.mark.timeout(PATIENCE_S + 60),
+    pytest.mark.usefixtures("warm_commands"),
+]
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from tests.ros2.test_lockstep import TOPIC, driver
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 pytest_plugins = ["pytester"]
+pytestmark = pytest.mark.usefixtures("warm_commands")
 
 FOLLOWS = {"on": "states", "stamp": "copy", "follow": 120}
 TESTS = """

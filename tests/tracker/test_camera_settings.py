@@ -17,17 +17,17 @@ from scipy.spatial.transform import Rotation
 import hil
 from hil.bench.camera_odometry import with_wheel_sigma
 from hil.config.loading import load_bench
-from hil.config.tracker import FeedEndpoint, T265Config
+from hil.config.tracker import T265Config
 from hil.core.clock import MonotonicClock
 from hil.core.errors import ConfigError, DeviceError
 from hil.core.geometry import quat_from_rotvec
 from hil.drivers.tracker import T265Tracker
 from hil.drivers.tracker.t265_settings import wheel_calibration
-from hil.fakes.server import EmulationServer
 from hil.fakes.tracker import IDEAL, T265, TrackerTransport, TrackerTruthOptions
 from hil.fakes.tracker.wheel_odometer_input import WheelInput
 from hil.fakes.world import World
 from tests.tracker.software_device import SoftwareT265
+from tests.tracker.test_tracker_across_processes import feed_config, serving
 
 KEYS = ("mapping", "relocalisation", "pose_jumping", "map_preservation")
 MAP = ("enable_mapping", "enable_relocalization", "enable_pose_jumping", "enable_map_preservation")
@@ -211,13 +211,9 @@ def test_settings_and_velocities_cross_the_feed(travelling_plant):
     world = World(travelling_plant(), seed=1)
     camera = T265(world)
     transport = TrackerTransport(camera)
-    server = EmulationServer(world, MonotonicClock(), {"tracker": transport})
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    where = transport.endpoint()
-    endpoint = FeedEndpoint(host=where["host"], port=where["port"])
-    driver = T265Tracker(T265Config(endpoint=endpoint, wheel_odometry=True, mapping=True), MonotonicClock())
-    try:
+    config = feed_config(transport, wheel_odometry=True, mapping=True)
+    driver = T265Tracker(config, MonotonicClock())
+    with serving(world, {"tracker": transport}):
         driver.open()
         for _ in range(50):
             driver.take_wheel_velocity(0.1, 0.0)
@@ -227,10 +223,7 @@ def test_settings_and_velocities_cross_the_feed(travelling_plant):
         assert camera.wheels.taken > 5
         assert tuple(camera.settings[name] for name in MAP) == (1, 0, 0, 0)
         assert transport.strange == 0
-    finally:
         driver.close()
-        server.stop()
-        thread.join(10)
     assert not [t for t in threading.enumerate() if t.name.startswith("tracker")]
 
 
@@ -238,13 +231,10 @@ def test_librealsenses_own_software_device_takes_the_settings(travelling_plant):
     library = pytest.importorskip("pyrealsense2", exc_type=ImportError)  # also where there is no libusb
     world = World(travelling_plant(), seed=1)
     software = SoftwareT265(T265(world), library)
-    server = EmulationServer(world, MonotonicClock(), {})
-    thread = threading.Thread(target=server.run)
-    thread.start()
     driver = T265Tracker(
         T265Config(mapping=True), MonotonicClock(), pipeline=software.pipeline(), library=library
     )
-    try:
+    with serving(world, {}):
         driver.open()
         assert tuple(software.option(name) for name in MAP) == (1, 0, 0, 0)
         driver.close()
@@ -253,8 +243,4 @@ def test_librealsenses_own_software_device_takes_the_settings(travelling_plant):
         )
         with pytest.raises(DeviceError, match="takes no wheel odometry"):
             asking.open()
-    finally:
-        driver.close()
         software.close()
-        server.stop()
-        thread.join(10)

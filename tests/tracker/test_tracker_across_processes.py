@@ -42,9 +42,9 @@ def collect(driver, clock, duration_s):
     return samples
 
 
-def feed_config(transport):
+def feed_config(transport, **more):
     endpoint = {key: transport.endpoint()[key] for key in ("host", "port")}
-    return T265Config(endpoint=endpoint)
+    return T265Config(endpoint=endpoint, **more)
 
 
 def test_the_driver_follows_a_feed(tracker_bench):

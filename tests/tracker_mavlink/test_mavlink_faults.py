@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from following import follow, kinds, until
 
-from hil.core.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
+from hil.core.errors import DeviceTimeoutError, FaultNotSupportedError
 from hil.core.signals import Status
 from hil.devices.tracker.mavlink.emulated_computer import IDEAL
 from hil.devices.tracker.mavlink.emulated_faults import SUPPORTED_FAULTS
@@ -197,21 +197,6 @@ def test_a_full_queue_loses_the_oldest_and_counts_them(mavlink_bench):
     assert len(samples) == 50
     assert bench.driver.counts["overflowed"] > 100
     assert samples[-1].stamp.host_ns > 3_980_000_000
-
-
-def test_use_while_closed_is_a_device_error_and_closing_twice_is_none(mavlink_bench):
-    bench = mavlink_bench()
-    with pytest.raises(DeviceError, match="open"):
-        bench.driver.read()
-    bench.driver.open()
-    bench.driver.open()
-    assert follow(bench, 0.1)
-    bench.driver.close()
-    bench.driver.close()
-    assert bench.driver.identity() == {}
-    assert bench.driver.findings() == ()
-    with pytest.raises(DeviceError, match="open"):
-        bench.driver.read()
 
 
 def test_a_fault_without_meaning_is_refused(mavlink_bench):
