@@ -92,7 +92,7 @@ def test_a_fault_for_a_device_that_is_not_served_is_refused(refused, unopened):
     [("live --duration 1", "spwn"), ("live --duration 1", ","), ("replay recording.mcap", "film.rdd")],
 )
 def test_a_mistyped_view_is_refused_and_no_file_of_that_name_is_written(refused, unopened, command, target):
-    assert "--rerun" in refused(*command.split(), "--rerun", target)
+    assert f"'{target}'" in refused(*command.split(), "--rerun", target)
 
 
 @pytest.mark.parametrize(
