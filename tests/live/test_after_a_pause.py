@@ -26,11 +26,11 @@ def driven(paused_s, recording=None):
 
         def leap(record):
             begun.append(record.start_ns)
-            if paused_s and not leapt and record.start_ns >= begun[0] + nanoseconds(2.0):
+            if paused_s and not leapt and record.start_ns >= begun[0] + nanoseconds(3.0):
                 leapt.append(record)
                 bench.clock.sleep_until_ns(bench.clock.now_ns() + nanoseconds(paused_s))
 
-        motion = bench.drive(line((0.0, 0.0, 0.0), (0.4, 0.0, 0.0)), on_cycle=leap)
+        motion = bench.drive(line((0.0, 0.0, 0.0), (0.5, 0.0, 0.0)), on_cycle=leap)
         return bench, motion.records, begun.index(leapt[0].start_ns) + 1 if leapt else 0
 
 
@@ -73,7 +73,7 @@ def test_the_reference_waits_and_the_drive_still_ends_at_its_goal(paused):
     assert abs(rates - 0.5 * (reported[1:] + reported[:-1])).max() < 1e-3
     assert np.diff(reported).max() <= 1.05 * bench.config.control.acceleration_m_s2 * 0.01
     assert records[-1].reference.done
-    np.testing.assert_allclose(records[-1].state.pose_body_in_wall[:2], (0.4, 0.0), atol=0.003)
+    np.testing.assert_allclose(records[-1].state.pose_body_in_wall[:2], (0.5, 0.0), atol=0.003)
 
 
 def test_a_drive_with_a_pause_repeats_in_replay(paused, recording):
