@@ -41,13 +41,6 @@ def test_all_options_come_as_one_request(line: list[str], asked: BenchRequest, b
     assert found.output.strip() == repr((asked, between)), found.output
 
 
-def test_the_help_keeps_their_order_and_a_help_of_ones_own() -> None:
-    shown = CliRunner().invoke(own, ["--help"]).output
-    places = [shown.index(option) for option in ("--bench", "--between", "--seed", "--fault")]
-    assert places == sorted(places)
-    assert "Of the dice." in shown
-
-
 def test_start_and_settings_of_a_request_reach_the_bench() -> None:
     asked = BenchRequest(seed=4, start_pose="0.5, 1.0, 90deg", emulate="all")
     source = asked.source({"loop.rate_hz": 50.0}, otherwise="emulated_floor")
@@ -56,7 +49,7 @@ def test_start_and_settings_of_a_request_reach_the_bench() -> None:
     assert BenchRequest(bench="emulated").source({}, otherwise="emulated_floor").bench == "emulated"
 
 
-@pytest.mark.parametrize("command", ["accept", "commission", "doctor", "live"])
+@pytest.mark.parametrize("command", ["accept", "live"])
 def test_a_bench_without_a_name_is_not_the_emulated_one(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

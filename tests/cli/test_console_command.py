@@ -9,13 +9,10 @@ import sys
 
 import pytest
 
-from hil.bench import open_bench
 from hil.cli import console_forms, main
-from hil.cli.live import _recorder
 from hil.console import jobs
 from hil.console.json_files import read
 from hil.console.stop_server import PAGE, STOP, runs
-from hil.core.errors import DataError
 from hil.procedure.parameters import make_parameters
 from hil.procedure.procedure_lookup import load_procedure, shipped_names
 
@@ -23,17 +20,6 @@ from hil.procedure.procedure_lookup import load_procedure, shipped_names
 @pytest.fixture(scope="module")
 def offered(tmp_path_factory):
     return {action.name: action for action in console_forms.actions(tmp_path_factory.mktemp("out"))}
-
-
-def test_every_shipped_procedure_and_the_commands_around_them_are_offered(offered):
-    assert set(offered) == {
-        "doctor",
-        "accept",
-        "commission",
-        "live",
-        *shipped_names(),
-        "a procedure of your own",
-    }
 
 
 @pytest.mark.parametrize("name", shipped_names())
@@ -51,13 +37,6 @@ def test_the_form_of_a_procedure_says_what_its_parameters_accept(offered, name):
                 beyond = limit - 1 if limit == field.low else limit + 1
                 wrong = action.problems({field.name: str(int(beyond) if field.kind == "integer" else beyond)})
                 assert list(wrong) == [field.name], field
-
-
-def test_the_help_of_a_run_says_why_a_script_cannot_be_read(capsys):
-    assert main(["run", "brng_up", "--help"]) == 0
-    reported = capsys.readouterr().out
-    assert "did you mean bring_up?" in reported
-    assert "--realtime" in reported
 
 
 def test_what_is_filled_in_becomes_the_words_of_the_command(offered):
@@ -82,14 +61,11 @@ def test_what_is_filled_in_becomes_the_words_of_the_command(offered):
     ("name", "values", "field"),
     [
         ("bring_up", {"--seed": "-1"}, "--seed"),
-        ("bring_up", {"--seed": "x"}, "--seed"),
         ("live", {"--duration": "0"}, "--duration"),
         ("bring_up", {"watch_s": "many"}, "watch_s"),
-        ("bring_up", {"--bench": "nope.toml"}, "--bench"),
         ("doctor", {"--bench": "nope.toml"}, "--bench"),
         ("live", {"--bench": "emulated_floor", "--emulate": "arm"}, "--emulate"),
         ("bring_up", {"devices": "imu"}, ""),
-        ("a procedure of your own", {}, "SCRIPT"),
         ("a procedure of your own", {"SCRIPT": "absent.py"}, "SCRIPT"),
     ],
 )
@@ -118,7 +94,6 @@ def test_a_port_that_is_taken_is_named(place, capsys):
     [
         (["--bench", "absent.toml"], "absent.toml"),
         (["--in", "file"], "file"),
-        (["--in", "/proc/absent"], "/proc/absent"),
         (["--stop", "--in", "absent"], "absent"),
         (["--stop", "--bench", "emulated"], "--bench"),
     ],
@@ -132,11 +107,7 @@ def test_what_it_cannot_use_is_named_and_nothing_is_started(place, capsys, words
 
 @pytest.mark.parametrize(
     ("mode", "said"),
-    [
-        (0o600, "open http://127.0.0.1:41873/?token=secret in a browser"),
-        (0o640, "end that console (kill PID) and start it again"),
-        (None, "give the same command again in ten seconds"),
-    ],
+    [(0o600, "http://127.0.0.1:41873/?token=secret"), (0o640, "kill PID"), (None, "running already")],
 )
 def test_a_second_console_of_the_same_folder_is_refused_and_says_how_to_get_in(place, capsys, mode, said):
     """Whoever has closed the terminal of the first has lost its address."""
@@ -149,7 +120,6 @@ def test_a_second_console_of_the_same_folder_is_refused_and_says_how_to_get_in(p
         (folder / STOP).chmod(mode)
     assert main(["console"]) == 2
     err = capsys.readouterr().err
-    assert "running already" in err
     assert said.replace("PID", str(os.getpid())) in " ".join(err.split())
     assert ("secret" in err) == (mode == 0o600)
 
@@ -171,26 +141,14 @@ def test_stop_ends_the_button_of_a_console_that_was_killed_and_of_no_other(place
     console.communicate()
     assert runs(button)
     capsys.readouterr()
-    assert main(["console", "--stop"]) == 0
-    assert "the STOP button of a console that died has ended" in capsys.readouterr().out
+    assert main(["console", "--stop", "--json"]) == 0
+    stopped = {"stopped": [], "last": None, "not_held": [], "button_ended": True}
+    assert json.loads(capsys.readouterr().out) == stopped
     assert not runs(button)
     again = started(place)
     again.send_signal(signal.SIGINT)
     again.communicate(timeout=30)
     assert again.returncode == 0
-
-
-def test_stop_from_a_shell_says_that_nothing_runs(place, capsys):
-    (place / "out").mkdir()
-    assert main(["console", "--stop"]) == 0
-    assert "nothing runs" in capsys.readouterr().out
-    assert main(["console", "--stop", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {
-        "stopped": [],
-        "last": None,
-        "not_held": [],
-        "button_ended": False,
-    }
 
 
 def test_a_console_that_ends_in_order_takes_the_button_with_it(place, capsys, monkeypatch):
@@ -215,23 +173,3 @@ def test_a_console_that_ends_in_order_takes_the_button_with_it(place, capsys, mo
     while runs(stop):
         assert jobs.time.monotonic() < end_s
         jobs.time.sleep(0.05)
-
-
-def test_a_live_recording_may_go_into_a_folder_that_is_not_there_yet(place):
-    """As the console asks for one."""
-    with open_bench("emulated_floor") as bench:
-        recorder = _recorder(bench, place / "new" / "deeper" / "run.mcap", "stop")
-        bench.observe(0.1, feedback="odometry")
-    assert recorder.report()["path"] == str(place / "new" / "deeper" / "run.mcap")
-    (place / "file").write_text("")
-    with pytest.raises(DataError, match="cannot be created"):
-        _recorder(bench, place / "file" / "run.mcap", "stop")
-
-
-def test_a_field_is_called_without_the_unit_that_stands_beside_it(offered):
-    fields = [field for action in offered.values() for field in action.fields]
-    measured = [field for field in fields if field.unit]
-    assert len(measured) > 20
-    assert [f.name for f in measured if f.title.split()[-1] in ("m", "s", "rad", "hz", "n")] == []
-    assert len({(f.title, f.unit) for f in measured}) > 10
-    assert all(field.title.strip() for field in fields)

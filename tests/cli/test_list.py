@@ -48,15 +48,3 @@ def test_faults_are_those_of_the_bench_that_is_named(listed):
     assert not [name for name in found if name.startswith("servo")]
     assert parse_fault("imu:stuck@1").kind in found["imu"]
     assert "probability" in found["imu"]["drop"]
-
-
-def test_as_text_devices_with_the_same_faults_share_a_row(capsys):
-    assert main(["list", "faults"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert sum("adhesion_loss" in line for line in lines) == 2
-    assert any(line.startswith("servo.drive_FL, servo.1") for line in lines)
-
-
-def test_what_cannot_be_listed_is_named(capsys):
-    assert main(["list", "planets"]) == 2
-    assert "procedures" in capsys.readouterr().err

@@ -14,14 +14,11 @@ DRAWING = {"matplotlib"}
     [
         (
             "hil.procedures.wall_tracking, hil.procedures.bring_up, hil.procedures.latency, "
+            "hil.procedures.adhesion_check, hil.procedures.imu_calibration, "
+            "hil.procedures.surface_identification, hil.procedures.tracker_extrinsics, "
             "hil.procedure.runner, hil.bench, hil.live, hil.replay.estimator_comparison, "
             "hil.replay.recordings",
             SOLVERS | DRAWING,
-        ),
-        (
-            "hil.procedures.adhesion_check, hil.procedures.imu_calibration, "
-            "hil.procedures.surface_identification, hil.procedures.tracker_extrinsics",
-            {"scipy.stats", "scipy.optimize", *DRAWING},
         ),
         ("hil.calibration.calibrate", DRAWING),
     ],

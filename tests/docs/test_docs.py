@@ -35,21 +35,14 @@ def test_links_and_pictures_lead_somewhere(page):
     assert missing == []
 
 
-def test_the_reference_of_the_bench_file_is_current():
-    script = ROOT / "docs" / "make_bench_reference.py"
-    code = f"import runpy; print(runpy.run_path({str(script)!r})['page'](), end='')"
-    now = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert (ROOT / "docs" / "bench-file.md").read_text(encoding="utf-8") == now
-    assert re.findall(r"\| `(\w+)` \| [^|]* \| [^|]* \|  \|", now) == []
-
-
-def test_the_page_of_faults_is_current_and_every_fault_and_option_on_it_is_explained():
-    script = ROOT / "docs" / "make_fault_reference.py"
-    code = f"import runpy; print(runpy.run_path({str(script)!r})['page'](), end='')"
-    now = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+def test_the_references_are_current_and_all_that_is_on_them_is_explained():
+    scripts = [str(ROOT / "docs" / f"make_{name}_reference.py") for name in ("bench", "fault")]
+    code = f"import runpy; print(*(runpy.run_path(s)['page']() for s in {scripts}), sep='\\0', end='')"
+    pages = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    keys, now = pages.split("\0")
+    assert (ROOT / "docs" / "bench-file.md").read_text(encoding="utf-8") == keys
+    assert re.findall(r"\| `(\w+)` \| [^|]* \| [^|]* \|  \|", keys) == []
     assert (ROOT / "docs" / "faults.md").read_text(encoding="utf-8") == now
-    for name in ("servo.drive_FL", "tracker", "plant", "wrong", "confidence", "brownout", "adhesion_loss"):
-        assert f"`{name}`" in now
     explained, _, devices = now.partition("## Options")[2].partition("## Devices")
     taken = {o for group in re.findall(r"\(([^)]*)\)", devices) for o in re.findall(r"`(\w+)", group)}
     assert taken == set(re.findall(r"^\| `(\w+)`(?: of `\w+`)? \|", explained, re.MULTILINE))
@@ -91,21 +84,13 @@ def test_the_script_runs_as_printed(tmp_path, monkeypatch, capsys):
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["truth", "EKF", "odometry"]
 
 
-def test_the_test_runs_as_printed(tmp_path):
-    (tmp_path / "test_mine.py").write_text(python_block("pytest.mark.fault"))
-    assert "1 passed" in run("-m", "pytest", "-q", "test_mine.py", cwd=tmp_path)
-
-
-@pytest.mark.parametrize("name", ["test_my_controller", "test_my_estimator"])
-def test_a_controller_and_an_estimator_of_ones_own_run_as_printed(name, tmp_path):
-    (block,) = [
-        b
-        for b in blocks((ROOT / "docs" / "pytest.md").read_text(encoding="utf-8"), "python")
-        if f"def {name}(" in b
-    ]
-    (tmp_path / "test_mine.py").write_text(block)
-    reported = run("-m", "pytest", "-q", "test_mine.py", cwd=tmp_path)
-    assert "1 passed" in reported
+def test_every_test_runs_as_printed(tmp_path):
+    shown = blocks((ROOT / "docs" / "pytest.md").read_text(encoding="utf-8"), "python")
+    named = {name: [b for b in shown if f"def test_my_{name}(" in b] for name in ("controller", "estimator")}
+    for name, (block,) in {**named, "bench": [python_block("pytest.mark.fault")]}.items():
+        (tmp_path / f"test_{name}.py").write_text(block)
+    reported = run("-m", "pytest", "-q", cwd=tmp_path)
+    assert "3 passed" in reported
     assert "NOT HELD" not in reported
 
 

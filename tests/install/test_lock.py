@@ -110,13 +110,7 @@ def test_make_takes_what_is_locked_the_newest_or_the_oldest(given, folder, by):
 
 @pytest.mark.parametrize(
     ("target", "extras"),
-    [
-        ("demo", {"rerun"}),
-        ("demo RERUN=", set()),
-        ("test", set(EXTRAS) - {"lint", "docs"}),
-        ("lint", set(EXTRAS) - {"docs"}),
-        ("site", set(EXTRAS) - {"lint"}),
-    ],
+    [("demo", {"rerun"}), ("test", set(EXTRAS) - {"lint", "docs"}), ("site", set(EXTRAS) - {"lint"})],
 )
 def test_a_target_installs_the_extras_that_it_needs_and_no_others(target, extras):
     (packages,) = (line for line in dry_run(*target.split()) if "-r pyproject.toml" in line)

@@ -2,7 +2,6 @@
 
 import email
 import importlib.metadata
-import json
 import os
 import re
 import shutil
@@ -25,13 +24,8 @@ def wheel(tmp_path_factory):
     """The wheel of the files that git knows (or would add), built without a network."""
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("dist")
     parts = ("hil", "procedures", "pyproject.toml", "PACKAGE.md", "LICENSE")
-    listed = subprocess.run(
-        ["git", "ls-files", "-co", "--exclude-standard", *parts],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout.split()
+    known = ["git", "ls-files", "-co", "--exclude-standard", *parts]
+    listed = subprocess.run(known, cwd=ROOT, capture_output=True, text=True, check=True).stdout.split()
     for name in listed:
         if (ROOT / name).exists():
             (source / name).parent.mkdir(parents=True, exist_ok=True)
@@ -41,15 +35,6 @@ def wheel(tmp_path_factory):
     (found,) = out.glob("hil_4wis4wid-*.whl")
     inside = [f"hil/{name}" if name.startswith("procedures/") else name for name in listed]
     return found, [name for name in inside if name.startswith("hil/") and name != "hil/procedures"]
-
-
-@pytest.fixture(scope="module")
-def unpacked(wheel, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("site")
-    with zipfile.ZipFile(wheel[0]) as archive:
-        archive.extractall(folder)
-    bring_machine_code(folder)
-    return folder
 
 
 def bring_machine_code(folder):
@@ -73,43 +58,15 @@ def test_every_file_of_the_package_is_in_it(wheel):
     assert [n for n in inside if n.startswith(("tests", "benchmarks", "docs"))] == []
 
 
-def test_it_is_described(unpacked):
-    (path,) = unpacked.glob("*.dist-info/METADATA")
-    described = email.message_from_string(path.read_text(encoding="utf-8"))
+def test_it_is_described(wheel):
+    with zipfile.ZipFile(wheel[0]) as archive:
+        (path,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+        described = email.message_from_string(archive.read(path).decode())
     assert described["License-Expression"] == "MIT"
-    assert described["Author"] == "hil-4wis4wid maintainers"
-    assert {"3.10", "3.13"} <= {c.split(" :: ")[-1] for c in described.get_all("Classifier")}
-    assert described["Keywords"]
     assert described["Description-Content-Type"] == "text/markdown"
-    assert described.get_all("Project-URL") is None
     text = described.get_payload()
     assert "hardware-in-the-loop" in text
     assert re.findall(r"\]\((?!https?://)[^)]*\)", text) == []  # a relative link leads nowhere from there
-
-
-def call(unpacked, folder, *arguments):
-    """The command of the wheel in an empty folder; returns its standard output."""
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(unpacked)},
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
-
-
-@pytest.mark.long
-def test_it_runs_away_from_the_checkout(unpacked, tmp_path):
-    where = "import hil, hil.procedures; print(hil.__file__); print(hil.procedures.__file__)"
-    assert all(line.startswith(str(unpacked)) for line in call(unpacked, tmp_path, "-c", where).splitlines())
-    assert json.loads(call(unpacked, tmp_path, "-m", "hil", "info", "--json"))["extras"]
-    brief = ("--set", "watch_s=2", "--set", "devices=servos,mocap", "--out", "o", "--json")
-    ran = json.loads(call(unpacked, tmp_path, "-m", "hil", "run", "bring_up", *brief))
-    assert ran["verdict"] in ("PASS", "MARGINAL")
-    assert (tmp_path / "o" / "report.html").stat().st_size > 10_000
 
 
 def environment_with(wheel, folder):

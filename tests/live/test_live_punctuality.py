@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hil.core.clock import Clock, MonotonicClock
 from hil.loop.realtime import RealTime
-from hil.loop.timing import Distribution, Laps, LoopStatistics
+from hil.loop.timing import Distribution
 
 MS = 1_000_000
 
@@ -41,25 +41,6 @@ def test_quantiles_agree_with_sorting_to_one_percent(values, share):
     assert exact * (1 - 1e-9) <= found.quantile_ns(share) <= exact * 1.0101
     assert found.mean_ns == pytest.approx(np.mean(values))
     assert found.worst_ns == max(values)
-
-
-def test_statistics_do_not_grow_with_the_run():
-    statistics = LoopStatistics()
-    for k in range(2000):
-        statistics.add({"read": 1000 + k, "work": 5000 - k, "lateness": -k})
-    assert {len(d._counts) for d in statistics.sections.values()} == {len(Distribution()._counts)}
-    summary = statistics.summary()
-    assert summary["read_worst_ms"] == pytest.approx(0.002999)
-    assert summary["work_p99_ms"] == pytest.approx(0.00498, rel=0.011)
-
-
-def test_laps_add_up_to_the_cycle():
-    clock = Hand()
-    lap = Laps(clock, 0)
-    for t_ns, name in ((3, "read"), (10, "estimate"), (11, "control")):
-        clock.t_ns = t_ns
-        lap.done(name)
-    assert lap.timing_ns == {"read": 3, "estimate": 7, "control": 1}
 
 
 def test_the_system_is_left_as_it_was_found():

@@ -29,20 +29,8 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def served():
     """Endpoints of emulated servos, IMU and encoders on a floor, served by another process."""
-    child = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "hil.cli",
-            "emulate",
-            "--bench",
-            "emulated_floor",
-            "--only",
-            "servos,imu,encoders",
-        ],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
+    words = ("emulate", "--bench", "emulated_floor", "--only", "servos,imu,encoders")
+    child = subprocess.Popen([sys.executable, "-m", "hil.cli", *words], stdout=subprocess.PIPE, text=True)
     yield json.loads(child.stdout.readline())
     child.terminate()
     child.communicate(timeout=20)
@@ -89,38 +77,20 @@ def drive_and_check(path):
     assert sum(len(r.inputs.encoders) for r in motion.records) >= 0.8 * 200.0 * STRAIGHT.duration_s
 
 
-@pytest.mark.parametrize(
-    ("protocol", "prefetch"),
-    [
-        ("socket", "false"),
-        *(pytest.param("rfc2217", ahead, marks=pytest.mark.long) for ahead in ("false", "true")),
-    ],
-)
-def test_a_drive_on_a_remote_bench(served, tmp_path, protocol, prefetch):
+@pytest.mark.parametrize("protocol", ["socket", pytest.param("rfc2217", marks=pytest.mark.long)])
+def test_a_drive_on_a_remote_bench(served, tmp_path, protocol):
     """3 ms of latency each way: slower cycles or older samples, the same motion, hardly a sample lost."""
-    can_options = f'interface = "udp_multicast"\nchannel = "{served["can"]["channel"]}"\n'
-    options = f"options = {{ port = {served['can']['port']}, hop_limit = 0 }}"
+    channel, port = served["can"]["channel"], served["can"]["port"]
+    near = can.Bus(interface="udp_multicast", channel=channel, port=port, hop_limit=0)
+    daemon = SocketCanDaemon(near, latency_s=0.02)
     servos = Bridge(served["servos"]["port"], baud=BAUD, latency_s=LATENCY_S, protocol=protocol)
     imu = Bridge(served["imu"]["port"], baud=115_200, latency_s=LATENCY_S, protocol=protocol)
-    try:
-        drive_and_check(bench_file(tmp_path, servos.url, imu.url, can_options + options, prefetch=prefetch))
-        assert servos.clients == imu.clients == 1
-    finally:
-        servos.close()
-        imu.close()
-
-
-def test_encoders_through_socketcand(served, tmp_path):
-    near = can.Bus(
-        interface="udp_multicast", channel=served["can"]["channel"], port=served["can"]["port"], hop_limit=0
-    )
-    daemon = SocketCanDaemon(near, latency_s=0.02)
-    servos = Bridge(served["servos"]["port"], baud=BAUD, latency_s=LATENCY_S, protocol="socket")
-    imu = Bridge(served["imu"]["port"], baud=115_200, latency_s=LATENCY_S, protocol="socket")
     encoders = 'interface = "socketcand"\nchannel = "can0"\n'
     encoders += f'options = {{ host = "127.0.0.1", port = {daemon.port} }}'
+    prefetch = "true" if protocol == "rfc2217" else "false"
     try:
-        drive_and_check(bench_file(tmp_path, servos.url, imu.url, encoders))
+        drive_and_check(bench_file(tmp_path, servos.url, imu.url, encoders, prefetch=prefetch))
+        assert servos.clients == imu.clients == 1
     finally:
         for bridge in (servos, imu, daemon):
             bridge.close()

@@ -19,7 +19,6 @@ SERVER = ("127.0.0.1", 1510)
 OTHER = ("127.0.0.1", 4242)
 JUNK = {
     "another host": (build.frame((4, 1), 7, [build.body(1)]), ("10.0.0.1", 1510)),
-    "another port": (build.frame((4, 1), 7, [build.body(1)]), OTHER),
     "nonsense": (b"\xff" * 1400, OTHER),
     "empty": (b"", OTHER),
     "a description": (build.server_info(), OTHER),

@@ -24,7 +24,6 @@ from hil.fakes.world import World
 pytestmark = pytest.mark.real_time
 
 GROUP = f"239.255.42.{1 + os.getpid() % 250}"
-VERSIONS = [(3, 1), (4, 0), (4, 1)]
 
 
 def public_client(transport, *, multicast):
@@ -51,8 +50,7 @@ def until(condition, seconds=5.0):
     assert condition()
 
 
-@pytest.mark.parametrize("multicast", [False, True])
-@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize(("version", "multicast"), [((3, 1), False), ((4, 0), True), ((4, 1), False)])
 def test_a_public_client_gets_frames_and_definitions(served, version, multicast):
     transport = served(version=version, multicast=GROUP if multicast else None)
     got = SimpleNamespace(frames=[], models=[])
@@ -76,8 +74,7 @@ def test_a_public_client_gets_frames_and_definitions(served, version, multicast)
     assert np.all(steps >= 0)
 
 
-@pytest.mark.parametrize("multicast", [None, GROUP], ids=["unicast", "multicast"])
-@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize(("version", "multicast"), [((3, 1), None), ((4, 1), GROUP)])
 def test_the_driver_reads_over_udp(served, settings_of, version, multicast):
     transport = served(version=version, multicast=multicast)
     driver = NatNetMocap(settings_of(transport), MonotonicClock())
@@ -95,8 +92,7 @@ def test_the_driver_reads_over_udp(served, settings_of, version, multicast):
     driver.close()
 
 
-@pytest.mark.parametrize("at_data_port", [False, True])
-def test_frames_come_to_the_asking_port_and_to_the_data_port(served, at_data_port):
+def test_frames_come_to_the_asking_port_and_to_the_data_port(served):
     """Public clients expect either."""
     transport = served()
     where = transport.endpoint()
@@ -110,9 +106,10 @@ def test_frames_come_to_the_asking_port_and_to_the_data_port(served, at_data_por
         for s in (command, data):
             s.settimeout(3.0)
         command.sendto(build.message(10, b"\0"), server)
-        packet, sender = (data if at_data_port else command).recvfrom(65535)
-        assert struct.unpack_from("<HH", packet) == (7, len(packet) - 4)
-        assert sender == server
+        for s in (command, data):
+            packet, sender = s.recvfrom(65535)
+            assert struct.unpack_from("<HH", packet) == (7, len(packet) - 4)
+            assert sender == server
         data.close()
         command.sendto(build.message(9, b"\0"), server)
 
@@ -186,27 +183,6 @@ def test_a_stranger_on_the_data_port_does_not_reach_the_loop(served, settings_of
         driver.close()
 
 
-def test_no_server_is_an_error_with_the_address():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as quiet:
-        quiet.bind(("127.0.0.1", 0))
-        port = quiet.getsockname()[1]
-        config = MocapConfig(command_port=port, open_timeout_s=0.3)
-        with pytest.raises(DeviceTimeoutError, match="no server answers") as caught:
-            NatNetMocap(config, MonotonicClock()).open()
-    assert caught.value.port == f"127.0.0.1:{port}"
-
-
-def test_a_server_that_dies_is_an_error_and_the_driver_can_be_closed(served, settings_of):
-    transport = served("mocap:off@0.6")
-    driver = NatNetMocap(settings_of(transport, fail_after_s=0.5), MonotonicClock())
-    driver.open()
-    try:
-        with pytest.raises(DeviceTimeoutError, match="no usable frame"):
-            until(lambda: driver.read() is None)
-    finally:
-        driver.close()
-
-
 def test_addresses_that_are_not_ours_are_refused():
     clock = MonotonicClock()
     with pytest.raises(DeviceError, match="UDP ports cannot be used"):
@@ -218,8 +194,9 @@ def test_addresses_that_are_not_ours_are_refused():
 
 def test_requests_that_cannot_leave_the_host_are_silence():
     config = MocapConfig(server="255.255.255.255", open_timeout_s=0.2)
-    with pytest.raises(DeviceTimeoutError, match="no server answers"):
+    with pytest.raises(DeviceTimeoutError, match="no server answers") as caught:
         NatNetMocap(config, MonotonicClock()).open()
+    assert caught.value.port == "255.255.255.255:1510"
 
 
 def test_a_port_that_is_not_read_loses_and_counts():
@@ -236,17 +213,3 @@ def test_a_port_that_is_not_read_loses_and_counts():
             until(flood)
     finally:
         port.close()
-
-
-def test_a_closed_face_is_silent_and_can_be_closed_again():
-    world = World(SimpleNamespace(t_ns=0))
-    server = NatNetServer(world)
-    transport = NatNetTransport(server)
-    transport.deliver(5, b"late", ("127.0.0.1", 9))
-    transport.close()
-    transport.close()
-    assert transport.filenos() == []
-    transport.on_readable(3, 0)
-    transport.deliver(5, b"late", ("127.0.0.1", 9))
-    transport.on_due(10)
-    assert transport.next_due_ns() > 10

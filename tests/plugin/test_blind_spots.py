@@ -53,14 +53,6 @@ def test_a_breakage_that_no_test_notices_fails_the_session(searched):
     assert result.ret == 1
 
 
-@pytest.mark.long
-def test_a_suite_that_fails_on_the_sound_robot_has_to_be_mended_first(searched):
-    result = searched("def test_wrong(bench):\n    assert not bench.has('imu')\n", "imu:stuck")
-    result.stdout.fnmatch_lines(["*on the sound robot the suite has to pass*"])
-    assert "broken robots" not in result.stdout.str()
-    assert result.ret == 1
-
-
 def test_a_breakage_that_there_is_not_is_refused_with_those_that_there_are(searched):
     result = searched(LOOKS, "imu:stuk")
     result.stderr.fnmatch_lines(["*imu:stuk: no such breakage*imu:stuck*"])

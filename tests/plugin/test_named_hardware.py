@@ -48,7 +48,6 @@ OWN = {"test_the_file", "test_its_configuration"}
 @pytest.mark.parametrize(
     ("options", "passed", "told"),
     [
-        ((), {*ALWAYS, "test_what_the_fixture_has"}, "--bench FILE"),
         (("-o", "hil_bench=rig.toml"), {*ALWAYS, "test_what_the_fixture_has"}, "--bench FILE"),
         (("--bench=rig.toml",), ALWAYS | OWN, "--bench rig.toml"),
         (("--bench=rig.toml", "--emulate"), {*ALWAYS, "test_what_the_fixture_has"}, "--emulate all"),

@@ -10,9 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.patience import patient_bench
 from tests.ros2.fast_dds import build
 
 LISTENER = Path(__file__).with_name("listener.py")
+COMMANDER = Path(__file__).with_name("commander.py")
 LIMIT_S = 60.0
 
 
@@ -90,6 +92,51 @@ def listen(domain):
     yield begin
     for listener in begun:
         listener.close()
+
+
+@pytest.fixture
+def programs():
+    """Begins programs of Python; they are ended with the test."""
+    begun = []
+
+    def begin(*words, **options):
+        command = [sys.executable, *map(str, words)]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        begun.append(subprocess.Popen(command, text=True, **pipes, **options))
+        return begun[-1]
+
+    yield begin
+    for one in begun:
+        if one.poll() is None:
+            one.kill()
+        one.wait()
+        for pipe in filter(None, (one.stdin, one.stdout, one.stderr)):
+            pipe.close()
+
+
+@pytest.fixture
+def command(domain, programs):
+    """Begins a program that sends velocities."""
+
+    def begin(kind, *fields, rate_hz=50):
+        begun = programs(COMMANDER, domain, "/cmd_vel", kind, rate_hz, *fields)
+        assert begun.stdout.readline() == "begun\n"
+        return begun
+
+    return begin
+
+
+@pytest.fixture
+def live(tmp_path, domain, programs):
+    """Begins `hil live`, which a topic drives."""
+
+    def begin(topic, *options, **tables):
+        bench = patient_bench(tmp_path, "emulated_floor", **tables)
+        words = ("live", "--bench", bench, "--controller", f"ros2:{topic}", "--ros2-domain", domain)
+        more = ("--record", "r.mcap", *options, "--json")
+        return programs("-m", "hil", *words, *more, stderr=subprocess.PIPE, cwd=tmp_path)
+
+    return begin
 
 
 @pytest.fixture(scope="session")

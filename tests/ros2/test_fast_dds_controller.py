@@ -83,9 +83,10 @@ def test_in_real_time_the_robot_follows(commands, topic, tmp_path, domain, progr
     assert (seen[-1] - seen[0])[0] == pytest.approx(UP_M, abs=0.01)
 
 
-def lockstep(folder, domain, out, topic):
+def lockstep(folder, domain, out):
     (folder / "follows.py").write_text(FOLLOWS)
-    words = ("run", "follows.py", "--controller", f"ros2:{topic}", "--ros2-domain", domain, "--out", out)
+    words = ("run", "follows.py", "--controller", "ros2:/joint_commands", "--ros2-domain", domain)
+    words += ("--out", out)
     return hil(folder, *words)
 
 
@@ -102,20 +103,13 @@ def recorded(folder):
     return [c for c in read_cycles(path) if c.reference is not None]
 
 
-@pytest.mark.parametrize(("commands", "topic"), [("joints", "/joint_commands"), ("twist", "/cmd_vel")])
-def test_in_lockstep_the_robot_follows(commands, topic, tmp_path, domain, program):
-    program("--commands", commands)
-    code, answer, err = ended(lockstep(tmp_path, domain, "out", topic))
-    assert code == 0, err
-    assert answer["held"]["state"] == "HELD"
-
-
-def test_in_lockstep_a_run_repeats_itself(tmp_path, domain, program):
+def test_in_lockstep_the_robot_follows_and_a_run_repeats_itself(tmp_path, domain, program):
     runs = []
     for out in ("first", "second"):
         controller = program()
-        code, _, err = ended(lockstep(tmp_path, domain, out, "/joint_commands"))
+        code, answer, err = ended(lockstep(tmp_path, domain, out))
         assert code == 0, err
+        assert answer["held"]["state"] == "HELD"
         assert "synchronised" not in err
         controller.kill()
         controller.wait()
@@ -125,24 +119,6 @@ def test_in_lockstep_a_run_repeats_itself(tmp_path, domain, program):
     np.testing.assert_array_equal(
         np.hstack([np.hstack(c) for c in first]), np.hstack([np.hstack(c) for c in second])
     )
-
-
-@pytest.mark.parametrize("ends_by", [signal.SIGKILL, signal.SIGSTOP])
-def test_in_lockstep_one_that_answers_no_more_is_named_and_the_robot_is_held(
-    ends_by, tmp_path, domain, program
-):
-    controller = program()
-    run = lockstep(tmp_path, domain, "out", "/joint_commands")
-    try:
-        assert controller.stdout.readline() == "begun\n"
-        controller.send_signal(ends_by)
-        code, answer, err = ended(run)
-    finally:
-        run.kill()
-    assert code == 3, err
-    assert answer["held"]["state"] == "HELD"
-    assert "ros2:/joint_commands" in answer["error"]["message"]
-    assert "its command did not come" in answer["error"]["message"]
 
 
 def test_the_benchmark_finds_answers_in_real_time_and_in_lockstep(wall_line_dds, domain):

@@ -108,7 +108,6 @@ STOPS = {
         "ros2_lockstep",
         "cycle 20",
     ),
-    "old": ({**FOLLOWS, "stamp": 1}, HASTY, "ros2_lockstep", "stamps of other cycles"),
     "wall time": ({**FOLLOWS, "stamp": "wall"}, HASTY, "ros2_lockstep", "use_sim_time"),
     "best effort": ({**FOLLOWS, "best_effort": True}, HASTY, "ros2_lockstep", "quality of service"),
 }

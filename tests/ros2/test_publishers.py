@@ -1,9 +1,6 @@
 """Who publishes a topic of commands: programs that come, end, or are killed."""
 
-import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
 
@@ -13,7 +10,6 @@ from hil.ros2.network import Network
 from hil.ros2.participant import Participant
 
 pytestmark = pytest.mark.timeout(180)
-COMMANDER = Path(__file__).with_name("commander.py")
 TWIST = "geometry_msgs/msg/Twist"
 PATIENCE_S = 60.0
 
@@ -25,26 +21,6 @@ def topic(domain):
     yield topic
     topic.close()
     participant.close()
-
-
-@pytest.fixture
-def commander(domain):
-    """Begins programs that send velocities; they are ended with the test."""
-    begun = []
-
-    def begin(*fields, rate_hz=50):
-        words = [COMMANDER, domain, "/cmd_vel", "Twist", rate_hz, *fields]
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-        begun.append(subprocess.Popen([sys.executable, *map(str, words)], text=True, **pipes))
-        assert begun[-1].stdout.readline() == "begun\n"
-        return begun[-1]
-
-    yield begin
-    for one in begun:
-        one.kill()
-        one.wait()
-        one.stdin.close()
-        one.stdout.close()
 
 
 def taken_until(topic, over):
@@ -62,9 +38,9 @@ def has(topic, count):
 
 
 @pytest.mark.parametrize("ends", ["by itself", pytest.param("killed", marks=pytest.mark.long)])
-def test_the_topic_is_read_on_after_its_publisher_is_gone_and_when_one_comes_back(ends, topic, commander):
+def test_the_topic_is_read_on_after_its_publisher_is_gone_and_when_one_comes_back(ends, topic, command):
     for _ in range(2):
-        program = commander("lease=2")
+        program = command("Twist", "lease=2")
         assert taken_until(topic, lambda: topic.take())
         if ends == "killed":
             program.kill()
@@ -76,21 +52,8 @@ def test_the_topic_is_read_on_after_its_publisher_is_gone_and_when_one_comes_bac
         assert topic.take() == []
 
 
-@pytest.mark.long
-def test_one_that_was_killed_is_named_for_as_long_as_its_lease_and_then_gone(topic, commander):
-    program = commander("lease=3")
-    assert taken_until(topic, lambda: topic.take())
-    killed = time.monotonic()
-    program.kill()
-    assert f"process {program.pid} (geometry_msgs/Twist)" in topic.who()
-    assert "3 s" in topic.who()
-    taken_until(topic, has(topic, 0))
-    assert time.monotonic() - killed > 1.5, "it is not given up while it may only be slow"
-    assert str(program.pid) not in topic.who()
-
-
-def test_of_two_the_one_that_sends_and_the_one_that_never_did_are_told_apart(topic, commander):
-    speaks, silent = commander(), commander(rate_hz=0)
+def test_of_two_the_one_that_sends_and_the_one_that_never_did_are_told_apart(topic, command):
+    speaks, silent = command("Twist"), command("Twist", rate_hz=0)
     taken_until(topic, lambda: has(topic, 2)() and any(map(topic.silent_s, topic.publishers())))
     assert topic.why_several().startswith("/cmd_vel has 2 publishers")
     silent_s = {one.program: topic.silent_s(one.handle) for one in topic.described()}

@@ -13,17 +13,41 @@ from tests.ros2.test_lockstep import TOPIC, driver
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 pytest_plugins = ["pytester"]
+pytestmark = pytest.mark.usefixtures("warm_commands")
 
 FOLLOWS = {"on": "states", "stamp": "copy", "follow": 120}
-TEST = """
+TESTS = """
 import pytest
 from hil.robot.trajectories import line
 
-@pytest.mark.controller({controller!r}{domain})
-@pytest.mark.parametrize("again", [0, 1])
-def test_it_moves(bench, again):
+def moves(bench):
     motion = bench.drive(line((0, 0, 0), (0.03, 0, 0)), start_pose=(0, 0, 0), hold_s=0.5, feedback="odometry")
     assert abs(motion.records[-1].state.pose_body_in_wall[0] - 0.03) < 0.005
+
+@pytest.mark.controller("ros2:TOPIC", domain=DOMAIN)
+@pytest.mark.parametrize("again", [0, 1])
+def test_by_a_program(bench, again):
+    moves(bench)
+
+@pytest.mark.controller("nonlinear")
+def test_by_a_law(bench):
+    moves(bench)
+
+@pytest.mark.controller("nonsense")
+def test_unknown(bench):
+    moves(bench)
+
+@pytest.mark.controller(7)
+def test_no_name(bench):
+    moves(bench)
+
+@pytest.mark.controller("ros2:joint commands")
+def test_no_topic(bench):
+    moves(bench)
+
+@pytest.mark.controller("ros2:TOPIC", domain=102)
+def test_no_domain(bench):
+    moves(bench)
 """
 
 
@@ -43,27 +67,10 @@ def test_the_runs_of_a_campaign_are_driven_one_after_the_other(tmp_path, domain,
 
 
 @pytest.mark.timeout(300)
-def test_a_test_of_the_users_own_names_its_controller(tmp_path, domain, pytester):
+def test_a_test_of_the_users_own_names_its_controller_and_a_wrong_one_is_an_error(tmp_path, domain, pytester):
     bench = patient_bench(tmp_path, "emulated_floor", ros2=TIMES)
-    pytester.makepyfile(TEST.format(controller=f"ros2:{TOPIC}", domain=f", domain={domain}"))
+    pytester.makepyfile(TESTS.replace("TOPIC", TOPIC).replace("DOMAIN", str(domain)))
     with driver(domain, FOLLOWS):
         result = pytester.runpytest_subprocess(f"--bench={bench}", "--emulate=all")
-    result.assert_outcomes(passed=2)
-
-
-@pytest.mark.parametrize(
-    ("controller", "domain", "outcome"),
-    [
-        ("nonlinear", "", {"passed": 2}),
-        ("nonsense", "", {"errors": 2}),
-        (7, "", {"errors": 2}),
-        ("ros2:joint commands", "", {"errors": 2}),
-        (f"ros2:{TOPIC}", ", domain=102", {"errors": 2}),
-    ],
-)
-def test_a_marker_is_a_law_too_and_a_wrong_one_an_error(controller, domain, outcome, tmp_path, pytester):
-    bench = patient_bench(tmp_path, "emulated_floor")
-    pytester.makepyfile(TEST.format(controller=controller, domain=domain))
-    result = pytester.runpytest_subprocess(f"--bench={bench}", "--emulate=all")
-    result.assert_outcomes(**outcome)
+    result.assert_outcomes(passed=3, errors=4)
     result.stdout.no_fnmatch_line("*INTERNALERROR*")

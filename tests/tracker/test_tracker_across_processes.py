@@ -103,15 +103,6 @@ def test_nothing_at_the_other_end_is_a_device_error(tracker_bench):
             T265Tracker(config, MonotonicClock()).open()
 
 
-def test_the_feed_of_another_camera_is_refused(tracker_bench):
-    bench = tracker_bench("tracker:unplug@0+0.05")
-    transport = TrackerTransport(bench.camera)
-    with serving(bench.world, {"tracker": transport}):
-        driver = T265Tracker(feed_config(transport, serial="17"), MonotonicClock())
-        with pytest.raises(DeviceError, match=f"camera {bench.camera.serial}"):
-            driver.open()
-
-
 def test_strange_datagrams_and_a_vanished_server_do_not_end_the_reception():
     """The other end answers the first subscription, sends rubbish, vanishes, and comes back."""
     info = INFO_RECORD.pack(FEED_MAGIC, 3, b"Intel RealSense T265", b"1", b"2")

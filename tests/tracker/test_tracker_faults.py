@@ -1,6 +1,5 @@
 """Every fault of the emulated camera ends as data with a status or as a named device error."""
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -8,12 +7,11 @@ import pytest
 from following import kinds
 
 from hil.config.tracker import T265Config
-from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.core.signals import Status
 from hil.drivers.tracker import T265Tracker
 from hil.fakes.fault import parse_fault
-from hil.fakes.tracker import IDEAL, SUPPORTED_FAULTS, TrackerTruthOptions
+from hil.fakes.tracker import IDEAL, SUPPORTED_FAULTS
 
 
 def test_a_jump_is_marked_until_the_new_place_is_consistent(tracker_bench, follow):
@@ -26,14 +24,6 @@ def test_a_jump_is_marked_until_the_new_place_is_consistent(tracker_bench, follo
     assert set(marked[first + bench.config.reaccept_after :]) == {Status.OK}
     step = samples[first].position_m - samples[first - 1].position_m
     assert np.linalg.norm(step) == pytest.approx(0.3, abs=0.002)
-
-
-def test_spontaneous_relocalisations_are_off_by_default_and_can_be_had(tracker_bench, follow):
-    with_map = {"mapping": True, "pose_jumping": True}
-    bench = tracker_bench(options=TrackerTruthOptions(relocalisations_per_s=0.5), config=with_map)
-    bench.driver.open()
-    marked = kinds(follow(bench, 20.0))
-    assert 40 <= marked.count(Status.JUMP) <= 400
 
 
 def test_poses_of_nan_are_marked_and_raise_when_they_last(tracker_bench, follow):
@@ -161,35 +151,12 @@ def test_a_camera_that_finds_its_confidence_first_reports_its_restart_then(track
     assert marked[-1] is Status.OK
 
 
-@pytest.mark.parametrize("fault", ["tracker:off@1", "tracker:unplug@1", "tracker:intermittent@1,duty=1"])
-def test_silence_raises_with_a_remedy(tracker_bench, follow, fault):
-    bench = tracker_bench(fault)
+def test_silence_raises_with_a_remedy(tracker_bench, follow):
+    bench = tracker_bench("tracker:intermittent@1,duty=1")
     bench.driver.open()
     follow(bench, 2.0)
     with pytest.raises(DeviceTimeoutError, match="USB 3"):
         follow(bench, 2.0)
-
-
-def test_gaps_are_survived(tracker_bench, follow):
-    bench = tracker_bench("tracker:intermittent@1,period_s=1,duty=0.5")
-    bench.driver.open()
-    samples = follow(bench, 5.0)
-    assert set(kinds(samples)) == {Status.OK}
-    assert max(np.diff([s.stamp.t_ns for s in samples])) == pytest.approx(500_000_000, abs=6_000_000)
-
-
-def test_an_unplugged_camera_can_be_opened_again_once_it_is_back(tracker_bench, follow):
-    bench = tracker_bench("tracker:unplug@1+3")
-    bench.driver.open()
-    with pytest.raises(DeviceTimeoutError):
-        follow(bench, 5.0)
-    assert bench.clock.now_ns() < 4_000_000_000
-    with pytest.raises(DeviceError, match="No device connected"):
-        bench.driver.open()
-    assert bench.driver.identity() == {}
-    bench.clock.sleep_until_ns(4_100_000_000)
-    bench.driver.open()
-    assert set(kinds(follow(bench, 1.0))) == {Status.OK}
 
 
 def test_a_camera_that_was_away_counts_on_and_says_that_its_place_is_new(tracker_bench, follow):
@@ -198,8 +165,9 @@ def test_a_camera_that_was_away_counts_on_and_says_that_its_place_is_new(tracker
     before = follow(bench, 0.9)[-1]
     with pytest.raises(DeviceTimeoutError):
         follow(bench, 5.0)
-    with pytest.raises(DeviceError):
+    with pytest.raises(DeviceError, match="No device connected"):
         bench.driver.reopen()
+    assert bench.driver.identity() == {}
     bench.clock.sleep_until_ns(4_100_000_000)
     bench.driver.reopen()
     after = follow(bench, 1.0)
@@ -236,16 +204,6 @@ def test_identity_serial_and_model_are_checked(tracker_bench):
         depth.driver.open()
 
 
-def test_a_pipeline_misused_complains_as_the_library_does(tracker_bench):
-    bench = tracker_bench()
-    pipeline = bench.camera.pipeline()
-    with pytest.raises(RuntimeError, match="before start"):
-        pipeline.stop()
-    bench.driver.open()
-    with pytest.raises(RuntimeError, match="before stop"):
-        bench.driver._running.start(T265Config(), print)
-
-
 def test_no_pose_at_all_is_a_time_out_at_open(tracker_bench):
     bench = tracker_bench("tracker:off", config={"open_timeout_s": 1.0})
     with pytest.raises(DeviceTimeoutError, match="no usable pose for 1"):
@@ -253,14 +211,7 @@ def test_no_pose_at_all_is_a_time_out_at_open(tracker_bench):
     bench.driver.close()
 
 
-def test_a_missing_library_names_the_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    with pytest.raises(DeviceError, match=r"t265.*2\.53\.1") as caught:
-        T265Tracker(T265Config(), MonotonicClock()).open()
-    assert caught.value.exit_code == 3
-
-
-@pytest.mark.parametrize("kind", ["baud_mismatch", "bus_off", "brownout", "corrupt", "adhesion_loss"])
+@pytest.mark.parametrize("kind", ["bus_off", "corrupt"])
 def test_faults_without_meaning_are_refused(tracker_bench, kind):
     assert kind not in SUPPORTED_FAULTS
     with pytest.raises(FaultNotSupportedError):

@@ -1,9 +1,6 @@
 """Whatever the camera (or another program) sends, the driver gives samples or an error of ours."""
 
 import contextlib
-import socket
-import struct
-import threading
 
 import numpy as np
 import pytest
@@ -11,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.config.tracker import T265Config
-from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError
 from hil.core.signals import Status
 from hil.core.t265_datagrams import FEED_INFO, FEED_MAGIC, INFO_RECORD, POSE_RECORD
@@ -81,66 +77,8 @@ def test_poses_of_any_content_give_samples_or_a_device_error(poses):
     driver.close()
 
 
-@pytest.fixture
-def stranger():
-    """Factory of a UDP server that answers everything with the datagrams of a test."""
-    threads, sockets = [], []
-
-    def serve(answers):
-        server = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        server.bind(("127.0.0.1", 0))
-        server.settimeout(0.05)
-        sockets.append(server)
-
-        def run():
-            while server.fileno() >= 0:
-                try:
-                    _, client = server.recvfrom(2048)
-                except TimeoutError:
-                    continue
-                except OSError:
-                    return
-                for answer in answers:
-                    with contextlib.suppress(OSError):
-                        server.sendto(answer, client)
-
-        thread = threading.Thread(target=run)
-        thread.start()
-        threads.append(thread)
-        return server.getsockname()
-
-    yield serve
-    for server in sockets:
-        server.close()
-    for thread in threads:
-        thread.join(5)
-
-
-def tracker_at(address, **values):
-    endpoint = {"host": address[0], "port": address[1]}
-    return T265Tracker(T265Config(endpoint=endpoint, open_timeout_s=1.0, **values), MonotonicClock())
-
-
 @pytest.mark.parametrize(
-    "answers",
-    [
-        [b"x"],
-        [INFO[:-1]],
-        [struct.pack("<3sB", b"XX1", FEED_INFO) + bytes(96)],
-        [INFO],
-        [INFO, b"noise", POSE_RECORD.pack(b"XX1", 4, 1, 1.0, *[0.0] * 13, 3)],
-        [INFO_RECORD.pack(FEED_MAGIC, FEED_INFO, b"D435", b"1", b"1"), good_pose(1)],
-    ],
-)
-def test_a_server_that_is_no_t265_is_a_device_error(stranger, answers):
-    driver = tracker_at(stranger(answers))
-    with pytest.raises(DeviceError):
-        driver.open()
-    driver.close()
-
-
-@pytest.mark.parametrize(
-    ("value", "place"), every(3, [(v, place) for v in (1.1e3, 1e12, -1e160, 1.7e308) for place in range(13)])
+    ("value", "place"), every(9, [(v, place) for v in (1.1e3, 1e12, -1e160, 1.7e308) for place in range(13)])
 )
 def test_a_finite_value_that_no_camera_can_mean_is_implausible(place, value):
     """Position, velocity, quaternion and turn rate alike; the poses beside it are used."""

@@ -1,26 +1,18 @@
 """Every fault of the emulated computer ends as data with a status or as a named device error."""
 
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from following import follow, kinds, until
 
-from hil.core.clock import MonotonicClock
-from hil.core.errors import ConfigError, DeviceError, DeviceTimeoutError, FaultNotSupportedError
+from hil.core.errors import DeviceTimeoutError, FaultNotSupportedError
 from hil.core.signals import Status
-from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
-from hil.devices.tracker.mavlink.driver import MavlinkTracker
-from hil.devices.tracker.mavlink.emulated_computer import IDEAL, ComputerTruthOptions
+from hil.devices.tracker.mavlink.emulated_computer import IDEAL
 from hil.devices.tracker.mavlink.emulated_faults import SUPPORTED_FAULTS
 from hil.fakes.fault import parse_fault
 
-
-@pytest.fixture(autouse=True)
-def extra(request):
-    if "without_the_extra" not in request.node.name:
-        pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
+pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
 
 
 def position_step(samples, index):
@@ -55,12 +47,6 @@ def test_a_jump_without_a_new_count_is_reported_by_its_distance(mavlink_bench):
     assert Status.RESET not in states
 
 
-def test_spontaneous_relocalisations_can_be_had_and_are_announced(mavlink_bench):
-    bench = mavlink_bench(options=ComputerTruthOptions(relocalisations_per_s=0.5))
-    bench.driver.open()
-    assert 3 <= kinds(follow(bench, 20.0)).count(Status.RESET) <= 20
-
-
 def test_poses_of_nan_are_marked_and_raise_when_they_last(mavlink_bench):
     bench = mavlink_bench("tracker:garbage@2+1,nan=1")
     bench.driver.open()
@@ -78,8 +64,8 @@ def test_random_poses_never_pass_as_good(mavlink_bench):
     bench = mavlink_bench("tracker:garbage@2", config={"fail_after_s": 60})
     bench.driver.open()
     until(bench, 2.05)
-    states = kinds(follow(bench, 10.0))
-    assert len(states) > 900
+    states = kinds(follow(bench, 4.0))
+    assert len(states) > 350
     assert Status.OK not in states
     assert {Status.NOT_FINITE, Status.IMPLAUSIBLE} <= set(states)
 
@@ -140,13 +126,6 @@ def test_wrong_scale_looks_plausible_and_wrong_quality_and_frames_are_reported(
     assert until(bench, 8.0)[-1].status is Status.OK
 
 
-def test_frames_that_cannot_be_used_end_as_an_error_when_they_last(mavlink_bench):
-    bench = mavlink_bench("tracker:wrong@2,frame=0")
-    bench.driver.open()
-    with pytest.raises(DeviceTimeoutError, match="protocol"):
-        until(bench, 6.0)
-
-
 def test_slow_drop_and_duplicate(mavlink_bench):
     bench = mavlink_bench(
         "tracker:slow@2+1,factor=4", "tracker:drop@4+1,probability=0.5", "tracker:duplicate@6+1,probability=1"
@@ -187,9 +166,8 @@ def test_delayed_poses_are_stale_and_intermittent_ones_are_gaps(mavlink_bench):
     assert max(np.diff(arrived)) == pytest.approx(400e6, abs=25e6)
 
 
-@pytest.mark.parametrize("kind", ["off", "unplug"])
-def test_silence_is_an_error_after_a_while_and_the_tracker_can_be_opened_again(mavlink_bench, kind):
-    bench = mavlink_bench(f"tracker:{kind}@2+4", config={"open_timeout_s": 1.0})
+def test_silence_is_an_error_after_a_while_and_the_tracker_can_be_opened_again(mavlink_bench):
+    bench = mavlink_bench("tracker:unplug@2+4", config={"open_timeout_s": 1.0})
     bench.driver.open()
     with pytest.raises(DeviceTimeoutError, match=r"no usable pose for 2.0 s"):
         until(bench, 6.0)
@@ -200,14 +178,6 @@ def test_silence_is_an_error_after_a_while_and_the_tracker_can_be_opened_again(m
     bench.clock.sleep_until_ns(6_500_000_000)
     bench.driver.open()
     assert set(kinds(follow(bench, 1.0))) == {Status.OK}
-
-
-def test_a_short_silence_is_a_gap(mavlink_bench):
-    bench = mavlink_bench("tracker:off@2+0.5")
-    bench.driver.open()
-    samples = until(bench, 5.0)
-    assert samples[-1].status is Status.OK
-    assert kinds(samples).count(Status.RESET) == 1
 
 
 def test_a_sender_that_restarts_without_confidence_reports_so_with_its_first_good_pose(mavlink_bench):
@@ -229,33 +199,7 @@ def test_a_full_queue_loses_the_oldest_and_counts_them(mavlink_bench):
     assert samples[-1].stamp.host_ns > 3_980_000_000
 
 
-def test_use_while_closed_is_a_device_error_and_closing_twice_is_none(mavlink_bench):
-    bench = mavlink_bench()
-    with pytest.raises(DeviceError, match="open"):
-        bench.driver.read()
-    bench.driver.open()
-    bench.driver.open()
-    assert follow(bench, 0.1)
-    bench.driver.close()
-    bench.driver.close()
-    assert bench.driver.identity() == {}
-    assert bench.driver.findings() == ()
-    with pytest.raises(DeviceError, match="open"):
-        bench.driver.read()
-
-
-def test_without_the_extra_driver_and_emulation_name_it(monkeypatch, mavlink_bench):
-    monkeypatch.setitem(sys.modules, "pymavlink.dialects.v20.common", None)
-    with pytest.raises(ConfigError, match=r"needs pymavlink.*the extra mavlink") as caught:
-        MavlinkTracker(MavlinkTrackerConfig(), MonotonicClock()).open()
-    assert caught.value.exit_code == 2
-    assert "mavlink" in caught.value.remedy
-    with pytest.raises(ConfigError, match="the extra mavlink"):
-        mavlink_bench()
-
-
-@pytest.mark.parametrize("kind", ["baud_mismatch", "bus_off", "brownout", "adhesion_loss"])
-def test_faults_without_meaning_are_refused(mavlink_bench, kind):
-    assert kind not in SUPPORTED_FAULTS
+def test_a_fault_without_meaning_is_refused(mavlink_bench):
+    assert "bus_off" not in SUPPORTED_FAULTS
     with pytest.raises(FaultNotSupportedError):
-        mavlink_bench().world.faults.add(parse_fault(f"tracker:{kind}"))
+        mavlink_bench().world.faults.add(parse_fault("tracker:bus_off"))

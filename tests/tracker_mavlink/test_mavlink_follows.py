@@ -37,9 +37,9 @@ def test_the_alignment_gives_back_the_motion_of_the_body(
     options = dataclasses.replace(IDEAL, frame=frame, twist_in_body=in_body)
     bench = mavlink_bench(plant=plant, options=options, config={"mount_rotation_wxyz": TILTED})
     bench.driver.open()
-    samples = follow(bench, 4.0)
+    samples = follow(bench, 2.0)
     measured = aligned(bench, samples)
-    assert len(measured) > 390
+    assert len(measured) > 190
     start = plant.pose(measured[0].stamp.t_ns)
     for m in measured[::37]:
         np.testing.assert_allclose(m.pose, between(start, plant.pose(m.stamp.t_ns)), atol=2e-6)
@@ -96,14 +96,14 @@ def test_default_errors_are_those_of_a_camera_and_the_same_seed_gives_the_same_p
         return plant, [m for m in aligned(bench, follow(bench, 8.0)) if m.valid]
 
     ratios = []
-    for seed in range(8):
+    for seed in range(5):
         plant, measured = run(seed)
         moved = between(plant.pose(measured[0].stamp.t_ns), plant.pose(measured[-1].stamp.t_ns))
         ratios.append(measured[-1].pose[0] / moved[0] - 1.0)
     assert 0.001 < np.std(ratios) < 0.02
-    first, again = run(3)[1], run(3)[1]
-    assert [m.stamp for m in first] == [m.stamp for m in again]
-    assert all((a.pose == b.pose).all() for a, b in zip(first, again, strict=True))
+    again = run(4)[1]
+    assert [m.stamp for m in measured] == [m.stamp for m in again]
+    assert all((a.pose == b.pose).all() for a, b in zip(measured, again, strict=True))
 
 
 def test_a_young_map_has_failed_or_low_quality_until_it_is_good(mavlink_bench):

@@ -18,7 +18,6 @@ from hil.devices.tracker.mavlink.emulated_computer import ComputerTruthOptions
 from hil.devices.tracker.mavlink.emulated_links import MavlinkTransport, SerialComputer
 from hil.fakes.free_port import free_udp_port
 from hil.fakes.serial_line import SerialLine
-from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
 
 pytestmark = pytest.mark.alone
@@ -140,16 +139,6 @@ def test_wire_faults_of_the_serial_line(serial_bench):
     assert bench.driver.counts["malformed"] > 20
 
 
-def test_a_serial_port_in_real_time(mavlink_bench):
-    bench = mavlink_bench(options=ComputerTruthOptions())
-    transport = SerialPty(SerialLine(bench.world, SerialComputer(bench.computer, baud=BAUD)), {"baud": BAUD})
-    real = RealTime(port=transport.endpoint()["port"], baud=BAUD)
-    with serving(bench.world, transport):
-        real.driver.open()
-        check_poses(follow(real, 1.0), 60)
-        real.driver.close()
-
-
 def test_nothing_at_the_other_end_says_where_to_look():
     port = free_udp_port()
     with pytest.raises(DeviceTimeoutError, match=f"nothing arrives within 0.2 s.*UDP port {port} of this"):
@@ -198,9 +187,7 @@ def test_an_autopilot_without_odometry_is_named(by_hand, common):
         bench.driver.open()
 
 
-@pytest.mark.parametrize(
-    "config", [{"system_id": 2}, {"component_id": 191}, {"system_id": 2, "component_id": 197}]
-)
+@pytest.mark.parametrize("config", [{"system_id": 2}, {"component_id": 191}])
 def test_a_sender_with_other_ids_is_refused_by_name(by_hand, odometry, config):
     bench = by_hand(config, opened=False)
     bench.link.arrive(odometry(1.0))
@@ -217,9 +204,7 @@ def test_the_first_sender_stays_the_one_and_others_are_counted(by_hand, odometry
     assert "also heard: 7/197" in bench.driver.findings()[0].found
 
 
-@pytest.mark.parametrize(
-    ("config", "frames"), [({}, {"frame_id": 0}), ({}, {"child_frame_id": 1}), ({"frame": "LOCAL_NED"}, {})]
-)
+@pytest.mark.parametrize(("config", "frames"), [({}, {"frame_id": 0}), ({"frame": "LOCAL_NED"}, {})])
 def test_frames_that_cannot_be_used_are_refused_at_open(by_hand, config, frames):
     with pytest.raises(DeviceError, match=r"the pose is given in .*MAV_FRAME_LOCAL_FRD"):
         by_hand(config, **frames)
@@ -242,10 +227,7 @@ def test_this_host_says_that_it_is_there_once_a_second(by_hand):
     assert {(m.get_srcSystem(), m.get_srcComponent()) for m, _ in bench.link.sent} == {(255, 190)}
 
 
-@pytest.mark.parametrize(
-    "port",
-    ["udp:0.0.0.0:14550", "tcp:10.0.0.1:5760", "udpin:0.0.0.0", "udpin:host:0", "udpin:host:70000", ""],
-)
+@pytest.mark.parametrize("port", ["tcp:10.0.0.1:5760", "udpin:0.0.0.0", "udpin:host:70000"])
 def test_a_connection_that_cannot_be_meant_is_refused(port):
     with pytest.raises(ValidationError, match=r"udpin:HOST:PORT|1 \.\. 65535"):
         MavlinkTrackerConfig(port=port)

@@ -106,11 +106,6 @@ def test_a_covariance_that_is_not_given_or_cannot_be_is_none(odometry):
     assert odometry_messages.pose_covariance(negative, axes) is None
 
 
-def test_a_twist_that_is_not_given_is_nan_throughout(odometry):
-    axes = odometry_messages.axes_of(LOCAL_FRD, BODY_FRD)
-    assert np.isnan(odometry_messages.twist_of(odometry(vy=np.nan), axes, (1, 0, 0, 0))).all()
-
-
 def packed(common, *parts):
     writer = common.MAVLink(None, srcSystem=1, srcComponent=197)
     return [bytes(part.pack(writer)) for part in parts]

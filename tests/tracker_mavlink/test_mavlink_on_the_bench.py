@@ -23,7 +23,6 @@ from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_run
 from hil.robot.trajectories import line
-from tests.patience import PATIENT
 from tests.tracker_mavlink.test_mavlink_links import BAUD, serving
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
@@ -32,7 +31,7 @@ pytestmark = [
     pytest.mark.usefixtures("warm_commands"),
 ]
 
-SIDEWAYS = line((0.0, 0.0, 0.0), (0.0, 0.3, 0.0), duration_s=6.0)
+SIDEWAYS = line((0.0, 0.0, 0.0), (0.0, 0.2, 0.0), duration_s=4.0)
 """The robot sags on its way along the wall, which no wheel sees."""
 SHORT = line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=2.0)
 MODEL = {"tracker.model": "mavlink"}
@@ -83,19 +82,9 @@ def test_the_estimate_needs_it_and_the_same_seed_gives_the_same_bits(driven):
 @pytest.mark.parametrize("distance_m", [0.015, pytest.param(0.3, marks=pytest.mark.long)])
 def test_a_correction_of_the_senders_map_is_reported_and_the_estimate_stays(distance_m):
     """One that is too small for a gate by far, and one that no gate would miss."""
-    motion, error_m = drive(f"tracker:jump@4,distance_m={distance_m}")
+    motion, error_m = drive(f"tracker:jump@3,distance_m={distance_m}")
     assert Status.RESET in {s.status for s in tracker_samples(motion)}
     assert error_m < 0.004
-
-
-@pytest.mark.alone
-@pytest.mark.long
-def test_the_same_drive_at_the_wire_in_real_time():
-    with hil.open_bench("emulated", seed=1, realtime=True, overrides={**MODEL, **PATIENT}) as bench:
-        motion = bench.drive(SHORT, hold_s=0.5)
-        measured = motion.mocap[np.isfinite(motion.mocap[:, 0])][-1]
-        assert np.linalg.norm(motion.estimate[-1][:2] - measured[:2]) < 0.01
-        assert len(tracker_samples(motion)) > 100
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ def error_ns(samples):
 def test_the_time_of_exposure_is_known_whatever_the_senders_clock_does(mavlink_bench, ppm):
     bench = mavlink_bench(options=dataclasses.replace(IDEAL, clock_ppm=ppm), seed=5)
     bench.driver.open()
-    samples = follow(bench, 40.0)
+    samples = follow(bench, 15.0)
     assert np.abs(error_ns(samples)).max() < 50_000
     assert np.all(np.diff([s.stamp.t_ns for s in samples]) > 0)
     assert kinds(samples).count(Status.OK) == len(samples)
@@ -44,7 +44,7 @@ def test_without_answers_the_quickest_arrivals_and_the_configured_latency_count(
     options = dataclasses.replace(IDEAL, answers_timesync=False, jitter_s=0.004, clock_ppm=30.0)
     bench = mavlink_bench(options=options, config={"latency_s": 0.0203})
     bench.driver.open()
-    samples = follow(bench, 20.0)
+    samples = follow(bench, 12.0)
     late = error_ns(samples)[500:]
     truly_late = late - late.min()
     assert truly_late.max() > 10 * MS
@@ -127,7 +127,6 @@ def test_poses_stamped_by_another_clock_than_timesyncs_fall_back_on_their_arriva
     (finding,) = (f for f in bench.driver.findings() if f.check == "time")
     assert finding.level == "warning"
     assert "another clock" in finding.found
-    assert finding.remedy == "have the sender stamp time_usec by the clock that answers TIMESYNC"
 
 
 def test_a_sender_that_starts_again_is_believed_when_its_poses_agree(mavlink_bench):
