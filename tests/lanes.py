@@ -47,7 +47,6 @@ ALONE = (
     "live/test_live_command.py::test_the_summary_says_what_happened",
     "live/test_live_emulated_start.py",
     "live/test_live_remote.py",
-    "plugin/test_how_a_test_ends.py::test_at_the_wire",
 )
 """Tests that judge how punctual this computer is, need a port of the host that others may want, or see
 whether one that they gave back is free."""
