@@ -24,10 +24,11 @@ from hil.robot.odometry import integrate
 _BLOCK_S, _STRIDE, _LONGEST = 0.1, 10, 20
 _WRONG, _RIGHT = 0.6, 0.3
 _UNEXPLAINED = 0.2
-_ROLLING = 0.3
+_ROLLING, _LEAST_ROLLED_RAD = 0.3, 0.05
 _PARTS = ((slice(0, 2), 0.3), (slice(2, 3), 0.1))
 """Going, and turning at the wheels: from which share of the whole way each counts on its own."""
 _NAMED = 4
+_NOTHING_M = 1e-9
 LOOK = (
     "look for wheels in another order, a wheel or its steering (delta) with the other sign, x and y "
     "exchanged, a heading (theta) that is not the robot's, a wrong column, unit or bench file"
@@ -232,7 +233,8 @@ def _rolling(blocks: Blocks, ends: Rows) -> Bools:
     """(R, S): strides in which the wheels roll, so that the noise of a rest does not count."""
     way = np.pad(np.cumsum(blocks.wheel_rad, axis=1), ((0, 0), (1, 0), (0, 0)))
     rolled = np.linalg.norm(np.diff(np.take_along_axis(way, ends[..., None], axis=1), axis=1), axis=2)
-    return np.asarray(rolled > _ROLLING * rolled.mean(axis=1, keepdims=True), dtype=np.bool_)
+    least = np.maximum(_ROLLING * rolled.mean(axis=1, keepdims=True), _LEAST_ROLLED_RAD)
+    return np.asarray(rolled > least, dtype=np.bool_)
 
 
 def _share(moves: Array, true: Array) -> Array:
@@ -241,13 +243,13 @@ def _share(moves: Array, true: Array) -> Array:
     for part, worth in _PARTS:
         way = _size(true[..., part])
         share = _size((moves - true)[..., part]) / way
-        missed = np.maximum(missed, np.where(way > worth * whole, share, 0.0))
+        missed = np.maximum(missed, np.where((way > worth * whole) & (whole > _NOTHING_M), share, 0.0))
     return missed
 
 
 def _size(moves: Array) -> Array:
     """Sum (R,) of the lengths of moves (R, S, k)."""
-    return np.asarray(np.maximum(np.linalg.norm(moves, axis=2).sum(axis=1), 1e-9), dtype=np.float64)
+    return np.asarray(np.maximum(np.linalg.norm(moves, axis=2).sum(axis=1), _NOTHING_M), dtype=np.float64)
 
 
 def _moves(poses: Array) -> Array:

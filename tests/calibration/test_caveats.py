@@ -131,8 +131,8 @@ def test_wheels_in_another_order_are_looked_for_by_calibrate_as_by_evaluate(tmp_
         }
         write_plain(tmp_path / f"{one.name}.csv", replace(one, **columns))
     causes = ("--bench", "wheels in another order", "a wheel or its steering (delta) with the other sign")
-    for command, code in (("evaluate", 0), ("calibrate", 2)):
-        assert main([command, str(tmp_path)]) == code
+    for command in ("evaluate", "calibrate"):
+        assert main([command, str(tmp_path)]) == 2
         said = capsys.readouterr().err
         assert all(said.count(cause) == 1 for cause in ("by ground truth the robot", *causes))
 

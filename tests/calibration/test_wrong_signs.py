@@ -159,7 +159,17 @@ def test_a_long_rest_does_not_count(good):
         truth_t_s=np.concatenate([rest_s, one.truth_t_s - one.t_s[0] + 600.0]),
         truth_pose=np.concatenate([one.truth_pose[0] + noise, one.truth_pose]),
     )
-    assert contradictions([long], CAD) == []
+    jitter = 1e-3 * np.random.default_rng(4).standard_normal(still.shape)
+    rest = replace(
+        long,
+        t_s=rest_s,
+        wheel_angle_rad=still + jitter,
+        steering_rad=long.steering_rad[: len(rest_s)],
+        wheel_rate_rad_s=0.0 * still,
+        truth_t_s=rest_s,
+        truth_pose=one.truth_pose[0] + noise,
+    )
+    assert contradictions([long, rest], CAD) == []
 
 
 @pytest.mark.parametrize("command", ["evaluate", "tune"])

@@ -1,5 +1,7 @@
 """A mistyped word on the command line is refused before anything is opened, with the word that was meant."""
 
+import json
+
 import pytest
 
 from hil.cli import main
@@ -154,3 +156,14 @@ def test_what_is_for_another_command_is_answered_with_that_command(
 def test_an_empty_name_is_no_place_for_results(refused, command):
     """As of a shell variable that is not set; results had gone to the folder that one was in."""
     assert "'--out'" in refused(*command.split(), "--out", "")
+
+
+def test_the_page_of_one_run_is_written_where_it_is_wanted(tmp_path, capsys):
+    folder, page = tmp_path / "run", tmp_path / "page.html"
+    folder.mkdir()
+    tree = {"schema": 1, "procedure": "shown", "verdict": "PASS", "measurements": []}
+    (folder / "result.json").write_text(json.dumps(tree))
+    assert main(["report", str(folder), "--out", str(page), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["report"] == str(page)
+    assert "shown" in page.read_text(encoding="utf-8")
+    assert [p.name for p in folder.iterdir()] == ["result.json"]

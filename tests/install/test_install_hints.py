@@ -112,3 +112,9 @@ def test_parquet_with_a_broken_pyarrow_says_so(broken_pyarrow, tmp_path):
 def test_a_campaign_keeps_no_parquet_where_pyarrow_is_broken(broken_pyarrow, tmp_path):
     write_rows(tmp_path / "rows", Row(Case(0), "", "PASS", 0, 1.0))
     assert not (tmp_path / "rows").exists()
+
+
+def test_without_pip_the_line_is_for_uv(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    words = shlex.split(how_to_install("parquet").removeprefix("install it with: "))
+    assert words[:5] == ["uv", "pip", "install", "--python", sys.executable]

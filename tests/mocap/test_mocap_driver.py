@@ -326,3 +326,9 @@ def test_a_frame_that_comes_again_after_a_pause_is_no_restart(mocap_bench):
     post.put(frame(1005, 0.0))
     (begun_anew,) = driver.read()
     assert begun_anew.stamp.seq > 1009
+
+
+def test_240_frames_per_second_are_all_delivered(mocap_bench, watch):
+    bench = mocap_bench(options=MocapTruthOptions(rate_hz=240.0, gaps_per_s=0.0, stalls_per_s=0.0))
+    bench.driver.open()
+    assert len(watch(bench, 2.0)) == pytest.approx(480, abs=3)

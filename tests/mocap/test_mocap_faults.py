@@ -166,3 +166,11 @@ def test_stalls_deliver_everything_late_and_in_order(mocap_bench, watch):
     assert np.all(np.diff([s.stamp.seq for s in samples]) == 1)
     assert 0.05 < max(s.stamp.host_ns - s.stamp.t_ns for s in samples) * 1e-9 < 0.25
     assert set(kinds(samples)) == {Status.OK}
+
+
+def test_a_wrong_pose_looks_plausible(mocap_bench, watch):
+    bench = mocap_bench("mocap:wrong@1,offset_m=0.02")
+    bench.driver.open()
+    last = watch(bench, 2.0)[-1]
+    assert last.status is Status.OK
+    assert last.position_m[0] - bench.plant.pose(last.stamp.t_ns)[0] == pytest.approx(0.02, abs=1e-5)

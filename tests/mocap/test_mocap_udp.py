@@ -74,7 +74,9 @@ def test_a_public_client_gets_frames_and_definitions(served, version, multicast)
     assert np.all(steps >= 0)
 
 
-@pytest.mark.parametrize(("version", "multicast"), [((3, 1), None), ((4, 1), GROUP)])
+@pytest.mark.parametrize(
+    ("version", "multicast"), [((3, 1), None), ((4, 1), GROUP)], ids=["3.1", "4.1 group"]
+)
 def test_the_driver_reads_over_udp(served, settings_of, version, multicast):
     transport = served(version=version, multicast=multicast)
     driver = NatNetMocap(settings_of(transport), MonotonicClock())

@@ -170,11 +170,11 @@ def test_where_a_cut_file_ends_is_named(bag, tmp_path, capsys, left):
     assert "mcap recover" in said
 
 
-def test_a_bag_whose_mapping_turns_one_wheel_back_is_warned_of(bag, capsys):
+def test_a_bag_whose_mapping_turns_one_wheel_back_does_not_end_with_0(bag, capsys):
     folder, topics = bag
     topics.write_text(MAPPING.replace("[1, 1, -1, -1]", "[-1, 1, -1, -1]"))
     code, table = hil("evaluate", folder, "--topics", topics)
-    assert code == 0
+    assert code == 2
     assert any("from second to second the wheels miss" in line for line in table["warnings"])
 
 

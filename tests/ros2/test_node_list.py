@@ -8,6 +8,7 @@ import pytest
 from hil.config.loading import load_bench
 from hil.core.errors import ConfigError
 from hil.procedure.bench_request import BenchSource
+from hil.ros2.network import network_of
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
@@ -114,3 +115,10 @@ def test_the_bench_is_a_node_with_all_its_writers_and_readers(distribution, leng
 def test_what_ros_2_does_not_know_is_refused(key, value):
     with pytest.raises(ConfigError, match=key.replace(".", r"\.")):
         load_bench("emulated", overrides={key: value})
+
+
+def test_the_bench_file_names_the_distribution_and_the_node():
+    named = {"ros2.distribution": "jazzy", "ros2.node": "lab_3"}
+    network = network_of(load_bench("emulated", overrides=named).ros2, {})
+    assert (network.distribution, network.node) == ("jazzy", "lab_3")
+    assert network_of(load_bench("emulated").ros2, {}).distribution is None

@@ -1,5 +1,6 @@
 """Every fault of the emulated camera ends as data with a status or as a named device error."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from following import kinds
 
 from hil.config.tracker import T265Config
+from hil.core.clock import MonotonicClock
 from hil.core.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.core.signals import Status
 from hil.drivers.tracker import T265Tracker
@@ -256,3 +258,10 @@ def test_frames_without_pose_are_counted_and_a_failing_stop_is_quiet(tracker_ben
     assert driver.malformed == 3
     driver.close()
     driver.close()
+
+
+def test_a_missing_library_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    with pytest.raises(DeviceError, match=r"t265.*2\.53\.1") as caught:
+        T265Tracker(T265Config(), MonotonicClock()).open()
+    assert caught.value.exit_code == 3
