@@ -24,8 +24,9 @@ def test_the_block_works_as_printed(tmp_path, page):
         (tmp_path / "bin" / name).write_text(f'#!/bin/sh\nexec {python} {call}"$@"\n')
         (tmp_path / "bin" / name).chmod(0o755)
     environment = {"PATH": f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+    ended = "trap 'kill $(jobs -p) 2>/dev/null || true' EXIT\n"
     done = subprocess.run(
-        ["bash", "-e", "-c", f"{block}wait"],
+        ["bash", "-e", "-c", f"{ended}{block}wait"],
         cwd=tmp_path,
         env=os.environ | environment,
         capture_output=True,
