@@ -29,7 +29,7 @@ help:
 	@echo "make test-slowest  run it and list the twenty slowest tests"
 	@echo "make test-long  run the tests that take minutes, too"
 	@echo "make test-portable  run what depends on numbers as other processors would compute (SHORT=1: a part)"
-	@echo "make test-aarch64  the bench on an emulated aarch64 computer (Debian on x86-64; takes an hour)"
+	@echo "make test-aarch64  the bench on an emulated aarch64 computer (Debian on x86-64; takes half an hour)"
 	@echo "make record     record a short drive in $(RECORDED), for another computer"
 	@echo "make verify     verify what another computer has recorded and left in $(RECORDED)"
 	@echo "make lint       ruff, mypy --strict, import-linter, schemas of the workflows"

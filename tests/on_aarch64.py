@@ -1,13 +1,14 @@
 """Runs the bench on an emulated aarch64 computer, and has it and this one verify each other's recordings.
 
 `make test-aarch64` starts it. It needs Debian on x86-64, the network, 3 GB in the folder for temporary
-files and about an hour; it needs no rights and changes nothing on this computer. qemu, Python and the C
+files and about half an hour; it needs no rights and changes nothing on this computer. qemu, Python and the C
 library are Debian's packages, unpacked into a temporary folder that is removed at the end, also after Ctrl-C.
 Every other package is the aarch64 wheel of `requirements/ci.lock`, checked by its hash.
 
 There run `hil info`, a short drive on emulated devices, `--verify` of the drive that this computer has
 recorded, and the tests of recording and estimator; here `--verify` of the drive recorded there. Both verdicts
-have to be `agrees`. Of the tests those in LEFT_OUT are not run: they would take longest.
+have to be `agrees`. Of the tests those in LEFT_OUT are not run: they would take longest. Nor are those that
+judge a clock: the times of an emulated processor say nothing of a real one's.
 
     python tests/on_aarch64.py [TESTS]
 """
@@ -59,6 +60,7 @@ LEFT_OUT = (
     "tests/core/test_jit.py",
 )
 """Statistics over many drives, and one that compiles everything several times."""
+VIRTUAL = "not long and not real_time and not alone"
 _APT = """
 APT::Architecture "arm64";
 APT::Architectures { "arm64"; "amd64"; };
@@ -208,7 +210,7 @@ class Emulated:
     def test(self, *wanted: str) -> str:
         """Run pytest there, on two cores; each test may take as long as it does."""
         left_out = [f"--ignore={name}" for name in LEFT_OUT]
-        options = ("-q", "-p", "no:cacheprovider", "-n", "2", "--timeout", "7200")
+        options = ("-q", "-p", "no:cacheprovider", "-n", "2", "--timeout", "7200", "-m", VIRTUAL)
         self.computer.python_m("pytest", *options, *left_out, *(wanted or TESTS), kept=False)
         return "passed"
 

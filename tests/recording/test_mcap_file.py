@@ -161,6 +161,7 @@ for k in range(10**6):
 """
 
 
+@pytest.mark.real_time
 def test_a_killed_process_loses_at_most_the_last_second(tmp_path):
     path, last = tmp_path / "killed.mcap", 137
     with run_python(KILLED, path) as process:
