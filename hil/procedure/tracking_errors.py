@@ -36,7 +36,7 @@ REFERENCE_M = 1.5
 """Length of the lines on the wall that limits of accuracy are given for."""
 STAGGER_S = 0.13
 """How much longer each repetition rests at first, so that worlds of one seed do not repeat their noise."""
-_END_S = 0.3
+_END_S, _LONGER_S = 0.3, 1.5
 _LEAST_SEEN = 0.9
 _LEAST_SEEN_TO_END, _FEWEST_CYCLES = 0.8, 10
 COLOURS = dict(zip(("odometry", "ekf", "ukf", "optimal"), SERIES, strict=False))
@@ -118,20 +118,42 @@ def must_be_seen_to_its_end(known: NDArray[np.bool_], has: str, of: str) -> None
         has: what was there in them.
         of: what they are of.
     """
-    tenth = max(len(known) // 10, 1)
-    if len(known) < _FEWEST_CYCLES or np.mean(known) < _LEAST_SEEN_TO_END or not np.any(known[-tenth:]):
+    ended = _end_is_known(known)
+    if len(known) < _FEWEST_CYCLES or np.mean(known) < _LEAST_SEEN_TO_END or not ended:
         raise DataError(
             "",
-            f"{has} for {100.0 * np.mean(known):.0f} % of {of}",
+            f"{has} for {100.0 * np.mean(known):.0f} % of {of}{'' if ended else ', and not at its end'}",
             expected=f"at least {100.0 * _LEAST_SEEN_TO_END:.0f} %, and its end",
             remedy="hil run bring_up",
         )
 
 
+def _end_is_known(known: NDArray[np.bool_]) -> bool:
+    """Whether some of the last tenth of cycles (n,) are known."""
+    return bool(np.any(known[-max(len(known) // 10, 1) :]))
+
+
+def _seen(motion: Motion) -> NDArray[np.bool_]:
+    return np.asarray(np.all(np.isfinite(motion.mocap), axis=1), dtype=np.bool_)
+
+
+def watched_to_a_seen_end(bench: Bench, motion: Motion) -> Motion:
+    """The rest, watched on for up to `_LONGER_S` until motion capture sees the robot again.
+
+    Args:
+        bench: on which the robot still stands.
+        motion: of the rest up to now.
+    """
+    for _ in range(round(_LONGER_S / _END_S)):
+        if _end_is_known(_seen(motion)):
+            break
+        motion = Motion(motion.records + bench.observe(_END_S, feedback="odometry").records)
+    return motion
+
+
 def moved_at_rest(motion: Motion) -> float:
     """How far the robot moved while it should have stood, m."""
-    truth = motion.mocap
-    known = np.all(np.isfinite(truth), axis=1)
+    truth, known = motion.mocap, _seen(motion)
     must_be_seen_to_its_end(known, "motion capture", "the time that the robot stands")
     truth = truth[known]
     return float(np.hypot(*(truth[-1, :2] - truth[0, :2])))

@@ -17,7 +17,7 @@ from hil.core.geometry import Array
 from hil.core.signals import Status
 from hil.loop.driven_motion import Motion
 from hil.procedure import Context
-from hil.procedure.tracking_errors import moved_at_rest
+from hil.procedure.tracking_errors import moved_at_rest, watched_to_a_seen_end
 from hil.robot.statics import Statics
 
 _STEP_N, _STEP_S, _SETTLE_S = 2.0, 0.3, 2.5
@@ -117,7 +117,7 @@ def visit(bench: Bench, force_n: float, dwell_s: float) -> Level:
 
 def rest(bench: Bench, asked_n: float, dwell_s: float) -> tuple[Level, float]:
     """Watch a robot at rest: means, and how far it moved meanwhile, m."""
-    motion = bench.observe(dwell_s, feedback="odometry")
+    motion = watched_to_a_seen_end(bench, bench.observe(dwell_s, feedback="odometry"))
     return _mean(motion, asked_n, thrust_wanted_n(bench.config)), moved_at_rest(motion)
 
 
