@@ -33,6 +33,10 @@ from hil.fakes.plant import RecordedMotion, RecordedRobot, SteppedBody, make_pla
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World, random_stream
 
+_NUMBERS = itertools.count(1)
+_EMULATED = "an EmulatedDevice: connect() gives a Connection, serve() a Transport"
+R = TypeVar("R")
+
 
 def repeating_robot(config: BenchConfig) -> RecordedRobot:
     """The robot of `emulation.replay`.
@@ -62,11 +66,6 @@ def repeating_robot(config: BenchConfig) -> RecordedRobot:
         recording.truth_pose,
     )
     return RecordedRobot(motion, tilt_rad=config.environment.tilt_rad, after_s=emulation.replay_after_s)
-
-
-_NUMBERS = itertools.count(1)
-_EMULATED = "an EmulatedDevice: connect() gives a Connection, serve() a Transport"
-R = TypeVar("R")
 
 
 @dataclass

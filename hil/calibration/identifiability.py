@@ -26,6 +26,11 @@ _LOAD_PATTERNS = np.array([[1.0, -1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0], [1.0,
 _TYRE_RATIOS = (0.4, 1.0)
 _EFFECTIVE = 3.0
 _LEAST_NOISE = 0.05
+_PRIOR_ONLY = 0.9
+_DEGREES_OF_FREEDOM = 8
+_DIRECTION_NAMES = 3
+_LEAST_KEPT = 1e-7
+_LEAST_SHOWN = 1e-14
 
 
 def model_freedom(fit: Fit, inverse: Array) -> Array:
@@ -85,13 +90,6 @@ def _moved(law: str, p: Array, u: Array, tyres: WheelGeometry, weighed: bool = F
     body, moving = np.zeros((len(u), 3)), np.any(u != 0.0, axis=1)
     body[moving] = least_dissipation(p, u[moving], load)
     return body
-
-
-_PRIOR_ONLY = 0.9
-_DEGREES_OF_FREEDOM = 8
-_DIRECTION_NAMES = 3
-_LEAST_KEPT = 1e-7
-_LEAST_SHOWN = 1e-14
 
 
 @dataclass(frozen=True)

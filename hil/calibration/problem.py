@@ -27,6 +27,10 @@ from hil.robot.odometry import integrate, integrate_with_jacobian
 
 Terms: TypeAlias = tuple[Array, Array, Array]
 """Of each recording: cost (R,), J'e (R, m) and J'J (R, m, m)."""
+_EFFECTIVE_OBSERVATIONS = 3.0
+_CAUCHY = 2.0 * 1.2
+_REACH = 10.0
+_BOUND_SLACK = 1e-3
 
 
 class Known:
@@ -70,11 +74,6 @@ class Known:
 
 
 PARAMETER_NAMES = tuple(f"{k}_{wheel}" for k in ("x_w", "y_w", "r", "delta0") for wheel in WHEELS)
-
-_EFFECTIVE_OBSERVATIONS = 3.0
-_CAUCHY = 2.0 * 1.2
-_REACH = 10.0
-_BOUND_SLACK = 1e-3
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,8 @@ from hil.core.registry import kinds
 from hil.support.stop_signals import handled_by
 
 _OF_HARDWARE = Path("/dev")
+_NICE = -5
+_PATIENCE_S = 60.0
 
 
 class PortLinks:
@@ -93,9 +95,6 @@ if TYPE_CHECKING:
 
     from hil.bench.hold.emulated_support import EmulatedSupport
     from hil.cli.emulate import PortLinks
-
-_NICE = -5
-_PATIENCE_S = 60.0
 
 
 @click.command()

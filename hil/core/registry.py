@@ -27,6 +27,12 @@ NAME_RULE = (
 )
 _NAME = re.compile("[a-z][a-z0-9_]*")
 _TAKEN = ("all", "plant", "none", *NO_KINDS)
+_OF_A_KIND = ("name", "noun", "sample", "models")
+_OF_A_MODEL = ("kind", "name", "title", "config", "driver")
+GROUP = "hil.devices"
+_OURS = "hil.devices"
+_EXPECTED = "a subclass of hil.devkit.DeviceKind or hil.devkit.DeviceModel"
+_further = cache(FurtherKind)
 
 
 def is_name(name: object) -> bool:
@@ -52,10 +58,6 @@ def after_clash(package: str, what: str) -> str:
     if package == "hil":
         return f"give the {what} another name: this one is taken by the package hil"
     return f"uninstall one of the two packages, or give the {what} another name"
-
-
-_OF_A_KIND = ("name", "noun", "sample", "models")
-_OF_A_MODEL = ("kind", "name", "title", "config", "driver")
 
 
 def add_kind(found: dict[str, DeviceKind], kind: DeviceKind, origin: str) -> None:
@@ -165,11 +167,6 @@ def _complete(item: DeviceKind | DeviceModel, names: tuple[str, ...], origin: st
         )
 
 
-GROUP = "hil.devices"
-_OURS = "hil.devices"
-_EXPECTED = "a subclass of hil.devkit.DeviceKind or hil.devkit.DeviceModel"
-
-
 class Kinds(Mapping[str, DeviceKind]):
     """Kinds by name; by `KIND_NAME` also what a further device of a kind is to the bench.
 
@@ -193,9 +190,6 @@ class Kinds(Mapping[str, DeviceKind]):
         if not of or not is_label(label) or not may_be_twice(self._known[of]):
             raise KeyError(name)
         return _further(self._known[of], label)
-
-
-_further = cache(FurtherKind)
 
 
 def may_be_twice(kind: DeviceKind) -> bool:

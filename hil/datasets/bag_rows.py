@@ -30,6 +30,7 @@ _UNKNOWN = "ground-truth messages whose covariance (-1) says that their pose is 
 _PLANAR = (0, 7, 35)
 """Variances of x, y and the turn about z, or those of the same axes of a frame whose y axis is upwards."""
 _PLANAR_Y_UP = (0, 14, 28)
+_DRIVES = 4
 
 
 class TruthPoses:
@@ -88,9 +89,6 @@ class TruthPoses:
         turned = quat_multiply(q, self._back)
         x_m, y_m, _ = np.asarray(at) - quat_rotate(turned, self._topic.mount_position_m)
         return [float(x_m), float(y_m), yaw_of_quat(turned)]
-
-
-_DRIVES = 4
 
 
 class JointRows:

@@ -31,6 +31,19 @@ from hil.datasets.unpacking import PACKED, unpacked
 _TRANSFORMS = ("/tf", "/tf_static")
 _ENOUGH = 20_000
 """Messages that are looked at: frames that appear later are rare, and bags may be long."""
+LOG = logging.getLogger(__name__)
+_JOINTS = "sensor_msgs/msg/JointState"
+_POSES = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "nav_msgs/msg/Odometry",
+)
+_STORAGES = (".mcap", ".db3")
+_CDR, _MOST_SAID = "cdr", 200
+_REPAIR = {".mcap": CONVERT, ".db3": "repair it with `sqlite3 FILE .recover`"}
+_REINDEX = "write its metadata.yaml afresh with `ros2 bag reindex`"
+_DAY_NS = 86_400 * NS_PER_S
+_BLOCK_BYTES = 1 << 20
 
 
 def broken_frames(path: Path) -> tuple[str, ...]:
@@ -90,22 +103,6 @@ def problems_of(parents: Mapping[str, Iterable[str]], used: Mapping[str, str]) -
         if frame not in roots
     ]
     return found
-
-
-LOG = logging.getLogger(__name__)
-
-_JOINTS = "sensor_msgs/msg/JointState"
-_POSES = (
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "nav_msgs/msg/Odometry",
-)
-_STORAGES = (".mcap", ".db3")
-_CDR, _MOST_SAID = "cdr", 200
-_REPAIR = {".mcap": CONVERT, ".db3": "repair it with `sqlite3 FILE .recover`"}
-_REINDEX = "write its metadata.yaml afresh with `ros2 bag reindex`"
-_DAY_NS = 86_400 * NS_PER_S
-_BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,16 @@ REST_M_S, MOVING_M_S = 1e-3, 5e-3
 """Slower than this the robot rests, faster it drives; between them it starts or stops."""
 _HOLE_S = 0.05
 _BEST_QUALITY = 3
+_WHITE_S, _GYRO_S, _DRIFT_S = 0.2, 0.8, 0.5
+_WAY_M = 0.05
+_ENDS = 5
+_MOTION_S = 0.2
+_HARDEST = 0.1
+"""Share of a drive in which speed changes most: starts and stops, where wheels are not to be refused."""
+_ROWS_FREE = 5.0
+"""Degrees of freedom of eight equations of the wheels for three numbers."""
+Runs = Sequence[Sequence[Measurements]]
+Step = tuple[Array, Array, float, float, bool | None]
 
 
 class RunSamples:
@@ -103,18 +113,6 @@ def speed(steps: Array) -> float:
     """Of the body by its wheels over steps (n, 11), m/s: their noise adds up to little, unlike its size."""
     way = steps[:, 3:11].sum(axis=0).reshape(4, 2)
     return float(np.hypot(way[:, 0], way[:, 1]).max() / steps[:, 1].sum())
-
-
-_WHITE_S, _GYRO_S, _DRIFT_S = 0.2, 0.8, 0.5
-_WAY_M = 0.05
-_ENDS = 5
-_MOTION_S = 0.2
-_HARDEST = 0.1
-"""Share of a drive in which speed changes most: starts and stops, where wheels are not to be refused."""
-_ROWS_FREE = 5.0
-"""Degrees of freedom of eight equations of the wheels for three numbers."""
-
-Runs = Sequence[Sequence[Measurements]]
 
 
 @dataclass
@@ -281,9 +279,6 @@ def _camera_drift(runs: Sequence[RunSamples], found: SensorNoise) -> None:
                 walk.append(Change(off, noise0, way))
     found.camera_turn, found.camera_creep = random_walk(turn), random_walk(creep)
     found.camera_walk = random_walk(walk)
-
-
-Step = tuple[Array, Array, float, float, bool | None]
 
 
 def _without_scale(steps: Sequence[Step]) -> Iterator[Step]:

@@ -52,6 +52,9 @@ _hints: Callable[[Any], dict[str, Any]] = cache(partial(get_type_hints, include_
 _UNIT = "_wxyz"
 _OURS = "hil."
 _ROTATION_NORM = (0.99, 1.01)
+T = TypeVar("T")
+_adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
+"""Of a dataclass, made once: it takes longer to make than most devices."""
 
 
 def impossible(imperfections: type[Any], given: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -133,12 +136,6 @@ def ranges(imperfections: type[Any]) -> dict[str, tuple[str, ...]]:
         elif numbers:
             found[key] = tuple(of_unit if own is None else own.range_text() for own in numbers)
     return found
-
-
-T = TypeVar("T")
-
-_adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
-"""Of a dataclass, made once: it takes longer to make than most devices."""
 
 
 @dataclass(frozen=True)

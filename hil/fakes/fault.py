@@ -19,6 +19,41 @@ import numpy as np
 from hil.core.clock import NS_PER_S, nanoseconds
 from hil.core.errors import UsageError, did_you_mean
 
+_SWITCH = (0, 1, True)
+MEANINGS = {
+    "off": "no power, or no server: silence; what comes back has started anew",
+    "stuck": "the last value again and again, with fresh stamps and counters",
+    "garbage": "random content in well-formed answers or frames",
+    "wrong": "plausible values that are not true",
+    "slow": "output at a lower rate, or late answers",
+    "delayed": "values of some time ago",
+    "intermittent": "silence for a part of every period",
+    "drop": "messages that are lost, at random",
+    "corrupt": "messages with a damaged byte or bit, at random",
+    "truncate": "messages that end early, at random",
+    "duplicate": "messages that come twice, at random",
+    "baud_mismatch": "the line runs at another rate than the host",
+    "bus_off": "the CAN controller has left the bus",
+    "unplug": "cable or adapter gone; the port fails as a real one does; a T265 comes back only when it is "
+    "opened again",
+    "brownout": "supply below what the device needs; it starts anew afterwards",
+    "reset": "starts anew, once",
+    "jump": "a step, once: of a heading, an encoder or a pose; motion capture exchanges its two bodies",
+    "adhesion_loss": "the fan presses less",
+}
+"""Every kind of fault, and what happens."""
+VOCABULARY = tuple(MEANINGS)
+_LARGEST, _BRIEFEST = 1e9, 0.001
+Supported = Mapping[str, tuple[str, ...]]
+"""Faults that a device can produce, and the options that each takes."""
+STRIKES, PERIODIC = ("probability",), ("period_s", "duty")
+FACTOR, PERIOD_S, DUTY, PROBABILITY, DELAY_S = 5.0, 0.5, 0.5, 0.1, 0.1
+"""Options that are not given; `docs/faults.md` names them."""
+_SPEC = re.compile(
+    r"(?P<device>[\w.]+):(?P<kind>\w+)(?:@(?P<start>[\d.eE-]+)(?:\+(?P<duration>[\d.eE-]+))?)?"
+    r"(?P<options>(?:,\w+=[^,]+)*)"
+)
+
 
 class Option(NamedTuple):
     """One option: what it means, its least and greatest value, and whether it is a whole number."""
@@ -45,7 +80,6 @@ class Option(NamedTuple):
 
 FINITE = Option("of a device of another package", -1e9, 1e9)
 """An option that is not of this project: any finite number of a size that can be computed with."""
-_SWITCH = (0, 1, True)
 
 OPTIONS = {
     "angle_rad": Option("size of the error or step, rad", -10, 10),
@@ -93,43 +127,6 @@ OPTIONS = {
 def option_of(kind: str, name: str) -> Option:
     """What an option of a kind of fault may be."""
     return OPTIONS.get(f"{kind}:{name}") or OPTIONS.get(name) or FINITE
-
-
-MEANINGS = {
-    "off": "no power, or no server: silence; what comes back has started anew",
-    "stuck": "the last value again and again, with fresh stamps and counters",
-    "garbage": "random content in well-formed answers or frames",
-    "wrong": "plausible values that are not true",
-    "slow": "output at a lower rate, or late answers",
-    "delayed": "values of some time ago",
-    "intermittent": "silence for a part of every period",
-    "drop": "messages that are lost, at random",
-    "corrupt": "messages with a damaged byte or bit, at random",
-    "truncate": "messages that end early, at random",
-    "duplicate": "messages that come twice, at random",
-    "baud_mismatch": "the line runs at another rate than the host",
-    "bus_off": "the CAN controller has left the bus",
-    "unplug": "cable or adapter gone; the port fails as a real one does; a T265 comes back only when it is "
-    "opened again",
-    "brownout": "supply below what the device needs; it starts anew afterwards",
-    "reset": "starts anew, once",
-    "jump": "a step, once: of a heading, an encoder or a pose; motion capture exchanges its two bodies",
-    "adhesion_loss": "the fan presses less",
-}
-"""Every kind of fault, and what happens."""
-VOCABULARY = tuple(MEANINGS)
-_LARGEST, _BRIEFEST = 1e9, 0.001
-Supported = Mapping[str, tuple[str, ...]]
-"""Faults that a device can produce, and the options that each takes."""
-
-STRIKES, PERIODIC = ("probability",), ("period_s", "duty")
-FACTOR, PERIOD_S, DUTY, PROBABILITY, DELAY_S = 5.0, 0.5, 0.5, 0.1, 0.1
-"""Options that are not given; `docs/faults.md` names them."""
-
-_SPEC = re.compile(
-    r"(?P<device>[\w.]+):(?P<kind>\w+)(?:@(?P<start>[\d.eE-]+)(?:\+(?P<duration>[\d.eE-]+))?)?"
-    r"(?P<options>(?:,\w+=[^,]+)*)"
-)
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,11 @@ from hil.robot.paths import Segment, Straight
 from hil.robot.trajectories import Trajectory
 from hil.support.stop_signals import StopRequest
 
+_SETTLE_S = 0.5
+_HOLD_S = 2.0
+_PATH_POINTS = 400
+_HEADING_MARGIN_RAD = 0.035
+
 
 @dataclass
 class SampleCount:
@@ -86,11 +91,6 @@ class SampleCounter(Sink):
 
 if TYPE_CHECKING:
     from hil.live.ros2_program import Ros2Program
-
-_SETTLE_S = 0.5
-_HOLD_S = 2.0
-_PATH_POINTS = 400
-_HEADING_MARGIN_RAD = 0.035
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ _BORNE = ("drop", "corrupt", "truncate", "duplicate", "slow", "intermittent", "d
 _BORNE_OF_SENSORS = (*_BORNE, "reset", "jump")
 """What a bench is made to bear, of every device and of those that only sense: no test has to notice it."""
 _HARMFUL_OPTIONS = {"scale": 0.9, "offset_m": 0.1, "rate_rad_s": 0.1}
+FOUND = pytest.StashKey["list[BreakageResult]"]()
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,6 @@ def _weaker(config: BenchConfig) -> Iterator[Breakage]:
         yield Breakage("the battery is nearly empty", overrides={"emulation.servos.supply_v": 8.5})
 
 
-FOUND = pytest.StashKey["list[BreakageResult]"]()
 _CHOSEN = pytest.StashKey[list[Breakage]]()
 
 

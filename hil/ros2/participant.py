@@ -40,6 +40,15 @@ from hil.ros2.publishers import Publisher, handles_of, publishers_of
 _TOPIC = "ros_discovery_info"
 _PACKAGE = "rmw_dds_common/msg/"
 _ENTITIES = f"{_PACKAGE}ParticipantEntitiesInfo"
+LOG = logging.getLogger(__name__)
+LATCHED = ("/tf_static", "/robot_description")
+"""Topics whose last message also those get who subscribe later."""
+_DEPTH, _DEPTHS = 10, {"/tf": 100}
+_MOST = 10_000
+"""Writers that are looked through."""
+_ENCODING = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
+"""What ROS 2 writes and reads: version 1 of CDR."""
+_LONGEST_BLOCK = duration(milliseconds=1)
 
 
 class NodeEntry:
@@ -79,17 +88,6 @@ class NodeEntry:
         """An entity's GUID, with zeros up to the length of the distribution."""
         data = entity.get_guid().bytes.ljust(self._length, b"\0")
         return self._store.types[f"{_PACKAGE}Gid"](data=np.frombuffer(data, dtype=np.uint8))
-
-
-LOG = logging.getLogger(__name__)
-LATCHED = ("/tf_static", "/robot_description")
-"""Topics whose last message also those get who subscribe later."""
-_DEPTH, _DEPTHS = 10, {"/tf": 100}
-_MOST = 10_000
-"""Writers that are looked through."""
-_ENCODING = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
-"""What ROS 2 writes and reads: version 1 of CDR."""
-_LONGEST_BLOCK = duration(milliseconds=1)
 
 
 class Reader:

@@ -49,11 +49,16 @@ NOISIER, BETTER = 2.0, 0.5
 """Ratio of the standard deviation to the measured one beyond which a finding warns: twice, or half of it."""
 _BLOCK_S = 0.2
 _FEWEST = 30.0
-
-
 _AT_REST = {one.name: one for one in MEASURED if one.state == "rest"}
 _OF_POSES = {"tracker": "camera", "mocap": "mocap"}
 """Devices that measure poses, and how their figures begin."""
+_REST_N, _FELT_N = 1.0, 5.0
+_WATCH_S = 2.0
+_SETTLE_S = 0.6
+_LATENCY_TIMER_S = 0.001
+_HERE = Host()
+_SHOWN_BY_SAMPLES = ("hardware errors",)
+_SLOWNESS, _HURT_BY_SLOWNESS = ("latency timer", "reply time"), ("open", "read", "samples")
 
 
 def noise_at_rest(config: BenchConfig, measured: Measurements) -> Iterator[Finding]:
@@ -112,9 +117,6 @@ def _finding(config: BenchConfig, one: NoiseFigure, words: str, spread: Spread) 
     )
 
 
-_REST_N, _FELT_N = 1.0, 5.0
-
-
 def unexplained_force(config: BenchConfig, seen: Mapping[str, Sequence[Any]]) -> Iterator[Finding]:
     """Whether the cells feel what the fan makes by its speed; of a fan at rest only where they do not.
 
@@ -159,14 +161,6 @@ def _of_a_running_fan(felt_n: float, made_n: float) -> Finding:
         "look at the seal and at what touches the cells; then `hil run adhesion_check`, which finds "
         "load_cells.zero_n and adhesion.rated_force_n",
     )
-
-
-_WATCH_S = 2.0
-_SETTLE_S = 0.6
-_LATENCY_TIMER_S = 0.001
-_HERE = Host()
-_SHOWN_BY_SAMPLES = ("hardware errors",)
-_SLOWNESS, _HURT_BY_SLOWNESS = ("latency timer", "reply time"), ("open", "read", "samples")
 
 
 def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> Iterator[Finding]:

@@ -20,6 +20,26 @@ from hil.support.port_users import PROC, named, programs_with, running
 _SELF_POWERED = 0x40
 _HUB_CLASS = "09"
 HUB_BUDGET_MA = 500
+T265_IDS = {("8087", "0b37")}
+_USB3_MBIT = 5000.0
+_GRABBERS = {
+    "ModemManager": (
+        "asks every new serial port for seconds whether it is a modem",
+        "sudo systemctl disable --now ModemManager; or, where it is needed, the rules of `hil doctor --fix`",
+    ),
+    "brltty": (
+        "takes adapters with CP210x, CH340 and FTDI chips for Braille displays: the port vanishes",
+        "sudo apt remove brltty",
+    ),
+}
+_HEAD = """\
+# udev rules for the bench {name}, by hil doctor --fix.
+# To install: hil doctor --bench FILE --fix | sudo tee {path}
+#             sudo udevadm control --reload
+#             sudo udevadm trigger
+"""
+_PATH = "/etc/udev/rules.d/60-hil.rules"
+_TIMER = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 
 
 @dataclass(frozen=True)
@@ -111,26 +131,6 @@ def _number(text: str, base: int) -> int:
         return 0
 
 
-T265_IDS = {("8087", "0b37")}
-_USB3_MBIT = 5000.0
-_GRABBERS = {
-    "ModemManager": (
-        "asks every new serial port for seconds whether it is a modem",
-        "sudo systemctl disable --now ModemManager; or, where it is needed, the rules of `hil doctor --fix`",
-    ),
-    "brltty": (
-        "takes adapters with CP210x, CH340 and FTDI chips for Braille displays: the port vanishes",
-        "sudo apt remove brltty",
-    ),
-}
-_HEAD = """\
-# udev rules for the bench {name}, by hil doctor --fix.
-# To install: hil doctor --bench FILE --fix | sudo tee {path}
-#             sudo udevadm control --reload
-#             sudo udevadm trigger
-"""
-_PATH = "/etc/udev/rules.d/60-hil.rules"
-_TIMER = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 _CAMERA = tuple(
     f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{vendor}", ATTR{{idProduct}}=="{product}", MODE="0666"'
     for vendor, product in (("03e7", "2150"), *T265_IDS)

@@ -46,6 +46,19 @@ _LATE_LOOKS = 25
 """So many looks, when time is up, a doubt may come and go."""
 _LOSSES = 3
 """So often servos that fail during a look are waited for anew."""
+LOG = logging.getLogger(__name__)
+_LOOK_NS = nanoseconds(0.02)
+_SELDOM_NS = nanoseconds(0.05)
+"""Where only time has to pass: a window still holds five sightings by the servos."""
+_CALM_M_S2 = 2.0
+"""By how much the median of what an accelerometer feels may differ from gravity: data sheets allow 0.8."""
+_SLOW_NS = nanoseconds(1.5)
+"""So long for an IMU that has begun to show the tilt: a busy computer hears it late."""
+_MOVED_M = 0.001
+_UNSEEN_M = 0.005
+"""What a robot that is held may move after its stop."""
+_FELT = 10
+"""Samples of it that are looked at."""
 
 
 class LookTime:
@@ -92,21 +105,6 @@ class LookTime:
             return False
         self._late_looks += not self._waits
         return self._strict or not self._momentary or self._late_looks > _LATE_LOOKS
-
-
-LOG = logging.getLogger(__name__)
-_LOOK_NS = nanoseconds(0.02)
-_SELDOM_NS = nanoseconds(0.05)
-"""Where only time has to pass: a window still holds five sightings by the servos."""
-_CALM_M_S2 = 2.0
-"""By how much the median of what an accelerometer feels may differ from gravity: data sheets allow 0.8."""
-_SLOW_NS = nanoseconds(1.5)
-"""So long for an IMU that has begun to show the tilt: a busy computer hears it late."""
-_MOVED_M = 0.001
-_UNSEEN_M = 0.005
-"""What a robot that is held may move after its stop."""
-_FELT = 10
-"""Samples of it that are looked at."""
 
 
 class HoldMonitor(Sink):

@@ -57,6 +57,10 @@ _SHAPES: Mapping[str, Mapping[str, tuple[int, ...]]] = {
 """Shapes of the arrays that `hil.core.signals` promises, by sample and field."""
 
 Wrong = Callable[[Any], str]
+LOG = logging.getLogger(__name__)
+MOST_SAMPLES = 10_000
+"""That one read may give: a second of the fastest device, many times over."""
+Failures = Mapping[str, HilError]
 
 
 def short(value: Any) -> str:
@@ -169,13 +173,6 @@ def _of_mapping(wrong: Wrong, value: Any) -> str:
 def _of_class(kind: type[Any], inside: Mapping[str, Wrong], value: Any) -> str:
     good = isinstance(value, kind) and not any(wrong(getattr(value, name)) for name, wrong in inside.items())
     return "" if good else short(value)
-
-
-LOG = logging.getLogger(__name__)
-
-MOST_SAMPLES = 10_000
-"""That one read may give: a second of the fastest device, many times over."""
-Failures = Mapping[str, HilError]
 
 
 def wrapped_driver(

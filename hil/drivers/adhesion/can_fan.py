@@ -33,6 +33,13 @@ _ARRIVED = 0.002
 _TOLERANCE, _GAIN, _MOST = 0.003, 0.5, 0.03
 _MOTOR_OVER_INPUT = 1.25
 _NEAR = 0.15
+_FASTEST = 3.0
+"""Times the rated speed: no fan turns so fast."""
+_VOLTS, _CELSIUS = (0.0, 150.0), (-60.0, 250.0)
+"""Battery and transistors: beyond, a report is damaged and not used."""
+_STUCK_S = 0.5
+_RUNNING_RPM = 1000.0
+C = TypeVar("C", bound=MotorConfig)
 
 
 class SpeedTrim:
@@ -103,16 +110,6 @@ class SpeedTrim:
             return False
         highest = self._config.daemon_spec()["highest"][self.point.quantity]
         return bool(abs(sent[1] - self.point.value) <= _ARRIVED * highest)
-
-
-_FASTEST = 3.0
-"""Times the rated speed: no fan turns so fast."""
-_VOLTS, _CELSIUS = (0.0, 150.0), (-60.0, 250.0)
-"""Battery and transistors: beyond, a report is damaged and not used."""
-_STUCK_S = 0.5
-_RUNNING_RPM = 1000.0
-
-C = TypeVar("C", bound=MotorConfig)
 
 
 class Figures(NamedTuple):

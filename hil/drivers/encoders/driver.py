@@ -23,6 +23,18 @@ from hil.links.can_bus import BUS_ERRORS, has_failed, open_bus, receiver, remedy
 from hil.links.silence_limit import Usefulness, used_while_closed
 
 _EVERY_NS = NS_PER_S
+_LOG = logging.getLogger(__name__)
+_array = np.array  # in a name of our own: looking it up in numpy takes longer
+_MOST_FRAMES = 1024
+_MOST_PASSED_OVER = 256
+_ERROR_COUNTS = 16
+_WAIT_S = 0.02
+_OVER_NS = 100_000_000
+"""So long after its first frame no more is expected of a set; longer where sets are rarer than that."""
+_OPEN_SETS = 3
+_MOST_LISTED = 8
+_OFTEN, _TOGETHER_NS = 4, 1_000_000_000
+"""A clock that leaps so often within so much is that of two nodes: none restarts in a quarter of a second."""
 
 
 class Seldom:
@@ -45,21 +57,6 @@ class Seldom:
         also = f" ({self._skipped} times more since the last message)" if self._skipped else ""
         self._log.warning("%s%s", message, also)
         self._written_ns, self._skipped = now_ns, 0
-
-
-_LOG = logging.getLogger(__name__)
-
-_array = np.array  # in a name of our own: looking it up in numpy takes longer
-_MOST_FRAMES = 1024
-_MOST_PASSED_OVER = 256
-_ERROR_COUNTS = 16
-_WAIT_S = 0.02
-_OVER_NS = 100_000_000
-"""So long after its first frame no more is expected of a set; longer where sets are rarer than that."""
-_OPEN_SETS = 3
-_MOST_LISTED = 8
-_OFTEN, _TOGETHER_NS = 4, 1_000_000_000
-"""A clock that leaps so often within so much is that of two nodes: none restarts in a quarter of a second."""
 
 
 class As5045Encoders(Sensor[EncoderSample]):

@@ -18,6 +18,13 @@ from hil.links.dbc_file import load_database
 
 _LEAK = 200e-6
 _RESTART_NS = 250_000_000
+_MESSAGE, _LAYOUT = "NodeStatus", "Layout"
+_COUNTERS = {
+    "ParityErrors": "words with wrong parity",
+    "LateSets": "late sample sets",
+    "UnsentFrames": "frames that the bus did not take",
+    "TimesOffBus": "times off the bus",
+}
 
 
 class NodeTimeline:
@@ -75,15 +82,6 @@ class NodeTimeline:
         self._time_raw, self._host_ns = time_raw, host_ns
         self._node_ns = round(time_raw * self._lsb_ns)
         self._offset_ns = host_ns - self._node_ns
-
-
-_MESSAGE, _LAYOUT = "NodeStatus", "Layout"
-_COUNTERS = {
-    "ParityErrors": "words with wrong parity",
-    "LateSets": "late sample sets",
-    "UnsentFrames": "frames that the bus did not take",
-    "TimesOffBus": "times off the bus",
-}
 
 
 class NodeStatus:

@@ -29,6 +29,15 @@ _PLACE = struct.Struct("<ii3f")
 _QUATERNION, _OFFSET, _LABEL = 16, 12, 4
 _PLATE_GEOMETRY = 4 * (2 + 3 + 144 + 12)
 _CAMERA = 28
+_LOG = logging.getLogger(__name__)
+_MOST_DATAGRAMS = 4096
+_MOST_WASTED = 256
+_OTHER_SOURCE_AFTER_NS = 1_000_000_000
+_OLD_FRAMES = 1000
+_FRAME = Message.FRAME.value
+_RESTART_NS = 250_000_000
+NewFrame: TypeAlias = tuple[Frame, int, bool]
+"""A frame, its arrival on the bench clock (ns), and whether the server has begun anew with it."""
 
 
 def parse_models(payload: bytes, version: tuple[int, int]) -> dict[int, str]:
@@ -92,19 +101,6 @@ def _pass_over(cursor: Cursor, kind: int, version: tuple[int, int]) -> None:
 def _names(cursor: Cursor) -> None:
     for _ in range(cursor.count(1)):
         cursor.text()
-
-
-_LOG = logging.getLogger(__name__)
-
-_MOST_DATAGRAMS = 4096
-_MOST_WASTED = 256
-_OTHER_SOURCE_AFTER_NS = 1_000_000_000
-_OLD_FRAMES = 1000
-_FRAME = Message.FRAME.value
-_RESTART_NS = 250_000_000
-
-NewFrame: TypeAlias = tuple[Frame, int, bool]
-"""A frame, its arrival on the bench clock (ns), and whether the server has begun anew with it."""
 
 
 class Session:

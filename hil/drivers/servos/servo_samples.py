@@ -35,6 +35,14 @@ for _who in (ALL_SERVOS, NO_SERVOS):
     _who.setflags(write=False)
 
 
+_LOG = logging.getLogger(__name__)
+_NO_ALERT: tuple[int, ...] = (0,) * 8
+_floats, _DOUBLES = np.frombuffer, struct.Struct("24d").pack
+_LOOKS = 4
+"""In the time of one health sample: a watchdog that trips unnoticed stops its wheel, and the
+supervisor calls a wheel blocked after half a second."""
+
+
 class MultiTurnCounter:
     """Adds the turns that the registers of eight servos have lost.
 
@@ -116,15 +124,6 @@ class MultiTurnCounter:
         self.offset = (np.array(self.offset) - lost).tolist()
         bridged: Counts = counts - lost
         return bridged
-
-
-_LOG = logging.getLogger(__name__)
-
-_NO_ALERT: tuple[int, ...] = (0,) * 8
-_floats, _DOUBLES = np.frombuffer, struct.Struct("24d").pack
-_LOOKS = 4
-"""In the time of one health sample: a watchdog that trips unnoticed stops its wheel, and the
-supervisor calls a wheel blocked after half a second."""
 
 
 class Samples:

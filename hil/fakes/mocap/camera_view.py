@@ -23,6 +23,9 @@ MARKERS = ((0.10, 0.08, 0.02), (-0.12, 0.09, 0.02), (-0.10, -0.09, 0.03), (0.13,
 """Where they sit on a body, m."""
 
 Markers = tuple[Three, Three, Three, Three]
+_BLOCK = 512
+_RARE_GAP = 0.02
+_DISTRACTOR = (1.2, -0.7, 0.4)
 
 
 class Capture(NamedTuple):
@@ -78,11 +81,6 @@ def streamed(x: float, y: float, z: float, y_up: bool) -> Three:
     if y_up:
         return x, z, -y
     return x, y, z
-
-
-_BLOCK = 512
-_RARE_GAP = 0.02
-_DISTRACTOR = (1.2, -0.7, 0.4)
 
 
 class SeenBody(NamedTuple):

@@ -28,6 +28,12 @@ _PART = 0.01
 _ROLL_SHARE = 0.6
 _HALF_WIDTH_M = 0.012
 _FORK_INERTIA_KG_M2 = 1e-5
+_log = logging.getLogger(__name__)
+LONGEST_STEP_S = 0.002
+_ROUND = ("SPHERE", "ELLIPSOID", "CYLINDER", "CAPSULE")
+_PARSER = re.compile(r"XML_ERROR_(\w+)")
+_LINE = re.compile(r"line (?:number=)?([1-9]\d*)", re.IGNORECASE)
+_ELEMENT = re.compile(r"Element (?:name )?'(\w+)'")
 
 
 def describe_robot(p: TrueParameters) -> str:
@@ -86,13 +92,7 @@ def _numbers(values: Array | list[float]) -> str:
     return " ".join(f"{float(v):.9g}" for v in values)
 
 
-_log = logging.getLogger(__name__)
 JOINTS = (*(f"drive_{w}" for w in WHEELS), *(f"steer_{w}" for w in WHEELS))
-LONGEST_STEP_S = 0.002
-_ROUND = ("SPHERE", "ELLIPSOID", "CYLINDER", "CAPSULE")
-_PARSER = re.compile(r"XML_ERROR_(\w+)")
-_LINE = re.compile(r"line (?:number=)?([1-9]\d*)", re.IGNORECASE)
-_ELEMENT = re.compile(r"Element (?:name )?'(\w+)'")
 
 
 def load_mujoco() -> Any:

@@ -21,6 +21,13 @@ STEP, RECTANGLE, TRIANGLE, TRAPEZOID = 0, 1, 2, 3
 
 _MS = 1e-3
 _ARRIVED = 0.05
+_WORD, _HALF_WORD = 1 << 32, 1 << 31
+OFF = JointCommand()
+_WITH_POSITION = (POSITION, EXTENDED, CURRENT_POSITION)
+_REVERSE, _TIMED = 1, 4
+_REVERSE_FIRMWARE, _TIMED_FIRMWARE = 38, 42
+_HOMING_IN_POSITION_MODE = 1024
+_IN_POSITION, _FOLLOWING = 12, 100
 
 
 class Trajectory:
@@ -112,9 +119,6 @@ class Trajectory:
         return max(0.0, math.sqrt(room) - half) if room > 0.0 else 0.0
 
 
-_WORD, _HALF_WORD = 1 << 32, 1 << 31
-
-
 class PositionRegister:
     """Turns encoder counts (joint direction, from joint angle 0) into what the register shows, and back.
 
@@ -152,14 +156,6 @@ class PositionRegister:
     def joint_rad(self, counts: float) -> float:
         """Joint angle at which the register would show `counts`."""
         return self.sign * (counts - self._base - self.homing) * self._rad_per_count
-
-
-OFF = JointCommand()
-_WITH_POSITION = (POSITION, EXTENDED, CURRENT_POSITION)
-_REVERSE, _TIMED = 1, 4
-_REVERSE_FIRMWARE, _TIMED_FIRMWARE = 38, 42
-_HOMING_IN_POSITION_MODE = 1024
-_IN_POSITION, _FOLLOWING = 12, 100
 
 
 class Axis:

@@ -44,6 +44,8 @@ DRAWS = 16
 """Numbers of one row of noise."""
 
 Pose = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]
+_BLOCK = 512
+_NEAR_VERTICAL = 0.2
 
 
 class Way(NamedTuple):
@@ -149,10 +151,6 @@ def rotation(
     z = ew * bz + ex * by - ey * bx + ez * bw
     norm = math.sqrt(w * w + x * x + y * y + z * z)
     return x / norm, y / norm, z / norm, w / norm
-
-
-_BLOCK = 512
-_NEAR_VERTICAL = 0.2
 
 
 class Vector(NamedTuple):

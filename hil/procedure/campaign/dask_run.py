@@ -32,6 +32,11 @@ if TYPE_CHECKING:
 
 _STRIKES = (signal.SIGINT, signal.SIGTERM)
 _LOOKS, _LOOK_S = 200, 0.05
+J = TypeVar("J")
+R = TypeVar("R")
+_RETRIES = 2
+_UNWATCHED = {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "1s"}
+"""Dask looks at the stack of each worker a hundred times a second, for a page that is not used here."""
 
 
 class Strikes:
@@ -111,13 +116,6 @@ def _put_back(handlers: dict[int, Any]) -> None:
 
 if TYPE_CHECKING:
     from distributed import Client
-
-J = TypeVar("J")
-R = TypeVar("R")
-
-_RETRIES = 2
-_UNWATCHED = {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "1s"}
-"""Dask looks at the stack of each worker a hundred times a second, for a page that is not used here."""
 
 
 @dataclass(frozen=True)

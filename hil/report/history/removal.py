@@ -45,6 +45,13 @@ from hil.support.file_reading import json_object, read_json
 FOLDERS = ("figures", "attachments", "recordings", RUNS, ROWS)
 """Folders that may have been made and left empty."""
 _MOTION = r"(line_[xy]|circle_c?cw|rotation_c?cw)"
+_BEGUN = re.compile(r"\.hil-[0-9a-f]{8}")
+"""A page that a process was struck down over."""
+_STAGE = re.compile(r"\d\d_[a-z0-9_]+(-\d+)?")
+_NAMING = ("recording", "figure", "attach")
+"""Entries of a journal that name a file."""
+_PRECIOUS = ("calibration.toml", "bench_fragment.toml", "record.toml")
+_SHOWN = 4
 
 
 def _any_of(*names: str) -> str:
@@ -63,13 +70,8 @@ _OF_A_COMMISSIONING = re.compile(
     + r"|robot/(record|history/v\d{4,})\.toml(\.part)?|ablation\.svg"
     r"|robot/files/[^/]+-[0-9a-f]{12}(\.[^/.]+)?(\.part)?"
 )
-_BEGUN = re.compile(r"\.hil-[0-9a-f]{8}")
-"""A page that a process was struck down over."""
-_STAGE = re.compile(r"\d\d_[a-z0-9_]+(-\d+)?")
 _OF_AN_ACCEPTANCE = re.compile(_any_of(ACCEPTANCE_TABLE, ACCEPTANCE_PAGE))
 _OF_FAULTS = re.compile(_any_of(FAULTS_TABLE, FAULTS_PAGE, FAULTS_MATRIX, FAULTS_CELLS, FAULTS_CELLS_BEFORE))
-_NAMING = ("recording", "figure", "attach")
-"""Entries of a journal that name a file."""
 
 
 def all_files(folder: Path) -> list[str]:
@@ -170,10 +172,6 @@ def _object(path: Path) -> dict[str, Any]:
 def _list(tree: dict[str, Any], key: str) -> list[Any]:
     value = tree.get(key)
     return list(value) if isinstance(value, list) else []
-
-
-_PRECIOUS = ("calibration.toml", "bench_fragment.toml", "record.toml")
-_SHOWN = 4
 
 
 @dataclass(frozen=True)

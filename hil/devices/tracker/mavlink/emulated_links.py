@@ -21,6 +21,9 @@ from hil.fakes.world import NEVER_NS
 
 _FORGET_NS = nanoseconds(5.0)
 _LARGEST = 65535
+_OF_THE_LINE = ("drop", "corrupt", "truncate", "duplicate", "unplug")
+_NOISE = 0x55
+_ADDRESS = ("127.0.0.1", 14550)
 
 
 class _Client(Outlet):
@@ -111,10 +114,6 @@ class MavlinkTransport(DatagramTransport):
         self._clients.pop(client.address, None)
 
 
-_OF_THE_LINE = ("drop", "corrupt", "truncate", "duplicate", "unplug")
-_NOISE = 0x55
-
-
 class SerialComputer(SerialChip, Outlet):
     """One computer at the far end of a serial line; its cable's faults are the line's.
 
@@ -158,9 +157,6 @@ class SerialComputer(SerialChip, Outlet):
     def next_poll_ns(self) -> int:
         """At once, while something waits."""
         return self._leaving[0].ready_ns if self._leaving else NEVER_NS
-
-
-_ADDRESS = ("127.0.0.1", 14550)
 
 
 class WorldLink(Link, Outlet):

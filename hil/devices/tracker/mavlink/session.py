@@ -25,6 +25,17 @@ _FORGET_NS = nanoseconds(10.0)
 _LONGEST_NS = nanoseconds(0.25)
 _DRIFT, _SLACK_NS = 500e-6, 1_000_000
 _OPEN_REQUESTS = 16
+_LOG = logging.getLogger(__name__)
+SYSTEM, COMPONENT = 255, 190
+"""Ids of this host: those that ground stations go by, whom every sender answers."""
+_HEARTBEAT_NS = NS_PER_S
+_MOST_SENDERS = 64
+_ASK_AGAIN_NS, _ASKS = NS_PER_S // 2, 3
+_LARGEST = 2048
+_MOST_WASTED, _LEAST_WASTED = 16_384, 64
+"""Bytes of datagrams without a word of the sender: what one exchange looks at; what each counts at least."""
+Source: TypeAlias = tuple[int, int]
+"""System and component id."""
 
 
 class Trip(NamedTuple):
@@ -94,21 +105,6 @@ class TimeSync:
         drift_ns = _DRIFT * (new.arrived_ns - known.arrived_ns)
         possible_ns = (known.duration_ns + new.duration_ns) / 2 + drift_ns + _SLACK_NS
         return abs(new.offset_ns - known.offset_ns) > possible_ns
-
-
-_LOG = logging.getLogger(__name__)
-SYSTEM, COMPONENT = 255, 190
-"""Ids of this host: those that ground stations go by, whom every sender answers."""
-
-_HEARTBEAT_NS = NS_PER_S
-_MOST_SENDERS = 64
-_ASK_AGAIN_NS, _ASKS = NS_PER_S // 2, 3
-_LARGEST = 2048
-_MOST_WASTED, _LEAST_WASTED = 16_384, 64
-"""Bytes of datagrams without a word of the sender: what one exchange looks at; what each counts at least."""
-
-Source: TypeAlias = tuple[int, int]
-"""System and component id."""
 
 
 class Received(NamedTuple):
