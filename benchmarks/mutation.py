@@ -41,7 +41,9 @@ LONGEST_S, _TIMES = 90.0, 4.0
 _GUARDS = ("tests/core/test_alignment_and_supervisor.py", "tests/core/test_motion_check.py")
 _SENSES = ("tests/core/test_motion_check.py", "tests/core/test_capture_check.py")
 _STREAMS = "tests/core/test_stream_watch.py"
-_SERVOS = tuple(f"tests/servos/test_servo_{name}.py" for name in ("goals", "dynamics", "outage", "silence"))
+_SERVOS = tuple(
+    f"tests/servos/test_servo_{name}.py" for name in ("goals", "driver_cycle", "outage", "silence")
+)
 _RECORDS = ("tests/record/test_record_takes_files.py", "tests/record/test_record_laws.py")
 _ACCEPT = "tests/acceptance/test_accept.py"
 _COMMISSION = "tests/commission/test_commission.py"
@@ -68,7 +70,10 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "sample_watch": ("hil/loop/checks/sensor_status.py", ("tests/core/test_sample_watch.py", _STREAMS)),
     "goals": ("hil/drivers/servos/goal_values.py", _SERVOS),
     "outage": ("hil/drivers/servos/answer_timeouts.py", _SERVOS),
-    "roll_call": ("hil/drivers/servos/latency_probe.py", ("tests/servos/test_servo_roll_call.py",)),
+    "roll_call": (
+        "hil/drivers/servos/latency_probe.py",
+        ("tests/servos/test_roll_call_by_itself.py", "tests/servos/test_servo_roll_call.py"),
+    ),
     "limits": (
         "hil/robot/motion_limits.py",
         ("tests/trajectories/test_trajectories.py", "tests/trajectories/test_many_times_at_once.py"),

@@ -5,6 +5,7 @@ import pytest
 from servo_client import MODEL, RAD_PER_COUNT, RAD_S_PER_COUNT, TABLE
 
 from hil.config.servos import ServosConfig
+from hil.core.errors import UsageError
 from hil.core.signals import ServoSetpoint
 from hil.drivers.servos.goal_values import Goals
 from hil.drivers.servos.packets import GoalWrite
@@ -87,3 +88,12 @@ def test_a_goal_over_many_turns_ends_where_the_servo_takes_no_more():
     lost = np.array([0, 0, 0, 0, 2048 - most, 2047 - most, 2048 + most, 2049 + most])
     one.follow(ServoSetpoint(np.zeros(4), np.zeros(4)), lost)
     assert one.packet() == write.packet(np.array([0, 0, 0, 0, most, most, -most, -most]))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_goals_that_are_no_numbers_leave_the_old_ones(bad):
+    one, write = goals()
+    rates = np.array([bad, 0, 0, 0])
+    with pytest.raises(UsageError, match="not finite"):
+        one.follow(ServoSetpoint(rates, np.zeros(4)), (0,) * 8)
+    assert one.packet() == write.packet(np.array([0, 0, 0, 0, 2048, 2048, 2048, 2048]))
