@@ -20,6 +20,9 @@ _LONGEST_S = 7200.0
 _AT_ONCE = 20000
 _SLACK = 1.0 + 1e-6
 _MARGIN = 1e-3
+_OTHERWISE = "change the shape of the motion"
+_OF_WHEELS = 2
+"""The first limits that are held are those of the wheels: speed and acceleration."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,7 @@ def check(
             remedy="divide the motion",
         )
     until_s = trajectory.duration_s if known is None else _new_s(trajectory, known)
-    times_s = _times_s(trajectory, until_s, np.arange(0.0, until_s + _CHECK_STEP_S, _CHECK_STEP_S))
+    times_s = _times_s(trajectory, until_s)
     for begin in range(0, len(times_s), _AT_ONCE):
         _check(trajectory, times_s[begin : begin + _AT_ONCE], projection, limits)
 
@@ -87,23 +90,23 @@ def slowed(trajectory: Trajectory, projection: Array, limits: MotionLimits, *, a
 
 def _times_as_long(trajectory: Trajectory, projection: Array, limits: MotionLimits) -> float:
     """How many times as long the way must take for the wheels to keep to their speed and acceleration."""
-    until_s = trajectory.duration_s
-    times_s = _times_s(trajectory, until_s, np.arange(0.0, until_s + _CHECK_STEP_S, _CHECK_STEP_S))
-    pose, twist, pull = trajectory.sample_many(times_s)
-    speed, acceleration = (q.values.max() / q.limit for q in _held(pose, twist, pull, projection, limits)[:2])
+    pose, twist, pull = trajectory.sample_many(_times_s(trajectory, trajectory.duration_s))
+    speed, acceleration = (
+        q.values.max() / q.limit for q in _held(pose, twist, pull, projection, limits)[:_OF_WHEELS]
+    )
     return float(max(speed, math.sqrt(acceleration)))
 
 
-def _times_s(trajectory: Trajectory, until_s: float, steps_s: Array) -> Array:
-    """Times to look at, in order: the steps, and more within the segments that are short beside them.
+def _times_s(trajectory: Trajectory, until_s: float) -> Array:
+    """Times to look at, in order: equal steps, and more within the segments that are short beside them.
 
     A short segment may be at rest at both of its ends, or lie between two steps.
 
     Args:
         trajectory: what is looked at.
         until_s: up to which time.
-        steps_s: (n,) times of equal steps.
     """
+    steps_s = np.arange(0.0, until_s + _CHECK_STEP_S, _CHECK_STEP_S)
     short, begin_s = [], 0.0
     for part in trajectory.segments:
         if begin_s >= until_s:
@@ -134,14 +137,15 @@ def _check(trajectory: Trajectory, times_s: Array, projection: Array, limits: Mo
     beyond = np.array([~(q.values <= q.limit + abs(q.limit) * (_SLACK - 1.0) + 1e-12) for q in held])
     if beyond.any():
         k = int(np.argmax(beyond.any(axis=0)))
-        first = held[int(np.argmax(beyond[:, k]))]
+        which = int(np.argmax(beyond[:, k]))
+        first = held[which]
         raise TrajectoryError(
             trajectory.name,
             t_s=float(times_s[k]),
             quantity=first.name,
             value=float(first.values[k]),
             limit=first.limit,
-            remedy=_remedy(first.name, trajectory, projection, limits),
+            remedy=_slower(trajectory, projection, limits) if which < _OF_WHEELS else _OTHERWISE,
         )
     if known < len(times_s):
         raise TrajectoryError(
@@ -149,15 +153,14 @@ def _check(trajectory: Trajectory, times_s: Array, projection: Array, limits: Mo
         )
 
 
-def _remedy(name: str, trajectory: Trajectory, projection: Array, limits: MotionLimits) -> str:
-    """How long the motion must last at least, where its wheels are too quick; else another shape of it."""
-    longer = _times_as_long(trajectory, projection, limits) if name.startswith("wheel ") else math.inf
-    if not math.isfinite(longer):
-        return "change the shape of the motion"
-    takes_s = math.ceil(10.0 * longer * trajectory.duration_s) / 10.0
-    return (
-        f"let the same way take {takes_s:g} s instead of {trajectory.duration_s:.3g} s, or change its shape"
-    )
+def _slower(trajectory: Trajectory, projection: Array, limits: MotionLimits) -> str:
+    """How long a motion must last at least whose wheels are too quick, where that can be said."""
+    lasts_s = trajectory.duration_s
+    takes_s = _times_as_long(trajectory, projection, limits) * lasts_s
+    if not (math.isfinite(takes_s) and takes_s > 0.0):
+        return _OTHERWISE
+    rounded_s = math.ceil(10.0 * takes_s) / 10.0
+    return f"let the same way take {rounded_s:g} s instead of {lasts_s:.3g} s, or {_OTHERWISE}"
 
 
 class _Held(NamedTuple):
