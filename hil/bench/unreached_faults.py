@@ -23,7 +23,7 @@ def not_begun(faults: Iterable[Fault], world_ns: int) -> tuple[str, ...]:
 
 
 def not_begun_in_words(specs: Sequence[str], world_ns: int, looked_ns: int) -> str:
-    """One line for those who have asked for the faults.
+    """One line for the user, who asked for the faults.
 
     Args:
         specs: of faults that begin later than `world_ns`.

@@ -2,7 +2,7 @@
 
 It is read from the folders of the jobs, so that it is the same after a reload or a restart. A later job takes
 it away only where it was on the same bench and has found the robot held: one that opened no device, or only
-examined the devices, has not looked. And a person takes it away, who says that the robot is secured.
+examined the devices, has not looked. A person can also reset it, by saying that the robot is secured.
 
 An emulated world ends with its run; its alarm goes in these two ways, and says that the robot was emulated.
 """

@@ -36,7 +36,7 @@ class ExternalCommands:
     Attributes:
         commands: oldest first.
         reason, trouble: why the robot must stop, as the network shows it: one word, and in words; empty for
-            nothing. Words without a reason say who publishes when the newest command is late.
+            nothing. Words without a reason name the publishers when the newest command is late.
         only_synchronised: in lockstep, the stamp says no more than that the command is of no earlier cycle:
             the same run need not come again.
     """

@@ -122,7 +122,7 @@ class Events(NamedTuple):
     """A ring of events; event k is in place (first + k) % capacity of every array.
 
     Attributes:
-        marks: first place and number of events, then what does not matter to who reads them.
+        marks: first place and number of events, then entries that readers do not need.
         t_ns: (capacity,) stamps.
         numbers: (capacity,) of sensors.
         rows: (capacity,) samples.

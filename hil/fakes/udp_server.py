@@ -52,7 +52,7 @@ class DatagramTransport(Transport):
         self._socket.close()
 
     def receive(self, largest: int) -> tuple[bytes, tuple[str, int]] | None:
-        """One datagram and who sent it; None when there is none, or the socket is closed.
+        """One datagram and its sender; None when there is none, or the socket is closed.
 
         Args:
             largest: bytes of it that are taken.

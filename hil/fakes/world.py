@@ -104,7 +104,7 @@ class World:
             insort(order, (due_ns, place))
 
     def _ask(self) -> None:
-        """Find out when those are due who do not tell."""
+        """Ask the parts that do not announce it when they are due next."""
         for place, part in self._asked:
             try:
                 self._move(place, part.next_due_ns())

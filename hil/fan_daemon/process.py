@@ -172,14 +172,14 @@ class Process:
         self._setters.discard(pid)
         self._standbys.left(pid)
 
-    def _answer(self, asked: Mapping[str, Any], who: Peer) -> Mapping[str, Any]:
+    def _answer(self, asked: Mapping[str, Any], peer: Peer) -> Mapping[str, Any]:
         """Carry out a client's request; raises `HilError` to refuse it."""
         now_ns, do = time.monotonic_ns(), asked.get("do")
         if do == "set":
             point = _point(asked)
             self._control.wish(now_ns, point)
-            self._setters.add(who.pid)
-            self._log_set_point(now_ns, str(who), point)
+            self._setters.add(peer.pid)
+            self._log_set_point(now_ns, str(peer), point)
             if self._cycle.sent_ns is None:
                 self._cycle.step(now_ns)
         elif do == "off":
@@ -190,7 +190,7 @@ class Process:
                     expected='"confirmed_by" and why nothing hangs by it',
                     remedy="`hil adhesion off --tethered`, or off the wall by load cells and IMU",
                 )
-            self._log.say(f"off, asked for by {who}, confirmed: {why[:200]}")
+            self._log.say(f"off, asked for by {peer}, confirmed: {why[:200]}")
             self._control.end(now_ns)
         elif do == "status":
             if asked.get("as") == "standby":
@@ -199,12 +199,12 @@ class Process:
             raise UsageError(f"the daemon cannot {do!r}", expected="status, set or off", remedy=HOW_TO_ASK)
         return self._status(now_ns)
 
-    def _log_set_point(self, now_ns: int, who: str, point: SetPoint) -> None:
+    def _log_set_point(self, now_ns: int, by: str, point: SetPoint) -> None:
         """Log a set-point and its sender; a bench that trims it all the time is logged once a minute."""
-        asked = (who, point.quantity)
+        asked = (by, point.quantity)
         if asked != self._asked or now_ns - self._asked_ns > _REPEAT_NS:
             self._asked, self._asked_ns = asked, now_ns
-            self._log.say(f"set to {point.quantity} {point.value:g} by {who}")
+            self._log.say(f"set to {point.quantity} {point.value:g} by {by}")
 
     def _status(self, now_ns: int) -> dict[str, Any]:
         return {
@@ -273,8 +273,8 @@ def _opened(spec: Spec, log: Log, given: argparse.Namespace) -> Process | None:
     emulation = Emulation(spec.bus, known=given.emulated)
     while True:
         if emulation.is_over():
-            gone, who = f"{spec.bus} was emulated and is gone", "standby" if given.standby else "daemon"
-            log.say(f"{gone}; so is the {who}, process {os.getpid()}")
+            gone, part = f"{spec.bus} was emulated and is gone", "standby" if given.standby else "daemon"
+            log.say(f"{gone}; so is the {part}, process {os.getpid()}")
             _print_line({"error": gone})
             return None
         try:

@@ -202,14 +202,14 @@ def _turn_away(connection: socket.socket, why: DeviceError) -> None:
             connection.send(json.dumps({"error": _described(why)}).encode())
 
 
-def _answered(packet: bytes, who: Peer, answer: Answer) -> bytes:
+def _answered(packet: bytes, peer: Peer, answer: Answer) -> bytes:
     try:
         asked = json.loads(packet)
         if not isinstance(asked, dict):
             raise UsageError(
                 "a request to the daemon that is no object", expected='{"do": "status"}', remedy=HOW_TO_ASK
             )
-        reported = answer(asked, who)
+        reported = answer(asked, peer)
     except HilError as error:
         reported = {"error": _described(error)}
     except (ValueError, RecursionError):

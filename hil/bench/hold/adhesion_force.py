@@ -47,8 +47,8 @@ def measured_n(limits: AdhesionLimits, samples: Iterable[Any]) -> Iterator[tuple
     for sample in samples:
         if worst(sample) is Status.OK:
             cells = isinstance(sample, LoadCellSample)
-            who, force_n = (_CELLS, limits.cells_n(sample)) if cells else (FAN, limits.speed_n(sample))
-            yield who, sample.stamp.t_ns, force_n
+            sensor, force_n = (_CELLS, limits.cells_n(sample)) if cells else (FAN, limits.speed_n(sample))
+            yield sensor, sample.stamp.t_ns, force_n
 
 
 class AdhesionForceCheck:
@@ -112,10 +112,10 @@ class AdhesionForceCheck:
         if self._limits is None:
             return self._nothing_real() or self._unmeasured(now_ns, sees_slide, moves)
         for name in MEASURES:
-            for who, t_ns, force_n in measured_n(self._limits, self._samples(name)):
+            for sensor, t_ns, force_n in measured_n(self._limits, self._samples(name)):
                 if math.isfinite(force_n):
-                    self._forces[who] = t_ns, force_n
-                    self._trends.setdefault(who, ForceTrend()).follow(t_ns, force_n)
+                    self._forces[sensor] = t_ns, force_n
+                    self._trends.setdefault(sensor, ForceTrend()).follow(t_ns, force_n)
         fresh = self._fresh(now_ns)
         push_n, without = self._counted_push(now_ns, sees_slide, moves, fresh)
         least_n = self._limits.statics.needed_n(push_n, self.heading_rad)
@@ -232,7 +232,7 @@ class AdhesionForceCheck:
         return f"; pressed on the wall: {', '.join(reported)}"
 
     def _fresh(self, now_ns: int) -> dict[str, float]:
-        """Forces (N) that have just been measured, by who did."""
+        """Forces (N) measured recently, by sensor."""
         return {name: n for name, (t_ns, n) in self._forces.items() if now_ns - t_ns <= self._stale_ns}
 
     def _samples(self, name: str) -> Sequence[Any]:

@@ -348,8 +348,8 @@ class HoldMonitor(Sink):
         Args:
             hold: what the servos say.
             trails: by sensor.
-            seen: those who have seen the robot for long enough.
-            places: those of them who would see a slide, and are believed.
+            seen: sensors that have seen the robot for long enough.
+            places: those of them that would see a slide, and are believed.
         """
         felt = self._doubt_of_weight()
         if hold.trouble or felt:

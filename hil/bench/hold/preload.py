@@ -55,7 +55,7 @@ class Preload:
 
         Raises:
             SafetyStop: `adhesion`: the force stays below the limit of this surface; `adhesion_disagree`:
-                those who measure it contradict each other. Nothing has moved, and the fan goes on.
+                its sensors contradict each other. Nothing has moved, and the fan goes on.
             DeviceError: a device fails.
         """
         limits = self._limits
@@ -166,8 +166,8 @@ class Preload:
         if limits is None:
             return math.nan
         for name in MEASURES:
-            for who, _, force_n in measured_n(limits, self._samples(name)):
-                self._seen_n[who] = force_n
+            for sensor, _, force_n in measured_n(limits, self._samples(name)):
+                self._seen_n[sensor] = force_n
         wanted = limits.has_fan + (limits.zero_n is not None)
         return min(self._seen_n.values()) if len(self._seen_n) == wanted else math.nan
 

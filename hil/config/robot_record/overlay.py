@@ -1,7 +1,7 @@
 """Overlays a bench file with a robot's record: its values override the file's, `--set` both.
 
-Noise is the exception: there the file overrides the record, because who writes down a noise wants it kept
-(a preset counts as written down).
+Noise is the exception: there the file overrides the record, because a noise that a user writes down
+is meant to stay (a preset counts as written down).
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ _MOST_PER_WINDOW = 128
 
 
 class Datagram(NamedTuple):
-    """One datagram: its bytes, who sent it, and when it arrived on the bench clock."""
+    """One datagram: its bytes, its sender, and when it arrived on the bench clock."""
 
     data: bytes
     sender: Address

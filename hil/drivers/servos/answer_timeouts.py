@@ -31,7 +31,7 @@ class AnswerTimeouts:
         self._good_ns = [good_ns + silence_ns for good_ns in self._good_ns]
 
     def saw(self, status: tuple[Status, ...], now_ns: int) -> bool:
-        """Remember who was usable at `now_ns`; whether all were."""
+        """Remember which servos were usable at `now_ns`; whether all were."""
         if status is ALL_OK:
             self._good_ns = [now_ns] * 8
             return True

@@ -180,7 +180,7 @@ class Bus:
             self.port.clearPort()
             self.port.writePort(after + group.request)
         except PortLost:
-            pass  # who waits for the answer will see
+            pass  # the read of the answer reports it
         return _Asked(group, sent_ns, sent_ns + round(timeout_s * NS_PER_S))
 
     def _fetch(self, asked: _Asked) -> Exchange:

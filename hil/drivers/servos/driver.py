@@ -252,7 +252,7 @@ class DynamixelServos(Actuators):
             self._upkeep.switch_on(self._goals.packet(), self._cycle.live_ids)
             self._read(bus)
         except DeviceError:
-            self._upkeep.torque = True  # who answers is held all the same
+            self._upkeep.torque = True  # servos that answer are held all the same
             if last or any(self._upkeep.hardware_error):
                 raise
             return False

@@ -98,7 +98,7 @@ def _model_number(answer: Answer) -> int:
 def _identity_problem(answer: Answer, config: ServosConfig, expected: int) -> tuple[str, str]:
     """(what was found, remedy), empty when the servo is right."""
     if answer.status is Status.TIMEOUT:
-        return "nothing", "check cable, power and ID; `hil discover` shows who answers"
+        return "nothing", "check cable, power and ID; `hil discover` lists the servos that answer"
     if answer.status is not Status.OK:
         return (
             f"garbled replies ({answer.status.value})",

@@ -26,14 +26,14 @@ def _cannot_serve(device: str, host: str, port: int, error: OSError) -> DeviceEr
     remedy = "choose another host or command port"
     if error.errno == errno.EADDRINUSE:
         users = programs_with_udp(port)
-        who = (
+        free_it = (
             f"end {named(users)}{ending(users)}"
             if users
             else (
                 f"end the program that holds it (`ss -lunp sport = :{port}` names it: an emulator, or Motive)"
             )
         )
-        remedy = f"{who}, or choose another mocap.command_port"
+        remedy = f"{free_it}, or choose another mocap.command_port"
     return DeviceError(
         device,
         f"the emulated capture server cannot be served ({reason_of(error)})",

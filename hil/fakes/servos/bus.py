@@ -269,7 +269,7 @@ class ServoBus(SerialChip, Scheduled):
         return replies
 
     def _follow_faults(self, t_ns: int) -> None:
-        """Power, resets and slips that faults bring about; who answers is another matter every time."""
+        """Apply faults of power, resets and slips; which servos answer is decided anew at every packet."""
         for servo in self.servos:
             j = servo.joint
             if self._faults.unpowered(j, t_ns):

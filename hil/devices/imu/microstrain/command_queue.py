@@ -65,7 +65,7 @@ Script: TypeAlias = Generator[Command, bytes, SetUp]
 
 
 def set_up(config: MicrostrainConfig) -> Script:
-    """Silence the sensor, find out who it is, have it send what the bench wants, and let it go on.
+    """Silence the sensor, identify it, set what it sends, and start it again.
 
     Nothing is saved in the sensor: it has its own settings back when it is switched on again.
     """
@@ -90,7 +90,7 @@ def set_up(config: MicrostrainConfig) -> Script:
 
 
 def identified() -> Script:
-    """Find out who it is, and change nothing; a sensor that is streaming goes on."""
+    """Identify the sensor and change nothing; one that is streaming goes on."""
     info = _identified((yield Command("device info", f.BASE, f.DEVICE_INFO, answer=f.DEVICE_INFO_REPLY)))
     return SetUp(info, math.nan)
 

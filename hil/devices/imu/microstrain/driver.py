@@ -79,7 +79,7 @@ class MicrostrainImu(Sensor[ImuSample]):
         self.rate_hz = math.nan
 
     def open(self) -> None:
-        """Open the port, check who answers, have it send what the bench wants.
+        """Open the port, check which sensor answers, and set what it sends.
 
         Raises:
             DeviceTimeoutError: nothing answered.

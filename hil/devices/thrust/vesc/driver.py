@@ -137,7 +137,7 @@ class VescThrust(DaemonMotor[VescThrustConfig, ThrustSample]):
         commander.set(self._duty(duty))
 
     def diagnose(self) -> tuple[Finding, ...]:
-        """What the doctor wants to know of how each controller is set, and who keeps them."""
+        """Settings of each controller, and whether a fan daemon keeps them running."""
         reported = [
             Finding(f.device, f"controller {one}: {f.check}", f.level, f.found, f.expected, f.remedy)
             for one, (motor, seen, answers) in self._known.items()

@@ -76,8 +76,8 @@ class Mavlink(DeviceModel):
         reported = tracker.identity()
         tracker.close()
         ids = {"system_id": int(reported["system"]), "component_id": int(reported["component"].split()[0])}
-        who = ", ".join(f"{key} {value}" for key, value in reported.items() if key != "port")
-        return Found({"port": config.port, **ids}, (f"tracker: {who}; set tracker.rate_hz to its rate",))
+        sender = ", ".join(f"{key} {value}" for key, value in reported.items() if key != "port")
+        return Found({"port": config.port, **ids}, (f"tracker: {sender}; set tracker.rate_hz to its rate",))
 
 
 def _transport(request: EmulationRequest, computer: VisualInertialComputer) -> Transport:

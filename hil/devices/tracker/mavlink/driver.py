@@ -47,7 +47,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
     """One sender of odometry.
 
     Args:
-        config: where it is, who it is, and how its poses are judged.
+        config: its address, its system and component, and how its poses are judged.
         clock: the bench clock.
         link: opens the way to the sender; the configured one by default.
     """

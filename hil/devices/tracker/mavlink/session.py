@@ -127,7 +127,7 @@ class Session:
         odometry: messages that have not been taken, the oldest first.
         last: the newest of all; None until there is one.
         source: the sender; None until one has sent odometry.
-        heard: types of message by system and component, to tell who else is there.
+        heard: types of message by system and component, to name other senders.
         heartbeat, version: the sender's last HEARTBEAT and AUTOPILOT_VERSION.
         sync: its clock.
         packets: arrivals, whatever they held.
