@@ -1,1 +1,1 @@
-"""Emulated devices: models of the chips, the wires they speak on, and the world they live in."""
+"""Emulated devices: models of the chips, the buses that connect them, and the robot they are mounted on."""

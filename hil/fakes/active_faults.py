@@ -1,4 +1,7 @@
-"""All faults of a run: which is active on which emulated device, when. One of them is `hil.fakes.fault`."""
+"""The planned faults of a run, and which of them are active on which emulated device at a time.
+
+A single fault is a `hil.fakes.fault.Fault`.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +15,13 @@ from hil.fakes.fault import Fault, Supported, check_kind
 
 
 class FaultPlan:
-    """All faults of a run. Devices ask with their own names, for what concerns them: see `of`.
+    """All planned faults of a run. Each device gets a view of its own faults from `of`.
 
     A device may go by several names (`servos`, `servo.drive_FL`, `servo.1`).
 
     Attributes:
-        empty: there is nothing to ask for.
-        touched: there is something to ask for, or has been.
+        empty: no fault is planned.
+        touched: a fault is planned, or has been planned before.
     """
 
     def __init__(self, faults: Iterable[Fault] = ()) -> None:
@@ -29,17 +32,17 @@ class FaultPlan:
         self._supported: dict[str, Supported] = {}
 
     def of(self, *names: str) -> FaultsOf:
-        """What concerns a device of these names, from now on."""
+        """Return a view of the faults of a device that has these names; it follows changes of the plan."""
         view = FaultsOf(self, names)
         self._views.append(view)
         view.follow(fault.device for fault in self._faults)
         return view
 
     def declare(self, device: str, supported: Supported) -> None:
-        """A device announces a name and what it can do; checks the faults known so far at `check`.
+        """Register a device name and the faults that the device can produce, for `check` and `add`.
 
         Raises:
-            UsageError: a kind that is not in `VOCABULARY`, or options that are no names.
+            UsageError: a kind that is not in `VOCABULARY`, or options that are not identifiers.
         """
         for kind, options in supported.items():
             check_kind(f"device {device} declares the fault {kind!r}", kind)
@@ -53,7 +56,11 @@ class FaultPlan:
         self._supported[device] = dict(supported)
 
     def add(self, fault: Fault) -> None:
-        """Add a fault while running; refused at once when unsupported."""
+        """Add a fault while the world runs.
+
+        Raises:
+            FaultNotSupportedError: no device can produce it.
+        """
         self._check_one(fault)
         self._keep([*self._faults, fault])
 
@@ -101,18 +108,18 @@ class FaultPlan:
                 )
 
     def has(self, kind: str) -> bool:
-        """Whether a fault of that kind is planned on any device at any time."""
+        """Return whether a fault of this kind is planned on any device at any time."""
         return kind in self._kinds
 
     @property
     def supported(self) -> Mapping[str, Supported]:
-        """What every name that devices announced can produce."""
+        """Supported faults of every declared device name."""
         return self._supported
 
     def find(self, device: str, kind: str, t_ns: int) -> Fault | None:
-        """The active fault of that kind on that device that began last, or None.
+        """Return the active fault of this kind on this device that started last, or None.
 
-        One that acts once (a jump, a reset) is active for ever; it does not hide those that come later.
+        A fault that acts once (a jump, a reset) has no end unless one is given; a later one takes precedence.
         """
         for fault in self._newest_first.get((device, kind), ()):
             if fault.active(t_ns):
@@ -120,20 +127,20 @@ class FaultPlan:
         return None
 
     def active(self, device: str, t_ns: int) -> tuple[Fault, ...]:
-        """All faults active on a device, in the order given."""
+        """Return all active faults of a device, in the order in which they were planned."""
         return tuple(f for f in self._faults if f.device == device and f.active(t_ns))
 
     def acting(self, devices: Container[str], t_ns: int) -> bool:
-        """Whether any fault acts on any of these devices."""
+        """Return whether any fault is active on any of these devices."""
         return any(f.device in devices and f.active(t_ns) for f in self._faults)
 
 
 class FaultsOf:
-    """The faults of a plan that concern one device.
+    """View of the faults of a plan that concern one device.
 
     Attributes:
-        empty: none is planned for it, and none has been: lets it skip the query, whatever happens to others.
-            A device whose faults have been cleared goes on asking, for it has to find its way back.
+        empty: no fault is or was planned for this device, so it can skip all queries. It stays False after
+            the faults have been cleared, because the device must still notice that they ended.
     """
 
     def __init__(self, plan: FaultPlan, names: Iterable[str]) -> None:
@@ -142,26 +149,26 @@ class FaultsOf:
         self.find, self.active, self.has = plan.find, plan.active, plan.has
 
     def follow(self, devices: Iterable[str]) -> None:
-        """Faults of these devices are planned now."""
+        """Clear `empty` if faults are planned for one of this view's names."""
         self.empty = self.empty and self._names.isdisjoint(devices)
 
     def acting(self, t_ns: int) -> bool:
-        """Whether any of them acts now."""
+        """Return whether any fault of this device is active."""
         return not self.empty and self._plan.acting(self._names, t_ns)
 
 
 class Once:
-    """Remembers which faults have acted that act once: a jump, a reset."""
+    """Remembers which one-time faults (a jump, a reset) have already acted."""
 
     def __init__(self) -> None:
         self._done: set[tuple[Hashable, int]] = set()
 
     def news(self, of: Hashable, fault: Fault | None) -> Fault | None:
-        """The fault, if there is one and it has not been asked about before.
+        """Return an active fault at its first query, and None at every later one.
 
         Args:
-            of: distinguishes it from others that begin at the same time.
-            fault: active now.
+            of: distinguishes this fault from others that start at the same time.
+            fault: the active fault, or None.
         """
         if fault is None or (of, fault.start_ns) in self._done:
             return None
@@ -170,15 +177,15 @@ class Once:
 
 
 class DeviceFaults:
-    """Asks the plan what is wrong now with a device that goes by one name.
+    """Queries the plan for the faults of a device with a single name.
 
     Args:
-        plan: of the world.
-        name: of the device.
-        rng: for faults that strike at random.
+        plan: fault plan of the world.
+        name: device name.
+        rng: random numbers for faults with a probability.
 
     Attributes:
-        plan: what concerns it; a caller in every step reads `plan.empty` itself, which is `none`.
+        plan: view of this device's faults. `plan.empty` equals `none` and is cheaper to read in every step.
     """
 
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
@@ -192,30 +199,30 @@ class DeviceFaults:
         return self.plan.empty
 
     def find(self, kind: str, t_ns: int) -> Fault | None:
-        """The active fault of that kind."""
+        """Return the active fault of this kind, or None."""
         return None if self.plan.empty else self.plan.find(self._name, kind, t_ns)
 
     def news(self, kind: str, t_ns: int) -> Fault | None:
-        """A fault that acts once and has not been asked about before."""
+        """Return the active one-time fault of this kind at its first query, None at every later one."""
         return self._once.news(kind, self.find(kind, t_ns))
 
     def restarted(self, t_ns: int) -> bool:
-        """Whether it has just come back from a reset or from being off; to be asked all the time."""
+        """Return whether the device has just restarted after `reset` or `off`; call it at every step."""
         was_off, self._off = self._off, self.find("off", t_ns) is not None
         return self.news("reset", t_ns) is not None or (was_off and not self._off)
 
     def slowness(self, t_ns: int) -> float:
-        """Factor on the period of output."""
+        """Return the factor by which a `slow` fault stretches the output period; 1 without one."""
         fault = self.find("slow", t_ns)
         return 1.0 if fault is None else fault.slowness
 
     def lateness_ns(self, t_ns: int) -> int:
-        """By how much later what the device says is heard."""
+        """Return the extra latency of the device's output under a `delayed` fault, ns."""
         fault = self.find("delayed", t_ns)
         return 0 if fault is None else fault.delay_ns()
 
     def damaged(self, packet: bytes, t_ns: int) -> tuple[bytes, ...]:
-        """A datagram as it arrives: with a wrong byte, cut off, twice, or whole."""
+        """Return the datagrams received for one sent: intact, with a wrong byte, truncated or duplicated."""
         if self._hit("corrupt", t_ns):
             damaged = bytearray(packet)
             damaged[int(self._rng.integers(0, len(packet)))] ^= int(self._rng.integers(1, 256))

@@ -16,11 +16,11 @@ JointMode = Literal["off", "velocity", "position", "pwm", "current"]
 
 
 class JointCommand(NamedTuple):
-    """What a servo's firmware asks of its motor.
+    """Set-point that a servo's firmware gives to its motor.
 
     Attributes:
-        mode: closed loop to run; `off` leaves the motor without torque.
-        goal: rad/s, rad, duty -1..1 or A, by mode.
+        mode: closed loop to run; `off` removes the torque.
+        goal: set-point in rad/s, rad, duty -1..1 or A, depending on the mode.
         velocity_limit_rad_s: profile or register limit; `inf` for none.
         current_limit_a: current limit; `inf` for none.
         pwm_limit: largest duty, 0..1.
@@ -35,12 +35,12 @@ class JointCommand(NamedTuple):
 
 @dataclass(frozen=True)
 class HoldingForces:
-    """What holds a robot on its surface besides its wheels.
+    """Forces that hold a robot on its surface besides those of its wheels.
 
     Attributes:
-        adhesion_n: of the ducted fan, towards the surface, at the body's origin.
-        thrust_n: of both propellers, along body x.
-        fan_gain, propeller_gain: how much stronger they are than on paper.
+        adhesion_n: force of the ducted fan towards the surface, at the body's origin.
+        thrust_n: force of both propellers along body x.
+        fan_gain, propeller_gain: ratio of the true force to the force by the ratings.
     """
 
     adhesion_n: float
@@ -63,7 +63,7 @@ class PlantState:
         slip_m_s: (4, 2) longitudinal and lateral slip velocity in the wheel frame.
         tilt_rad: 0 floor, pi/2 wall.
         fallen: the robot has left the wall.
-        adhesion_n, thrust_n: forces of fan and propellers as they act now; NaN where it is unknown.
+        adhesion_n, thrust_n: present forces of fan and propellers; NaN where unknown.
     """
 
     t_ns: int
@@ -83,7 +83,7 @@ class PlantState:
 
 
 class BodyMotion(NamedTuple):
-    """How the body moves, in plain numbers: what most chips look at, many times a second.
+    """Planar motion of the body as plain numbers, which most emulated chips read at a high rate.
 
     Attributes:
         x_m, y_m, theta_rad: pose in the wall frame, heading unwrapped.
@@ -113,47 +113,47 @@ class Plant(Protocol):
 
     @abstractmethod
     def command(self, joint: int, command: JointCommand) -> None:
-        """Set what a joint's motor is asked to do from now on."""
+        """Set the set-point of a joint's motor."""
 
     @property
     def working_point(self) -> HoldingForces | None:
-        """What this robot's fan and propellers truly give where `[robot]` says what they do on a wall.
+        """True forces of fan and propellers at the working point on a wall that `[robot]` describes.
 
-        On a wall they act from the beginning, until others are set. None where it is unknown, or nothing
-        holds the body but itself.
+        On a wall they act from the start until other forces are set. None where the forces are unknown, or
+        where the body needs no holding force.
         """
         return None
 
     def set_adhesion(self, force_n: float) -> None:
-        """The fan's force from the next internal step on."""
+        """Set the fan's force from the next internal step on."""
         return
 
     def set_thrust(self, force_n: float) -> None:
-        """The propellers' force along body x from the next internal step on; their imbalance goes with it."""
+        """Set the propellers' force along body x, with its imbalance, from the next internal step on."""
         return
 
     @abstractmethod
     def advance(self, t_ns: int) -> None:
-        """Integrate up to `t_ns` (whole internal steps; the remainder waits)."""
+        """Integrate up to `t_ns` in whole internal steps; a remainder is left for the next call."""
 
     @abstractmethod
     def joints(self) -> tuple[Array, Array, Array]:
-        """Cheap views of position (8,), velocity (8,) and current (8,): read only, not copies."""
+        """Return position (8,), velocity (8,) and current (8,) as read-only views, not copies."""
 
     @abstractmethod
     def truth(self) -> PlantState:
-        """A frozen copy of everything."""
+        """Return a frozen copy of the whole state."""
 
     def body(self) -> BodyMotion:
-        """How the body moves: a part of `truth`, for a plant that has it at hand for less."""
+        """Return the motion of the body; some plants give it at a lower cost than `truth`."""
         state = self.truth()
         pose, twist, acceleration = state.pose_body_in_wall, state.twist_body, state.acceleration_body
         return BodyMotion._make((*pose.tolist(), *twist.tolist(), *acceleration.tolist(), state.tilt_rad))
 
     def adhesion_n(self) -> float:
-        """The fan's force as it acts now; NaN where it is unknown: a part of `truth`, as `body`."""
+        """Return the present force of the fan, NaN if unknown; often at a lower cost than `truth`."""
         return self.truth().adhesion_n
 
     def steering_rad(self) -> list[float]:
-        """True heading of each wheel in the body frame, wheel order: a part of `truth`, as `body`."""
+        """Return the true heading of each wheel in the body frame, wheel order, like `truth`."""
         return self.truth().steering_true_rad.tolist()  # type: ignore[no-any-return]

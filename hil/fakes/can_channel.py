@@ -1,10 +1,11 @@
-"""The emulated CAN bus: in process in virtual time as python-can interface `hil`.
+"""The emulated CAN bus, in this process and in virtual time, as python-can interface `hil`.
 
-`CanChannel` is the wire. `can.Bus(interface="hil", channel=NAME)` opens a `WorldBus` on a channel that
-has been put into the registry by `CanChannel.open`. Across processes it is served by `hil.fakes.can_server`.
+`CanChannel` is the bus. `CanChannel.open` registers it under a name, and
+`can.Bus(interface="hil", channel=NAME)` opens a `WorldBus` on it. `hil.fakes.can_server` connects other
+processes.
 
-Parts of the world and our own drivers have a `CanFrame`, which all that receive it share; a `can.Message`
-is made of it only in `recv`, because that takes several times as long.
+Emulated devices and our own drivers share `CanFrame` objects; only `recv` makes a `can.Message`, because
+that takes several times as long.
 """
 
 from __future__ import annotations
@@ -37,11 +38,11 @@ _CHANNELS: dict[str, CanChannel] = {}
 
 
 class CanFrame(NamedTuple):
-    """A data frame that has crossed the wire, with the names of `can.Message`.
+    """A received data frame, with the attribute names of `can.Message`.
 
     Attributes:
-        timestamp: arrival on the world's clock, s.
-        arbitration_id, data, is_extended_id, is_remote_frame, is_error_frame: as of `can.Message`.
+        timestamp: arrival time on the world's clock, s.
+        arbitration_id, data, is_extended_id, is_remote_frame, is_error_frame: as in `can.Message`.
     """
 
     timestamp: float
@@ -53,21 +54,21 @@ class CanFrame(NamedTuple):
 
     @property
     def dlc(self) -> int:
-        """Number of bytes."""
+        """Number of data bytes."""
         return len(self.data)
 
 
 Heard = tuple[int, CanFrame | can.Message]
-"""Arrival in ns, and what arrived: a message as it was sent where a client of the channel has sent it."""
+"""Arrival time in ns, and the frame; a `can.Message` if a python-can client has sent it."""
 
 
 class CanChannel:
-    """One bus: frames queue behind each other at the bit rate and reach every listener.
+    """One CAN bus: frames are sent one after the other at the bit rate, and every listener receives them.
 
     Args:
         world: time, seed and faults.
         name: channel name for `can.Bus`.
-        device: device name of the wire faults.
+        device: device name that wire faults apply to.
     """
 
     def __init__(
@@ -85,7 +86,7 @@ class CanChannel:
         self._bus_off_seen = False
 
     def open(self) -> CanChannel:
-        """Make the channel known to `can.Bus`; raises `UsageError` if the name is taken."""
+        """Register the channel for `can.Bus`; raises `UsageError` if the name is taken."""
         if _CHANNELS.setdefault(self.name, self) is not self:
             raise UsageError(
                 f"CAN channel {self.name!r} exists already", remedy="close it or use another name"
@@ -93,22 +94,22 @@ class CanChannel:
         return self
 
     def close(self) -> None:
-        """Forget the channel. Idempotent."""
+        """Remove the channel from the registry. Idempotent."""
         if _CHANNELS.get(self.name) is self:
             del _CHANNELS[self.name]
 
     def listen(self, on_frames: Callable[[], None] | None = None) -> deque[Heard]:
-        """A new queue of (arrival time, frame); the oldest frames are lost when nothing reads.
+        """Add a listener. Its queue holds (arrival time, frame); a full queue drops the oldest frames.
 
         Args:
-            on_frames: called when frames have been added.
+            on_frames: called after a frame has been added.
         """
         queue: deque[Heard] = deque(maxlen=_QUEUE)
         self._listeners.append((queue, on_frames))
         return queue
 
     def leave(self, queue: deque[Heard]) -> None:
-        """Stop filling a queue."""
+        """Remove the listener with this queue."""
         self._listeners = [(q, reported) for q, reported in self._listeners if q is not queue]
 
     def transmit(
@@ -120,7 +121,7 @@ class CanChannel:
         extended: bool = False,
         sender: deque[Heard] | None = None,
     ) -> None:
-        """Put a data frame on the bus, not before `t_ns`; all but the sender receive it."""
+        """Send a data frame, not before `t_ns`; every listener except `sender` receives it."""
         if not self.faults.empty:
             message = can.Message(arbitration_id=frame_id, data=data, is_extended_id=extended)
             self.send(message, t_ns, sender=sender)
@@ -134,7 +135,7 @@ class CanChannel:
                     reported()
 
     def send(self, message: can.Message, t_ns: int, *, sender: deque[Heard] | None = None) -> None:
-        """Put any frame on the bus, which is the channel's from now on; all but the sender receive it."""
+        """Send any frame and take ownership of it; every listener except `sender` receives it."""
         arrival_ns = self._crossed_ns(message.is_extended_id, message.dlc, t_ns)
         copies = 1
         if not self.faults.empty:
@@ -156,18 +157,18 @@ class CanChannel:
                     reported()
 
     def _crossed_ns(self, extended: bool, dlc: int, t_ns: int) -> int:
-        """When a frame that is sent now has crossed the bus."""
+        """Arrival time of a frame that is queued now; reserves the bus until then."""
         begins_ns = t_ns if t_ns > self._free_ns else self._free_ns
         self._free_ns = begins_ns + self._takes_ns[extended][dlc]
         return self._free_ns
 
     def check_plugged(self) -> None:
-        """Raise as a CAN adapter does that has been pulled out."""
+        """Raise `can.CanOperationError` during an `unplug` fault, as an unplugged CAN adapter does."""
         if not self.faults.empty and self.faults.find(self._device, "unplug", self.world.now_ns):
             raise can.CanOperationError("the CAN adapter is gone")
 
     def _spoil(self, message: can.Message, t_ns: int) -> tuple[can.Message, int] | None:
-        """The frame as it arrives and how often, or None when it does not."""
+        """Apply the wire faults: the frame as received and its number of copies, or None if it is lost."""
         faults = {f.kind: f for f in self.faults.active(self._device, t_ns)}
         if "bus_off" in faults or "baud_mismatch" in faults:
             if self._bus_off_seen:
@@ -191,13 +192,13 @@ class CanChannel:
 
 
 class WorldBus(can.BusABC):
-    """python-can bus on a `CanChannel`; waiting moves the world, and stamps are on its clock.
+    """python-can bus on a `CanChannel`. Waiting advances the world; time stamps are on the world's clock.
 
     Args:
         channel: name of the channel.
-        can_filters: as of `can.BusABC`.
-        receive_own_messages: whether what is sent here is heard here, too.
-        kwargs: for other interfaces.
+        can_filters: as in `can.BusABC`.
+        receive_own_messages: whether this bus also receives the frames that it sends.
+        kwargs: passed on to `can.BusABC`.
     """
 
     def __init__(
@@ -217,10 +218,10 @@ class WorldBus(can.BusABC):
         super().__init__(channel, can_filters=can_filters, **kwargs)
 
     def take(self) -> CanFrame | can.Message | None:
-        """As `recv` without waiting, for a caller that does not change the frame.
+        """Return the next frame like `recv` without waiting; the caller must not change the frame.
 
         Raises:
-            can.CanOperationError: unplugged.
+            can.CanOperationError: the adapter is unplugged.
         """
         world, queue = self._channel.world, self._queue
         if not self._channel.faults.empty:
@@ -232,7 +233,7 @@ class WorldBus(can.BusABC):
         return None
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Next frame that has arrived; waits on world time. Raises `can.CanOperationError` if unplugged."""
+        """Wait in world time for the next frame. Raises `can.CanOperationError` if unplugged."""
         world, queue = self._channel.world, self._queue
         deadline_ns = None if timeout == 0 else _deadline_ns(world.now_ns, timeout)
         while True:
@@ -250,19 +251,19 @@ class WorldBus(can.BusABC):
         return self.recv(timeout), True
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a copy of a frame to all others on the channel, and here if it is wanted here, too."""
+        """Send a copy of a frame to all other listeners, and to this one if it receives its own messages."""
         self._channel.check_plugged()
         sender = None if self._hears_itself else self._queue
         self._channel.send(_copied(msg), self._channel.world.now_ns, sender=sender)
 
     def shutdown(self) -> None:
-        """Leave the channel."""
+        """Stop listening on the channel."""
         if not self._is_shutdown:
             self._channel.leave(self._queue)
         super().shutdown()
 
     def __del__(self) -> None:
-        """Close nothing: the daemon of an emulated fan ends with its world."""
+        """Do nothing: a fan's daemon may leave its bus open until its world ends."""
 
     @staticmethod
     def _detect_available_configs() -> list[Any]:
@@ -270,20 +271,20 @@ class WorldBus(can.BusABC):
 
 
 def _takes_ns(extended: bool, dlc: int, bitrate: int) -> int:
-    """How long a frame is on the bus."""
+    """Duration of a frame on the bus, ns."""
     bits = (_OVERHEAD_BITS + 20 * extended + 8 * dlc) * _STUFFING
     return round(bits * 1e9 / bitrate)
 
 
 def message_of(frame: CanFrame | can.Message) -> can.Message:
-    """What python-can's clients get: an object of their own."""
+    """Return the frame as a `can.Message` of its own, for clients of python-can."""
     if isinstance(frame, can.Message):
         return _copied(frame)
     return can.Message(frame.timestamp, frame.arbitration_id, frame.is_extended_id, data=frame.data)
 
 
 def _copied(message: can.Message) -> can.Message:
-    """A frame of one's own; `deepcopy` does the same in three times as long."""
+    """Copy a message with its data; `deepcopy` takes three times as long."""
     own = copy(message)
     if own.data:
         own.data = bytearray(own.data)

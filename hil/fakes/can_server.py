@@ -1,6 +1,6 @@
-"""The emulated CAN bus across processes: a channel's frames in real time on another python-can interface.
+"""Bridges the emulated CAN bus to other processes: its frames in real time on another python-can interface.
 
-By default that is UDP multicast among the programs of this host.
+The default interface is UDP multicast among the programs of this host.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ _ECHOES = 256
 
 
 class CanTransport(Transport):
-    """A channel's frames in real time on another python-can interface, for any client.
+    """Bridge between a channel and another python-can interface, in real time, for any client.
 
     Args:
-        channel: the emulated wire.
-        interface, address: python-can interface and channel that clients open too.
-        dbc: path for clients.
-        device: name in errors.
-        listens: whether something on the emulated bus hears what clients send.
-        printed: further values for clients.
-        options: further keyword arguments of the interface. Multicast without a `port` has a free one,
-            because python-can's own bus hears every group at the port that it listens to.
-        at_close: is called when the transport is closed.
+        channel: the emulated bus.
+        interface, address: python-can interface and channel that clients open.
+        dbc: path of the DBC file for clients.
+        device: device name for error messages.
+        listens: whether a device on the emulated bus receives what clients send.
+        printed: further values for the endpoint.
+        options: further keyword arguments of the interface. Multicast without a `port` gets a free one,
+            because python-can's own bus receives every group at its port.
+        at_close: called when the transport is closed.
 
     Raises:
         DeviceError: the interface cannot be opened.
@@ -78,17 +78,17 @@ class CanTransport(Transport):
         self.sent = self.lost = 0
 
     def _opened(self) -> can.BusABC:
-        """The bus as the emulated devices have it: multicast is heard from this host only."""
+        """Open the interface; multicast receives from this host only."""
         if self._interface == "udp_multicast":
             return HostMulticastBus(self._address, **self._options)
         return can.Bus(interface=self._interface, channel=self._address, **self._options)
 
     def next_due_ns(self) -> int:
-        """When the next frame has crossed the emulated wire."""
+        """Time at which the next frame has crossed the emulated bus."""
         return self._queue[0][0] if self._queue else NEVER_NS
 
     def on_due(self, t_ns: int) -> None:
-        """Send what has crossed; a frame that the interface refuses is lost and counted."""
+        """Send the frames that have crossed the bus; count those that the interface rejects in `lost`."""
         while self._queue and self._queue[0][0] <= t_ns:
             message = message_of(self._queue.popleft()[1])
             if self._bus is None:
@@ -102,7 +102,7 @@ class CanTransport(Transport):
                 self.lost += 1
 
     def filenos(self) -> list[int]:
-        """Descriptor of the interface where it has one."""
+        """File descriptor of the interface, if it has one."""
         if self._bus is None:
             return []
         with contextlib.suppress(NotImplementedError, OSError):
@@ -111,7 +111,7 @@ class CanTransport(Transport):
         return []
 
     def on_readable(self, fd: int, t_ns: int) -> None:
-        """Take one frame, and throw it away without a listener; multicast hears itself, too."""
+        """Pass one received frame to the channel, unless it is an echo of an own frame or nothing listens."""
         message = None
         if self._bus is not None:
             with contextlib.suppress(can.CanError, OSError):
@@ -125,7 +125,7 @@ class CanTransport(Transport):
             self._channel.send(message, t_ns, sender=self._queue)
 
     def endpoint(self) -> dict[str, object]:
-        """How a client reaches the bus."""
+        """Interface, address and options with which a client opens the bus."""
         return {
             "interface": self._interface,
             "channel": self._address,
@@ -136,7 +136,7 @@ class CanTransport(Transport):
         }
 
     def close(self) -> None:
-        """Let go of the interface. Idempotent."""
+        """Close the interface. Idempotent."""
         if self._bus is not None:
             self._channel.leave(self._queue)
             self._bus.shutdown()

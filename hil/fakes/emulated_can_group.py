@@ -1,8 +1,8 @@
 """Assigns python-can's default `udp_multicast` group and ports to the emulated CAN buses of this host.
 
-At standard ports the devices of one bus share a port, as they share a cable. The first bus of an emulator has
-python-can's own port, each further one the next: its own bus hears every multicast group at the port that it
-listens to. Elsewhere each device has a port of its own, and the first one of the host python-can's.
+With standard ports, the devices of one bus share a port, as they share a cable. The first bus of an emulator
+uses python-can's own port and each further bus the next one, because a python-can bus receives every
+multicast group at its port. Otherwise each device has its own port, the first of the host python-can's.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _NAME = "hil-can-{}"
 
 @dataclass
 class _Held:
-    """A port that this process serves a bus at: the right to it, and how many devices are there."""
+    """A port at which this process serves a bus, the socket that reserves it, and its number of devices."""
 
     number: int
     right: socket.socket
@@ -33,15 +33,15 @@ _HELD: dict[tuple[str, int], _Held] = {}
 
 
 def take_port(bus: str, bitrate: int, device: str) -> int:
-    """The port of a bus for one more device of this process.
+    """Return the port of a bus and count one more device on it.
 
     Args:
-        bus: its name in the bench file.
-        bitrate: of the device, bit/s; devices of other bit rates are on a bus of their own.
-        device: name in errors.
+        bus: name of the bus in the bench file.
+        bitrate: of the device, bit/s; devices with another bit rate are on a separate bus.
+        device: device name for error messages.
 
     Raises:
-        DeviceError: another emulator of this host serves its first bus there.
+        DeviceError: another emulator of this host already serves its first bus there.
     """
     held = _HELD.get((bus, bitrate))
     if held is None:
@@ -51,7 +51,7 @@ def take_port(bus: str, bitrate: int, device: str) -> int:
 
 
 def leave_port(bus: str, bitrate: int) -> None:
-    """One device fewer; with the last one the port is free again."""
+    """Count one device less on a bus; after the last one the port is released."""
     held = _HELD[bus, bitrate]
     held.devices -= 1
     if not held.devices:
@@ -60,7 +60,7 @@ def leave_port(bus: str, bitrate: int) -> None:
 
 
 def first_of_host() -> socket.socket | None:
-    """The right to python-can's own port, for one device alone; None where it is taken."""
+    """Reserve python-can's own port for a single device; None if it is taken."""
     right = _right_to(DEFAULT_PORT)
     if right is None:
         return None
@@ -74,7 +74,7 @@ def first_of_host() -> socket.socket | None:
 
 
 def _free(device: str) -> _Held:
-    """The next port; the first bus of an emulator needs python-can's own."""
+    """Reserve the next free port; the first bus of an emulator must get python-can's own."""
     for number in range(DEFAULT_PORT, DEFAULT_PORT + (_MOST_BUSES if _HELD else 1)):
         if (right := _right_to(number)) is not None:
             return _Held(number, right)
@@ -90,10 +90,10 @@ def _free(device: str) -> _Held:
 
 
 def _right_to(number: int) -> socket.socket | None:
-    """Reserve a port while the socket is open; None where another program has it.
+    """Reserve a port number while the returned socket is open; None if another program holds it.
 
-    The port itself cannot say so: all programs bind it shared. An abstract Unix address (Linux) is
-    exclusive and vanishes with its owner.
+    Binding the port cannot show this, because all programs bind it shared. An abstract Unix address (Linux)
+    is exclusive and is released when its process ends.
     """
     right = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:

@@ -1,10 +1,9 @@
 """The arguments for building an emulated device, and their bounds.
 
-The bounds of `[emulation.KIND]` are by unit, for every device. Names say their unit (`latency_s`,
-`scale_sigma`), and what is wrong with a device has a size that belongs to the unit: a pose that comes a
-year late, or noise below zero, is a slip of the pen. A device that needs other bounds writes
-`Annotated[float, Within(...)]` in its dataclass; its own bounds then count instead. What the fields of
-another package mean is not known here: they need to be finite, and within its own bounds.
+The bounds of a value in `[emulation.KIND]` follow from its unit, which is the end of its name (`latency_s`,
+`scale_sigma`). A pose that arrives a year late, or noise below zero, is a typing error. A device that needs
+other bounds writes `Annotated[float, Within(...)]` in its dataclass; these replace the bounds of the unit.
+Fields of another package only need to be finite and within the bounds that it gives.
 """
 
 from __future__ import annotations
@@ -45,8 +44,8 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
     "_s": (0.0, 60.0),
     "_m": (0.0, 10.0),
 }
-"""End of a name -> smallest and largest value; the first that fits counts. Vectors of lengths (`_m`) have a
-direction, so their parts may be negative."""
+"""End of a name -> smallest and largest value; the first match counts. Components of position vectors (`_m`)
+may be negative."""
 
 _hints: Callable[[Any], dict[str, Any]] = cache(partial(get_type_hints, include_extras=True))
 _UNIT = "_wxyz"
@@ -54,15 +53,15 @@ _OURS = "hil."
 _ROTATION_NORM = (0.99, 1.01)
 T = TypeVar("T")
 _adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
-"""Of a dataclass, made once: it takes longer to make than most devices."""
+"""Validator of a dataclass, cached: making it takes longer than making most devices."""
 
 
 def impossible(imperfections: type[Any], given: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Key and reason of every value that cannot be meant.
+    """Yield key and reason of every invalid value.
 
     Args:
-        imperfections: dataclass of the device.
-        given: values of fields of it, as a file or an option holds them.
+        imperfections: dataclass of the device's true imperfections.
+        given: values of its fields, as read from a file or an option.
     """
     hints = _hints(imperfections)
     for key, value in given.items():
@@ -74,7 +73,7 @@ def impossible(imperfections: type[Any], given: Mapping[str, Any]) -> Iterator[t
 
 
 def _truth_value(hint: Any, value: Any) -> str:
-    """Why true or false cannot stand where a number is meant; pydantic would take them for 1 and 0."""
+    """Return the reason if a number is given as true or false, which pydantic would convert to 1 and 0."""
     kinds = {hint, *get_args(hint)}
     for part in value if isinstance(value, (list, tuple)) else (value,):
         if isinstance(part, bool) and bool not in kinds:
@@ -112,7 +111,7 @@ def _beyond(key: str, hint: Any, value: Any) -> str:
 
 
 def _of_the_unit(key: str, hint: Any) -> tuple[float, float] | None:
-    """Smallest and largest value by the end of a key; None for one that says no unit."""
+    """Smallest and largest value for the unit at the end of a key; None without a known unit."""
     suffix = next((s for s in BOUNDS if key.endswith(s)), None)
     if suffix is None:
         return None
@@ -121,10 +120,10 @@ def _of_the_unit(key: str, hint: Any) -> tuple[float, float] | None:
 
 
 def ranges(imperfections: type[Any]) -> dict[str, tuple[str, ...]]:
-    """Bounds in words of every field with numbers; none for a number without bounds.
+    """Return the bounds of every numeric field as text; fields without bounds are left out.
 
     Args:
-        imperfections: dataclass of the device.
+        imperfections: dataclass of the device's true imperfections.
     """
     found: dict[str, tuple[str, ...]] = {}
     for key, hint in _hints(imperfections).items():
@@ -140,16 +139,16 @@ def ranges(imperfections: type[Any]) -> dict[str, tuple[str, ...]]:
 
 @dataclass(frozen=True)
 class EmulationRequest:
-    """What an emulated device is built from.
+    """Everything that an emulated device is built from.
 
     Attributes:
-        kind: what the device is called on the bench, a further one of a kind `KIND_NAME`: the name of its
-            faults and of its random streams.
-        config: its table of the bench file.
-        given: its `[emulation.KIND]`, as it stands there; `options` makes something of it.
+        kind: device name on the bench, which also names its faults and random streams; further devices of a
+            kind are called `KIND_NAME`.
+        config: table of the device in the bench file.
+        given: table `[emulation.KIND]`, not yet validated; `options` validates it.
         world: plant, clock, faults and random streams.
-        name: of its line or channel, unlike that of any other in this process.
-        standard_ports: whether to serve it where such devices are usually found.
+        name: name of its line or channel, unique in this process.
+        standard_ports: whether to serve it at the port where real devices of this kind are usually found.
     """
 
     kind: str
@@ -160,14 +159,14 @@ class EmulationRequest:
     standard_ports: bool = False
 
     def options(self, imperfections: type[T], **known: Any) -> T:
-        """True imperfections of the device.
+        """Validate `[emulation.KIND]` and return the true imperfections of the device.
 
         Args:
             imperfections: a dataclass with defaults.
-            known: values of fields that follow from the bench; what the bench file says comes first.
+            known: values of fields that follow from the bench; values of the bench file take precedence.
 
         Raises:
-            ConfigError: naming every key that is wrong.
+            ConfigError: names every invalid key.
         """
         names = [f.name for f in fields(imperfections)]  # type: ignore[arg-type]
         where = f"emulation.{self.kind}"

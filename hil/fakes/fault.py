@@ -1,10 +1,10 @@
 """One fault of an emulated device: its kind, when it acts, its options, and how it is written.
 
-One vocabulary for every device. A fault spec is written
+All devices share one vocabulary of faults. A fault spec is written
 `DEVICE:KIND[@START_S[+DURATION_S]][,key=value...]`, for example `imu:stuck@2+3`,
 `servo.drive_FL:off@5`, `servos:drop@1+10,probability=0.1`. Without `@` it is active from the start,
-without `+` until the end. A device declares what it supports and with which options; anything else is
-refused, and so is an option outside its range.
+without `+` until the end. A device declares the faults and options that it supports; others are rejected,
+and so is an option outside its range.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ Supported = Mapping[str, tuple[str, ...]]
 """Faults that a device can produce, and the options that each takes."""
 STRIKES, PERIODIC = ("probability",), ("period_s", "duty")
 FACTOR, PERIOD_S, DUTY, PROBABILITY, DELAY_S = 5.0, 0.5, 0.5, 0.1, 0.1
-"""Options that are not given; `docs/faults.md` names them."""
+"""Defaults of options; `docs/faults.md` lists them."""
 _SPEC = re.compile(
     r"(?P<device>[\w.]+):(?P<kind>\w+)(?:@(?P<start>[\d.eE-]+)(?:\+(?P<duration>[\d.eE-]+))?)?"
     r"(?P<options>(?:,\w+=[^,]+)*)"
@@ -56,7 +56,7 @@ _SPEC = re.compile(
 
 
 class Option(NamedTuple):
-    """One option: what it means, its least and greatest value, and whether it is a whole number."""
+    """One option of a fault: meaning, smallest and largest value, and whether it is an integer."""
 
     meaning: str
     least: float
@@ -65,21 +65,21 @@ class Option(NamedTuple):
 
     @property
     def range(self) -> str:
-        """Which numbers it takes."""
+        """Range of values, as text."""
         return f"{'whole, ' if self.whole else ''}{self.least:.7g} to {self.most:.7g}"
 
     @property
     def expected(self) -> str:
-        """Which numbers it takes, for a message."""
+        """Range of values, as text for an error message."""
         return f"a {'whole ' if self.whole else ''}number from {self.least:.7g} to {self.most:.7g}"
 
     def takes(self, value: float) -> bool:
-        """Whether it may be this; NaN never."""
+        """Return whether a value is in range; False for NaN."""
         return self.least <= value <= self.most and (not self.whole or value == int(value))
 
 
 FINITE = Option("of a device of another package", -1e9, 1e9)
-"""An option that is not of this project: any finite number of a size that can be computed with."""
+"""An option of another package's device: any finite number of moderate size."""
 
 OPTIONS = {
     "angle_rad": Option("size of the error or step, rad", -10, 10),
@@ -121,17 +121,17 @@ OPTIONS = {
     "steps": Option("of the throttle's 180 steps, added once", -180, 180, True),
     "scale": Option("factor on every step seen", -10, 10),
 }
-"""By name, or `KIND:NAME` where it means something else for every kind of fault."""
+"""Options by name, or by `KIND:NAME` if the meaning depends on the kind of fault."""
 
 
 def option_of(kind: str, name: str) -> Option:
-    """What an option of a kind of fault may be."""
+    """Return the description of an option for a kind of fault."""
     return OPTIONS.get(f"{kind}:{name}") or OPTIONS.get(name) or FINITE
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault on one device during [start_ns, end_ns) of bench time counted from the world's start.
+    """One fault on one device, active during [start_ns, end_ns) of world time.
 
     Raises:
         UsageError: an option outside its range (`hil.fakes.fault`).
@@ -153,47 +153,47 @@ class Fault:
                 )
 
     def active(self, t_ns: int) -> bool:
-        """Whether the fault acts at `t_ns`."""
+        """Return whether the fault is active at `t_ns`."""
         return self.start_ns <= t_ns and (self.end_ns is None or t_ns < self.end_ns)
 
     def option(self, key: str, default: float) -> float:
-        """A numeric option of the fault, or its default."""
+        """Return the value of an option, or `default` if it is not given."""
         return self.options.get(key, default)
 
     def interrupts(self, t_ns: int) -> bool:
-        """Whether an `intermittent` fault acts now: the last `duty` of every `period_s`."""
+        """Return whether an `intermittent` fault silences the device: the last `duty` of each `period_s`."""
         period_ns = nanoseconds(self.option("period_s", PERIOD_S))
         return (t_ns - self.start_ns) % period_ns >= (1.0 - self.option("duty", DUTY)) * period_ns
 
     def strikes(self, rng: np.random.Generator) -> bool:
-        """Whether it hits this packet, frame or reply, by its `probability`."""
+        """Draw whether the fault hits this packet, frame or reply, with its `probability`."""
         return bool(rng.random() < self.option("probability", PROBABILITY))
 
     @property
     def slowness(self) -> float:
-        """By which `factor` a period is longer."""
+        """Factor by which a `slow` fault stretches a period."""
         return self.option("factor", FACTOR)
 
     def faded(self, t_ns: int, left: float, over_s: float) -> float:
-        """Share that is left of something that goes down to `left` along a line within `over_s`."""
+        """Share left of a quantity that falls linearly from 1 to `left` within `over_s` of the start."""
         over_ns = nanoseconds(over_s)
         passed = 1.0 if over_ns <= 0 else min((t_ns - self.start_ns) / over_ns, 1.0)
         return 1.0 + (left - 1.0) * passed
 
     def delay_ns(self, default_s: float = DELAY_S) -> int:
-        """`delay_s` of a `delayed` fault."""
+        """Latency of a `delayed` fault, ns."""
         return nanoseconds(self.option("delay_s", default_s))
 
 
 def check_kind(what: str, kind: str) -> None:
-    """Refuse a word that is no kind of fault on any device.
+    """Check that a word is a kind of fault.
 
     Args:
-        what: is said with it, for the message.
-        kind: the word.
+        what: first part of the error message.
+        kind: word to check.
 
     Raises:
-        UsageError: naming the nearest kind.
+        UsageError: unknown kind; names the nearest one.
     """
     if kind not in MEANINGS:
         raise UsageError(
@@ -204,9 +204,9 @@ def check_kind(what: str, kind: str) -> None:
 def make_fault(
     device: str, kind: str, /, *, at: float = 0.0, duration: float | None = None, **options: float
 ) -> Fault:
-    """A fault from seconds; raises `UsageError` for an impossible time or option.
+    """Make a fault from times in seconds; raises `UsageError` for an impossible time or option.
 
-    Whether there is such a device, and what it can produce, is what `FaultPlan.check` looks at.
+    `FaultPlan.check` checks whether the device exists and supports the fault.
     """
     if not 0 <= at <= _LARGEST or (duration is not None and not _BRIEFEST <= duration <= _LARGEST):
         lasts = "" if duration is None else f" and duration {duration:g} s"
@@ -219,7 +219,7 @@ def make_fault(
 
 
 def parse_fault(spec: str) -> Fault:
-    """Parse one command-line spec; raises `UsageError` that shows the form."""
+    """Parse a fault spec from the command line; raises `UsageError` that shows the expected form."""
     match = _SPEC.fullmatch(spec.strip())
     try:
         if match is None:
@@ -242,7 +242,7 @@ def parse_fault(spec: str) -> Fault:
 
 
 def describe(fault: Fault) -> str:
-    """The spec form of a fault, which `parse_fault` reads back."""
+    """Return the spec of a fault, which `parse_fault` can parse."""
     text = f"{fault.device}:{fault.kind}@{fault.start_ns / NS_PER_S:g}"
     if fault.end_ns is not None:
         text += f"+{(fault.end_ns - fault.start_ns) / NS_PER_S:g}"

@@ -39,11 +39,11 @@ class _Timeline(BaseModel):
 
 
 def read_faults(given: Iterable[str | Fault]) -> tuple[Fault, ...]:
-    """All faults of specs, ready ones and timeline files (anything that ends in `.toml`), in order.
+    """Return all faults of specs, `Fault` objects and timeline files (names that end in `.toml`), in order.
 
     Raises:
-        ConfigError: a timeline file that cannot be read, with every problem in it.
-        UsageError: a spec that means nothing.
+        ConfigError: a timeline file is invalid; lists every problem in it.
+        UsageError: a spec is invalid.
     """
     faults: list[Fault] = []
     for item in given:

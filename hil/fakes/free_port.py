@@ -1,4 +1,4 @@
-"""Finds free UDP and TCP ports of this host."""
+"""Finds a free UDP port of this host."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import socket
 
 
 def free_udp_port(host: str = "127.0.0.1") -> int:
-    """A UDP port number that is free now; raises `OSError` for an address that is not local."""
+    """Return a UDP port number that is free now; raises `OSError` if `host` is not a local address."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind((host, 0))
         number: int = probe.getsockname()[1]

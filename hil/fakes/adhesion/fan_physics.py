@@ -1,7 +1,7 @@
-"""The ducted fan, its motor and its battery: what is asked of the motor in, speed and currents out.
+"""Model of the ducted fan, its motor and its battery: motor set-point in, speed and currents out.
 
-Figures are assumptions but for what the controller does: it clips what it is asked for, reduces the current
-when its power stage is hot or the battery low, and lets go of a motor without commands.
+All numbers are assumptions except the behaviour of the controller: it clips set-points, reduces the current
+when its power stage is hot or the battery low, and releases the motor when commands stop.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ _S_PER_H = 3600.0
 
 @dataclass(frozen=True)
 class Demand:
-    """What the controller asks of the motor: a duty, a current in A or a speed in 1/min of the fan."""
+    """Set-point of the motor: duty, current in A, or speed of the fan in 1/min."""
 
     mode: Mode = "released"
     value: float = 0.0
 
 
 class Fan:
-    """Speed, battery and temperature, brought up to a time on demand.
+    """Speed, battery and temperature of a fan; `advance` integrates them.
 
     Args:
         config: ratings of motor and fan.
         options: battery, limits and lags.
-        gain: true force over what the ratings say.
+        gain: ratio of the true force to the force by the ratings.
 
     Attributes:
-        speed_rpm: of the fan.
-        motor_a, input_a, input_v, fet_c, duty: as the controller measures them.
-        strength: share of its power that the motor has left.
+        speed_rpm: speed of the fan.
+        motor_a, input_a, input_v, fet_c, duty: values that the controller measures.
+        strength: share of the motor's power that is left under a fault.
     """
 
     def __init__(self, config: MotorConfig, options: AdhesionTruthOptions, gain: float) -> None:
@@ -60,13 +60,13 @@ class Fan:
         self._low_v = max(options.cut_start_v - options.cut_end_v, 1e-6)
 
     def _rated_motor_a(self, loaded_v: float) -> float:
-        """Motor current at the rated speed, so that the battery gives the rated current."""
+        """Motor current at the rated speed at which the battery supplies the rated current."""
         ohm, back_v = self._options.motor_ohm, self._config.rated_rpm / self._config.rpm_per_v
         power_w = self._config.rated_input_a * loaded_v
         return (math.sqrt(back_v**2 + 4.0 * ohm * power_w) - back_v) / (2.0 * ohm)
 
     def duty_for(self, speed_rpm: float) -> float:
-        """Duty that keeps up a speed with the battery as it is at the rated load."""
+        """Return the duty that holds a speed, with the battery voltage sagging under that load."""
         motor_a = self._a_per_rpm2 * speed_rpm**2
         motor_v = speed_rpm / self._config.rpm_per_v + motor_a * self._options.motor_ohm
         input_v = self._options.pack_v
@@ -75,7 +75,7 @@ class Fan:
         return motor_v / input_v
 
     def begin(self, speed_rpm: float) -> None:
-        """Set the state of a fan that has been running at a speed for long."""
+        """Set the state of a fan that has run at a constant speed for a long time."""
         self.demand = Demand("duty", self.duty_for(speed_rpm))
         self.speed_rpm = speed_rpm
         motor_a = self._a_per_rpm2 * speed_rpm**2
@@ -85,16 +85,16 @@ class Fan:
 
     @property
     def force_n(self) -> float:
-        """What it presses the robot with, by itself."""
+        """Force of this fan on the robot, N."""
         return self._gain * self._config.force_at_n(max(self.speed_rpm, 0.0))
 
     @property
     def settled(self) -> bool:
-        """Whether its speed changes no more."""
+        """Whether the speed has reached its steady state within 0.2 % of the rated speed."""
         return abs(self._aim_rpm() - self.speed_rpm) < 0.002 * self._config.rated_rpm
 
     def advance(self, t_ns: int) -> None:
-        """Go on to a time; steps of up to 20 ms are exact enough."""
+        """Integrate up to `t_ns`; steps of up to 20 ms are accurate enough."""
         dt_s = (t_ns - self._t_ns) / NS_PER_S
         if dt_s <= 0.0:
             return
@@ -111,7 +111,7 @@ class Fan:
         self.input_v += (loaded_v - self.input_v) * (1.0 - math.exp(-dt_s / _PACK_S))
 
     def highest_a(self) -> float:
-        """Motor current that heat and battery leave."""
+        """Return the motor current limit at the present temperature and battery voltage."""
         o = self._options
         cool = (o.hot_end_c - self.fet_c) / self._hot_c
         full = (self.input_v - o.cut_end_v) / self._low_v
@@ -120,7 +120,7 @@ class Fan:
         return o.highest_a * min(max(min(cool, full), 0.0), 1.0)
 
     def _aim_rpm(self) -> float:
-        """Speed that it would reach if everything stayed as it is."""
+        """Steady-state speed at the present set-point, voltage and current limit."""
         mode, value = self.demand.mode, self.demand.value
         if mode in ("released", "brake"):
             return 0.0
@@ -134,12 +134,12 @@ class Fan:
         return math.copysign(aim, value)
 
     def _at_volts(self, motor_v: float) -> float:
-        """Speed at which back-EMF and resistance take up a voltage."""
+        """Steady-state speed at a motor voltage: back-EMF plus resistive drop."""
         per_rpm, squared, four, two = self._at_volts_terms
         return (math.sqrt(squared + four * motor_v) - per_rpm) / two
 
     def _measure(self) -> None:
-        """Currents and duty that belong to the speed."""
+        """Update currents and duty from the present speed."""
         mode, value, speed = self.demand.mode, self.demand.value, self.speed_rpm
         limit_a = self.highest_a()
         back_v = speed / self._config.rpm_per_v

@@ -1,4 +1,4 @@
-"""Adds up the forces of motors on the robot, and the tether that holds until they carry it."""
+"""Sums the forces of several motors on the robot and adds a tether until they can carry it."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from hil.fakes.initial_support import Start, Tether
 
 
 class Load:
-    """The force of one or several motors that do the same.
+    """Total force of one or several motors of the same kind.
 
     Args:
-        working_n: force of all at the working point, as it acts on the robot.
-        gain: true force over what the ratings say.
-        apply: takes the force in N that acts.
-        motors: how many there are; each gives its share.
+        working_n: total true force at the working point.
+        gain: ratio of the true force to the force by the ratings.
+        apply: receives the force in N that acts on the robot.
+        motors: number of motors; each gives an equal share.
     """
 
     def __init__(
@@ -27,14 +27,14 @@ class Load:
 
     @property
     def nominal_n(self) -> float:
-        """Force at the working point by the ratings of all motors."""
+        """Force of each motor at the working point by the ratings."""
         return self._working_n / (self.gain * len(self._forces_n))
 
     def begin(self, start: Start) -> None:
-        """How the robot hangs when the world begins."""
+        """Set how the robot is held when the world starts."""
         self._tether = Tether(start, self._working_n)
 
     def set(self, motor: int, force_n: float) -> None:
-        """A motor gives another force."""
+        """Set the force of one motor and apply the new total."""
         self._forces_n[motor] = force_n
         self._apply(self._tether.force_n(sum(self._forces_n)))

@@ -1,7 +1,7 @@
-"""A fan's motor controller in the world: power, time-out and physics, for any protocol.
+"""Motor controller of a fan, for any protocol: power supply, command timeout and physics.
 
-After `timeout_s` without a command the motor is released. The force that the fan gives goes to the plant; a
-robot that it has carried once falls when it stops.
+The motor is released `timeout_s` after the last command. The force of the fan goes to the plant; a robot
+that the fan has carried once falls when the fan stops.
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ JUMP_RPM = 5000.0
 
 
 class MotorNode(Scheduled):
-    """A part of the world with a motor, on a CAN channel.
+    """Base of emulated motor controllers on a CAN channel.
 
     Args:
-        world: plant, seed and faults; the node registers itself.
-        channel: the bus.
-        config: where it is, and the ratings of the fan.
-        options: how it is set, and physics.
-        name: of its faults.
-        load: what it does to the robot, together with others; the fan's by default.
-        motor: which of those it is.
+        world: plant, seed and faults; the node registers itself there.
+        channel: the CAN bus.
+        config: address, and ratings of the fan.
+        options: settings and physics.
+        name: device name of its faults.
+        load: total force on the robot that this motor is a part of; a load for the fan alone by default.
+        motor: index of this motor in `load`.
     """
 
     Options = AdhesionTruthOptions
@@ -66,7 +66,7 @@ class MotorNode(Scheduled):
 
     @classmethod
     def build(cls, request: EmulationRequest, channel: CanChannel) -> Self:
-        """The controller of a table of the bench file."""
+        """Make the controller from its table of the bench file."""
         config = request.config
         return cls(request.world, channel, config, request.options(cls.Options, timeout_s=config.timeout_s))
 
@@ -109,25 +109,25 @@ class MotorNode(Scheduled):
         world.add(self)
 
     def begin(self, start: Start) -> None:
-        """How the robot hangs when the world begins."""
+        """Set how the robot is held when the world starts; `running` starts at the working point."""
         self._load.begin(start)
         if start == "running":
             self.fan.begin(self._config.speed_for_rpm(self._load.nominal_n))
         self._press()
 
     def begin_in_use(self) -> None:
-        """The bench in this process has kept the fan running, unless the options say otherwise."""
+        """Start as a fan that is already running, unless the options say otherwise."""
         self.alone = True  # no part of this world waits for its frames
         if self._options.start == "by use":
             self.begin("running")
 
     def next_due_ns(self) -> int:
-        """Time of the next command that arrives, report, time-out or step of the physics."""
+        """Time of the next received frame, status message, command timeout or physics step."""
         due_ns = min(self._tick_ns, self._due_ns[0], self._due_ns[1])
         return min(due_ns, self._queue[0][0]) if self._queue else due_ns
 
     def on_due(self, t_ns: int) -> None:
-        """Do everything that is due."""
+        """Integrate the physics, handle received frames, check the timeout, and send due status messages."""
         self._advance(t_ns)
         if not self._faults.none:
             self._power(t_ns)
@@ -146,7 +146,7 @@ class MotorNode(Scheduled):
         self._press()
 
     def _advance(self, t_ns: int) -> None:
-        """Physics up to now."""
+        """Integrate the physics up to `t_ns`."""
         turns = (t_ns - self._seen_ns) / NS_PER_S * self.fan.speed_rpm / 60.0
         self._turns += turns
         self._seen_ns = t_ns
@@ -154,7 +154,7 @@ class MotorNode(Scheduled):
         self.fan.advance(t_ns)
 
     def _strength(self, t_ns: int) -> float:
-        """What a fault has left of the motor's power."""
+        """Share of the motor's power that is left under an `adhesion_loss` fault."""
         fault = self._faults.find("adhesion_loss", t_ns)
         if fault is None:
             return 1.0
@@ -164,7 +164,7 @@ class MotorNode(Scheduled):
         self._load.set(self._motor, self.fan.force_n)
 
     def _power(self, t_ns: int) -> None:
-        """Follow faults of the supply: without it the motor is free, with it the controller starts anew."""
+        """Apply `off`, `brownout`, `reset` and `jump`: the motor is free without supply, then it boots."""
         was_dead, self._dead = self._dead, any(self._faults.find(k, t_ns) for k in ("off", "brownout"))
         if self._dead:
             self.fan.demand = Demand()
@@ -177,24 +177,24 @@ class MotorNode(Scheduled):
         return self._dead or t_ns < self._booted_ns
 
     def _silenced(self, t_ns: int) -> bool:
-        """Whether its reports stay out now."""
+        """Return whether status messages are suppressed at this time."""
         fault = self._faults.find("intermittent", t_ns)
         return self._asleep(t_ns) or (fault is not None and fault.interrupts(t_ns))
 
     def _next_report(self, rate: int, t_ns: int) -> None:
-        """When the reports of one of the two rates are due again."""
+        """Schedule the next status messages of one of the two rates."""
         slow = self._faults.find("slow", t_ns)
         self._due_ns[rate] += round(self._periods_ns[rate] * (1.0 if slow is None else slow.slowness))
 
     @abstractmethod
     def _take(self, message: CanFrame | can.Message, t_ns: int) -> None:
-        """A frame from the bus."""
+        """Handle a frame received from the bus."""
 
     @abstractmethod
     def _report(self, rate: int, t_ns: int) -> None:
-        """The reports of one of the two rates, and when they are due again."""
+        """Send the status messages of one of the two rates and schedule the next ones."""
 
     def _send(self, frame_id: int, data: bytes, t_ns: int) -> None:
-        """Put a frame on the bus, once for every controller that has this id."""
+        """Send a frame once for every controller with this id."""
         for _ in range(1 + self._options.twins):
             self._channel.transmit(frame_id, data, t_ns, extended=True, sender=self._queue)

@@ -1,7 +1,7 @@
-"""The frames of the emulated controller, written from the firmware's sources (`comm/comm_can.c`).
+"""CAN frames of the emulated controller, written from the firmware's sources (`comm/comm_can.c`).
 
-Extended identifiers, `command << 8 | id`; big endian. Nothing here is shared with the driver: a test holds
-both against the same bytes.
+Extended identifiers, `command << 8 | id`; big endian. The driver shares no code with this module: a test
+checks both against the same bytes.
 """
 
 from __future__ import annotations
@@ -22,48 +22,48 @@ Outgoing = tuple[int, bytes]
 
 
 def command_value(command: int, data: bytes) -> float | None:
-    """What a `SET_*` command asks for; None for a frame that is too short."""
+    """Decode the value of a `SET_*` command; None if the frame is too short."""
     if len(data) < 4:
         return None
     return float(struct.unpack_from(">i", data)[0]) / SET_COMMANDS[command]
 
 
 def clipped(value: float, bits: int) -> int:
-    """A figure as the firmware casts it into a signed integer, kept within it."""
+    """Round to an integer and saturate at the range of a signed integer of `bits` bits."""
     top, figure = (1 << (bits - 1)) - 1, round(value)
     return figure if -top <= figure <= top else min(max(figure, -top - 1), top)
 
 
 def status_1(erpm: float, motor_a: float, duty: float) -> bytes:
-    """Encode status message 1."""
+    """Encode status message 1: electrical speed, motor current and duty."""
     return struct.pack(">ihh", clipped(erpm, 32), clipped(motor_a * 10, 16), clipped(duty * 1000, 16))
 
 
 def status_2(ah: float) -> bytes:
-    """Messages 2 and 3: drawn and returned; nothing is returned."""
+    """Encode status message 2 or 3: ampere-hours drawn; the charged value is 0."""
     return struct.pack(">ii", clipped(ah * 1e4, 32), 0)
 
 
 def status_4(fet_c: float, motor_c: float, input_a: float) -> bytes:
-    """Encode status message 4."""
+    """Encode status message 4: temperatures and input current."""
     return struct.pack(
         ">hhhh", clipped(fet_c * 10, 16), clipped(motor_c * 10, 16), clipped(input_a * 10, 16), 0
     )
 
 
 def status_5(tachometer: float, input_v: float) -> bytes:
-    """Encode status message 5."""
+    """Encode status message 5: tachometer (wraps at 32 bits) and input voltage."""
     wrapped = (round(tachometer) + (1 << 31)) % (1 << 32) - (1 << 31)
     return struct.pack(">ihh", wrapped, clipped(input_v * 10, 16), 0)
 
 
 def status_6() -> bytes:
-    """Message 6: nothing is connected to the analogue and pulse inputs."""
+    """Encode status message 6: nothing is connected to the analogue and pulse inputs."""
     return bytes(8)
 
 
 def firmware_reply(version: str) -> bytes:
-    """Answer to the firmware's version: two numbers, the hardware's name, an id of 12 bytes."""
+    """Encode the reply to a firmware query: version (two numbers), name of the hardware, 12-byte id."""
     major, _, minor = version.partition(".")
     return bytes((FW_VERSION, int(major), int(minor or 0))) + b"emulated\0" + bytes(range(12))
 
@@ -71,7 +71,7 @@ def firmware_reply(version: str) -> bytes:
 def settings_reply(
     controller_id: int, timeout_s: float, rates_hz: tuple[float, float], masks: tuple[int, int]
 ) -> bytes:
-    """Answer to the settings: what firmware 6 begins them with."""
+    """Encode the reply to a settings query: the first fields as firmware 6 sends them."""
     return struct.pack(
         ">BIBIIHHBBB",
         GET_APPCONF,
@@ -87,7 +87,7 @@ def settings_reply(
 
 
 def in_pieces(own_id: int, asker_id: int, payload: bytes) -> Iterator[Outgoing]:
-    """A long answer in frames, closed by its length and checksum."""
+    """Split a reply into frames; a long one ends with a frame of its length and checksum."""
     if len(payload) <= 6:
         yield SHORT_BUFFER << 8 | asker_id, bytes((own_id, _ANSWER)) + payload
         return

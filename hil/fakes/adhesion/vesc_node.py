@@ -1,7 +1,7 @@
-"""The fan's motor controller on CAN: a VESC that obeys, reports, protects itself and times out.
+"""The fan's motor controller on CAN: a VESC with set-points, status messages, limits and command timeout.
 
-Any `SET_*` frame renews its time-out, a ping does not. Status messages are off as delivered. What is out of
-range is clipped, never refused.
+Any `SET_*` frame restarts the timeout; a ping does not. A new VESC sends no status messages until they are
+switched on. Values out of range are clipped, never rejected.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _SPEED_NOISE_RPM, _AMPS_NOISE_A = 15.0, 0.3
 
 
 class VescNode(MotorNode):
-    """A VESC; arguments as of any motor controller."""
+    """Emulated VESC; takes the arguments of `MotorNode`."""
 
     def __init__(
         self,
@@ -43,7 +43,7 @@ class VescNode(MotorNode):
         self._frozen: dict[int, bytes] = {}
 
     def _take(self, message: CanFrame | can.Message, t_ns: int) -> None:
-        """A frame from the bus."""
+        """Handle a frame received from the bus."""
         command, receiver = message.arbitration_id >> 8, message.arbitration_id & 0xFF
         if not message.is_extended_id or message.is_error_frame or message.is_remote_frame:
             return
@@ -58,7 +58,7 @@ class VescNode(MotorNode):
             self._answer(data[0], data[2], t_ns)
 
     def _obey(self, command: int, value: float | None, t_ns: int) -> None:
-        """A `SET_*` command; what is out of range is clipped."""
+        """Apply a `SET_*` command; values out of range are clipped."""
         if value is None:
             return
         self._commanded_ns = t_ns
@@ -74,7 +74,7 @@ class VescNode(MotorNode):
             self.fan.demand = Demand("brake")
 
     def _answer(self, asker_id: int, question: int, t_ns: int) -> None:
-        """Send firmware and settings to any node that asks."""
+        """Answer a query for firmware version or settings."""
         o = self._options
         if question == vesc_frames.FW_VERSION:
             payload = vesc_frames.firmware_reply(o.firmware)
@@ -89,7 +89,7 @@ class VescNode(MotorNode):
             self._send(frame_id, data, t_ns)
 
     def _report(self, rate: int, t_ns: int) -> None:
-        """The status messages of one of the two rates."""
+        """Send the status messages of one of the two rates and schedule the next ones."""
         self._next_report(rate, t_ns)
         if self._silenced(t_ns):
             return
@@ -102,7 +102,7 @@ class VescNode(MotorNode):
             self._send(command << 8 | self._vesc.controller_id, data, send_ns)
 
     def _messages(self, which: tuple[int, ...]) -> Iterator[tuple[int, bytes]]:
-        """Command and data of status messages by their numbers."""
+        """Yield command and data of the status messages with these numbers."""
         fan = self.fan
         for number in which:
             if number == 1:
@@ -123,7 +123,7 @@ class VescNode(MotorNode):
                 yield 58, vesc_frames.status_6()
 
     def _spoilt(self, command: int, data: bytes, t_ns: int) -> bytes:
-        """A report under the faults that are active."""
+        """Apply the active faults to the data of a status message."""
         find = self._faults.find
         wrong = find("wrong", t_ns)
         if wrong is not None and command == 9:

@@ -1,4 +1,4 @@
-"""The AS5045 chip: an angle in, an 18-bit word out, with the errors of a real magnet.
+"""The AS5045 encoder chip: angle in, 18-bit word out, with the errors of a real magnet.
 
 Word, most significant bit first: D11..D0, OCF, COF, LIN, MagINC, MagDEC, even parity over all 18
 (ams AS5045 datasheet).
@@ -20,8 +20,8 @@ START_UP_NS = 20_000_000
 _COUNTS_PER_RAD = COUNTS / (2.0 * math.pi)
 
 # Numbers of a chip: amplitude and phase of its error once and twice per turn, noise, sign and zero of its
-# mount, how far the magnet has turned in its seat (horn slip); status bits without OCF, set by a magnet that
-# is too far or too near, and the counts that it holds.
+# mount, rotation of the magnet in its seat (horn slip); status bits without OCF, of a magnet too far or near;
+# and the last valid counts.
 ONCE, ONCE_PHASE, TWICE, TWICE_PHASE, NOISE, SIGN, ZERO, OFFSET, FLAGS, HELD = range(10)
 CHIP_SIZE = 10
 
@@ -47,7 +47,7 @@ class EncoderTruthOptions:
 
 
 def with_parity(word: int) -> int:
-    """The word with its last bit chosen so that the number of ones is even."""
+    """Return the word with its last bit set to even parity."""
     word &= 0x3FFFE
     return word | (word.bit_count() & 1)
 
@@ -60,28 +60,28 @@ def chip(
     sign: int = 1,
     zero_rad: float = 0.0,
 ) -> list[float]:
-    """Numbers of one chip (`CHIP_SIZE`,).
+    """Return the numbers of one chip (`CHIP_SIZE`,).
 
     Args:
         once: amplitude and phase (rad) of the error of an eccentric magnet, once per turn.
-        twice: of that twice per turn.
+        twice: the same for the error twice per turn.
         noise_rad: standard deviation of the transition noise.
-        sign: how the magnet is mounted.
-        zero_rad: where its zero lies.
+        sign: 1 or -1, the direction in which the magnet is mounted.
+        zero_rad: chip angle at joint angle 0.
     """
     return [*once, *twice, noise_rad, sign, zero_rad, 0.0, 0.0, 0.0]
 
 
 @inner
 def word(chips: Array, at: int, angle_rad: float, noise: float, more: int) -> int:
-    """The word of one chip.
+    """Return the word of one chip.
 
     Args:
-        chips: (10 n,), `CHIP_SIZE` numbers of each.
-        at: where the chip's numbers begin.
+        chips: (10 n,), `CHIP_SIZE` numbers per chip.
+        at: index of the chip's first number.
         angle_rad: true angle of the axis.
-        noise: a standard normal number.
-        more: status bits beside those of the magnet: OCF once it has started.
+        noise: a standard normal random number.
+        more: further status bits: OCF once the chip has started.
     """
     theta = chips[at + SIGN] * angle_rad + chips[at + ZERO] + chips[at + OFFSET]
     once = chips[at + ONCE] * math.sin(theta + chips[at + ONCE_PHASE])
@@ -100,17 +100,17 @@ def word(chips: Array, at: int, angle_rad: float, noise: float, more: int) -> in
 def words(
     chips: Array, a_rad: float, b_rad: float, c_rad: float, d_rad: float, noise: Array, row: int, more: int
 ) -> tuple[int, ...]:
-    """Words of four chips whose axes stand so; see `word`.
+    """Return the words of four chips; see `word`.
 
     Args:
         chips: (4 `CHIP_SIZE`,).
         a_rad: angle of the first axis.
-        b_rad: of the second.
-        c_rad: of the third.
-        d_rad: of the fourth.
-        noise: (n, 4 or more) standard normal numbers.
-        row: which of them count.
-        more: status bits.
+        b_rad: angle of the second axis.
+        c_rad: angle of the third axis.
+        d_rad: angle of the fourth axis.
+        noise: (n, 4 or more) standard normal random numbers.
+        row: row of `noise` to use.
+        more: further status bits.
     """
     drawn = noise[row]
     return (

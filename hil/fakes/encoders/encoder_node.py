@@ -1,7 +1,7 @@
-"""The microcontroller that reads four AS5045 chips and sends their words in two CAN frames, and its status.
+"""The microcontroller that reads four AS5045 chips and sends two CAN frames per sample set, and its status.
 
-Its firmware has the frame layout built in, as a real one has; a test holds it against the shipped
-DBC. It samples on its own clock, with jitter, and restarts its counters when it is reset.
+As in a real node, the frame layout is fixed in the firmware; a test checks it against the shipped DBC. The
+node samples on its own clock, with jitter, and resets its counters on a restart.
 """
 
 from __future__ import annotations
@@ -56,23 +56,23 @@ _SLIP_RAD, _DELAY_S = 0.2, 0.05
 
 
 class Wire(Protocol):
-    """Where the node's frames go."""
+    """CAN bus to which the node sends its frames."""
 
     def transmit(self, frame_id: int, data: bytes, t_ns: int) -> None:
-        """Put one frame on the bus, not before `t_ns`."""
+        """Send one frame, not before `t_ns`."""
 
 
 class EncoderNode(Scheduled):
-    """A scheduled part of the world that sends one sample set of two frames per period.
+    """Encoder node that sends one sample set of two frames per period.
 
     Args:
-        world: truth, seed and faults; the node registers itself.
+        world: truth, seed and faults; the node registers itself there.
         wire: the CAN channel.
-        name: device name, also of its faults; each axis goes by `encoder.FL` and so on, those of a further
-            device by `encoders_rear.FL`.
+        name: device name of its faults; the axes are called `encoder.FL` and so on, those of a further device
+            `encoders_rear.FL`.
         rate_hz: sample sets per second.
         node_id: added to the frame identifiers.
-        sign, zero_rad: how the magnets are mounted, wheel order.
+        sign, zero_rad: mounting direction and zero of the magnets, wheel order.
         jitter_s: standard deviation of the sampling instant.
         clock_ppm: error of the node's clock.
     """
@@ -82,7 +82,7 @@ class EncoderNode(Scheduled):
 
     @classmethod
     def build(cls, request: EmulationRequest, channel: CanChannel) -> EncoderNode:
-        """The node of a table of the bench file."""
+        """Make the node from its table of the bench file."""
         config = request.config
         return cls(
             request.world,
@@ -168,7 +168,7 @@ class EncoderNode(Scheduled):
         self._send(reported, t_ns, send_ns)
 
     def reset(self, t_ns: int) -> None:
-        """Power was cycled: counters restart, the first words are garbage."""
+        """Power was cycled: counters restart, and the first words are random."""
         self._boot(t_ns + _BOOT_NS)
 
     def _boot(self, t_ns: int) -> None:
@@ -182,7 +182,7 @@ class EncoderNode(Scheduled):
         return chip(once=(a1, p1), twice=(a2, p2), noise_rad=options.noise_rad, sign=sign, zero_rad=zero_rad)
 
     def _draw(self) -> int:
-        """Row of the drawn numbers that counts now."""
+        """Index of the next row of random numbers; draws a new block after the last one."""
         self._row += 1
         if self._row == len(self._late):
             drawn = self._rng.standard_normal((_BLOCK, 5))
@@ -201,7 +201,7 @@ class EncoderNode(Scheduled):
             self._wire.transmit(status, reported.to_bytes(8, "little"), send_ns)
 
     def _power(self, t_ns: int) -> bool:
-        """Follow faults of the whole node; True while it sends nothing."""
+        """Apply faults of the whole node; True while it sends nothing."""
         find = self._plan.find
         was_dead, self._dead = self._dead, any(find(self.name, k, t_ns) for k in ("off", "brownout"))
         if was_dead and not self._dead:
@@ -215,7 +215,7 @@ class EncoderNode(Scheduled):
         return fault is not None and fault.interrupts(t_ns)
 
     def _spoil(self, axis: int, word: int, t_ns: int) -> int:
-        """One axis' word under the faults of that axis and of the whole device.
+        """Apply the faults of an axis and of the whole device to the word of that axis.
 
         Options: `wrong,offset_rad=` while active; `jump,angle_rad=` from its start on; `corrupt,
         probability=` flips one bit; `off` is a chip without power; `garbage,flags=` sets status bits
@@ -250,6 +250,6 @@ class EncoderNode(Scheduled):
 
 
 def _turned(word: int, offset_rad: float) -> int:
-    """The word of an axis that reads `offset_rad` more."""
+    """Return the word of the axis turned by `offset_rad`."""
     counts = (word >> 6) + round(offset_rad * COUNTS / (2.0 * math.pi))
     return with_parity(counts % COUNTS << 6 | word & 0x3F)

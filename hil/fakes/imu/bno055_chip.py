@@ -1,8 +1,8 @@
-"""The emulated BNO055 as a chip at the end of a serial line: firmware states, registers, faults.
+"""The emulated BNO055 at the end of a serial line: firmware states, registers, faults.
 
 Timing: reset 650 ms of silence, CONFIG to any mode 7 ms, any mode to CONFIG 19 ms, fusion at 100 Hz of
-its own clock (Bosch BNO055 datasheet rev 1.4). Register 0x3D and everything a client sees
-follow from the requests and the world's truth alone.
+its own clock (Bosch BNO055 datasheet rev 1.4). Register 0x3D and everything a client reads
+depend only on the requests and the world's truth.
 """
 
 from __future__ import annotations
@@ -36,22 +36,22 @@ _HISTORY = 256
 _BAUD_TOLERANCE = 0.03
 _PUT = struct.Struct(f"{LENGTH}s").pack_into
 _HEADS = tuple(bytes((0xBB, length)) for length in range(reg.SIZE + 1))
-"""Of an answer to a read, by its length."""
+"""Header of the answer to a read, by its length."""
 
 
 class Bno055Chip(SerialChip, Scheduled):
-    """A `SerialChip` and a scheduled part of the world.
+    """BNO055 chip with registers, self-calibration and faults.
 
     Args:
-        world: truth, seed and faults; the chip registers itself as a part.
-        name: device name, also of its faults.
+        world: truth, seed and faults; the chip registers itself there.
+        name: device name of its faults.
         options: true imperfections.
-        mount_rotation_wxyz: sensor axes in the body **after** the remap `bench_remap` is applied, so
-            that a bench that configures this remap finds its mount true, unless the options differ.
-        bench_remap: (axis map, axis sign) of that bench.
-        overrun_probability: chance that a read is answered with bus overrun; five times less without
-            the magnetometer, whose 20 Hz processing causes it.
-        acknowledge_reset: whether the reset write is answered before the silence (both occur).
+        mount_rotation_wxyz: sensor axes in the body **after** the remap `bench_remap`, so that the mount is
+            correct for a bench that configures this remap, unless the options differ.
+        bench_remap: (axis map, axis sign) that the bench configures.
+        overrun_probability: chance that a read is answered with bus overrun; a fifth of it without the
+            magnetometer, whose 20 Hz processing causes it.
+        acknowledge_reset: whether a reset command is acknowledged before the silence (real chips do either).
     """
 
     Options = ImuTruthOptions
@@ -92,7 +92,7 @@ class Bno055Chip(SerialChip, Scheduled):
 
     @classmethod
     def build(cls, request: EmulationRequest) -> Bno055Chip:
-        """The chip of a table of the bench file."""
+        """Make the chip from its table of the bench file."""
         config = request.config
         return cls(
             request.world,
@@ -104,7 +104,7 @@ class Bno055Chip(SerialChip, Scheduled):
 
     @property
     def opr_mode(self) -> int:
-        """The operating mode that the client asked for."""
+        """Operating mode that the client has set."""
         return self._pages[0][reg.OPR_MODE] & 0x0F
 
     def next_due_ns(self) -> int:
@@ -112,7 +112,7 @@ class Bno055Chip(SerialChip, Scheduled):
         return self._due_ns
 
     def on_due(self, t_ns: int) -> None:
-        """Sense and publish one set of outputs."""
+        """Measure, and write one set of outputs to the data registers."""
         mode, sensors = self._mode, self.sensors
         faults = None if self._faults.plan.empty else self._faults
         period_ns = round(1e9 / mode.rate_hz * self._stretch * (faults.slowness(t_ns) if faults else 1.0))
@@ -130,11 +130,11 @@ class Bno055Chip(SerialChip, Scheduled):
         _PUT(self._pages[0], reg.DATA, shown)
 
     def reset(self, t_ns: int) -> None:
-        """Power was cycled: the chip is silent while it boots, then in CONFIG mode."""
+        """Power was cycled: the chip boots in silence and then is in CONFIG mode."""
         self._boot(t_ns)
 
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
-        """Answer requests; at a wrong baud rate, while booting or without power there is silence."""
+        """Answer requests; no answer at a wrong baud rate, while booting or without power."""
         if self._power(t_ns) or t_ns < self._boot_end_ns:
             self._parser.reset()
             return []
@@ -153,13 +153,13 @@ class Bno055Chip(SerialChip, Scheduled):
         return replies
 
     def poll(self, t_ns: int) -> list[Reply]:
-        """What the chip says unasked: character time-out of a request that was never finished."""
+        """Report a character timeout of an incomplete request."""
         if self._parser.expire(t_ns):
             return [Reply(t_ns, bno055_uart.status(bno055_uart.CHARACTER_TIMEOUT))]
         return []
 
     def next_poll_ns(self) -> int:
-        """When `poll` may have something to say, `NEVER_NS` if nothing is pending."""
+        """Time of the next character timeout, `NEVER_NS` without an incomplete request."""
         expires_ns = self._parser.expires_ns()
         return NEVER_NS if expires_ns is None else expires_ns
 
@@ -178,7 +178,7 @@ class Bno055Chip(SerialChip, Scheduled):
         self._world.changed(self)
 
     def _power(self, t_ns: int) -> bool:
-        """Follow power faults; True while the chip has no power or is booting."""
+        """Apply power faults; True while the chip has no power or is booting."""
         if self._faults.plan.empty:
             return False
         boot_ns = self._faults.boot_at_ns(t_ns)
@@ -228,7 +228,7 @@ class Bno055Chip(SerialChip, Scheduled):
         return bno055_uart.status(code) if code else b""
 
     def _store(self, address: int, value: int, t_ns: int) -> int:
-        """Write one register with its side effects; returns the status code, 0 for silence."""
+        """Write one register with its side effects; returns the status code, 0 for no answer."""
         if address == reg.PAGE_ID:
             if value > 1:
                 return bno055_uart.WRITE_FAIL

@@ -1,4 +1,4 @@
-"""Faults of the emulated BNO055 that arise in the chip itself; the serial line adds those of the wire."""
+"""Faults inside the emulated BNO055; the serial line adds those of the wire."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ _JUMP_RAD = 0.5
 
 
 class InertialFaults(DeviceFaults):
-    """What goes wrong with any inertial sensor: it dies and comes back, turns its heading, measures wrongly.
+    """Faults of any inertial sensor: loss of power, resets, heading jumps, wrong rates.
 
     Attributes:
-        dead: without power, as `boot_at_ns` has seen it last.
+        dead: whether the sensor had no power at the last call of `boot_at_ns`.
     """
 
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
@@ -42,7 +42,7 @@ class InertialFaults(DeviceFaults):
         self.dead = False
 
     def boot_at_ns(self, t_ns: int) -> int | None:
-        """When the sensor last came up because of a fault, if that is news; keeps `dead` up to date."""
+        """Return the time of a boot caused by a fault at its first query, else None; updates `dead`."""
         was_dead = self.dead
         self.dead = any(self.find(kind, t_ns) for kind in ("off", "brownout"))
         if was_dead and not self.dead:
@@ -51,18 +51,18 @@ class InertialFaults(DeviceFaults):
         return None if fault is None else fault.start_ns
 
     def jump_rad(self, t_ns: int) -> float:
-        """A heading step that is due now, once per fault."""
+        """Heading step of a `jump` fault that has just begun, once per fault; else 0."""
         fault = self.news("jump", t_ns)
         return 0.0 if fault is None else fault.option("angle_rad", _JUMP_RAD)
 
     def wrong_rate_rad_s(self, t_ns: int) -> float:
-        """What is added to every gyro axis now."""
+        """Present error on every axis of the gyroscope."""
         fault = self.find("wrong", t_ns)
         return 0.0 if fault is None else fault.option("rate_rad_s", _WRONG_RATE_RAD_S)
 
 
 class ImuFaults(InertialFaults):
-    """What is wrong with the chip.
+    """Faults of the BNO055.
 
     Options: `wrong,rate_rad_s=` added to every gyro axis; `slow,factor=` stretches the output period
     and `answer_s=` delays answers;
@@ -75,12 +75,12 @@ class ImuFaults(InertialFaults):
         self._frozen: bytes | None = None
 
     def delay_ns(self, t_ns: int) -> int:
-        """Extra time before an answer while slow."""
+        """Extra latency of an answer under a `slow` fault."""
         fault = self.find("slow", t_ns)
         return 0 if fault is None else nanoseconds(fault.option("answer_s", 0.0))
 
     def distort(self, sensed: Sensed, t_ns: int) -> Sensed:
-        """A sensor that measures wrongly."""
+        """Add the error of a `wrong` fault to the measured rates."""
         extra = self.wrong_rate_rad_s(t_ns)
         if not extra:
             return sensed
@@ -88,7 +88,7 @@ class ImuFaults(InertialFaults):
         return sensed._replace(rate=(x + extra, y + extra, z + extra))
 
     def shown(self, block: bytes, history: Iterable[tuple[int, bytes]], t_ns: int) -> bytes:
-        """The data registers that a client gets to see."""
+        """Data registers as the client reads them: present, frozen or delayed."""
         if self.find("stuck", t_ns) is not None:
             if self._frozen is None:
                 self._frozen = block
@@ -106,7 +106,7 @@ class ImuFaults(InertialFaults):
         return old
 
     def spoil(self, answer: bytes, t_ns: int) -> bytes:
-        """The answer as it leaves the chip."""
+        """Apply `garbage` and `intermittent` faults to an answer."""
         if not answer:
             return answer
         if self.find("garbage", t_ns) is not None:

@@ -26,7 +26,7 @@ STATUS_IDLE, STATUS_FUSION, STATUS_NO_FUSION = 0, 5, 6
 
 @dataclass(frozen=True)
 class Mode:
-    """What an operating mode switches on; `rate_hz` is the output rate."""
+    """Sensors that are on in an operating mode, and its output rate."""
 
     accelerometer: bool
     magnetometer: bool
@@ -79,7 +79,7 @@ def page_one(serial: int) -> bytearray:
 
 
 def writable(page: int, address: int) -> bool:
-    """Whether a client may ever write the register."""
+    """Whether a client may write the register in any mode."""
     if address == PAGE_ID:
         return True
     if page == 0:

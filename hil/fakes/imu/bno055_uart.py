@@ -17,14 +17,14 @@ CHARACTER_TIMEOUT_NS = 30_000_000
 
 
 def status(code: int) -> bytes:
-    """A two-byte acknowledgement or error."""
+    """Return a two-byte status: acknowledgement or error."""
     return bytes((0xEE, code))
 
 
 class Request(NamedTuple):
-    """One complete request; `data` is None for a read, `length` what a read asks for.
+    """One complete request: `data` is None for a read, `length` the number of bytes to read.
 
-    A framing fault is a request with `error` set to its status byte.
+    After a framing error, `error` is its status byte.
     """
 
     register: int = 0
@@ -34,7 +34,7 @@ class Request(NamedTuple):
 
 
 class RequestParser:
-    """Cuts an arbitrary byte stream into requests; never raises and never keeps more than one frame."""
+    """Splits a byte stream into requests; never raises and never keeps more than one frame."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
@@ -42,23 +42,23 @@ class RequestParser:
         self._in_noise = False
 
     def reset(self) -> None:
-        """Forget a partial request."""
+        """Drop an incomplete request."""
         self._buffer.clear()
         self._in_noise = False
 
     def expires_ns(self) -> int | None:
-        """When a partial request times out; None when there is none."""
+        """Time at which the incomplete request times out; None without one."""
         return self._last_ns + CHARACTER_TIMEOUT_NS if self._buffer else None
 
     def expire(self, t_ns: int) -> bool:
-        """Drop a partial request whose next byte is overdue; True when there was one."""
+        """Drop an incomplete request that has timed out; True if there was one."""
         if self._buffer and t_ns - self._last_ns >= CHARACTER_TIMEOUT_NS:
             self.reset()
             return True
         return False
 
     def feed(self, data: bytes, t_ns: int) -> list[Request]:
-        """Requests completed by `data`, whose last byte arrived at `t_ns`."""
+        """Return the requests that `data` completes; its last byte arrived at `t_ns`."""
         self._last_ns = t_ns
         if (
             not self._buffer

@@ -1,7 +1,7 @@
-"""One set of outputs of the emulated BNO055, in flat vectors.
+"""One set of outputs of the emulated BNO055: sensors, fusion and register counts, on flat vectors.
 
-It is sensed, fused and counted. All numbers stand in three vectors in SI units (magnetic field in uT) at the
-places named below: the chip as it is built, what calibration has left of its offsets, and the fusion's state.
+All numbers are in three vectors in SI units (magnetic field in uT), at the indices named below: the chip,
+the offsets that remain after calibration, and the state of the fusion.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ GRAVITY_M_S2 = 9.80665
 _FIELD_X, _FIELD_Y, _FIELD_Z = 22.0, 0.0, -42.0
 _MOST = 32767
 
-# The chip (20,): rotation body to output axes (rows), output axes in the body (w, x, y, z), where the chip
-# is, noise of its three sensors, time constant of the vertical, drift of the heading.
+# The chip (20,): rotation body to output axes (rows), output axes in the body (w, x, y, z), position of the
+# chip, noise of its three sensors, time constant of the vertical, drift of the heading.
 OUT_OF_BODY, OUT_IN_BODY, AT_X, AT_Y = 0, 9, 13, 14
 ACCELEROMETER_NOISE, GYRO_NOISE, FIELD_NOISE, LEAKAGE, YAW_DRIFT = range(15, 20)
 CHIP_SIZE = 20
 
-# What is left of the offsets (9,): accelerometer, gyroscope, magnetometer, output axes.
+# Offsets that remain after calibration (9,): accelerometer, gyroscope, magnetometer; output axes.
 ACCELEROMETER, GYROSCOPE, MAGNETOMETER = 0, 3, 6
 OFFSETS_SIZE = 9
 
-# State (6,): leaked acceleration, error of the fused heading, the last rate of turn and whether there is one.
+# State (6,): leaked acceleration, error of the fused heading, last rate of turn, 1 if that rate is valid.
 LEAK, YAW_ERROR, LAST_RATE, TURNED = 0, 3, 4, 5
 STATE_SIZE = 6
 
 DRAWS = 9
-"""Numbers of one row of noise."""
+"""Random numbers per sample."""
 
 Outputs = tuple[Three, Three, Three, Four, Three, Three]
 Counts = tuple[
@@ -53,17 +53,17 @@ def sense(
     chip: Array,
     state: Array,
 ) -> Outputs:
-    """Sensor outputs and what the fusion makes of them.
+    """Compute one sample of the sensors and of the fusion.
 
     Args:
-        motion: of the body.
-        dt: since the last set.
-        magnetometer: whether it is on; without it the field is 0.
-        draws: noise, standard normal (n, 9).
-        row: of the noise, that is this set's.
-        offsets: (9,).
-        chip: (20,).
-        state: (6,), which it changes.
+        motion: motion of the body.
+        dt: time since the last sample, s.
+        magnetometer: whether it is on; the field is 0 without it.
+        draws: standard normal noise (n, 9).
+        row: row of `draws` to use.
+        offsets: (9,) remaining offsets.
+        chip: (20,) constants of the chip.
+        state: (6,) state of the fusion; updated.
 
     Returns:
         acceleration, rate, field, attitude w x y z, linear acceleration and gravity in output axes.
@@ -96,7 +96,7 @@ def sense(
             by + 0.0 * uy + o[MAGNETOMETER + 1] + noisy * noise[7],
             bz + 0.0 * uz + o[MAGNETOMETER + 2] + noisy * noise[8],
         )
-    # The fusion: its vertical is off by the offset and by leaked acceleration.
+    # The fusion: offset and leaked acceleration tilt its vertical.
     state[YAW_ERROR] += chip[YAW_DRIFT] * dt
     k = min(1.0, dt / chip[LEAKAGE])
     lx = state[LEAK] + k * (kx - state[LEAK])
@@ -118,15 +118,15 @@ def sense(
 
 @inner
 def turned(m: Array, x: float, y: float, z: float) -> Three:
-    """A vector in body axes in the chip's output axes; m (20,) is the chip."""
+    """Rotate a vector from body axes to the chip's output axes; m (20,) is the chip."""
     return (m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z)
 
 
 @inner
 def attitude(theta: float, tilt: float, chip: Array, state: Array) -> Four:
-    """Attitude that the fusion would know without leaks; chip (20,), state (6,).
+    """Attitude of the fusion without leaked acceleration; chip (20,), state (6,).
 
-    Turned by its error, tilted, by its heading.
+    Rotations: heading error, then tilt, then heading of the body.
     """
     yaw, half, turn = 0.5 * state[YAW_ERROR], -0.5 * tilt, 0.5 * theta
     cy, sy, ch, sh = math.cos(yaw), math.sin(yaw), math.cos(half), math.sin(half)
@@ -140,7 +140,7 @@ def attitude(theta: float, tilt: float, chip: Array, state: Array) -> Four:
 
 @inner
 def magnetic_field(q: Four) -> Three:
-    """The earth's field in the axes of an attitude."""
+    """Earth's magnetic field in the axes of an attitude, uT."""
     w, x, y, z = q
     u, v, n = _FIELD_X, _FIELD_Y, _FIELD_Z
     return (
@@ -152,17 +152,17 @@ def magnetic_field(q: Four) -> Three:
 
 @kernel
 def counts(outputs: Outputs, acc: float, gyro: float, field: float, angle: float, android: bool) -> Counts:
-    """What the data registers hold: acceleration, field, rate, Euler angles, quaternion, linear, gravity.
+    """Register counts: acceleration, field, rate, Euler angles, quaternion, linear acceleration, gravity.
 
-    A count that does not fit stays at the end of its range.
+    Counts saturate at 16 bits.
 
     Args:
-        outputs: of `sense`.
+        outputs: result of `sense`.
         acc: counts per m/s^2.
         gyro: counts per rad/s.
         field: counts per uT.
         angle: counts per rad.
-        android: which way pitch counts.
+        android: sign convention of pitch.
     """
     (ax, ay, az), (rx, ry, rz), (bx, by, bz), q, (lx, ly, lz), (gx, gy, gz) = outputs
     heading, roll, pitch = euler_rad(q, android)
@@ -189,7 +189,7 @@ def euler_rad(q: Four, android: bool) -> Three:
 
 @inner
 def whole(value: float) -> int:
-    """The nearest count that a register can hold."""
+    """Round to a 16-bit count and saturate."""
     if value > _MOST:
         return _MOST
     if value < -_MOST - 1:

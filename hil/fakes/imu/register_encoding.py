@@ -1,7 +1,7 @@
 """Registers of the emulated BNO055: data 0x08..0x35 in the selected units, calibration bytes 0x55..0x6A.
 
-One count of an offset is 0.01 m/s^2, 1/16 degree/s, 1/16 uT. A group of them takes effect when its last byte
-is written.
+One count of an offset is 0.01 m/s^2, 1/16 degree/s, 1/16 uT. The offsets of a sensor take effect when their
+last byte is written.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _VECTOR = struct.Struct("<3h")
 
 
 def encode(sensed: Sensed, mode: Mode, units: int, calibration: int, celsius: float) -> bytes:
-    """Register block 0x08..0x35; what the mode switches off reads zero."""
+    """Return registers 0x08..0x35; outputs that are off in this mode read zero."""
     acc = 1000.0 / GRAVITY_M_S2 if units & UNIT_MG else ACC_LSB_PER_M_S2
     gyro = 900.0 if units & UNIT_RAD_S else GYRO_LSB_PER_RAD_S
     temperature = round((celsius * 1.8 + 32.0) / 2.0 if units & UNIT_FAHRENHEIT else celsius)
@@ -59,7 +59,7 @@ def encode(sensed: Sensed, mode: Mode, units: int, calibration: int, celsius: fl
 
 
 def load_offsets(page: bytearray, address: int, calibration: SelfCalibration) -> None:
-    """After a write to `address`: a completed group becomes the chip's offset estimate."""
+    """After a write to `address`: if it completes a sensor's offsets, use them as the offset estimate."""
     group = _GROUPS.get(address)
     if group is None:
         return
@@ -69,7 +69,7 @@ def load_offsets(page: bytearray, address: int, calibration: SelfCalibration) ->
 
 
 def store_offsets(page: bytearray, calibration: SelfCalibration) -> None:
-    """Show the chip's own estimates in the registers, as on entering CONFIG mode."""
+    """Write the offset estimates to the registers, as on entering CONFIG mode."""
     for sensor, start, scale in _GROUPS.values():
         values = [max(-32768, min(32767, round(v * scale))) for v in getattr(calibration, sensor)]
         _VECTOR.pack_into(page, start, *values)

@@ -1,7 +1,7 @@
-"""Self-calibration of the emulated BNO055: offsets it has learnt and how sure it says it is.
+"""Self-calibration of the emulated BNO055: offset estimates and calibration status.
 
-The gyroscope learns at rest, the accelerometer from several attitudes, the magnetometer from several
-headings (datasheet 3.11); the four levels 0..3 go to register 0x35.
+The gyroscope calibrates at rest, the accelerometer in several attitudes, the magnetometer in several
+headings (datasheet 3.11); the four levels 0..3 are in register 0x35.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ class SelfCalibration:
         self.clear()
 
     def clear(self) -> None:
-        """Set the calibration status as after power-up."""
+        """Reset offset estimates and calibration levels as after power-up."""
         self.accelerometer: list[float] = [0.0] * 3
         self.gyroscope: list[float] = [0.0] * 3
         self.magnetometer: list[float] = [0.0] * 3
         self.forget_levels()
 
     def forget_levels(self) -> None:
-        """Reset the calibration levels; the offsets stay."""
+        """Reset the calibration levels and keep the offsets."""
         self._still_s = 0.0
         self._attitudes: set[tuple[int, int, int]] = set()
         self._headings: set[int] = set()
@@ -36,13 +36,13 @@ class SelfCalibration:
         self._levels: tuple[int, int, int] | None = None
 
     def restore(self, sensor: str, values: Vector) -> None:
-        """A client wrote the last byte of one sensor's offsets."""
+        """Set the offset estimate of a sensor, as restored by a client."""
         setattr(self, sensor, list(values))
         self._restored[sensor] = True
         self._levels = None
 
     def learn(self, still: bool, dt_s: float, up: Vector, heading_octant: int, truth: SensorOffsets) -> None:
-        """One fusion step; `up` is the unit vertical in sensor axes, (3,)."""
+        """Update the calibration after one fusion step; `up` is the unit vertical in sensor axes, (3,)."""
         if still:
             self._levels = None
             self._still_s += dt_s
@@ -68,7 +68,7 @@ class SelfCalibration:
                 ]
 
     def levels(self) -> tuple[int, int, int]:
-        """(accelerometer, gyroscope, magnetometer), each 0..3; worked out when something has changed."""
+        """Return the calibration levels (accelerometer, gyroscope, magnetometer), each 0..3."""
         if self._levels is None:
             self._levels = self._earned()
         return self._levels
@@ -85,12 +85,12 @@ class SelfCalibration:
 
 
 def _side(along: float) -> int:
-    """1 or -1 where the vertical lies more along an axis than across it, 0 otherwise."""
+    """Return the sign of a vertical component, 0 if it is small."""
     return (1.4 * along > 0.5) - (1.4 * along < -0.5)
 
 
 def _level(share: float) -> int:
-    """How often a level has been earned, as far as there are levels."""
+    """Round a progress down to a level 0..3."""
     return 0 if share < 1.0 else _MAX_LEVEL if share >= _MAX_LEVEL else int(share)
 
 

@@ -1,9 +1,8 @@
-"""What the sensors inside the emulated BNO055 see of the world, and what its fusion makes of it.
+"""Sensors and fusion of the emulated BNO055, from the motion of the body.
 
 Earth axes: z up, x along the horizontal direction that wall X leans to. A tilt of `tau` turns the
 wall frame about its Y axis, so on a vertical wall (tau = pi/2) gravity lies in the motion plane.
-What a sample takes is in `hil.fakes.imu.output_sample`; here is what changes seldom, and what calibration
-learns.
+`hil.fakes.imu.output_sample` computes each sample; this module has what changes rarely, and the calibration.
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ class ImuTruthOptions:
 
 
 class Sensed(NamedTuple):
-    """One set of outputs in sensor (remapped) axes, SI units, magnetic field in uT (0 where it is off)."""
+    """One set of outputs in sensor (remapped) axes, SI units, magnetic field in uT (0 when off)."""
 
     acceleration: Vector
     rate: Vector
@@ -100,12 +99,12 @@ def product(a: Matrix, b: Matrix) -> Matrix:
 
 
 def names_each_axis(axis_map: int) -> bool:
-    """Whether a map is valid; another leaves register and axes as they were (datasheet 3.4)."""
+    """Return whether an axis map is valid; the chip ignores any other (datasheet 3.4)."""
     return sorted((axis_map >> shift) & 3 for shift in (0, 2, 4)) == [0, 1, 2]
 
 
 def remap(axis_map: int, axis_sign: int) -> Matrix:
-    """Signed permutation of registers 0x41 and 0x42: sensor axes from chip axes (datasheet 3.4)."""
+    """Signed permutation from chip axes to sensor axes, by registers 0x41 and 0x42 (datasheet 3.4)."""
     rows: list[Vector] = []
     for index, sign_bit in enumerate((4, 2, 1)):
         row = [0.0, 0.0, 0.0]
@@ -174,15 +173,15 @@ class InertialSensors:
 
     @property
     def yaw_error_rad(self) -> float:
-        """How far the fused heading is off."""
+        """Error of the fused heading, rad."""
         return float(self._state[output_sample.YAW_ERROR])
 
     def turn(self, angle_rad: float) -> None:
-        """Turn the fused heading at once."""
+        """Add a step to the fused heading."""
         self._state[output_sample.YAW_ERROR] += angle_rad
 
     def set_remap(self, axis_map: int, axis_sign: int) -> None:
-        """Take over the axis registers; the map names each axis once."""
+        """Set the axes from the remap registers; the map must be valid."""
         self._remap = remap(axis_map, axis_sign)
         out_in_body = product(self._chip_in_body, transpose(self._remap))
         self._out_of_body = transpose(out_in_body)
@@ -191,7 +190,7 @@ class InertialSensors:
             self._chip[at] = value
 
     def restart_fusion(self) -> None:
-        """The fusion starts anew: heading zero where it stands now, leaked acceleration forgotten."""
+        """Restart the fusion: the present heading becomes zero, leaked acceleration is cleared."""
         for at in (
             output_sample.LEAK,
             output_sample.LEAK + 1,
@@ -202,7 +201,7 @@ class InertialSensors:
             self._state[at] = 0.0
 
     def sense(self, body: BodyMotion, mode: Mode, dt_s: float) -> Sensed:
-        """Sensor outputs for the present motion of the body, `dt_s` after the previous call."""
+        """Return the sensor outputs for the present motion of the body, `dt_s` after the previous call."""
         if mode.fusion:
             self._learn(body, dt_s)
         self._leave_offsets()
@@ -222,7 +221,7 @@ class InertialSensors:
         return Sensed(*outputs)
 
     def _learn(self, body: BodyMotion, dt_s: float) -> None:
-        """Calibrate from how the chip stands and moves."""
+        """Calibrate from the present attitude and motion."""
         _, _, theta, vx, vy, w, _, _, tilt = body
         s, c, st, ct = math.sin(theta), math.cos(theta), math.sin(tilt), math.cos(tilt)
         still = abs(w) < _STILL_RATE_RAD_S and abs(vx) + abs(vy) < _STILL_SPEED_M_S
@@ -230,7 +229,7 @@ class InertialSensors:
         self.calibration.learn(still, dt_s, up, octant, self.true_offsets)
 
     def _leave_offsets(self) -> None:
-        """What calibration has left of the offsets, output axes; worked out when it has learnt something."""
+        """Update the remaining offsets in output axes, if estimates or axes have changed."""
         known, true, before = self.calibration, self.true_offsets, self._offsets_of
         now = (known.accelerometer, known.gyroscope, known.magnetometer, self._remap)
         if now[0] is before[0] and now[1] is before[1] and now[2] is before[2] and now[3] is before[3]:

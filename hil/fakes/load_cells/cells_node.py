@@ -1,4 +1,4 @@
-"""Sends the counts of the emulated cells: as CAN frames, or as lines of text."""
+"""Sends the counts of the emulated load cells: as CAN frames, or as lines of text."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _CLOCK_ERROR = 200e-6
 
 
 def _period_ns(rate_hz: float) -> int:
-    """An HX711 runs on its own oscillator."""
+    """Conversion period; an HX711 runs on its own oscillator."""
     return round(NS_PER_S / rate_hz * (1.0 + _CLOCK_ERROR))
 
 
@@ -26,10 +26,10 @@ class CellNode(Scheduled):
     """Sends one frame for each conversion.
 
     Args:
-        world: truth, seed and faults; the node registers itself.
-        channel: the bus.
+        world: truth, seed and faults; the node registers itself there.
+        channel: the CAN bus.
         config: rate and address.
-        cells: what is measured.
+        cells: the load cells.
     """
 
     Options = LoadCellTruthOptions
@@ -37,7 +37,7 @@ class CellNode(Scheduled):
 
     @classmethod
     def build(cls, request: EmulationRequest, channel: CanChannel) -> CellNode:
-        """The node of a table of the bench file."""
+        """Make the node from its table of the bench file."""
         return cls(request.world, channel, request.config, _cells(request))
 
     def __init__(self, world: World, channel: CanChannel, config: CanCellsConfig, cells: Cells) -> None:
@@ -50,7 +50,7 @@ class CellNode(Scheduled):
         world.add(self)
 
     def begin_in_use(self) -> None:
-        """Nothing: it is heard in this process only."""
+        """Mark the node as independent: only this process receives its frames."""
         self.alone = True
 
     def next_due_ns(self) -> int:
@@ -76,9 +76,9 @@ class CellLine(SerialChip):
     """Writes a line `LC <number> <counts> <counts>` for each conversion.
 
     Args:
-        world: seed.
+        world: source of the seed.
         config: rate and baud.
-        cells: what is measured.
+        cells: the load cells.
     """
 
     Options = LoadCellTruthOptions
@@ -86,7 +86,7 @@ class CellLine(SerialChip):
 
     @classmethod
     def build(cls, request: EmulationRequest) -> CellLine:
-        """The line of a table of the bench file."""
+        """Make the chip from its table of the bench file."""
         return cls(request.world, request.config, _cells(request))
 
     def __init__(self, world: World, config: LineCellsConfig, cells: Cells) -> None:
@@ -96,7 +96,7 @@ class CellLine(SerialChip):
         self._due_ns = int(world.rng(f"{cells.name}.phase").integers(1, self._period_ns))
 
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
-        """Ignore input: it is for the propellers."""
+        """Ignore input, which is for the propellers."""
         return []
 
     def reset(self, t_ns: int) -> None:
@@ -104,7 +104,7 @@ class CellLine(SerialChip):
         self._sequence = 0
 
     def poll(self, t_ns: int) -> list[Reply]:
-        """Make one line of counts."""
+        """Send one line of counts."""
         slow = self._cells.faults.find("slow", t_ns)
         self._due_ns = t_ns + round(self._period_ns * (1.0 if slow is None else slow.slowness))
         if self._cells.silent(t_ns):

@@ -1,4 +1,4 @@
-"""Two load cells on HX711 converters: the fan's true force in, counts out, with zero, drift and noise."""
+"""Two load cells on HX711 converters: true force of the fan in, counts out, with zero, drift and noise."""
 
 from __future__ import annotations
 
@@ -55,13 +55,13 @@ class LoadCellTruthOptions:
 
 
 class Cells:
-    """What both converters give.
+    """Both load cells with their converters.
 
     Args:
-        world: the true force, seed and faults.
+        world: true force, seed and faults.
         config: scales and range.
-        options: truth.
-        name: of its faults.
+        options: true imperfections.
+        name: device name of its faults.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Cells:
         return [float(v) for v in self._rng.normal(0.0, sigma, 2)] if sigma else [0.0, 0.0]
 
     def silent(self, t_ns: int) -> bool:
-        """Follow the supply; whether nothing is sent now."""
+        """Apply faults of the supply; return whether nothing is sent now."""
         if self.faults.none:
             return False
         was_dead, self._dead = self._dead, any(self.faults.find(k, t_ns) for k in ("off", "brownout"))
@@ -94,7 +94,7 @@ class Cells:
         return self._dead or t_ns < self.booted_ns or (fault is not None and fault.interrupts(t_ns))
 
     def counts(self, t_ns: int) -> tuple[int, ...]:
-        """One conversion of both."""
+        """Return the counts of one conversion of both cells."""
         true_n = self._world.plant.adhesion_n()
         if not self._noise:
             self._noise = self._rng.standard_normal((_BLOCK, 2)).tolist()
@@ -115,7 +115,7 @@ class Cells:
         return raw if -COUNTS <= raw < COUNTS else min(max(raw, -COUNTS), COUNTS - 1)
 
     def _wrong(self, seen: list[float], t_ns: int) -> list[float]:
-        """Forces under a fault of scale, drift or zero."""
+        """Apply faults of scale, drift or zero to the forces."""
         wrong = self.faults.find("wrong", t_ns)
         if wrong is not None:
             factor = 1.0 if "drift_n_s" in wrong.options else wrong.option("factor", _WRONG)

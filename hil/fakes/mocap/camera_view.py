@@ -1,7 +1,7 @@
-"""Rigid bodies in the view of the cameras: when these see them, and in which pose.
+"""Rigid bodies in the view of the motion capture cameras: visibility and measured poses.
 
-Poses are made in the wall frame (z out of the surface) and turned into the streamed axes: Motive's
-y-up stream has y out of the calibrated ground plane, so that (x, y, z) of the wall is (x, z, -y) there.
+Poses are computed in the wall frame (z out of the surface) and converted to the streamed axes: in Motive's
+y-up stream, y is out of the calibrated ground plane, so that (x, y, z) of the wall is (x, z, -y).
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from hil.fakes.mocap.capture_truth import MocapTruthOptions
 from hil.support.numba_jit import compile_for, inner, kernel, plain
 
 DRAWS = 7
-"""Numbers of one row of noise."""
+"""Random numbers per body and frame."""
 
 MARKERS = ((0.10, 0.08, 0.02), (-0.12, 0.09, 0.02), (-0.10, -0.09, 0.03), (0.13, -0.02, 0.05))
-"""Where they sit on a body, m."""
+"""Positions of the markers on a body, m."""
 
 Markers = tuple[Three, Three, Three, Three]
 _BLOCK = 512
@@ -29,13 +29,13 @@ _DISTRACTOR = (1.2, -0.7, 0.4)
 
 
 class Capture(NamedTuple):
-    """How bodies are seen.
+    """Settings of the measurement of a body.
 
     Attributes:
-        height: of a body above the surface, m.
+        height: height of a body above the surface, m.
         position_noise, angle_noise: standard deviation of each component, m and rad.
-        marker_error: mean distance of the markers from where they should be, m.
-        y_up: whether y is out of the ground plane.
+        marker_error: mean marker error that is reported, m.
+        y_up: whether y of the stream is out of the ground plane.
     """
 
     height: float = 0.0
@@ -50,10 +50,10 @@ def seen_at(place: Three, by: Capture, draws: Array, row: int) -> tuple[Three, F
     """Position (m), rotation (x, y, z, w), markers (m) and marker error (m) of a body, in streamed axes.
 
     Args:
-        place: x and y of the body in the wall, m, and its heading.
-        by: how it is seen.
-        draws: noise, standard normal (n, 7).
-        row: of the noise, that is this body's.
+        place: x and y of the body in the wall frame, m, and its heading, rad.
+        by: settings.
+        draws: standard normal noise (n, 7).
+        row: row of `draws` to use.
     """
     by = Capture(*by)
     noise, height, y_up = draws[row], by.height, by.y_up
@@ -77,7 +77,7 @@ def seen_at(place: Three, by: Capture, draws: Array, row: int) -> tuple[Three, F
 
 @inner
 def streamed(x: float, y: float, z: float, y_up: bool) -> Three:
-    """A vector in the wall's axes in those of the stream."""
+    """Convert a vector from wall axes to streamed axes."""
     if y_up:
         return x, z, -y
     return x, y, z
@@ -96,7 +96,7 @@ class SeenBody(NamedTuple):
 
 
 class CaptureVolume:
-    """The cameras, the robot's body and a second, resting body.
+    """The cameras, the robot's body and a second body at rest.
 
     Args:
         options: true imperfections.
@@ -132,11 +132,11 @@ class CaptureVolume:
 
     @property
     def names(self) -> tuple[tuple[str, int], ...]:
-        """Bodies that are defined, the other one first."""
+        """Names and streaming ids of both bodies, that of the robot last."""
         return (self._other.name, self._other.identifier), (self._body, self._body_id)
 
     def see(self, motion: BodyMotion, t_ns: int, hidden: bool = False) -> tuple[SeenBody, SeenBody]:
-        """Both bodies at an exposure; a hidden body keeps its last pose and is not tracked."""
+        """Return both bodies at an exposure; a hidden body keeps its last pose and is not tracked."""
         if not self._row:
             self._draws, self._row = self._rng.standard_normal((_BLOCK, DRAWS)), _BLOCK
         self._row -= 1
@@ -149,7 +149,7 @@ class CaptureVolume:
         return self._other, self._last
 
     def in_gap(self, t_ns: int) -> bool:
-        """Whether this frame is one of those that never leave the server."""
+        """Return whether this frame is lost before it is sent."""
         options = self._options
         if t_ns < self._gap_until_ns:
             return True
@@ -162,6 +162,6 @@ class CaptureVolume:
         return True
 
     def _body_at(self, name: str, identifier: int, place: Three, draws: Array, row: int) -> SeenBody:
-        """A body at a pose in the wall, with a row of noise."""
+        """Return a body at a pose in the wall frame, with a row of noise."""
         seen = seen_at(place, plain(self._by), draws, row)
         return SeenBody(name, identifier, *seen, True)

@@ -31,7 +31,7 @@ Bodies = tuple[SeenBody, SeenBody]
 
 
 class MocapFaults(DeviceFaults):
-    """What is wrong with server and network.
+    """Faults of server and network.
 
     Options: `wrong,offset_m=` along x; `jump` exchanges the two bodies; `garbage` makes random poses,
     with `nan=1` NaN, with `packets=1` random packets; `slow,factor=`; `delayed,delay_s=`;
@@ -46,21 +46,21 @@ class MocapFaults(DeviceFaults):
         plan.declare(name, SUPPORTED_FAULTS)
 
     def cut_off(self, t_ns: int) -> bool:
-        """Whether no packet gets in or out."""
+        """Return whether no packet is received or sent."""
         return self.find("off", t_ns) is not None or self.find("unplug", t_ns) is not None
 
     def silent(self, t_ns: int) -> bool:
-        """Whether this frame is not sent."""
+        """Return whether this frame is not sent."""
         fault = self.find("intermittent", t_ns)
         return fault is not None and not fault.option("occlude", 0.0) and fault.interrupts(t_ns)
 
     def hidden(self, t_ns: int) -> bool:
-        """Whether the body is out of sight."""
+        """Return whether the robot's body is hidden."""
         fault = self.find("intermittent", t_ns)
         return fault is not None and bool(fault.option("occlude", 0.0)) and fault.interrupts(t_ns)
 
     def distort(self, bodies: Bodies, t_ns: int) -> Bodies:
-        """The bodies as the server takes them to be."""
+        """Apply `jump`, `wrong`, `garbage` and `stuck` to the measured bodies."""
         other, body = bodies
         if self.find("jump", t_ns) is not None:
             other, body = _at(other, body), _at(body, other)
@@ -78,7 +78,7 @@ class MocapFaults(DeviceFaults):
         return self._frozen
 
     def spoil(self, packet: bytes, t_ns: int) -> tuple[bytes, ...]:
-        """A packet as it arrives: not at all, damaged, once or twice."""
+        """Return the packets received for one sent: none, intact or damaged, once or twice."""
         if self._hit("drop", t_ns):
             return ()
         garbage = self.find("garbage", t_ns)
@@ -95,7 +95,7 @@ class MocapFaults(DeviceFaults):
 
 
 def _at(body: SeenBody, place: SeenBody) -> SeenBody:
-    """A body that is taken for the one at another place."""
+    """Return a body with the pose and markers of another one."""
     return body._replace(
         position_m=place.position_m,
         rotation_xyzw=place.rotation_xyzw,
